@@ -1,0 +1,77 @@
+"""
+Modbus for Python on Debian's libmodbus.
+
+The way of one request, file by file, which is also the order to read them in::
+
+    context     TcpContext, RtuContext, AsciiContext: the blocking client
+    line        one transaction at a time, through libmodbus (native) or without
+    pdu         one class for each function: encode and decode, both ends
+    framing     unit and PDU as bytes on TCP, RTU and ASCII lines
+    link        a TCP connection or a serial port, as a descriptor in a modbus_t
+      ... the wire ...
+    server      Server: many clients, many units, many endpoints
+    device      Device: request PDU in, response PDU out
+    mapping     Mapping: four tables, from which libmodbus's modbus_reply answers
+
+Around them: errors (the exceptions), arguments (the check of numbers), url
+(endpoints), values (references such as 40123), _c and low_level (libmodbus), cli.
+
+Addresses are 0-based and times are in seconds everywhere.
+"""
+
+from . import framing, pdu, values
+from .context import AsciiContext, Context, RtuContext, TcpContext
+from .device import Device, RecordFile
+from .errors import (
+    Acknowledge,
+    ExceptionResponse,
+    FrameError,
+    GatewayPathUnavailable,
+    GatewayTargetFailedToRespond,
+    IllegalDataAddress,
+    IllegalDataValue,
+    IllegalFunction,
+    InvalidResponse,
+    MemoryParityError,
+    ModbusConnectionError,
+    ModbusError,
+    ModbusTimeoutError,
+    NegativeAcknowledge,
+    ServerDeviceBusy,
+    ServerDeviceFailure,
+)
+from .mapping import Mapping
+from .server import Running, Server
+
+__all__ = [
+    "Acknowledge",
+    "AsciiContext",
+    "Context",
+    "Device",
+    "ExceptionResponse",
+    "FrameError",
+    "GatewayPathUnavailable",
+    "GatewayTargetFailedToRespond",
+    "IllegalDataAddress",
+    "IllegalDataValue",
+    "IllegalFunction",
+    "InvalidResponse",
+    "Mapping",
+    "MemoryParityError",
+    "ModbusConnectionError",
+    "ModbusError",
+    "ModbusTimeoutError",
+    "NegativeAcknowledge",
+    "RecordFile",
+    "RtuContext",
+    "Running",
+    "Server",
+    "ServerDeviceBusy",
+    "ServerDeviceFailure",
+    "TcpContext",
+    "framing",
+    "pdu",
+    "values",
+]
+
+__version__ = "0.1.0"

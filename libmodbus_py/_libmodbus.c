@@ -1,0 +1,38 @@
+/* Compiled in front of the wrappers that cffi generates from _libmodbus.h. */
+
+#include <errno.h>
+#include <modbus/modbus.h>
+
+/* Functions newer than libmodbus 3.1.6. Weak, so that one build loads on
+ * every libmodbus.so.5; a call that the loaded library lacks answers ENOSYS. */
+extern int modbus_enable_quirks(modbus_t *ctx, unsigned int quirks_mask) __attribute__((weak));
+extern int modbus_disable_quirks(modbus_t *ctx, unsigned int quirks_mask) __attribute__((weak));
+extern int modbus_send_raw_request_tid(modbus_t *ctx, const uint8_t *raw_req, int raw_req_length,
+                                       int tid) __attribute__((weak));
+
+static int missing(void)
+{
+    errno = ENOSYS;
+    return -1;
+}
+
+static int enable_quirks(modbus_t *ctx, unsigned int quirks_mask)
+{
+    return modbus_enable_quirks ? modbus_enable_quirks(ctx, quirks_mask) : missing();
+}
+
+static int disable_quirks(modbus_t *ctx, unsigned int quirks_mask)
+{
+    return modbus_disable_quirks ? modbus_disable_quirks(ctx, quirks_mask) : missing();
+}
+
+static int send_raw_request_tid(modbus_t *ctx, const uint8_t *raw_req, int raw_req_length, int tid)
+{
+    return modbus_send_raw_request_tid
+               ? modbus_send_raw_request_tid(ctx, raw_req, raw_req_length, tid)
+               : missing();
+}
+
+#define modbus_enable_quirks enable_quirks
+#define modbus_disable_quirks disable_quirks
+#define modbus_send_raw_request_tid send_raw_request_tid

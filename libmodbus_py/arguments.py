@@ -1,0 +1,44 @@
+"""
+The check of numbers that callers pass; its errors name the argument and its range.
+"""
+
+from __future__ import annotations
+
+from operator import index
+
+__all__ = ["integer", "seconds"]
+
+
+def integer(name: str, value: object, low: int, high: int) -> int:
+    """
+    Give `value` as an int, whatever kind of integer it is.
+
+    Raises:
+        TypeError: no integer; True and False are none here.
+        ValueError: not in low..high.
+    """
+    if isinstance(value, bool):
+        raise TypeError(f"{name} must be an integer in {low}..{high}, not {value!r}")
+    try:
+        number = index(value)  # type: ignore[arg-type]
+    except TypeError:
+        given = type(value).__name__
+        raise TypeError(f"{name} must be an integer in {low}..{high}, not {given}") from None
+    if not low <= number <= high:
+        raise ValueError(f"{name} must be in {low}..{high}, not {number}")
+    return number
+
+
+def seconds(name: str, value: object, low: float = 0.001, high: float = 86_400.0) -> float:
+    """
+    Give `value` as a float.
+
+    Raises:
+        TypeError: no number.
+        ValueError: not in low..high.
+    """
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise TypeError(f"{name} must be a number of seconds, not {type(value).__name__}")
+    if not low <= value <= high:
+        raise ValueError(f"{name} must be in {low:g}..{high:g} seconds, not {value:g}")
+    return float(value)

@@ -1,0 +1,363 @@
+"""
+The blocking client: one method for each function, on libmodbus.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterable, Sequence
+from functools import partial
+from typing import Any, Literal, Self, TypeVar
+
+from . import pdu, url
+from .arguments import integer, seconds
+from .framing import AsciiFramer, RtuFramer, TcpFramer
+from .line import Line
+from .link import Link, SerialLink, TcpLink
+
+__all__ = ["AsciiContext", "Context", "RtuContext", "TcpContext"]
+
+Result = TypeVar("Result")
+
+FRAMERS: dict[str, Any] = {
+    "tcp": TcpFramer,
+    "rtu": partial(RtuFramer, role="client"),
+    "ascii": AsciiFramer,
+}
+
+
+class Context:
+    """
+    A client of one unit, made by `TcpContext`, `RtuContext`, `AsciiContext` or `from_url`.
+
+    Connects when entered (``with``) or used, again on the next request after
+    the connection was lost or stayed dumb for three timeouts, and closes on exit.
+    Safe from any thread: one request at a time, the others wait. After a fork the
+    child connects anew and the parent notices nothing.
+
+    Addresses are 0-based, 0..65535; timeouts are in seconds.
+
+    Every request raises, apart from what its method names:
+
+    * TypeError, ValueError: an argument, named with its range; nothing was sent.
+    * ExceptionResponse: the server refused; the subclass says why.
+    * ModbusTimeoutError: no complete answer within `timeout`. On a serial line
+      the next request first lets a late answer pass, for up to `timeout` of silence.
+    * ModbusConnectionError: no connection, with errno.
+    * FrameError, InvalidResponse: the answer was none.
+
+    The requests that libmodbus knows are carried by libmodbus, without the GIL;
+    Ctrl-C then takes effect when it returns, after `timeout` at most.
+
+    Attributes:
+        unit: who is asked.
+    """
+
+    unit: int
+
+    def __init__(self, line: Line, unit: int) -> None:
+        self._line = line
+        self.unit = integer("unit", unit, 0, 255)
+
+    @staticmethod
+    def from_url(address: str, **options: Any) -> Context:
+        """
+        Make the context for a URL (`libmodbus_py.url`).
+
+        Args:
+            address: such as "tcp://192.0.2.10" or "rtu:///dev/ttyUSB0?baudrate=9600".
+            options: as for the class: unit, timeout, ...
+
+        Raises:
+            TypeError, ValueError: the URL or an option is wrong.
+        """
+        endpoint = url.parse(address)
+        if endpoint.is_tcp:
+            return TcpContext(endpoint.host, endpoint.port, framing=endpoint.framing, **options)
+        kind = RtuContext if endpoint.framing == "rtu" else AsciiContext
+        return kind(endpoint.device, **endpoint.options, **options)
+
+    def for_unit(self, unit: int) -> Self:
+        """
+        Give a handle to another unit, 0..255, on the same connection.
+
+        Unit 0 is a broadcast on serial lines: writes only, which return after
+        the turnaround delay. Closing either handle closes the connection of both.
+        """
+        handle = copy.copy(self)
+        handle.unit = integer("unit", unit, 0, 255)
+        return handle
+
+    # --- the connection ------------------------------------------------------------
+
+    @property
+    def timeout(self) -> float:
+        """Seconds that one request may take, connecting included; settable."""
+        return self._line.timeout
+
+    @timeout.setter
+    def timeout(self, value: float) -> None:
+        self._line.set_timeout(seconds("timeout", value))
+
+    @property
+    def closed(self) -> bool:
+        """Whether `close` was called."""
+        return self._line.closed
+
+    @property
+    def late_answers(self) -> int:
+        """How many answers came after their timeout and were dropped."""
+        return self._line.late_answers
+
+    def connect(self) -> None:
+        """
+        Connect, unless connected. Requests do so by themselves.
+
+        Raises:
+            ModbusConnectionError: with errno.
+        """
+        self._line.open()
+
+    def close(self) -> None:
+        """
+        Close for good; any number of times, from any thread.
+
+        A TCP request that another thread waits for fails at once; one on a serial
+        line ends first.
+        """
+        self._line.close()
+
+    def __enter__(self) -> Self:
+        self.connect()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    # --- the functions --------------------------------------------------------------
+
+    def execute(self, request: pdu.Request[Result]) -> Result:
+        """
+        Send any request object of `libmodbus_py.pdu`.
+
+        Returns:
+            What the method of the same name returns.
+        """
+        return self._line.execute(self.unit, request)
+
+    def read_coils(self, address: int, count: int) -> list[bool]:
+        """Read 1..2000 coils (function 1, modbus_read_bits)."""
+        return self.execute(pdu.ReadCoils(address, count))
+
+    def read_discrete_inputs(self, address: int, count: int) -> list[bool]:
+        """Read 1..2000 discrete inputs (function 2, modbus_read_input_bits)."""
+        return self.execute(pdu.ReadDiscreteInputs(address, count))
+
+    def read_holding_registers(self, address: int, count: int) -> list[int]:
+        """Read 1..125 holding registers (function 3, modbus_read_registers)."""
+        return self.execute(pdu.ReadHoldingRegisters(address, count))
+
+    def read_input_registers(self, address: int, count: int) -> list[int]:
+        """Read 1..125 input registers (function 4, modbus_read_input_registers)."""
+        return self.execute(pdu.ReadInputRegisters(address, count))
+
+    def write_coil(self, address: int, value: bool) -> None:
+        """Write one coil (function 5, modbus_write_bit)."""
+        self.execute(pdu.WriteCoil(address, value))
+
+    def write_register(self, address: int, value: int) -> None:
+        """Write one holding register, 0..65535 (function 6, modbus_write_register)."""
+        self.execute(pdu.WriteRegister(address, value))
+
+    def write_coils(self, address: int, values: Iterable[bool]) -> None:
+        """Write 1..1968 coils (function 15, modbus_write_bits)."""
+        self.execute(pdu.WriteCoils(address, values))  # type: ignore[arg-type]
+
+    def write_registers(self, address: int, values: Iterable[int]) -> None:
+        """Write 1..123 holding registers (function 16, modbus_write_registers)."""
+        self.execute(pdu.WriteRegisters(address, values))  # type: ignore[arg-type]
+
+    def read_file_records(self, records: Sequence[tuple[int, int, int]]) -> list[list[int]]:
+        """
+        Read pieces of files (function 20, by this package).
+
+        Args:
+            records: 1..35 tuples (file 1..65535, first record 0..9999, length).
+
+        Returns:
+            The registers of each piece.
+        """
+        return self.execute(pdu.ReadFileRecords(records))  # type: ignore[arg-type]
+
+    def write_file_records(self, records: Sequence[tuple[int, int, Iterable[int]]]) -> None:
+        """
+        Write pieces of files (function 21, by this package).
+
+        Args:
+            records: tuples (file 1..65535, first record 0..9999, values).
+        """
+        self.execute(pdu.WriteFileRecords(records))  # type: ignore[arg-type]
+
+    def mask_write_register(self, address: int, and_mask: int, or_mask: int) -> None:
+        """
+        Set a holding register to (current AND and_mask) OR (or_mask AND NOT and_mask).
+
+        Function 22, modbus_mask_write_register.
+        """
+        self.execute(pdu.MaskWriteRegister(address, and_mask, or_mask))
+
+    def read_write_registers(
+        self, read_address: int, read_count: int, write_address: int, values: Iterable[int]
+    ) -> list[int]:
+        """
+        Write 1..121 holding registers, then read 1..125.
+
+        Function 23, modbus_write_and_read_registers.
+        """
+        return self.execute(
+            pdu.ReadWriteRegisters(read_address, read_count, write_address, values)  # type: ignore[arg-type]
+        )
+
+
+class TcpContext(Context):
+    """
+    A client over TCP.
+
+    Args:
+        host: a name, an IPv4 or an IPv6 address. Resolving a name takes as long
+            as the system takes.
+        port: 1..65535.
+        unit: 0..255; a server without a gateway takes any.
+        timeout: seconds for a request, 0.001..86400.
+        framing: "tcp" (MBAP); "rtu" or "ascii" for such a line behind a
+            serial device server.
+        native: True lets libmodbus carry all it knows; it does not check the
+            unit of answers. False lets this package do it, with strict checks,
+            all bytes in errors and Ctrl-C at once. None: libmodbus carries what
+            was answered rightly once.
+        turnaround: seconds that a broadcast takes, on "rtu" and "ascii".
+
+    Raises:
+        TypeError, ValueError: an argument of the wrong type or range.
+    """
+
+    def __init__(
+        self,
+        host: str,
+        port: int = url.DEFAULT_PORT,
+        *,
+        unit: int = 1,
+        timeout: float = 1.0,
+        framing: Literal["tcp", "rtu", "ascii"] = "tcp",
+        native: bool | None = None,
+        turnaround: float = 0.1,
+    ) -> None:
+        if framing not in FRAMERS:
+            raise ValueError(f"framing must be one of {', '.join(FRAMERS)}, not {framing!r}")
+        line = _line(TcpLink(host, port), framing, timeout, turnaround, native, framing == "tcp")
+        super().__init__(line, unit)
+
+
+class RtuContext(Context):
+    """
+    A client on a serial line in RTU mode.
+
+    Args:
+        device: such as "/dev/ttyUSB0"; locked while open, so that no two
+            programs talk at once.
+        baudrate: bits per second.
+        parity: "E", "O" or "N".
+        data_bits: 8 in RTU mode.
+        stop_bits: 1 or 2.
+        unit: 1..247; 0 is a broadcast.
+        timeout: seconds for a request, 0.001..86400; more than the slowest
+            unit needs, for a late answer cannot be told from the next one.
+        native: as for `TcpContext`.
+        rs485: None; "kernel", the driver turns the transceiver round;
+            "rts-up" or "rts-down", RTS is set or cleared while we send.
+        rts_delay: seconds between RTS and the first bit and after the last;
+            None for one character.
+        turnaround: seconds that a broadcast takes (serial line, 2.4.1).
+
+    Raises:
+        TypeError, ValueError: an argument of the wrong type or range.
+    """
+
+    def __init__(
+        self,
+        device: str,
+        baudrate: int = 19200,
+        *,
+        parity: Literal["N", "E", "O"] = "E",
+        data_bits: int = 8,
+        stop_bits: int = 1,
+        unit: int = 1,
+        timeout: float = 1.0,
+        native: bool | None = None,
+        rs485: Literal["kernel", "rts-up", "rts-down"] | None = None,
+        rts_delay: float | None = None,
+        turnaround: float = 0.1,
+    ) -> None:
+        link = SerialLink(
+            device,
+            baudrate,
+            parity=parity,
+            data_bits=data_bits,
+            stop_bits=stop_bits,
+            rs485=rs485,
+            rts_delay=rts_delay,
+        )
+        super().__init__(_line(link, "rtu", timeout, turnaround, native, True), unit)
+
+
+class AsciiContext(Context):
+    """
+    A client on a serial line in ASCII mode, which libmodbus lacks.
+
+    libmodbus opens and configures the port; this package does the talking.
+    Arguments as for `RtuContext`; `data_bits` is 7 in ASCII mode.
+    """
+
+    def __init__(
+        self,
+        device: str,
+        baudrate: int = 19200,
+        *,
+        parity: Literal["N", "E", "O"] = "E",
+        data_bits: int = 7,
+        stop_bits: int = 1,
+        unit: int = 1,
+        timeout: float = 1.0,
+        rs485: Literal["kernel", "rts-up", "rts-down"] | None = None,
+        rts_delay: float | None = None,
+        turnaround: float = 0.1,
+    ) -> None:
+        link = SerialLink(
+            device,
+            baudrate,
+            parity=parity,
+            data_bits=data_bits,
+            stop_bits=stop_bits,
+            rs485=rs485,
+            rts_delay=rts_delay,
+        )
+        super().__init__(_line(link, "ascii", timeout, turnaround, False, False), unit)
+
+
+def _line(
+    link: Link,
+    framing: str,
+    timeout: float,
+    turnaround: float,
+    native: bool | None,
+    speaks: bool,
+) -> Line:
+    make_framer: Any = FRAMERS[framing]
+    return Line(
+        link,
+        make_framer,
+        timeout=seconds("timeout", timeout),
+        turnaround=seconds("turnaround", turnaround, low=0),
+        native=native,
+        speaks=speaks,
+    )

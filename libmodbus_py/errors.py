@@ -1,0 +1,226 @@
+"""
+The exceptions, cut by whose fault it is.
+
+::
+
+    ValueError, TypeError            yours: an argument, before a byte is sent
+    ModbusError                      everything below; carries unit, function, sent, received
+      ExceptionResponse              the server's no: .code
+        IllegalFunction 1   IllegalDataAddress 2   IllegalDataValue 3   ServerDeviceFailure 4
+        Acknowledge 5   ServerDeviceBusy 6   NegativeAcknowledge 7   MemoryParityError 8
+        GatewayPathUnavailable 10   GatewayTargetFailedToRespond 11
+      FrameError                     bytes that are no frame
+      InvalidResponse                a frame that does not answer the request
+      ModbusTimeoutError             no answer in time; also a TimeoutError
+      ModbusConnectionError          no connection; also a ConnectionError
+
+A server refuses a request by raising the same `ExceptionResponse` classes.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar, TypedDict, Unpack
+
+__all__ = [
+    "Acknowledge",
+    "ExceptionResponse",
+    "FrameError",
+    "GatewayPathUnavailable",
+    "GatewayTargetFailedToRespond",
+    "IllegalDataAddress",
+    "IllegalDataValue",
+    "IllegalFunction",
+    "InvalidResponse",
+    "MemoryParityError",
+    "ModbusConnectionError",
+    "ModbusError",
+    "ModbusTimeoutError",
+    "NegativeAcknowledge",
+    "ServerDeviceBusy",
+    "ServerDeviceFailure",
+]
+
+
+class _Transaction(TypedDict, total=False):
+    unit: int | None
+    function: int | None
+    asked: str
+    sent: bytes
+    received: bytes
+
+
+class ModbusError(Exception):
+    """
+    Anything that went wrong after the arguments were found good.
+
+    Attributes:
+        unit: the unit that was asked, or None where there is none.
+        function: the function code that was asked, 1..127, or None.
+        asked: the request in words, or empty.
+        sent: the request as it went out, header and check bytes included, or
+            empty. Where libmodbus sent it: what it builds for this request.
+        received: what came back until the error, or empty. Where libmodbus
+            received it, exception responses only: it hands out no other bytes
+            (``native=False`` gives them all).
+    """
+
+    def __init__(self, reason: str = "", **transaction: Unpack[_Transaction]) -> None:
+        super().__init__(reason)
+        self.unit = transaction.get("unit")
+        self.function = transaction.get("function")
+        self.asked = transaction.get("asked", "")
+        self.sent = transaction.get("sent", b"")
+        self.received = transaction.get("received", b"")
+
+    def __str__(self) -> str:
+        where = [
+            "" if self.unit is None else f"unit {self.unit}",
+            "" if self.function is None else f"function {self.function}",
+            self.asked,
+        ]
+        prefix = ", ".join(part for part in where if part)
+        reason = super().__str__()
+        return f"{prefix}: {reason}" if prefix else reason
+
+
+class ExceptionResponse(ModbusError):
+    """
+    The server refused: exception code 1..255 (application protocol, section 7).
+
+    Known codes arrive as the subclasses; others as this class. Raise one in a
+    server to refuse a request.
+
+    Attributes:
+        code: the exception code.
+    """
+
+    code: int = 0
+    meaning: ClassVar[str] = "unknown exception"
+
+    def __init__(
+        self, reason: str = "", *, code: int | None = None, **transaction: Unpack[_Transaction]
+    ) -> None:
+        if code is not None:
+            self.code = code
+        super().__init__(reason or f"{self.meaning} (exception {self.code})", **transaction)
+
+    @staticmethod
+    def of(code: int, **transaction: Unpack[_Transaction]) -> ExceptionResponse:
+        """Make the exception for a code, 0..255, of the class that the code has."""
+        return _BY_CODE.get(code, ExceptionResponse)(code=code, **transaction)
+
+
+class IllegalFunction(ExceptionResponse):
+    """1: the function code is not supported, or not now."""
+
+    code = 1
+    meaning = "illegal function"
+
+
+class IllegalDataAddress(ExceptionResponse):
+    """2: an address, or address + count, does not exist."""
+
+    code = 2
+    meaning = "illegal data address"
+
+
+class IllegalDataValue(ExceptionResponse):
+    """3: a quantity, length or constant of the request is wrong."""
+
+    code = 3
+    meaning = "illegal data value"
+
+
+class ServerDeviceFailure(ExceptionResponse):
+    """4: the server failed while it executed the request."""
+
+    code = 4
+    meaning = "server device failure"
+
+
+class Acknowledge(ExceptionResponse):
+    """5: accepted; it will take long."""
+
+    code = 5
+    meaning = "acknowledge"
+
+
+class ServerDeviceBusy(ExceptionResponse):
+    """6: busy with a long command; ask again later."""
+
+    code = 6
+    meaning = "server device busy"
+
+
+class NegativeAcknowledge(ExceptionResponse):
+    """7: the program function cannot be performed (PI-MBUS-300)."""
+
+    code = 7
+    meaning = "negative acknowledge"
+
+
+class MemoryParityError(ExceptionResponse):
+    """8: the file memory failed its consistency check."""
+
+    code = 8
+    meaning = "memory parity error"
+
+
+class GatewayPathUnavailable(ExceptionResponse):
+    """10: the gateway has no path to the unit."""
+
+    code = 10
+    meaning = "gateway path unavailable"
+
+
+class GatewayTargetFailedToRespond(ExceptionResponse):
+    """11: the unit behind the gateway gave no answer."""
+
+    code = 11
+    meaning = "gateway target device failed to respond"
+
+
+_BY_CODE: dict[int, type[ExceptionResponse]] = {
+    kind.code: kind
+    for kind in (
+        IllegalFunction,
+        IllegalDataAddress,
+        IllegalDataValue,
+        ServerDeviceFailure,
+        Acknowledge,
+        ServerDeviceBusy,
+        NegativeAcknowledge,
+        MemoryParityError,
+        GatewayPathUnavailable,
+        GatewayTargetFailedToRespond,
+    )
+}
+
+
+class FrameError(ModbusError):
+    """Bytes that are no frame: wrong CRC or LRC, wrong header, not hexadecimal."""
+
+
+class InvalidResponse(ModbusError):
+    """A good frame that does not answer the request: wrong unit, function, length or echo."""
+
+
+class ModbusTimeoutError(ModbusError, TimeoutError):
+    """No complete answer before the deadline."""
+
+
+class ModbusConnectionError(ModbusError, ConnectionError):
+    """
+    No connection, or it went away.
+
+    Attributes:
+        errno: the system's error number, or None; for a host name that does
+            not resolve, the negative number of getaddrinfo. The OSError itself
+            is ``__cause__`` where there was one.
+    """
+
+    def __init__(
+        self, reason: str = "", *, errno: int | None = None, **transaction: Unpack[_Transaction]
+    ) -> None:
+        super().__init__(reason, **transaction)
+        self.errno = errno

@@ -1,0 +1,437 @@
+"""
+Frames: a unit and a PDU as bytes on a TCP stream, an RTU line or an ASCII line.
+
+Bytes only; no socket, no clock. A framer has one direction of one connection:
+
+* ``encode(frame)`` gives the bytes to send;
+* ``feed(data)`` takes received bytes in any pieces and gives the frames that
+  are complete, oldest first. Bytes that are no frame raise FrameError, once
+  the frames before them have been given; ``feed(b"")`` asks for it;
+* ``silence()`` says that the line has been quiet for a while. It is a hint;
+* ``pending`` is the number of bytes that wait for the rest of their frame.
+
+TCP: MODBUS Messaging on TCP/IP V1.0b, section 3. RTU and ASCII: MODBUS over
+Serial Line V1.02, sections 2.5.1 and 2.5.2.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from typing import Literal, NamedTuple, Protocol
+
+from .errors import FrameError
+from .pdu import MAX_PDU, REQUESTS, request_length, response_length
+
+__all__ = ["AsciiFramer", "Frame", "Framer", "RtuFramer", "TcpFramer", "crc16", "lrc"]
+
+Role = Literal["client", "server"]
+
+
+class Frame(NamedTuple):
+    """
+    One message.
+
+    Attributes:
+        unit: 0..255 (serial lines: 0 broadcast, 1..247 one unit).
+        pdu: function code and data, 1..253 bytes.
+        transaction: 0..65535 on TCP; 0 elsewhere.
+    """
+
+    unit: int
+    pdu: bytes
+    transaction: int = 0
+
+
+class Framer(Protocol):
+    """What the three framers have in common; see the module's docstring."""
+
+    # Whether unit 0 addresses every unit, as on a serial line.
+    has_broadcast: bool
+    # Seconds without a byte after which `silence` should be called; None for never.
+    quiet: float | None
+    # False once the stream cannot be understood any more and must be closed.
+    in_step: bool
+
+    @property
+    def pending(self) -> int: ...
+
+    def encode(self, frame: Frame) -> bytes: ...
+
+    def feed(self, data: bytes) -> list[Frame]: ...
+
+    def silence(self) -> list[Frame]: ...
+
+
+def _crc_table() -> tuple[int, ...]:
+    table = []
+    for value in range(256):
+        for _ in range(8):
+            value = value >> 1 ^ (0xA001 if value & 1 else 0)
+        table.append(value)
+    return tuple(table)
+
+
+_CRC_TABLE = _crc_table()
+
+
+def crc16(data: bytes | bytearray) -> int:
+    """
+    Compute the CRC of an RTU frame: polynomial A001h reflected, preset FFFFh.
+
+    On the wire its low byte comes first; over a frame with its CRC it is 0
+    (serial line, appendix B).
+    """
+    crc = 0xFFFF
+    for byte in data:
+        crc = crc >> 8 ^ _CRC_TABLE[(crc ^ byte) & 0xFF]
+    return crc
+
+
+def lrc(data: bytes) -> int:
+    """
+    Compute the LRC of an ASCII frame: two's complement of the sum of its bytes.
+
+    The bytes are the decoded ones, not the characters (serial line, 2.5.2.2).
+    """
+    return -sum(data) & 0xFF
+
+
+def _check(frame: Frame) -> Frame:
+    if not 0 <= frame.unit <= 0xFF:
+        raise ValueError(f"unit must be in 0..255, not {frame.unit}")
+    if not 0 <= frame.transaction <= 0xFFFF:
+        raise ValueError(f"transaction must be in 0..65535, not {frame.transaction}")
+    if not 1 <= len(frame.pdu) <= MAX_PDU:
+        raise ValueError(f"pdu must hold 1..{MAX_PDU} bytes, not {len(frame.pdu)}")
+    return frame
+
+
+class _Rejects:
+    """Holds back the error for rejected bytes until the good frames are out."""
+
+    def __init__(self) -> None:
+        self._error: FrameError | None = None
+
+    def reject(self, why: str, data: bytes | bytearray) -> None:
+        if self._error is None:
+            self._error = FrameError(why, received=bytes(data))
+
+    def settle(self, frames: list[Frame]) -> list[Frame]:
+        if not frames and self._error is not None:
+            error, self._error = self._error, None
+            raise error
+        return frames
+
+
+class TcpFramer:
+    """
+    MBAP: transaction, protocol, length, unit in front of the PDU.
+
+    A protocol other than 0 makes that one frame an error; a length outside
+    2..254 ends the stream, for nobody can know where the next frame begins:
+    every later call raises.
+    """
+
+    has_broadcast = False
+    quiet: float | None = None
+
+    def __init__(self) -> None:
+        self.in_step = True
+        self._buffer = bytearray()
+        self._rejects = _Rejects()
+
+    @property
+    def pending(self) -> int:
+        """Bytes that wait for the rest of their frame."""
+        return len(self._buffer)
+
+    def encode(self, frame: Frame) -> bytes:
+        """
+        Put a header before the PDU.
+
+        Raises:
+            ValueError: unit, transaction or length out of range.
+        """
+        unit, pdu, transaction = _check(frame)
+        return struct.pack(">HHHB", transaction, 0, 1 + len(pdu), unit) + pdu
+
+    def feed(self, data: bytes) -> list[Frame]:
+        """
+        Take received bytes, give the frames they complete.
+
+        Raises:
+            FrameError: a header that is not Modbus.
+        """
+        buffer = self._buffer
+        frames: list[Frame] = []
+        if self.in_step:
+            buffer += data
+        while self.in_step and len(buffer) >= 6:
+            transaction, protocol, length = struct.unpack_from(">HHH", buffer)
+            if not 2 <= length <= 1 + MAX_PDU:
+                self.in_step = False
+                self._rejects.reject(f"header with length {length}, not 2..254", buffer)
+                buffer.clear()
+                break
+            if len(buffer) < 6 + length:
+                break
+            if protocol == 0:
+                frames.append(Frame(buffer[6], bytes(buffer[7 : 6 + length]), transaction))
+            else:
+                self._rejects.reject(f"header with protocol {protocol}, not 0", buffer)
+            del buffer[: 6 + length]
+        if not self.in_step and not frames:
+            self._rejects.reject("stream out of step", b"")
+        return self._rejects.settle(frames)
+
+    def silence(self) -> list[Frame]:
+        """Silence means nothing on TCP."""
+        return []
+
+
+class RtuFramer:
+    """
+    Unit, PDU, CRC; found by the length rules of `pdu` and judged by the CRC.
+
+    Nothing marks the ends of an RTU frame but silence, which no PC can measure
+    through its buffers. So the function code says how long the frame is, and
+    only the CRC can confirm it. After garbage every later byte is tried as a
+    start. A function without a length rule ends where the CRC fits; it must
+    begin right after silence or a good frame.
+
+    Args:
+        role: "server" when requests come in, "client" when responses do.
+    """
+
+    has_broadcast = True
+    in_step = True
+    # Longer than USB adapters keep bytes back (16 ms), which is longer than 3.5
+    # characters from 2400 bit/s on. Below that it may fall inside a frame, where
+    # it does no harm.
+    quiet: float | None = 0.02
+    max_size = MAX_PDU + 3
+
+    def __init__(self, role: Role) -> None:
+        if role not in ("client", "server"):
+            raise ValueError(f'role must be "client" or "server", not {role!r}')
+        self._length = request_length if role == "server" else response_length
+        # A start: any byte, then a function code whose length is known.
+        codes = bytes(REQUESTS) + (bytes(code | 0x80 for code in REQUESTS) * (role == "client"))
+        self._start = re.compile(b"[%s]" % re.escape(codes), re.DOTALL)
+        self._buffer = bytearray()
+        self._fresh = True  # the buffer begins where a frame should begin
+        self._rejects = _Rejects()
+
+    @property
+    def pending(self) -> int:
+        """Bytes that wait for the rest of their frame."""
+        return len(self._buffer)
+
+    def encode(self, frame: Frame) -> bytes:
+        """
+        Put unit and CRC around the PDU.
+
+        Raises:
+            ValueError: unit or length out of range.
+        """
+        unit, pdu, _ = _check(frame)
+        body = bytes([unit]) + pdu
+        return body + struct.pack("<H", crc16(body))
+
+    def feed(self, data: bytes) -> list[Frame]:
+        """
+        Take received bytes, give the frames they complete.
+
+        Raises:
+            FrameError: bytes without a fitting CRC. The framer goes on.
+        """
+        self._buffer += data
+        return self._rejects.settle(self._take())
+
+    def silence(self) -> list[Frame]:
+        """
+        Look past an incomplete frame at the front for a complete one behind it.
+
+        What is found puts an end to the wait for the front; if nothing is
+        found, the front may still be completed.
+
+        Raises:
+            FrameError: as in `feed`.
+        """
+        start = 0
+        while (start := self._next_start(start + 1)) < len(self._buffer):
+            if self._end(start):
+                self._drop(start)
+                return self._rejects.settle(self._take())
+        return self._rejects.settle([])
+
+    def _take(self) -> list[Frame]:
+        frames: list[Frame] = []
+        while self._buffer:
+            end = self._end(0)
+            if end is None:
+                break
+            if end:
+                frames.append(Frame(self._buffer[0], bytes(self._buffer[1 : end - 2])))
+                del self._buffer[:end]
+                self._fresh = True
+            else:
+                self._drop(self._next_start(1))
+        return frames
+
+    def _drop(self, count: int) -> None:
+        self._rejects.reject("bytes without a fitting CRC", self._buffer)
+        del self._buffer[:count]
+        self._fresh = not self._buffer
+
+    def _next_start(self, first: int) -> int:
+        """Where a frame may begin, from `first` on; the last byte may always be a unit."""
+        found = self._start.search(self._buffer, first + 1)
+        return found.start() - 1 if found else max(first, len(self._buffer) - 1)
+
+    def _end(self, start: int) -> int | None:
+        """Where the frame that begins at `start` ends: None unknown yet, 0 there is none."""
+        head = bytes(self._buffer[start + 1 : start + 1 + MAX_PDU])
+        if not head:
+            return None
+        try:
+            length = self._length(head)
+        except KeyError:
+            return self._end_by_crc() if start == 0 and self._fresh else 0
+        if length is None:
+            return None
+        end = start + length + 3
+        if length > MAX_PDU:
+            return 0
+        if end > len(self._buffer):
+            return None
+        return 0 if crc16(self._buffer[start:end]) else end
+
+    def _end_by_crc(self) -> int | None:
+        if self._buffer[1] & 0x80:
+            return 0  # no request has such a code, and such responses have a length
+        crc = 0xFFFF
+        for at, byte in enumerate(self._buffer[: self.max_size], start=1):
+            crc = crc >> 8 ^ _CRC_TABLE[(crc ^ byte) & 0xFF]
+            if crc == 0 and at >= 4:
+                return at
+        return 0 if len(self._buffer) >= self.max_size else None
+
+
+class AsciiFramer:
+    """
+    A colon, hexadecimal digits of unit, PDU and LRC, CR and a delimiter.
+
+    Everything before a colon is skipped, and a colon inside a frame starts a
+    new one. Lower-case digits are taken unless `strict`.
+
+    Args:
+        strict: take only the upper-case digits that the specification allows.
+
+    Attributes:
+        delimiter: the byte after CR, LF unless changed (function 8,
+            sub-function 3); it counts for frames sent and received from then on.
+    """
+
+    has_broadcast = True
+    in_step = True
+    quiet: float | None = 1.0
+    max_size = 513
+
+    def __init__(self, *, strict: bool = False) -> None:
+        self._digits = re.compile(rb"(?:[0-9A-F]{2})*" if strict else rb"(?:[0-9A-Fa-f]{2})*")
+        self._buffer = bytearray()
+        self._rejects = _Rejects()
+        self.delimiter = 0x0A
+
+    @property
+    def delimiter(self) -> int:
+        return self._delimiter
+
+    @delimiter.setter
+    def delimiter(self, value: int) -> None:
+        if not 0 <= value <= 0x7F or chr(value) in ":\r0123456789ABCDEFabcdef":
+            raise ValueError(f"delimiter must be an ASCII code with no other use, not {value}")
+        self._delimiter = value
+
+    @property
+    def pending(self) -> int:
+        """Characters that wait for the rest of their frame."""
+        return len(self._buffer)
+
+    def encode(self, frame: Frame) -> bytes:
+        """
+        Write unit, PDU and LRC as upper-case digits.
+
+        Raises:
+            ValueError: unit or length out of range.
+        """
+        unit, pdu, _ = _check(frame)
+        body = bytes([unit]) + pdu
+        digits = (body + bytes([lrc(body)])).hex().upper()
+        return b":%s\r%c" % (digits.encode(), self._delimiter)
+
+    def feed(self, data: bytes) -> list[Frame]:
+        """
+        Take received characters, give the frames they complete.
+
+        Raises:
+            FrameError: a frame with a wrong LRC, length or character. The
+                framer goes on with the next colon.
+        """
+        self._buffer += data
+        frames: list[Frame] = []
+        while True:
+            self._skip_to_colon()
+            end = self._buffer.find(b"\r")
+            if end < 0 or end + 1 == len(self._buffer):
+                break
+            self._take(end, frames)
+        if len(self._buffer) >= self.max_size:
+            self._drop(f"a frame of more than {self.max_size} characters", len(self._buffer))
+        return self._rejects.settle(frames)
+
+    def silence(self) -> list[Frame]:
+        """
+        Drop an unfinished frame: no gap may be longer than a second (2.5.2.1).
+
+        Raises:
+            FrameError: there was one.
+        """
+        if self._buffer:
+            self._drop("an unfinished frame", len(self._buffer))
+        return self._rejects.settle([])
+
+    def _skip_to_colon(self) -> None:
+        """Begin the buffer with the last colon before its first CR that has one."""
+        end = self._buffer.find(b"\r")
+        while end >= 0 and self._buffer.find(b":", 0, end) < 0:
+            del self._buffer[: end + 1]
+            end = self._buffer.find(b"\r")
+        last = end if end >= 0 else len(self._buffer)
+        colon = self._buffer.rfind(b":", 0, last)
+        if colon < 0:
+            self._buffer.clear()
+        elif self._buffer[0] != 0x3A:
+            del self._buffer[:colon]
+        elif colon:
+            self._drop("a colon inside a frame", colon)
+
+    def _take(self, end: int, frames: list[Frame]) -> None:
+        digits = bytes(self._buffer[1:end])
+        if self._buffer[end + 1] != self._delimiter:
+            self._drop("a frame without its delimiter", end + 1)
+        elif not self._digits.fullmatch(digits):
+            self._drop("a frame with other characters than pairs of digits", end + 2)
+        elif not 6 <= len(digits) <= self.max_size - 3:
+            self._drop(f"a frame of {len(digits)} digits, not 6..510", end + 2)
+        elif sum(body := bytes.fromhex(digits.decode())) & 0xFF:
+            self._drop("a frame with a wrong LRC", end + 2)
+        else:
+            frames.append(Frame(body[0], body[1:-1]))
+            del self._buffer[: end + 2]
+
+    def _drop(self, why: str, count: int) -> None:
+        self._rejects.reject(why, self._buffer[:count])
+        del self._buffer[:count]

@@ -1,0 +1,177 @@
+"""
+Wires with a tap: what passes between a client and a server, recorded.
+
+`SerialWire` is a null-modem cable made of two pseudo-terminals; `TcpWire` a relay
+in front of a TCP server. Both are for demonstrations and tests.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pty
+import selectors
+import socket
+import threading
+import tty
+from collections.abc import Callable
+from typing import Literal, NamedTuple, Self
+
+__all__ = ["Passed", "SerialWire", "TcpWire"]
+
+
+class Passed(NamedTuple):
+    """Some bytes that passed, as they were read from the wire."""
+
+    sender: Literal["client", "server"]
+    data: bytes
+
+
+class _Wire:
+    """Carries bytes both ways in a thread, until closed."""
+
+    def __init__(self) -> None:
+        self.passed: list[Passed] = []
+        self._selector = selectors.DefaultSelector()
+        self._wake, self._sleep = socket.socketpair()
+        self._selector.register(self._sleep, selectors.EVENT_READ, None)
+        self._thread = threading.Thread(target=self._carry, name="wire", daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._wake.close()
+        self._thread.join()
+        self._sleep.close()
+        self._selector.close()
+        self._close()
+
+    def clear(self) -> None:
+        """Forget what has passed."""
+        self.passed.clear()
+
+    def sent_by(self, sender: Literal["client", "server"]) -> bytes:
+        """Give all that one side has sent, in one piece."""
+        return b"".join(passed.data for passed in self.passed if passed.sender == sender)
+
+    def _close(self) -> None:
+        raise NotImplementedError
+
+    def _carry(self) -> None:
+        while True:
+            for key, _ in self._selector.select():
+                if key.data is None:
+                    return
+                key.data()
+
+
+class SerialWire(_Wire):
+    """
+    Two serial ports, joined.
+
+    Attributes:
+        client, server: the paths of the ports.
+        passed: what went through, oldest first.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._client = _RawPort()
+        self._server = _RawPort()
+        self.client = self._client.path
+        self.server = self._server.path
+        self._join(self._client, self._server, "client")
+        self._join(self._server, self._client, "server")
+
+    def unplug(self) -> None:
+        """Take both ports away, as pulling a USB adapter does."""
+        for port in (self._client, self._server):
+            with contextlib.suppress(KeyError):
+                self._selector.unregister(port.master)
+            port.close()
+
+    def _join(self, source: _RawPort, sink: _RawPort, sender: Literal["client", "server"]) -> None:
+        def carry() -> None:
+            data = os.read(source.master, 4096)
+            self.passed.append(Passed(sender, data))
+            os.write(sink.master, data)
+
+        self._selector.register(source.master, selectors.EVENT_READ, carry)
+
+    def _close(self) -> None:
+        self._client.close()
+        self._server.close()
+
+
+class _RawPort:
+    """A pseudo-terminal that changes no byte; open at both ends, so that users may come and go."""
+
+    def __init__(self) -> None:
+        self.master, self.slave = pty.openpty()
+        tty.setraw(self.slave)
+        self.path = os.ttyname(self.slave)
+
+    def close(self) -> None:
+        for descriptor in (self.master, self.slave):
+            if descriptor >= 0:
+                os.close(descriptor)
+        self.master = self.slave = -1
+
+
+class TcpWire(_Wire):
+    """
+    A relay to a TCP server on this machine.
+
+    Args:
+        port: of the server, on 127.0.0.1.
+
+    Attributes:
+        port: where clients connect.
+        passed: what went through, oldest first.
+    """
+
+    def __init__(self, port: int) -> None:
+        super().__init__()
+        self._target = port
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.port: int = self._listener.getsockname()[1]
+        self._sockets: list[socket.socket] = [self._listener]
+        self._selector.register(self._listener, selectors.EVENT_READ, self._accept)
+
+    def _accept(self) -> None:
+        client, _ = self._listener.accept()
+        server = socket.create_connection(("127.0.0.1", self._target))
+        for end in (client, server):
+            end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._sockets += (client, server)
+        self._selector.register(client, selectors.EVENT_READ, self._carrier(client, server))
+        self._selector.register(
+            server, selectors.EVENT_READ, self._carrier(server, client, "server")
+        )
+
+    def _carrier(
+        self,
+        source: socket.socket,
+        sink: socket.socket,
+        sender: Literal["client", "server"] = "client",
+    ) -> Callable[[], None]:
+        def carry() -> None:
+            try:
+                data = source.recv(4096)
+            except OSError:
+                data = b""
+            if data:
+                self.passed.append(Passed(sender, data))
+                sink.sendall(data)
+                return
+            self._selector.unregister(source)
+            with contextlib.suppress(OSError):
+                sink.shutdown(socket.SHUT_WR)
+
+        return carry
+
+    def _close(self) -> None:
+        for each in self._sockets:
+            each.close()

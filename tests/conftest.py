@@ -1,0 +1,51 @@
+"""
+What the tests share: a device with known contents, and a server for it on every transport.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack
+
+import pytest
+
+from libmodbus_py import Device, Mapping, Server
+from libmodbus_py.tap import SerialWire
+
+UNIT = 17
+
+
+@pytest.fixture
+def mapping() -> Mapping:
+    """Tables that begin elsewhere than at 0, each with other contents."""
+    made = Mapping(
+        coils=range(10, 2100),
+        discrete_inputs=range(20, 2100),
+        holding_registers=range(100, 400),
+        input_registers=range(200, 400),
+    )
+    made.coils[10:20] = [True, False, True, True, False, False, True, True, True, False]
+    made.discrete_inputs[20:28] = [False, True, False, True, False, True, False, True]
+    made.holding_registers[100:110] = range(1000, 1010)
+    made.input_registers[200:210] = range(2000, 2010)
+    return made
+
+
+@pytest.fixture
+def device(mapping: Mapping) -> Device:
+    """The mapping, and two files, one of them with a hole."""
+    return Device(mapping, files={4: range(10_000), 3: {9: 0x33CD, 10: 0x0040, 12: 7}})
+
+
+@pytest.fixture(params=["tcp", "rtu+tcp", "ascii+tcp", "rtu", "ascii"])
+def url(request: pytest.FixtureRequest, device: Device) -> Iterator[str]:
+    """A client's URL for unit 17 of a server, over each transport."""
+    with ExitStack() as stack:
+        if request.param.endswith("tcp"):
+            address = f"{request.param}://127.0.0.1:0"
+            yield stack.enter_context(Server({UNIT: device}).background(address)).urls[0]
+        else:
+            wire = stack.enter_context(SerialWire())
+            address = f"{request.param}://{wire.server}?baudrate=115200"
+            stack.enter_context(Server({UNIT: device}).background(address))
+            yield f"{request.param}://{wire.client}?baudrate=115200"
