@@ -217,6 +217,8 @@ class Line:
             return call(self._link.context, request)
         except ModbusError as error:
             self._adu = self._native_adu(unit, request.encode())
+            if isinstance(error, ModbusTimeoutError):
+                raise self._timeout() from None
             if isinstance(error, ExceptionResponse):
                 refusal = bytes([request.function | 0x80, error.code])
                 self._received += self._native_adu(unit, refusal)

@@ -1,0 +1,7 @@
+"""``python -m libmodbus_py``: the command line."""
+
+import sys
+
+from .cli import main
+
+sys.exit(main())

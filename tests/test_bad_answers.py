@@ -1,0 +1,405 @@
+"""
+Answers that are none: the right error, and the next request on the same context succeeds.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable
+
+import pytest
+from fake import Answer, FakeServer, FakeUnit, mbap
+
+from libmodbus_py import (
+    AsciiContext,
+    Context,
+    ExceptionResponse,
+    FrameError,
+    IllegalDataAddress,
+    InvalidResponse,
+    ModbusConnectionError,
+    ModbusError,
+    ModbusTimeoutError,
+    RtuContext,
+    TcpContext,
+    framing,
+)
+
+GOOD = b"\x03\x06\x02\x2b\x00\x00\x00\x64"
+VALUES = [555, 0, 100]
+TIMEOUT = 0.15
+
+
+def good_tcp(request: bytes) -> list[bytes]:
+    return [mbap(request, GOOD)]
+
+
+def tcp(pdu: bytes, **changed: int) -> Answer:
+    return lambda request: [mbap(request, pdu, **changed)]
+
+
+def read(context: Context) -> list[int]:
+    return context.read_holding_registers(107, 3)
+
+
+def rtu(body: str, spoil: int = 0) -> Answer:
+    data = bytes.fromhex(body)
+    crc = framing.crc16(data) ^ spoil
+    return lambda request: [data + crc.to_bytes(2, "little")]
+
+
+def ascii_frame(body: str, spoil: int = 0) -> Answer:
+    data = bytes.fromhex(body)
+    digits = (data + bytes([framing.lrc(data) ^ spoil])).hex().upper()
+    return lambda request: [f":{digits}\r\n".encode()]
+
+
+GOOD_RTU = rtu("01 0306022B00000064")
+GOOD_ASCII = ascii_frame("01 0306022B00000064")
+
+# What is answered -> the error, where each request meets a fresh context.
+BAD_TCP: dict[str, tuple[Answer, type[ModbusError]]] = {
+    "other unit": (tcp(GOOD, unit=9), InvalidResponse),
+    "other function": (tcp(b"\x04" + GOOD[1:]), InvalidResponse),
+    "other transaction": (tcp(GOOD, transaction=7), ModbusTimeoutError),
+    "other protocol": (tcp(GOOD, protocol=7), FrameError),
+    "length 0": (tcp(GOOD, length=0), FrameError),
+    "length 1": (tcp(GOOD, length=1), FrameError),
+    "length 255": (tcp(GOOD, length=255), FrameError),
+    "length 65535": (tcp(GOOD, length=65535), FrameError),
+    "length too short by one": (tcp(GOOD, length=len(GOOD)), InvalidResponse),
+    "length too long by one": (tcp(GOOD, length=len(GOOD) + 2), ModbusTimeoutError),
+    "fewer registers": (tcp(b"\x03\x04\x02\x2b\x00\x00"), InvalidResponse),
+    "more registers": (tcp(b"\x03\x08" + bytes(8)), InvalidResponse),
+    "lying byte count": (tcp(b"\x03\xff\x02\x2b\x00\x00\x00\x64"), InvalidResponse),
+    "function alone": (tcp(b"\x03"), InvalidResponse),
+    "exception without a code": (tcp(b"\x83"), InvalidResponse),
+    "exception of another function": (tcp(b"\x84\x02"), InvalidResponse),
+    "half an answer": (lambda request: [good_tcp(request)[0][:10]], ModbusTimeoutError),
+    "half a header": (lambda request: [good_tcp(request)[0][:3]], ModbusTimeoutError),
+    "nothing": (lambda request: [], ModbusTimeoutError),
+    "random bytes": (lambda request: [b"\xde\xad\xbe\xef" * 5], FrameError),
+}
+
+
+@pytest.mark.parametrize("native", [None, False])
+@pytest.mark.parametrize("name", BAD_TCP)
+def test_tcp_error_and_next_request_succeeds(name: str, native: bool | None) -> None:
+    answer, error = BAD_TCP[name]
+    with (
+        FakeServer(answer, good_tcp) as server,
+        TcpContext("127.0.0.1", server.port, timeout=TIMEOUT, native=native) as context,
+    ):
+        with pytest.raises(error) as caught:
+            read(context)
+        assert caught.value.unit == 1
+        assert caught.value.function == 3
+        assert caught.value.sent == server.requests[0]
+        assert caught.value.received == b"".join(answer(server.requests[0]))
+        assert read(context) == VALUES
+
+
+@pytest.mark.parametrize("name", BAD_TCP)
+def test_tcp_error_after_libmodbus_took_over(name: str) -> None:
+    """libmodbus checks less, and takes some of these answers; it never gives wrong values."""
+    answer, _ = BAD_TCP[name]
+    with (
+        FakeServer(good_tcp, good_tcp, answer, good_tcp) as server,
+        TcpContext("127.0.0.1", server.port, timeout=TIMEOUT) as context,
+    ):
+        assert read(context) == VALUES
+        assert read(context) == VALUES
+        try:
+            assert read(context) == VALUES
+        except ModbusError as error:
+            assert not isinstance(error, ExceptionResponse)  # noqa: PT017
+            assert error.sent == server.requests[2]  # noqa: PT017
+        assert read(context) == VALUES
+        assert read(context) == VALUES
+
+
+@pytest.mark.parametrize("native", [None, True, False])
+def test_tcp_answer_followed_by_garbage(native: bool | None) -> None:
+    def with_garbage(request: bytes) -> list[bytes]:
+        return [mbap(request, GOOD) + b"\xde\xad\xbe\xef"]
+
+    with (
+        FakeServer(with_garbage, with_garbage, good_tcp) as server,
+        TcpContext("127.0.0.1", server.port, timeout=TIMEOUT, native=native) as context,
+    ):
+        for _ in range(4):
+            assert read(context) == VALUES
+
+
+@pytest.mark.parametrize("native", [None, True, False])
+def test_exception_codes_keep_their_number(native: bool | None) -> None:
+    """The address asked is the code answered."""
+
+    def refuse(request: bytes) -> list[bytes]:
+        return [mbap(request, bytes([0x83, request[9]]))]
+
+    with (
+        FakeServer(good_tcp, refuse) as server,
+        TcpContext("127.0.0.1", server.port, native=native) as context,
+    ):
+        read(context)
+        for code in range(1, 256):
+            with pytest.raises(ExceptionResponse) as caught:
+                context.read_holding_registers(code, 3)
+            assert caught.value.code == code
+            assert caught.value.received[-2:] == bytes([0x83, code])
+            assert (type(caught.value) is ExceptionResponse) == (code in (9, *range(12, 256)))
+
+
+@pytest.mark.parametrize("native", [None, True, False])
+def test_answer_in_pieces_is_whole(native: bool | None) -> None:
+    def in_pieces(request: bytes) -> list[bytes]:
+        return [bytes([byte]) for byte in mbap(request, GOOD)]
+
+    with (
+        FakeServer(in_pieces) as server,
+        TcpContext("127.0.0.1", server.port, native=native) as context,
+    ):
+        for _ in range(3):
+            assert read(context) == VALUES
+
+
+@pytest.mark.parametrize("native", [None, True, False])
+def test_trickling_answer_does_not_extend_the_deadline(native: bool | None) -> None:
+    def trickle(request: bytes) -> list[bytes]:
+        class Slow(list[bytes]):
+            def __iter__(self):  # type: ignore[no-untyped-def]
+                for byte in mbap(request, GOOD):
+                    time.sleep(0.05)
+                    yield bytes([byte])
+
+        return Slow()
+
+    with (
+        FakeServer(trickle) as server,
+        TcpContext("127.0.0.1", server.port, timeout=0.2, native=native) as context,
+    ):
+        context.connect()
+        start = time.monotonic()
+        with pytest.raises(ModbusTimeoutError):
+            read(context)
+        assert time.monotonic() - start < 0.2 + 0.05
+
+
+@pytest.mark.parametrize("native", [None, True, False])
+def test_timeout_is_kept(native: bool | None) -> None:
+    with (
+        FakeServer(lambda request: []) as server,
+        TcpContext("127.0.0.1", server.port, timeout=0.2, native=native) as context,
+    ):
+        for _ in range(4):
+            start = time.monotonic()
+            with pytest.raises(ModbusTimeoutError, match=r"no answer within 0\.2 s"):
+                read(context)
+            assert 0.19 < time.monotonic() - start < 0.25
+
+
+@pytest.mark.parametrize("native", [None, True, False])
+def test_connection_closed_in_mid_answer(native: bool | None) -> None:
+    def half_and_close(request: bytes) -> list[bytes]:
+        class Closing(list[bytes]):
+            def __iter__(self):  # type: ignore[no-untyped-def]
+                yield mbap(request, GOOD)[:9]
+                raise OSError
+
+        return Closing()
+
+    with (
+        FakeServer(good_tcp, half_and_close, good_tcp) as server,
+        TcpContext("127.0.0.1", server.port, timeout=2, native=native) as context,
+    ):
+        read(context)
+        start = time.monotonic()
+        with pytest.raises(ModbusConnectionError) as caught:
+            read(context)
+        assert caught.value.errno
+        assert time.monotonic() - start < 0.5
+        assert read(context) == VALUES
+        assert server.connections == 2
+
+
+@pytest.mark.parametrize("native", [None, True, False])
+def test_connection_closed_while_idle_is_made_again(native: bool | None) -> None:
+    def and_close(request: bytes) -> list[bytes]:
+        class Closing(list[bytes]):
+            def __iter__(self):  # type: ignore[no-untyped-def]
+                yield mbap(request, GOOD)
+                raise OSError
+
+        return Closing()
+
+    with (
+        FakeServer(and_close) as server,
+        TcpContext("127.0.0.1", server.port, native=native) as context,
+    ):
+        for _ in range(3):
+            assert read(context) == VALUES
+            time.sleep(0.02)  # let the end of the connection arrive
+        assert server.connections == 3
+
+
+@pytest.mark.parametrize("native", [None, True, False])
+def test_late_answers_never_answer_another_request(native: bool | None) -> None:
+    """Each answer comes 50 ms after the timeout, and is the value of the address asked."""
+    slow = slow_server(TIMEOUT + 0.05)
+    with (
+        FakeServer(slow) as server,
+        TcpContext("127.0.0.1", server.port, timeout=TIMEOUT, native=native) as context,
+    ):
+        outcomes = {"right": 0, "wrong": 0, "failed": 0}
+        for address in range(10):
+            try:
+                right = context.read_holding_registers(address, 1) == [address]
+                outcomes["right" if right else "wrong"] += 1
+            except ModbusError:
+                outcomes["failed"] += 1
+        assert outcomes["wrong"] == 0
+        slow.delay = 0  # type: ignore[attr-defined]
+        time.sleep(TIMEOUT * 2)
+        assert context.read_holding_registers(77, 1) == [77]
+        for address in range(5):
+            assert context.read_holding_registers(address, 1) == [address]
+
+
+def slow_server(delay: float) -> Answer:
+    """Answers the address as the value, after a delay that can be changed."""
+
+    class Slow:
+        def __init__(self) -> None:
+            self.delay = delay
+
+        def __call__(self, request: bytes) -> list[bytes]:
+            time.sleep(self.delay)
+            # The server reads what had queued up as one piece: answer all of it.
+            return [
+                mbap(request[at : at + 12], b"\x03\x02" + request[at + 8 : at + 10])
+                for at in range(0, len(request), 12)
+            ]
+
+    return Slow()
+
+
+# --- serial lines --------------------------------------------------------------------
+
+BAD_SERIAL: dict[str, tuple[str, int, type[ModbusError]]] = {
+    # unit and PDU, what the check bytes are spoilt with, and the error
+    "wrong check": ("01 0306022B00000064", 1, FrameError),
+    "other unit": ("09 0306022B00000064", 0, InvalidResponse),
+    "other function": ("01 0406022B00000064", 0, InvalidResponse),
+    "fewer registers": ("01 0304022B0000", 0, InvalidResponse),
+    "exception of another function": ("01 8402", 0, InvalidResponse),
+    "exception": ("01 8302", 0, IllegalDataAddress),
+    "unknown exception": ("01 8377", 0, ExceptionResponse),
+}
+
+
+def serial_context(kind: str, path: str, native: bool | None) -> Context:
+    if kind == "rtu":
+        return RtuContext(path, 115200, timeout=TIMEOUT, native=native)
+    return AsciiContext(path, 115200, timeout=TIMEOUT)
+
+
+SERIAL: list[tuple[str, bool | None, Callable[..., Answer], Answer]] = [
+    ("rtu", None, rtu, GOOD_RTU),
+    ("rtu", True, rtu, GOOD_RTU),
+    ("rtu", False, rtu, GOOD_RTU),
+    ("ascii", None, ascii_frame, GOOD_ASCII),
+]
+
+
+@pytest.mark.parametrize("name", BAD_SERIAL)
+@pytest.mark.parametrize(("kind", "native", "frame", "good"), SERIAL)
+def test_serial_error_and_next_request_succeeds(
+    name: str, kind: str, native: bool | None, frame: Callable[..., Answer], good: Answer
+) -> None:
+    body, spoil, error = BAD_SERIAL[name]
+    bad = frame(body, spoil)
+    # libmodbus tells neither code nor function of these, so they are asked for again.
+    untold = native and name in ("unknown exception", "exception of another function")
+    answers = (bad, bad, good) if untold else (bad, good)
+    with FakeUnit(*answers) as unit, serial_context(kind, unit.path, native) as context:
+        with pytest.raises(error) as caught:
+            read(context)
+        assert caught.value.sent == unit.requests[0]
+        if name == "unknown exception":
+            assert caught.value.code == 0x77  # type: ignore[attr-defined]
+        assert read(context) == VALUES
+
+
+@pytest.mark.parametrize(("kind", "native", "frame", "good"), SERIAL)
+def test_serial_noise_before_the_answer_does_not_matter(
+    kind: str, native: bool | None, frame: Callable[..., Answer], good: Answer
+) -> None:
+    if native:
+        pytest.skip("libmodbus gives up on noise; the next test is about that")
+    noisy: Answer = lambda request: [b"\x00\xff\x55", *good(request)]  # noqa: E731
+    with FakeUnit(noisy) as unit, serial_context(kind, unit.path, native) as context:
+        assert read(context) == VALUES
+
+
+@pytest.mark.parametrize(("kind", "native", "frame", "good"), SERIAL)
+@pytest.mark.parametrize("trouble", ["noise before", "garbage behind", "half", "nothing"])
+def test_serial_resynchronises_after_trouble(
+    trouble: str, kind: str, native: bool | None, frame: Callable[..., Answer], good: Answer
+) -> None:
+    def troubled(request: bytes) -> list[bytes]:
+        (data,) = good(request)
+        return {
+            "noise before": [b"\x00" + data],
+            "garbage behind": [data + b"\x01\x03\x06\xff"],
+            "half": [data[: len(data) // 2]],
+            "nothing": [],
+        }[trouble]
+
+    with (
+        FakeUnit(good, good, troubled, good) as unit,
+        serial_context(kind, unit.path, native) as context,
+    ):
+        assert read(context) == VALUES
+        assert read(context) == VALUES
+        try:
+            assert read(context) == VALUES
+        except ModbusError as error:
+            assert not isinstance(error, ExceptionResponse)  # noqa: PT017
+        for _ in range(3):
+            assert read(context) == VALUES
+
+
+@pytest.mark.parametrize(("kind", "native", "frame", "good"), SERIAL)
+def test_serial_late_answers_never_answer_another_request(
+    kind: str, native: bool | None, frame: Callable[..., Answer], good: Answer
+) -> None:
+    class Slow:
+        delay = TIMEOUT + 0.05
+
+        def __call__(self, request: bytes) -> list[bytes]:
+            address = request[2:4] if kind == "rtu" else bytes.fromhex(request[5:9].decode())
+            time.sleep(self.delay)
+            return frame(f"01 0302{address.hex()}")(request)
+
+    slow = Slow()
+    with FakeUnit(slow) as unit, serial_context(kind, unit.path, native) as context:
+        for address in range(6):
+            with contextlib.suppress(ModbusTimeoutError):
+                assert context.read_holding_registers(address, 1) == [address]
+        slow.delay = 0
+        assert context.read_holding_registers(77, 1) == [77]
+        assert context.late_answers > 0
+
+
+def test_serial_timeout_is_kept() -> None:
+    for kind in ("rtu", "ascii"):
+        with (
+            FakeUnit(lambda request: []) as unit,
+            serial_context(kind, unit.path, None) as context,
+        ):
+            start = time.monotonic()
+            with pytest.raises(ModbusTimeoutError):
+                read(context)
+            assert TIMEOUT - 0.01 < time.monotonic() - start < TIMEOUT + 0.05
