@@ -7,7 +7,7 @@ The way of one request, file by file, which is also the order to read them in::
     line        one transaction at a time, through libmodbus (native) or without
     pdu         one class for each function: encode and decode, both ends
     framing     unit and PDU as bytes on TCP, RTU and ASCII lines
-    link        a TCP connection or a serial port, as a descriptor in a modbus_t
+    link        a descriptor in a modbus_t: tcp_link a connection, serial_link a port
       ... the wire ...
     server      Server: many clients, many units, many endpoints
     device      Device: request PDU in, response PDU out

@@ -13,7 +13,9 @@ from . import pdu, url
 from .arguments import integer, seconds
 from .framing import AsciiFramer, RtuFramer, TcpFramer
 from .line import Line
-from .link import Link, SerialLink, TcpLink
+from .link import Link
+from .serial_link import SerialLink
+from .tcp_link import TcpLink
 
 __all__ = ["AsciiContext", "Context", "RtuContext", "TcpContext"]
 

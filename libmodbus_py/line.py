@@ -111,8 +111,11 @@ class Line:
 
         Raises:
             ModbusError: with everything about the transaction.
+            TypeError: not a request.
             ValueError: a broadcast of what is no write.
         """
+        if not isinstance(request, Request):
+            raise TypeError(f"request must be one of pdu, not {type(request).__name__}")
         if unit == 0 and self._framer.has_broadcast and not request.is_write:
             raise ValueError(f"unit 0 is a broadcast, which nobody answers: {request} is no write")
         with self._lock:

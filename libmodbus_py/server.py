@@ -19,7 +19,6 @@ from collections.abc import AsyncIterator, Callable, Iterator, Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
 
 from . import url
 from .arguments import integer
@@ -31,8 +30,8 @@ from .errors import (
     ModbusTimeoutError,
 )
 from .framing import AsciiFramer, Frame, Framer, RtuFramer, TcpFramer
-from .link import SerialLink
 from .pdu import REQUESTS
+from .serial_link import SerialLink
 
 __all__ = ["Running", "Server"]
 
@@ -46,6 +45,8 @@ FRAMERS: dict[str, Callable[[], Framer]] = {
 
 # How much is read at once: the others wait while that many requests are answered.
 READ_SIZE = 4096
+
+STOP_WITHIN = 0.5
 
 # How long an unplugged serial port is left alone before the next attempt.
 REOPEN_AFTER = 1.0
@@ -220,22 +221,32 @@ class _Session:
 
 
 class _Connection(asyncio.BufferedProtocol):
-    """One client over TCP."""
+    """One client over TCP; among its peers from before it is made until it is lost."""
 
-    transport: asyncio.Transport
+    transport: asyncio.Transport | None = None
+    stopped = False
 
-    def __init__(self, units: _Units, framing: str, buffer: memoryview, peers: set[Any]) -> None:
+    def __init__(
+        self, units: _Units, framing: str, buffer: memoryview, peers: set[_Connection]
+    ) -> None:
         self._units = units
         self._framing = framing
         self._buffer = buffer
         self._peers = peers
+        peers.add(self)
+
+    def stop(self) -> None:
+        self.stopped = True
+        if self.transport is not None:
+            self.transport.abort()
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         assert isinstance(transport, asyncio.Transport)
         self.transport = transport
         self._session = _Session(self._units, self._framing, transport.write)
         transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-        self._peers.add(self)
+        if self.stopped:
+            transport.abort()
 
     def connection_lost(self, exc: Exception | None) -> None:
         self._session.close()
@@ -249,13 +260,16 @@ class _Connection(asyncio.BufferedProtocol):
         try:
             self._session.receive(bytes(self._buffer[:nbytes]))
         except FrameError as error:
+            assert self.transport is not None
             logger.debug("%s: closed: %s", self.transport.get_extra_info("peername"), error)
             self.transport.close()
 
     def pause_writing(self) -> None:
+        assert self.transport is not None
         self.transport.pause_reading()
 
     def resume_writing(self) -> None:
+        assert self.transport is not None
         self.transport.resume_reading()
 
 
@@ -279,10 +293,26 @@ async def _serve_tcp(endpoint: url.Endpoint, units: _Units) -> AsyncIterator[url
     try:
         yield replace(endpoint, port=server.sockets[0].getsockname()[1])
     finally:
-        server.close()
-        for peer in list(peers):
-            peer.transport.abort()
-        await server.wait_closed()
+        await _stop(server, peers)
+
+
+async def _stop(server: asyncio.Server, peers: set[_Connection]) -> None:
+    """Accept no more, and see every connection off."""
+    loop = asyncio.get_running_loop()
+    for listener in server.sockets:
+        # Server.close would spoil what was accepted in this turn of the loop and
+        # gets its transport in the next.
+        loop.remove_reader(listener.fileno())
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(STOP_WITHIN):
+            await asyncio.sleep(0)
+            while peers:
+                for peer in peers:
+                    peer.stop()
+                await asyncio.sleep(0)
+            server.close()
+            await server.wait_closed()
+    server.close()
 
 
 def _reason(error: OSError) -> str:
