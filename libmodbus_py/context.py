@@ -43,10 +43,12 @@ class Context:
 
     * TypeError, ValueError: an argument, named with its range; nothing was sent.
     * ExceptionResponse: the server refused; the subclass says why.
-    * ModbusTimeoutError: no complete answer within `timeout`. On a serial line
-      the next request first lets a late answer pass, for up to `timeout` of silence.
+    * ModbusTimeoutError: no complete answer within `timeout`.
     * ModbusConnectionError: no connection, with errno.
     * FrameError, InvalidResponse: the answer was none.
+
+    After any of the last three, a serial line must be silent for `timeout` before the
+    next request goes out: an answer that is still to come would be taken for its own.
 
     The requests that libmodbus knows are carried by libmodbus, without the GIL;
     Ctrl-C then takes effect when it returns, after `timeout` at most.

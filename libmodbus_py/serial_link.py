@@ -107,14 +107,32 @@ class SerialLink(Link):
     def open(self, deadline: float) -> None:
         with self._errors():
             self._guard = self._take_port()
-            ffi.errno = 0
-            if lib.modbus_connect(self.context) == -1:
-                raise OSError(number := ffi.errno, os.strerror(number))
+            if not self._connect():
+                # glibc's tcsetattr reports EINVAL when it changed nothing and the
+                # port lacks a setting: a pseudo-terminal has no parity, and has
+                # the rest already where a program died without closing it.
+                self._change_something()
+                if not self._connect():
+                    raise OSError(errno.EINVAL, "the port refuses these settings")
             self._watch(lib.modbus_get_socket(self.context))
             if self.baudrate not in self.baudrates:
                 _set_odd_baudrate(self.descriptor, self.baudrate)
             self._set_direction_control()
             self.discard_input()
+
+    def _connect(self) -> bool:
+        ffi.errno = 0
+        if lib.modbus_connect(self.context) == 0:
+            return True
+        if (number := ffi.errno) == errno.EINVAL:
+            return False
+        raise OSError(number, os.strerror(number))
+
+    def _change_something(self) -> None:
+        settings = termios.tcgetattr(self._guard)
+        minimum = settings[6][termios.VMIN]
+        settings[6][termios.VMIN] = 0 if minimum in (1, b"\x01") else 1
+        termios.tcsetattr(self._guard, termios.TCSANOW, settings)
 
     def _take_port(self) -> int:
         """Lock the port: libmodbus would share it, and change the settings under the other."""

@@ -35,6 +35,7 @@ class _Wire:
         self._selector = selectors.DefaultSelector()
         self._wake, self._sleep = socket.socketpair()
         self._selector.register(self._sleep, selectors.EVENT_READ, None)
+        self._unplugged = threading.Event()
         self._thread = threading.Thread(target=self._carry, name="wire", daemon=True)
 
     def __enter__(self) -> Self:
@@ -56,15 +57,28 @@ class _Wire:
         """Give all that one side has sent, in one piece."""
         return b"".join(passed.data for passed in self.passed if passed.sender == sender)
 
+    def unplug(self) -> None:
+        """Take both ends away, as pulling a cable does; returns when it is done."""
+        self._wake.send(b"u")
+        self._unplugged.wait()
+
+    def _unplug(self) -> None:
+        raise NotImplementedError
+
     def _close(self) -> None:
         raise NotImplementedError
 
     def _carry(self) -> None:
         while True:
             for key, _ in self._selector.select():
-                if key.data is None:
+                if key.data is not None:
+                    key.data()
+                elif self._sleep.recv(1):
+                    self._unplug()
+                    self._unplugged.set()
+                    break  # what else was ready may be gone
+                else:
                     return
-                key.data()
 
 
 class SerialWire(_Wire):
@@ -85,8 +99,7 @@ class SerialWire(_Wire):
         self._join(self._client, self._server, "client")
         self._join(self._server, self._client, "server")
 
-    def unplug(self) -> None:
-        """Take both ports away, as pulling a USB adapter does."""
+    def _unplug(self) -> None:
         for port in (self._client, self._server):
             with contextlib.suppress(KeyError):
                 self._selector.unregister(port.master)
@@ -171,6 +184,12 @@ class TcpWire(_Wire):
                 sink.shutdown(socket.SHUT_WR)
 
         return carry
+
+    def _unplug(self) -> None:
+        for each in self._sockets:
+            with contextlib.suppress(KeyError, ValueError):
+                self._selector.unregister(each)
+            each.close()
 
     def _close(self) -> None:
         for each in self._sockets:

@@ -194,6 +194,15 @@ def test_port_in_use_is_refused_and_left_alone() -> None:
         assert termios.tcgetattr(unit._slave) == before
 
 
+def test_port_left_behind_by_a_program_that_died_can_be_opened() -> None:
+    with SerialWire() as wire:
+        die = f"import os, libmodbus_py as m; m.RtuContext({wire.client!r}).connect(); os._exit(0)"
+        subprocess.run([sys.executable, "-c", die], check=True, timeout=30)
+        for _ in range(2):
+            with RtuContext(wire.client):
+                pass
+
+
 def test_settings_come_back_when_the_port_is_closed() -> None:
     master, slave = pty.openpty()
     try:

@@ -1,0 +1,95 @@
+"""
+Run the interoperability tests and print what works with whom, as a Markdown table.
+
+    python tests/interop_report.py [options for pytest, such as -n 2]
+
+The table is read off the ids of the tests (interop.case_id). Ends with pytest's
+exit status.
+"""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import tempfile
+from collections import defaultdict
+from pathlib import Path
+from xml.etree import ElementTree
+
+HERE = Path(__file__).parent
+CASE = re.compile(
+    r"\[(?P<peer>\w+)-(?P<role>client|server)-(?P<transport>[a-z+]+)-fc(?P<function>\d+)(?P<more>.*)\]$"
+)
+LINES = {"client": "our client, its server", "server": "its client, our server"}
+
+Row = tuple[str, str, str]  # peer, role, transport
+
+
+def run(report: Path, options: list[str]) -> int:
+    """Run the tests; their own output goes to standard error."""
+    files = sorted(HERE.glob("test_interop_*.py"))
+    command = [sys.executable, "-m", "pytest", "-q", *files, f"--junitxml={report}", *options]
+    return subprocess.run(command, cwd=HERE.parent, stdout=sys.stderr).returncode
+
+
+def outcome(case: ElementTree.Element, more: str) -> str:
+    """Say what one test means for its cell of the table."""
+    if case.find("failure") is not None or case.find("error") is not None:
+        return "FAIL"
+    if case.find("skipped") is not None:
+        return "skipped"
+    return next((word for word in ("pinned", "refused") if word in more.split("-")), "ok")
+
+
+def read(report: Path) -> tuple[dict[Row, dict[int, set[str]]], int]:
+    """Give the outcomes of each cell, and how many tests stand behind them."""
+    table: dict[Row, dict[int, set[str]]] = defaultdict(lambda: defaultdict(set))
+    count = 0
+    for case in ElementTree.parse(report).iter("testcase"):
+        found = CASE.search(case.get("name", ""))
+        if found:
+            row = (found["peer"], found["role"], found["transport"])
+            table[row][int(found["function"])].add(outcome(case, found["more"]))
+            count += 1
+    return table, count
+
+
+def cell(outcomes: set[str]) -> str:
+    """The worst that happened; a refusal only where nothing was granted."""
+    for word in ("FAIL", "skipped"):
+        if word in outcomes:
+            return word
+    if "pinned" in outcomes:
+        return "ok*" if "ok" in outcomes else "*"
+    return "ok" if "ok" in outcomes else "refused" if outcomes else ""
+
+
+def markdown(table: dict[Row, dict[int, set[str]]]) -> str:
+    functions = sorted({function for row in table.values() for function in row})
+    heads = ["peer", "direction", "transport", *map(str, functions)]
+    lines = [heads, ["---"] * len(heads)]
+    for (peer, role, transport), row in sorted(table.items()):
+        cells = [cell(row.get(function, set())) for function in functions]
+        lines.append([peer, LINES[role], transport, *cells])
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def main() -> int:
+    with tempfile.TemporaryDirectory() as directory:
+        report = Path(directory) / "report.xml"
+        status = run(report, sys.argv[1:])
+        if not report.exists():
+            return status
+        table, count = read(report)
+    print(markdown(table))
+    print()
+    print(f"{count} tests. Columns: function codes. refused: the server has no such function and")
+    print(
+        "says so. *: the peer errs, and a test says how and what becomes of it. Empty: not tried."
+    )
+    return status
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,175 @@
+"""
+Against mbpoll, a command line client: what it prints, and what it leaves behind.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from collections.abc import Callable
+
+import pytest
+from interop import (
+    BAUDRATE,
+    UNIT,
+    Place,
+    case_id,
+    cells,
+    coil,
+    discrete_input,
+    holding_register,
+    input_register,
+    make_device,
+    our_server,
+)
+
+from libmodbus_py import Device
+
+pytestmark = pytest.mark.skipif(
+    shutil.which("mbpoll") is None, reason="mbpoll is not installed: apt install mbpoll"
+)
+
+TRANSPORTS = ("tcp", "rtu")
+COILS, DISCRETE_INPUTS, INPUT_REGISTERS, HOLDING_REGISTERS = 0, 1, 3, 4  # its -t
+
+Polled = subprocess.CompletedProcess[str]
+
+
+def mbpoll(
+    place: Place, table: int, first: int, *, count: int | None = None, write: tuple[int, ...] = ()
+) -> Polled:
+    """Run it once, with addresses from 0 on."""
+    end = place.end
+    if end.is_tcp:
+        line, where = ["-m", "tcp", "-p", end.port], end.host
+    else:
+        line, where = ["-m", "rtu", "-b", BAUDRATE, "-P", "even"], end.device
+    command = ["mbpoll", *line, "-a", UNIT, "-0", "-1", "-o", 5, "-t", table, "-r", first]
+    if count is not None:
+        command += ["-c", count]
+    return subprocess.run(
+        [str(word) for word in (*command, where, *write)],
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=20,
+    )
+
+
+def printed_values(done: Polled) -> dict[int, int]:
+    """Read its lines like "[100]: 65535 (-1)"."""
+    lines = re.findall(r"^\[(\d+)\]:\s+(\d+)", done.stdout, re.MULTILINE)
+    return {int(address): int(value) for address, value in lines}
+
+
+def over_each_transport(names: str, cases: dict[tuple[int, str], tuple[object, ...]]) -> object:
+    return pytest.mark.parametrize(
+        ("transport", "function", *names.split()),
+        [
+            pytest.param(
+                transport,
+                function,
+                *values,
+                id=case_id("mbpoll", "server", transport, function, name),
+            )
+            for (function, name), values in cases.items()
+            for transport in TRANSPORTS
+        ],
+    )
+
+
+@over_each_transport(
+    "table first count value",
+    {
+        (1, "few"): (COILS, 12, 3, coil),
+        (1, "most"): (COILS, 10, 125, coil),
+        (2, "few"): (DISCRETE_INPUTS, 20, 9, discrete_input),
+        (2, "most"): (DISCRETE_INPUTS, 1995, 125, discrete_input),
+        (3, "few"): (HOLDING_REGISTERS, 399, 1, holding_register),
+        (3, "most"): (HOLDING_REGISTERS, 100, 125, holding_register),
+        (4, "few"): (INPUT_REGISTERS, 200, 2, input_register),
+        (4, "most"): (INPUT_REGISTERS, 275, 125, input_register),
+    },
+)
+def test_mbpoll_prints_what_our_table_holds(
+    transport: str,
+    function: int,
+    table: int,
+    first: int,
+    count: int,
+    value: Callable[[int], int],
+) -> None:
+    with our_server(transport, {UNIT: make_device()}) as place:
+        done = mbpoll(place, table, first, count=count)
+        assert (done.returncode, done.stderr) == (0, "")
+        expected = dict(zip(range(first, first + count), cells(value, first, count), strict=True))
+        assert printed_values(done) == expected
+        assert place.function == function
+
+
+@over_each_transport(
+    "table first values look",
+    {
+        (5, "on"): (COILS, 10, (1,), lambda device: device.mapping.coils[10:11]),
+        (5, "off"): (COILS, 12, (0,), lambda device: device.mapping.coils[12:13]),
+        (15, "few"): (COILS, 13, (1, 1, 0, 1), lambda device: device.mapping.coils[13:17]),
+        (6, "few"): (
+            HOLDING_REGISTERS,
+            101,
+            (65535,),
+            lambda device: device.mapping.holding_registers[101:102],
+        ),
+        (16, "few"): (
+            HOLDING_REGISTERS,
+            396,
+            (0, 1, 258, 65535),
+            lambda device: device.mapping.holding_registers[396:400],
+        ),
+        (16, "most"): (
+            HOLDING_REGISTERS,
+            100,
+            tuple(range(123)),
+            lambda device: device.mapping.holding_registers[100:223],
+        ),
+    },
+)
+def test_mbpoll_writes_into_our_table(
+    transport: str,
+    function: int,
+    table: int,
+    first: int,
+    values: tuple[int, ...],
+    look: Callable[[Device], list[int]],
+) -> None:
+    device = make_device()
+    with our_server(transport, {UNIT: device}) as place:
+        done = mbpoll(place, table, first, write=values)
+        assert (done.returncode, done.stderr) == (0, "")
+        assert f"Written {len(values)} references." in done.stdout
+        assert look(device) == list(values)
+        assert place.function == function
+
+
+@over_each_transport(
+    "table first write",
+    {
+        (1, "refused"): (COILS, 3000, ()),
+        (2, "refused"): (DISCRETE_INPUTS, 19, ()),
+        (3, "refused"): (HOLDING_REGISTERS, 400, ()),
+        (4, "refused"): (INPUT_REGISTERS, 199, ()),
+        (5, "refused"): (COILS, 2110, (1,)),
+        (6, "refused"): (HOLDING_REGISTERS, 99, (1,)),
+        (15, "refused"): (COILS, 2109, (1, 1)),
+        (16, "refused"): (HOLDING_REGISTERS, 399, (1, 2)),
+    },
+)
+def test_mbpoll_says_that_an_address_is_illegal(
+    transport: str, function: int, table: int, first: int, write: tuple[int, ...]
+) -> None:
+    with our_server(transport, {UNIT: make_device()}) as place:
+        done = mbpoll(place, table, first, write=write)
+        assert done.returncode == 1
+        assert done.stderr.rstrip().endswith("failed: Illegal data address")
+        assert printed_values(done) == {}
+        assert place.function == function
