@@ -136,10 +136,12 @@ class Device:
         try:
             return self._execute(decode_request(pdu), pdu)
         except ExceptionResponse as refusal:
-            return bytes([function | 0x80, refusal.code & 0xFF])
+            if 1 <= refusal.code <= 0xFF:
+                return bytes([function | 0x80, refusal.code])
+            self._log_failure(function, pdu)
         except Exception:
             self._log_failure(function, pdu)
-            return bytes([function | 0x80, ServerDeviceFailure.code])
+        return bytes([function | 0x80, ServerDeviceFailure.code])
 
     def _execute(self, request: Request[Any], pdu: bytes) -> bytes:
         execute = self._own.get(type(request))

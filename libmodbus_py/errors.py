@@ -19,7 +19,7 @@ A server refuses a request by raising the same `ExceptionResponse` classes.
 
 from __future__ import annotations
 
-from typing import ClassVar, TypedDict, Unpack
+from typing import Any, ClassVar, TypedDict, Unpack
 
 __all__ = [
     "Acknowledge",
@@ -224,3 +224,7 @@ class ModbusConnectionError(ModbusError, ConnectionError):
     ) -> None:
         super().__init__(reason, **transaction)
         self.errno = errno
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # OSError keeps errno outside of __dict__, and would lose it in a copy.
+        return type(self), self.args, {**vars(self), "errno": self.errno}

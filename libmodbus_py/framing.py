@@ -115,7 +115,8 @@ class _Rejects:
 
     def reject(self, why: str, data: bytes | bytearray) -> None:
         if self._error is None:
-            self._error = FrameError(why, received=bytes(data))
+            self._error = FrameError(why)
+        self._error.received += data
 
     def settle(self, frames: list[Frame]) -> list[Frame]:
         if not frames and self._error is not None:
@@ -207,8 +208,8 @@ class RtuFramer:
     has_broadcast = True
     in_step = True
     # Longer than USB adapters keep bytes back (16 ms), which is longer than 3.5
-    # characters from 2400 bit/s on. Below that it may fall inside a frame, where
-    # it does no harm.
+    # characters from 2400 bit/s on. Below that it may fall inside a frame; that
+    # does harm only where what came so far ends with a whole frame.
     quiet: float | None = 0.02
     max_size = MAX_PDU + 3
 
@@ -220,7 +221,7 @@ class RtuFramer:
         codes = bytes(REQUESTS) + (bytes(code | 0x80 for code in REQUESTS) * (role == "client"))
         self._start = re.compile(b"[%s]" % re.escape(codes), re.DOTALL)
         self._buffer = bytearray()
-        self._fresh = True  # the buffer begins where a frame should begin
+        self._fresh = 0  # where in the buffer a frame should begin
         self._rejects = _Rejects()
 
     @property
@@ -251,7 +252,7 @@ class RtuFramer:
 
     def silence(self) -> list[Frame]:
         """
-        Look past an incomplete frame at the front for a complete one behind it.
+        Look past an incomplete frame at the front for one that ends here.
 
         What is found puts an end to the wait for the front; if nothing is
         found, the front may still be completed.
@@ -261,34 +262,33 @@ class RtuFramer:
         """
         start = 0
         while (start := self._next_start(start + 1)) < len(self._buffer):
-            if self._end(start):
+            if self._end(start) == len(self._buffer):
                 self._drop(start)
                 return self._rejects.settle(self._take())
+        self._fresh = len(self._buffer)
         return self._rejects.settle([])
 
     def _take(self) -> list[Frame]:
         frames: list[Frame] = []
-        while self._buffer:
-            end = self._end(0)
-            if end is None:
-                break
+        while self._buffer and (end := self._end(0)) is not None:
             if end:
                 frames.append(Frame(self._buffer[0], bytes(self._buffer[1 : end - 2])))
                 del self._buffer[:end]
-                self._fresh = True
+                self._fresh = 0
             else:
                 self._drop(self._next_start(1))
         return frames
 
     def _drop(self, count: int) -> None:
-        self._rejects.reject("bytes without a fitting CRC", self._buffer)
+        self._rejects.reject("bytes without a fitting CRC", self._buffer[:count])
         del self._buffer[:count]
-        self._fresh = not self._buffer
+        self._fresh -= count
 
     def _next_start(self, first: int) -> int:
         """Where a frame may begin, from `first` on; the last byte may always be a unit."""
         found = self._start.search(self._buffer, first + 1)
-        return found.start() - 1 if found else max(first, len(self._buffer) - 1)
+        start = found.start() - 1 if found else max(first, len(self._buffer) - 1)
+        return self._fresh if first <= self._fresh < start else start
 
     def _end(self, start: int) -> int | None:
         """Where the frame that begins at `start` ends: None unknown yet, 0 there is none."""
@@ -298,7 +298,7 @@ class RtuFramer:
         try:
             length = self._length(head)
         except KeyError:
-            return self._end_by_crc() if start == 0 and self._fresh else 0
+            return self._end_by_crc(start) if start == self._fresh else 0
         if length is None:
             return None
         end = start + length + 3
@@ -308,15 +308,16 @@ class RtuFramer:
             return None
         return 0 if crc16(self._buffer[start:end]) else end
 
-    def _end_by_crc(self) -> int | None:
-        if self._buffer[1] & 0x80:
+    def _end_by_crc(self, start: int) -> int | None:
+        if self._buffer[start + 1] & 0x80:
             return 0  # no request has such a code, and such responses have a length
         crc = 0xFFFF
-        for at, byte in enumerate(self._buffer[: self.max_size], start=1):
+        candidate = self._buffer[start : start + self.max_size]
+        for size, byte in enumerate(candidate, start=1):
             crc = crc >> 8 ^ _CRC_TABLE[(crc ^ byte) & 0xFF]
-            if crc == 0 and at >= 4:
-                return at
-        return 0 if len(self._buffer) >= self.max_size else None
+            if crc == 0 and size >= 4:
+                return start + size
+        return 0 if len(candidate) == self.max_size else None
 
 
 class AsciiFramer:

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import reprlib
 import struct
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, fields
 from itertools import islice
 from typing import Any, ClassVar, Generic, Self, TypeVar
@@ -91,7 +91,7 @@ def _are_registers(values: tuple[Any, ...]) -> bool:
 
 def _sequence(name: str, values: object, limit: int) -> tuple[Any, ...]:
     # Text, sets and mappings are iterable, but never a run of registers.
-    unfit = isinstance(values, str | bytes | bytearray | set | frozenset | dict)
+    unfit = isinstance(values, str | bytes | bytearray | Set | Mapping)
     if unfit or not isinstance(values, Iterable):
         given = type(values).__name__
         raise TypeError(f"{name} must be a sequence of 1..{limit} values, not {given}")
@@ -641,10 +641,11 @@ class ReadFileRecords(Request[list[list[int]]]):
         return cls(tuple((file, record, length) for _, file, record, length in pieces))
 
     def encode_response(self, result: Sequence[Sequence[int]]) -> bytes:
-        if len(result) != len(self.records):
-            raise ValueError(f"result must hold {len(self.records)} pieces, not {len(result)}")
+        given = _sequence("result", result, len(self.records))
+        if len(given) != len(self.records):
+            raise ValueError(f"result must hold {len(self.records)} pieces, not {len(given)}")
         pieces = bytearray()
-        for piece, (*_, length) in zip(result, self.records, strict=True):
+        for piece, (*_, length) in zip(given, self.records, strict=True):
             values = _registers("result", piece, length)
             if len(values) != length:
                 raise ValueError(f"result must hold {length} registers, not {len(values)}")

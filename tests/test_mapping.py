@@ -1,0 +1,407 @@
+"""
+The four tables: what goes in and comes out, who may hold on to them, and what they cost.
+"""
+
+from __future__ import annotations
+
+import gc
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from libmodbus_py import Device, Mapping
+
+BITS = ["coils", "discrete_inputs"]
+REGISTERS = ["holding_registers", "input_registers"]
+TABLES = BITS + REGISTERS
+
+each_table = pytest.mark.parametrize("name", TABLES)
+each_bit_table = pytest.mark.parametrize("name", BITS)
+each_register_table = pytest.mark.parametrize("name", REGISTERS)
+
+
+def table(name: str, addresses: int | range) -> Any:
+    """One table of a mapping of which nothing else is kept."""
+    return getattr(Mapping(**{name: addresses}), name)
+
+
+class TestArguments:
+    @each_table
+    @pytest.mark.parametrize(
+        ("given_addresses", "addresses"),
+        [
+            (0, range(0)),
+            (1, range(1)),
+            (65536, range(65536)),
+            (range(100, 200), range(100, 200)),
+            (range(65535, 65536), range(65535, 65536)),
+            (range(65536), range(65536)),
+            (range(7, 7), range(7, 7)),
+        ],
+    )
+    def test_count_or_range_gives_the_addresses(
+        self, name: str, given_addresses: Any, addresses: range
+    ) -> None:
+        made = table(name, given_addresses)
+        assert made.addresses == addresses
+        assert made.name == name
+        assert len(made) == len(addresses)
+        assert made[:] == [0] * len(addresses)
+
+    @each_table
+    @pytest.mark.parametrize(
+        ("bad", "error"),
+        [
+            (-1, ValueError),
+            (65537, ValueError),
+            (range(65535, 65537), ValueError),
+            (range(-1, 5), ValueError),
+            (range(0, 10, 2), ValueError),
+            (range(10, 0, -1), ValueError),
+            (1.0, TypeError),
+            ("8", TypeError),
+            (None, TypeError),
+            (True, TypeError),
+            ([1, 2], TypeError),
+            (slice(0, 5), TypeError),
+        ],
+    )
+    def test_bad_addresses_are_refused_by_name(
+        self, name: str, bad: Any, error: type[Exception]
+    ) -> None:
+        with pytest.raises(error, match=f"^{name} must be "):
+            table(name, bad)
+
+    def test_without_arguments_there_is_nothing(self) -> None:
+        mapping = Mapping()
+        assert [len(getattr(mapping, name)) for name in TABLES] == [0] * 4
+
+    def test_tables_are_apart(self) -> None:
+        mapping = Mapping(8, 8, 8, 8)
+        for value, name in enumerate(TABLES):
+            getattr(mapping, name)[:] = [value > 1 and value] * 8
+        mapping.coils[0] = True
+        assert mapping.coils[:] == [True] + [False] * 7
+        assert mapping.discrete_inputs[:] == [False] * 8
+        assert mapping.holding_registers[:] == [2] * 8
+        assert mapping.input_registers[:] == [3] * 8
+
+    def test_repr_names_tables_and_ranges(self) -> None:
+        mapping = Mapping(coils=8, holding_registers=range(100, 200))
+        assert "coils 0..7" in repr(mapping)
+        assert "holding_registers 100..199" in repr(mapping)
+        assert "input_registers empty" in repr(mapping)
+
+
+class TestAccess:
+    @each_table
+    def test_first_and_last_address_exist_and_no_other(self, name: str) -> None:
+        made = table(name, range(100, 110))
+        made[100], made[109] = 1, 1
+        assert made[:] == [1, 0, 0, 0, 0, 0, 0, 0, 0, 1]
+        assert made[100] == made[109] == 1
+        for address in (-1, 0, 9, 99, 110, 65536, 1 << 70):
+            with pytest.raises(IndexError, match=rf"{address} in <{name} 100\.\.109>"):
+                made[address]
+            with pytest.raises(IndexError, match=rf"{address} in <{name} 100\.\.109>"):
+                made[address] = 0
+        assert made[:] == [1, 0, 0, 0, 0, 0, 0, 0, 0, 1]
+
+    @each_table
+    def test_empty_table_has_no_address(self, name: str) -> None:
+        made = table(name, 0)
+        assert list(made) == made[:] == made[0:0] == []
+        for key in (0, -1):
+            with pytest.raises(IndexError, match=f"<{name} empty>"):
+                made[key]
+
+    @each_table
+    def test_slices_go_by_address(self, name: str) -> None:
+        made = table(name, range(100, 110))
+        made[102:105] = [1, 0, 1]
+        assert made[:] == [0, 0, 1, 0, 1, 0, 0, 0, 0, 0]
+        assert made[100:103] == [0, 0, 1]
+        assert made[104:] == [1, 0, 0, 0, 0, 0]
+        assert made[:103] == [0, 0, 1]
+        assert made[100:110] == made[:]
+        assert made[105:105] == made[100:100] == made[110:110] == []
+        made[103:103] = []
+        assert made[100:110:2] == [0, 1, 1, 0, 0]
+        made[100:110:3] = [1, 1, 0, 1]
+        assert made[:] == [1, 0, 1, 1, 1, 0, 0, 0, 0, 1]
+
+    @each_table
+    @pytest.mark.parametrize(
+        "key",
+        [
+            slice(99, 105),
+            slice(105, 111),
+            slice(0, 5),
+            slice(-3, None),
+            slice(None, -1),
+            slice(105, 104),
+            slice(100, 110, 0),
+            slice(100, 110, -1),
+            slice(110, 100, -1),
+            slice(111, None),
+        ],
+        ids=str,
+    )
+    def test_slices_past_the_table_are_errors(self, name: str, key: slice) -> None:
+        made = table(name, range(100, 110))
+        with pytest.raises(IndexError, match=rf"<{name} 100\.\.109>"):
+            made[key]
+        with pytest.raises(IndexError, match=rf"<{name} 100\.\.109>"):
+            made[key] = [0] * 10
+        assert made[:] == [0] * 10
+
+    @each_table
+    @pytest.mark.parametrize("key", [1.0, "1", None, (1, 2), slice(1.0, 2), slice("a", None)])
+    def test_addresses_are_integers(self, name: str, key: Any) -> None:
+        made = table(name, 10)
+        with pytest.raises(TypeError, match=f"address in <{name}"):
+            made[key]
+        with pytest.raises(TypeError, match=f"address in <{name}"):
+            made[key] = 0
+
+    @each_table
+    @pytest.mark.parametrize("values", [[], [1], [1] * 3, [1] * 65537])
+    def test_as_many_values_as_addresses(self, name: str, values: list[int]) -> None:
+        made = table(name, 10)
+        with pytest.raises(ValueError, match=f"{name}: {len(values)} values for 2 addresses"):
+            made[4:6] = values
+        assert made[:] == [0] * 10
+
+    @each_table
+    def test_iteration_gives_the_values_in_order(self, name: str) -> None:
+        made = table(name, range(5, 9))
+        made[:] = [1, 0, 0, 1]
+        assert list(made) == [1, 0, 0, 1]
+        assert 1 in made
+        assert 2 not in made
+
+    @each_table
+    def test_values_of_any_iterable_are_taken(self, name: str) -> None:
+        made = table(name, 4)
+        made[:] = (value for value in (1, 0, 1, 1))
+        made[1:3] = made[2:4]
+        assert made[:] == [1, 1, 1, 1]
+        made[0:2] = range(2)
+        assert made[:] == [0, 1, 1, 1]
+
+    @each_table
+    def test_bad_value_changes_nothing(self, name: str) -> None:
+        made = table(name, 4)
+        for bad in (None, "1", 1.5, [1]):
+            with pytest.raises(TypeError, match=f"^{name}: a value is "):
+                made[1] = bad
+            with pytest.raises(TypeError, match=f"^{name}: a value is "):
+                made[0:3] = [1, 1, bad]
+        with pytest.raises(TypeError):
+            made[0:3] = 5
+        assert made[:] == [0] * 4
+
+    @each_register_table
+    def test_registers_go_from_0_to_65535(self, name: str) -> None:
+        made = table(name, 4)
+        made[0:2] = [0, 65535]
+        assert made[0:2] == [0, 65535]
+        assert [type(value) for value in made] == [int] * 4
+        for bad in (-1, 65536):
+            with pytest.raises(ValueError, match=rf"^{name}: .* 0\.\.65535, not {bad}"):
+                made[0] = bad
+            with pytest.raises(ValueError, match=rf"^{name}: .* 0\.\.65535, not {bad}"):
+                made[0:2] = [1, bad]
+        assert made[0:2] == [0, 65535]
+
+    @each_bit_table
+    @pytest.mark.parametrize("value", [0, 1, 2, 255, 256, 65536, -1, 1 << 70, True, False])
+    def test_bits_become_0_or_1_whatever_integer_is_assigned(self, name: str, value: int) -> None:
+        made = table(name, 4)
+        made[1] = value
+        made[2:4] = [value, not value]
+        assert made[:] == [False, bool(value), bool(value), not value]
+        assert {type(bit) for bit in made} == {bool}
+        assert list(made.view) == [0, int(value != 0), int(value != 0), int(value == 0)]
+
+    @settings(max_examples=80, deadline=None)
+    @given(
+        name=st.sampled_from(TABLES),
+        first=st.integers(0, 65516),
+        steps=st.lists(
+            st.tuples(
+                st.integers(0, 19), st.integers(1, 20), st.lists(st.integers(0, 65535), max_size=20)
+            ),
+            max_size=30,
+        ),
+    )
+    def test_a_table_is_a_dict_of_its_addresses(
+        self, name: str, first: int, steps: list[tuple[int, int, list[int]]]
+    ) -> None:
+        addresses = range(first, first + 20)
+        made, model = table(name, addresses), dict.fromkeys(addresses, 0)
+        for offset, stride, values in steps:
+            start = first + offset
+            room = addresses[offset :: stride if len(values) != 1 else 1][: len(values)]
+            if len(values) == 1:
+                made[start] = values[0]
+            elif room:
+                made[start : room[-1] + 1 : stride] = values[: len(room)]
+            for address, value in zip(room, values, strict=False):
+                model[address] = int(value != 0) if name in BITS else value
+            assert made[start] == model[start]
+            assert made[start::stride] == [model[at] for at in addresses[offset::stride]]
+        assert dict(zip(addresses, made, strict=True)) == model
+
+
+class TestViews:
+    @each_table
+    def test_view_begins_with_the_first_address(self, name: str) -> None:
+        made = table(name, range(100, 110))
+        made[101] = 1
+        assert len(made.view) == 10
+        assert made.view.tolist() == [0, 1, 0, 0, 0, 0, 0, 0, 0, 0]
+        assert made.view.format == ("B" if name in BITS else "H")
+        assert made.view.itemsize == (1 if name in BITS else 2)
+
+    @each_table
+    def test_view_shows_what_is_written_later(self, name: str) -> None:
+        made = table(name, 4)
+        view = made.view
+        made[2] = 1
+        assert view.tolist() == [0, 0, 1, 0]
+
+    @each_register_table
+    def test_register_view_writes_into_the_table(self, name: str) -> None:
+        made = table(name, range(10, 14))
+        view = made.view
+        view[1] = 0x1234
+        view[2:4] = memoryview(b"\1\0\2\0" if sys.byteorder == "little" else b"\0\1\0\2").cast("H")
+        assert made[:] == [0, 0x1234, 1, 2]
+
+    @each_bit_table
+    def test_bit_view_is_read_only(self, name: str) -> None:
+        view = table(name, 4).view
+        assert view.readonly
+        with pytest.raises(TypeError):
+            view[0] = 1
+
+    @each_table
+    def test_empty_table_has_an_empty_view(self, name: str) -> None:
+        assert table(name, 0).view.tolist() == []
+
+    def test_views_are_what_clients_read_and_write(self) -> None:
+        mapping = Mapping(coils=8, holding_registers=8)
+        coils, registers = mapping.coils.view, mapping.holding_registers.view
+        device = Device(mapping)
+        registers[3] = 0xBEEF
+        assert device.answer(b"\x03\0\3\0\1") == b"\x03\x02\xbe\xef"
+        device.answer(b"\x06\0\4\x12\x34")
+        device.answer(b"\x0f\0\0\0\3\1\5")
+        assert registers[4] == 0x1234
+        assert coils.tolist() == [1, 0, 1, 0, 0, 0, 0, 0]
+
+    @each_table
+    def test_view_outlives_its_mapping(self, name: str) -> None:
+        mapping = Mapping(**{name: 65536})
+        getattr(mapping, name)[7] = 1
+        view = getattr(mapping, name).view
+        del mapping
+        gc.collect()
+        others = [table(name, 65536) for _ in range(20)]  # would take the freed memory
+        for other in others:
+            other[:] = [1] * 65536
+        assert view[7] == 1
+        assert sum(view) == 1
+        if name in REGISTERS:
+            view[8] = 65535
+            assert sum(view) == 65536
+
+
+def runs_in_thread(work: Callable[[], object]) -> threading.Event:
+    """Start work in another thread; the event says when it is done."""
+    done = threading.Event()
+
+    def run() -> None:
+        work()
+        done.set()
+
+    threading.Thread(target=run, daemon=True).start()
+    return done
+
+
+class TestLock:
+    @pytest.mark.parametrize(
+        "work",
+        [
+            pytest.param(lambda mapping: mapping.coils[0], id="read"),
+            pytest.param(lambda mapping: mapping.input_registers[:], id="read all"),
+            pytest.param(lambda mapping: mapping.holding_registers.__setitem__(0, 1), id="write"),
+            pytest.param(lambda mapping: list(mapping.discrete_inputs), id="iterate"),
+            pytest.param(lambda mapping: mapping.__enter__(), id="enter"),
+            pytest.param(lambda mapping: Device(mapping).answer(b"\3\0\0\0\1"), id="answer"),
+        ],
+    )
+    def test_others_wait_until_the_mapping_is_left(self, work: Callable[[Mapping], object]) -> None:
+        mapping = Mapping(4, 4, 4, 4)
+        with mapping as entered:
+            assert entered is mapping
+            done = runs_in_thread(lambda: work(mapping))
+            assert not done.wait(0.05)
+        assert done.wait(10)
+
+    def test_owner_of_the_mapping_goes_on(self) -> None:
+        mapping = Mapping(4, 4, 4, 4)
+        with mapping, mapping:
+            mapping.coils[0] = True
+            assert mapping.coils[:] == [True, False, False, False]
+            assert Device(mapping).answer(b"\1\0\0\0\4") == b"\1\1\1"
+
+    def test_mapping_is_left_after_an_error(self) -> None:
+        mapping = Mapping(4)
+        with pytest.raises(IndexError), mapping:
+            mapping.coils[4]
+        assert runs_in_thread(lambda: mapping.coils[0]).wait(10)
+
+    def test_mappings_do_not_wait_for_each_other(self) -> None:
+        other = Mapping(4)
+        with Mapping(4):
+            assert runs_in_thread(lambda: other.coils[0]).wait(10)
+
+
+MEASURE = """
+import os
+from libmodbus_py import Device, Mapping
+
+def resident():
+    with open("/proc/self/statm") as statm:
+        return int(statm.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+FULL = dict.fromkeys(("coils", "discrete_inputs", "holding_registers", "input_registers"), 65536)
+Device(Mapping(**FULL)).answer(b"\\3\\0\\0\\0\\1")
+before = resident()
+mappings = [Mapping(**FULL) for _ in range(100)]
+for mapping in mappings:
+    mapping.holding_registers[40000] = 1
+    assert Device(mapping).answer(b"\\3\\x9c\\x40\\0\\1") == b"\\3\\2\\0\\1"
+sparse = resident() - before
+before = resident()
+for mapping in mappings[:50]:
+    mapping.holding_registers.view[:] = memoryview(b"\\1\\0" * 65536).cast("H")
+print(sparse, resident() - before)
+"""
+
+
+def test_full_mapping_takes_memory_only_where_it_is_written() -> None:
+    run = subprocess.run(
+        [sys.executable, "-c", MEASURE], capture_output=True, text=True, check=True, timeout=50
+    )
+    sparse, filled = map(int, run.stdout.split())
+    assert sparse < 100 * 393_216 / 5
+    assert filled > 50 * 131_072 * 0.9  # the measure itself sees what is written

@@ -1,0 +1,422 @@
+"""
+The package as a whole: who imports whom, what is public, and that all of libmodbus is there.
+"""
+
+from __future__ import annotations
+
+import ast
+import copy
+import ctypes
+import errno
+import importlib
+import inspect
+import os
+import pickle
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import libmodbus_py
+from libmodbus_py import Device, Mapping, errors, low_level
+from libmodbus_py.errors import (
+    ExceptionResponse,
+    ModbusConnectionError,
+    ModbusError,
+    ModbusTimeoutError,
+)
+from libmodbus_py.low_level import ffi, lib, loaded_version
+
+PACKAGE = Path(libmodbus_py.__file__).parent
+MODULES = {path.stem: path for path in sorted(PACKAGE.glob("*.py"))}
+
+
+# --- imports ---------------------------------------------------------------------------
+
+
+def imports_of(path: Path) -> tuple[set[str], set[str]]:
+    """The modules of the package that a file imports, and the first names of all others."""
+    inner: set[str] = set()
+    outer: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            outer |= {alias.name.split(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.level == 0:
+            outer.add((node.module or "").split(".")[0])
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            inner.add(node.module.split(".")[0])
+        elif isinstance(node, ast.ImportFrom):
+            inner |= {alias.name for alias in node.names}
+    return inner, outer
+
+
+IMPORTS = {name: imports_of(path) for name, path in MODULES.items()}
+
+
+def reached_from(name: str) -> set[str]:
+    """The modules that come with a module, itself included."""
+    reached, todo = set(), {name}
+    while todo:
+        module = todo.pop()
+        reached.add(module)
+        todo |= (IMPORTS[module][0] & set(IMPORTS)) - reached
+    return reached
+
+
+class TestImports:
+    def test_there_are_no_cycles(self) -> None:
+        cycles = [
+            name
+            for name in IMPORTS
+            if any(name in reached_from(other) for other in IMPORTS[name][0] & set(IMPORTS))
+        ]
+        assert cycles == []
+
+    def test_the_package_is_never_imported_by_its_own_name(self) -> None:
+        assert [
+            name
+            for name, (_, outer) in IMPORTS.items()
+            if "libmodbus_py" in outer and name != "__main__"
+        ] == []
+
+    @pytest.mark.parametrize("name", ["errors", "arguments", "values"])
+    def test_leaves_import_nothing_of_the_package_but_arguments(self, name: str) -> None:
+        assert IMPORTS[name][0] <= {"arguments"} - {name}
+
+    @pytest.mark.parametrize("name", ["pdu", "framing"])
+    def test_bytes_and_values_need_neither_network_nor_c(self, name: str) -> None:
+        reached = reached_from(name)
+        assert reached <= {"pdu", "framing", "errors", "arguments"}
+        outer = set().union(*(IMPORTS[module][1] for module in reached))
+        assert not outer & {
+            *("socket", "select", "selectors", "asyncio", "threading", "ssl", "os", "io", "time"),
+            *("termios", "fcntl", "cffi", "ctypes", "_cffi_backend"),
+        }
+
+    def test_pdu_knows_no_framing(self) -> None:
+        assert "framing" not in reached_from("pdu")
+
+    def test_only_one_module_imports_the_compiled_one(self) -> None:
+        assert [name for name, (inner, _) in IMPORTS.items() if "_libmodbus" in inner] == ["_c"]
+
+    def test_only_the_compiled_module_is_how_c_is_reached(self) -> None:
+        """Read as text too, for an import can hide in a call."""
+        for name, path in MODULES.items():
+            assert not IMPORTS[name][1] & {"cffi", "ctypes", "_cffi_backend"}
+            assert name == "_c" or not re.search(r"import_module|__import__", path.read_text())
+
+    def test_public_modules_do_not_hand_out_private_names(self) -> None:
+        for name in MODULES:
+            if name.startswith("_"):
+                continue
+            exported = getattr(importlib.import_module(f"libmodbus_py.{name}"), "__all__", [])
+            assert [each for each in exported if each.startswith("_")] == []
+
+
+# --- public names --------------------------------------------------------------------------
+
+
+class TestPublicNames:
+    def test_every_public_name_exists(self) -> None:
+        assert sorted(set(libmodbus_py.__all__)) == sorted(libmodbus_py.__all__)
+        missing = [name for name in libmodbus_py.__all__ if not hasattr(libmodbus_py, name)]
+        assert missing == []
+
+    def test_every_public_name_of_every_module_exists(self) -> None:
+        for name in MODULES:
+            if name in ("__init__", "__main__"):
+                continue
+            module = importlib.import_module(f"libmodbus_py.{name}")
+            missing = [each for each in getattr(module, "__all__", []) if not hasattr(module, each)]
+            assert missing == [], name
+
+    def test_every_error_is_public(self) -> None:
+        assert set(errors.__all__) <= set(libmodbus_py.__all__)
+        classes = {
+            name
+            for name, value in vars(errors).items()
+            if inspect.isclass(value) and issubclass(value, Exception)
+        }
+        assert classes == set(errors.__all__)
+
+    def test_every_public_class_and_function_has_a_docstring(self) -> None:
+        for name in libmodbus_py.__all__:
+            value = getattr(libmodbus_py, name)
+            assert inspect.getdoc(value), name
+            if inspect.isclass(value):
+                for attribute, member in vars(value).items():
+                    if not attribute.startswith("_") and inspect.isfunction(member):
+                        assert inspect.getdoc(getattr(value, attribute)), f"{name}.{attribute}"
+
+    def test_no_cdata_is_public(self) -> None:
+        mapping = Mapping(4, 4, 4, 4)
+        device = Device(mapping, files={1: [0]})
+        holders = [libmodbus_py, mapping, mapping.coils, mapping.input_registers, device]
+        public = [getattr(libmodbus_py, name) for name in libmodbus_py.__all__]
+        for holder in [*holders, device.files[1], *public]:
+            for name in dir(holder):
+                if name.startswith("_"):
+                    continue
+                value = inspect.getattr_static(holder, name)
+                if isinstance(value, property) and not inspect.isclass(holder):
+                    value = getattr(holder, name)
+                assert not isinstance(value, ffi.CData), f"{holder!r}.{name}"
+
+    def test_version_is_that_of_the_distribution(self) -> None:
+        from importlib.metadata import version
+
+        assert libmodbus_py.__version__ == version("libmodbus-py")
+
+    def test_types_are_published(self) -> None:
+        assert (PACKAGE / "py.typed").exists()
+
+
+# --- libmodbus -------------------------------------------------------------------------------
+
+HEADERS = [
+    Path("/usr/include/modbus") / name for name in ("modbus.h", "modbus-tcp.h", "modbus-rtu.h")
+]
+needs_headers = pytest.mark.skipif(
+    not all(path.exists() for path in HEADERS), reason="libmodbus-dev is not installed"
+)
+
+
+def header_text() -> str:
+    text = "\n".join(path.read_text(errors="replace") for path in HEADERS if path.exists())
+    return re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)
+
+
+def declared_functions() -> set[str]:
+    declarations = re.findall(r"^MODBUS_API\b([^;]*);", header_text(), re.MULTILINE)
+    return {
+        found[1]
+        for declaration in declarations
+        if (found := re.search(r"(modbus_\w+)\s*\(", declaration))
+    }
+
+
+def declared_constants() -> set[str]:
+    """Macros that have a value and no arguments, and the members of enums."""
+    text = header_text()
+    macros = set(re.findall(r"^#\s*define\s+((?:MODBUS|EMB)\w*)[ \t]+\(?[\w(]", text, re.MULTILINE))
+    enums = " ".join(re.findall(r"\benum\b[^{;]*\{([^}]*)\}", text))
+    members = set(re.findall(r"\b(MODBUS_\w+)\s*(?:=[^,]*)?(?:,|$)", enums))
+    return (macros | members) - {"MODBUS_API", "MODBUS_BEGIN_DECLS", "MODBUS_END_DECLS"}
+
+
+@needs_headers
+class TestHeaders:
+    def test_the_headers_are_understood(self) -> None:
+        """Else the tests below would pass on nothing."""
+        assert len(declared_functions()) > 60
+        assert {"modbus_read_bits", "modbus_new_rtu", "modbus_tcp_pi_accept"} < declared_functions()
+        assert {
+            "EMBXILFUN",
+            "MODBUS_MAX_READ_BITS",
+            "MODBUS_RTU_RS485",
+            "MODBUS_ERROR_RECOVERY_LINK",
+            "MODBUS_EXCEPTION_GATEWAY_TARGET",
+        } < declared_constants()
+
+    def test_every_function_is_there(self) -> None:
+        missing = sorted(name for name in declared_functions() if not hasattr(lib, name))
+        assert not missing, f"not in low_level.lib: {', '.join(missing)}"
+
+    def test_every_error_limit_and_line_constant_is_there(self) -> None:
+        missing = sorted(
+            name
+            for name in declared_constants()
+            if re.match(r"EMB|MODBUS_(MAX|RTU|TCP|ERROR_RECOVERY|ENOBASE|BROADCAST)", name)
+            and not hasattr(lib, name)
+        )
+        assert not missing, f"not in low_level.lib: {', '.join(missing)}"
+
+    def test_every_other_constant_is_there(self) -> None:
+        """The docstring of low_level: everything in the headers, under its C name."""
+        missing = sorted(name for name in declared_constants() if not hasattr(lib, name))
+        assert not missing, f"not in low_level.lib: {', '.join(missing)}"
+
+
+NEWER: dict[str, tuple[Any, ...]] = {
+    "modbus_enable_quirks": (0,),
+    "modbus_disable_quirks": (0,),
+    "modbus_send_raw_request_tid": (b"\1\3\0\0\0\1", 6, 7),
+}
+
+
+class TestLowLevel:
+    def test_loaded_version_is_that_of_the_library(self) -> None:
+        version = loaded_version()
+        assert len(version) == 3
+        assert version >= (3, 1, 0)
+        assert version[0] == lib.libmodbus_version_major
+
+    @pytest.mark.parametrize("name", NEWER)
+    def test_newer_functions_work_or_say_that_the_library_lacks_them(self, name: str) -> None:
+        library = ctypes.CDLL("libmodbus.so.5")  # by its symbols, apart from the package
+        context = ffi.gc(lib.modbus_new_tcp(b"127.0.0.1", 1502), lib.modbus_free)
+        assert context != ffi.NULL
+        ffi.errno = 0
+        result = getattr(lib, name)(context, *NEWER[name])
+        if not hasattr(library, name):
+            assert (result, ffi.errno) == (-1, errno.ENOSYS)
+        elif name == "modbus_send_raw_request_tid":
+            assert result == -1  # there is no connection
+            assert ffi.errno != errno.ENOSYS
+        else:
+            assert result == 0
+
+    def test_newer_functions_know_no_context(self) -> None:
+        for name, arguments in NEWER.items():
+            assert getattr(lib, name)(ffi.NULL, *arguments) == -1
+
+    def test_constants_are_those_of_the_protocol(self) -> None:
+        assert lib.MODBUS_MAX_READ_BITS == 2000
+        assert lib.MODBUS_MAX_WRITE_BITS == 1968
+        assert lib.MODBUS_MAX_READ_REGISTERS == 125
+        assert lib.MODBUS_MAX_WRITE_REGISTERS == 123
+        assert lib.MODBUS_MAX_WR_WRITE_REGISTERS == 121
+        assert lib.MODBUS_MAX_PDU_LENGTH == 253
+        assert lib.MODBUS_TCP_MAX_ADU_LENGTH == 260
+        assert lib.MODBUS_RTU_MAX_ADU_LENGTH == 256
+
+    def test_what_it_hands_out_is_all_there_is(self) -> None:
+        assert low_level.__all__ == ["ffi", "lib", "loaded_version"]
+
+
+# --- a package that cannot be loaded ------------------------------------------------------------
+
+
+def import_from(directory: Path) -> subprocess.CompletedProcess[str]:
+    """Without site, so that no editable installation lends its compiled module."""
+    backend = importlib.import_module("_cffi_backend").__file__ or ""
+    return subprocess.run(
+        [sys.executable, "-S", "-c", "import libmodbus_py"],
+        cwd=directory,
+        env={**os.environ, "PYTHONPATH": str(Path(backend).parent)},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=50,
+    )
+
+
+def copied_package(directory: Path) -> Path:
+    shutil.copytree(
+        PACKAGE, directory / "libmodbus_py", ignore=shutil.ignore_patterns("*.so", "__pycache__")
+    )
+    return directory / "libmodbus_py"
+
+
+class TestImportErrors:
+    def test_without_the_compiled_module_it_says_what_to_install(self, tmp_path: Path) -> None:
+        copied_package(tmp_path)
+        run = import_from(tmp_path)
+        assert run.returncode == 1
+        last = run.stderr.splitlines()[-1]
+        assert last.startswith("ImportError: libmodbus_py is not built")
+        assert "libmodbus-dev" in last
+
+    def test_without_libmodbus_it_says_what_to_install(self, tmp_path: Path) -> None:
+        """The real loader, on a module that wants a library which no system has."""
+        package = copied_package(tmp_path)
+        built = Path(importlib.import_module("libmodbus_py._libmodbus").__file__ or "")
+        code = built.read_bytes()
+        assert code.count(b"libmodbus.so.5") >= 1
+        (package / built.name).write_bytes(code.replace(b"libmodbus.so.5", b"libmodbus.so.0"))
+        run = import_from(tmp_path)
+        assert run.returncode == 1
+        last = run.stderr.splitlines()[-1]
+        assert last.startswith("ImportError: ")
+        assert "apt install libmodbus5" in last
+        assert "libmodbus.so.0" in last
+
+    def test_the_copy_loads_when_nothing_is_missing(self, tmp_path: Path) -> None:
+        """Else the two tests above would prove nothing."""
+        package = copied_package(tmp_path)
+        built = Path(importlib.import_module("libmodbus_py._libmodbus").__file__ or "")
+        shutil.copy(built, package)
+        run = import_from(tmp_path)
+        assert (run.returncode, run.stderr) == (0, "")
+
+
+# --- errors --------------------------------------------------------------------------------------
+
+TRANSACTION: dict[str, Any] = {
+    "unit": 17,
+    "function": 3,
+    "asked": "ReadHoldingRegisters(address=1, count=2)",
+    "sent": b"\1\2",
+    "received": b"\3",
+}
+
+
+def all_errors() -> list[ModbusError]:
+    made: list[ModbusError] = [ExceptionResponse.of(code, **TRANSACTION) for code in range(256)]
+    for name in errors.__all__:
+        kind = getattr(errors, name)
+        made.append(kind("the reason", **TRANSACTION))
+        made.append(kind())
+    return made
+
+
+ATTRIBUTES = ["unit", "function", "asked", "sent", "received", "args"]
+
+
+def seen(error: ModbusError) -> dict[str, Any]:
+    own = ATTRIBUTES + ["code"] * hasattr(error, "code") + ["errno"] * hasattr(error, "errno")
+    return {name: getattr(error, name) for name in own} | {"text": str(error)}
+
+
+def pickled(error: ModbusError) -> ModbusError:
+    for protocol in range(pickle.HIGHEST_PROTOCOL + 1):
+        error = pickle.loads(pickle.dumps(error, protocol))
+    return error
+
+
+class TestErrors:
+    @pytest.mark.parametrize("duplicate", [copy.copy, copy.deepcopy, pickled])
+    def test_copies_keep_everything(self, duplicate: Any) -> None:
+        for error in all_errors():
+            double = duplicate(error)
+            assert type(double) is type(error)
+            assert seen(double) == seen(error)
+
+    @pytest.mark.parametrize("duplicate", [copy.copy, copy.deepcopy, pickled])
+    def test_copies_keep_the_number_of_the_system(self, duplicate: Any) -> None:
+        error = ModbusConnectionError("refused", errno=errno.ECONNREFUSED, **TRANSACTION)
+        assert error.errno == errno.ECONNREFUSED
+        assert seen(duplicate(error)) == seen(error)
+
+    def test_every_error_names_unit_function_and_request(self) -> None:
+        for error in all_errors():
+            if error.unit is not None:
+                assert str(error).startswith(
+                    "unit 17, function 3, ReadHoldingRegisters(address=1, count=2): "
+                )
+
+    def test_errors_without_a_transaction_give_the_reason_alone(self) -> None:
+        assert str(errors.FrameError("the reason")) == "the reason"
+        error = errors.FrameError("the reason")
+        assert [getattr(error, name) for name in ATTRIBUTES[:5]] == [None, None, "", b"", b""]
+
+    def test_errors_can_be_caught_as_those_of_the_system(self) -> None:
+        assert issubclass(ModbusTimeoutError, TimeoutError)
+        assert issubclass(ModbusConnectionError, ConnectionError)
+        assert not issubclass(errors.FrameError, OSError)
+        for name in errors.__all__:
+            assert issubclass(getattr(errors, name), ModbusError)
+
+    def test_refusals_raised_in_a_server_carry_their_code(self) -> None:
+        for code in (*range(1, 9), 10, 11):
+            kind = type(ExceptionResponse.of(code))
+            assert kind is not ExceptionResponse
+            assert kind().code == kind.code == code
+            assert f"(exception {code})" in str(kind())
+        assert str(errors.IllegalDataValue("too hot")) == "too hot"
+        assert ExceptionResponse(code=99).code == 99
+        assert type(ExceptionResponse.of(9)) is ExceptionResponse
