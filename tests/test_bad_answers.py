@@ -332,12 +332,11 @@ def test_serial_error_and_next_request_succeeds(
         assert read(context) == VALUES
 
 
-@pytest.mark.parametrize(("kind", "native", "frame", "good"), SERIAL)
+# libmodbus gives up on noise; the test behind this one is about that.
+@pytest.mark.parametrize(("kind", "native", "frame", "good"), [row for row in SERIAL if not row[1]])
 def test_serial_noise_before_the_answer_does_not_matter(
     kind: str, native: bool | None, frame: Callable[..., Answer], good: Answer
 ) -> None:
-    if native:
-        pytest.skip("libmodbus gives up on noise; the next test is about that")
     noisy: Answer = lambda request: [b"\x00\xff\x55", *good(request)]  # noqa: E731
     with FakeUnit(noisy) as unit, serial_context(kind, unit.path, native) as context:
         assert read(context) == VALUES
