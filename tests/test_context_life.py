@@ -407,6 +407,15 @@ def test_close_ends_a_request_that_another_thread_waits_for(native: bool | None)
         assert time.monotonic() - start < 1
 
 
+@pytest.fixture
+def ctrl_c() -> Iterator[None]:
+    """SIGINT interrupts, though a shell that runs the tests in the background ignores it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("ctrl_c")
 def test_ctrl_c_in_a_request_leaves_a_usable_context() -> None:
     with (
         FakeServer(lambda request: [], echo_address) as server,
