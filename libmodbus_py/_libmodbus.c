@@ -10,6 +10,13 @@ extern int modbus_disable_quirks(modbus_t *ctx, unsigned int quirks_mask) __attr
 extern int modbus_send_raw_request_tid(modbus_t *ctx, const uint8_t *raw_req, int raw_req_length,
                                        int tid) __attribute__((weak));
 
+#if !LIBMODBUS_VERSION_CHECK(3, 1, 9)
+#define MODBUS_QUIRK_NONE 0
+#define MODBUS_QUIRK_MAX_SLAVE (1 << 1)
+#define MODBUS_QUIRK_REPLY_TO_BROADCAST (1 << 2)
+#define MODBUS_QUIRK_ALL 0xFF
+#endif
+
 static int missing(void)
 {
     errno = ENOSYS;
