@@ -10,8 +10,10 @@ The way of one request, file by file, which is also the order to read them in::
     link        a descriptor in a modbus_t: tcp_link a connection, serial_link a port
       ... the wire ...
     server      Server: many clients, many units, many endpoints
-    device      Device: request PDU in, response PDU out
-    mapping     Mapping: four tables, from which libmodbus's modbus_reply answers
+    device      Device: request PDU in, response PDU out; beside it access (what hooks
+                see), communication (counters and log of a line), record_file
+    engine      libmodbus's modbus_reply, in memory
+    mapping     Mapping: four tables, which it answers from
 
 Around them: errors (the exceptions), arguments (the check of numbers), url
 (endpoints), values (references such as 40123), _c and low_level (libmodbus), cli.
@@ -20,8 +22,9 @@ Addresses are 0-based and times are in seconds everywhere.
 """
 
 from . import framing, pdu, values
+from .access import Access
 from .context import AsciiContext, Context, RtuContext, TcpContext
-from .device import Device, RecordFile
+from .device import Caller, Device
 from .errors import (
     Acknowledge,
     ExceptionResponse,
@@ -41,11 +44,14 @@ from .errors import (
     ServerDeviceFailure,
 )
 from .mapping import Mapping
+from .record_file import RecordFile
 from .server import Running, Server
 
 __all__ = [
+    "Access",
     "Acknowledge",
     "AsciiContext",
+    "Caller",
     "Context",
     "Device",
     "ExceptionResponse",

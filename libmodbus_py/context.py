@@ -5,17 +5,21 @@ The blocking client: one method for each function, on libmodbus.
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterable, Sequence
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from typing import Any, Literal, Self, TypeVar
 
 from . import pdu, url
 from .arguments import integer, seconds
+from .errors import Acknowledge, InvalidResponse, ServerDeviceBusy
 from .framing import AsciiFramer, RtuFramer, TcpFramer
 from .line import Line
 from .link import Link
+from .pdu.interface import identify
 from .serial_link import SerialLink
 from .tcp_link import TcpLink
+from .values import value_type
 
 __all__ = ["AsciiContext", "Context", "RtuContext", "TcpContext"]
 
@@ -59,9 +63,10 @@ class Context:
 
     unit: int
 
-    def __init__(self, line: Line, unit: int) -> None:
+    def __init__(self, line: Line, unit: int, busy_retries: int) -> None:
         self._line = line
         self.unit = integer("unit", unit, 0, 255)
+        self._busy_retries = integer("busy_retries", busy_retries, 0, 100)
 
     @staticmethod
     def from_url(address: str, **options: Any) -> Context:
@@ -147,6 +152,11 @@ class Context:
         Returns:
             What the method of the same name returns.
         """
+        for pause in _pauses(self._busy_retries):
+            try:
+                return self._line.execute(self.unit, request)
+            except (Acknowledge, ServerDeviceBusy):
+                time.sleep(pause)
         return self._line.execute(self.unit, request)
 
     def read_coils(self, address: int, count: int) -> list[bool]:
@@ -180,6 +190,45 @@ class Context:
     def write_registers(self, address: int, values: Iterable[int]) -> None:
         """Write 1..123 holding registers (function 16, modbus_write_registers)."""
         self.execute(pdu.WriteRegisters(address, values))  # type: ignore[arg-type]
+
+    def read_exception_status(self) -> int:
+        """Read the eight exception status outputs, lowest in bit 0 (function 7)."""
+        return self.execute(pdu.ReadExceptionStatus())
+
+    def diagnostics(self, sub_function: int, data: int = 0) -> int:
+        """
+        Run a diagnostic sub-function (function 8).
+
+        Args:
+            sub_function: 0..65535; `pdu.SubFunction` names them.
+            data: 0..65535; FF00h makes a restart clear the event log, and a
+                new ASCII delimiter stands in the high byte.
+
+        Returns:
+            The data of the answer; `data` for "force listen only", which
+            nobody answers. `execute(pdu.Diagnostics(0, data))` echoes up to 250 bytes.
+        """
+        word = integer("data", data, 0, 0xFFFF).to_bytes(2, "big")
+        answer = self.execute(pdu.Diagnostics(sub_function, word))
+        return data if answer is None else int.from_bytes(answer, "big")
+
+    def read_comm_event_counter(self) -> pdu.CommEventCounter:
+        """Read the status word and the event counter (function 11)."""
+        return self.execute(pdu.ReadCommEventCounter())
+
+    def read_comm_event_log(self) -> pdu.CommEventLog:
+        """Read the counters and up to 64 events, newest first (function 12)."""
+        return self.execute(pdu.ReadCommEventLog())
+
+    def report_server_id(self) -> pdu.ServerId:
+        """
+        Read what the device is and whether it runs (function 17, modbus_report_slave_id).
+
+        Returns:
+            With an identifier of one byte; ``pdu.ServerId.split(answer.data, length)``
+            for devices that have a longer one.
+        """
+        return self.execute(pdu.ReportServerId())
 
     def read_file_records(self, records: Sequence[tuple[int, int, int]]) -> list[list[int]]:
         """
@@ -222,6 +271,105 @@ class Context:
             pdu.ReadWriteRegisters(read_address, read_count, write_address, values)  # type: ignore[arg-type]
         )
 
+    def read_fifo_queue(self, address: int) -> list[int]:
+        """Read the 0..31 registers of a queue, which keeps them (function 24)."""
+        return self.execute(pdu.ReadFifoQueue(address))
+
+    def read_device_identification(self, level: str | int = "basic") -> pdu.DeviceIdentification:
+        """
+        Read what a device says about itself (function 43/14), in as many requests as it takes.
+
+        Args:
+            level: "basic", "regular" or "extended"; or the id of a single object, 0..255.
+
+        Raises:
+            InvalidResponse: the device would never come to an end.
+        """
+        steps = identify(level)
+        request = next(steps)
+        while True:
+            page = self.execute(request)
+            try:
+                request = steps.send(page)
+            except StopIteration as done:
+                result: pdu.DeviceIdentification = done.value
+                return result
+            except InvalidResponse as error:
+                error.unit = self.unit
+                raise
+
+    def encapsulated_transport(self, mei_type: int, data: bytes) -> bytes:
+        """
+        Send up to 251 bytes to an encapsulated interface (function 43).
+
+        Args:
+            mei_type: 0..255; 13 is CANopen.
+            data: sent as it is.
+
+        Returns:
+            The data of the answer.
+        """
+        return self.execute(pdu.EncapsulatedTransport(mei_type, data))
+
+    # --- values ----------------------------------------------------------------------
+
+    def read_values(
+        self,
+        table: str,
+        address: int,
+        type: str,
+        count: int = 1,
+        *,
+        order: str = "ABCD",
+        **text: str,
+    ) -> list[Any]:
+        """
+        Read numbers, text or bits out of registers, in one request.
+
+        Args:
+            table: "holding_registers" or "input_registers".
+            address: the first register.
+            type: such as "float32"; see `libmodbus_py.values`.
+            count: how many values, up to what 125 registers hold.
+            order: ABCD, CDAB, BADC or DCBA.
+            text: encoding and padding of strings.
+        """
+        if table not in READ_REGISTERS:
+            raise ValueError(f"table must be one of {', '.join(READ_REGISTERS)}, not {table!r}")
+        kind = value_type(type, order=order, **text)
+        registers = kind.registers * integer("count", count, 1, 125 // kind.registers)
+        cells = self.execute(READ_REGISTERS[table](address, registers))
+        return kind.decode_many(cells)
+
+    def write_values(
+        self,
+        table: str,
+        address: int,
+        values: Iterable[Any],
+        type: str,
+        *,
+        order: str = "ABCD",
+        **text: str,
+    ) -> None:
+        """
+        Write numbers, text or bits to registers, in one request.
+
+        Args:
+            table: "holding_registers"; others cannot be written.
+            address: the first register.
+            values: one or more, up to what 123 registers hold.
+            type, order, text: as for `read_values`.
+        """
+        if table != "holding_registers":
+            raise ValueError(f"table must be holding_registers, not {table!r}")
+        self.write_registers(address, value_type(type, order=order, **text).encode_many(values))
+
+
+READ_REGISTERS: dict[str, Callable[[int, int], pdu.Request[list[int]]]] = {
+    "holding_registers": pdu.ReadHoldingRegisters,
+    "input_registers": pdu.ReadInputRegisters,
+}
+
 
 class TcpContext(Context):
     """
@@ -240,6 +388,8 @@ class TcpContext(Context):
             all bytes in errors and Ctrl-C at once. None: libmodbus carries what
             was answered rightly once.
         turnaround: seconds that a broadcast takes, on "rtu" and "ascii".
+        busy_retries: how often a request is repeated that was refused with
+            Acknowledge or ServerDeviceBusy, 0..100, after 0.1, 0.2, 0.4, 0.8, 1, 1... s.
 
     Raises:
         TypeError, ValueError: an argument of the wrong type or range.
@@ -255,11 +405,12 @@ class TcpContext(Context):
         framing: Literal["tcp", "rtu", "ascii"] = "tcp",
         native: bool | None = None,
         turnaround: float = 0.1,
+        busy_retries: int = 0,
     ) -> None:
         if framing not in FRAMERS:
             raise ValueError(f"framing must be one of {', '.join(FRAMERS)}, not {framing!r}")
         line = _line(TcpLink(host, port), framing, timeout, turnaround, native, framing == "tcp")
-        super().__init__(line, unit)
+        super().__init__(line, unit, busy_retries)
 
 
 class RtuContext(Context):
@@ -281,7 +432,12 @@ class RtuContext(Context):
             "rts-up" or "rts-down", RTS is set or cleared while we send.
         rts_delay: seconds between RTS and the first bit and after the last;
             None for one character.
+        echo: whether all that is sent comes back; libmodbus cannot cope with
+            that, so this package carries all requests.
+        silence: seconds of quiet before a request; None for 3.5 characters
+            (1.75 ms above 19200 bit/s; serial line, 2.5.1.1).
         turnaround: seconds that a broadcast takes (serial line, 2.4.1).
+        busy_retries: as for `TcpContext`.
 
     Raises:
         TypeError, ValueError: an argument of the wrong type or range.
@@ -300,7 +456,10 @@ class RtuContext(Context):
         native: bool | None = None,
         rs485: Literal["kernel", "rts-up", "rts-down"] | None = None,
         rts_delay: float | None = None,
+        echo: bool = False,
+        silence: float | None = None,
         turnaround: float = 0.1,
+        busy_retries: int = 0,
     ) -> None:
         link = SerialLink(
             device,
@@ -310,8 +469,11 @@ class RtuContext(Context):
             stop_bits=stop_bits,
             rs485=rs485,
             rts_delay=rts_delay,
+            echo=echo,
+            silence=silence,
         )
-        super().__init__(_line(link, "rtu", timeout, turnaround, native, True), unit)
+        line = _line(link, "rtu", timeout, turnaround, native, not echo)
+        super().__init__(line, unit, busy_retries)
 
 
 class AsciiContext(Context):
@@ -319,7 +481,8 @@ class AsciiContext(Context):
     A client on a serial line in ASCII mode, which libmodbus lacks.
 
     libmodbus opens and configures the port; this package does the talking.
-    Arguments as for `RtuContext`; `data_bits` is 7 in ASCII mode.
+    Arguments as for `RtuContext`, without `native` and `silence`; `data_bits` is 7 in
+    ASCII mode.
     """
 
     def __init__(
@@ -334,7 +497,9 @@ class AsciiContext(Context):
         timeout: float = 1.0,
         rs485: Literal["kernel", "rts-up", "rts-down"] | None = None,
         rts_delay: float | None = None,
+        echo: bool = False,
         turnaround: float = 0.1,
+        busy_retries: int = 0,
     ) -> None:
         link = SerialLink(
             device,
@@ -344,8 +509,15 @@ class AsciiContext(Context):
             stop_bits=stop_bits,
             rs485=rs485,
             rts_delay=rts_delay,
+            echo=echo,
+            silence=0,  # ASCII frames have marks of their own
         )
-        super().__init__(_line(link, "ascii", timeout, turnaround, False, False), unit)
+        line = _line(link, "ascii", timeout, turnaround, False, False)
+        super().__init__(line, unit, busy_retries)
+
+
+def _pauses(count: int) -> Iterator[float]:
+    return (min(1.0, 0.1 * 2**number) for number in range(count))
 
 
 def _line(

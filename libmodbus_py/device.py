@@ -1,104 +1,118 @@
 """
 A device: request PDU in, response PDU out.
 
-The codes libmodbus knows are answered by its modbus_reply, in memory: its context
-holds one end of a socketpair and never sees a network, so it serves every
-transport alike. Before it stand the exact checks that it lacks.
+What libmodbus knows is answered from the mapping by its modbus_reply (`engine`),
+behind the exact checks that it lacks; the rest by the methods here. All state is
+the device's own: two devices share nothing.
 """
 
 from __future__ import annotations
 
 import logging
-import os
-import socket
-import threading
-from array import array
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Sequence
 from collections.abc import Mapping as MappingABC
-from operator import index
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
-from ._c import check, ffi, lib, make
+from .access import ACCESSES, Access, Touched
 from .arguments import integer
-from .errors import ExceptionResponse, IllegalDataAddress, ServerDeviceFailure
+from .communication import Communication
+from .engine import engine
+from .errors import (
+    ExceptionResponse,
+    IllegalDataAddress,
+    IllegalDataValue,
+    IllegalFunction,
+    ServerDeviceFailure,
+)
 from .mapping import Mapping
-from .pdu import RECORDS_PER_FILE, ReadFileRecords, Request, WriteFileRecords, decode_request
+from .pdu import (
+    MAX_PDU,
+    REQUESTS,
+    CommEventCounter,
+    CommEventLog,
+    Diagnostics,
+    EncapsulatedTransport,
+    IdentificationPage,
+    ReadCommEventCounter,
+    ReadCommEventLog,
+    ReadDeviceIdentification,
+    ReadExceptionStatus,
+    ReadFifoQueue,
+    ReadFileRecords,
+    ReportServerId,
+    Request,
+    ServerId,
+    SubFunction,
+    WriteFileRecords,
+    decode_request,
+)
+from .pdu.interface import OBJECT_NAMES, ReadDeviceIdCode, pages
+from .record_file import RecordFile
 
-__all__ = ["Device", "RecordFile"]
+__all__ = ["Caller", "Device"]
 
 logger = logging.getLogger(__name__)
 
+Hook = Callable[[Access], object]
 
-class RecordFile:
+DEFAULT_SERVER_ID = ServerId(b"\x01", True, b"libmodbus-py")
+
+DEFAULT_IDENTIFICATION: dict[str | int, str | bytes] = {
+    "VendorName": "libmodbus-py",
+    "ProductCode": "Device",
+    "MajorMinorRevision": "0.1",
+}
+
+
+@dataclass(frozen=True)
+class Caller:
     """
-    One file: registers with the record numbers 0..9999, holes allowed.
+    Who asks.
 
-    ``file[record]`` reads and writes one record; ``len`` and iteration go over
-    the records that exist, in order.
-
-    Args:
-        records: the values 0..65535 from record 0 on, or ``{record: value}``.
-
-    Raises:
-        TypeError, ValueError: a record or value that cannot be.
-        IndexError: a record that does not exist.
+    Attributes:
+        unit: the unit that was addressed, 0..255.
+        peer: "host:port", or the serial port.
+        communication: the device's notes about the line; None for its own.
+        is_broadcast: whether nobody is answered.
     """
 
-    def __init__(self, records: Iterable[int] | MappingABC[int, int]) -> None:
-        if not isinstance(records, MappingABC):
-            records = dict(enumerate(records))
-        numbers = [integer("record", record, 0, RECORDS_PER_FILE - 1) for record in records]
-        self._values = array("H", bytes(2 * (max(numbers, default=-1) + 1)))
-        self._holes = set(range(len(self._values))) - set(numbers)
-        for record, value in zip(numbers, records.values(), strict=True):
-            self._values[record] = integer("value", value, 0, 0xFFFF)
-
-    def __getitem__(self, record: int) -> int:
-        return self._values[self._existing(record)]
-
-    def __setitem__(self, record: int, value: int) -> None:
-        self._values[self._existing(record)] = integer("value", value, 0, 0xFFFF)
-
-    def __len__(self) -> int:
-        return len(self._values) - len(self._holes)
-
-    def __iter__(self) -> Iterator[int]:
-        return (value for record, value in enumerate(self._values) if record not in self._holes)
-
-    def has(self, record: int, length: int) -> bool:
-        """Say whether all of the `length` records from `record` on exist."""
-        wanted = range(record, record + length)
-        return wanted.stop <= len(self._values) and self._holes.isdisjoint(wanted)
-
-    def read(self, record: int, length: int) -> list[int]:
-        """Give `length` records that exist (`has`)."""
-        return self._values[record : record + length].tolist()
-
-    def write(self, record: int, values: tuple[int, ...]) -> None:
-        """Set records that exist (`has`)."""
-        self._values[record : record + len(values)] = array("H", values)
-
-    def _existing(self, record: int) -> int:
-        number = index(record)
-        if number < 0 or not self.has(number, 1):
-            raise IndexError(f"no record {record}")
-        return number
+    unit: int = 0
+    peer: str = ""
+    communication: Communication | None = None
+    is_broadcast: bool = False
 
 
 class Device:
     """
-    Answers the requests of one unit from a mapping and from files.
+    Answers the requests of one unit. Safe from any thread.
 
-    Functions 1-6, 15, 16, 22 and 23 work on the mapping, 20 and 21 on the files;
-    others are refused with IllegalFunction. Safe from any thread.
+    Hooks are called with an `Access`, while the mapping is locked; they run in the
+    server's loop, so they should be quick. One that raises an ExceptionResponse class
+    refuses the request with it; any other exception is answered with 4 and logged
+    once. They see only accesses to what exists.
 
     Args:
         mapping: the four tables.
         files: ``{file number 1..65535: records}``, records as for `RecordFile`.
+        fifos: ``{pointer address 0..65535: registers}``, up to 31 in each.
+        identification: ``{object: value}``; objects are names such as
+            "VendorName" or ids 0..6, 128..255, values up to 244 bytes or ASCII
+            text. The three mandatory objects have defaults.
+        server_id: the answer to function 17.
+        exception_status: the answer to function 7, 0..255.
+        canopen: called with the data of function 43/13, gives the data of the answer.
+        handlers: ``{request class: function}`` for classes that were registered
+            with `pdu.register`: called with the request, gives its result.
+        before_write: may refuse a write.
+        after_write: told of a write that was done.
+        before_read: may refresh the values, or refuse.
 
     Attributes:
-        mapping: as given.
+        mapping, server_id, exception_status: as given, and assignable.
         files: ``{file number: RecordFile}``, what clients wrote included.
+        fifos: ``{pointer address: list of registers}``; change the lists as you like.
+        diagnostic_register: the answer to sub-function 2 of function 8, 0..65535.
 
     Raises:
         TypeError, ValueError: an argument of the wrong type or range.
@@ -109,6 +123,15 @@ class Device:
         mapping: Mapping,
         *,
         files: MappingABC[int, Iterable[int] | MappingABC[int, int]] | None = None,
+        fifos: MappingABC[int, Sequence[int]] | None = None,
+        identification: MappingABC[str | int, str | bytes] | None = None,
+        server_id: ServerId = DEFAULT_SERVER_ID,
+        exception_status: int = 0,
+        canopen: Callable[[bytes], bytes] | None = None,
+        handlers: MappingABC[type[Request[Any]], Callable[[Any], Any]] | None = None,
+        before_write: Hook | None = None,
+        after_write: Hook | None = None,
+        before_read: Hook | None = None,
     ) -> None:
         if not isinstance(mapping, Mapping):
             raise TypeError(f"mapping must be a Mapping, not {type(mapping).__name__}")
@@ -117,44 +140,114 @@ class Device:
             integer("file", number, 1, 0xFFFF): RecordFile(records)
             for number, records in (files or {}).items()
         }
+        self.fifos: dict[int, list[int]] = {
+            integer("fifo", address, 0, 0xFFFF): list(queue)
+            for address, queue in (fifos or {}).items()
+        }
+        self.server_id = server_id
+        self.exception_status = integer("exception_status", exception_status, 0, 0xFF)
+        self.diagnostic_register = 0
+        self._identification = _checked_identification(identification or {})
+        self._canopen = canopen
+        self._handlers = {**self._own, **_bound(handlers or {})}
+        self._hooks = (before_write, after_write, before_read)
+        self._is_hooked = any(self._hooks)
+        self._communication = Communication(is_serial=False)
         self._failed: set[int] = set()
 
-    def answer(self, pdu: bytes) -> bytes:
+    def answer(self, pdu: bytes, caller: Caller = Caller()) -> bytes:
         """
         Execute a request.
 
         Args:
             pdu: the request, 1..253 bytes.
+            caller: who asks.
 
         Returns:
             The response, an exception response included; nothing for function
-            codes 128..255, whose exception has no code.
+            codes 128..255, whose exception has no code, for broadcasts, and in
+            listen-only mode.
         """
         function = pdu[0]
         if function & 0x80:
             return b""
+        line = caller.communication or self._communication
+        line.note_request(broadcast=caller.is_broadcast)
+        listening = line.listen_only
+        restart = pdu[:3] == _RESTART and not caller.is_broadcast
+        ignored = (listening and not restart) or (caller.is_broadcast and not _is_write(function))
+        response = b"" if ignored else self._respond(pdu, line, caller)
+        silent = caller.is_broadcast or listening or line.listen_only
+        line.note_response(pdu, response, silent=silent)
+        if restart and response[:1] == pdu[:1]:
+            # The answer is sent before the restart, so that only what came after is counted.
+            line.restart(clear_log=pdu[3:] == b"\xff\0")
+        return b"" if silent else response
+
+    def _respond(self, pdu: bytes, line: Communication, caller: Caller) -> bytes:
         try:
-            return self._execute(decode_request(pdu), pdu)
+            return self._execute(decode_request(pdu), pdu, line, caller)
         except ExceptionResponse as refusal:
             if 1 <= refusal.code <= 0xFF:
-                return bytes([function | 0x80, refusal.code])
-            self._log_failure(function, pdu)
+                return bytes([pdu[0] | 0x80, refusal.code])
+            self._log_failure(pdu)
         except Exception:
-            self._log_failure(function, pdu)
-        return bytes([function | 0x80, ServerDeviceFailure.code])
+            self._log_failure(pdu)
+        return bytes([pdu[0] | 0x80, ServerDeviceFailure.code])
 
-    def _execute(self, request: Request[Any], pdu: bytes) -> bytes:
-        execute = self._own.get(type(request))
+    def _execute(
+        self, request: Request[Any], pdu: bytes, line: Communication, caller: Caller
+    ) -> bytes:
+        handle = self._handlers.get(type(request))
+        touched = None
         with self.mapping:
-            if execute is not None:
-                return request.encode_response(execute(self, request))
-            return _engine().reply(pdu, self.mapping)
+            if self._is_hooked and (find := ACCESSES.get(type(request))):
+                touched = find(request, self.mapping)
+                self._call_hooks_before(touched, caller)
+            if handle is not None:
+                response = request.encode_response(handle(self, request, line))
+                if not 1 <= len(response) <= MAX_PDU:
+                    raise ValueError(f"a response of {len(response)} bytes")
+            elif type(request) in ACCESSES:
+                response = engine().reply(pdu, self.mapping)
+            else:
+                raise IllegalFunction(function=request.function)
+            if touched is not None:
+                self._call_hook(self._hooks[1], touched.writes, caller)
+        return response
 
-    def _log_failure(self, function: int, pdu: bytes) -> None:
+    def _log_failure(self, pdu: bytes) -> None:
         """Once for each function: a client must not be able to fill the log."""
-        if function not in self._failed:
-            self._failed.add(function)
+        if pdu[0] not in self._failed:
+            self._failed.add(pdu[0])
             logger.exception("request %s failed; answered with exception 4", pdu.hex(" "))
+
+    # --- hooks ---------------------------------------------------------------------------
+
+    def _call_hooks_before(self, touched: Touched, caller: Caller) -> None:
+        for access in (*touched.writes, *touched.reads):
+            self._check_exists(access)
+        before_write, _, before_read = self._hooks
+        self._call_hook(before_write, touched.writes, caller)
+        self._call_hook(before_read, touched.reads, caller)
+
+    def _call_hook(self, hook: Hook | None, accesses: tuple[Access, ...], caller: Caller) -> None:
+        if hook is not None:
+            for access in accesses:
+                hook(replace(access, unit=caller.unit, peer=caller.peer))
+
+    def _check_exists(self, access: Access) -> None:
+        if access.table == "file":
+            self._file(access.file, access.address, access.count)
+        elif access.table == "fifo":
+            self._fifo(access.address)
+        else:
+            addresses: range = getattr(self.mapping, access.table).addresses
+            last = access.address + access.count - 1
+            if access.address not in addresses or last not in addresses:
+                raise IllegalDataAddress(f"{access.table} lacks {access.address}..{last}")
+
+    # --- what libmodbus lacks --------------------------------------------------------------
 
     def _file(self, number: int, record: int, length: int) -> RecordFile:
         file = self.files.get(number)
@@ -162,85 +255,160 @@ class Device:
             raise IllegalDataAddress(f"file {number} lacks records {record}+{length}")
         return file
 
-    def _read_file_records(self, request: ReadFileRecords) -> list[list[int]]:
+    def _read_file_records(self, request: ReadFileRecords, _: Communication) -> list[list[int]]:
         return [
             self._file(number, record, length).read(record, length)
             for number, record, length in request.records
         ]
 
-    def _write_file_records(self, request: WriteFileRecords) -> None:
+    def _write_file_records(self, request: WriteFileRecords, _: Communication) -> None:
         # All pieces are found before the first is written: all or nothing.
         places = [self._file(file, at, len(values)) for file, at, values in request.records]
-        for file, (_, record, values) in zip(places, request.records, strict=True):
+        for file, (_number, record, values) in zip(places, request.records, strict=True):
             file.write(record, values)
 
-    _own: ClassVar[dict[type[Request[Any]], Callable[[Any, Any], Any]]] = {
+    def _fifo(self, address: int) -> list[int]:
+        if address not in self.fifos:
+            raise IllegalDataAddress(f"no queue at {address}")
+        return self.fifos[address]
+
+    def _read_fifo_queue(self, request: ReadFifoQueue, _: Communication) -> list[int]:
+        queue = list(self._fifo(request.address))
+        if len(queue) > request.max_count:
+            raise IllegalDataValue(f"{len(queue)} registers in the queue")
+        return queue
+
+    def _read_exception_status(self, _request: ReadExceptionStatus, _: Communication) -> int:
+        return self.exception_status
+
+    def _report_server_id(self, _request: ReportServerId, _: Communication) -> ServerId:
+        return self.server_id
+
+    def _read_event_counter(self, _: ReadCommEventCounter, line: Communication) -> CommEventCounter:
+        return line.read_event_counter()
+
+    def _read_event_log(self, _: ReadCommEventLog, line: Communication) -> CommEventLog:
+        return line.read_event_log()
+
+    def _encapsulated_transport(self, request: EncapsulatedTransport, _: Communication) -> bytes:
+        if self._canopen is None:
+            raise IllegalFunction(function=request.function)
+        return self._canopen(request.data)
+
+    def _read_device_identification(
+        self, request: ReadDeviceIdentification, _: Communication
+    ) -> IdentificationPage:
+        objects = self._identification
+        highest = max(objects)
+        conformity = 0x80 | (1 if highest <= 2 else 2 if highest <= 6 else 3)
+        if request.code != ReadDeviceIdCode.INDIVIDUAL:
+            return pages(request, objects)._replace(conformity=conformity)
+        if request.object_id not in objects:
+            raise IllegalDataAddress(f"no object {request.object_id}")
+        wanted = {request.object_id: objects[request.object_id]}
+        return IdentificationPage(conformity, None, wanted)
+
+    def _diagnostics(self, request: Diagnostics, line: Communication) -> bytes:
+        try:
+            sub_function = SubFunction(request.sub_function)
+        except ValueError:
+            raise IllegalFunction(f"no sub-function {request.sub_function}") from None
+        if sub_function in _SILENCING and not line.is_serial:
+            raise IllegalFunction("one client must not silence the device for all")
+        allowed = _DATA.get(sub_function, (b"\0\0",))
+        if allowed is not None and request.data not in allowed:
+            raise IllegalDataValue(f"data {request.data.hex()}")
+        if sub_function in _ACTIONS:
+            _ACTIONS[sub_function](self, request, line)
+            return request.data
+        if sub_function is SubFunction.RETURN_DIAGNOSTIC_REGISTER:
+            return self.diagnostic_register.to_bytes(2, "big")
+        return line.counter(sub_function).to_bytes(2, "big")
+
+    def _clear_counters(self, _: Diagnostics, line: Communication) -> None:
+        line.clear_counters()
+        self.diagnostic_register = 0
+
+    def _change_delimiter(self, request: Diagnostics, line: Communication) -> None:
+        delimiter, zero = request.data
+        if zero or delimiter > 0x7F or chr(delimiter) in ":\r0123456789ABCDEFabcdef":
+            raise IllegalDataValue(f"delimiter {request.data.hex()}")
+        line.delimiter = delimiter
+
+    # Request class -> method; what is missing here is libmodbus's.
+    _own: ClassVar[dict[type[Request[Any]], Callable[..., Any]]] = {
         ReadFileRecords: _read_file_records,
         WriteFileRecords: _write_file_records,
+        ReadFifoQueue: _read_fifo_queue,
+        ReadExceptionStatus: _read_exception_status,
+        ReportServerId: _report_server_id,
+        ReadCommEventCounter: _read_event_counter,
+        ReadCommEventLog: _read_event_log,
+        Diagnostics: _diagnostics,
+        EncapsulatedTransport: _encapsulated_transport,
+        ReadDeviceIdentification: _read_device_identification,
     }
 
 
-class _Engine:
-    """
-    modbus_reply on a socketpair.
+_RESTART = Diagnostics(SubFunction.RESTART_COMMUNICATIONS).encode()[:3]
 
-    libmodbus 3.1.6 sends and receives on it like on any socket; both ends are
-    non-blocking, for it would wait for ever on a full one.
-    """
+_SILENCING = (SubFunction.RESTART_COMMUNICATIONS, SubFunction.FORCE_LISTEN_ONLY)
 
-    header = bytes(6) + b"\x01"  # MBAP: whatever stands there comes back
+# What data a sub-function takes; None for any. All others take 0000.
+_DATA: dict[SubFunction, tuple[bytes, ...] | None] = {
+    SubFunction.RETURN_QUERY_DATA: None,
+    SubFunction.CHANGE_ASCII_DELIMITER: None,
+    SubFunction.RESTART_COMMUNICATIONS: (b"\0\0", b"\xff\0"),
+}
 
-    def __init__(self) -> None:
-        self._open()
-
-    def close(self) -> None:
-        self._inner.close()
-        self._outer.close()
-
-    __del__ = close
-
-    def _open(self) -> None:
-        self._inner, self._outer = socket.socketpair()
-        self._inner.setblocking(False)
-        self._outer.setblocking(False)
-        self._context = make(lib.modbus_new_tcp(b"127.0.0.1", 0))
-        check(lib.modbus_set_socket(self._context, self._inner.fileno()))
-        # It sleeps that long after what it finds illegal; 0 is refused.
-        check(lib.modbus_set_response_timeout(self._context, 0, 1))
-        self._interrupted = False
-
-    def reply(self, pdu: bytes, mapping: Mapping) -> bytes:
-        """Answer a request that `decode_request` found good. Hold the mapping's lock."""
-        if self._interrupted:  # an answer may still lie in the pair
-            self.close()
-            self._open()
-        self._interrupted = True
-        # A zeroed buffer of full size: modbus_reply reads before it checks.
-        request = ffi.new("uint8_t[]", lib.MODBUS_TCP_MAX_ADU_LENGTH)
-        size = len(self.header) + len(pdu)
-        ffi.memmove(request, self.header + pdu, size)
-        check(lib.modbus_reply(self._context, request, size, mapping._struct))
-        response: bytes = self._outer.recv(lib.MODBUS_TCP_MAX_ADU_LENGTH)
-        self._interrupted = False
-        return response[len(self.header) :]
+# Sub-functions that echo their data, and what they do; a restart comes after its echo.
+_ACTIONS: dict[SubFunction, Callable[[Device, Diagnostics, Communication], None]] = {
+    SubFunction.RETURN_QUERY_DATA: lambda device, request, line: None,
+    SubFunction.RESTART_COMMUNICATIONS: lambda device, request, line: None,
+    SubFunction.CHANGE_ASCII_DELIMITER: Device._change_delimiter,
+    SubFunction.FORCE_LISTEN_ONLY: lambda device, request, line: line.enter_listen_only(),
+    SubFunction.CLEAR_COUNTERS: Device._clear_counters,
+    SubFunction.CLEAR_OVERRUN: lambda device, request, line: line.clear_overrun(),
+}
 
 
-_local = threading.local()
+def _is_write(function: int) -> bool:
+    """Whether a broadcast of it is executed."""
+    request = REQUESTS.get(function)
+    return request is not None and request.is_write
 
 
-def _engine() -> _Engine:
-    """One for each thread."""
-    try:
-        engine: _Engine = _local.engine
-    except AttributeError:
-        engine = _local.engine = _Engine()
-    return engine
+def _bound(
+    handlers: MappingABC[type[Request[Any]], Callable[[Any], Any]],
+) -> dict[type[Request[Any]], Callable[..., Any]]:
+    bound: dict[type[Request[Any]], Callable[..., Any]] = {}
+    for request, handle in handlers.items():
+        if not (isinstance(request, type) and issubclass(request, Request)):
+            raise TypeError(f"handlers must be {{request class: function}}, not {request!r}")
+        if not callable(handle):
+            raise TypeError(f"handlers[{request.__name__}] must be a function, not {handle!r}")
+        bound[request] = _ignoring_line(handle)
+    return bound
 
 
-def _renew_engines() -> None:
-    """A child must not answer through the socketpair of its parent."""
-    global _local
-    _local = threading.local()
+def _ignoring_line(handle: Callable[[Any], Any]) -> Callable[..., Any]:
+    return lambda device, request, line: handle(request)
 
 
-os.register_at_fork(after_in_child=_renew_engines)
+def _checked_identification(given: MappingABC[Any, str | bytes]) -> dict[int, bytes]:
+    """Object id -> value, in ascending order."""
+    numbers = {name: number for number, name in OBJECT_NAMES.items()}
+    objects: dict[int, bytes] = {}
+    for key, value in [*DEFAULT_IDENTIFICATION.items(), *given.items()]:
+        if isinstance(key, str) and key not in numbers:
+            raise ValueError(f"identification: {key!r} must be one of {', '.join(numbers)}")
+        number = numbers[key] if isinstance(key, str) else integer("object id", key, 0, 0xFF)
+        if 7 <= number < 0x80:
+            raise ValueError(f"identification: object ids 7..127 are reserved, such as {number}")
+        if not isinstance(value, str | bytes):
+            raise TypeError(f"identification[{key!r}] must be text or bytes, not {value!r}")
+        data = value.encode("ascii") if isinstance(value, str) else value
+        if len(data) > 244:
+            raise ValueError(f"identification[{key!r}] takes {len(data)} bytes, more than 244")
+        objects[number] = data
+    return dict(sorted(objects.items()))

@@ -198,7 +198,14 @@ _BY_CODE: dict[int, type[ExceptionResponse]] = {
 
 
 class FrameError(ModbusError):
-    """Bytes that are no frame: wrong CRC or LRC, wrong header, not hexadecimal."""
+    """
+    Bytes that are no frame: wrong CRC or LRC, wrong header, not hexadecimal.
+
+    Attributes:
+        overrun: whether there were more of them than a frame can have.
+    """
+
+    overrun = False
 
 
 class InvalidResponse(ModbusError):

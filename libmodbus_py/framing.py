@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import re
 import struct
+from abc import ABC, abstractmethod
 from typing import Literal, NamedTuple, Protocol
 
 from .errors import FrameError
@@ -61,6 +62,10 @@ class Framer(Protocol):
     def feed(self, data: bytes) -> list[Frame]: ...
 
     def silence(self) -> list[Frame]: ...
+
+    def scan(self, data: bytes) -> list[Frame | FrameError]: ...
+
+    def scan_silence(self) -> list[Frame | FrameError]: ...
 
 
 def _crc_table() -> tuple[int, ...]:
@@ -107,25 +112,76 @@ def _check(frame: Frame) -> Frame:
     return frame
 
 
-class _Rejects:
-    """Holds back the error for rejected bytes until the good frames are out."""
+class _Scanner(ABC):
+    """Keeps frames and errors in the order of their bytes."""
 
     def __init__(self) -> None:
-        self._error: FrameError | None = None
+        self._buffer = bytearray()
+        self._found: list[Frame | FrameError] = []
+        self._held: FrameError | None = None
 
-    def reject(self, why: str, data: bytes | bytearray) -> None:
-        if self._error is None:
-            self._error = FrameError(why)
-        self._error.received += data
+    @property
+    def pending(self) -> int:
+        """Bytes that wait for the rest of their frame."""
+        return len(self._buffer)
 
-    def settle(self, frames: list[Frame]) -> list[Frame]:
-        if not frames and self._error is not None:
-            error, self._error = self._error, None
+    def feed(self, data: bytes) -> list[Frame]:
+        """
+        Take received bytes, give the frames they complete.
+
+        Raises:
+            FrameError: bytes that are no frame, and no frame to give.
+        """
+        return self._frames(self.scan(data))
+
+    def silence(self) -> list[Frame]:
+        """
+        Take it that the line is quiet, as `quiet` says.
+
+        Raises:
+            FrameError: as in `feed`.
+        """
+        return self._frames(self.scan_silence())
+
+    def scan(self, data: bytes) -> list[Frame | FrameError]:
+        """Take received bytes, give what they turn out to be, in their order."""
+        self._buffer += data
+        self._scan()
+        return self._give()
+
+    def scan_silence(self) -> list[Frame | FrameError]:
+        """As `scan`, for silence."""
+        self._scan_silence()
+        return self._give()
+
+    @abstractmethod
+    def _scan(self) -> None: ...
+
+    @abstractmethod
+    def _scan_silence(self) -> None: ...
+
+    def _reject(self, why: str, count: int, *, overrun: bool = False) -> None:
+        """Drop the first bytes."""
+        error = FrameError(why, received=bytes(self._buffer[:count]))
+        error.overrun = overrun
+        self._found.append(error)
+        del self._buffer[:count]
+
+    def _give(self) -> list[Frame | FrameError]:
+        found, self._found = self._found, []
+        return found
+
+    def _frames(self, found: list[Frame | FrameError]) -> list[Frame]:
+        frames = [each for each in found if isinstance(each, Frame)]
+        errors = [each for each in found if isinstance(each, FrameError)]
+        self._held = self._held or (errors[0] if errors else None)
+        if not frames and self._held is not None:
+            error, self._held = self._held, None
             raise error
         return frames
 
 
-class TcpFramer:
+class TcpFramer(_Scanner):
     """
     MBAP: transaction, protocol, length, unit in front of the PDU.
 
@@ -136,16 +192,7 @@ class TcpFramer:
 
     has_broadcast = False
     quiet: float | None = None
-
-    def __init__(self) -> None:
-        self.in_step = True
-        self._buffer = bytearray()
-        self._rejects = _Rejects()
-
-    @property
-    def pending(self) -> int:
-        """Bytes that wait for the rest of their frame."""
-        return len(self._buffer)
+    in_step = True
 
     def encode(self, frame: Frame) -> bytes:
         """
@@ -157,41 +204,28 @@ class TcpFramer:
         unit, pdu, transaction = _check(frame)
         return struct.pack(">HHHB", transaction, 0, 1 + len(pdu), unit) + pdu
 
-    def feed(self, data: bytes) -> list[Frame]:
-        """
-        Take received bytes, give the frames they complete.
-
-        Raises:
-            FrameError: a header that is not Modbus.
-        """
+    def _scan(self) -> None:
         buffer = self._buffer
-        frames: list[Frame] = []
-        if self.in_step:
-            buffer += data
         while self.in_step and len(buffer) >= 6:
             transaction, protocol, length = struct.unpack_from(">HHH", buffer)
             if not 2 <= length <= 1 + MAX_PDU:
                 self.in_step = False
-                self._rejects.reject(f"header with length {length}, not 2..254", buffer)
-                buffer.clear()
-                break
-            if len(buffer) < 6 + length:
-                break
-            if protocol == 0:
-                frames.append(Frame(buffer[6], bytes(buffer[7 : 6 + length]), transaction))
+                self._reject(f"header with length {length}, not 2..254", len(buffer))
+            elif len(buffer) < 6 + length:
+                return
+            elif protocol != 0:
+                self._reject(f"header with protocol {protocol}, not 0", 6 + length)
             else:
-                self._rejects.reject(f"header with protocol {protocol}, not 0", buffer)
-            del buffer[: 6 + length]
-        if not self.in_step and not frames:
-            self._rejects.reject("stream out of step", b"")
-        return self._rejects.settle(frames)
+                self._found.append(Frame(buffer[6], bytes(buffer[7 : 6 + length]), transaction))
+                del buffer[: 6 + length]
+        if not self.in_step and not self._found:
+            self._reject("stream out of step", len(buffer))
 
-    def silence(self) -> list[Frame]:
+    def _scan_silence(self) -> None:
         """Silence means nothing on TCP."""
-        return []
 
 
-class RtuFramer:
+class RtuFramer(_Scanner):
     """
     Unit, PDU, CRC; found by the length rules of `pdu` and judged by the CRC.
 
@@ -216,18 +250,13 @@ class RtuFramer:
     def __init__(self, role: Role) -> None:
         if role not in ("client", "server"):
             raise ValueError(f'role must be "client" or "server", not {role!r}')
+        super().__init__()
         self._length = request_length if role == "server" else response_length
         # A start: any byte, then a function code whose length is known.
         codes = bytes(REQUESTS) + (bytes(code | 0x80 for code in REQUESTS) * (role == "client"))
         self._start = re.compile(b"[%s]" % re.escape(codes), re.DOTALL)
-        self._buffer = bytearray()
         self._fresh = 0  # where in the buffer a frame should begin
-        self._rejects = _Rejects()
-
-    @property
-    def pending(self) -> int:
-        """Bytes that wait for the rest of their frame."""
-        return len(self._buffer)
+        self._in_run = False  # whether the bytes before the buffer were no frame
 
     def encode(self, frame: Frame) -> bytes:
         """
@@ -240,48 +269,41 @@ class RtuFramer:
         body = bytes([unit]) + pdu
         return body + struct.pack("<H", crc16(body))
 
-    def feed(self, data: bytes) -> list[Frame]:
-        """
-        Take received bytes, give the frames they complete.
+    def _scan(self) -> None:
+        while self._buffer and (end := self._end(0)) is not None:
+            if end:
+                self._found.append(Frame(self._buffer[0], bytes(self._buffer[1 : end - 2])))
+                del self._buffer[:end]
+                self._fresh = 0
+                self._in_run = False
+            else:
+                self._drop(self._next_start(1))
 
-        Raises:
-            FrameError: bytes without a fitting CRC. The framer goes on.
-        """
-        self._buffer += data
-        return self._rejects.settle(self._take())
-
-    def silence(self) -> list[Frame]:
+    def _scan_silence(self) -> None:
         """
         Look past an incomplete frame at the front for one that ends here.
 
         What is found puts an end to the wait for the front; if nothing is
         found, the front may still be completed.
-
-        Raises:
-            FrameError: as in `feed`.
         """
         start = 0
         while (start := self._next_start(start + 1)) < len(self._buffer):
             if self._end(start) == len(self._buffer):
                 self._drop(start)
-                return self._rejects.settle(self._take())
+                self._scan()
+                return
         self._fresh = len(self._buffer)
-        return self._rejects.settle([])
-
-    def _take(self) -> list[Frame]:
-        frames: list[Frame] = []
-        while self._buffer and (end := self._end(0)) is not None:
-            if end:
-                frames.append(Frame(self._buffer[0], bytes(self._buffer[1 : end - 2])))
-                del self._buffer[:end]
-                self._fresh = 0
-            else:
-                self._drop(self._next_start(1))
-        return frames
 
     def _drop(self, count: int) -> None:
-        self._rejects.reject("bytes without a fitting CRC", self._buffer[:count])
-        del self._buffer[:count]
+        """A run of bytes that are no frame is one error, however they come in."""
+        last = self._found[-1] if self._found else None
+        if not self._in_run:
+            self._reject("bytes without a fitting CRC", count)
+        else:
+            if isinstance(last, FrameError):
+                last.received += self._buffer[:count]
+            del self._buffer[:count]
+        self._in_run = not 0 < self._fresh <= count
         self._fresh -= count
 
     def _next_start(self, first: int) -> int:
@@ -295,12 +317,11 @@ class RtuFramer:
         head = bytes(self._buffer[start + 1 : start + 1 + MAX_PDU])
         if not head:
             return None
-        try:
-            length = self._length(head)
-        except KeyError:
-            return self._end_by_crc(start) if start == self._fresh else 0
+        length = self._length(head)
         if length is None:
-            return None
+            return None if len(head) < MAX_PDU else 0
+        if length == 0:
+            return self._end_by_crc(start) if start == self._fresh else 0
         end = start + length + 3
         if length > MAX_PDU:
             return 0
@@ -320,7 +341,7 @@ class RtuFramer:
         return 0 if len(candidate) == self.max_size else None
 
 
-class AsciiFramer:
+class AsciiFramer(_Scanner):
     """
     A colon, hexadecimal digits of unit, PDU and LRC, CR and a delimiter.
 
@@ -341,9 +362,8 @@ class AsciiFramer:
     max_size = 513
 
     def __init__(self, *, strict: bool = False) -> None:
+        super().__init__()
         self._digits = re.compile(rb"(?:[0-9A-F]{2})*" if strict else rb"(?:[0-9A-Fa-f]{2})*")
-        self._buffer = bytearray()
-        self._rejects = _Rejects()
         self.delimiter = 0x0A
 
     @property
@@ -355,11 +375,6 @@ class AsciiFramer:
         if not 0 <= value <= 0x7F or chr(value) in ":\r0123456789ABCDEFabcdef":
             raise ValueError(f"delimiter must be an ASCII code with no other use, not {value}")
         self._delimiter = value
-
-    @property
-    def pending(self) -> int:
-        """Characters that wait for the rest of their frame."""
-        return len(self._buffer)
 
     def encode(self, frame: Frame) -> bytes:
         """
@@ -373,36 +388,21 @@ class AsciiFramer:
         digits = (body + bytes([lrc(body)])).hex().upper()
         return b":%s\r%c" % (digits.encode(), self._delimiter)
 
-    def feed(self, data: bytes) -> list[Frame]:
-        """
-        Take received characters, give the frames they complete.
-
-        Raises:
-            FrameError: a frame with a wrong LRC, length or character. The
-                framer goes on with the next colon.
-        """
-        self._buffer += data
-        frames: list[Frame] = []
+    def _scan(self) -> None:
         while True:
             self._skip_to_colon()
             end = self._buffer.find(b"\r")
             if end < 0 or end + 1 == len(self._buffer):
                 break
-            self._take(end, frames)
+            self._take(end)
         if len(self._buffer) >= self.max_size:
-            self._drop(f"a frame of more than {self.max_size} characters", len(self._buffer))
-        return self._rejects.settle(frames)
+            why = f"a frame of more than {self.max_size} characters"
+            self._reject(why, len(self._buffer), overrun=True)
 
-    def silence(self) -> list[Frame]:
-        """
-        Drop an unfinished frame: no gap may be longer than a second (2.5.2.1).
-
-        Raises:
-            FrameError: there was one.
-        """
+    def _scan_silence(self) -> None:
+        """Drop an unfinished frame: no gap may be longer than a second (2.5.2.1)."""
         if self._buffer:
-            self._drop("an unfinished frame", len(self._buffer))
-        return self._rejects.settle([])
+            self._reject("an unfinished frame", len(self._buffer))
 
     def _skip_to_colon(self) -> None:
         """Begin the buffer with the last colon before its first CR that has one."""
@@ -417,22 +417,19 @@ class AsciiFramer:
         elif self._buffer[0] != 0x3A:
             del self._buffer[:colon]
         elif colon:
-            self._drop("a colon inside a frame", colon)
+            self._reject("a colon inside a frame", colon, overrun=colon > self.max_size)
 
-    def _take(self, end: int, frames: list[Frame]) -> None:
+    def _take(self, end: int) -> None:
         digits = bytes(self._buffer[1:end])
         if self._buffer[end + 1] != self._delimiter:
-            self._drop("a frame without its delimiter", end + 1)
+            self._reject("a frame without its delimiter", end + 1)
         elif not self._digits.fullmatch(digits):
-            self._drop("a frame with other characters than pairs of digits", end + 2)
+            self._reject("a frame with other characters than pairs of digits", end + 2)
         elif not 6 <= len(digits) <= self.max_size - 3:
-            self._drop(f"a frame of {len(digits)} digits, not 6..510", end + 2)
+            why = f"a frame of {len(digits)} digits, not 6..510"
+            self._reject(why, end + 2, overrun=len(digits) > 6)
         elif sum(body := bytes.fromhex(digits.decode())) & 0xFF:
-            self._drop("a frame with a wrong LRC", end + 2)
+            self._reject("a frame with a wrong LRC", end + 2)
         else:
-            frames.append(Frame(body[0], body[1:-1]))
+            self._found.append(Frame(body[0], body[1:-1]))
             del self._buffer[: end + 2]
-
-    def _drop(self, why: str, count: int) -> None:
-        self._rejects.reject(why, self._buffer[:count])
-        del self._buffer[:count]

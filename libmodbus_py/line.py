@@ -135,8 +135,8 @@ class Line:
 
     def _execute(self, unit: int, request: Request[Any]) -> Any:
         self._open(time.monotonic() + self.timeout)
-        if unit == 0 and self._framer.has_broadcast:
-            return self._broadcast(request)
+        if (unit == 0 and self._framer.has_broadcast) or not request.expects_response:
+            return self._tell(unit, request)
         call = self._native_call(unit, request)
         if call is not None:
             try:
@@ -216,6 +216,7 @@ class Line:
             self._slave = unit
         self._in_doubt = True
         self._native_sent += 1
+        self._link.wait_for_silence()
         try:
             return call(self._link.context, request)
         except ModbusError as error:
@@ -226,6 +227,8 @@ class Line:
                 refusal = bytes([request.function | 0x80, error.code])
                 self._received += self._native_adu(unit, refusal)
             raise
+        finally:
+            self._link.note_traffic()
 
     def _native_adu(self, unit: int, pdu: bytes) -> bytes:
         return self._framer.encode(Frame(unit, pdu, self._native_sent & 0xFFFF))
@@ -242,9 +245,10 @@ class Line:
             self._trusted.add((unit, request.function))
         return result
 
-    def _broadcast(self, request: Request[Any]) -> None:
+    def _tell(self, unit: int, request: Request[Any]) -> None:
+        """Send what nobody answers, and give time to act on it."""
         self._clear_line()
-        self._send(0, request, time.monotonic() + self.timeout)
+        self._send(unit, request, time.monotonic() + self.timeout)
         time.sleep(self.turnaround)
 
     def _send(self, unit: int, request: Request[Any], deadline: float) -> Frame:
@@ -255,6 +259,7 @@ class Line:
         transaction = self._native_sent + 0x8000 + self._python_sent % 0x4000 & 0xFFFF
         frame = Frame(unit, request.encode(), 0 if self._framer.has_broadcast else transaction)
         self._adu = self._framer.encode(frame)
+        self._link.wait_for_silence()
         self._link.send(self._adu, deadline)
         return frame
 

@@ -67,6 +67,14 @@ class Link(ABC):
         """Throw away what was received and not read."""
 
     @abstractmethod
+    def wait_for_silence(self) -> None:
+        """Wait until the line may be sent on."""
+
+    @abstractmethod
+    def note_traffic(self) -> None:
+        """Take note that libmodbus sent or received bytes."""
+
+    @abstractmethod
     def _write(self, data: bytes) -> int: ...
 
     def prepare(self, timeout: float) -> None:

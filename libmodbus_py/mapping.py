@@ -16,6 +16,8 @@ from operator import index
 from typing import Any, ClassVar, Generic, Literal, Self, TypeVar, overload
 
 from ._c import ffi
+from .arguments import integer
+from .values import value_type
 
 __all__ = ["BitTable", "Mapping", "RegisterTable", "Table"]
 
@@ -157,7 +159,13 @@ class BitTable(Table[bool]):
 
 
 class RegisterTable(Table[int]):
-    """Holding or input registers: values are 0..65535."""
+    """
+    Holding or input registers: values are 0..65535.
+
+    `read` and `write` take one value of any type (`values`), `read_values` and
+    `write_values` a list of them at consecutive addresses. Each is one access:
+    no request sees half of it, and an error changes nothing.
+    """
 
     typecode = "H"
 
@@ -165,6 +173,69 @@ class RegisterTable(Table[int]):
     def view(self) -> memoryview:
         """As `Table.view`; writable, in the machine's own byte order."""
         return self._cells
+
+    def read(self, address: int, type: str, *, order: str = "ABCD", **text: str) -> Any:
+        """
+        Read one value, such as ``read(100, "float32", order="CDAB")``.
+
+        Args:
+            address: 0-based, of the first register.
+            type, order, text: as of `values.encode`.
+
+        Raises:
+            IndexError: the table does not have all its registers.
+            TypeError, ValueError: as of `values.decode`.
+        """
+        kind = value_type(type, order=order, **text)
+        return kind.decode(self[self._run(address, kind.registers)])
+
+    def read_values(
+        self, address: int, type: str, count: int = 1, *, order: str = "ABCD", **text: str
+    ) -> list[Any]:
+        """
+        Read `count` (1..65536) values of one type, one after the other.
+
+        Raises:
+            IndexError: the table does not have all their registers.
+            TypeError, ValueError: as of `values.decode_many`, or no such count.
+        """
+        kind = value_type(type, order=order, **text)
+        values = integer("count", count, 1, TABLE_SIZE)
+        return kind.decode_many(self[self._run(address, values * kind.registers)])
+
+    def write(
+        self, address: int, value: Any, type: str, *, order: str = "ABCD", **text: str
+    ) -> None:
+        """
+        Write one value, such as ``write(100, 3.14, "float32", order="CDAB")``.
+
+        Args:
+            address: 0-based, of the first register.
+            value, type, order, text: as of `values.encode`.
+
+        Raises:
+            IndexError: the table does not have all its registers.
+            TypeError, ValueError: as of `values.encode`.
+        """
+        registers = value_type(type, order=order, **text).encode(value)
+        self[self._run(address, len(registers))] = registers
+
+    def write_values(
+        self, address: int, values: Iterable[Any], type: str, *, order: str = "ABCD", **text: str
+    ) -> None:
+        """
+        Write values of one type, one after the other; none change nothing.
+
+        Raises:
+            IndexError: the table does not have all their registers.
+            TypeError, ValueError: as of `values.encode_many`.
+        """
+        registers = value_type(type, order=order, **text).encode_many(values)
+        self[self._run(address, len(registers))] = registers
+
+    def _run(self, address: object, registers: int) -> slice:
+        start = self._address(address)
+        return slice(start, start + registers)
 
     def _to_cell(self, value: object) -> int:
         try:

@@ -9,6 +9,7 @@ from typing import Any
 
 from . import pdu
 from ._c import check, ffi, lib
+from .errors import InvalidResponse
 
 __all__ = ["NATIVE", "Call"]
 
@@ -76,6 +77,14 @@ def _read_write_registers(context: Any, request: pdu.ReadWriteRegisters) -> list
     return values
 
 
+def _report_server_id(context: Any, request: pdu.ReportServerId) -> pdu.ServerId:
+    data = ffi.new("uint8_t[]", pdu.MAX_PDU)
+    size = check(lib.modbus_report_slave_id(context, pdu.MAX_PDU, data))
+    if size < 2:
+        raise InvalidResponse(f"answered with {size} bytes of data")
+    return pdu.ServerId.split(bytes(ffi.buffer(data, size)))
+
+
 NATIVE: dict[type[pdu.Request[Any]], Call] = {
     pdu.ReadCoils: _read_bits("modbus_read_bits"),
     pdu.ReadDiscreteInputs: _read_bits("modbus_read_input_bits"),
@@ -85,6 +94,7 @@ NATIVE: dict[type[pdu.Request[Any]], Call] = {
     pdu.WriteRegister: _write_register,
     pdu.WriteCoils: _write_coils,
     pdu.WriteRegisters: _write_registers,
+    pdu.ReportServerId: _report_server_id,
     pdu.MaskWriteRegister: _mask_write_register,
     pdu.ReadWriteRegisters: _read_write_registers,
 }

@@ -37,6 +37,10 @@ class SerialLink(Link):
             or "rts-down" (RTS is set or cleared while we send).
         rts_delay: seconds between RTS and the first bit, and after the last;
             None for the length of one character.
+        echo: whether all that is sent comes back, as from some two-wire
+            transceivers; it is taken out of what is received.
+        silence: seconds without a byte before anything is sent; None for the 3.5
+            characters of the specification (1.75 ms above 19200 bit/s).
 
     Raises:
         TypeError, ValueError: an argument of the wrong type or range.
@@ -70,6 +74,8 @@ class SerialLink(Link):
         stop_bits: int = 1,
         rs485: str | None = None,
         rts_delay: float | None = None,
+        echo: bool = False,
+        silence: float | None = None,
     ) -> None:
         if not isinstance(device, str):
             raise TypeError(f"device must be a string, not {type(device).__name__}")
@@ -88,6 +94,15 @@ class SerialLink(Link):
         character = (1 + self.data_bits + (parity != "N") + self.stop_bits) / self.baudrate
         self.character = character
         self.rts_delay = character if rts_delay is None else seconds("rts_delay", rts_delay, 0, 1)
+        if not isinstance(echo, bool):
+            raise TypeError(f"echo must be True or False, not {echo!r}")
+        self.echo = echo
+        # Serial line, 2.5.1.1: 3.5 characters of 11 bits, and no less than this.
+        specified = 3.5 * 11 / self.baudrate if self.baudrate <= 19200 else 0.00175
+        self.silence = specified if silence is None else seconds("silence", silence, 0, 1)
+        self._awaited_echo = bytearray()
+        self._held = bytearray()
+        self._last_byte = 0.0
         self.context = make(
             lib.modbus_new_rtu(
                 os.fsencode(device),
@@ -188,14 +203,55 @@ class SerialLink(Link):
             os.close(guard)
 
     def discard_input(self) -> None:
+        self._forget_echo()
         # modbus_flush would throw away output, too.
         with contextlib.suppress(termios.error):
             termios.tcflush(self.descriptor, termios.TCIFLUSH)
 
+    def receive(self, deadline: float) -> bytes:
+        data = super().receive(deadline)
+        if data:
+            self._last_byte = time.monotonic()
+        return self._without_echo(data) if self._awaited_echo else data
+
+    def _without_echo(self, data: bytes) -> bytes:
+        """Hold bytes back until they are the whole echo, or no echo at all."""
+        self._held += data
+        echo, size = self._awaited_echo, min(len(self._held), len(self._awaited_echo))
+        is_echo = self._held[:size] == echo[:size]
+        if is_echo and size < len(echo):
+            return b""
+        rest = bytes(self._held[size:] if is_echo else self._held)
+        self._forget_echo()
+        return rest
+
+    def _forget_echo(self) -> None:
+        self._awaited_echo.clear()
+        self._held.clear()
+
+    def wait_for_silence(self) -> None:
+        """Wait until the line has been quiet for `silence`."""
+        time.sleep(self.time_to_silence())
+
+    def time_to_silence(self) -> float:
+        """Give the seconds that are left of it."""
+        return max(0.0, self._last_byte + self.silence - time.monotonic())
+
+    def note_traffic(self) -> None:
+        """Bytes went by that libmodbus sent or received."""
+        self._last_byte = time.monotonic()
+
     def send(self, data: bytes, deadline: float) -> None:
-        if self.rs485 not in self.rts_modes:
+        if self.echo:
+            self._awaited_echo += data
+        if self.rs485 in self.rts_modes:
+            self._send_with_rts(data, deadline)
+        else:
             super().send(data, deadline)
-            return
+        # The driver takes the bytes at once; the last one leaves later.
+        self._last_byte = time.monotonic() + len(data) * self.character
+
+    def _send_with_rts(self, data: bytes, deadline: float) -> None:
         self._set_rts(self.rs485 == "rts-up")
         time.sleep(self.rts_delay)
         try:

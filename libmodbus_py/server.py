@@ -15,22 +15,23 @@ import os
 import socket
 import threading
 import time
-from collections.abc import AsyncIterator, Callable, Iterator, Mapping
+from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from functools import partial
 
 from . import url
 from .arguments import integer
-from .device import Device
+from .communication import LINE_FEED, Communication
+from .device import Caller, Device
 from .errors import (
     FrameError,
     GatewayTargetFailedToRespond,
     ModbusConnectionError,
     ModbusTimeoutError,
 )
+from .faults import Delivery, Fault, Faults, pieces
 from .framing import AsciiFramer, Frame, Framer, RtuFramer, TcpFramer
-from .pdu import REQUESTS
 from .serial_link import SerialLink
 
 __all__ = ["Running", "Server"]
@@ -74,13 +75,19 @@ class Server:
 
     Args:
         devices: ``{unit 0..255: device}``, or one device that answers every unit.
+        faults: ``{unit 0..255: faults}``, what goes wrong with the answers of a unit;
+            None is every unit.
 
     Raises:
-        TypeError, ValueError: `devices` is something else.
+        TypeError, ValueError: `devices` or `faults` is something else.
     """
 
-    def __init__(self, devices: Device | Mapping[int, Device]) -> None:
-        self._units = _Units(devices)
+    def __init__(
+        self,
+        devices: Device | Mapping[int, Device],
+        faults: Mapping[int | None, Iterable[Fault]] | None = None,
+    ) -> None:
+        self._units = _Units(devices, Faults({} if faults is None else faults))
 
     @contextlib.asynccontextmanager
     async def serving(self, *urls: str) -> AsyncIterator[Running]:
@@ -140,12 +147,13 @@ class Server:
 
 
 class _Units:
-    """Finds the device of a frame."""
+    """The devices, by unit, and their faults; None if there are none."""
 
-    def __init__(self, devices: Device | Mapping[int, Device]) -> None:
-        self._any = devices if isinstance(devices, Device) else None
-        self._devices: dict[int, Device] = {}
-        if self._any is not None:
+    def __init__(self, devices: Device | Mapping[int, Device], faults: Faults) -> None:
+        self.faults = faults or None
+        self.any = devices if isinstance(devices, Device) else None
+        self.devices: dict[int, Device] = {}
+        if self.any is not None:
             return
         if not isinstance(devices, Mapping):
             given = type(devices).__name__
@@ -153,38 +161,120 @@ class _Units:
         for unit, device in devices.items():
             if not isinstance(device, Device):
                 raise TypeError(f"devices[{unit!r}] must be a Device, not {type(device).__name__}")
-            self._devices[integer("unit", unit, 0, 255)] = device
+            self.devices[integer("unit", unit, 0, 255)] = device
 
-    def answer(self, frame: Frame, *, serial: bool) -> Frame | None:
+
+class _TcpLine:
+    """Answers frames with an MBAP header: any unit, one frame at a time."""
+
+    delimiter = None
+
+    def __init__(self, units: _Units) -> None:
+        self.faults = units.faults
+        self._units = units
+
+    def answers(self, frame: Frame) -> bool:
+        """Whether a request is answered."""
+        return not frame.pdu[0] & 0x80
+
+    def refuse(self, frame: Frame, code: int) -> Frame:
+        """Answer a request with an exception, without executing it."""
+        return frame._replace(pdu=bytes([frame.pdu[0] | 0x80, code]))
+
+    def answer(self, frame: Frame, peer: str) -> Frame | None:
         unit, pdu, transaction = frame
-        if serial and unit == 0:
-            self._broadcast(pdu)
-            return None
-        device = self._any or self._devices.get(unit)
+        device = self._units.any or self._units.devices.get(unit)
         if device is not None:
-            response = device.answer(pdu)
-        elif serial or pdu[0] & 0x80:
+            response = device.answer(pdu, Caller(unit, peer))
+        elif pdu[0] & 0x80:
             return None
         else:
             response = bytes([pdu[0] | 0x80, GatewayTargetFailedToRespond.code])
         return Frame(unit, response, transaction) if response else None
 
-    def _broadcast(self, pdu: bytes) -> None:
-        request = REQUESTS.get(pdu[0])
-        if request is not None and request.is_write:
-            for device in {self._any} if self._any else set(self._devices.values()):
-                device.answer(pdu)
+    def note_damage(self, *, overrun: bool) -> None:
+        """TCP has no counters of a line."""
+
+
+class _SerialLine:
+    """
+    Answers frames of a serial line: silence for other units, broadcasts, and what
+    every device notes about the line.
+    """
+
+    def __init__(self, units: _Units) -> None:
+        self.faults = units.faults
+        self._any = units.any and (units.any, Communication(is_serial=True))
+        self._stations = {
+            unit: (device, Communication(is_serial=True)) for unit, device in units.devices.items()
+        }
+        self._all = [self._any] if self._any else list(self._stations.values())
+        self.delimiter: int | None = LINE_FEED
+
+    def answers(self, frame: Frame) -> bool:
+        """Whether a request is answered, by somebody here."""
+        station = self._any or self._stations.get(frame.unit)
+        if station is None or frame.unit == 0:
+            return False
+        return not (frame.pdu[0] & 0x80 or station[1].listen_only)
+
+    def refuse(self, frame: Frame, code: int) -> Frame:
+        """Answer a request that `answers` with an exception, without executing it."""
+        for _, communication in self._all:
+            communication.note_frame()
+        refusal = bytes([frame.pdu[0] | 0x80, code])
+        _, communication = self._any or self._stations[frame.unit]
+        communication.note_request(broadcast=False)
+        communication.note_response(frame.pdu, refusal, silent=False)
+        return frame._replace(pdu=refusal)
+
+    def answer(self, frame: Frame, peer: str) -> Frame | None:
+        for _, communication in self._all:
+            communication.note_frame()
+        if frame.unit == 0:
+            for device, communication in self._all:
+                device.answer(frame.pdu, Caller(0, peer, communication, is_broadcast=True))
+            return None
+        station = self._any or self._stations.get(frame.unit)
+        if station is None:
+            return None
+        device, communication = station
+        before = communication.delimiter
+        response = device.answer(frame.pdu, Caller(frame.unit, peer, communication))
+        if communication.delimiter != before:
+            self.delimiter = communication.delimiter
+        return Frame(frame.unit, response) if response else None
+
+    def note_damage(self, *, overrun: bool) -> None:
+        for _, communication in self._all:
+            communication.note_damage(overrun=overrun)
 
 
 class _Session:
     """One connection or one port: bytes in, answers out."""
 
-    def __init__(self, units: _Units, framing: str, write: Callable[[bytes], None]) -> None:
-        self._units = units
+    def __init__(
+        self,
+        line: _TcpLine | _SerialLine,
+        framing: str,
+        peer: str,
+        write: Callable[[bytes], None],
+        follow: Callable[[], None] = lambda: None,
+    ) -> None:
+        self._line = line
         self._framer = FRAMERS[framing]()
+        self._peer = peer
         self._write = write
         self._loop = asyncio.get_running_loop()
         self._timer: asyncio.TimerHandle | None = None
+        # Only with faults do answers leave at other times than they are found.
+        self._delivery = Delivery(write, follow) if line.faults else None
+        self._follow_delimiter()
+
+    @property
+    def is_waiting(self) -> bool:
+        """Whether a fault keeps an answer back; the next request can wait, too."""
+        return self._delivery is not None and self._delivery.is_waiting
 
     def receive(self, data: bytes) -> None:
         """
@@ -193,31 +283,56 @@ class _Session:
         Raises:
             FrameError: the stream must be closed; what could be answered was.
         """
-        self._answer(partial(self._framer.feed, data))
+        self._answer(self._framer.scan(data))
         if not self._framer.in_step:
-            self._framer.feed(b"")
-        self.close()
+            raise FrameError("stream out of step")
+        self._stop_timer()
         if self._framer.quiet and self._framer.pending:
             self._timer = self._loop.call_later(self._framer.quiet, self._silence)
 
     def close(self) -> None:
+        self._stop_timer()
+        if self._delivery is not None:
+            self._delivery.close()
+
+    def _stop_timer(self) -> None:
         if self._timer is not None:
             self._timer.cancel()
 
     def _silence(self) -> None:
-        self._answer(self._framer.silence)
+        self._answer(self._framer.scan_silence())
 
-    def _answer(self, take: Callable[[], list[Frame]]) -> None:
-        try:
-            frames = take()
-        except FrameError as error:
-            logger.debug("%s: %s", error, error.received.hex(" "))
-            return
-        serial = self._framer.has_broadcast
-        answers = [self._units.answer(frame, serial=serial) for frame in frames]
-        adus = [self._framer.encode(answer) for answer in answers if answer is not None]
+    def _answer(self, found: list[Frame | FrameError]) -> None:
+        adus = bytearray()
+        for each in found:
+            if isinstance(each, FrameError):
+                logger.debug("%s: %s: %s", self._peer, each, each.received.hex(" "))
+                self._line.note_damage(overrun=each.overrun)
+                continue
+            if self._delivery is not None:
+                self._answer_with_faults(each, self._delivery)
+            elif (answer := self._line.answer(each, self._peer)) is not None:
+                adus += self._framer.encode(answer)
+            self._follow_delimiter()
         if adus:
-            self._write(b"".join(adus))
+            self._write(bytes(adus))
+
+    def _answer_with_faults(self, request: Frame, delivery: Delivery) -> None:
+        fault = None
+        if self._line.faults is not None and self._line.answers(request):
+            has_transaction = isinstance(self._framer, TcpFramer)
+            fault = self._line.faults.due(request, has_transaction=has_transaction)
+        if fault is not None and fault.code is not None:
+            answer: Frame | None = self._line.refuse(request, fault.code)
+        else:
+            answer = self._line.answer(request, self._peer)
+        if answer is not None:
+            delivery.send(pieces(fault, answer, self._framer))
+
+    def _follow_delimiter(self) -> None:
+        """From the frame behind the answer on, both ways."""
+        if isinstance(self._framer, AsciiFramer) and self._line.delimiter is not None:
+            self._framer.delimiter = self._line.delimiter
 
 
 class _Connection(asyncio.BufferedProtocol):
@@ -225,11 +340,17 @@ class _Connection(asyncio.BufferedProtocol):
 
     transport: asyncio.Transport | None = None
     stopped = False
+    # Whether the client does not take its answers.
+    is_full = False
 
     def __init__(
-        self, units: _Units, framing: str, buffer: memoryview, peers: set[_Connection]
+        self,
+        line: _TcpLine | _SerialLine,
+        framing: str,
+        buffer: memoryview,
+        peers: set[_Connection],
     ) -> None:
-        self._units = units
+        self._line = line
         self._framing = framing
         self._buffer = buffer
         self._peers = peers
@@ -243,7 +364,10 @@ class _Connection(asyncio.BufferedProtocol):
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         assert isinstance(transport, asyncio.Transport)
         self.transport = transport
-        self._session = _Session(self._units, self._framing, transport.write)
+        host, port, *_ = transport.get_extra_info("peername")
+        self._session = _Session(
+            self._line, self._framing, f"{host}:{port}", transport.write, self._follow
+        )
         transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
         if self.stopped:
             transport.abort()
@@ -261,23 +385,32 @@ class _Connection(asyncio.BufferedProtocol):
             self._session.receive(bytes(self._buffer[:nbytes]))
         except FrameError as error:
             assert self.transport is not None
-            logger.debug("%s: closed: %s", self.transport.get_extra_info("peername"), error)
+            logger.debug("connection closed: %s", error)
             self.transport.close()
 
     def pause_writing(self) -> None:
-        assert self.transport is not None
-        self.transport.pause_reading()
+        self.is_full = True
+        self._follow()
 
     def resume_writing(self) -> None:
+        self.is_full = False
+        self._follow()
+
+    def _follow(self) -> None:
+        """Read only while the answers get away."""
         assert self.transport is not None
-        self.transport.resume_reading()
+        if self.is_full or self._session.is_waiting:
+            self.transport.pause_reading()
+        else:
+            self.transport.resume_reading()
 
 
 @contextlib.asynccontextmanager
 async def _serve_tcp(endpoint: url.Endpoint, units: _Units) -> AsyncIterator[url.Endpoint]:
     loop = asyncio.get_running_loop()
     peers: set[_Connection] = set()
-    make = partial(_Connection, units, endpoint.framing, memoryview(bytearray(READ_SIZE)), peers)
+    line = _TcpLine(units) if endpoint.framing == "tcp" else _SerialLine(units)
+    make = partial(_Connection, line, endpoint.framing, memoryview(bytearray(READ_SIZE)), peers)
     try:
         addresses = await loop.getaddrinfo(
             endpoint.host, endpoint.port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
@@ -337,13 +470,15 @@ class _Port:
     def __init__(self, link: SerialLink, endpoint: url.Endpoint, units: _Units) -> None:
         self._link = link
         self._endpoint = endpoint
-        self._units = units
+        self._line = _SerialLine(units)
         self._loop = asyncio.get_running_loop()
         self._retry: asyncio.TimerHandle | None = None
 
     def open(self) -> None:
         self._link.open(time.monotonic())
-        self._session = _Session(self._units, self._endpoint.framing, self._write)
+        self._session = _Session(
+            self._line, self._endpoint.framing, self._endpoint.device, self._write
+        )
         self._loop.add_reader(self._link.descriptor, self._read)
 
     def close(self) -> None:
@@ -370,7 +505,25 @@ class _Port:
             self._retry = self._loop.call_later(REOPEN_AFTER, self._reopen)
 
     def _write(self, data: bytes) -> None:
+        """Answer after the silence that ends the request (serial line, 2.5.1.1)."""
+        wait = self._link.time_to_silence()
+        if self._endpoint.framing == "rtu" and wait > 0:
+            self._loop.call_later(wait, self._send, data)
+        else:
+            self._send(data)
+
+    def _send(self, data: bytes) -> None:
+        if not self._link.is_open:
+            return
+        if self._link.rs485 in self._link.rts_modes:
+            # It waits while the bits go out, and the loop has others to serve.
+            self._loop.run_in_executor(None, self._send_now, data)
+        else:
+            self._send_now(data)
+
+    def _send_now(self, data: bytes) -> None:
         # The port takes a whole answer at once, or nobody reads at the other
-        # end: then there is nothing to wait for.
-        with contextlib.suppress(ModbusTimeoutError):
+        # end: then there is nothing to wait for. A port that is gone shows
+        # in the next read.
+        with contextlib.suppress(ModbusTimeoutError, ModbusConnectionError):
             self._link.send(data, time.monotonic())

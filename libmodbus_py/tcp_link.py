@@ -102,3 +102,9 @@ class TcpLink(Link):
     def _write(self, data: bytes) -> int:
         assert self._socket is not None
         return self._socket.send(data)
+
+    def wait_for_silence(self) -> None:
+        """TCP may always be sent on."""
+
+    def note_traffic(self) -> None:
+        """Nothing depends on it."""

@@ -8,7 +8,7 @@ Endpoints as URLs, alike for clients, servers and the command line.
     ascii:///dev/ttyUSB0?baudrate=9600&parity=E&data_bits=7&stop_bits=1
 
 HOST is a name, an IPv4 address or an IPv6 address in brackets. Serial ports
-also take rs485 (kernel, rts-up, rts-down) and rts_delay (seconds).
+also take rs485 (kernel, rts-up, rts-down), rts_delay and silence (seconds), echo (0, 1).
 """
 
 from __future__ import annotations
@@ -33,6 +33,11 @@ SCHEMES: dict[str, tuple[Framing, bool]] = {
 }
 """Scheme -> framing, and whether it runs over TCP."""
 
+
+def _switch(text: str) -> bool:
+    return {"1": True, "true": True, "0": False, "false": False}[text.lower()]
+
+
 SERIAL_OPTIONS: dict[str, Callable[[str], Any]] = {
     "baudrate": int,
     "parity": str,
@@ -40,6 +45,8 @@ SERIAL_OPTIONS: dict[str, Callable[[str], Any]] = {
     "stop_bits": int,
     "rs485": str,
     "rts_delay": float,
+    "echo": _switch,
+    "silence": float,
 }
 
 
@@ -123,4 +130,6 @@ def _parse_serial(url: str, parts: Any) -> Endpoint:
             options[name] = convert(text)
         except ValueError:
             raise ValueError(f"{url!r}: {name} must be a number, not {text!r}") from None
+        except KeyError:
+            raise ValueError(f"{url!r}: {name} must be 0 or 1, not {text!r}") from None
     return Endpoint(parts.scheme, device=device, options=options)

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 from libmodbus_py import Context, Device, Mapping, Server
+from libmodbus_py.pdu import ServerId
 from libmodbus_py.tap import SerialWire, TcpWire
 from libmodbus_py.url import Endpoint, parse
 
@@ -25,6 +26,23 @@ DISCRETE_INPUTS = range(20, 2120)
 HOLDING_REGISTERS = range(100, 400)
 INPUT_REGISTERS = range(200, 400)
 RECORDS = range(300)  # of file 4; file 3 has the records 9 and 10 only
+FIFOS: dict[int, list[int]] = {100: [440, 4740], 101: [], 102: list(range(31))}
+EXCEPTION_STATUS = 0x6D
+SERVER_ID = ServerId(b"\x01", True, b"libmodbus-py")
+# Regular identification takes three pages, for 240 bytes are almost one.
+IDENTIFICATION: dict[str | int, str | bytes] = {
+    "VendorName": "vendor",
+    "ProductCode": "code",
+    "MajorMinorRevision": "V2.11",
+    "VendorUrl": "u" * 240,
+    "UserApplicationName": "application",
+    128: "private",
+}
+OBJECTS = dict(
+    zip((0, 1, 2, 3, 6, 128), (str(each).encode() for each in IDENTIFICATION.values()), strict=True)
+)
+# Nobody has these: old ones of Modicon, a reserved one, and two for users.
+UNKNOWN_FUNCTIONS = (9, 18, 65, 90, 100)
 
 
 def coil(address: int) -> bool:
@@ -57,7 +75,14 @@ def make_device() -> Device:
     mapping.discrete_inputs[:] = map(discrete_input, DISCRETE_INPUTS)
     mapping.holding_registers[:] = map(holding_register, HOLDING_REGISTERS)
     mapping.input_registers[:] = map(input_register, INPUT_REGISTERS)
-    return Device(mapping, files={4: map(record, RECORDS), 3: {9: 0x33CD, 10: 0x0040}})
+    return Device(
+        mapping,
+        files={4: map(record, RECORDS), 3: {9: 0x33CD, 10: 0x0040}},
+        fifos=FIFOS,
+        identification=IDENTIFICATION,
+        server_id=SERVER_ID,
+        exception_status=EXCEPTION_STATUS,
+    )
 
 
 # --- ids ---------------------------------------------------------------------------

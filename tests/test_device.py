@@ -1,5 +1,6 @@
 """
-Device.answer against a second device, written here from the specification with dicts alone.
+Device.answer against a second device, written here from the specification with dicts alone;
+then what needs no table: diagnostics, queues, identification, functions of one's own, hooks.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ import struct
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
@@ -17,8 +18,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from vectors import EXCEPTIONS, REQUESTS, RESPONSES, FrameVector, rows
 
-from libmodbus_py import Device, Mapping, RecordFile, pdu
+from libmodbus_py import Access, Caller, Device, Mapping, RecordFile, errors, pdu
 from libmodbus_py import device as device_module
+from libmodbus_py.communication import Communication
+from libmodbus_py.engine import engine
+from libmodbus_py.pdu import SubFunction
+from libmodbus_py.pdu.interface import identify
 
 BITS = {1: range(10, 2100), 2: range(20, 2100)}
 REGISTERS = {3: range(100, 400), 4: range(200, 400)}
@@ -576,6 +581,1011 @@ class TestFiles:
         assert Device(mapping).answer(b"\x03" + words(0, 1)) == b"\x03\2\0\5"
 
 
+# --- beside the tables --------------------------------------------------------------------
+
+
+def vector(name: str) -> bytes:
+    (found,) = (each.pdu for each in REQUESTS + RESPONSES if each.id == name)
+    return found
+
+
+def on_a_line() -> Caller:
+    return Caller(1, "/dev/ttyS0", Communication(is_serial=True))
+
+
+def diagnose(device: Device, sub_function: int, data: bytes = b"\0\0", *caller: Caller) -> bytes:
+    return device.answer(b"\x08" + words(sub_function) + data, *caller)
+
+
+class TestStatusAndIdentifier:
+    def test_exception_status_is_that_of_the_device(self) -> None:
+        device = Device(Mapping(), exception_status=0x6D)
+        assert device.answer(vector("s1-6.7-req")) == vector("s1-6.7-rsp")
+        device.exception_status = 255
+        assert device.answer(b"\x07") == b"\x07\xff"
+        assert Device(Mapping()).answer(b"\x07") == b"\x07\0"
+
+    @pytest.mark.parametrize(
+        ("status", "error"), [(-1, ValueError), (256, ValueError), ("1", TypeError)]
+    )
+    def test_exception_status_is_a_byte(self, status: Any, error: type[Exception]) -> None:
+        with pytest.raises(error, match=r"^exception_status must be an? in |^exception_status "):
+            Device(Mapping(), exception_status=status)
+
+    def test_server_id_is_that_of_the_device(self) -> None:
+        assert Device(Mapping()).answer(b"\x11") == vector("own-6.13-rsp")
+        device = Device(Mapping(), server_id=pdu.ServerId(b"\xb4", False))
+        assert device.answer(b"\x11") == vector("own-6.13-off-rsp")
+        device.server_id = pdu.ServerId(b"pump", True, b"7")
+        assert device.answer(b"\x11") == b"\x11\6pump\xff7"
+
+    def test_status_that_no_answer_can_carry_is_a_failure(
+        self, caplog: pytest.LogCaptureFixture
+    ) -> None:
+        device = Device(Mapping())
+        device.exception_status = 256
+        device.server_id = pdu.ServerId(b"", True)
+        assert device.answer(b"\x07") == b"\x87\4"
+        assert device.answer(b"\x11") == b"\x91\4"
+        assert len(caplog.records) == 2
+
+
+class TestCounters:
+    """The rest stands in test_communication.py, on real lines."""
+
+    def test_event_counter_counts_what_succeeded(self) -> None:
+        device = new_device()
+        assert device.answer(b"\x0b") == b"\x0b\0\0\0\0"
+        device.answer(b"\x03" + words(100, 1))
+        device.answer(b"\x03" + words(0, 1))
+        device.answer(b"\x06" + words(100, 1))
+        assert device.answer(b"\x0b") == b"\x0b\0\0\0\2"
+        assert device.answer(b"\x0b") == b"\x0b\0\0\0\2"
+
+    def test_event_log_begins_with_its_own_request(self) -> None:
+        device = new_device()
+        assert device.answer(b"\x0c") == b"\x0c\7" + words(0, 0, 0) + b"\x80"
+        device.answer(b"\x03" + words(0, 1))
+        answer = device.answer(b"\x0c")
+        assert answer == b"\x0c\x0b" + words(0, 1, 0) + b"\x80\x41\x80\x40\x80"
+
+    def test_event_counter_wraps(self) -> None:
+        device, caller = new_device(), on_a_line()
+        assert caller.communication is not None
+        caller.communication.event_count = 65535
+        device.answer(b"\x03" + words(100, 1), caller)
+        assert device.answer(b"\x0b", caller) == b"\x0b\0\0\0\0"
+
+    def test_every_line_has_its_own_notes(self) -> None:
+        device, first, second = new_device(), on_a_line(), on_a_line()
+        for _ in range(3):
+            device.answer(b"\x03" + words(100, 1), first)
+        assert diagnose(device, 0x0E, b"\0\0", first) == b"\x08\0\x0e\0\4"
+        assert diagnose(device, 0x0E, b"\0\0", second) == b"\x08\0\x0e\0\1"
+        assert diagnose(device, 0x0E) == b"\x08\0\x0e\0\1"
+
+
+RESERVED = (*range(5, 0x0A), 0x13, 0x15, 0x16, 0x20, 0xFF, 0x100, 0x0A00, 0x8000, 0xFFFF)
+PLAIN = (2, 0x0A, *range(0x0B, 0x13), 0x14)
+both_lines = pytest.mark.parametrize("serial", [True, False], ids=["serial", "tcp"])
+
+
+def caller_on(serial: bool) -> Caller:
+    return Caller(1, "", Communication(is_serial=serial))
+
+
+class TestDiagnostics:
+    def test_every_sub_function_is_tried(self) -> None:
+        assert {0, 1, 3, 4, *PLAIN} == set(SubFunction)
+        assert not set(RESERVED) & set(SubFunction)
+
+    @both_lines
+    @pytest.mark.parametrize("size", [2, 4, 100, 250])
+    def test_query_data_come_back(self, serial: bool, size: int) -> None:
+        data = bytes(at * 7 & 0xFF for at in range(size))
+        device = new_device()
+        assert diagnose(device, 0, data, caller_on(serial)) == b"\x08\0\0" + data
+        assert device.answer(vector("s1-6.8-req")) == vector("s1-6.8-rsp")
+
+    @both_lines
+    def test_unknown_and_reserved_sub_functions_are_illegal(self, serial: bool) -> None:
+        """Before their data are looked at."""
+        for sub_function in RESERVED:
+            for data in (b"\0\0", b"\0\1", b"\xff\xff"):
+                answer = diagnose(new_device(), sub_function, data, caller_on(serial))
+                assert answer == b"\x88\1"
+
+    @both_lines
+    @pytest.mark.parametrize("sub_function", PLAIN)
+    def test_other_data_than_0_is_refused(self, serial: bool, sub_function: int) -> None:
+        caller = caller_on(serial)
+        for data in (b"\0\1", b"\1\0", b"\xff\0", b"\xff\xff"):
+            assert diagnose(new_device(), sub_function, data, caller) == b"\x88\3"
+        answer = diagnose(new_device(), sub_function, b"\0\0", caller)
+        assert answer[:3] == b"\x08" + words(sub_function)
+        assert len(answer) == 5
+
+    @both_lines
+    def test_length_is_checked_first(self, serial: bool) -> None:
+        for sub_function in (*range(1, 0x20), 0xFFFF):
+            for size in (0, 1, 3, 4):
+                answer = diagnose(new_device(), sub_function, bytes(size), caller_on(serial))
+                assert answer == b"\x88\3"
+
+    @pytest.mark.parametrize("data", [b"\0\0", b"\xff\0"])
+    def test_restart_echoes_and_then_clears(self, data: bytes) -> None:
+        device, caller = new_device(), on_a_line()
+        device.answer(b"\x03" + words(100, 1), caller)
+        assert diagnose(device, 1, data, caller) == b"\x08\0\1" + data
+        assert device.answer(b"\x0b", caller) == b"\x0b\0\0\0\0"
+        log = device.answer(b"\x0c", caller)[8:]
+        # newest first: this request, function 11, and the restart
+        assert log[:4] == b"\x80\x40\x80\0"
+        assert log[4:] == (b"" if data[0] else b"\x40\x80\x40\x80")
+
+    @pytest.mark.parametrize("data", [b"\0\1", b"\xff\1", b"\xff\xff", b"\1\0", b"\xfe\0"])
+    def test_restart_takes_two_options(self, data: bytes) -> None:
+        device, caller = new_device(), on_a_line()
+        device.answer(b"\x03" + words(100, 1), caller)
+        assert diagnose(device, 1, data, caller) == b"\x88\3"
+        assert device.answer(b"\x0b", caller) == b"\x0b\0\0\0\1"
+
+    def test_listen_only_takes_0_and_is_not_answered(self) -> None:
+        device, caller = new_device(), on_a_line()
+        assert caller.communication is not None
+        for data in (b"\0\1", b"\xff\0"):
+            assert diagnose(device, 4, data, caller) == b"\x88\3"
+            assert not caller.communication.listen_only
+        assert diagnose(device, 4, b"\0\0", caller) == b""
+        assert caller.communication.listen_only
+
+    def test_listening_device_neither_acts_nor_answers(self) -> None:
+        device, caller = new_device(), on_a_line()
+        before = contents(device)
+        diagnose(device, 4, b"\0\0", caller)
+        broadcast = Caller(0, "", caller.communication, is_broadcast=True)
+        for request in (
+            b"\x06" + words(100, 7),
+            b"\x03" + words(0, 1),
+            b"\x41",
+            b"\x08" + words(0, 5),
+            b"\x08" + words(4, 0),
+            b"\x08" + words(1, 5),  # no such option
+        ):
+            assert device.answer(request, caller) == b""
+            assert device.answer(request, broadcast) == b""
+        assert contents(device) == before
+        assert diagnose(device, 1, b"\0\0", caller) == b""  # leaves it, in silence
+        assert device.answer(b"\x06" + words(100, 7), caller) == b"\x06" + words(100, 7)
+
+    def test_listening_on_one_line_is_answering_on_another(self) -> None:
+        device, silenced = new_device(), on_a_line()
+        diagnose(device, 4, b"\0\0", silenced)
+        assert device.answer(b"\x03" + words(100, 1), silenced) == b""
+        assert device.answer(b"\x03" + words(100, 1), on_a_line()) == b"\x03\2\0\0"
+        assert device.answer(b"\x03" + words(100, 1)) == b"\x03\2\0\0"
+
+    @pytest.mark.parametrize("sub_function", [1, 4])
+    def test_nobody_is_silenced_over_tcp(self, sub_function: int) -> None:
+        for data in (b"\0\0", b"\xff\0", b"\0\1"):
+            for caller in (Caller(), caller_on(serial=False)):
+                device = new_device()
+                assert diagnose(device, sub_function, data, caller) == b"\x88\1"
+                assert device.answer(b"\x03" + words(100, 1), caller) == b"\x03\2\0\0"
+
+    @both_lines
+    def test_delimiter_is_a_character_with_no_other_use(self, serial: bool) -> None:
+        device = new_device()
+        for character in range(256):
+            caller = caller_on(serial)
+            assert caller.communication is not None
+            data = bytes([character, 0])
+            answer = diagnose(device, 3, data, caller)
+            if character > 0x7F or chr(character) in ":\r0123456789abcdefABCDEF":
+                assert answer == b"\x88\3"
+                assert caller.communication.delimiter == 0x0A
+            else:
+                assert answer == b"\x08\0\3" + data
+                assert caller.communication.delimiter == character
+        for zero in (1, 0x0A, 255):
+            assert diagnose(device, 3, bytes([0x24, zero]), caller_on(serial)) == b"\x88\3"
+
+    @both_lines
+    def test_diagnostic_register_is_the_device_s_own(self, serial: bool) -> None:
+        device, caller = new_device(), caller_on(serial)
+        assert diagnose(device, 2, b"\0\0", caller) == b"\x08\0\2\0\0"
+        device.diagnostic_register = 0xBEEF
+        assert diagnose(device, 2, b"\0\0", caller) == b"\x08\0\2\xbe\xef"
+        assert diagnose(device, 0x0A, b"\0\0", caller) == b"\x08\0\x0a\0\0"
+        assert diagnose(device, 2, b"\0\0", caller) == b"\x08\0\2\0\0"
+
+    def test_refusals_are_counted_and_cleared(self) -> None:
+        device, caller = new_device(), on_a_line()
+        for _ in range(3):
+            device.answer(b"\x03" + words(0, 1), caller)
+        assert diagnose(device, 0x0D, b"\0\0", caller) == b"\x08\0\x0d\0\3"
+        diagnose(device, 0x14, b"\0\0", caller)
+        assert diagnose(device, 0x0D, b"\0\0", caller) == b"\x08\0\x0d\0\3"
+        diagnose(device, 0x0A, b"\0\0", caller)
+        assert diagnose(device, 0x0D, b"\0\0", caller) == b"\x08\0\x0d\0\0"
+
+
+class TestBroadcasts:
+    def test_writes_are_executed_in_silence(self) -> None:
+        device = new_device()
+        caller = Caller(0, "", Communication(is_serial=True), is_broadcast=True)
+        assert device.answer(b"\x06" + words(100, 7), caller) == b""
+        assert device.answer(b"\x06" + words(0, 7), caller) == b""
+        assert device.mapping.holding_registers[100] == 7
+
+    def test_everything_else_is_ignored(self) -> None:
+        seen: list[Access] = []
+        device = Device(Mapping(holding_registers=4), before_read=seen.append)
+        line = Communication(is_serial=True)
+        line.delimiter = 0x24
+        caller = Caller(0, "", line, is_broadcast=True)
+        bodies = (
+            b"\3" + words(0, 1),
+            b"\x08" + words(1, 0),
+            b"\x08" + words(4, 0),
+            b"\x11",
+            b"\x41",
+        )
+        for body in (*bodies, b"\x17" + words(0, 1, 0, 1) + b"\2" + words(9)):
+            assert device.answer(body, caller) == b""
+        assert seen == []
+        assert not line.listen_only
+        assert line.delimiter == 0x24  # no restart
+        assert device.mapping.holding_registers[0] == 0
+
+
+class TestQueues:
+    def test_queue_is_that_of_the_example(self) -> None:
+        device = Device(Mapping(), fifos={1246: [440, 4740]})
+        assert device.answer(vector("s1-6.18-req")) == vector("s1-6.18-rsp")
+
+    def test_reading_keeps_the_queue(self) -> None:
+        device = Device(Mapping(), fifos={0: [1, 2]})
+        for _ in range(3):
+            assert device.answer(b"\x18\0\0") == b"\x18\0\6\0\2" + words(1, 2)
+        assert device.fifos == {0: [1, 2]}
+
+    @pytest.mark.parametrize("count", [0, 1, 30, 31])
+    def test_up_to_31_registers_are_given(self, count: int) -> None:
+        device = Device(Mapping(), fifos={65535: range(count)})
+        answer = b"\x18" + words(2 + 2 * count, count) + words(*range(count))
+        assert device.answer(b"\x18\xff\xff") == answer
+
+    @pytest.mark.parametrize("count", [32, 33, 125, 40_000])
+    def test_longer_queues_are_refused(self, count: int) -> None:
+        device = Device(Mapping(), fifos={7: []})
+        device.fifos[7] = [1] * count
+        assert device.answer(b"\x18\0\7") == b"\x98\3"
+        del device.fifos[7][31:]
+        assert device.answer(b"\x18\0\7")[:5] == b"\x18\0\x40\0\x1f"
+
+    def test_other_addresses_are_no_queues(self) -> None:
+        device = Device(Mapping(holding_registers=10), fifos={7: [1]})
+        for address in (0, 6, 8, 65535):
+            assert device.answer(b"\x18" + words(address)) == b"\x98\2"
+        assert new_device().answer(b"\x18\0\0") == b"\x98\2"
+        assert device.answer(b"\x18\0\7\0") == b"\x98\3"  # the length comes first
+
+    def test_queue_may_change_at_any_time(self) -> None:
+        device = Device(Mapping(), fifos={7: []})
+        device.fifos[7].append(5)
+        device.fifos[8] = [6]
+        assert device.answer(b"\x18\0\7") == b"\x18\0\4\0\1\0\5"
+        assert device.answer(b"\x18\0\x08") == b"\x18\0\4\0\1\0\6"
+
+    @pytest.mark.parametrize(
+        ("fifos", "error"),
+        [({-1: []}, ValueError), ({65536: []}, ValueError), ({"0": []}, TypeError)],
+        ids=str,
+    )
+    def test_address_of_a_queue_is_one(self, fifos: Any, error: type[Exception]) -> None:
+        with pytest.raises(error, match=r"^fifo must be "):
+            Device(Mapping(), fifos=fifos)
+
+    def test_list_given_is_not_kept(self) -> None:
+        given = [1]
+        device = Device(Mapping(), fifos={0: given})
+        given.append(2)
+        assert device.fifos[0] == [1]
+
+
+IDENTITY: dict[str | int, str | bytes] = {
+    "VendorName": b"v" * 244,
+    "ProductCode": "",
+    "MajorMinorRevision": "V2.11",
+    "VendorUrl": "u" * 244,
+    "UserApplicationName": "a" * 230,
+    128: b"\0" * 244,
+    200: "private",
+    255: b"z" * 244,
+}
+IDENTITY_NUMBERS = (0, 1, 2, 3, 6, 128, 200, 255)
+
+
+def identified(device: Device, level: str | int) -> tuple[pdu.DeviceIdentification, list[int]]:
+    """What a client gets, and how long the answers are."""
+    steps = identify(level)
+    request = next(steps)
+    sizes: list[int] = []
+    while True:
+        answer = device.answer(request.encode())
+        sizes.append(len(answer))
+        try:
+            request = steps.send(request.decode_response(answer))
+        except StopIteration as done:
+            return done.value, sizes
+
+
+def page(code: int, number: int = 0) -> bytes:
+    return bytes([0x2B, 0x0E, code, number])
+
+
+class TestIdentification:
+    def test_answer_is_that_of_the_example(self) -> None:
+        objects = dict(enumerate(("Company identification", "Product code XX", "V2.11")))
+        device = Device(Mapping(), identification=objects)
+        answer = bytearray(vector("s1-6.21-rsp"))
+        assert answer[3] == 0x01
+        answer[3] = 0x81  # the device of the example has no individual access
+        assert device.answer(vector("s1-6.21-req")) == answer
+
+    def test_every_device_has_the_mandatory_objects(self) -> None:
+        for device in (Device(Mapping()), Device(Mapping(), identification={})):
+            found, sizes = identified(device, "extended")
+            assert list(found.objects) == [0, 1, 2]
+            assert all(found.objects.values())
+            assert found.conformity == 0x81
+            assert len(sizes) == 1
+
+    def test_stream_of_large_objects_takes_several_pages(self) -> None:
+        device = Device(Mapping(), identification=IDENTITY)
+        expected = {
+            number: value if isinstance(value, bytes) else value.encode()
+            for number, value in zip(IDENTITY_NUMBERS, IDENTITY.values(), strict=True)
+        }
+        for level, count, pages in (("basic", 3, 2), ("regular", 5, 4), ("extended", 8, 7)):
+            found, sizes = identified(device, level)
+            assert list(found.objects.items()) == list(expected.items())[:count]
+            assert found.conformity == 0x83
+            assert len(sizes) == pages
+            assert max(sizes) == 253
+            assert sizes[0] == 253
+
+    def test_order_given_does_not_matter(self) -> None:
+        device = Device(Mapping(), identification=dict(reversed(IDENTITY.items())))
+        for level in ("basic", "regular", "extended"):
+            other = Device(Mapping(), identification=IDENTITY)
+            assert identified(device, level) == identified(other, level)
+
+    @pytest.mark.parametrize(
+        ("objects", "conformity"),
+        [
+            ({}, 0x81),
+            ({"VendorName": "x"}, 0x81),
+            ({"VendorUrl": "x"}, 0x82),
+            ({6: ""}, 0x82),
+            ({128: b""}, 0x83),
+            ({3: "x", 255: "y"}, 0x83),
+        ],
+        ids=str,
+    )
+    def test_conformity_is_what_the_device_has(
+        self, objects: dict[str | int, str | bytes], conformity: int
+    ) -> None:
+        """Whatever is asked for, and the code comes back as it was asked."""
+        device = Device(Mapping(), identification=objects)
+        for code in (1, 2, 3, 4):
+            assert device.answer(page(code))[:4] == bytes([0x2B, 0x0E, code, conformity])
+
+    def test_more_than_there_is_gives_what_there_is(self) -> None:
+        device = Device(Mapping())
+        basic, regular, extended = (device.answer(page(code)) for code in (1, 2, 3))
+        assert basic[3:] == regular[3:] == extended[3:]
+
+    def test_single_objects_are_given_alone(self) -> None:
+        device = Device(Mapping(), identification=IDENTITY)
+        whole = identified(device, "extended")[0].objects
+        for number in IDENTITY_NUMBERS:
+            answer = device.answer(page(4, number))
+            value = whole[number]
+            head = bytes([0x2B, 0x0E, 4, 0x83, 0, 0, 1, number, len(value)])
+            assert answer == head + value
+            assert identified(device, number)[0].objects == {number: value}
+
+    def test_unknown_single_object_is_an_illegal_address(self) -> None:
+        device = Device(Mapping(), identification=IDENTITY)
+        for number in set(range(256)) - set(IDENTITY_NUMBERS):
+            assert device.answer(page(4, number)) == b"\xab\2"
+
+    def test_unknown_object_starts_a_stream_over(self) -> None:
+        device = Device(Mapping(), identification=IDENTITY)
+        for code, known in ((1, (0, 1, 2)), (2, (0, 1, 2, 3, 6)), (3, IDENTITY_NUMBERS)):
+            first = device.answer(page(code))
+            for number in set(range(256)) - set(known):
+                assert device.answer(page(code, number)) == first
+            for number in known[1:]:
+                assert device.answer(page(code, number))[7] == number
+
+    @pytest.mark.parametrize("code", [0, 5, 6, 127, 128, 255])
+    def test_other_codes_are_illegal_values(self, code: int) -> None:
+        for number in (0, 77):
+            assert new_device().answer(page(code, number)) == b"\xab\3"
+
+    def test_other_interfaces_are_illegal_functions(self) -> None:
+        device = Device(Mapping(), canopen=lambda data: data)
+        for mei_type in set(range(256)) - {13, 14}:
+            for tail in (b"", b"\1\0", bytes(100)):
+                assert device.answer(bytes([0x2B, mei_type]) + tail) == b"\xab\1"
+
+    def test_length_of_a_request_is_checked(self) -> None:
+        for body in (b"\x2b", b"\x2b\x0e", page(1)[:3], page(1) + b"\0", page(0)[:3]):
+            assert new_device().answer(body) == b"\xab\3"
+
+    @pytest.mark.parametrize(
+        ("identification", "error"),
+        [
+            ({"Vendor": "x"}, ValueError),
+            ({"": "x"}, ValueError),
+            ({-1: "x"}, ValueError),
+            ({256: "x"}, ValueError),
+            ({7: "x"}, ValueError),
+            ({127: "x"}, ValueError),
+            ({0: "x" * 245}, ValueError),
+            ({128: bytes(245)}, ValueError),
+            ({0: "Müller"}, ValueError),
+            ({None: "x"}, TypeError),
+            ({0: None}, TypeError),
+            ({0: 5}, TypeError),
+            ({0: [1]}, TypeError),
+        ],
+        ids=lambda value: str(value)[:20],
+    )
+    def test_objects_that_cannot_be_are_refused(
+        self, identification: Any, error: type[Exception]
+    ) -> None:
+        with pytest.raises(error, match=r"."):
+            Device(Mapping(), identification=identification)
+
+
+class TestCanopen:
+    def test_without_a_function_it_is_illegal(self) -> None:
+        for body in (b"", b"\1\2\3"):
+            assert new_device().answer(b"\x2b\x0d" + body) == b"\xab\1"
+
+    def test_data_go_through_both_ways(self) -> None:
+        given: list[bytes] = []
+
+        def bus(data: bytes) -> bytes:
+            given.append(data)
+            return data[::-1]
+
+        device = Device(Mapping(), canopen=bus)
+        for data in (b"", b"\1\2\3", bytes(range(251))):
+            assert device.answer(b"\x2b\x0d" + data) == b"\x2b\x0d" + data[::-1]
+        assert given == [b"", b"\1\2\3", bytes(range(251))]
+
+    def test_function_may_refuse(self) -> None:
+        def bus(data: bytes) -> bytes:
+            raise errors.ServerDeviceBusy
+
+        assert Device(Mapping(), canopen=bus).answer(b"\x2b\x0d") == b"\xab\6"
+
+    @pytest.mark.parametrize("bad", [None, "text", 5, bytes(252), bytes(1000)], ids=type)
+    def test_what_no_answer_can_carry_is_a_failure(
+        self, bad: Any, caplog: pytest.LogCaptureFixture
+    ) -> None:
+        device = Device(Mapping(), canopen=lambda data: bad)
+        for _ in range(2):
+            assert device.answer(b"\x2b\x0d") == b"\xab\4"
+        assert len(caplog.records) == 1
+
+
+class Sum(pdu.Request[int]):
+    """A function of our own: some registers are asked for, one is answered."""
+
+    function = 0x64
+    request_length = pdu.counted(2, at=1)
+    response_length = pdu.unknown_length
+
+    def __init__(self, values: bytes) -> None:
+        self.values = values
+
+    def encode(self) -> bytes:
+        return bytes([self.function, len(self.values)]) + self.values
+
+    @classmethod
+    def decode(cls, pdu: bytes) -> Sum:
+        return cls(pdu[2:])
+
+    def encode_response(self, result: Any) -> bytes:
+        if isinstance(result, bytes):
+            return bytes([self.function]) + result
+        return bytes([self.function]) + words(result)
+
+    def _decode_response(self, pdu: bytes) -> int:
+        return int.from_bytes(pdu[1:], "big")
+
+
+@pytest.fixture
+def own_function() -> Iterator[type[Sum]]:
+    yield pdu.register(Sum)
+    pdu.REQUESTS.pop(Sum.function)
+
+
+@pytest.mark.usefixtures("own_function")
+class TestHandlers:
+    def test_handler_is_given_the_request_and_gives_its_result(self) -> None:
+        device = Device(Mapping(), handlers={Sum: lambda request: sum(request.values)})
+        assert device.answer(b"\x64\3\1\2\3") == b"\x64\0\6"
+        assert device.answer(b"\x64\3\1\2") == b"\xe4\3"
+
+    def test_class_without_a_handler_is_an_illegal_function(self) -> None:
+        assert Device(Mapping()).answer(b"\x64\0") == b"\xe4\1"
+
+    def test_handler_of_one_device_is_not_another_s(self) -> None:
+        first = Device(Mapping(), handlers={Sum: lambda request: 1})
+        second = Device(Mapping(), handlers={Sum: lambda request: 2})
+        third = Device(Mapping())
+        answers = [device.answer(b"\x64\0") for device in (first, second, third)]
+        assert answers == [b"\x64\0\1", b"\x64\0\2", b"\xe4\1"]
+
+    def test_handler_may_refuse(self) -> None:
+        def refuse(request: Sum) -> int:
+            raise errors.ExceptionResponse.of(request.values[0])
+
+        device = Device(Mapping(), handlers={Sum: refuse})
+        for code in (*range(1, 12), 99, 255):
+            assert device.answer(bytes([0x64, 1, code])) == bytes([0xE4, code])
+
+    @pytest.mark.parametrize("bad", [None, "text", -1, 65536, bytes(253), bytes(1000)])
+    def test_bug_or_bad_result_is_a_failure(
+        self, bad: Any, caplog: pytest.LogCaptureFixture
+    ) -> None:
+        device = Device(Mapping(), handlers={Sum: lambda request: bad})
+        for _ in range(2):
+            assert device.answer(b"\x64\0") == b"\xe4\4"
+        assert len(caplog.records) == 1
+
+    def test_hooks_do_not_see_it(self) -> None:
+        seen: list[Access] = []
+        device = Device(
+            Mapping(),
+            handlers={Sum: lambda request: 1},
+            before_read=seen.append,
+            before_write=seen.append,
+            after_write=seen.append,
+        )
+        assert device.answer(b"\x64\0") == b"\x64\0\1"
+        assert seen == []
+
+    @pytest.mark.parametrize(
+        "bad", [{0x64: len}, {"Sum": len}, {int: len}, {Sum: None}, {Sum: 5}, {None: len}], ids=str
+    )
+    def test_handlers_are_functions_by_class(self, bad: Any) -> None:
+        with pytest.raises(TypeError, match=r"^handlers"):
+            Device(Mapping(), handlers=bad)
+
+
+class TestTwoDevices:
+    """All state is the device's own, and none is a module's or a class's."""
+
+    @staticmethod
+    def two() -> tuple[Device, Device]:
+        return new_device(), new_device()
+
+    def test_counters_and_log(self) -> None:
+        first, second = self.two()
+        for _ in range(5):
+            first.answer(b"\x03" + words(0, 1))
+        assert diagnose(first, 0x0D) == b"\x08\0\x0d\0\5"
+        assert diagnose(second, 0x0D) == b"\x08\0\x0d\0\0"
+        assert len(second.answer(b"\x0c")) == 8 + 3
+        diagnose(second, 0x0A)
+        assert diagnose(first, 0x0D) == b"\x08\0\x0d\0\5"
+
+    def test_listen_only_and_delimiter(self) -> None:
+        first, second = self.two()
+        one, other = on_a_line(), on_a_line()
+        diagnose(first, 3, b"\x24\0", one)
+        diagnose(first, 4, b"\0\0", one)
+        assert first.answer(b"\x07", one) == b""
+        assert second.answer(b"\x07", other) == b"\x07\0"
+        assert other.communication is not None
+        assert other.communication.delimiter == 0x0A
+
+    def test_identification_status_identifier_and_register(self) -> None:
+        first = Device(Mapping(), identification={0: "first"}, exception_status=1)
+        second = Device(Mapping(), identification={0: "second", 128: "more"})
+        first.diagnostic_register = 7
+        first.server_id = pdu.ServerId(b"\7", False)
+        assert identified(first, 0)[0].objects == {0: b"first"}
+        assert identified(second, 0)[0].objects == {0: b"second"}
+        assert [each.answer(page(4))[3] for each in (first, second)] == [0x81, 0x83]
+        assert second.answer(b"\x07") == b"\x07\0"
+        assert diagnose(second, 2) == b"\x08\0\2\0\0"
+        assert second.answer(b"\x11") == vector("own-6.13-rsp")
+        assert Device(Mapping()).answer(page(4))[3] == 0x81
+
+    def test_files_and_queues(self) -> None:
+        shared: dict[int, list[int]] = {1: [0, 0]}
+        first = Device(Mapping(), files=shared, fifos=shared)
+        second = Device(Mapping(), files=shared, fifos=shared)
+        request = pdu.WriteFileRecords([(1, 0, [5, 6])]).encode()
+        assert first.answer(request) == request
+        first.fifos[1].append(9)
+        first.fifos[2] = []
+        assert list(second.files[1]) == [0, 0]
+        assert second.fifos == {1: [0, 0]}
+        assert shared == {1: [0, 0]}
+        third, fourth = Device(Mapping()), Device(Mapping())
+        third.fifos[1] = [1]
+        third.files[1] = RecordFile([1])
+        assert (fourth.fifos, fourth.files) == ({}, {})
+
+    def test_hooks(self) -> None:
+        seen: list[Access] = []
+        first = Device(Mapping(coils=1), before_read=seen.append)
+        second = Device(Mapping(coils=1))
+        second.answer(b"\1" + words(0, 1))
+        assert seen == []
+        first.answer(b"\1" + words(0, 1))
+        assert len(seen) == 1
+
+
+# --- hooks ----------------------------------------------------------------------------------
+
+CALLER = Caller(5, "192.0.2.7:51234")
+
+
+def seen_as(table: str, address: int, count: int, *values: Any, file: int = 0) -> Access:
+    return Access(table, address, count, values, file, CALLER.unit, CALLER.peer)
+
+
+# Request, what it writes, what it reads; 250 holds 12h.
+TOUCHES: list[tuple[pdu.Request[Any], list[Access], list[Access]]] = [
+    (pdu.ReadCoils(10, 3), [], [seen_as("coils", 10, 3)]),
+    (pdu.ReadDiscreteInputs(20, 9), [], [seen_as("discrete_inputs", 20, 9)]),
+    (pdu.ReadHoldingRegisters(399, 1), [], [seen_as("holding_registers", 399, 1)]),
+    (pdu.ReadInputRegisters(200, 125), [], [seen_as("input_registers", 200, 125)]),
+    (pdu.WriteCoil(10, True), [seen_as("coils", 10, 1, True)], []),
+    (pdu.WriteCoil(2099, False), [seen_as("coils", 2099, 1, False)], []),
+    (pdu.WriteRegister(100, 65535), [seen_as("holding_registers", 100, 1, 65535)], []),
+    (pdu.WriteCoils(12, [True, False, True]), [seen_as("coils", 12, 3, True, False, True)], []),
+    (pdu.WriteRegisters(398, [7, 8]), [seen_as("holding_registers", 398, 2, 7, 8)], []),
+    (
+        pdu.ReadFileRecords([(4, 9, 2), (3, 12, 1)]),
+        [],
+        [seen_as("file", 9, 2, file=4), seen_as("file", 12, 1, file=3)],
+    ),
+    (
+        pdu.WriteFileRecords([(4, 9, [5, 6]), (3, 12, [7])]),
+        [seen_as("file", 9, 2, 5, 6, file=4), seen_as("file", 12, 1, 7, file=3)],
+        [],
+    ),
+    (pdu.MaskWriteRegister(250, 0xF2, 0x25), [seen_as("holding_registers", 250, 1, 0x17)], []),
+    (
+        pdu.ReadWriteRegisters(100, 3, 101, [7]),
+        [seen_as("holding_registers", 101, 1, 7)],
+        [seen_as("holding_registers", 100, 3)],
+    ),
+    (pdu.ReadFifoQueue(9), [], [seen_as("fifo", 9, 1)]),
+]
+WRITES = [request for request, writes, _ in TOUCHES if writes]
+READS = [request for request, _, reads in TOUCHES if reads]
+UNTOUCHING: list[pdu.Request[Any]] = [
+    pdu.ReadExceptionStatus(),
+    pdu.Diagnostics(0),
+    pdu.Diagnostics(SubFunction.CLEAR_COUNTERS),
+    pdu.ReadCommEventCounter(),
+    pdu.ReadCommEventLog(),
+    pdu.ReportServerId(),
+    pdu.ReadDeviceIdentification(1),
+    pdu.EncapsulatedTransport(13, b""),
+]
+# Bodies that touch something, but not all of it exists: exception 2.
+BEYOND = [
+    pdu.ReadCoils(9, 2),
+    pdu.ReadDiscreteInputs(2099, 2),
+    pdu.ReadHoldingRegisters(399, 2),
+    pdu.ReadInputRegisters(199, 1),
+    pdu.WriteCoil(2100, True),
+    pdu.WriteRegister(99, 1),
+    pdu.WriteCoils(2099, [True] * 2),
+    pdu.WriteRegisters(399, [1, 2]),
+    pdu.ReadFileRecords([(4, 9, 2), (3, 11, 1)]),
+    pdu.ReadFileRecords([(5, 0, 1)]),
+    pdu.WriteFileRecords([(4, 9, [5, 6]), (3, 11, [7])]),
+    pdu.MaskWriteRegister(400, 0, 0),
+    pdu.ReadWriteRegisters(399, 2, 100, [7]),
+    pdu.ReadWriteRegisters(100, 1, 400, [7]),
+    pdu.ReadFifoQueue(8),
+]
+
+
+def id_of(value: Any) -> str:
+    return f"{value.function:02}-{type(value).__name__}" if isinstance(value, pdu.Request) else ""
+
+
+def hooked_device(**hooks: Callable[[Access], object]) -> Device:
+    mapping = Mapping(BITS[1], BITS[2], REGISTERS[3], REGISTERS[4])
+    mapping.holding_registers[250] = 0x12
+    return Device(mapping, files=FILES, fifos={9: [1]}, canopen=lambda data: data, **hooks)
+
+
+class Recorder:
+    """Three hooks that note what they are told, and what the device holds then."""
+
+    def __init__(self) -> None:
+        self.calls: list[tuple[str, Access]] = []
+        self.states: list[dict[str, Any]] = []
+        self.device = hooked_device(
+            before_write=lambda access: self.note("before_write", access),
+            after_write=lambda access: self.note("after_write", access),
+            before_read=lambda access: self.note("before_read", access),
+        )
+
+    def note(self, name: str, access: Access) -> None:
+        self.calls.append((name, access))
+        self.states.append(contents(self.device))
+
+
+class TestHooks:
+    def test_every_function_stands_in_one_of_the_lists(self) -> None:
+        touching = {type(request) for request, *_ in TOUCHES}
+        untouching = {type(request) for request in UNTOUCHING}
+        assert touching | untouching == {*pdu.REQUESTS.values(), pdu.ReadDeviceIdentification}
+        assert not touching & untouching
+        assert {type(request) for request in BEYOND} == touching
+
+    @pytest.mark.parametrize(("request_", "writes", "reads"), TOUCHES, ids=id_of)
+    def test_hooks_are_told_what_is_touched_in_order(
+        self, request_: pdu.Request[Any], writes: list[Access], reads: list[Access]
+    ) -> None:
+        recorder = Recorder()
+        plain = hooked_device()
+        before = contents(plain)
+        answer = recorder.device.answer(request_.encode(), CALLER)
+        assert answer == plain.answer(request_.encode())
+        assert not answer[0] & 0x80
+        assert recorder.calls == [
+            *(("before_write", access) for access in writes),
+            *(("before_read", access) for access in reads),
+            *(("after_write", access) for access in writes),
+        ]
+        for (name, _), state in zip(recorder.calls, recorder.states, strict=True):
+            assert state == (contents(plain) if name == "after_write" else before)
+
+    @pytest.mark.parametrize(("request_", "writes", "reads"), TOUCHES, ids=id_of)
+    def test_values_have_the_types_of_their_tables(
+        self, request_: pdu.Request[Any], writes: list[Access], reads: list[Access]
+    ) -> None:
+        recorder = Recorder()
+        recorder.device.answer(request_.encode(), CALLER)
+        for name, access in recorder.calls:
+            kind = bool if access.table == "coils" else int
+            assert {type(value) for value in access.values} <= {kind}
+            assert len(access.values) == (0 if name == "before_read" else access.count)
+
+    @pytest.mark.parametrize("request_", UNTOUCHING, ids=id_of)
+    def test_hooks_are_not_told_of_what_touches_nothing(self, request_: pdu.Request[Any]) -> None:
+        recorder = Recorder()
+        assert not recorder.device.answer(request_.encode(), CALLER)[0] & 0x80
+        assert recorder.calls == []
+
+    @pytest.mark.parametrize("request_", BEYOND, ids=id_of)
+    def test_hooks_never_see_what_does_not_exist(self, request_: pdu.Request[Any]) -> None:
+        recorder = Recorder()
+        before = contents(recorder.device)
+        answer = recorder.device.answer(request_.encode(), CALLER)
+        assert answer == bytes([request_.function | 0x80, 2])
+        assert recorder.calls == []
+        assert contents(recorder.device) == before
+
+    @pytest.mark.parametrize(("request_", "writes", "reads"), TOUCHES, ids=id_of)
+    def test_hooks_never_see_bad_requests(
+        self, request_: pdu.Request[Any], writes: list[Access], reads: list[Access]
+    ) -> None:
+        recorder = Recorder()
+        body = request_.encode()
+        for bad in (body[:-1], body + b"\0", body[:1]):
+            assert recorder.device.answer(bad, CALLER) == bytes([body[0] | 0x80, 3])
+        assert recorder.calls == []
+
+    def test_units_of_a_broadcast(self) -> None:
+        recorder = Recorder()
+        caller = Caller(0, "/dev/ttyS0", Communication(is_serial=True), is_broadcast=True)
+        recorder.device.answer(b"\6" + words(100, 7), caller)
+        recorder.device.answer(b"\3" + words(100, 1), caller)
+        access = Access("holding_registers", 100, 1, (7,), 0, 0, "/dev/ttyS0")
+        assert recorder.calls == [("before_write", access), ("after_write", access)]
+
+    def test_listening_device_calls_no_hooks(self) -> None:
+        recorder, caller = Recorder(), on_a_line()
+        diagnose(recorder.device, 4, b"\0\0", caller)
+        for request, *_ in TOUCHES:
+            assert recorder.device.answer(request.encode(), caller) == b""
+        assert recorder.calls == []
+
+    @pytest.mark.parametrize("request_", WRITES, ids=id_of)
+    @pytest.mark.parametrize("code", [*range(1, 12), 0x7F, 255])
+    def test_before_write_refuses_and_nothing_changes(
+        self, request_: pdu.Request[Any], code: int, caplog: pytest.LogCaptureFixture
+    ) -> None:
+        refusal = errors.ExceptionResponse.of(code)
+        told: list[Access] = []
+
+        def refuse(access: Access) -> None:
+            # By the class where there is one, as an application would.
+            raise refusal if type(refusal) is errors.ExceptionResponse else type(refusal)
+
+        device = hooked_device(
+            before_write=refuse, before_read=told.append, after_write=told.append
+        )
+        before = contents(device)
+        answer = device.answer(request_.encode(), CALLER)
+        assert answer == bytes([request_.function | 0x80, code])
+        assert contents(device) == before
+        assert told == []
+        assert caplog.records == []
+
+    @pytest.mark.parametrize("request_", READS, ids=id_of)
+    def test_before_read_refuses_and_nothing_changes(self, request_: pdu.Request[Any]) -> None:
+        def refuse(access: Access) -> None:
+            raise errors.GatewayPathUnavailable
+
+        device = hooked_device(before_read=refuse)
+        before = contents(device)
+        answer = device.answer(request_.encode(), CALLER)
+        assert answer == bytes([request_.function | 0x80, 10])
+        assert contents(device) == before
+
+    def test_refusal_of_one_piece_refuses_all(self) -> None:
+        def refuse(access: Access) -> None:
+            if access.file == 3:
+                raise errors.MemoryParityError
+
+        device = hooked_device(before_write=refuse)
+        before = contents(device)
+        request = pdu.WriteFileRecords([(4, 9, [5, 6]), (3, 12, [7])])
+        assert device.answer(request.encode()) == b"\x95\x08"
+        assert contents(device) == before
+
+    @pytest.mark.parametrize("code", [0, -1, 256, 1000])
+    def test_code_that_no_answer_can_carry_is_a_failure(
+        self, code: int, caplog: pytest.LogCaptureFixture
+    ) -> None:
+        def refuse(access: Access) -> None:
+            raise errors.ExceptionResponse(code=code)
+
+        device = hooked_device(before_write=refuse)
+        for _ in range(2):
+            assert device.answer(b"\6" + words(100, 1)) == b"\x86\4"
+        assert len(caplog.records) == 1
+
+    @pytest.mark.parametrize("hook", ["before_write", "before_read", "after_write"])
+    def test_bug_of_a_hook_is_answered_4_and_logged_once(
+        self, hook: str, caplog: pytest.LogCaptureFixture
+    ) -> None:
+        def fail(access: Access) -> None:
+            raise ZeroDivisionError("a bug of the application")
+
+        device = hooked_device(**{hook: fail})
+        before = contents(device)
+        request = (READS if hook == "before_read" else WRITES)[0].encode()
+        for _ in range(3):
+            assert device.answer(request) == bytes([request[0] | 0x80, 4])
+        assert len(caplog.records) == 1
+        assert caplog.records[0].exc_info
+        assert caplog.records[0].exc_info[0] is ZeroDivisionError
+        assert (contents(device) == before) == (hook != "after_write")
+        assert device.answer(b"\x07") == b"\x07\0"  # and the mapping is free
+
+    def test_before_read_refreshes_what_is_read(self) -> None:
+        turn = 0
+
+        def refresh(access: Access) -> None:
+            nonlocal turn
+            turn += 1
+            if access.table == "fifo":
+                device.fifos[access.address] = [turn]
+            elif access.table == "file":
+                device.files[access.file][access.address] = turn
+            else:
+                getattr(device.mapping, access.table)[access.address] = turn & 1
+
+        device = hooked_device(before_read=refresh)
+        assert device.answer(b"\1" + words(10, 1)) == b"\1\1\1"
+        assert device.answer(b"\1" + words(10, 1)) == b"\1\1\0"
+        assert device.answer(b"\2" + words(20, 1)) == b"\2\1\1"
+        device.answer(b"\2" + words(20, 1))
+        assert device.answer(b"\3" + words(100, 1)) == b"\3\2\0\1"
+        device.answer(b"\3" + words(100, 1))
+        assert device.answer(b"\4" + words(200, 1)) == b"\4\2\0\1"
+        assert device.answer(b"\x18\0\x09") == b"\x18\0\4\0\1\0\x08"
+        assert device.answer(b"\x14\7\6" + words(4, 9, 1)) == b"\x14\4\3\6\0\x09"
+
+    def test_queue_that_is_too_long_can_be_cut_by_its_hook(self) -> None:
+        def cut(access: Access) -> None:
+            del device.fifos[access.address][31:]
+
+        device = hooked_device(before_read=cut)
+        device.fifos[9] = [1] * 40
+        assert len(device.answer(b"\x18\0\x09")) == 5 + 62
+
+    def test_hook_may_write_to_the_mapping_and_the_client_has_the_last_word(self) -> None:
+        def before(access: Access) -> None:
+            device.mapping.holding_registers[100:103] = [1, 2, 3]
+
+        device = hooked_device(before_write=before)
+        device.answer(b"\6" + words(101, 9))
+        assert device.mapping.holding_registers[100:103] == [1, 9, 3]
+
+    def test_after_write_may_set_what_was_written(self) -> None:
+        def after(access: Access) -> None:
+            device.mapping.holding_registers[access.address] = 0
+
+        device = hooked_device(after_write=after)
+        assert device.answer(b"\6" + words(101, 9)) == b"\6" + words(101, 9)
+        assert device.mapping.holding_registers[101] == 0
+
+    def test_no_other_thread_comes_between_hook_and_write(self) -> None:
+        inside, outside = threading.Event(), threading.Event()
+        order: list[str] = []
+
+        def before(access: Access) -> None:
+            inside.set()
+            assert not outside.wait(0.02)  # the other one waits for the lock
+            order.append("hook")
+
+        device = hooked_device(before_write=before)
+
+        def other() -> None:
+            inside.wait()
+            with device.mapping:
+                order.append("other")
+            outside.set()
+
+        thread = threading.Thread(target=other)
+        thread.start()
+        answer = device.answer(b"\6" + words(100, 7))
+        thread.join()
+        assert answer == b"\6" + words(100, 7)
+        assert order == ["hook", "other"]
+
+
+class TestNoise:
+    """The functions that the model does not know."""
+
+    @settings(max_examples=300, deadline=None)
+    @given(
+        st.sampled_from([*sorted(set(pdu.REQUESTS) - set(KNOWN)), 0, 9, 65, 127]),
+        st.binary(max_size=252) | st.binary(max_size=6),
+        st.booleans(),
+    )
+    def test_answer_is_one_of_that_function(self, code: int, body: bytes, serial: bool) -> None:
+        device = Device(
+            Mapping(),
+            fifos={0: [1], 1: [2] * 31},
+            identification=IDENTITY,
+            canopen=lambda data: data,
+        )
+        answer = device.answer(bytes([code]) + body, caller_on(serial))
+        if answer == b"":
+            assert (code, body, serial) == (8, words(4, 0), True)
+        elif answer[0] & 0x80:
+            assert answer[0] == code | 0x80
+            assert answer[1:] in (b"\1", b"\2", b"\3")
+        else:
+            assert answer[0] == code
+            assert len(answer) <= pdu.MAX_PDU
+            assert pdu.response_length(answer) in (0, len(answer))
+
+
 class Broken(RecordFile):
     def has(self, record: int, length: int) -> bool:
         raise ZeroDivisionError("a bug of the application")
@@ -631,7 +1641,7 @@ class TestFailures:
             raise OSError("no descriptor left")
 
         with monkeypatch.context() as patch:
-            patch.setattr(device_module, "_engine", fail)
+            patch.setattr(device_module, "engine", fail)
             assert device.answer(b"\x03" + words(100, 1)) == b"\x83\4"
             assert device.answer(b"\x03" + words(0, 1, 1)) == b"\x83\3"
         assert device.answer(b"\x03" + words(100, 1)) == b"\x03\2\0\0"
@@ -654,8 +1664,8 @@ class TestFailures:
                 self._outer.close()
 
         def work() -> None:
-            engine = device_module._engine()
-            engine._outer = Interrupted(engine._outer)  # type: ignore[assignment]
+            own = engine()
+            own._outer = Interrupted(own._outer)  # type: ignore[assignment]
             for address in (100, 101, 100):
                 try:
                     answers.append(device.answer(b"\x03" + words(address, 1)))

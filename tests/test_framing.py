@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from vectors import CHECKSUMS, FRAMES, Checksum, FrameVector, rows
+from vectors import CHECKSUMS, FRAMES, REQUESTS, RESPONSES, Checksum, FrameVector, rows
 
 from libmodbus_py import pdu
 from libmodbus_py.errors import FrameError
@@ -104,6 +104,11 @@ LINES: dict[str, tuple[Callable[[FrameVector], Any], Callable[[FrameVector], byt
     "rtu": (lambda vector: RtuFramer(_role(vector)), lambda vector: vector.rtu),  # type: ignore[arg-type]
     "ascii": (lambda vector: AsciiFramer(), lambda vector: vector.ascii),
 }
+
+
+def test_there_are_examples_of_every_function_both_ways() -> None:
+    for vectors in (REQUESTS, RESPONSES):
+        assert {vector.function for vector in vectors} == set(pdu.REQUESTS)
 
 
 @pytest.mark.parametrize("line", list(LINES))
@@ -297,6 +302,23 @@ def accidental(stream: bytes, end: int) -> bool:
     return False
 
 
+# Requests and responses of known functions that do not say how long they are.
+ENDLESS = [b"\x08\0\0", b"\x2b\x0d"]
+
+
+@pytest.fixture
+def own_class() -> Iterator[int]:
+    """The code of a class that is known while the test runs; its third byte counts the rest."""
+
+    class Own(pdu.RawRequest):
+        function = 0x6E
+        request_length = pdu.counted(2, at=1)
+        response_length = pdu.counted(2, at=1)
+
+    yield pdu.register(Own).function
+    pdu.REQUESTS.pop(Own.function)
+
+
 class TestRtu:
     def test_role_is_one_of_two(self) -> None:
         for bad in ("master", "", None, 1):
@@ -440,6 +462,92 @@ class TestRtu:
         assert framer.feed(good[-1:]) == [Frame(17, body)]
         assert take(framer, good + good) == ([Frame(17, body)] * 2, [])
 
+    @pytest.mark.parametrize("head", ENDLESS)
+    @pytest.mark.parametrize("size", [2, 4, 30, 250])
+    @pytest.mark.parametrize("role", ["client", "server"])
+    def test_known_function_without_length_ends_with_its_crc(
+        self, role: Any, size: int, head: bytes
+    ) -> None:
+        body = head + bytes(at * 11 & 0xFF for at in range(size))
+        good = rtu(17, body)
+        assert not accidental(good[:-1], 1)
+        framer = RtuFramer(role)
+        for _ in range(2):  # right after silence, and right after a good frame
+            for byte in single_bytes(good[:-1]):
+                assert framer.feed(byte) == []
+            assert framer.feed(good[-1:]) == [Frame(17, body)]
+        assert take(framer, good * 3) == ([Frame(17, body)] * 3, [])
+        write = rtu(*WRITE[:2])
+        assert take(framer, write + good + write) == ([WRITE, Frame(17, body), WRITE], [])
+
+    @pytest.mark.parametrize("head", ENDLESS)
+    @pytest.mark.parametrize("role", ["client", "server"])
+    def test_known_function_without_length_is_taken_after_a_silence(
+        self, role: Any, head: bytes
+    ) -> None:
+        framer = RtuFramer(role)
+        frame = Frame(17, head + b"\xa5\x37")
+        frames = take(framer, b"\x11\x03\x00")[0] + quiet(framer)
+        for _ in range(3):
+            frames += take(framer, rtu(*frame[:2]))[0] + quiet(framer)
+        assert frames == [frame] * 3
+
+    @pytest.mark.parametrize("head", ENDLESS)
+    def test_known_function_without_length_does_not_swallow_the_next(self, head: bytes) -> None:
+        """Its CRC is lost; what follows after a silence is found all the same."""
+        framer = RtuFramer("server")
+        spoilt = bytearray(rtu(17, head + b"\xa5\x37"))
+        spoilt[-1] ^= 1
+        frames = take(framer, bytes(spoilt))[0] + quiet(framer)
+        for _ in range(2):
+            frames += take(framer, rtu(*READ[:2]))[0] + quiet(framer)
+        assert frames == [READ] * 2
+
+    @pytest.mark.parametrize("sub_function", [1, 4, 10, 11, 20, 21, 65535])
+    @pytest.mark.parametrize("role", ["client", "server"])
+    def test_other_diagnostics_have_their_length(self, role: Any, sub_function: int) -> None:
+        head = b"\x11\x08" + sub_function.to_bytes(2, "big")
+        early = head[1:] + crc16(head).to_bytes(2, "little")  # a CRC that fits, in the data
+        whole = rtu(17, early)
+        framer = RtuFramer(role)
+        for byte in single_bytes(whole[:-1]):
+            assert framer.feed(byte) == []
+        assert framer.feed(whole[-1:]) == [Frame(17, early)]
+
+    @pytest.mark.parametrize("role", ["client", "server"])
+    def test_class_of_ones_own_is_read_by_its_rule(self, role: Any, own_class: int) -> None:
+        """A frame with a fitting CRC in its data, which nothing but the rule can tell."""
+        head = bytes([17, own_class, 4])
+        early = head[1:] + crc16(head).to_bytes(2, "little") + b"\1\2"
+        whole = rtu(17, early)
+        framer = RtuFramer(role)
+        for byte in single_bytes(whole[:-1]):
+            assert framer.feed(byte) == []
+        assert framer.feed(whole[-1:]) == [Frame(17, early)]
+        assert take(framer, whole * 2) == ([Frame(17, early)] * 2, [])
+        # And it is found behind garbage, which a code without a rule is not.
+        frames, errors = take(framer, b"\xff\xff\xff" + whole)
+        assert frames + quiet(framer) == [Frame(17, early)]
+        assert errors
+
+    def test_refusal_of_a_class_of_ones_own_is_found(self, own_class: int) -> None:
+        refusal = Frame(17, bytes([own_class | 0x80, 3]))
+        framer = RtuFramer("client")
+        assert take(framer, rtu(*refusal[:2]) * 2) == ([refusal] * 2, [])
+        frames = take(framer, b"\xff\xff\xff" + rtu(*refusal[:2]))[0]
+        assert frames + quiet(framer) == [refusal]
+
+    @pytest.mark.parametrize("count", [32, 124, 125, 126, 0x7FFF])
+    def test_queue_longer_than_a_message_is_no_frame(self, count: int) -> None:
+        size = 2 + 2 * count & 0xFFFF
+        head = b"\x18" + size.to_bytes(2, "big") + count.to_bytes(2, "big")
+        response = rtu(17, head + bytes(2 * min(count, 150)))
+        framer = RtuFramer("client")
+        frames, _ = take(framer, response)
+        assert frames == ([Frame(17, response[1:-2])] if count <= 124 else [])
+        quiet(framer)
+        assert take(framer, rtu(*ANSWER[:2]))[0] + quiet(framer) == [ANSWER]
+
     def test_function_without_length_rule_or_crc_is_given_up(self) -> None:
         framer = RtuFramer("server")
         frames, errors = take(framer, b"\x11\x41" + bytes(254))
@@ -469,6 +577,15 @@ class TestRtu:
             (rtu(21, b"\x04\x00\x00\x00\x01"), rtu(21, b"\x84\x02")),
             (rtu(22, b"\x03\x00\x00\x00\x7d"), rtu(22, b"\x03\xfa" + bytes(range(250)))),
             (rtu(23, b"\x16\0\1\0\2\0\3"), rtu(23, b"\x16\0\1\0\2\0\3")),
+            (rtu(24, b"\x07"), rtu(24, b"\x07\x6d")),
+            (rtu(24, b"\x08\0\0\xa5\x37"), rtu(24, b"\x08\0\0\xa5\x37")),
+            (rtu(24, b"\x08\0\x0b\0\0"), rtu(24, b"\x08\0\x0b\1\x21")),
+            (rtu(25, b"\x0b"), rtu(25, b"\x0b\xff\xff\1\x08")),
+            (rtu(25, b"\x0c"), rtu(25, b"\x0c\x08\0\0\1\x08\1\x21\x20\0")),
+            (rtu(26, b"\x11"), rtu(26, b"\x11\x08\1\xffdevice")),
+            (rtu(26, b"\x18\4\xde"), rtu(26, b"\x18\0\6\0\2\1\xb8\x12\x84")),
+            (rtu(27, b"\x2b\x0e\1\0"), rtu(27, b"\x2b\x0e\1\1\0\0\1\0\5hello")),
+            (rtu(27, b"\x2b\x0d\1\2"), rtu(27, b"\x2b\x0d\3\4\5")),
         ]
         for turns in ([1], [3, 2], [1] * 300):
             framer = RtuFramer("server")
@@ -682,6 +799,10 @@ streams = st.lists(
             mbap(1, 1, 6, 17, READ.pdu),
             rtu(17, READ.pdu),
             rtu(17, b"\x41\x01"),
+            rtu(17, b"\x08\0\0\xa5\x37"),
+            rtu(17, b"\x18\0\x06\0\2\1\2\3\4"),
+            rtu(17, b"\x2b\x0d\1"),
+            rtu(17, b"\x2b\x0e\1\1\0\0\2\0\1a\1\1b")[:14],
             rtu(17, b"\x83\x02"),
             rtu(17, b"\x10\0\0\0\1\2\0\1")[:9],
             ascii_frame(17, READ.pdu),
@@ -778,7 +899,18 @@ class TestWhateverComes:
         assert time.process_time() - began < 20
 
     @pytest.mark.parametrize(
-        "pattern", [b":", b":\r", b"\r", b":0\r", b"\x11\x03", b"\x11\x10\xff"]
+        "pattern",
+        [
+            b":",
+            b":\r",
+            b"\r",
+            b":0\r",
+            b"\x11\x03",
+            b"\x11\x10\xff",
+            b"\x2b\x0e",
+            b"\0\x08",
+            b"\x2b\x0d",
+        ],
     )
     @pytest.mark.parametrize("name", ["rtu server", "rtu client", "ascii"])
     def test_a_chunk_of_repeated_bytes_is_borne(self, name: str, pattern: bytes) -> None:

@@ -13,7 +13,7 @@ import socket
 import subprocess
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -45,7 +45,9 @@ from libmodbus_py import (
     RtuContext,
     TcpContext,
     native,
+    pdu,
 )
+from libmodbus_py.low_level import loaded_version
 from libmodbus_py.tap import SerialWire
 
 SOURCES = Path(__file__).parent / "c"
@@ -102,7 +104,7 @@ def c_server(server: Path, transport: str, **options: Any) -> Iterator[Context]:
             yield stack.enter_context(RtuContext(wire.client, BAUDRATE, **options))
 
 
-def to_c_server(cases: Iterator[Exchange]) -> Any:
+def to_c_server(cases: Iterable[Exchange]) -> Any:
     """Each case over each transport, in each way that a context has."""
     return pytest.mark.parametrize(
         ("exchange", "transport", "way"),
@@ -120,7 +122,13 @@ def to_c_server(cases: Iterator[Exchange]) -> Any:
     )
 
 
-@to_c_server(exchanges())
+def who_it_is() -> Iterator[Exchange]:
+    version = ".".join(map(str, loaded_version()))
+    answer = pdu.ServerId(b"\xb4", True, f"LMB{version}".encode())
+    yield Exchange(17, "id", lambda c: c.report_server_id(), answer)
+
+
+@to_c_server([*exchanges(), *who_it_is()])
 def test_context_and_c_server_agree(
     compiled: Callable[[str], Path], exchange: Exchange, transport: str, way: bool | None
 ) -> None:
@@ -192,6 +200,84 @@ def test_file_records_over_rtu_time_out(
         ask(context)
 
 
+# What libmodbus has no answer for. It thinks that a request of a code which it does not
+# know is the code alone: so the first two are whole, and the others are not.
+WITHOUT_DATA: dict[int, Callable[[Context], object]] = {
+    11: lambda context: context.read_comm_event_counter(),
+    12: lambda context: context.read_comm_event_log(),
+}
+WITH_DATA: dict[int, Callable[[Context], object]] = {
+    8: lambda context: context.diagnostics(0, 0xA537),
+    24: lambda context: context.read_fifo_queue(100),
+    43: lambda context: context.read_device_identification(),
+}
+
+
+def to_c_server_in_vain(
+    functions: dict[int, Callable[[Context], object]], transport: str, word: str
+) -> Any:
+    return pytest.mark.parametrize(
+        ("function", "ask"),
+        [
+            pytest.param(
+                function, ask, id=case_id("libmodbus", "client", transport, function, word)
+            )
+            for function, ask in functions.items()
+        ],
+    )
+
+
+@to_c_server_in_vain(WITHOUT_DATA | WITH_DATA, "tcp", "refused")
+def test_what_libmodbus_lacks_is_refused_over_tcp(
+    compiled: Callable[[str], Path], function: int, ask: Callable[[Context], object]
+) -> None:
+    with c_server(compiled("server"), "tcp") as context:
+        with pytest.raises(IllegalFunction) as caught:
+            ask(context)
+        assert caught.value.function == function
+        assert context.read_holding_registers(100, 1) == [1100]
+
+
+@to_c_server_in_vain(WITHOUT_DATA, "rtu", "refused")
+def test_what_libmodbus_lacks_is_refused_over_rtu(
+    compiled: Callable[[str], Path], function: int, ask: Callable[[Context], object]
+) -> None:
+    with c_server(compiled("server"), "rtu") as context:
+        with pytest.raises(IllegalFunction) as caught:
+            ask(context)
+        assert caught.value.function == function
+        assert context.read_holding_registers(100, 1) == [1100]
+
+
+@to_c_server_in_vain(WITH_DATA, "rtu", "pinned")
+def test_what_libmodbus_lacks_times_out_over_rtu(
+    compiled: Callable[[str], Path], function: int, ask: Callable[[Context], object]
+) -> None:
+    # As with file records: the CRC is looked for too early, and not found.
+    with (
+        c_server(compiled("server"), "rtu", timeout=0.2) as context,
+        pytest.raises(ModbusTimeoutError),
+    ):
+        ask(context)
+
+
+@pytest.mark.parametrize(
+    "transport",
+    [
+        pytest.param(each, id=case_id("libmodbus", "client", each, 7, "pinned"))
+        for each in TRANSPORTS
+    ],
+)
+def test_exception_status_is_not_answered(compiled: Callable[[str], Path], transport: str) -> None:
+    # modbus_reply names function 7, and does nothing with it: "FIXME Not implemented"
+    # in 3.1.6; newer ones refuse it as they should.
+    with (
+        c_server(compiled("server"), transport, timeout=0.2) as context,
+        pytest.raises((ModbusTimeoutError, IllegalFunction)),
+    ):
+        context.read_exception_status()
+
+
 @pytest.mark.parametrize("way", WAYS.values(), ids=WAYS)
 def test_c_server_obeys_a_broadcast_in_silence(
     compiled: Callable[[str], Path], way: bool | None
@@ -203,8 +289,8 @@ def test_c_server_obeys_a_broadcast_in_silence(
 
 # --- C's client, our server ----------------------------------------------------------------
 
-C_CLIENT_CALLS = (1, 2, 3, 4, 5, 6, 15, 16, 22, 23)
-C_CLIENT_REFUSALS = (*C_CLIENT_CALLS, 17)
+C_CLIENT_CALLS = (1, 2, 3, 4, 5, 6, 15, 16, 17, 22, 23)
+C_CLIENT_REFUSALS = tuple(code for code in C_CLIENT_CALLS if code != 17)
 
 
 def output_of(command: list[object]) -> str:
@@ -311,10 +397,20 @@ class CountingLibrary:
             lambda c: c.read_write_registers(100, 1, 100, [5]),
             ["modbus_write_and_read_registers"],
         ),
+        (lambda c: c.report_server_id(), ["modbus_report_slave_id"]),
         (lambda c: c.read_file_records([(4, 0, 2)]), []),
         (lambda c: c.write_file_records([(4, 0, [5])]), []),
+        (lambda c: c.read_exception_status(), []),
+        (lambda c: c.diagnostics(0, 5), []),
+        (lambda c: c.read_comm_event_counter(), []),
+        (lambda c: c.read_comm_event_log(), []),
+        (lambda c: c.read_fifo_queue(100), []),
+        (lambda c: c.read_device_identification("regular"), []),
     ],
-    ids=[f"fc{code:02}" for code in (1, 2, 3, 4, 5, 6, 15, 16, 22, 23, 20, 21)],
+    ids=[
+        f"fc{code:02}"
+        for code in (1, 2, 3, 4, 5, 6, 15, 16, 22, 23, 17, 20, 21, 7, 8, 11, 12, 24, 43)
+    ],
 )
 def test_native_context_makes_exactly_the_call_of_libmodbus(
     monkeypatch: pytest.MonkeyPatch,
@@ -332,6 +428,30 @@ def test_native_context_makes_exactly_the_call_of_libmodbus(
         with Context.from_url(str(place.end), native=False, **options) as context:
             ask(context)
         assert counting.calls == Counter(calls)
+
+
+@pytest.mark.parametrize("transport", TRANSPORTS)
+@pytest.mark.parametrize("way", WAYS.values(), ids=WAYS)
+@pytest.mark.parametrize(
+    "server_id",
+    [
+        pdu.ServerId(b"\x2a", False),
+        pdu.ServerId(b"\x2a", True, bytes(range(249))),  # all that a message holds
+    ],
+    ids=["least", "most"],
+)
+def test_identifier_is_the_same_on_every_way(
+    transport: str, way: bool | None, server_id: pdu.ServerId
+) -> None:
+    device = make_device()
+    device.server_id = server_id
+    options: dict[str, Any] = {"unit": UNIT, "timeout": TIMEOUT, "native": way}
+    with (
+        our_server(transport, {UNIT: device}) as place,
+        Context.from_url(str(place.end), **options) as context,
+    ):
+        for _ in range(2):  # with native=None the second goes through libmodbus
+            assert context.report_server_id() == server_id
 
 
 # --- Debian's examples -------------------------------------------------------------------------

@@ -17,10 +17,15 @@ from interop import (
     BAUDRATE,
     COILS,
     DISCRETE_INPUTS,
+    EXCEPTION_STATUS,
+    FIFOS,
     HOLDING_REGISTERS,
     INPUT_REGISTERS,
+    OBJECTS,
+    SERVER_ID,
     TIMEOUT,
     UNIT,
+    UNKNOWN_FUNCTIONS,
     Exchange,
     Place,
     case_id,
@@ -38,6 +43,9 @@ from interop import (
 from pymodbus.client import ModbusSerialClient, ModbusTcpClient
 from pymodbus.exceptions import ModbusException, ModbusIOException
 from pymodbus.framer import FramerType
+from pymodbus.pdu import ModbusPDU
+from pymodbus.pdu.device import ModbusControlBlock
+from pymodbus.pdu.diag_message import RestartCommunicationsOptionRequest
 from pymodbus.pdu.file_message import FileRecord
 from pymodbus.server import ModbusSerialServer, ModbusTcpServer
 from pymodbus.simulator import DataType, SimData, SimDevice
@@ -46,9 +54,14 @@ from libmodbus_py import (
     Context,
     Device,
     IllegalDataAddress,
+    IllegalFunction,
     InvalidResponse,
+    ModbusError,
+    ModbusTimeoutError,
     ServerDeviceFailure,
+    pdu,
 )
+from libmodbus_py.pdu import SubFunction
 from libmodbus_py.tap import SerialWire
 
 FRAMERS = {
@@ -59,6 +72,10 @@ FRAMERS = {
     "ascii+tcp": FramerType.ASCII,
 }
 TRANSPORTS = tuple(FRAMERS)
+SERIAL = tuple(each for each in TRANSPORTS if each != "tcp")
+# It finds the end of RTU frames by lengths that are wrong for some functions.
+NOT_RTU = ("tcp", "ascii", "ascii+tcp")
+ON_RTU = ("rtu", "rtu+tcp")
 
 
 # A pseudo-terminal has neither parity nor 7 bits, and pyserial insists on what it set.
@@ -93,6 +110,11 @@ class Asked(NamedTuple):
     expected: object = None
     look: Callable[[Device], object] = lambda device: None
     seen: object = None
+    transports: tuple[str, ...] = TRANSPORTS
+
+
+def message(response: Any) -> object:
+    return response.message
 
 
 def bits(count: int) -> Callable[[Any], list[bool]]:
@@ -250,6 +272,141 @@ def asked() -> Iterator[Asked]:
             look=lambda d: d.mapping.holding_registers[:],
             seen=after,
         )
+    yield from asked_beside_the_tables()
+
+
+def asked_beside_the_tables() -> Iterator[Asked]:
+    unit = {"device_id": UNIT}
+    yield Asked(
+        7,
+        "status",
+        lambda c: c.read_exception_status(**unit),
+        lambda response: response.status,
+        EXCEPTION_STATUS,
+    )
+    yield Asked(
+        8,
+        "query",
+        lambda c: c.diag_query_data(b"\xa5\x37", **unit),
+        message,
+        b"\xa5\x37",
+    )
+    yield Asked(
+        8,
+        "query-most",
+        lambda c: c.diag_query_data(bytes(range(250)), **unit),
+        message,
+        bytes(range(250)),
+        transports=NOT_RTU,
+    )
+    yield Asked(
+        8,
+        "restart",
+        lambda c: c.diag_restart_communication(True, **unit),
+        message,
+        0xFF00,
+        transports=SERIAL,
+    )
+    for name, ask, answer in (
+        ("register", lambda c: c.diag_read_diagnostic_register(**unit), 0),
+        ("clear", lambda c: c.diag_clear_counters(**unit), 0),
+        ("errors", lambda c: c.diag_read_bus_comm_error_count(**unit), 0),
+        ("exceptions", lambda c: c.diag_read_bus_exception_error_count(**unit), 0),
+        ("served", lambda c: c.diag_read_device_message_count(**unit), 1),
+        ("unanswered", lambda c: c.diag_read_device_no_response_count(**unit), 0),
+        ("nak", lambda c: c.diag_read_device_nak_count(**unit), 0),
+        ("busy", lambda c: c.diag_read_device_busy_count(**unit), 0),
+        ("overrun", lambda c: c.diag_read_bus_char_overrun_count(**unit), 0),
+        ("clear-overrun", lambda c: c.diag_clear_overrun_counter(**unit), 0),
+    ):
+        yield Asked(8, name, ask, message, answer)
+    yield Asked(
+        8,
+        "messages",  # the request itself; TCP has no line to count on
+        lambda c: c.diag_read_bus_message_count(**unit),
+        message,
+        1,
+        transports=SERIAL,
+    )
+    yield Asked(
+        11,
+        "counter",
+        lambda c: [c.read_coils(12, **unit), c.diag_get_comm_event_counter(**unit)][1],
+        lambda response: (response.status, response.count),
+        (True, 1),
+    )
+    for transports, count in ((("tcp",), 0), (SERIAL, 3)):
+        yield Asked(
+            12,
+            "log",
+            lambda c: [
+                c.read_coils(12, **unit),
+                c.read_coils(3000, **unit),
+                c.diag_get_comm_event_log(**unit),
+            ][2],
+            lambda response: (
+                response.status,
+                response.event_count,
+                response.message_count,
+                response.events,
+            ),
+            (True, 1, count, [0x80, 0x41, 0x80, 0x40, 0x80]),
+            transports=transports,
+        )
+    for name, address in (("few", 100), ("none", 101), ("most", 102)):
+        yield Asked(
+            24,
+            name,
+            lambda c, address=address: c.read_fifo_queue(address=address, **unit),
+            lambda response: response.values,
+            FIFOS[address],
+            look=lambda device: device.fifos,
+            seen=FIFOS,
+            transports=NOT_RTU,
+        )
+    for name, code, start, more, following, numbers in (
+        ("basic", 1, 0, 0, 0, (0, 1, 2)),
+        ("regular", 2, 0, 0xFF, 3, (0, 1, 2)),
+        ("regular-on", 2, 3, 0xFF, 6, (3,)),
+        ("regular-last", 2, 6, 0, 0, (6,)),
+        ("extended", 3, 6, 0, 0, (6, 128)),
+        ("restart", 1, 6, 0, 0, (0, 1, 2)),
+        ("single", 4, 128, 0, 0, (128,)),
+    ):
+        yield Asked(
+            43,
+            name,
+            lambda c, code=code, start=start: c.read_device_information(
+                read_code=code, object_id=start, **unit
+            ),
+            lambda response: (
+                response.read_code,
+                response.conformity,
+                response.more_follows,
+                response.next_object_id,
+                response.number_of_objects,
+                response.information,
+            ),
+            (
+                code,
+                0x83,
+                more,
+                following,
+                len(numbers),
+                {number: OBJECTS[number] for number in numbers},
+            ),
+        )
+
+
+class Unknown(ModbusPDU):
+    """A request of any code; it has no other way to send one."""
+
+    def __init__(self, function: int) -> None:
+        super().__init__(dev_id=UNIT)
+        self.function_code = function
+
+    def encode(self) -> bytes:
+        return b"\1\2\3"
 
 
 def asked_in_vain() -> Iterator[Asked]:
@@ -280,16 +437,30 @@ def asked_in_vain() -> Iterator[Asked]:
         ),
     ):
         yield Asked(function, "refused", ask, expected=2)
-    for function, ask in (
-        (7, lambda c: c.read_exception_status(**unit)),
-        (8, lambda c: c.diag_query_data(b"\x12\x34", **unit)),
-        (11, lambda c: c.diag_get_comm_event_counter(**unit)),
-        (12, lambda c: c.diag_get_comm_event_log(**unit)),
-        (17, lambda c: c.report_device_id(**unit)),
-        (24, lambda c: c.read_fifo_queue(address=100, **unit)),
-        (43, lambda c: c.read_device_information(read_code=1, object_id=0, **unit)),
+    for function, name, code, ask in (
+        (8, "iop", 1, lambda c: c.diag_read_iop_overrun_count(**unit)),
+        (8, "modbus-plus", 1, lambda c: c.diag_getclear_modbus_response(data=3, **unit)),
+        # It sends the character in the low byte, where 00 belongs.
+        (8, "delimiter", 3, lambda c: c.diag_change_ascii_input_delimeter(**unit)),
+        (24, "queue", 2, lambda c: c.read_fifo_queue(address=99, **unit)),
+        (43, "object", 2, lambda c: c.read_device_information(read_code=4, object_id=5, **unit)),
+        (43, "code", 3, lambda c: c.read_device_information(read_code=5, **unit)),
     ):
-        yield Asked(function, "refused", ask, expected=1)
+        yield Asked(function, f"refused-{name}", ask, expected=code)
+    yield Asked(
+        8,
+        "refused-restart",
+        lambda c: c.diag_restart_communication(False, **unit),
+        expected=1,
+        transports=("tcp",),
+    )
+    for function in UNKNOWN_FUNCTIONS:
+        yield Asked(
+            function,
+            "refused",
+            lambda c, function=function: c.execute(False, Unknown(function)),
+            expected=1,
+        )
 
 
 def to_our_server(cases: Iterator[Asked]) -> Any:
@@ -302,7 +473,7 @@ def to_our_server(cases: Iterator[Asked]) -> Any:
                 id=case_id("pymodbus", "server", transport, case.function, case.name),
             )
             for case in cases
-            for transport in TRANSPORTS
+            for transport in case.transports
         ],
     )
 
@@ -316,7 +487,7 @@ def test_pymodbus_client_and_our_server_agree(case: Asked, transport: str) -> No
         assert not response.isError(), response
         assert case.answer(response) == case.expected
         assert case.look(device) == case.seen
-        assert place.function == case.function
+        assert case.function in (11, 12) or place.function == case.function
 
 
 @to_our_server(asked_in_vain())
@@ -377,7 +548,97 @@ def test_two_pymodbus_clients_share_one_server_over_tcp() -> None:
             assert second.read_holding_registers(100, device_id=UNIT).registers == [value]
 
 
+@pytest.mark.parametrize("transport", SERIAL)
+def test_pymodbus_client_silences_our_device_and_wakes_it(transport: str) -> None:
+    with (
+        our_server(transport, {UNIT: make_device()}) as place,
+        pymodbus_client(transport, place, timeout=0.2) as client,
+    ):
+        assert client.diag_force_listen_only(device_id=UNIT) is None
+        with pytest.raises(ModbusIOException):
+            client.read_coils(12, device_id=UNIT)
+        # The restart is silence, too, and the way out.
+        assert client.execute(True, RestartCommunicationsOptionRequest(0, dev_id=UNIT)) is None
+        client.comm_params.timeout_connect = TIMEOUT
+        assert client.read_coils(12, device_id=UNIT).bits[0] is True
+
+
+@pytest.mark.parametrize("running", [True, False])
+@pytest.mark.parametrize(
+    "transport",
+    [pytest.param(each, id=case_id("pymodbus", "server", each, 17, "id")) for each in TRANSPORTS],
+)
+def test_pymodbus_client_reads_our_identifier(transport: str, running: bool) -> None:
+    device = make_device()
+    device.server_id = pdu.ServerId(b"\x2a", running)
+    with (
+        our_server(transport, {UNIT: device}) as place,
+        pymodbus_client(transport, place) as client,
+    ):
+        response = client.report_device_id(device_id=UNIT)
+        assert (response.identifier, response.status) == (b"\x2a", running)
+
+
 class TestWherePymodbusClientErrs:
+    @pytest.mark.parametrize(
+        "transport",
+        [
+            pytest.param(each, id=case_id("pymodbus", "server", each, 17, "pinned"))
+            for each in TRANSPORTS
+        ],
+    )
+    def test_additional_data_hide_the_run_indicator(self, transport: str) -> None:
+        # It takes all but the last byte for the identifier, and the last one for the
+        # indicator, which stands behind the identifier and before the rest.
+        with (
+            our_server(transport, {UNIT: make_device()}) as place,
+            pymodbus_client(transport, place) as client,
+        ):
+            response = client.report_device_id(device_id=UNIT)
+            assert response.identifier == SERVER_ID.data[:-1]
+            assert response.status is False
+
+    @pytest.mark.parametrize(
+        ("transport", "ask"),
+        [
+            pytest.param(each, ask, id=case_id("pymodbus", "server", each, function, "pinned"))
+            for each in ON_RTU
+            for function, ask in (
+                # It counts two bytes too few, and then finds no CRC.
+                (24, lambda client: client.read_fifo_queue(address=100, device_id=UNIT)),
+                # It takes every message of function 8 for 8 bytes.
+                (8, lambda client: client.diag_query_data(b"abcd", device_id=UNIT)),
+            )
+        ],
+    )
+    def test_answers_it_cannot_measure_are_silence_to_it(
+        self, transport: str, ask: Callable[[Any], Any]
+    ) -> None:
+        with our_server(transport, {UNIT: make_device()}) as place:
+            with (
+                pymodbus_client(transport, place, timeout=0.2) as client,
+                pytest.raises(ModbusIOException),
+            ):
+                ask(client)
+            answer = place.wire.sent_by("server")
+            assert pdu.RawRequest(answer[1]).decode_response(answer[1:-2])
+
+    @pytest.mark.parametrize(
+        "transport",
+        [
+            pytest.param(each, id=case_id("pymodbus", "server", each, 8, "pinned", "delimiter"))
+            for each in TRANSPORTS
+        ],
+    )
+    def test_delimiter_must_be_shifted_by_hand(self, transport: str) -> None:
+        with (
+            our_server(transport, {UNIT: make_device()}) as place,
+            pymodbus_client(transport, place) as client,
+        ):
+            response = client.diag_change_ascii_input_delimeter(delimiter=0x0A00, device_id=UNIT)
+            assert response.message == 0x0A00
+            assert client.read_coils(12, device_id=UNIT).bits[0] is True
+
     @pytest.mark.parametrize(
         "transport",
         [
@@ -545,6 +806,72 @@ def test_context_and_pymodbus_server_agree(
             assert exchange.look(context) == exchange.seen
 
 
+def exchanges_beside_the_tables() -> Iterator[Exchange]:
+    """Its counters, log and register are always 0, for nothing in it counts."""
+    yield Exchange(7, "status", lambda c: c.read_exception_status(), 0)
+    yield Exchange(8, "query", lambda c: c.diagnostics(0, 0xA537), 0xA537)
+    yield Exchange(8, "restart", lambda c: c.diagnostics(1, 0xFF00), 0xFF00)
+    for sub_function in sorted(set(SubFunction) - {0, 1, 3, 4}):
+        name = f"sub{sub_function:02x}"
+        yield Exchange(8, name, lambda c, sub_function=sub_function: c.diagnostics(sub_function), 0)
+    yield Exchange(11, "counter", lambda c: c.read_comm_event_counter(), (0, 0))
+    yield Exchange(12, "log", lambda c: c.read_comm_event_log(), (0, 0, 0, b""))
+    # The same four registers, whatever is asked for; it has no queues.
+    yield Exchange(24, "pinned", lambda c: c.read_fifo_queue(65535), [0, 1, 2, 3])
+    # The identifier should come first and the run indicator next; it has them the other
+    # way round, and no end that one could find.
+    yield Exchange(
+        17, "pinned", lambda c: c.report_server_id(), pdu.ServerId(b"P", False, b"ymodbus\xff"[1:])
+    )
+
+
+@to_pymodbus_server(exchanges_beside_the_tables())
+def test_context_and_pymodbus_server_agree_beside_the_tables(
+    exchange: Exchange, transport: str, options: dict[str, Any]
+) -> None:
+    with pymodbus_server(transport, **options) as context:
+        for _ in range(2):
+            assert exchange.ask(context) == exchange.answer
+
+
+@pytest.fixture
+def control() -> Iterator[Any]:
+    """What all servers and ASCII framers of pymodbus in one process share."""
+    block = ModbusControlBlock()
+    identity, delimiter = dict(block.Identity.stat_data), block.Delimiter
+    yield block
+    block.Identity.stat_data.clear()
+    block.Identity.stat_data.update(identity)
+    block.Delimiter = delimiter
+    block.ListenOnly = False
+
+
+@pytest.mark.parametrize(
+    ("level", "numbers"),
+    [
+        ("basic", (0, 1, 2)),
+        ("regular", (0, 1, 2, 3, 6)),
+        ("extended", (0, 1, 2, 3, 6, 128)),
+        (0, (0,)),
+        (128, (128,)),
+    ],
+)
+@pytest.mark.parametrize(
+    "transport",
+    [pytest.param(each, id=case_id("pymodbus", "client", each, 43, "id")) for each in TRANSPORTS],
+)
+def test_context_reads_the_identification_of_pymodbus_server(
+    control: Any, transport: str, level: str | int, numbers: tuple[int, ...]
+) -> None:
+    control.Identity.stat_data.update({number: OBJECTS[number] for number in OBJECTS})
+    with pymodbus_server(transport) as context:
+        found = context.read_device_identification(level)
+        assert found.objects == {number: OBJECTS[number] for number in numbers}
+        assert found.conformity == 0x83
+        with pytest.raises(IllegalDataAddress):
+            context.read_device_identification(5)
+
+
 @to_pymodbus_server(refusals())
 def test_context_raises_what_pymodbus_server_refuses(
     exchange: Exchange, transport: str, options: dict[str, Any]
@@ -600,6 +927,105 @@ class TestWherePymodbusServerErrs:
             with pytest.raises(IllegalDataAddress):
                 context.read_write_registers(399, 2, 100, [55])
             assert context.read_holding_registers(100, 2) == [55, 1101]
+
+    @pinned(8)
+    def test_answer_to_force_listen_only_is_not_taken_for_the_next_one(
+        self, control: Any, transport: str
+    ) -> None:
+        # It answers, though nobody may, and goes on answering.
+        with pymodbus_server(transport) as context:
+            assert context.diagnostics(SubFunction.FORCE_LISTEN_ONLY) == 0
+            assert context.diagnostics(0, 0xA537) == 0xA537
+            assert context.read_coils(12, 1) == [True]
+
+    @pytest.mark.parametrize(
+        "transport",
+        [
+            pytest.param(each, id=case_id("pymodbus", "client", each, 8, "pinned", "delimiter"))
+            for each in ("ascii", "ascii+tcp")
+        ],
+    )
+    def test_echo_of_a_new_delimiter_ends_with_it(self, control: Any, transport: str) -> None:
+        # The delimiter is that of the process, and changes before the echo goes out:
+        # which then has no end for us.
+        with pymodbus_server(transport, timeout=0.2) as context:
+            with pytest.raises(ModbusError) as caught:
+                context.diagnostics(SubFunction.CHANGE_ASCII_DELIMITER, 0x2400)
+            assert caught.value.received.endswith(b"\r$")
+
+    @pinned(8)
+    def test_wrong_data_and_reserved_sub_functions_are_answered(self, transport: str) -> None:
+        with pymodbus_server(transport) as context:
+            assert context.diagnostics(SubFunction.BUS_MESSAGE_COUNT, 7) == 0  # should be 3
+            assert context.diagnostics(0x13) == 0  # should be 1
+
+    @pytest.mark.parametrize(
+        "transport",
+        [
+            pytest.param(each, id=case_id("pymodbus", "client", each, 8, "pinned", "long"))
+            for each in ON_RTU
+        ],
+    )
+    def test_query_data_of_more_than_a_word_are_lost_on_it(self, transport: str) -> None:
+        # It takes every message of function 8 for 8 bytes.
+        with (
+            pymodbus_server(transport, timeout=0.2) as context,
+            pytest.raises(ModbusTimeoutError),
+        ):
+            context.execute(pdu.Diagnostics(0, b"abcd"))
+
+    @pytest.mark.parametrize(
+        "transport",
+        [
+            pytest.param(each, id=case_id("pymodbus", "client", each, 8, "query-most"))
+            for each in NOT_RTU
+        ],
+    )
+    def test_query_data_of_any_length_come_back_otherwise(self, transport: str) -> None:
+        with pymodbus_server(transport) as context:
+            data = bytes(range(250))
+            assert context.execute(pdu.Diagnostics(0, data)) == data
+
+    @pytest.mark.parametrize(
+        ("transport", "error"),
+        [
+            pytest.param(each, error, id=case_id("pymodbus", "client", each, 43, word, "canopen"))
+            for each, error, word in (
+                *((each, IllegalFunction, "refused") for each in NOT_RTU),
+                *((each, ModbusTimeoutError, "pinned") for each in ON_RTU),
+            )
+        ],
+    )
+    def test_canopen_is_refused_or_not_heard(
+        self, transport: str, error: type[ModbusError]
+    ) -> None:
+        # On RTU it has no length for it, and waits.
+        timeout = TIMEOUT if transport in NOT_RTU else 0.2
+        with pymodbus_server(transport, timeout=timeout) as context, pytest.raises(error):
+            context.encapsulated_transport(13, b"abc")
+
+    @pytest.mark.parametrize(
+        ("transport", "function", "error"),
+        [
+            pytest.param(
+                each, function, error, id=case_id("pymodbus", "client", each, function, "pinned")
+            )
+            for function in UNKNOWN_FUNCTIONS
+            for each, error in (
+                *((each, InvalidResponse) for each in NOT_RTU),
+                *((each, ModbusTimeoutError) for each in ON_RTU),
+            )
+        ],
+    )
+    def test_unknown_function_is_answered_by_function_0_or_not_heard(
+        self, transport: str, function: int, error: type[ModbusError]
+    ) -> None:
+        # 80 01 instead of the code with 80 and 01; on RTU it has no length, and waits.
+        timeout = TIMEOUT if transport in NOT_RTU else 0.2
+        with pymodbus_server(transport, timeout=timeout) as context:
+            with pytest.raises(error) as caught:
+                context.execute(pdu.RawRequest(function, b"ab"))
+            assert caught.value.function == function
 
     @pytest.mark.parametrize("transport", TRANSPORTS)
     def test_unit_that_it_lacks_is_server_device_failure(self, transport: str) -> None:

@@ -260,6 +260,108 @@ class TestAccess:
         assert dict(zip(addresses, made, strict=True)) == model
 
 
+class TestTypedValues:
+    @each_register_table
+    def test_known_values(self, name: str) -> None:
+        made = table(name, range(100, 110))
+        made.write(100, 1.0, "float32", order="CDAB")
+        made.write(102, -2, "int32")
+        made.write(104, "AB", "string:4", padding=" ")
+        made.write(109, 1234, "bcd16")
+        assert made[:] == [0, 0x3F80, 0xFFFF, 0xFFFE, 0x4142, 0x2020, 0, 0, 0, 0x1234]
+        assert made.read(100, "float32", order="CDAB") == 1.0
+        assert made.read(102, "int32") == -2
+        assert made.read(104, "string:4", padding=" ") == "AB"
+        assert made.read(104, "string:4") == "AB  "
+        assert made.read(109, "bcd16") == 1234
+
+    @each_register_table
+    def test_lists_of_values(self, name: str) -> None:
+        made = table(name, range(100, 106))
+        made.write_values(100, [1.0, 2.0], "float32", order="CDAB")
+        assert made[:] == [0, 0x3F80, 0, 0x4000, 0, 0]
+        assert made.read_values(100, "float32", 2, order="CDAB") == [1.0, 2.0]
+        assert made.read_values(102, "float32", count=2, order="CDAB") == [2.0, 0.0]
+        assert made.read_values(100, "float32", order="CDAB") == [1.0]
+        made.write_values(100, (text for text in ("A", "BC")), "string:2", padding=" ")
+        assert made.read_values(100, "string:2", 3, padding=" ") == ["A", "BC", "\0\0"]
+        made.write_values(106, [], "int16")
+
+    @each_register_table
+    def test_whole_table_is_values(self, name: str) -> None:
+        made = table(name, 65536)
+        made.write_values(0, range(16384), "uint64", order="DCBA")
+        assert made.read_values(0, "uint64", 16384, order="DCBA") == list(range(16384))
+
+    @each_register_table
+    @pytest.mark.parametrize("address", [-1, 0, 99, 109, 110, 65535, 1 << 70])
+    def test_all_registers_of_a_value_exist(self, name: str, address: int) -> None:
+        made = table(name, range(100, 110))
+        for access in (
+            lambda: made.write(address, 1.0, "float32"),
+            lambda: made.read(address, "float32"),
+            lambda: made.write_values(address, [1.0], "float32"),
+            lambda: made.read_values(address, "float32"),
+        ):
+            with pytest.raises(IndexError, match=rf"{address}:.* in <{name} 100\.\.109>"):
+                access()
+        assert made[:] == [0] * 10
+
+    @each_register_table
+    @pytest.mark.parametrize(
+        ("access", "error", "named"),
+        [
+            (lambda made: made.write(0, 70000, "uint16"), ValueError, "^value must be in 0"),
+            (lambda made: made.write(0, "1", "uint16"), TypeError, "^value must be an integer"),
+            (lambda made: made.write(0, 1, "uint8"), ValueError, "type must be one of"),
+            (lambda made: made.write(0, 1, "int16", order="X"), ValueError, "order must be"),
+            (lambda made: made.write("0", 1, "int16"), TypeError, "address in <.* an integer"),
+            (lambda made: made.write(0, "ABC", "string:2"), ValueError, "value must have"),
+            (lambda made: made.write_values(0, [1, -1], "uint16"), ValueError, r"^values\[1\]"),
+            (lambda made: made.write_values(0, "AB", "string:2"), TypeError, "values must be"),
+            (lambda made: made.read(9, "bcd16"), ValueError, r"registers\[0:1\] hold no bcd16"),
+            (lambda made: made.read(0.0, "bcd16"), TypeError, "address in <.* an integer"),
+            (lambda made: made.read(0, "bcd8"), ValueError, "type must be one of"),
+            (lambda made: made.read(0, "int16", order="X"), ValueError, "order must be"),
+            (lambda made: made.read_values(8, "bcd16", 2), ValueError, r"registers\[1:2\]"),
+            (lambda made: made.read_values(0, "int16", 0), ValueError, r"count must be in 1\.\."),
+            (lambda made: made.read_values(0, "int16", 65537), ValueError, "count must be in"),
+            (lambda made: made.read_values(0, "int16", 1.0), TypeError, "count must be an"),
+        ],
+    )
+    def test_errors_change_nothing(
+        self,
+        name: str,
+        access: Callable[[Any], object],
+        error: type[Exception],
+        named: str,
+    ) -> None:
+        made = table(name, 10)
+        made[9] = 0xFFFF
+        with pytest.raises(error, match=named):
+            access(made)
+        assert made[:] == [0] * 9 + [0xFFFF]
+
+    def test_bits_have_no_types(self) -> None:
+        assert not hasattr(table("coils", 8), "write")
+        assert not hasattr(table("coils", 8), "read_values")
+
+    def test_value_is_seen_whole(self) -> None:
+        holding = Mapping(holding_registers=4).holding_registers
+        stop = threading.Event()
+
+        def write() -> None:
+            while not stop.is_set():
+                holding.write(0, 0, "uint64")
+                holding.write(0, 0xFFFF_FFFF_FFFF_FFFF, "uint64")
+
+        done = runs_in_thread(write)
+        seen = {holding.read(0, "uint64") for _ in range(5000)}
+        stop.set()
+        assert done.wait(10)
+        assert seen <= {0, 0xFFFF_FFFF_FFFF_FFFF}
+
+
 class TestViews:
     @each_table
     def test_view_begins_with_the_first_address(self, name: str) -> None:
@@ -344,6 +446,10 @@ class TestLock:
             pytest.param(lambda mapping: mapping.input_registers[:], id="read all"),
             pytest.param(lambda mapping: mapping.holding_registers.__setitem__(0, 1), id="write"),
             pytest.param(lambda mapping: list(mapping.discrete_inputs), id="iterate"),
+            pytest.param(lambda mapping: mapping.input_registers.read(0, "int32"), id="read value"),
+            pytest.param(
+                lambda mapping: mapping.holding_registers.write(0, 1.0, "float64"), id="write value"
+            ),
             pytest.param(lambda mapping: mapping.__enter__(), id="enter"),
             pytest.param(lambda mapping: Device(mapping).answer(b"\3\0\0\0\1"), id="answer"),
         ],

@@ -16,13 +16,14 @@ import re
 import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 import libmodbus_py
-from libmodbus_py import Device, Mapping, errors, low_level
+from libmodbus_py import Context, Device, Mapping, errors, low_level, pdu
 from libmodbus_py.errors import (
     ExceptionResponse,
     ModbusConnectionError,
@@ -32,29 +33,41 @@ from libmodbus_py.errors import (
 from libmodbus_py.low_level import ffi, lib, loaded_version
 
 PACKAGE = Path(libmodbus_py.__file__).parent
-MODULES = {path.stem: path for path in sorted(PACKAGE.glob("*.py"))}
+# Names such as "context" and "pdu.fields"; a package has that of its __init__, such as "pdu".
+MODULES = {
+    ".".join(path.relative_to(PACKAGE).with_suffix("").parts).removesuffix(".__init__"): path
+    for path in sorted(PACKAGE.rglob("*.py"))
+}
 
 
 # --- imports ---------------------------------------------------------------------------
 
 
-def imports_of(path: Path) -> tuple[set[str], set[str]]:
-    """The modules of the package that a file imports, and the first names of all others."""
+def imports_of(name: str) -> tuple[set[str], set[str]]:
+    """The modules of the package that one imports, and the first names of all others."""
     inner: set[str] = set()
     outer: set[str] = set()
+    path = MODULES[name]
+    own = () if name == "__init__" else tuple(name.split("."))
+    package = own if path.stem == "__init__" else own[:-1]
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
             outer |= {alias.name.split(".")[0] for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.level == 0:
             outer.add((node.module or "").split(".")[0])
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            inner.add(node.module.split(".")[0])
         elif isinstance(node, ast.ImportFrom):
-            inner |= {alias.name for alias in node.names}
+            start = package[: len(package) + 1 - node.level]
+            base = ".".join((*start, *filter(None, [node.module])))
+            names = {".".join(filter(None, [base, alias.name])) for alias in node.names}
+            modules = names & set(MODULES)
+            # What is no module comes out of the base, or out of the compiled module.
+            inner |= modules | ({base} & set(MODULES) if names - modules else set())
+            inner |= {each for each in names | {base} if each == "_libmodbus"}
     return inner, outer
 
 
-IMPORTS = {name: imports_of(path) for name, path in MODULES.items()}
+IMPORTS = {name: imports_of(name) for name in MODULES}
+PDU = sorted(name for name in MODULES if name.split(".")[0] == "pdu")
 
 
 def reached_from(name: str) -> set[str]:
@@ -68,6 +81,15 @@ def reached_from(name: str) -> set[str]:
 
 
 class TestImports:
+    def test_imports_are_understood(self) -> None:
+        """Else the tests below would pass on nothing."""
+        assert {"pdu", "errors", "framing", "values"} <= IMPORTS["__init__"][0]
+        assert {"pdu.fields", "pdu.data", "pdu.serial", "errors"} <= IMPORTS["pdu"][0]
+        assert {"pdu.fields", "pdu.request", "arguments"} <= IMPORTS["pdu.data"][0]
+        assert IMPORTS["framing"][0] == {"errors", "pdu"}
+        assert "mapping" in IMPORTS["engine"][0]
+        assert "struct" in IMPORTS["pdu.data"][1]
+
     def test_there_are_no_cycles(self) -> None:
         cycles = [
             name
@@ -87,18 +109,37 @@ class TestImports:
     def test_leaves_import_nothing_of_the_package_but_arguments(self, name: str) -> None:
         assert IMPORTS[name][0] <= {"arguments"} - {name}
 
-    @pytest.mark.parametrize("name", ["pdu", "framing"])
+    @pytest.mark.parametrize("name", [*PDU, "framing"])
     def test_bytes_and_values_need_neither_network_nor_c(self, name: str) -> None:
         reached = reached_from(name)
-        assert reached <= {"pdu", "framing", "errors", "arguments"}
+        assert reached <= {*PDU, "framing", "errors", "arguments"}
         outer = set().union(*(IMPORTS[module][1] for module in reached))
         assert not outer & {
             *("socket", "select", "selectors", "asyncio", "threading", "ssl", "os", "io", "time"),
             *("termios", "fcntl", "cffi", "ctypes", "_cffi_backend"),
         }
 
-    def test_pdu_knows_no_framing(self) -> None:
-        assert "framing" not in reached_from("pdu")
+    @pytest.mark.parametrize("name", PDU)
+    def test_pdu_knows_no_framing(self, name: str) -> None:
+        assert "framing" not in reached_from(name)
+
+    def test_only_pdu_itself_knows_all_of_its_modules(self) -> None:
+        """They rest on what requests have in common; one knows the table of codes."""
+        for name in set(PDU) - {"pdu"}:
+            assert "pdu" not in IMPORTS[name][0]
+        assert IMPORTS["pdu.fields"][0] == {"arguments"}
+        assert IMPORTS["pdu.request"][0] == {"arguments", "errors", "pdu.fields"}
+        common = {"arguments", "errors", "pdu.fields", "pdu.request"}
+        for name in set(PDU) - {"pdu", "pdu.fields", "pdu.request"}:
+            assert IMPORTS[name][0] <= common
+
+    def test_c_answers_behind_one_module(self) -> None:
+        """The device knows requests and tables; only its engine and the mapping know C."""
+        reaching = {name for name in MODULES if "_c" in IMPORTS[name][0]}
+        assert {"engine", "mapping"} <= reaching
+        assert not reaching & {"device", "access", "communication", "record_file", "server"}
+        for name in ("communication", "record_file"):
+            assert "_c" not in reached_from(name)
 
     def test_only_one_module_imports_the_compiled_one(self) -> None:
         assert [name for name, (inner, _) in IMPORTS.items() if "_libmodbus" in inner] == ["_c"]
@@ -112,7 +153,7 @@ class TestImports:
     def test_public_modules_do_not_hand_out_private_names(self) -> None:
         for name in MODULES:
             if name.startswith("_"):
-                continue
+                continue  # __init__ and __main__, too
             exported = getattr(importlib.import_module(f"libmodbus_py.{name}"), "__all__", [])
             assert [each for each in exported if each.startswith("_")] == []
 
@@ -133,6 +174,13 @@ class TestPublicNames:
             module = importlib.import_module(f"libmodbus_py.{name}")
             missing = [each for each in getattr(module, "__all__", []) if not hasattr(module, each)]
             assert missing == [], name
+
+    def test_the_package_is_distributed_whole(self) -> None:
+        """A directory that pyproject.toml forgets would be missing from the wheel."""
+        text = (PACKAGE.parent / "pyproject.toml").read_text()
+        packages = tomllib.loads(text)["tool"]["setuptools"]["packages"]
+        found = {path.parent.relative_to(PACKAGE.parent) for path in MODULES.values()}
+        assert sorted(packages) == sorted(".".join(path.parts) for path in found)
 
     def test_every_error_is_public(self) -> None:
         assert set(errors.__all__) <= set(libmodbus_py.__all__)
@@ -170,6 +218,48 @@ class TestPublicNames:
         from importlib.metadata import version
 
         assert libmodbus_py.__version__ == version("libmodbus-py")
+
+    def test_every_request_is_a_method_of_the_same_name(self) -> None:
+        """ReadCoils is what Context.read_coils sends, with the same parameters."""
+        requests = {*pdu.REQUESTS.values(), pdu.ReadDeviceIdentification}
+        for request in requests:
+            name = re.sub(r"(?<!^)(?=[A-Z])", "_", request.__name__).lower()
+            method = getattr(Context, name, None)
+            assert callable(method), f"{request.__name__}: no {name}"
+            if request in (pdu.ReadDeviceIdentification, pdu.Diagnostics):
+                continue  # several requests, and a number instead of its bytes
+            parameters = list(inspect.signature(method).parameters)[1:]
+            assert parameters == list(inspect.signature(request).parameters), name
+
+    def test_every_request_method_has_a_request(self) -> None:
+        names = {
+            "".join(word.capitalize() for word in name.split("_"))
+            for name, value in vars(Context).items()
+            if inspect.isfunction(value) and re.match(r"(read|write|mask|report)_", name)
+        }
+        lacking = names - {"ReadValues", "WriteValues"} - set(pdu.__all__)
+        assert not lacking
+        assert {"diagnostics", "encapsulated_transport", "execute"} < set(vars(Context))
+
+    def test_signatures_are_those_that_other_programs_call(self) -> None:
+        expected = {
+            "read_exception_status": "()",
+            "diagnostics": "(sub_function, data=0)",
+            "read_comm_event_counter": "()",
+            "read_comm_event_log": "()",
+            "report_server_id": "()",
+            "read_fifo_queue": "(address)",
+            "read_device_identification": "(level='basic')",
+            "encapsulated_transport": "(mei_type, data)",
+            "execute": "(request)",
+        }
+        for name, text in expected.items():
+            signature = inspect.signature(getattr(Context, name))
+            bare = [
+                each.replace(annotation=inspect.Parameter.empty)
+                for each in list(signature.parameters.values())[1:]
+            ]
+            assert str(inspect.Signature(bare)) == text, name
 
     def test_types_are_published(self) -> None:
         assert (PACKAGE / "py.typed").exists()

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import itertools
 import struct
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self
 
 import pytest
 from hypothesis import example, given, settings
@@ -31,14 +32,28 @@ from libmodbus_py.errors import (
     ServerDeviceFailure,
 )
 from libmodbus_py.pdu import (
+    CommEventCounter,
+    CommEventLog,
+    Diagnostics,
+    EncapsulatedTransport,
+    IdentificationPage,
     MaskWriteRegister,
+    RawRequest,
     ReadCoils,
+    ReadCommEventCounter,
+    ReadCommEventLog,
+    ReadDeviceIdentification,
     ReadDiscreteInputs,
+    ReadExceptionStatus,
+    ReadFifoQueue,
     ReadFileRecords,
     ReadHoldingRegisters,
     ReadInputRegisters,
     ReadWriteRegisters,
+    ReportServerId,
     Request,
+    ServerId,
+    SubFunction,
     WriteCoil,
     WriteCoils,
     WriteFileRecords,
@@ -46,12 +61,19 @@ from libmodbus_py.pdu import (
     WriteRegisters,
     decode_request,
 )
+from libmodbus_py.pdu.interface import LAST_OBJECT, identify, pages
 
 Fields = dict[str, Any]
 
 
 def _read(kind: type[Request[Any]]) -> Callable[[Fields], Request[Any]]:
     return lambda fields: kind(fields["address"], fields["quantity"])  # type: ignore[call-arg]
+
+
+def _encapsulated(fields: Fields) -> Request[Any]:
+    if fields["mei"] == 14:
+        return ReadDeviceIdentification(fields["read_code"], fields["object_id"])
+    return EncapsulatedTransport(fields["mei"], bytes.fromhex(fields["data"]))
 
 
 # Function -> the request that an example's fields describe.
@@ -62,8 +84,13 @@ FROM_FIELDS: dict[int, Callable[[Fields], Request[Any]]] = {
     4: _read(ReadInputRegisters),
     5: lambda fields: WriteCoil(fields["address"], fields["value"] == "ON"),
     6: lambda fields: WriteRegister(fields["address"], fields["value"]),
+    7: lambda fields: ReadExceptionStatus(),
+    8: lambda fields: Diagnostics(fields["sub_function"], bytes.fromhex(fields["data"])),
+    11: lambda fields: ReadCommEventCounter(),
+    12: lambda fields: ReadCommEventLog(),
     15: lambda fields: WriteCoils(fields["address"], fields["values"]),
     16: lambda fields: WriteRegisters(fields["address"], fields["values"]),
+    17: lambda fields: ReportServerId(),
     20: lambda fields: ReadFileRecords(
         [(sub["file"], sub["record"], sub["length"]) for sub in fields["sub_requests"]]
     ),
@@ -74,11 +101,14 @@ FROM_FIELDS: dict[int, Callable[[Fields], Request[Any]]] = {
     23: lambda fields: ReadWriteRegisters(
         fields["read_address"], fields["read_quantity"], fields["write_address"], fields["values"]
     ),
+    24: lambda fields: ReadFifoQueue(fields["address"]),
+    43: _encapsulated,
 }
 
 
-def _known(vectors: list[FrameVector]) -> list[Any]:
-    return rows([vector for vector in vectors if vector.function in FROM_FIELDS])
+def tells_its_length(body: bytes) -> bool:
+    """Return query data carries what it likes, and so does CANopen; all others tell."""
+    return body[:3] != b"\x08\0\0" and body[:2] != b"\x2b\x0d"
 
 
 def _request_of(response: FrameVector) -> Request[Any]:
@@ -95,29 +125,51 @@ def _result_of(response: FrameVector) -> Any:
         return [value == 1 for value in fields["values"]]
     if response.function in (3, 4, 23):
         return fields["values"]
-    if response.function == 20:
-        return [sub["values"] for sub in fields["sub_responses"]]
+    match response.function:
+        case 7:
+            return sum(bit << at for at, bit in enumerate(fields["outputs"]))
+        case 8:
+            return bytes.fromhex(fields["data"])
+        case 11:
+            return CommEventCounter(fields["status"], fields["event_count"])
+        case 12:
+            counters = (fields[name] for name in ("status", "event_count", "message_count"))
+            return CommEventLog(*counters, bytes(fields["events"]))
+        case 17:
+            texts = (bytes.fromhex(fields[name]) for name in ("identifier", "additional"))
+            identifier, additional = texts
+            return ServerId(identifier, fields["running"], additional)
+        case 20:
+            return [sub["values"] for sub in fields["sub_responses"]]
+        case 24:
+            return fields["values"]
+        case 43 if fields["mei"] == 13:
+            return bytes.fromhex(fields["data"])
+        case 43:
+            objects = {int(number): text.encode() for number, text in fields["objects"].items()}
+            following = fields["next_object_id"] if fields["more_follows"] else None
+            return IdentificationPage(fields["conformity"], following, objects)
     return None
 
 
 class TestWorkedExamples:
     def test_there_is_one_of_every_function(self) -> None:
         for vectors in (REQUESTS, RESPONSES):
-            assert {vector.function for vector in vectors} >= set(FROM_FIELDS)
+            assert {vector.function for vector in vectors} == set(FROM_FIELDS) == set(pdu.REQUESTS)
 
-    @pytest.mark.parametrize("vector", _known(REQUESTS))
+    @pytest.mark.parametrize("vector", rows(REQUESTS))
     def test_request_encodes_to_the_bytes(self, vector: FrameVector) -> None:
         assert FROM_FIELDS[vector.function](vector.fields).encode() == vector.pdu
 
-    @pytest.mark.parametrize("vector", _known(REQUESTS))
+    @pytest.mark.parametrize("vector", rows(REQUESTS))
     def test_request_decodes_from_the_bytes(self, vector: FrameVector) -> None:
         assert decode_request(vector.pdu) == FROM_FIELDS[vector.function](vector.fields)
 
-    @pytest.mark.parametrize("vector", _known(RESPONSES))
+    @pytest.mark.parametrize("vector", rows(RESPONSES))
     def test_response_encodes_to_the_bytes(self, vector: FrameVector) -> None:
         assert _request_of(vector).encode_response(_result_of(vector)) == vector.pdu
 
-    @pytest.mark.parametrize("vector", _known(RESPONSES))
+    @pytest.mark.parametrize("vector", rows(RESPONSES))
     def test_response_decodes_to_the_values(self, vector: FrameVector) -> None:
         result = _request_of(vector).decode_response(vector.pdu)
         assert result == _result_of(vector)
@@ -125,7 +177,7 @@ class TestWorkedExamples:
         if vector.function in (1, 2):
             assert set(map(type, result)) == {bool}
 
-    @pytest.mark.parametrize("vector", _known(EXCEPTIONS))
+    @pytest.mark.parametrize("vector", rows(EXCEPTIONS))
     def test_exception_raises_its_class_with_code_and_request(self, vector: FrameVector) -> None:
         kinds = {1: IllegalFunction, 2: IllegalDataAddress}
         request = next(
@@ -142,40 +194,69 @@ class TestWorkedExamples:
         assert caught.value.function == vector.function
         assert str(request) in str(caught.value)
 
-    @pytest.mark.parametrize(
-        "vector", rows([vector for vector in REQUESTS if vector.function in pdu.REQUESTS])
-    )
+    @pytest.mark.parametrize("vector", rows(REQUESTS))
     def test_decoded_request_encodes_to_the_same_bytes(self, vector: FrameVector) -> None:
         request = decode_request(vector.pdu)
-        assert type(request) is pdu.REQUESTS[vector.function]
+        assert type(request) is type(FROM_FIELDS[vector.function](vector.fields))
         assert request.function == vector.function
         assert request.encode() == vector.pdu
 
 
-class TestLengthRules:
-    @pytest.mark.parametrize("vector", _known(REQUESTS))
-    def test_request_length_is_known_from_the_head_and_right(self, vector: FrameVector) -> None:
-        lengths = [pdu.request_length(vector.pdu[:end]) for end in range(1, len(vector.pdu) + 1)]
-        assert lengths[-1] == len(vector.pdu)
-        assert set(lengths) <= {None, len(vector.pdu)}
+def lengths_by_head(rule: Callable[[bytes], int | None], body: bytes) -> list[int | None]:
+    return [rule(body[:end]) for end in range(1, len(body) + 1)]
 
-    @pytest.mark.parametrize("vector", _known(RESPONSES + EXCEPTIONS))
+
+class TestLengthRules:
+    @pytest.mark.parametrize("vector", rows(REQUESTS))
+    def test_request_length_is_known_from_the_head_and_right(self, vector: FrameVector) -> None:
+        lengths = lengths_by_head(pdu.request_length, vector.pdu)
+        right = len(vector.pdu) if tells_its_length(vector.pdu) else 0
+        assert lengths[-1] == right
+        assert set(lengths) <= {None, right}
+
+    @pytest.mark.parametrize("vector", rows(RESPONSES + EXCEPTIONS))
     def test_response_length_is_known_from_the_head_and_right(self, vector: FrameVector) -> None:
-        lengths = [pdu.response_length(vector.pdu[:end]) for end in range(1, len(vector.pdu) + 1)]
-        assert lengths[-1] == len(vector.pdu)
-        assert set(lengths) <= {None, len(vector.pdu)}
+        lengths = lengths_by_head(pdu.response_length, vector.pdu)
+        right = len(vector.pdu) if tells_its_length(vector.pdu) else 0
+        assert lengths[-1] == right
+        assert set(lengths) <= {None, right}
 
     @pytest.mark.parametrize("code", [0x80, 0x81, 0xAB, 0xFF])
     def test_every_exception_response_has_two_bytes(self, code: int) -> None:
         assert pdu.response_length(bytes([code])) == 2
 
-    def test_unknown_functions_have_no_rule(self) -> None:
+    def test_nothing_tells_the_length_of_unknown_functions(self) -> None:
         for code in set(range(256)) - set(pdu.REQUESTS):
-            with pytest.raises(KeyError):
-                pdu.request_length(bytes([code, 0]))
+            assert pdu.request_length(bytes([code, 0])) == 0
         for code in set(range(128)) - set(pdu.REQUESTS):
-            with pytest.raises(KeyError):
-                pdu.response_length(bytes([code, 0]))
+            assert pdu.response_length(bytes([code, 0])) == 0
+
+    @pytest.mark.parametrize("rule", [pdu.request_length, pdu.response_length])
+    def test_diagnostics_tell_but_for_query_data(self, rule: Callable[[bytes], int | None]) -> None:
+        assert rule(b"\x08") is rule(b"\x08\0") is None
+        assert rule(b"\x08\0\0") == rule(b"\x08\0\0\1") == 0
+        for sub_function in (1, 4, 0x14, 0x100, 0xFFFF):
+            assert rule(b"\x08" + sub_function.to_bytes(2, "big")) == 5
+
+    def test_encapsulated_interfaces_tell_where_it_is_identification(self) -> None:
+        assert pdu.request_length(b"\x2b") is pdu.response_length(b"\x2b") is None
+        for mei_type in set(range(256)) - {14}:
+            head = bytes([0x2B, mei_type])
+            assert pdu.request_length(head) == pdu.response_length(head) == 0
+        assert pdu.request_length(b"\x2b\x0e") == 4
+        assert pdu.response_length(b"\x2b\x0e") is None
+        assert pdu.response_length(b"\x2b\x0e\1\x83\0\0\0") == 7
+
+    def test_byte_count_of_a_queue_is_two_bytes_wide(self) -> None:
+        assert pdu.response_length(b"\x18\0") is None
+        assert pdu.response_length(b"\x18\0\x40") == 67
+        assert pdu.response_length(b"\x18\1\0") == 259
+
+    def test_rules_for_classes_of_ones_own(self) -> None:
+        assert pdu.fixed(4)(b"") == 4
+        assert pdu.counted(3, at=2)(b"ab") is None
+        assert pdu.counted(3, at=2)(b"ab\5") == 8
+        assert pdu.unknown_length(b"abc") == 0
 
 
 class Seven:
@@ -201,6 +282,7 @@ ADDRESSED: list[tuple[str, Callable[[Any], Request[Any]]]] = [
     ("address", lambda address: WriteCoils(address, [True])),
     ("address", lambda address: WriteRegisters(address, [1])),
     ("address", lambda address: MaskWriteRegister(address, 0, 0)),
+    ("address", ReadFifoQueue),
     ("read_address", lambda address: ReadWriteRegisters(address, 1, 0, [1])),
     ("write_address", lambda address: ReadWriteRegisters(0, 1, address, [1])),
 ]
@@ -217,6 +299,24 @@ SEQUENCED: list[tuple[str, int, Callable[[int, Any], Request[Any]]]] = [
     ("values", 1968, WriteCoils),
     ("values", 123, WriteRegisters),
     ("values", 121, lambda address, values: ReadWriteRegisters(0, 1, address, values)),
+]
+
+# Other numbers: name, range, and what makes the rest.
+NUMBERS: list[tuple[str, int, int, Callable[[Any], Request[Any]]]] = [
+    ("sub_function", 0, 65535, Diagnostics),
+    ("code", 1, 4, ReadDeviceIdentification),
+    ("object_id", 0, 255, lambda number: ReadDeviceIdentification(4, number)),
+    ("mei_type", 0, 255, lambda number: EncapsulatedTransport(number, b"")),
+    ("function", 1, 127, RawRequest),
+]
+
+# Constructors with bytes: how many there may be.
+BYTES: list[tuple[list[int], list[int], Callable[[Any], Request[Any]]]] = [
+    ([2, 4, 248, 250], [0, 1, 3, 249, 251, 252], lambda data: Diagnostics(0, data)),
+    ([2], [0, 1, 3, 4, 250], lambda data: Diagnostics(1, data)),
+    ([2], [0, 1, 3, 4, 250], lambda data: Diagnostics(0xFFFF, data)),
+    ([0, 1, 250, 251], [252, 1000], lambda data: EncapsulatedTransport(13, data)),
+    ([0, 1, 251, 252], [253, 1000], lambda data: RawRequest(65, data)),
 ]
 
 REGISTERS: list[tuple[str, Callable[[Any], Request[Any]]]] = [
@@ -255,6 +355,51 @@ class TestConstructors:
         address = getattr(make(Seven()), name)
         assert address == 7
         assert type(address) is int
+
+    @pytest.mark.parametrize(("name", "low", "high", "make"), NUMBERS)
+    def test_other_numbers_have_their_ranges(
+        self, name: str, low: int, high: int, make: Callable[[Any], Request[Any]]
+    ) -> None:
+        for good in (low, high):
+            assert getattr(make(good), name) == good
+        for bad in (low - 1, high + 1, -1, 1 << 40):
+            with pytest.raises(ValueError, match=rf"^{name} must be in {low}\.\.{high}, not {bad}"):
+                make(bad)
+        for wrong in NO_INTEGERS:
+            with pytest.raises(TypeError, match=rf"^{name} must be an integer in {low}\.\.{high}"):
+                make(wrong)
+
+    @pytest.mark.parametrize(("name", "low", "high", "make"), NUMBERS)
+    def test_other_numbers_become_int(
+        self, name: str, low: int, high: int, make: Callable[[Any], Request[Any]]
+    ) -> None:
+        if high >= 7:
+            number = getattr(make(Seven()), name)
+            assert number == 7
+            assert type(number) is int
+
+    @pytest.mark.parametrize(("good", "bad", "make"), BYTES)
+    def test_data_are_bytes_of_some_sizes(
+        self, good: list[int], bad: list[int], make: Callable[[Any], Request[Any]]
+    ) -> None:
+        for size in good:
+            assert len(make(bytes(size)).encode()) <= pdu.MAX_PDU
+        for size in bad:
+            with pytest.raises(ValueError, match=rf"^data must be .*, not {size}$"):
+                make(bytes(size))
+        for wrong in ("ab", [1, 2], (1, 2), None, 2, bytearray(2), memoryview(b"ab")):
+            with pytest.raises(TypeError, match=r"^data must be bytes, not "):
+                make(wrong)
+
+    def test_diagnostics_have_a_zero_word_unless_told(self) -> None:
+        assert Diagnostics(SubFunction.CLEAR_COUNTERS) == Diagnostics(10, b"\0\0")
+        assert Diagnostics(10).encode() == b"\x08\0\x0a\0\0"
+
+    def test_only_force_listen_only_is_not_answered(self) -> None:
+        silent = [each for each in range(65536) if not Diagnostics(each).expects_response]
+        assert silent == [SubFunction.FORCE_LISTEN_ONLY]
+        for request in one_of_each():
+            assert request.expects_response
 
     @pytest.mark.parametrize(("name", "limit", "make"), COUNTED)
     def test_count_goes_from_1_to_its_limit(
@@ -446,7 +591,8 @@ class TestConstructors:
 
     def test_only_requests_that_change_the_device_alone_can_be_broadcast(self) -> None:
         writes = {code for code, request in pdu.REQUESTS.items() if request.is_write}
-        assert writes & set(FROM_FIELDS) == {5, 6, 15, 16, 21, 22}
+        assert writes == {5, 6, 15, 16, 21, 22}
+        assert not any(kind.is_write for kind in (ReadDeviceIdentification, RawRequest))
 
 
 # --- bad requests --------------------------------------------------------------------
@@ -569,6 +715,7 @@ BAD_REQUESTS: list[tuple[str, bytes, type[ExceptionResponse]]] = [
     ("21 length 0 behind a piece", write_file((6, 1, 0, 1, 1), (6, 1, 0, 0, 0)), IllegalDataValue),
     ("21 data short", write_file((6, 1, 0, 2, 1)), IllegalDataValue),
     ("21 data long", write_file((6, 1, 0, 1, 2)), IllegalDataValue),
+    ("21 half a register", b"\x15\x0a\x06\0\1\0\0\0\2\0\0\0", IllegalDataValue),
     ("21 half a piece", write_file((6, 1, 0, 1, 1)) + b"\x06", IllegalDataValue),
     ("21 byte count 252", write_file(*[(6, 1, 0, 1, 1)] * 28), IllegalDataValue),
     ("21 byte count 255", b"\x15\xff" + bytes(255), IllegalDataValue),
@@ -577,13 +724,41 @@ BAD_REQUESTS: list[tuple[str, bytes, type[ExceptionResponse]]] = [
     ("21 file 0", write_file((6, 0, 0, 1, 1)), IllegalDataAddress),
     ("21 record 10000", write_file((6, 1, 10_000, 1, 1)), IllegalDataAddress),
     ("21 past record 9999", write_file((6, 1, 9_999, 2, 2)), IllegalDataAddress),
+    ("07 long", b"\x07\0", IllegalDataValue),
+    ("08 only the code", b"\x08", IllegalDataValue),
+    ("08 half a sub-function", b"\x08\0", IllegalDataValue),
+    ("08 query without data", b"\x08\0\0", IllegalDataValue),
+    ("08 query with one byte", b"\x08\0\0\1", IllegalDataValue),
+    ("08 query with three bytes", b"\x08\0\0\1\2\3", IllegalDataValue),
+    ("08 query with 252 bytes", b"\x08\0\0" + bytes(252), IllegalDataValue),
+    ("08 counter without data", b"\x08\0\x0b", IllegalDataValue),
+    ("08 counter short", b"\x08\0\x0b\0", IllegalDataValue),
+    ("08 counter long", b"\x08\0\x0b\0\0\0", IllegalDataValue),
+    ("08 unknown and short", b"\x08\xff\xff\0", IllegalDataValue),
+    ("11 long", b"\x0b\0\0", IllegalDataValue),
+    ("12 long", b"\x0c\0", IllegalDataValue),
+    ("17 long", b"\x11\0", IllegalDataValue),
+    ("24 only the code", b"\x18", IllegalDataValue),
+    ("24 short", b"\x18\0", IllegalDataValue),
+    ("24 long", b"\x18\0\0\0", IllegalDataValue),
+    ("43 only the code", b"\x2b", IllegalDataValue),
+    ("43 type 0", b"\x2b\0", IllegalFunction),
+    ("43 type 12", b"\x2b\x0c\1\0", IllegalFunction),
+    ("43 type 15", b"\x2b\x0f\1\0", IllegalFunction),
+    ("43 type 255 and long", b"\x2b\xff" + bytes(200), IllegalFunction),
+    ("43/14 alone", b"\x2b\x0e", IllegalDataValue),
+    ("43/14 short", b"\x2b\x0e\1", IllegalDataValue),
+    ("43/14 long", b"\x2b\x0e\1\0\0", IllegalDataValue),
+    ("43/14 code 0", b"\x2b\x0e\0\0", IllegalDataValue),
+    ("43/14 code 5", b"\x2b\x0e\5\0", IllegalDataValue),
+    ("43/14 code 255", b"\x2b\x0e\xff\xff", IllegalDataValue),
     ("21 type and data short", write_file((7, 1, 0, 2, 1)), IllegalDataValue),
     ("21 file 0, then length 0", write_file((6, 0, 0, 1, 1), (6, 1, 0, 0, 0)), IllegalDataValue),
 ]
 
 
 class TestBadRequests:
-    """Sections 6.1 to 6.17: length and quantity are refused with 3, before addresses with 2."""
+    """Section 6: length and quantity are refused with 3, before addresses with 2."""
 
     @pytest.mark.parametrize(
         ("request_pdu", "error"),
@@ -613,6 +788,13 @@ class TestBadRequests:
             read_file(*[(6, 1, 0, 1)] * 35),
             write_file((6, 65535, 9878, 122, 122)),
             write_file(*[(6, 1, 0, 1, 1)] * 27),
+            b"\x08\0\0" + bytes(250),
+            b"\x08\xff\xff\xff\xff",
+            b"\x18\xff\xff",
+            b"\x2b\x0d",
+            b"\x2b\x0d" + bytes(251),
+            b"\x2b\x0e\1\xff",
+            b"\x2b\x0e\4\xff",
         ],
         ids=lambda request_pdu: f"{request_pdu[0]:02} {request_pdu[1:6].hex()}",
     )
@@ -655,7 +837,23 @@ def one_of_each() -> list[Request[Any]]:
         WriteFileRecords([(1, 2, [3]), (4, 5, [6, 7])]),
         MaskWriteRegister(1, 2, 3),
         ReadWriteRegisters(1, 2, 3, [4]),
+        ReadExceptionStatus(),
+        Diagnostics(0, b"\xa5\x37\1\2"),
+        Diagnostics(SubFunction.BUS_MESSAGE_COUNT),
+        ReadCommEventCounter(),
+        ReadCommEventLog(),
+        ReportServerId(),
+        ReadFifoQueue(1246),
+        ReadDeviceIdentification(2),
     ]
+
+
+# These take whatever follows the code, or the MEI type.
+UNJUDGED: list[Request[bytes]] = [
+    EncapsulatedTransport(13, b"\1\2"),
+    RawRequest(65, b"\1\2"),
+    RawRequest(3, b"\0\0\0\1"),
+]
 
 
 def good_result(request: Request[Any]) -> Any:
@@ -668,13 +866,32 @@ def good_result(request: Request[Any]) -> Any:
             return [7] * request.read_count
         case ReadFileRecords():
             return [[7] * length for _, _, length in request.records]
+        case ReadExceptionStatus():
+            return 0x6D
+        case Diagnostics():
+            return request.data
+        case ReadCommEventCounter():
+            return CommEventCounter(0xFFFF, 264)
+        case ReadCommEventLog():
+            return CommEventLog(0, 264, 289, b"\x20\0")
+        case ReportServerId():
+            return ServerId(b"\1", True, b"abc")
+        case ReadFifoQueue():
+            return [440, 4740]
+        case ReadDeviceIdentification():
+            return IdentificationPage(0x83, 4, {0: b"vendor", 3: b""})
+        case EncapsulatedTransport() | RawRequest():
+            return b"\3\4\5"
         case _:
             return None
 
 
-each_request = pytest.mark.parametrize(
-    "request_", one_of_each(), ids=lambda request: type(request).__name__
-)
+def the_name(request: Request[Any]) -> str:
+    return type(request).__name__
+
+
+each_request = pytest.mark.parametrize("request_", one_of_each(), ids=the_name)
+every_request = pytest.mark.parametrize("request_", one_of_each() + UNJUDGED, ids=the_name)
 
 
 class TestBadResponses:
@@ -688,7 +905,7 @@ class TestBadResponses:
         with pytest.raises(InvalidResponse):
             request_.decode_response(good + b"\0")
 
-    @each_request
+    @every_request
     def test_other_function_is_invalid_and_the_error_names_the_request(
         self, request_: Request[Any]
     ) -> None:
@@ -699,13 +916,13 @@ class TestBadResponses:
             assert str(request_) in str(caught.value)
             assert caught.value.function == request_.function
 
-    @each_request
+    @every_request
     def test_refusal_of_another_function_is_invalid(self, request_: Request[Any]) -> None:
         for other in {*pdu.REQUESTS, 0, 0x7F} - {request_.function}:
             with pytest.raises(InvalidResponse):
                 request_.decode_response(bytes([other | 0x80, 2]))
 
-    @each_request
+    @every_request
     def test_refusal_of_other_length_is_invalid(self, request_: Request[Any]) -> None:
         for tail in (b"", b"\2\0", b"\2\0\0\0"):
             with pytest.raises(InvalidResponse):
@@ -749,6 +966,33 @@ class TestBadResponses:
             (ReadFileRecords([(1, 0, 1)]), b"\x14\x08" + b"\3\6\0\1" * 2),  # one piece more
             (ReadFileRecords([(1, 0, 1)] * 2), b"\x14\4\3\6\0\1"),  # one piece less
             (ReadFileRecords([(1, 0, 1), (1, 0, 2)]), b"\x14\x0a\5\6\0\1\0\2\3\6\0\1"),  # order
+            (Diagnostics(0, b"\1\2"), b"\x08\0\0\1\2\3\4"),
+            (Diagnostics(0, b"\1\2\3\4"), b"\x08\0\0\1\2"),
+            (Diagnostics(0, b"\1\2"), b"\x08\0\1\1\2"),  # another sub-function
+            (Diagnostics(11), b"\x08\0\x0c\0\0"),
+            (Diagnostics(11), b"\x08\0\0\0\0"),
+            (ReadCommEventLog(), b"\x0c\0"),
+            (ReadCommEventLog(), b"\x0c\5" + bytes(5)),
+            (ReadCommEventLog(), b"\x0c\x47" + bytes(71)),  # 65 events
+            (ReportServerId(), b"\x11\0"),
+            (ReportServerId(), b"\x11\1\1"),
+            (ReadFifoQueue(1), b"\x18\0\0"),
+            (ReadFifoQueue(1), b"\x18\0\1\0"),
+            (ReadFifoQueue(1), b"\x18\0\4\0\0\0\7"),  # count too small
+            (ReadFifoQueue(1), b"\x18\0\2\0\1"),  # count too large
+            (ReadFifoQueue(1), b"\x18\0\2\0\1\0\7"),  # byte count too small
+            (ReadFifoQueue(1), b"\x18\0\6\0\1\0\7"),  # byte count too large
+            (ReadFifoQueue(1), b"\x18\0\5\0\1\0\7\0"),  # odd
+            (ReadFifoQueue(1), b"\x18\2\0\0\0"),
+            (ReadFifoQueue(1), b"\x18\0\x42\0\x20" + bytes(64)),  # 32 registers
+            (ReadDeviceIdentification(1), b"\x2b\x0d\1\1\0\0\0"),  # another MEI type
+            (ReadDeviceIdentification(1), b"\x2b\x0e\2\1\0\0\0"),  # another code
+            (ReadDeviceIdentification(1), b"\x2b\x0e\1\1\0\0\1"),  # an object is missing
+            (ReadDeviceIdentification(1), b"\x2b\x0e\1\1\0\0\1\0\2a"),
+            (ReadDeviceIdentification(1), b"\x2b\x0e\1\1\0\0\0\0\1a"),  # an object too many
+            (ReadDeviceIdentification(1), b"\x2b\x0e\1\1\0\0\2\0\1a"),
+            (EncapsulatedTransport(13, b""), b"\x2b\x0e\1\1\0\0\0"),
+            (EncapsulatedTransport(13, b""), b"\x2b"),
         ],
     )
     def test_byte_counts_that_do_not_fit_the_request_are_invalid(
@@ -760,7 +1004,7 @@ class TestBadResponses:
     @pytest.mark.parametrize(
         "request_",
         [request for request in one_of_each() if request.is_write],
-        ids=lambda request: type(request).__name__,
+        ids=the_name,
     )
     def test_every_byte_of_an_echo_counts(self, request_: Request[Any]) -> None:
         good = request_.encode_response(None)
@@ -805,6 +1049,14 @@ class TestEncodeResponse:
             (ReadFileRecords([(1, 0, 2)]), [[1]], ValueError),
             (ReadFileRecords([(1, 0, 2)]), [[1, 2, 3]], ValueError),
             (ReadFileRecords([(1, 0, 2)]), [[1, 2], [3]], ValueError),
+            (ReadExceptionStatus(), 256, ValueError),
+            (ReadExceptionStatus(), -1, ValueError),
+            (ReadExceptionStatus(), "1", TypeError),
+            (ReadFifoQueue(0), [1] * 32, ValueError),
+            (ReadFifoQueue(0), [65536], ValueError),
+            (ReadFifoQueue(0), [-1], ValueError),
+            (ReportServerId(), ServerId(b"", True), ValueError),
+            (ReportServerId(), ServerId(bytes(250), True, b"a"), ValueError),
         ],
     )
     def test_result_must_be_what_was_asked_for(
@@ -812,6 +1064,356 @@ class TestEncodeResponse:
     ) -> None:
         with pytest.raises(error, match="result"):
             request_.encode_response(result)
+
+    @pytest.mark.parametrize(
+        ("request_", "result"),
+        [
+            (Diagnostics(0, b"\1\2"), b""),
+            (Diagnostics(0, b"\1\2"), b"\1"),
+            (Diagnostics(11), b"\0\0\0"),
+            (Diagnostics(11), b"\0\0\0\0"),
+            (ReadCommEventCounter(), CommEventCounter(-1, 0)),
+            (ReadCommEventCounter(), CommEventCounter(0, 65536)),
+            (ReadCommEventLog(), CommEventLog(0, 65536, 0, b"")),
+            (ReadCommEventLog(), CommEventLog(0, 0, -1, b"")),
+            (ReadCommEventLog(), CommEventLog(0, 0, 0, bytes(65))),
+            (ReadDeviceIdentification(1), IdentificationPage(256, None, {})),
+            (ReadDeviceIdentification(1), IdentificationPage(1, 256, {})),
+            (ReadDeviceIdentification(1), IdentificationPage(1, None, {256: b""})),
+            (ReadDeviceIdentification(1), IdentificationPage(1, None, {0: bytes(245)})),
+            (ReadDeviceIdentification(1), IdentificationPage(1, None, {0: bytes(243), 1: b""})),
+            (EncapsulatedTransport(13, b""), bytes(252)),
+            (RawRequest(65), bytes(253)),
+        ],
+    )
+    def test_results_that_no_message_can_carry_are_value_errors(
+        self, request_: Request[Any], result: Any
+    ) -> None:
+        with pytest.raises(ValueError, match=r"."):
+            request_.encode_response(result)
+
+    def test_largest_results_fill_the_message(self) -> None:
+        for request, result, size in (
+            (ReadFifoQueue(0), range(31), 67),
+            (ReadCommEventLog(), CommEventLog(0, 0, 0, bytes(64)), 72),
+            (ReportServerId(), ServerId(b"\1", False, bytes(249)), 253),
+            (ReadDeviceIdentification(1), IdentificationPage(1, None, {0: bytes(244)}), 253),
+            (EncapsulatedTransport(13, b""), bytes(251), 253),
+            (RawRequest(65), bytes(252), 253),
+        ):
+            assert len(request.encode_response(result)) == size
+
+    def test_empty_queue_is_a_queue(self) -> None:
+        assert ReadFifoQueue(0).encode_response([]) == b"\x18\0\2\0\0"
+        assert ReadFifoQueue(0).decode_response(b"\x18\0\2\0\0") == []
+
+
+# --- the server's identifier (function 17) ------------------------------------------------
+
+
+class TestServerId:
+    def test_identifier_is_one_byte_unless_split_again(self) -> None:
+        found = ReportServerId().decode_response(b"\x11\6abc\xffde")
+        assert found == ServerId(b"a", False, b"c\xffde")
+        assert found.data == b"a\0c\xffde"  # only FFh says that it runs
+        assert ServerId.split(b"abc\xffde", 3) == ServerId(b"abc", True, b"de")
+
+    def test_all_of_the_data_can_be_had_back(self) -> None:
+        for data in (b"\xb4\xff", b"\xb4\0", b"\xb4\xff3.1.6", bytes(251)):
+            found = ReportServerId().decode_response(bytes([0x11, len(data)]) + data)
+            assert found.data == data
+
+    def test_split_takes_any_length_that_leaves_the_indicator(self) -> None:
+        assert ServerId.split(b"\xff", 0) == ServerId(b"", True)
+        assert ServerId.split(b"ab\xff", 2) == ServerId(b"ab", True)
+        for data, length in ((b"", 0), (b"a", 1), (b"ab\xff", 3), (b"ab\xff", -1)):
+            with pytest.raises(ValueError, match="length"):
+                ServerId.split(data, length)
+
+
+# --- device identification (function 43/14) ------------------------------------------------
+
+# Two fill a page exactly, with their heads; the last ones are private.
+OBJECTS = {
+    0: b"v" * 120,
+    1: b"c" * 122,
+    2: b"r",
+    3: b"u" * 244,
+    4: b"",
+    6: b"a" * 3,
+    128: b"p" * 244,
+    129: b"q" * 200,
+    255: b"z" * 42,
+}
+
+
+def served(objects: dict[int, bytes], level: str | int) -> tuple[dict[int, bytes], list[int]]:
+    """What a client gets from a device with these objects, and what it asks for."""
+    steps = identify(level)
+    request = next(steps)
+    asked: list[int] = []
+    while True:
+        asked.append(request.object_id)
+        assert len(asked) <= 300
+        body = request.encode_response(pages(request, objects)._replace(conformity=0x83))
+        assert len(body) <= pdu.MAX_PDU
+        again = decode_request(request.encode())
+        assert again == request
+        try:
+            request = steps.send(again.decode_response(body))
+        except StopIteration as done:
+            found: pdu.DeviceIdentification = done.value
+            break
+    assert found.conformity == 0x83
+    return found.objects, asked
+
+
+class TestIdentification:
+    @pytest.mark.parametrize(
+        ("level", "numbers", "asked"),
+        [
+            ("basic", [0, 1, 2], [0, 2]),
+            ("regular", [0, 1, 2, 3, 4, 6], [0, 2, 3, 4]),
+            ("extended", list(OBJECTS), [0, 2, 3, 4, 128, 129]),
+        ],
+    )
+    def test_stream_goes_over_as_many_pages_as_it_takes(
+        self, level: str, numbers: list[int], asked: list[int]
+    ) -> None:
+        found, requests = served(OBJECTS, level)
+        assert found == {number: OBJECTS[number] for number in numbers}
+        assert list(found) == numbers
+        assert requests == asked
+
+    def test_what_fits_to_the_byte_is_on_the_page(self) -> None:
+        request = ReadDeviceIdentification(1)
+        full = {0: bytes(120), 1: bytes(122)}
+        assert pages(request, full) == IdentificationPage(0, None, full)
+        over = {0: bytes(120), 1: bytes(123)}
+        assert pages(request, over) == IdentificationPage(0, 1, {0: bytes(120)})
+
+    @pytest.mark.parametrize(
+        ("code", "unknown"),
+        [(1, [3, 4, 6, 7, 128, 255]), (2, [5, 7, 127, 128, 255]), (3, [5, 7, 130, 254])],
+    )
+    def test_unknown_object_starts_the_stream_over(self, code: int, unknown: list[int]) -> None:
+        first = pages(ReadDeviceIdentification(code, 0), OBJECTS)
+        for number in unknown:
+            assert pages(ReadDeviceIdentification(code, number), OBJECTS) == first
+
+    def test_known_object_is_where_the_stream_goes_on(self) -> None:
+        for code, last in LAST_OBJECT.items():
+            for number in OBJECTS:
+                if number <= last:
+                    page = pages(ReadDeviceIdentification(code, number), OBJECTS)
+                    assert next(iter(page.objects)) == number
+                    assert min(page.objects) == number
+
+    def test_names_are_those_of_the_specification(self) -> None:
+        found = pdu.DeviceIdentification(1, {0: b"a", 1: b"b", 2: b"c\xff", 6: b"d", 128: b"e"})
+        assert found.names == {
+            "VendorName": "a",
+            "ProductCode": "b",
+            "MajorMinorRevision": "c\ufffd",
+            "UserApplicationName": "d",
+        }
+
+    def test_single_object_is_asked_for_once(self) -> None:
+        for number in (0, 6, 200, 255):
+            steps = identify(number)
+            assert next(steps) == ReadDeviceIdentification(4, number)
+            with pytest.raises(StopIteration) as done:
+                steps.send(IdentificationPage(0x81, None, {number: b"x"}))
+            assert done.value.value == pdu.DeviceIdentification(0x81, {number: b"x"})
+
+    @pytest.mark.parametrize(
+        ("pages_", "asked"),
+        [
+            ([(0, {0: b"a"})], [0]),  # the same again
+            ([(1, {0: b"a"}), (1, {1: b"b"})], [0, 1]),  # stays
+            ([(2, {0: b"a", 1: b"b"}), (1, {2: b"c"})], [0, 2]),  # goes back
+            ([(2, {0: b"a", 1: b"b"}), (2, {0: b"a", 1: b"b"})], [0, 2]),  # starts over
+            ([(1, {0: b"a", 1: b"b"})], [0]),  # was there already
+            ([(1, {}), (1, {})], [0, 1]),  # nothing, for ever
+            ([(5, {}), (3, {})], [0, 5]),
+        ],
+    )
+    def test_device_that_leads_in_circles_is_invalid(
+        self, pages_: list[tuple[int, dict[int, bytes]]], asked: list[int]
+    ) -> None:
+        steps = identify("regular")
+        requests = [next(steps)]
+        *good, bad = pages_
+        for following, objects in good:
+            requests.append(steps.send(IdentificationPage(2, following, objects)))
+        with pytest.raises(InvalidResponse) as caught:
+            steps.send(IdentificationPage(2, *bad))
+        assert [request.object_id for request in requests] == asked
+        assert caught.value.function == 43
+        assert caught.value.asked == str(requests[-1])
+
+    def test_any_device_comes_to_an_end(self) -> None:
+        """The ids only rise, so no device has a client ask more than 256 times."""
+        steps = identify("extended")
+        next(steps)
+        for number in range(1, 256):
+            assert steps.send(IdentificationPage(3, number, {})).object_id == number
+        with pytest.raises(InvalidResponse):
+            steps.send(IdentificationPage(3, 255, {}))
+
+    @pytest.mark.parametrize(
+        ("level", "error"),
+        [
+            ("all", ValueError),
+            ("", ValueError),
+            ("Basic", ValueError),
+            (-1, ValueError),
+            (256, ValueError),
+            (None, TypeError),
+            (True, TypeError),
+            (1.0, TypeError),
+            (b"basic", TypeError),
+        ],
+        ids=repr,
+    )
+    def test_level_is_a_name_or_an_object(self, level: Any, error: type[Exception]) -> None:
+        with pytest.raises(error, match=r"^level must be"):
+            next(identify(level))
+
+
+# --- functions of one's own ----------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Doubled(Request[list[int]]):
+    """A request of some registers, an answer with twice as many."""
+
+    values: tuple[int, ...]
+
+    function: ClassVar[int] = 0x41
+    request_length = pdu.counted(2, at=1)
+    response_length = pdu.counted(2, at=1)
+
+    def encode(self) -> bytes:
+        return bytes([self.function, 2 * len(self.values)]) + words(*self.values)
+
+    @classmethod
+    def decode(cls, pdu: bytes) -> Self:
+        if pdu[1] % 2:
+            raise ValueError("an odd byte count")
+        return cls(struct.unpack(f">{pdu[1] // 2}H", pdu[2:]))
+
+    def encode_response(self, result: list[int]) -> bytes:
+        return bytes([self.function, 2 * len(result)]) + words(*result)
+
+    def _decode_response(self, pdu: bytes) -> list[int]:
+        return list(struct.unpack(f">{pdu[1] // 2}H", pdu[2:]))
+
+
+@pytest.fixture
+def doubled() -> Iterator[type[Doubled]]:
+    yield pdu.register(Doubled)
+    pdu.REQUESTS.pop(Doubled.function)
+
+
+class TestRegister:
+    def test_registered_class_is_known_to_both_ends(self, doubled: type[Doubled]) -> None:
+        request = doubled((1, 2))
+        assert decode_request(request.encode()) == request
+        assert pdu.request_length(b"\x41\4") == pdu.response_length(b"\x41\4") == 6
+        response = request.encode_response([1, 1, 2, 2])
+        assert request.decode_response(response) == [1, 1, 2, 2]
+        assert str(request) == "Doubled(values=(1, 2))"
+
+    def test_its_errors_are_those_of_any_class(self, doubled: type[Doubled]) -> None:
+        with pytest.raises(IllegalDataValue):
+            decode_request(b"\x41\1\0")
+        with pytest.raises(IllegalDataValue):
+            decode_request(b"\x41\4\0\0")
+        with pytest.raises(MemoryParityError) as caught:
+            doubled((1,)).decode_response(b"\xc1\x08")
+        assert caught.value.function == 0x41
+        for bad in (b"", b"\x41", b"\x41\2\0", b"\x42\2\0\0", b"\xc2\1"):
+            with pytest.raises(InvalidResponse):
+                doubled((1,)).decode_response(bad)
+
+    def test_unknown_until_then_and_afterwards(self) -> None:
+        for _ in range(2):
+            with pytest.raises(IllegalFunction):
+                decode_request(b"\x41\0")
+            assert pdu.register(Doubled) is Doubled  # as a decorator gives it
+            assert pdu.register(Doubled) is Doubled  # once more is no harm
+            assert decode_request(b"\x41\0") == Doubled(())
+            pdu.REQUESTS.pop(0x41)
+
+    def test_taken_function_is_refused(self, doubled: type[Doubled]) -> None:
+        known = dict(pdu.REQUESTS)
+        for code in pdu.REQUESTS:
+            other = type("Other", (Doubled,), {"function": code, "__slots__": ()})
+            with pytest.raises(ValueError, match=rf"^Other: function {code} is \w+$"):
+                pdu.register(other)
+        assert known == pdu.REQUESTS
+
+    @pytest.mark.parametrize("code", [0, 128, 255, -1, "65", None])
+    def test_function_is_a_code(self, code: Any) -> None:
+        other = type("Other", (Doubled,), {"function": code, "__slots__": ()})
+        with pytest.raises(ValueError, match=r"^Other: function must be in 1\.\.127"):
+            pdu.register(other)
+
+    def test_class_without_a_function_is_refused(self) -> None:
+        for kind in (Request, RawRequest):
+            with pytest.raises(ValueError, match="function must be in"):
+                pdu.register(kind)
+
+    @pytest.mark.parametrize("bad", [None, 65, "Doubled", Doubled((1,)), int, Exception], ids=repr)
+    def test_only_request_classes_are_taken(self, bad: Any) -> None:
+        with pytest.raises(TypeError, match="derived from Request"):
+            pdu.register(bad)
+
+    @pytest.mark.parametrize("code", [9, 18, 65, 72, 100, 110, 127])
+    def test_any_free_code_will_do(self, code: int) -> None:
+        other = type("Other", (Doubled,), {"function": code, "__slots__": ()})
+        assert pdu.register(other) is other
+        try:
+            assert type(decode_request(bytes([code, 2, 0, 1]))) is other
+        finally:
+            pdu.REQUESTS.pop(code)
+
+
+class TestRawRequest:
+    def test_data_go_and_come_as_they_are(self) -> None:
+        for function in range(1, 128):
+            request = RawRequest(function, b"\0\xff")
+            assert request.encode() == bytes([function, 0, 0xFF])
+            assert request.decode_response(bytes([function])) == b""
+            assert request.decode_response(bytes([function]) + bytes(252)) == bytes(252)
+            assert RawRequest.decode(request.encode()) == request
+            assert request.encode_response(b"\7") == bytes([function, 7])
+
+    def test_refusals_are_exceptions(self) -> None:
+        with pytest.raises(IllegalDataAddress) as caught:
+            RawRequest(65, b"\1").decode_response(b"\xc1\2")
+        assert caught.value.function == 65
+        assert "RawRequest(function=65, data=b'\\x01')" in str(caught.value)
+
+    def test_it_is_no_write_and_is_answered(self) -> None:
+        assert RawRequest(6).is_write is False
+        assert RawRequest(6).expects_response
+
+    def test_it_takes_no_place_in_the_table(self) -> None:
+        assert RawRequest not in pdu.REQUESTS.values()
+
+
+class TestFunctionNames:
+    def test_every_code_has_one(self, doubled: type[Doubled]) -> None:
+        from libmodbus_py.pdu import function_name
+
+        assert function_name(3) == "ReadHoldingRegisters"
+        assert function_name(0x41) == "Doubled"
+        assert function_name(72) == function_name(100) == "user-defined"
+        assert function_name(126) == "program 584/984"
+        assert function_name(25) == "unassigned"
+        assert not set(pdu.OTHER_FUNCTIONS) & set(pdu.REQUESTS)
 
 
 # --- properties ------------------------------------------------------------------------
@@ -854,9 +1456,34 @@ def requests(draw: st.DrawFn) -> Request[Any]:
         )
     if function == 22:
         return MaskWriteRegister(draw(registers), draw(registers), draw(registers))
+    if function in (7, 11, 12, 17):
+        return pdu.REQUESTS[function]()
+    if function == 8:
+        sub_function = draw(registers | st.integers(0, 21))
+        return Diagnostics(sub_function, bytes(draw(word_bytes(1 if sub_function else 125))))
+    if function == 24:
+        return ReadFifoQueue(draw(registers))
+    if function == 43 and draw(st.booleans()):
+        return EncapsulatedTransport(13, draw(st.binary(max_size=251)))
+    if function == 43:
+        return ReadDeviceIdentification(draw(st.integers(1, 4)), draw(st.integers(0, 255)))
     values = draw(st.lists(registers, min_size=1, max_size=121))
     count = draw(st.integers(1, 125))
     return ReadWriteRegisters(draw(at(count)), count, draw(at(len(values))), values)
+
+
+def word_bytes(most: int) -> st.SearchStrategy[bytes]:
+    return st.binary(min_size=2, max_size=2 * most).map(lambda data: data[len(data) % 2 :])
+
+
+identifications = st.dictionaries(st.integers(0, 255), st.binary(max_size=244), max_size=12).map(
+    lambda objects: dict(sorted(objects.items()))
+)
+
+
+def one_page(objects: dict[int, bytes]) -> dict[int, bytes]:
+    """The first of the objects, as many as fit."""
+    return pages(ReadDeviceIdentification(3), objects).objects
 
 
 def results(request: Request[Any]) -> st.SearchStrategy[Any]:
@@ -874,6 +1501,27 @@ def results(request: Request[Any]) -> st.SearchStrategy[Any]:
             return exactly(registers, request.read_count)
         case ReadFileRecords():
             return st.tuples(*(exactly(registers, n) for _, _, n in request.records)).map(list)
+        case ReadExceptionStatus():
+            return st.integers(0, 255)
+        case Diagnostics():
+            return st.binary(min_size=len(request.data), max_size=len(request.data))
+        case ReadCommEventCounter():
+            return st.builds(CommEventCounter, registers, registers)
+        case ReadCommEventLog():
+            events = st.binary(max_size=64)
+            return st.builds(CommEventLog, registers, registers, registers, events)
+        case ReportServerId():
+            byte = st.binary(min_size=1, max_size=1)
+            return st.builds(ServerId, byte, st.booleans(), st.binary(max_size=249))
+        case ReadFifoQueue():
+            return st.lists(registers, max_size=31)
+        case ReadDeviceIdentification():
+            byte = st.integers(0, 255)
+            return st.builds(
+                IdentificationPage, byte, st.none() | byte, identifications.map(one_page)
+            )
+        case EncapsulatedTransport():
+            return st.binary(max_size=251)
         case _:
             return st.none()
 
@@ -893,7 +1541,8 @@ class TestProperties:
         encoded = request_.encode()
         assert decode_request(encoded) == request_
         assert len(encoded) <= pdu.MAX_PDU
-        assert pdu.request_length(encoded) == len(encoded)
+        right = len(encoded) if tells_its_length(encoded) else 0
+        assert pdu.request_length(encoded) == right
 
     @settings(max_examples=120, deadline=None)
     @given(st.data())
@@ -903,7 +1552,15 @@ class TestProperties:
         encoded = request.encode_response(result)
         assert request.decode_response(encoded) == result
         assert len(encoded) <= pdu.MAX_PDU
-        assert pdu.response_length(encoded) == len(encoded)
+        right = len(encoded) if tells_its_length(encoded) else 0
+        assert pdu.response_length(encoded) == right
+
+    @settings(max_examples=60, deadline=None)
+    @given(identifications, st.sampled_from(["basic", "regular", "extended"]))
+    def test_any_identification_arrives_whole(self, objects: dict[int, bytes], level: str) -> None:
+        last = LAST_OBJECT[pdu.interface.LEVELS[level]]
+        wanted = {number: value for number, value in objects.items() if number <= last}
+        assert served(objects, level)[0] == wanted
 
     @settings(max_examples=400, deadline=None)
     @given(
@@ -915,6 +1572,7 @@ class TestProperties:
         )
     )
     @example(b"\x15\x09" + bytes(9))
+    @example(b"\x15\x0a\x06\0\1\0\0\0\2\0\0\0")
     @example(b"\x14\x07" + bytes(7))
     def test_any_request_is_decoded_or_refused(self, data: bytes) -> None:
         outcome = attempt(decode_request, data)
@@ -929,7 +1587,7 @@ class TestProperties:
 
     @settings(max_examples=400, deadline=None)
     @given(
-        st.sampled_from(one_of_each()),
+        st.sampled_from(one_of_each() + UNJUDGED),
         st.binary(max_size=260),
         st.booleans(),
         st.sampled_from([0, 0x80]),

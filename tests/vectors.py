@@ -6,7 +6,8 @@ V1.1b3, section 6, of the serial line and TCP guides, and of public manuals of
 devices. Check bytes were computed again, and what a manual printed wrong stands
 corrected; ``computed`` names the forms that the source does not print. The key
 ``place`` says where in its document an example stands; ``unit_assumed`` that
-the document gives the PDU alone.
+the document gives the PDU alone. Ids with ``own`` are layouts of the specification
+that have no example there, with values of ours.
 """
 
 from __future__ import annotations
@@ -21,12 +22,14 @@ import pytest
 from libmodbus_py.framing import Frame
 
 __all__ = [
+    "BYTE_ORDERS",
     "CHECKSUMS",
     "EXCEPTIONS",
     "FRAMES",
     "REFERENCES",
     "REQUESTS",
     "RESPONSES",
+    "ByteOrder",
     "Checksum",
     "FrameVector",
     "Reference",
@@ -78,6 +81,17 @@ class Reference:
     address: int
 
 
+@dataclass(frozen=True)
+class ByteOrder:
+    """One number as the registers of each order hold it."""
+
+    id: str
+    type: str
+    order: str
+    registers: list[int]
+    value: int
+
+
 _ENTRIES: list[dict[str, Any]] = json.loads(Path(__file__).with_name("vectors.json").read_text())
 
 
@@ -125,6 +139,17 @@ REFERENCES = [
         address=entry["fields"]["pdu_address"],
     )
     for entry in _of_kind("reference")
+]
+
+BYTE_ORDERS = [
+    ByteOrder(
+        id=entry["id"],
+        type=entry["type"],
+        order=entry["order"],
+        registers=[int(register, 16) for register in entry["registers"]],
+        value=entry["value"],
+    )
+    for entry in _of_kind("byteorder")
 ]
 
 

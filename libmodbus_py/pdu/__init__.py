@@ -1,0 +1,238 @@
+"""
+The function codes: one frozen dataclass for each, with both ends of it.
+
+A request object encodes itself (client), is decoded from bytes (server),
+encodes its response (server) and decodes it (client). Only bytes and values:
+no unit, no framing, no I/O.
+
+Every request class names its function code and two length rules, which say
+how long a request or response PDU is once its first bytes are known; a framer
+without end marks (RTU) lives from them. A further function code is one class
+and one row in `REQUESTS`; your own is registered (`register`).
+
+Layouts, limits and the order of checks: MODBUS Application Protocol V1.1b3,
+section 6. Addresses are 0-based.
+"""
+
+from __future__ import annotations
+
+from typing import Any, TypeVar
+
+from ..errors import IllegalDataAddress, IllegalDataValue, IllegalFunction
+from .data import (
+    MaskWriteRegister,
+    ReadCoils,
+    ReadDiscreteInputs,
+    ReadFifoQueue,
+    ReadHoldingRegisters,
+    ReadInputRegisters,
+    ReadWriteRegisters,
+    WriteCoil,
+    WriteCoils,
+    WriteRegister,
+    WriteRegisters,
+)
+from .fields import MAX_PDU, AddressError, LengthRule, counted, fixed, unknown_length
+from .files import RECORDS_PER_FILE, ReadFileRecords, WriteFileRecords
+from .interface import (
+    DeviceIdentification,
+    EncapsulatedTransport,
+    IdentificationPage,
+    ReadDeviceIdentification,
+)
+from .request import RawRequest, Request
+from .serial import (
+    CommEventCounter,
+    CommEventLog,
+    Diagnostics,
+    ReadCommEventCounter,
+    ReadCommEventLog,
+    ReadExceptionStatus,
+    ReportServerId,
+    ServerId,
+    SubFunction,
+)
+
+__all__ = [
+    "MAX_PDU",
+    "OTHER_FUNCTIONS",
+    "RECORDS_PER_FILE",
+    "REQUESTS",
+    "CommEventCounter",
+    "CommEventLog",
+    "DeviceIdentification",
+    "Diagnostics",
+    "EncapsulatedTransport",
+    "IdentificationPage",
+    "LengthRule",
+    "MaskWriteRegister",
+    "RawRequest",
+    "ReadCoils",
+    "ReadCommEventCounter",
+    "ReadCommEventLog",
+    "ReadDeviceIdentification",
+    "ReadDiscreteInputs",
+    "ReadExceptionStatus",
+    "ReadFifoQueue",
+    "ReadFileRecords",
+    "ReadHoldingRegisters",
+    "ReadInputRegisters",
+    "ReadWriteRegisters",
+    "ReportServerId",
+    "Request",
+    "ServerId",
+    "SubFunction",
+    "WriteCoil",
+    "WriteCoils",
+    "WriteFileRecords",
+    "WriteRegister",
+    "WriteRegisters",
+    "counted",
+    "decode_request",
+    "fixed",
+    "register",
+    "request_length",
+    "response_length",
+    "unknown_length",
+]
+
+Kind = TypeVar("Kind", bound=type[Request[Any]])
+
+REQUESTS: dict[int, type[Request[Any]]] = {
+    request.function: request
+    for request in (
+        ReadCoils,
+        ReadDiscreteInputs,
+        ReadHoldingRegisters,
+        ReadInputRegisters,
+        WriteCoil,
+        WriteRegister,
+        ReadExceptionStatus,
+        Diagnostics,
+        ReadCommEventCounter,
+        ReadCommEventLog,
+        WriteCoils,
+        WriteRegisters,
+        ReportServerId,
+        ReadFileRecords,
+        WriteFileRecords,
+        MaskWriteRegister,
+        ReadWriteRegisters,
+        ReadFifoQueue,
+        EncapsulatedTransport,
+    )
+}
+"""Function code -> request class."""
+
+USER_DEFINED = (*range(65, 73), *range(100, 111))
+"""The function codes that section 5 leaves to users."""
+
+OTHER_FUNCTIONS = {
+    9: "program 484",
+    10: "poll 484",
+    13: "program controller",
+    14: "poll controller",
+    18: "program 884/M84",
+    19: "reset communications link",
+    40: "program Concept",
+    41: "reserved",
+    42: "reserved",
+    90: "reserved",
+    91: "reserved",
+    125: "firmware replacement",
+    126: "program 584/984",
+    127: "report local address",
+}
+"""Reserved and legacy codes (annex A, PI-MBUS-300) -> name; no server has them."""
+
+
+def register(request: Kind) -> Kind:
+    """
+    Make a request class of your own known to framers, clients and servers.
+
+    Usable as a decorator. The class derives from `Request`, has a `function`,
+    the two length rules (`fixed`, `counted`, `unknown_length`, or a function),
+    `encode`, `decode`, `encode_response` and `_decode_response`.
+
+    Args:
+        request: the class; its function is 65..72 or 100..110, or another one
+            that has no class yet.
+
+    Raises:
+        TypeError: no such class.
+        ValueError: the function is none, or is taken.
+    """
+    if not (isinstance(request, type) and issubclass(request, Request)):
+        raise TypeError(f"request must be a class derived from Request, not {request!r}")
+    function = getattr(request, "function", 0)
+    if function not in range(1, 128):
+        raise ValueError(f"{request.__name__}: function must be in 1..127, not {function!r}")
+    taken = REQUESTS.get(function)
+    if taken is not None and taken is not request:
+        raise ValueError(f"{request.__name__}: function {function} is {taken.__name__}")
+    REQUESTS[function] = request
+    return request
+
+
+def function_name(function: int) -> str:
+    """Name a function code, 1..127, for messages."""
+    if function in REQUESTS:
+        return REQUESTS[function].__name__
+    if function in USER_DEFINED:
+        return "user-defined"
+    return OTHER_FUNCTIONS.get(function, "unassigned")
+
+
+def decode_request(pdu: bytes) -> Request[Any]:
+    """
+    Decode any request PDU, as a server does.
+
+    Checks everything that needs no device, in the order of the per-function
+    diagrams of section 6: function, length, quantities and constants, address
+    range.
+
+    Args:
+        pdu: 1..253 bytes.
+
+    Raises:
+        IllegalFunction: no such function in `REQUESTS`, no such MEI type.
+        IllegalDataValue: wrong length, quantity, byte count or constant.
+        IllegalDataAddress: address + quantity passes 65536, or a file or
+            record that cannot exist.
+        ValueError: `pdu` is empty.
+    """
+    if not pdu:
+        raise ValueError("pdu must hold at least the function code")
+    request = REQUESTS.get(pdu[0])
+    if request is None:
+        raise IllegalFunction(function=pdu[0])
+    try:
+        if request.request_length(pdu) not in (len(pdu), 0):
+            raise ValueError(f"a request of {len(pdu)} bytes")
+        return request.decode(pdu)
+    except AddressError as error:
+        raise IllegalDataAddress(str(error), function=pdu[0]) from None
+    except ValueError as error:
+        raise IllegalDataValue(str(error), function=pdu[0]) from None
+
+
+def request_length(head: bytes) -> int | None:
+    """
+    Say how long the request PDU is that begins with these bytes.
+
+    Args:
+        head: one byte or more.
+
+    Returns:
+        The length; None while more bytes are needed; 0 if nothing in it tells.
+    """
+    request = REQUESTS.get(head[0])
+    return 0 if request is None else request.request_length(head)
+
+
+def response_length(head: bytes) -> int | None:
+    """Say how long a response PDU is; as `request_length`. Exception responses are 2 bytes."""
+    if head[0] & 0x80:
+        return 2
+    request = REQUESTS.get(head[0])
+    return 0 if request is None else request.response_length(head)
