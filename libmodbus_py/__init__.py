@@ -15,8 +15,9 @@ The way of one request, file by file, which is also the order to read them in::
     engine      libmodbus's modbus_reply, in memory
     mapping     Mapping: four tables, which it answers from
 
-Around them: errors (the exceptions), arguments (the check of numbers), url
-(endpoints), values (references such as 40123), _c and low_level (libmodbus), cli.
+Around them: errors (the exceptions), arguments (the check of numbers), url (endpoints),
+values (numbers and text in registers, references such as 40123), _c and low_level
+(libmodbus), cli and demo, device_file with behaviour and faults (the simulator), tap.
 
 Addresses are 0-based and times are in seconds everywhere.
 """
