@@ -44,6 +44,7 @@ from .errors import (
     ServerDeviceBusy,
     ServerDeviceFailure,
 )
+from .faults import Fault
 from .mapping import Mapping
 from .record_file import RecordFile
 from .server import Running, Server
@@ -56,6 +57,7 @@ __all__ = [
     "Context",
     "Device",
     "ExceptionResponse",
+    "Fault",
     "FrameError",
     "GatewayPathUnavailable",
     "GatewayTargetFailedToRespond",

@@ -90,6 +90,7 @@ __all__ = [
     "counted",
     "decode_request",
     "fixed",
+    "function_name",
     "register",
     "request_length",
     "response_length",
@@ -175,7 +176,7 @@ def register(request: Kind) -> Kind:
 
 
 def function_name(function: int) -> str:
-    """Name a function code, 1..127, for messages."""
+    """Name a function code, 0..255, for messages."""
     if function in REQUESTS:
         return REQUESTS[function].__name__
     if function in USER_DEFINED:
@@ -205,7 +206,7 @@ def decode_request(pdu: bytes) -> Request[Any]:
         raise ValueError("pdu must hold at least the function code")
     request = REQUESTS.get(pdu[0])
     if request is None:
-        raise IllegalFunction(function=pdu[0])
+        raise IllegalFunction(f"no function {pdu[0]}: {function_name(pdu[0])}", function=pdu[0])
     try:
         if request.request_length(pdu) not in (len(pdu), 0):
             raise ValueError(f"a request of {len(pdu)} bytes")
