@@ -481,8 +481,8 @@ class AsciiContext(Context):
     A client on a serial line in ASCII mode, which libmodbus lacks.
 
     libmodbus opens and configures the port; this package does the talking.
-    Arguments as for `RtuContext`, without `native` and `silence`; `data_bits` is 7 in
-    ASCII mode.
+    Arguments as for `RtuContext`, without `silence`; `data_bits` is 7 in ASCII mode, and
+    `native` changes nothing, for libmodbus carries none of its requests.
     """
 
     def __init__(
@@ -495,6 +495,7 @@ class AsciiContext(Context):
         stop_bits: int = 1,
         unit: int = 1,
         timeout: float = 1.0,
+        native: bool | None = None,
         rs485: Literal["kernel", "rts-up", "rts-down"] | None = None,
         rts_delay: float | None = None,
         echo: bool = False,
@@ -512,7 +513,7 @@ class AsciiContext(Context):
             echo=echo,
             silence=0,  # ASCII frames have marks of their own
         )
-        line = _line(link, "ascii", timeout, turnaround, False, False)
+        line = _line(link, "ascii", timeout, turnaround, native, False)
         super().__init__(line, unit, busy_retries)
 
 

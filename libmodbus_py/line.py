@@ -315,6 +315,8 @@ class Line:
         while True:
             data = self._link.receive(self._next_look(wrong, deadline))
             self._received += data
+            if not data and not wrong and time.monotonic() >= deadline:
+                raise self._timeout()
             try:
                 frames = self._framer.feed(data) if data else self._framer.silence()
             except FrameError as error:

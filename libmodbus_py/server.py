@@ -16,7 +16,7 @@ import socket
 import threading
 import time
 from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Mapping
-from concurrent.futures import Future
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -461,7 +461,7 @@ async def _serve_serial(endpoint: url.Endpoint, units: _Units) -> AsyncIterator[
     try:
         yield endpoint
     finally:
-        port.close()
+        port.stop()
 
 
 class _Port:
@@ -473,6 +473,9 @@ class _Port:
         self._line = _SerialLine(units)
         self._loop = asyncio.get_running_loop()
         self._retry: asyncio.TimerHandle | None = None
+        self._unsent = bytearray()
+        self._sending: asyncio.TimerHandle | None = None
+        self._sender = ThreadPoolExecutor(1, "serial port")  # one, to keep the order
 
     def open(self) -> None:
         self._link.open(time.monotonic())
@@ -481,9 +484,13 @@ class _Port:
         )
         self._loop.add_reader(self._link.descriptor, self._read)
 
-    def close(self) -> None:
+    def stop(self) -> None:
         if self._retry is not None:
             self._retry.cancel()
+        self.close()
+        self._sender.shutdown(wait=False)
+
+    def close(self) -> None:
         if self._link.is_open:
             self._session.close()
             self._loop.remove_reader(self._link.descriptor)
@@ -506,18 +513,23 @@ class _Port:
 
     def _write(self, data: bytes) -> None:
         """Answer after the silence that ends the request (serial line, 2.5.1.1)."""
-        wait = self._link.time_to_silence()
-        if self._endpoint.framing == "rtu" and wait > 0:
-            self._loop.call_later(wait, self._send, data)
-        else:
-            self._send(data)
+        self._unsent += data
+        wait = self._link.time_to_silence() if self._endpoint.framing == "rtu" else 0
+        if wait <= 0:
+            self._send_unsent()
+        elif self._sending is None:
+            self._sending = self._loop.call_later(wait, self._send_unsent)
+
+    def _send_unsent(self) -> None:
+        data, self._unsent, self._sending = bytes(self._unsent), bytearray(), None
+        self._send(data)
 
     def _send(self, data: bytes) -> None:
         if not self._link.is_open:
             return
         if self._link.rs485 in self._link.rts_modes:
             # It waits while the bits go out, and the loop has others to serve.
-            self._loop.run_in_executor(None, self._send_now, data)
+            self._loop.run_in_executor(self._sender, self._send_now, data)
         else:
             self._send_now(data)
 
