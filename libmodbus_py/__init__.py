@@ -9,7 +9,8 @@ The way of one request, file by file, which is also the order to read them in::
     framing     unit and PDU as bytes on TCP, RTU and ASCII lines
     link        a descriptor in a modbus_t: tcp_link a connection, serial_link a port
       ... the wire ...
-    server      Server: many clients, many units, many endpoints
+    server      Server: many clients, many endpoints
+    units       which device answers a frame, on TCP and on serial lines
     device      Device: request PDU in, response PDU out; beside it access (what hooks
                 see), communication (counters and log of a line), record_file
     engine      libmodbus's modbus_reply, in memory

@@ -21,18 +21,16 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from . import url
-from .arguments import integer
-from .communication import LINE_FEED, Communication
-from .device import Caller, Device
+from .device import Device
 from .errors import (
     FrameError,
-    GatewayTargetFailedToRespond,
     ModbusConnectionError,
     ModbusTimeoutError,
 )
 from .faults import Delivery, Fault, Faults, pieces
 from .framing import AsciiFramer, Frame, Framer, RtuFramer, TcpFramer
 from .serial_link import SerialLink
+from .units import SerialUnits, TcpUnits, Units
 
 __all__ = ["Running", "Server"]
 
@@ -87,7 +85,7 @@ class Server:
         devices: Device | Mapping[int, Device],
         faults: Mapping[int | None, Iterable[Fault]] | None = None,
     ) -> None:
-        self._units = _Units(devices, Faults({} if faults is None else faults))
+        self._units = Units(devices, Faults({} if faults is None else faults))
 
     @contextlib.asynccontextmanager
     async def serving(self, *urls: str) -> AsyncIterator[Running]:
@@ -146,129 +144,25 @@ class Server:
             thread.join()
 
 
-class _Units:
-    """The devices, by unit, and their faults; None if there are none."""
-
-    def __init__(self, devices: Device | Mapping[int, Device], faults: Faults) -> None:
-        self.faults = faults or None
-        self.any = devices if isinstance(devices, Device) else None
-        self.devices: dict[int, Device] = {}
-        if self.any is not None:
-            return
-        if not isinstance(devices, Mapping):
-            given = type(devices).__name__
-            raise TypeError(f"devices must be a Device or {{unit: Device}}, not {given}")
-        for unit, device in devices.items():
-            if not isinstance(device, Device):
-                raise TypeError(f"devices[{unit!r}] must be a Device, not {type(device).__name__}")
-            self.devices[integer("unit", unit, 0, 255)] = device
-
-
-class _TcpLine:
-    """Answers frames with an MBAP header: any unit, one frame at a time."""
-
-    delimiter = None
-
-    def __init__(self, units: _Units) -> None:
-        self.faults = units.faults
-        self._units = units
-
-    def answers(self, frame: Frame) -> bool:
-        """Whether a request is answered."""
-        return not frame.pdu[0] & 0x80
-
-    def refuse(self, frame: Frame, code: int) -> Frame:
-        """Answer a request with an exception, without executing it."""
-        return frame._replace(pdu=bytes([frame.pdu[0] | 0x80, code]))
-
-    def answer(self, frame: Frame, peer: str) -> Frame | None:
-        unit, pdu, transaction = frame
-        device = self._units.any or self._units.devices.get(unit)
-        if device is not None:
-            response = device.answer(pdu, Caller(unit, peer))
-        elif pdu[0] & 0x80:
-            return None
-        else:
-            response = bytes([pdu[0] | 0x80, GatewayTargetFailedToRespond.code])
-        return Frame(unit, response, transaction) if response else None
-
-    def note_damage(self, *, overrun: bool) -> None:
-        """TCP has no counters of a line."""
-
-
-class _SerialLine:
-    """
-    Answers frames of a serial line: silence for other units, broadcasts, and what
-    every device notes about the line.
-    """
-
-    def __init__(self, units: _Units) -> None:
-        self.faults = units.faults
-        self._any = units.any and (units.any, Communication(is_serial=True))
-        self._stations = {
-            unit: (device, Communication(is_serial=True)) for unit, device in units.devices.items()
-        }
-        self._all = [self._any] if self._any else list(self._stations.values())
-        self.delimiter: int | None = LINE_FEED
-
-    def answers(self, frame: Frame) -> bool:
-        """Whether a request is answered, by somebody here."""
-        station = self._any or self._stations.get(frame.unit)
-        if station is None or frame.unit == 0:
-            return False
-        return not (frame.pdu[0] & 0x80 or station[1].listen_only)
-
-    def refuse(self, frame: Frame, code: int) -> Frame:
-        """Answer a request that `answers` with an exception, without executing it."""
-        for _, communication in self._all:
-            communication.note_frame()
-        refusal = bytes([frame.pdu[0] | 0x80, code])
-        _, communication = self._any or self._stations[frame.unit]
-        communication.note_request(broadcast=False)
-        communication.note_response(frame.pdu, refusal, silent=False)
-        return frame._replace(pdu=refusal)
-
-    def answer(self, frame: Frame, peer: str) -> Frame | None:
-        for _, communication in self._all:
-            communication.note_frame()
-        if frame.unit == 0:
-            for device, communication in self._all:
-                device.answer(frame.pdu, Caller(0, peer, communication, is_broadcast=True))
-            return None
-        station = self._any or self._stations.get(frame.unit)
-        if station is None:
-            return None
-        device, communication = station
-        before = communication.delimiter
-        response = device.answer(frame.pdu, Caller(frame.unit, peer, communication))
-        if communication.delimiter != before:
-            self.delimiter = communication.delimiter
-        return Frame(frame.unit, response) if response else None
-
-    def note_damage(self, *, overrun: bool) -> None:
-        for _, communication in self._all:
-            communication.note_damage(overrun=overrun)
-
-
 class _Session:
     """One connection or one port: bytes in, answers out."""
 
     def __init__(
         self,
-        line: _TcpLine | _SerialLine,
+        units: TcpUnits | SerialUnits,
         framing: str,
         peer: str,
         write: Callable[[bytes], None],
         follow: Callable[[], None] = lambda: None,
     ) -> None:
-        self._line = line
+        self._units = units
         self._framer = FRAMERS[framing]()
         self._peer = peer
         self._write = write
         self._loop = asyncio.get_running_loop()
         self._timer: asyncio.TimerHandle | None = None
         # Only with faults do answers leave at other times than they are found.
-        self._delivery = Delivery(write, follow) if line.faults else None
+        self._delivery = Delivery(write, follow) if units.faults else None
         self._follow_delimiter()
 
     @property
@@ -307,11 +201,11 @@ class _Session:
         for each in found:
             if isinstance(each, FrameError):
                 logger.debug("%s: %s: %s", self._peer, each, each.received.hex(" "))
-                self._line.note_damage(overrun=each.overrun)
+                self._units.note_damage(overrun=each.overrun)
                 continue
             if self._delivery is not None:
                 self._answer_with_faults(each, self._delivery)
-            elif (answer := self._line.answer(each, self._peer)) is not None:
+            elif (answer := self._units.answer(each, self._peer)) is not None:
                 adus += self._framer.encode(answer)
             self._follow_delimiter()
         if adus:
@@ -319,20 +213,20 @@ class _Session:
 
     def _answer_with_faults(self, request: Frame, delivery: Delivery) -> None:
         fault = None
-        if self._line.faults is not None and self._line.answers(request):
+        if self._units.faults is not None and self._units.answers(request):
             has_transaction = isinstance(self._framer, TcpFramer)
-            fault = self._line.faults.due(request, has_transaction=has_transaction)
+            fault = self._units.faults.due(request, has_transaction=has_transaction)
         if fault is not None and fault.code is not None:
-            answer: Frame | None = self._line.refuse(request, fault.code)
+            answer: Frame | None = self._units.refuse(request, fault.code)
         else:
-            answer = self._line.answer(request, self._peer)
+            answer = self._units.answer(request, self._peer)
         if answer is not None:
             delivery.send(pieces(fault, answer, self._framer))
 
     def _follow_delimiter(self) -> None:
         """From the frame behind the answer on, both ways."""
-        if isinstance(self._framer, AsciiFramer) and self._line.delimiter is not None:
-            self._framer.delimiter = self._line.delimiter
+        if isinstance(self._framer, AsciiFramer) and self._units.delimiter is not None:
+            self._framer.delimiter = self._units.delimiter
 
 
 class _Connection(asyncio.BufferedProtocol):
@@ -345,12 +239,12 @@ class _Connection(asyncio.BufferedProtocol):
 
     def __init__(
         self,
-        line: _TcpLine | _SerialLine,
+        units: TcpUnits | SerialUnits,
         framing: str,
         buffer: memoryview,
         peers: set[_Connection],
     ) -> None:
-        self._line = line
+        self._units = units
         self._framing = framing
         self._buffer = buffer
         self._peers = peers
@@ -366,7 +260,7 @@ class _Connection(asyncio.BufferedProtocol):
         self.transport = transport
         host, port, *_ = transport.get_extra_info("peername")
         self._session = _Session(
-            self._line, self._framing, f"{host}:{port}", transport.write, self._follow
+            self._units, self._framing, f"{host}:{port}", transport.write, self._follow
         )
         transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
         if self.stopped:
@@ -406,11 +300,11 @@ class _Connection(asyncio.BufferedProtocol):
 
 
 @contextlib.asynccontextmanager
-async def _serve_tcp(endpoint: url.Endpoint, units: _Units) -> AsyncIterator[url.Endpoint]:
+async def _serve_tcp(endpoint: url.Endpoint, units: Units) -> AsyncIterator[url.Endpoint]:
     loop = asyncio.get_running_loop()
     peers: set[_Connection] = set()
-    line = _TcpLine(units) if endpoint.framing == "tcp" else _SerialLine(units)
-    make = partial(_Connection, line, endpoint.framing, memoryview(bytearray(READ_SIZE)), peers)
+    own = TcpUnits(units) if endpoint.framing == "tcp" else SerialUnits(units)
+    make = partial(_Connection, own, endpoint.framing, memoryview(bytearray(READ_SIZE)), peers)
     try:
         addresses = await loop.getaddrinfo(
             endpoint.host, endpoint.port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
@@ -455,7 +349,7 @@ def _reason(error: OSError) -> str:
 
 
 @contextlib.asynccontextmanager
-async def _serve_serial(endpoint: url.Endpoint, units: _Units) -> AsyncIterator[url.Endpoint]:
+async def _serve_serial(endpoint: url.Endpoint, units: Units) -> AsyncIterator[url.Endpoint]:
     port = _Port(SerialLink(endpoint.device, **endpoint.options), endpoint, units)
     port.open()
     try:
@@ -467,10 +361,10 @@ async def _serve_serial(endpoint: url.Endpoint, units: _Units) -> AsyncIterator[
 class _Port:
     """One serial port; opened again when it was unplugged and comes back."""
 
-    def __init__(self, link: SerialLink, endpoint: url.Endpoint, units: _Units) -> None:
+    def __init__(self, link: SerialLink, endpoint: url.Endpoint, units: Units) -> None:
         self._link = link
         self._endpoint = endpoint
-        self._line = _SerialLine(units)
+        self._units = SerialUnits(units)
         self._loop = asyncio.get_running_loop()
         self._retry: asyncio.TimerHandle | None = None
         self._unsent = bytearray()
@@ -480,7 +374,7 @@ class _Port:
     def open(self) -> None:
         self._link.open(time.monotonic())
         self._session = _Session(
-            self._line, self._endpoint.framing, self._endpoint.device, self._write
+            self._units, self._endpoint.framing, self._endpoint.device, self._write
         )
         self._loop.add_reader(self._link.descriptor, self._read)
 

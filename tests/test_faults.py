@@ -337,10 +337,10 @@ def test_each_wait_begins_when_what_is_before_is_sent() -> None:
 
 def test_a_session_that_is_closed_sends_nothing_more() -> None:
     written: list[bytes] = []
-    units = server._Units(made_device(), Faults({None: [Fault("delay", seconds=0.001)]}))
+    units = server.Units(made_device(), Faults({None: [Fault("delay", seconds=0.001)]}))
 
     async def ask() -> None:
-        session = server._Session(server._TcpLine(units), "tcp", "", written.append)
+        session = server._Session(server.TcpUnits(units), "tcp", "", written.append)
         session.receive(adu(READ))
         session.close()
         await asyncio.sleep(0.02)
