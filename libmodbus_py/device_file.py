@@ -43,6 +43,7 @@ from .faults import Fault
 from .mapping import Mapping as Tables
 from .pdu import RECORDS_PER_FILE, ServerId
 from .pdu.interface import OBJECT_NAMES
+from .toml_lines import line_of
 from .values import value_type
 
 __all__ = ["DeviceFileError", "Simulation", "load", "parse"]
@@ -52,7 +53,7 @@ Check = Callable[[str, object], Any]
 
 
 class DeviceFileError(ValueError):
-    """A device file that cannot be: which file, which key, and what is allowed."""
+    """A device file that cannot be: which file, line and key, and what is allowed."""
 
 
 class Simulation(NamedTuple):
@@ -89,7 +90,10 @@ def load(path: str | PathLike[str], *, clock: Callable[[], float] = time.monoton
     try:
         return parse(text, clock=clock)
     except DeviceFileError as error:
-        raise DeviceFileError(f"{path}: {error}") from None
+        key = str(error).split(" ")[0].rstrip(":")
+        line = line_of(text, key)
+        place = f"{path}, line {line}" if line else path
+        raise DeviceFileError(f"{place}: {error}") from None
 
 
 def parse(text: str, *, clock: Callable[[], float] = time.monotonic) -> Simulation:
