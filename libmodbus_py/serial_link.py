@@ -155,12 +155,13 @@ class SerialLink(Link):
         try:
             termios.tcgetattr(guard)  # before libmodbus may touch what is no port
             fcntl.flock(guard, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
+        except (OSError, termios.error) as error:
             os.close(guard)
-            raise OSError(errno.EBUSY, "in use by another program") from None
-        except termios.error as error:
-            os.close(guard)
-            raise OSError(error.args[0], "not a serial port") from None
+            if isinstance(error, BlockingIOError):
+                raise OSError(errno.EBUSY, "in use by another program") from None
+            if isinstance(error, termios.error):
+                raise OSError(error.args[0], "not a serial port") from None
+            raise
         return guard
 
     def _set_direction_control(self) -> None:
