@@ -8,6 +8,7 @@ are the medians over the rounds, and the ratio to libmodbus's own client in C.
 from __future__ import annotations
 
 import argparse
+import random
 import statistics
 import subprocess
 import sys
@@ -78,10 +79,11 @@ def run(clients: dict[str, Callable[[], float]], rounds: int) -> dict[str, list[
     for number in range(rounds):
         if sys.stderr.isatty():
             print(f"\rround {number + 1} of {rounds}", end="", file=sys.stderr, flush=True)
-        # Who comes first is another one in each round: the place makes a difference.
-        first = number % len(clients)
+        # Who comes before whom makes a difference: another order in each round, the
+        # same in each run.
         turns = list(clients.items())
-        for name, measure in turns[first:] + turns[:first]:
+        random.Random(number).shuffle(turns)
+        for name, measure in turns:
             rates[name].append(measure())
     if sys.stderr.isatty():
         print("\r\033[K", end="", file=sys.stderr)
