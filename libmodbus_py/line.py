@@ -15,6 +15,7 @@ what libmodbus lacks or does not check:
 
 from __future__ import annotations
 
+import errno
 import os
 import threading
 import time
@@ -170,7 +171,7 @@ class Line:
 
     def _open(self, deadline: float) -> None:
         if self._closed:
-            raise ModbusConnectionError("this context is closed")
+            raise ModbusConnectionError("this context is closed", errno=errno.EBADF)
         if self._timeouts >= TIMEOUTS_BEFORE_RECONNECT and self._link.can_die_silently:
             self._link.close()
         if self._link.is_open:
@@ -282,12 +283,10 @@ class Line:
             self._reopen()
 
     def _skip_late_answers(self) -> None:
-        try:
-            while self._link.has_input():
-                self.late_answers += len(self._framer.feed(self._link.receive(0)))
-        except FrameError:
-            self._reopen()
-        if self._framer.pending:
+        while self._link.has_input():
+            found = self._framer.scan(self._link.receive(0))
+            self.late_answers += sum(isinstance(each, Frame) for each in found)
+        if self._framer.pending or not self._framer.in_step:
             self._reopen()
 
     def _wait_for_quiet(self) -> None:
@@ -317,17 +316,15 @@ class Line:
             self._received += data
             if not data and not wrong and time.monotonic() >= deadline:
                 raise self._timeout()
-            try:
-                frames = self._framer.feed(data) if data else self._framer.silence()
-            except FrameError as error:
-                wrong, frames = error, []
-            for frame in frames:
-                if frame.transaction != sent.transaction:
+            for each in self._framer.scan(data) if data else self._framer.scan_silence():
+                if isinstance(each, FrameError):
+                    wrong = each
+                elif each.transaction != sent.transaction:
                     self.late_answers += 1
-                elif frame.unit == sent.unit:
-                    return frame.pdu
+                elif each.unit == sent.unit:
+                    return each.pdu
                 else:
-                    wrong = InvalidResponse(f"unit {frame.unit} answered")
+                    wrong = InvalidResponse(f"unit {each.unit} answered")
             if time.monotonic() >= deadline or (wrong and self._is_final(wrong, data)):
                 raise wrong or self._timeout()
 

@@ -165,6 +165,28 @@ def test_answer_in_pieces_is_whole(native: bool | None) -> None:
             assert read(context) == VALUES
 
 
+def test_a_skipped_frame_beside_an_answer_does_not_spoil_the_next_one() -> None:
+    def with_other_protocol(request: bytes) -> list[bytes]:
+        return [mbap(request, GOOD, protocol=7) + mbap(request, GOOD)]
+
+    def in_pieces(request: bytes) -> list[bytes]:
+        class Slow(list[bytes]):
+            def __iter__(self):  # type: ignore[no-untyped-def]
+                for piece in (mbap(request, GOOD)[:9], mbap(request, GOOD)[9:]):
+                    time.sleep(0.02)
+                    yield piece
+
+        return Slow()
+
+    with (
+        FakeServer(with_other_protocol, in_pieces) as server,
+        TcpContext("127.0.0.1", server.port, native=False) as context,
+    ):
+        for _ in range(3):
+            assert read(context) == VALUES
+        assert server.connections == 1
+
+
 @pytest.mark.parametrize("native", [None, True, False])
 def test_trickling_answer_does_not_extend_the_deadline(native: bool | None) -> None:
     def trickle(request: bytes) -> list[bytes]:
