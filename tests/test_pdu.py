@@ -1079,6 +1079,8 @@ class TestEncodeResponse:
             (ReadCommEventLog(), CommEventLog(0, 0, 0, bytes(65))),
             (ReadDeviceIdentification(1), IdentificationPage(256, None, {})),
             (ReadDeviceIdentification(1), IdentificationPage(1, 256, {})),
+            (ReadDeviceIdentification(4, 5), IdentificationPage(0x81, None, {})),
+            (ReadDeviceIdentification(4, 5), IdentificationPage(0x81, None, {4: b""})),
             (ReadDeviceIdentification(1), IdentificationPage(1, None, {256: b""})),
             (ReadDeviceIdentification(1), IdentificationPage(1, None, {0: bytes(245)})),
             (ReadDeviceIdentification(1), IdentificationPage(1, None, {0: bytes(243), 1: b""})),
@@ -1515,11 +1517,11 @@ def results(request: Request[Any]) -> st.SearchStrategy[Any]:
             return st.builds(ServerId, byte, st.booleans(), st.binary(max_size=249))
         case ReadFifoQueue():
             return st.lists(registers, max_size=31)
-        case ReadDeviceIdentification():
+        case ReadDeviceIdentification(code, object_id):
             byte = st.integers(0, 255)
-            return st.builds(
-                IdentificationPage, byte, st.none() | byte, identifications.map(one_page)
-            )
+            alone = st.binary(max_size=244).map(lambda value: {object_id: value})
+            page = alone if code == 4 else identifications.map(one_page)
+            return st.builds(IdentificationPage, byte, st.none() | byte, page)
         case EncapsulatedTransport():
             return st.binary(max_size=251)
         case _:

@@ -170,12 +170,19 @@ class ReadDeviceIdentification(Request[IdentificationPage]):
 
     def encode_response(self, result: IdentificationPage) -> bytes:
         conformity, next_object, objects = result
+        if not self._answers(objects):
+            raise ValueError(f"result must hold object {self.object_id} alone")
         more, following = (0, 0) if next_object is None else (0xFF, next_object)
         head = [self.function, DEVICE_IDENTIFICATION, self.code, conformity]
         body = b"".join(bytes([at, len(value)]) + value for at, value in objects.items())
         if len(body) > self.room:
             raise ValueError(f"objects take {len(body)} bytes, more than {self.room}")
         return bytes([*head, more, following, len(objects)]) + body
+
+    def _answers(self, objects: dict[int, bytes]) -> bool:
+        """Whether these are what was asked: any of a stream, or the single one."""
+        single = self.code == ReadDeviceIdCode.INDIVIDUAL
+        return list(objects) == [self.object_id] if single else True
 
     def _decode_response(self, pdu: bytes) -> IdentificationPage:
         if pdu[1] != DEVICE_IDENTIFICATION or pdu[2] != self.code:
@@ -188,7 +195,7 @@ class ReadDeviceIdentification(Request[IdentificationPage]):
                 raise self._invalid(f"object {pdu[at]} twice")
             objects[pdu[at]] = pdu[at + 2 : end]
             at = end
-        if self.code == ReadDeviceIdCode.INDIVIDUAL and list(objects) != [self.object_id]:
+        if not self._answers(objects):
             raise self._invalid(f"objects {list(objects)}")
         return IdentificationPage(pdu[3], pdu[5] if pdu[4] else None, objects)
 
