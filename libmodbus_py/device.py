@@ -106,7 +106,8 @@ class Device:
             with `pdu.register`: called with the request, gives its result.
         before_write: may refuse a write.
         after_write: told of a write that was done.
-        before_read: may refresh the values, or refuse.
+        before_read: may refresh the values, or refuse; of function 23 it is
+            called before the write, as all that may refuse comes before any change.
 
     Attributes:
         mapping, server_id, exception_status: as given, and assignable.

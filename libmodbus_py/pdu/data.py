@@ -7,7 +7,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self, TypeVar
 
 from ..arguments import integer
 from .fields import (
@@ -26,17 +26,22 @@ from .fields import (
 )
 from .request import Echoed, Request
 
+Values = TypeVar("Values", list[bool], list[int])
+
 
 @dataclass(frozen=True, slots=True)
-class _ReadBits(Request[list[bool]]):
+class _Read(Request[Values]):
+    """`count` items, up to `limit`, from `address`."""
+
     address: int
     count: int
 
+    limit: ClassVar[int]
     request_length = fixed(5)
     response_length = counted(2, at=1)
 
     def __post_init__(self) -> None:
-        count = integer("count", self.count, 1, 2000)
+        count = integer("count", self.count, 1, self.limit)
         store(self, address=checked_span("address", self.address, "count", count), count=count)
 
     def encode(self) -> bytes:
@@ -46,17 +51,43 @@ class _ReadBits(Request[list[bool]]):
     def decode(cls, pdu: bytes) -> Self:
         return cls(*struct.unpack(">HH", pdu[1:]))
 
+
+class _ReadBits(_Read[list[bool]]):
+    __slots__ = ()
+    limit = 2000
+
     def encode_response(self, result: Sequence[bool]) -> bytes:
-        bits = checked_bits("result", result, self.count)
-        if len(bits) != self.count:
-            raise ValueError(f"result must hold {self.count} values, not {len(bits)}")
-        data = pack_bits(bits)
+        data = pack_bits(_exactly(self.count, checked_bits("result", result, self.count)))
         return bytes([self.function, len(data)]) + data
 
     def _decode_response(self, pdu: bytes) -> list[bool]:
         if pdu[1] != (self.count + 7) // 8:
             raise self._invalid(f"{pdu[1]} bytes of data")
         return unpack_bits(pdu[2:], self.count)
+
+
+class _ReadRegisters(_Read[list[int]]):
+    __slots__ = ()
+    limit = 125
+
+    def encode_response(self, result: Sequence[int]) -> bytes:
+        return _encode_registers(self.function, result, self.count)
+
+    def _decode_response(self, pdu: bytes) -> list[int]:
+        if pdu[1] != 2 * self.count:
+            raise self._invalid(f"{pdu[1]} bytes of data")
+        return list(unpack_registers(pdu[2:]))
+
+
+def _exactly(count: int, values: tuple[Any, ...]) -> tuple[Any, ...]:
+    if len(values) != count:
+        raise ValueError(f"result must hold {count} values, not {len(values)}")
+    return values
+
+
+def _encode_registers(function: int, result: Sequence[int], count: int) -> bytes:
+    data = pack_registers(_exactly(count, checked_registers("result", result, count)))
+    return bytes([function, len(data)]) + data
 
 
 class ReadCoils(_ReadBits):
@@ -71,41 +102,6 @@ class ReadDiscreteInputs(_ReadBits):
 
     __slots__ = ()
     function = 0x02
-
-
-@dataclass(frozen=True, slots=True)
-class _ReadRegisters(Request[list[int]]):
-    address: int
-    count: int
-
-    request_length = fixed(5)
-    response_length = counted(2, at=1)
-
-    def __post_init__(self) -> None:
-        count = integer("count", self.count, 1, 125)
-        store(self, address=checked_span("address", self.address, "count", count), count=count)
-
-    def encode(self) -> bytes:
-        return struct.pack(">BHH", self.function, self.address, self.count)
-
-    @classmethod
-    def decode(cls, pdu: bytes) -> Self:
-        return cls(*struct.unpack(">HH", pdu[1:]))
-
-    def encode_response(self, result: Sequence[int]) -> bytes:
-        return _encode_registers(self.function, result, self.count)
-
-    def _decode_response(self, pdu: bytes) -> list[int]:
-        if pdu[1] != 2 * self.count:
-            raise self._invalid(f"{pdu[1]} bytes of data")
-        return list(unpack_registers(pdu[2:]))
-
-
-def _encode_registers(function: int, result: Sequence[int], count: int) -> bytes:
-    values = checked_registers("result", result, count)
-    if len(values) != count:
-        raise ValueError(f"result must hold {count} values, not {len(values)}")
-    return bytes([function, 2 * count]) + pack_registers(values)
 
 
 class ReadHoldingRegisters(_ReadRegisters):
