@@ -15,7 +15,7 @@ ffi = FFI()
 ffi.cdef((HERE / "_libmodbus.h").read_text())
 ffi.set_source(
     "libmodbus_py._libmodbus",
-    (HERE / "_libmodbus.c").read_text(),
+    "".join((HERE / name).read_text() for name in ("_libmodbus.c", "_chunk.c")),
     libraries=["modbus"],
 )
 

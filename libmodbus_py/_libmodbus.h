@@ -181,3 +181,24 @@ int modbus_rtu_get_rts_delay(modbus_t *ctx);
 int modbus_enable_quirks(modbus_t *ctx, unsigned int quirks_mask);
 int modbus_disable_quirks(modbus_t *ctx, unsigned int quirks_mask);
 int modbus_send_raw_request_tid(modbus_t *ctx, const uint8_t *raw_req, int raw_req_length, int tid);
+
+/* Ours: _chunk.c. */
+typedef struct {
+    uint32_t requests;
+    uint32_t refused;
+    uint8_t was_refused[...];
+} tally_t;
+
+typedef struct {
+    modbus_t *context;
+    int outlet;
+    uint8_t *answers;
+    int room;
+    int size;
+    int requests;
+    int refused;
+    ...;
+} engine_t;
+
+int answer_chunk(engine_t *engine, modbus_mapping_t *mapping, tally_t *tally, int unit,
+                 const uint8_t *data, int start, int end);

@@ -21,9 +21,11 @@ from . import demo, device_file, pdu, url
 from .context import Context
 from .device import Device
 from .errors import ModbusError
+from .limits import FULL_POLICIES, Limits
 from .mapping import Mapping
 from .pdu import RECORDS_PER_FILE
 from .server import Server
+from .units import UNKNOWN_UNIT_POLICIES
 from .values import ORDERS, TYPES, Reading, ValueType, parse_reference, readings, value_type
 
 __all__ = ["main"]
@@ -55,6 +57,18 @@ REGISTERS = {
 """Table of registers -> how many of them one request reads, and writes."""
 
 BITS = {"0": False, "1": True, "off": False, "on": True, "false": False, "true": True}
+
+
+LIMITS: list[tuple[str, Callable[[str], Any], str, str]] = [
+    ("max-connections", int, "N", "over TCP (what the descriptor limit leaves)"),
+    ("frame-timeout", float, "S", "seconds that a frame may take from its first byte (5)"),
+    ("idle-timeout", float, "S", "seconds without a request, inf for no limit (3600)"),
+    ("max-unsent", int, "BYTES", "of answers that a client does not take (65536)"),
+    ("requests-per-second", float, "N", "of one client (no limit)"),
+]
+"""Options of `serve` that are one number."""
+
+LIMIT_NAMES = [*(name.replace("-", "_") for name, *_ in LIMITS), "when_full", "allow"]
 
 
 class UndecodableError(Exception):
@@ -122,6 +136,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     command.add_argument("urls", metavar="URL", nargs="+", help="such as tcp://127.0.0.1:1502")
     command.add_argument("--device", metavar="FILE", help="a device file, such as plant.toml")
+    _add_limit_arguments(command)
     command.set_defaults(run=_serve)
 
     where = "TABLE ADDRESS (coils, discrete, holding, input, file:N; from 0) or a reference (40123)"
@@ -143,6 +158,22 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument("where", metavar="WHERE VALUE", nargs="+", help="where, and the values")
     command.set_defaults(run=_write)
     return parser
+
+
+def _add_limit_arguments(command: argparse.ArgumentParser) -> None:
+    group = command.add_argument_group("what clients may cost")
+    for name, convert, metavar, text in LIMITS:
+        group.add_argument(f"--{name}", type=convert, metavar=metavar, help=text)
+    group.add_argument("--when-full", choices=FULL_POLICIES, help="(close-idle)")
+    group.add_argument(
+        "--allow", action="append", metavar="NETWORK", help="serve only these; may be repeated"
+    )
+    group.add_argument(
+        "--unknown-unit",
+        choices=UNKNOWN_UNIT_POLICIES,
+        default="refuse",
+        help="what a unit nobody is gets on TCP and UDP (refuse)",
+    )
 
 
 def _add_client_arguments(command: argparse.ArgumentParser) -> None:
@@ -465,16 +496,25 @@ def _register(text: str) -> int:
 
 
 def _serve(options: argparse.Namespace) -> int:
-    asyncio.run(_serve_until_signal(_server(options.device), options.urls))
+    devices, faults = _devices(options.device)
+    server = Server(devices, faults, _limits(options), options.unknown_unit)
+    asyncio.run(_serve_until_signal(server, options.urls))
     return 0
 
 
-def _server(device: str | None) -> Server:
-    if device is not None:
-        return Server(*device_file.load(device))
+def _devices(file: str | None) -> tuple[Any, Any]:
+    if file is not None:
+        return device_file.load(file)
     everything = Mapping(65536, 65536, 65536, 65536)
     files = {number: [0] * RECORDS_PER_FILE for number in range(1, 11)}
-    return Server(Device(everything, files=files))
+    return Device(everything, files=files), None
+
+
+def _limits(options: argparse.Namespace) -> Limits:
+    given = {name: value for name in LIMIT_NAMES if (value := getattr(options, name)) is not None}
+    if given.get("idle_timeout") == math.inf:
+        given["idle_timeout"] = None
+    return Limits(**given)
 
 
 async def _serve_until_signal(server: Server, urls: list[str]) -> None:

@@ -17,6 +17,7 @@ V1.02, appendix A. What those leave open is decided here:
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterable
 from enum import IntFlag
 
 from .errors import (
@@ -141,8 +142,24 @@ class Communication:
         bit = SENT_EXCEPTIONS.get(response[1], Event(0)) if refused and not silent else Event(0)
         self._log(Event.SENT | bit)
 
-    def _count(self, counter: SubFunction) -> None:
-        self._counters[counter] = self._counters[counter] + 1 & 0xFFFF
+    def note_exchanges(self, requests: int, refused: int, latest: Iterable[int]) -> None:
+        """
+        Requests have been processed, whose answers were sent.
+
+        Args:
+            requests: how many.
+            refused: how many of them got one of the exceptions 1..3.
+            latest: whether each of the latest ones did, oldest first.
+        """
+        self._count(SubFunction.SERVER_MESSAGE_COUNT, requests)
+        self._count(SubFunction.BUS_EXCEPTION_ERROR_COUNT, refused)
+        self.event_count = self.event_count + requests - refused & 0xFFFF
+        for was_refused in latest:
+            self._log(Event.RECEIVED)
+            self._log(Event.SENT | (Event.SENT_REFUSAL if was_refused else 0))
+
+    def _count(self, counter: SubFunction, times: int = 1) -> None:
+        self._counters[counter] = self._counters[counter] + times & 0xFFFF
 
     def _log(self, event: int) -> None:
         self._events.appendleft(event | (Event.LISTEN_ONLY if self.listen_only else 0))

@@ -81,8 +81,8 @@ class Context:
             TypeError, ValueError: the URL or an option is wrong.
         """
         endpoint = url.parse(address)
-        if endpoint.is_tcp:
-            return TcpContext(endpoint.host, endpoint.port, framing=endpoint.framing, **options)
+        if endpoint.transport == "tcp":
+            return TcpContext(endpoint.host, endpoint.port, framing=endpoint.framing, **options)  # type: ignore[arg-type]
         kind = RtuContext if endpoint.framing == "rtu" else AsciiContext
         return kind(endpoint.device, **endpoint.options, **options)
 

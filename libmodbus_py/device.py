@@ -17,7 +17,7 @@ from typing import Any, ClassVar
 from .access import ACCESSES, Access, Touched
 from .arguments import integer
 from .communication import Communication
-from .engine import engine
+from .engine import Answered, engine, make_tally
 from .errors import (
     ExceptionResponse,
     IllegalDataAddress,
@@ -114,6 +114,8 @@ class Device:
         files: ``{file number: RecordFile}``, what clients wrote included.
         fifos: ``{pointer address: list of registers}``; change the lists as you like.
         diagnostic_register: the answer to sub-function 2 of function 8, 0..65535.
+        is_plain: whether the tables are libmodbus's alone: no hook sees requests for
+            them, and no handler answers any.
 
     Raises:
         TypeError, ValueError: an argument of the wrong type or range.
@@ -153,7 +155,10 @@ class Device:
         self._handlers = {**self._own, **_bound(handlers or {})}
         self._hooks = (before_write, after_write, before_read)
         self._is_hooked = any(self._hooks)
+        replied = ACCESSES.keys() - self._own.keys()
+        self.is_plain = not self._is_hooked and self._handlers.keys().isdisjoint(replied)
         self._communication = Communication(is_serial=False)
+        self._tally = make_tally()
         self._failed: set[int] = set()
 
     def answer(self, pdu: bytes, caller: Caller = Caller()) -> bytes:
@@ -172,7 +177,7 @@ class Device:
         function = pdu[0]
         if function & 0x80:
             return b""
-        line = caller.communication or self._communication
+        line = caller.communication or self._own_communication()
         line.note_request(broadcast=caller.is_broadcast)
         listening = line.listen_only
         restart = pdu[:3] == _RESTART and not caller.is_broadcast
@@ -184,6 +189,38 @@ class Device:
             # The answer is sent before the restart, so that only what came after is counted.
             line.restart(clear_log=pdu[3:] == b"\xff\0")
         return b"" if silent else response
+
+    def answer_chunk(self, data: bytes, start: int, unit: int) -> Answered:
+        """
+        Execute requests of Modbus/TCP, all in one call of C; for a device that `is_plain`.
+
+        What it leaves is for `answer`: functions that libmodbus lacks, other frames.
+
+        Args:
+            data: frames as received.
+            start: where the first one begins.
+            unit: 0..255, requests to another one are left.
+
+        Returns:
+            Where the first byte is that was not used; the answers; how many requests
+            there were; how many of them were refused.
+
+        Raises:
+            ModbusConnectionError: libmodbus failed in memory.
+        """
+        with self.mapping.lock:
+            return engine().answer(self.mapping, self._tally, unit, data, start)
+
+    def _own_communication(self) -> Communication:
+        """The notes about TCP, with those that were made in C."""
+        with self.mapping:
+            tally = self._tally
+            if requests := tally.requests:
+                size = len(tally.was_refused)
+                latest = [tally.was_refused[n % size] for n in range(requests)[-size:]]
+                self._communication.note_exchanges(requests, tally.refused, latest)
+                tally.requests = tally.refused = 0
+        return self._communication
 
     def _respond(self, pdu: bytes, line: Communication, caller: Caller) -> bytes:
         try:

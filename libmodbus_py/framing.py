@@ -1,5 +1,5 @@
 """
-Frames: a unit and a PDU as bytes on a TCP stream, an RTU line or an ASCII line.
+Frames: a unit and a PDU as bytes on TCP, UDP, an RTU line or an ASCII line.
 
 Bytes only; no socket, no clock. A framer has one direction of one connection:
 
@@ -24,7 +24,16 @@ from typing import Literal, NamedTuple, Protocol
 from .errors import FrameError
 from .pdu import MAX_PDU, REQUESTS, request_length, response_length
 
-__all__ = ["AsciiFramer", "Frame", "Framer", "RtuFramer", "TcpFramer", "crc16", "lrc"]
+__all__ = [
+    "AsciiFramer",
+    "Frame",
+    "Framer",
+    "RtuFramer",
+    "TcpFramer",
+    "UdpFramer",
+    "crc16",
+    "lrc",
+]
 
 Role = Literal["client", "server"]
 
@@ -45,7 +54,7 @@ class Frame(NamedTuple):
 
 
 class Framer(Protocol):
-    """What the three framers have in common; see the module's docstring."""
+    """What the framers have in common; see the module's docstring."""
 
     # Whether unit 0 addresses every unit, as on a serial line.
     has_broadcast: bool
@@ -181,6 +190,9 @@ class _Scanner(ABC):
         return frames
 
 
+_HEADER = struct.Struct(">HHH")
+
+
 class TcpFramer(_Scanner):
     """
     MBAP: transaction, protocol, length, unit in front of the PDU.
@@ -205,24 +217,47 @@ class TcpFramer(_Scanner):
         return struct.pack(">HHHB", transaction, 0, 1 + len(pdu), unit) + pdu
 
     def _scan(self) -> None:
-        buffer = self._buffer
-        while self.in_step and len(buffer) >= 6:
-            transaction, protocol, length = struct.unpack_from(">HHH", buffer)
+        buffer, found, start = self._buffer, self._found, 0
+        while self.in_step and len(buffer) - start >= 6:
+            transaction, protocol, length = _HEADER.unpack_from(buffer, start)
+            end = start + 6 + length
             if not 2 <= length <= 1 + MAX_PDU:
                 self.in_step = False
-                self._reject(f"header with length {length}, not 2..254", len(buffer))
-            elif len(buffer) < 6 + length:
-                return
+                end = len(buffer)
+                why = f"header with length {length}, not 2..254"
+                found.append(FrameError(why, received=bytes(buffer[start:])))
+            elif len(buffer) < end:
+                break
             elif protocol != 0:
-                self._reject(f"header with protocol {protocol}, not 0", 6 + length)
+                why = f"header with protocol {protocol}, not 0"
+                found.append(FrameError(why, received=bytes(buffer[start:end])))
             else:
-                self._found.append(Frame(buffer[6], bytes(buffer[7 : 6 + length]), transaction))
-                del buffer[: 6 + length]
-        if not self.in_step and not self._found:
+                found.append(Frame(buffer[start + 6], bytes(buffer[start + 7 : end]), transaction))
+            start = end
+        del buffer[:start]
+        if not self.in_step and not found:
             self._reject("stream out of step", len(buffer))
 
     def _scan_silence(self) -> None:
         """Silence means nothing on TCP."""
+
+
+class UdpFramer(TcpFramer):
+    """
+    The same frames, one in each datagram: every call of ``feed`` or ``scan`` takes one.
+
+    A datagram with anything but one whole frame is an error, and leaves no trace
+    in what comes after.
+    """
+
+    def _scan(self) -> None:
+        datagram = bytes(self._buffer)
+        super()._scan()
+        whole = len(self._found) == 1 and not self._buffer
+        self._buffer.clear()
+        self.in_step = True
+        if datagram and not whole:
+            self._found[:] = [FrameError("a datagram that is not one frame", received=datagram)]
 
 
 class RtuFramer(_Scanner):

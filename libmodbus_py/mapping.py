@@ -258,6 +258,9 @@ class Mapping:
     ``with mapping:`` makes several accesses one: no answer is given and nothing
     is written by a client in between.
 
+    Attributes:
+        lock: what ``with mapping:`` holds.
+
     Args:
         coils, discrete_inputs, holding_registers, input_registers: how many
             of them, from address 0; or the range of their addresses
@@ -276,25 +279,25 @@ class Mapping:
         holding_registers: int | range = 0,
         input_registers: int | range = 0,
     ) -> None:
-        self._lock = threading.RLock()
-        self.coils = BitTable("coils", _addresses("coils", coils), self._lock)
+        self.lock = threading.RLock()
+        self.coils = BitTable("coils", _addresses("coils", coils), self.lock)
         self.discrete_inputs = BitTable(
-            "discrete_inputs", _addresses("discrete_inputs", discrete_inputs), self._lock
+            "discrete_inputs", _addresses("discrete_inputs", discrete_inputs), self.lock
         )
         self.holding_registers = RegisterTable(
-            "holding_registers", _addresses("holding_registers", holding_registers), self._lock
+            "holding_registers", _addresses("holding_registers", holding_registers), self.lock
         )
         self.input_registers = RegisterTable(
-            "input_registers", _addresses("input_registers", input_registers), self._lock
+            "input_registers", _addresses("input_registers", input_registers), self.lock
         )
         self._struct = self._make_struct()
 
     def __enter__(self) -> Self:
-        self._lock.acquire()
+        self.lock.acquire()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._lock.release()
+        self.lock.release()
 
     def __repr__(self) -> str:
         tables = (self.coils, self.discrete_inputs, self.holding_registers, self.input_registers)

@@ -15,14 +15,28 @@ from .errors import GatewayTargetFailedToRespond
 from .faults import Faults
 from .framing import Frame
 
-__all__ = ["SerialUnits", "TcpUnits", "Units"]
+__all__ = ["UNKNOWN_UNIT_POLICIES", "SerialUnits", "TcpUnits", "Units"]
+
+
+UNKNOWN_UNIT_POLICIES = ("refuse", "silent")
 
 
 class Units:
-    """The devices, by unit, and their faults; None if there are none."""
+    """The devices, by unit, and their faults, None if there are none."""
 
-    def __init__(self, devices: Device | Mapping[int, Device], faults: Faults) -> None:
+    def __init__(
+        self,
+        devices: Device | Mapping[int, Device],
+        faults: Faults,
+        unknown: str | Device = "refuse",
+    ) -> None:
         self.faults = faults or None
+        if not isinstance(unknown, Device) and unknown not in UNKNOWN_UNIT_POLICIES:
+            raise ValueError(
+                f"unknown_unit must be a Device or one of {', '.join(UNKNOWN_UNIT_POLICIES)},"
+                f" not {unknown!r}"
+            )
+        self.unknown = unknown
         self.any = devices if isinstance(devices, Device) else None
         self.devices: dict[int, Device] = {}
         if self.any is not None:
@@ -43,11 +57,19 @@ class TcpUnits:
 
     def __init__(self, units: Units) -> None:
         self.faults = units.faults
-        self._units = units
+        self._units = units.devices
+        unknown = units.unknown
+        self._other = units.any or (unknown if isinstance(unknown, Device) else None)
+        self._refuses = unknown != "silent"
+
+    def device(self, unit: int) -> Device | None:
+        """Who answers a unit, if somebody does."""
+        return self._units.get(unit, self._other)
 
     def answers(self, frame: Frame) -> bool:
         """Whether a request is answered."""
-        return not frame.pdu[0] & 0x80
+        is_known = self._refuses or self.device(frame.unit) is not None
+        return is_known and not frame.pdu[0] & 0x80
 
     def refuse(self, frame: Frame, code: int) -> Frame:
         """Answer a request with an exception, without executing it."""
@@ -55,10 +77,10 @@ class TcpUnits:
 
     def answer(self, frame: Frame, peer: str) -> Frame | None:
         unit, pdu, transaction = frame
-        device = self._units.any or self._units.devices.get(unit)
+        device = self.device(unit)
         if device is not None:
             response = device.answer(pdu, Caller(unit, peer))
-        elif pdu[0] & 0x80:
+        elif pdu[0] & 0x80 or not self._refuses:
             return None
         else:
             response = bytes([pdu[0] | 0x80, GatewayTargetFailedToRespond.code])

@@ -3,12 +3,13 @@ Endpoints as URLs, alike for clients, servers and the command line.
 
 ::
 
-    tcp://HOST:PORT    rtu+tcp://HOST:PORT    ascii+tcp://HOST:PORT       default port 502
+    tcp://HOST:PORT    rtu+tcp://HOST:PORT    ascii+tcp://HOST:PORT    udp://HOST:PORT
     rtu:///dev/ttyUSB0?baudrate=19200&parity=E&data_bits=8&stop_bits=1
     ascii:///dev/ttyUSB0?baudrate=9600&parity=E&data_bits=7&stop_bits=1
 
-HOST is a name, an IPv4 address or an IPv6 address in brackets. Serial ports
-also take rs485 (kernel, rts-up, rts-down), rts_delay and silence (seconds), echo (0, 1).
+HOST is a name, an IPv4 address or an IPv6 address in brackets; the default port
+is 502. udp has one frame of Modbus/TCP in each datagram. Serial ports also take
+rs485 (kernel, rts-up, rts-down), rts_delay and silence (seconds), echo (0, 1).
 """
 
 from __future__ import annotations
@@ -22,16 +23,19 @@ __all__ = ["DEFAULT_PORT", "Endpoint", "parse"]
 
 DEFAULT_PORT = 502
 
-Framing = Literal["tcp", "rtu", "ascii"]
+Framing = Literal["tcp", "rtu", "ascii", "udp"]
 
-SCHEMES: dict[str, tuple[Framing, bool]] = {
-    "tcp": ("tcp", True),
-    "rtu+tcp": ("rtu", True),
-    "ascii+tcp": ("ascii", True),
-    "rtu": ("rtu", False),
-    "ascii": ("ascii", False),
+Transport = Literal["tcp", "udp", "serial"]
+
+SCHEMES: dict[str, tuple[Framing, Transport]] = {
+    "tcp": ("tcp", "tcp"),
+    "rtu+tcp": ("rtu", "tcp"),
+    "ascii+tcp": ("ascii", "tcp"),
+    "udp": ("udp", "udp"),
+    "rtu": ("rtu", "serial"),
+    "ascii": ("ascii", "serial"),
 }
-"""Scheme -> framing, and whether it runs over TCP."""
+"""Scheme -> framing, and what carries the bytes."""
 
 
 def _switch(text: str) -> bool:
@@ -57,7 +61,7 @@ class Endpoint:
 
     Attributes:
         scheme: one of `SCHEMES`.
-        host, port: for TCP; else empty and 0.
+        host, port: for TCP and UDP; else empty and 0.
         device: for serial ports; else empty.
         options: settings of the serial port, converted but not checked.
     """
@@ -70,16 +74,16 @@ class Endpoint:
 
     @property
     def framing(self) -> Framing:
-        """ "tcp", "rtu" or "ascii"."""
+        """ "tcp", "rtu", "ascii" or "udp"."""
         return SCHEMES[self.scheme][0]
 
     @property
-    def is_tcp(self) -> bool:
-        """Whether it is a TCP endpoint, else a serial port."""
+    def transport(self) -> Transport:
+        """ "tcp", "udp" or "serial"."""
         return SCHEMES[self.scheme][1]
 
     def __str__(self) -> str:
-        if not self.is_tcp:
+        if self.transport == "serial":
             query = "&".join(f"{name}={value}" for name, value in self.options.items())
             return f"{self.scheme}://{self.device}{'?' if query else ''}{query}"
         host = f"[{self.host}]" if ":" in self.host else self.host
@@ -101,11 +105,11 @@ def parse(url: str) -> Endpoint:
         raise ValueError(f"{url!r}: the scheme must be one of {', '.join(SCHEMES)}")
     if parts.fragment or parts.username is not None:
         raise ValueError(f"{url!r}: neither user nor fragment have a meaning here")
-    read = _parse_tcp if SCHEMES[parts.scheme][1] else _parse_serial
+    read = _parse_serial if SCHEMES[parts.scheme][1] == "serial" else _parse_network
     return read(url, parts)
 
 
-def _parse_tcp(url: str, parts: Any) -> Endpoint:
+def _parse_network(url: str, parts: Any) -> Endpoint:
     if parts.path not in ("", "/") or parts.query:
         raise ValueError(f"{url!r}: nothing may follow the port")
     if not parts.hostname:

@@ -345,7 +345,7 @@ def test_refusal_is_one_line_and_exit_code_1() -> None:
         (["serve", "tcp://127.0.0.1:99999"], 2, "port"),
         (["serve"], 2, "URL"),
         ([], 2, "COMMAND"),
-        (["read", "udp://127.0.0.1", "coils", "0"], 2, "scheme"),
+        (["read", "modbus://127.0.0.1", "coils", "0"], 2, "scheme"),
         (["read", "tcp://127.0.0.1:1", "colis", "0"], 2, "colis"),
         (["read", "tcp://127.0.0.1:1", "coils"], 2, "address"),
         (["read", "tcp://127.0.0.1:1", "coils", "x"], 2, "address"),

@@ -29,11 +29,13 @@ from libmodbus_py import (
     Server,
     ServerDeviceBusy,
     pdu,
-    server,
 )
 from libmodbus_py.faults import KINDS, MAX_WAITING, Delivery, Fault, Faults, Piece, pieces
 from libmodbus_py.framing import AsciiFramer, Frame, Framer, RtuFramer, TcpFramer
+from libmodbus_py.limits import Statistics
+from libmodbus_py.session import FramerSession
 from libmodbus_py.tap import SerialWire
+from libmodbus_py.units import TcpUnits, Units
 
 FOREVER = 600.0  # longer than any test may last
 
@@ -337,10 +339,10 @@ def test_each_wait_begins_when_what_is_before_is_sent() -> None:
 
 def test_a_session_that_is_closed_sends_nothing_more() -> None:
     written: list[bytes] = []
-    units = server.Units(made_device(), Faults({None: [Fault("delay", seconds=0.001)]}))
+    units = Units(made_device(), Faults({None: [Fault("delay", seconds=0.001)]}))
 
     async def ask() -> None:
-        session = server._Session(server.TcpUnits(units), "tcp", "", written.append)
+        session = FramerSession(TcpUnits(units), "tcp", "", Statistics(), written.append)
         session.receive(adu(READ))
         session.close()
         await asyncio.sleep(0.02)

@@ -41,7 +41,7 @@ def mbpoll(
 ) -> Polled:
     """Run it once, with addresses from 0 on."""
     end = place.end
-    if end.is_tcp:
+    if end.transport == "tcp":
         line, where = ["-m", "tcp", "-p", end.port], end.host
     else:
         line, where = ["-m", "rtu", "-b", BAUDRATE, "-P", "even"], end.device

@@ -33,7 +33,7 @@ from libmodbus_py import (
     TcpContext,
     framing,
     pdu,
-    server,
+    serial_server,
 )
 from libmodbus_py.tap import SerialWire
 
@@ -422,7 +422,7 @@ def test_an_unplugged_port_is_opened_again(
     device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The path stays, as udev keeps it; what it leads to is another port."""
-    monkeypatch.setattr(server, "REOPEN_AFTER", 0.05)
+    monkeypatch.setattr(serial_server, "REOPEN_AFTER", 0.05)
     path = tmp_path / "ttyUSB0"
     with SerialWire() as first, SerialWire() as second:
         path.symlink_to(first.server)

@@ -1,0 +1,186 @@
+/* Requests of Modbus/TCP by the chunk: cut, check, modbus_reply, gather the answers.
+ *
+ * One call from Python for all the requests that came in together. What is not
+ * for libmodbus is left for the caller: functions that it lacks, frames of another
+ * protocol, a header that makes no sense. */
+
+#include <errno.h>
+#include <stdint.h>
+#include <string.h>
+#include <sys/socket.h>
+
+#include <modbus/modbus.h>
+
+enum { HEADER_SIZE = 7, EXCEPTION_SIZE = 9, OUTCOMES = 32 };
+
+/* A socketpair that holds that many of the longest answers never fills up: 3.1.6
+ * was seen to get 167 of them into one. */
+enum { UNREAD_MAX = 64 };
+
+/* What happened to the requests of one device since somebody last looked. */
+typedef struct {
+    uint32_t requests;
+    uint32_t refused;
+    uint8_t was_refused[OUTCOMES]; /* the latest ones; request n at n % OUTCOMES */
+} tally_t;
+
+/* modbus_reply writes into the socket of the context; `outlet` is its other end. */
+typedef struct {
+    modbus_t *context;
+    int outlet;
+    uint8_t *answers;
+    int room;        /* in answers, for one of MODBUS_TCP_MAX_ADU_LENGTH at least */
+    int size;        /* of the answers to the last chunk */
+    int requests;    /* in the last chunk, */
+    int refused;     /* and how many of them got an exception */
+    int unread;      /* answers that wait in the outlet, */
+    int unread_size; /* and their bytes */
+} engine_t;
+
+static int word(const uint8_t *at)
+{
+    return at[0] << 8 | at[1];
+}
+
+static int is_read(const uint8_t *pdu, int size, int limit)
+{
+    int count = word(pdu + 3);
+    return size == 5 && count >= 1 && count <= limit;
+}
+
+static int is_write(const uint8_t *pdu, int size, int limit, int bits)
+{
+    int count, bytes;
+    if (size < 6)
+        return 0;
+    count = word(pdu + 3);
+    bytes = (count * bits + 7) / 8;
+    return count >= 1 && count <= limit && pdu[5] == bytes && size == 6 + bytes;
+}
+
+static int is_write_and_read(const uint8_t *pdu, int size)
+{
+    int reads, writes;
+    if (size < 10)
+        return 0;
+    reads = word(pdu + 3);
+    writes = word(pdu + 7);
+    return reads >= 1 && reads <= MODBUS_MAX_WR_READ_REGISTERS && writes >= 1 &&
+           writes <= MODBUS_MAX_WR_WRITE_REGISTERS && pdu[9] == 2 * writes &&
+           size == 10 + 2 * writes;
+}
+
+/* Length, quantities and constants: Application Protocol V1.1b3, 6.1-6.6, 6.11, 6.12,
+ * 6.16, 6.17. modbus_reply (3.1.6) trusts all of them, and sleeps over what it does check.
+ * Gives 1 good, 0 illegal data value, -1 not a function for libmodbus. */
+static int judge(const uint8_t *pdu, int size)
+{
+    switch (pdu[0]) {
+    case MODBUS_FC_READ_COILS:
+    case MODBUS_FC_READ_DISCRETE_INPUTS:
+        return is_read(pdu, size, MODBUS_MAX_READ_BITS);
+    case MODBUS_FC_READ_HOLDING_REGISTERS:
+    case MODBUS_FC_READ_INPUT_REGISTERS:
+        return is_read(pdu, size, MODBUS_MAX_READ_REGISTERS);
+    case MODBUS_FC_WRITE_SINGLE_COIL:
+        return size == 5 && (word(pdu + 3) == 0x0000 || word(pdu + 3) == 0xFF00);
+    case MODBUS_FC_WRITE_SINGLE_REGISTER:
+        return size == 5;
+    case MODBUS_FC_WRITE_MULTIPLE_COILS:
+        return is_write(pdu, size, MODBUS_MAX_WRITE_BITS, 1);
+    case MODBUS_FC_WRITE_MULTIPLE_REGISTERS:
+        return is_write(pdu, size, MODBUS_MAX_WRITE_REGISTERS, 16);
+    case MODBUS_FC_MASK_WRITE_REGISTER:
+        return size == 7;
+    case MODBUS_FC_WRITE_AND_READ_REGISTERS:
+        return is_write_and_read(pdu, size);
+    default:
+        return -1;
+    }
+}
+
+/* Move the answers that wait in the outlet to the others. */
+static int gather(engine_t *engine)
+{
+    while (engine->unread_size > 0) {
+        ssize_t got = recv(engine->outlet, engine->answers + engine->size,
+                           (size_t)engine->unread_size, MSG_DONTWAIT);
+        if (got <= 0)
+            return -1;
+        engine->size += (int)got;
+        engine->unread_size -= (int)got;
+    }
+    engine->unread = 0;
+    return 0;
+}
+
+static int refuse(engine_t *engine, const uint8_t *request, uint8_t code)
+{
+    uint8_t *answer;
+    if (gather(engine) == -1)
+        return -1;
+    answer = engine->answers + engine->size;
+    memcpy(answer, request, HEADER_SIZE);
+    answer[4] = 0;
+    answer[5] = EXCEPTION_SIZE - 6;
+    answer[7] = request[7] | 0x80;
+    answer[8] = code;
+    engine->size += EXCEPTION_SIZE;
+    return EXCEPTION_SIZE;
+}
+
+static int reply(engine_t *engine, const uint8_t *request, int size, modbus_mapping_t *mapping)
+{
+    int sent = modbus_reply(engine->context, request, size, mapping);
+    if (sent == -1)
+        return -1;
+    engine->unread_size += sent;
+    if (++engine->unread == UNREAD_MAX && gather(engine) == -1)
+        return -1;
+    return sent;
+}
+
+static void note(engine_t *engine, tally_t *tally, int refused)
+{
+    tally->was_refused[tally->requests++ % OUTCOMES] = (uint8_t)refused;
+    tally->refused += (uint32_t)refused;
+    engine->requests++;
+    engine->refused += refused;
+}
+
+static int has_room(const engine_t *engine)
+{
+    return engine->room - engine->size - engine->unread_size >= MODBUS_TCP_MAX_ADU_LENGTH;
+}
+
+/* Answer the requests from data[start] on, as far as they are for this device and
+ * there is room for answers.
+ *
+ * unit: whose requests they are. Gives where the first byte is that
+ * was not used, always behind a whole frame; or -1 if the engine failed (errno), whose
+ * outlet cannot be used any more then. */
+static int answer_chunk(engine_t *engine, modbus_mapping_t *mapping, tally_t *tally, int unit,
+                        const uint8_t *data, int start, int end)
+{
+    engine->size = engine->requests = engine->refused = 0;
+    while (end - start > HEADER_SIZE && has_room(engine)) {
+        const uint8_t *frame = data + start;
+        int length = word(frame + 4);
+        int size = 6 + length;
+        int verdict, sent;
+        if (word(frame + 2) != 0 || length < 2 || size > MODBUS_TCP_MAX_ADU_LENGTH ||
+            size > end - start || frame[6] != unit)
+            break;
+        verdict = judge(frame + HEADER_SIZE, size - HEADER_SIZE);
+        if (verdict == -1)
+            break;
+        sent = verdict ? reply(engine, frame, size, mapping)
+                       : refuse(engine, frame, MODBUS_EXCEPTION_ILLEGAL_DATA_VALUE);
+        if (sent == -1)
+            return -1;
+        /* No other answer is as short: the least of them has a byte count and a byte. */
+        note(engine, tally, sent == EXCEPTION_SIZE);
+        start += size;
+    }
+    return gather(engine) == -1 ? -1 : start;
+}

@@ -1,0 +1,118 @@
+"""
+A serial port of a server.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import time
+from concurrent.futures import ThreadPoolExecutor
+
+from .errors import ModbusConnectionError, ModbusTimeoutError
+from .limits import Statistics
+from .serial_link import SerialLink
+from .session import FramerSession
+from .units import SerialUnits, Units
+from .url import Endpoint
+
+__all__ = ["SerialServer"]
+
+logger = logging.getLogger(__name__)
+
+# How long an unplugged serial port is left alone before the next attempt.
+REOPEN_AFTER = 1.0
+
+
+class SerialServer:
+    """
+    Answers on one port, which is opened again when it was unplugged and comes back.
+
+    Raises:
+        TypeError, ValueError: an option of the endpoint is wrong.
+        ModbusConnectionError: the port cannot be opened, with errno.
+    """
+
+    def __init__(self, endpoint: Endpoint, units: Units, statistics: Statistics) -> None:
+        self._link = SerialLink(endpoint.device, **endpoint.options)
+        self._endpoint = endpoint
+        self._units = SerialUnits(units)
+        self._statistics = statistics
+        self._loop = asyncio.get_running_loop()
+        self._retry: asyncio.TimerHandle | None = None
+        self._unsent = bytearray()
+        self._sending: asyncio.TimerHandle | None = None
+        self._sender = ThreadPoolExecutor(1, "serial port")  # one, to keep the order
+
+    async def open(self) -> Endpoint:
+        """Give the endpoint as it is."""
+        self._open()
+        return self._endpoint
+
+    def close(self) -> None:
+        if self._retry is not None:
+            self._retry.cancel()
+        self._close()
+        self._sender.shutdown(wait=False)
+
+    def _open(self) -> None:
+        self._link.open(time.monotonic())
+        self._session = FramerSession(
+            self._units,
+            self._endpoint.framing,
+            self._endpoint.device,
+            self._statistics,
+            self._write,
+        )
+        self._loop.add_reader(self._link.descriptor, self._read)
+
+    def _close(self) -> None:
+        if self._link.is_open:
+            self._session.close()
+            self._loop.remove_reader(self._link.descriptor)
+            self._link.close()
+
+    def _read(self) -> None:
+        try:
+            self._session.receive(self._link.receive(0))
+        except ModbusConnectionError as error:
+            logger.warning("%s: %s; waiting for it to come back", self._endpoint, error)
+            self._close()
+            self._retry = self._loop.call_later(REOPEN_AFTER, self._reopen)
+
+    def _reopen(self) -> None:
+        try:
+            self._open()
+            logger.warning("%s: is back", self._endpoint)
+        except ModbusConnectionError:
+            self._retry = self._loop.call_later(REOPEN_AFTER, self._reopen)
+
+    def _write(self, data: bytes) -> None:
+        """Answer after the silence that ends the request (serial line, 2.5.1.1)."""
+        self._unsent += data
+        wait = self._link.time_to_silence() if self._endpoint.framing == "rtu" else 0
+        if wait <= 0:
+            self._send_unsent()
+        elif self._sending is None:
+            self._sending = self._loop.call_later(wait, self._send_unsent)
+
+    def _send_unsent(self) -> None:
+        data, self._unsent, self._sending = bytes(self._unsent), bytearray(), None
+        self._send(data)
+
+    def _send(self, data: bytes) -> None:
+        if not self._link.is_open:
+            return
+        if self._link.rs485 in self._link.rts_modes:
+            # It waits while the bits go out, and the loop has others to serve.
+            self._loop.run_in_executor(self._sender, self._send_now, data)
+        else:
+            self._send_now(data)
+
+    def _send_now(self, data: bytes) -> None:
+        # The port takes a whole answer at once, or nobody reads at the other
+        # end: then there is nothing to wait for. A port that is gone shows
+        # in the next read.
+        with contextlib.suppress(ModbusTimeoutError, ModbusConnectionError):
+            self._link.send(data, time.monotonic())
