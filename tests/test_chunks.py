@@ -250,6 +250,55 @@ def test_illegal_values_are_refused_in_c(monkeypatch: pytest.MonkeyPatch) -> Non
     )
 
 
+def request_of(function: int, count: int) -> bytes:
+    """A read or write of so many items, whole."""
+    head = bytes([function]) + b"\0\0" + count.to_bytes(2, "big")
+    if function == 15:
+        return head + bytes([-(-count // 8)]) + bytes(-(-count // 8))
+    return head + bytes([2 * count]) + bytes(2 * count) if function == 16 else head
+
+
+def read_write_of(read: int, write: int) -> bytes:
+    counts = struct.pack(">HHHHB", 0, read, 0, write, 2 * write)
+    return b"\x17" + counts + bytes(2 * write)
+
+
+# Application Protocol V1.1b3, sections 6.1-6.4, 6.11, 6.12 and 6.17.
+LIMITS = {1: 2000, 2: 2000, 3: 125, 4: 125, 15: 1968, 16: 123}
+
+
+@pytest.mark.parametrize(
+    ("body", "is_good"),
+    [
+        *[
+            pytest.param(request_of(function, count), 1 <= count <= limit, id=f"{function}-{count}")
+            for function, limit in LIMITS.items()
+            for count in (0, 1, limit, limit + 1)
+            if (function, count) != (16, 124)  # which no frame has room for
+        ],
+        *[
+            pytest.param(read_write_of(read, write), is_good, id=f"23-{read}-{write}")
+            for read, write, is_good in [
+                (0, 1, False),
+                (1, 0, False),
+                (1, 1, True),
+                (125, 121, True),
+                (126, 121, False),
+            ]
+        ],
+    ],
+)
+def test_counts_at_their_limits(
+    body: bytes, is_good: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delattr(Device, "answer")
+    end = End(Device(Mapping(65536, 65536, 65536, 65536)), "chunk")
+    end.receive(adu(body, 1))
+    refusal = bytes([body[0] | 0x80, 3])
+    assert (end.sent == adu(refusal, 1)) is not is_good
+    assert end.statistics.requests == 1
+
+
 # --- more than one call has room for ----------------------------------------------------------
 
 
