@@ -299,6 +299,28 @@ def test_counts_at_their_limits(
     assert end.statistics.requests == 1
 
 
+@pytest.mark.parametrize(
+    "body",
+    [
+        b"\x0f\0\0\0\x09\x01\0",
+        b"\x0f\0\0\0\x08\x02\0\0",
+        b"\x10\0\0\0\x01\x01\0\0",
+        b"\x10\0\0\0\x01\x02\0\0\0",
+        b"\x17\0\0\0\x01\0\0\0\x01\x03\0\0",
+        b"\x17\0\0\0\x01\0\0\0\x01\x02\0\0\0",
+        b"\x17\0\0\0\x01\0\0\0\x01\x02\0",
+    ],
+    ids=lambda body: body.hex(),
+)
+def test_a_byte_count_that_is_not_what_follows(
+    body: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delattr(Device, "answer")
+    end = End(Device(Mapping(65536, 65536, 65536, 65536)), "chunk")
+    end.receive(adu(body, 1))
+    assert end.sent == adu(bytes([body[0] | 0x80, 3]), 1)
+
+
 # --- more than one call has room for ----------------------------------------------------------
 
 
