@@ -208,6 +208,19 @@ def test_same_for_bytes_that_are_no_requests(data: bytes, cuts: list[int]) -> No
     assert ends[0] == ends[1]
 
 
+def test_the_event_log_has_the_latest_of_many_requests() -> None:
+    """64 events are 32 requests; which of them were refused has no short period."""
+    states = []
+    for kind in ("chunk", "frames"):
+        device = made_device()
+        end = End({1: device}, kind)
+        for number in range(100):
+            address = 7 if number % 7 and number % 5 else 0
+            end.receive(adu(bytes([3, 0, address, 0, 1]), number))
+        states.append(notes(device))
+    assert states[0] == states[1]
+
+
 # --- worked examples ---------------------------------------------------------------------------
 
 
