@@ -3,29 +3,35 @@ Modbus for Python on Debian's libmodbus.
 
 The way of one request, file by file, which is also the order to read them in::
 
-    context     TcpContext, RtuContext, AsciiContext: the blocking client
-    line        one transaction at a time, through libmodbus (native) or without
+    context     TcpContext, UdpContext, RtuContext, AsciiContext: the blocking clients
+    line        one transaction at a time, through libmodbus (native) or without; many
+                in flight: pipeline
     pdu         one class for each function: encode and decode, both ends
-    framing     unit and PDU as bytes on TCP, RTU and ASCII lines
-    link        a descriptor in a modbus_t: tcp_link a connection, serial_link a port
+    framing     unit and PDU as bytes on TCP, UDP, RTU and ASCII lines
+    link        a descriptor in a modbus_t: serial_link a port, socket_link a TCP
+                connection (tcp_link) or a UDP socket (udp_link)
       ... the wire ...
-    server      Server: many clients, many endpoints
+    server      Server: many clients, many endpoints (tcp_server, udp_server, serial_server;
+                listening finds addresses)
+    clients     the TCP connections of a server, within its limits
+    session     bytes in, answers out: chunk_session by the chunk, in C
     units       which device answers a frame, on TCP and on serial lines
     device      Device: request PDU in, response PDU out; beside it access (what hooks
                 see), communication (counters and log of a line), record_file
-    engine      libmodbus's modbus_reply, in memory
+    engine      libmodbus's modbus_reply, in memory (_chunk.c)
     mapping     Mapping: four tables, which it answers from
 
 Around them: errors (the exceptions), arguments (the check of numbers), url (endpoints),
-values (numbers and text in registers, references such as 40123), _c and low_level
-(libmodbus), cli and demo, device_file with behaviour and faults (the simulator), tap.
+values (numbers and text in registers, references such as 40123), plan (many reads in few
+requests), _c and low_level (libmodbus), cli and demo, device_file with behaviour and faults
+(the simulator), tap.
 
 Addresses are 0-based and times are in seconds everywhere.
 """
 
 from . import framing, pdu, values
 from .access import Access
-from .context import AsciiContext, Context, RtuContext, TcpContext
+from .context import AsciiContext, Context, RtuContext, TcpContext, UdpContext
 from .device import Caller, Device
 from .errors import (
     Acknowledge,
@@ -46,7 +52,9 @@ from .errors import (
     ServerDeviceFailure,
 )
 from .faults import Fault
+from .limits import Limits
 from .mapping import Mapping
+from .plan import Plan, Read
 from .record_file import RecordFile
 from .server import Running, Server
 
@@ -66,12 +74,15 @@ __all__ = [
     "IllegalDataValue",
     "IllegalFunction",
     "InvalidResponse",
+    "Limits",
     "Mapping",
     "MemoryParityError",
     "ModbusConnectionError",
     "ModbusError",
     "ModbusTimeoutError",
     "NegativeAcknowledge",
+    "Plan",
+    "Read",
     "RecordFile",
     "RtuContext",
     "Running",
@@ -79,6 +90,7 @@ __all__ = [
     "ServerDeviceBusy",
     "ServerDeviceFailure",
     "TcpContext",
+    "UdpContext",
     "framing",
     "pdu",
     "values",

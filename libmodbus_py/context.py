@@ -12,16 +12,19 @@ from typing import Any, Literal, Self, TypeVar
 
 from . import pdu, url
 from .arguments import integer, seconds
-from .errors import Acknowledge, InvalidResponse, ServerDeviceBusy
-from .framing import AsciiFramer, RtuFramer, TcpFramer
+from .errors import Acknowledge, InvalidResponse, ModbusError, ServerDeviceBusy
+from .framing import AsciiFramer, RtuFramer, TcpFramer, UdpFramer
 from .line import Line
 from .link import Link
 from .pdu.interface import identify
+from .pipeline import MAX_IN_FLIGHT, one_by_one
+from .plan import Forbidden, Items, Plan, plan_of
 from .serial_link import SerialLink
 from .tcp_link import TcpLink
+from .udp_link import UdpLink
 from .values import value_type
 
-__all__ = ["AsciiContext", "Context", "RtuContext", "TcpContext"]
+__all__ = ["AsciiContext", "Context", "RtuContext", "TcpContext", "UdpContext"]
 
 Result = TypeVar("Result")
 
@@ -29,12 +32,15 @@ FRAMERS: dict[str, Any] = {
     "tcp": TcpFramer,
     "rtu": partial(RtuFramer, role="client"),
     "ascii": AsciiFramer,
+    "udp": UdpFramer,
 }
+
+BUSY = (Acknowledge, ServerDeviceBusy)
 
 
 class Context:
     """
-    A client of one unit, made by `TcpContext`, `RtuContext`, `AsciiContext` or `from_url`.
+    A client of one unit: a `TcpContext`, `UdpContext`, `RtuContext` or `AsciiContext`.
 
     Connects when entered (``with``) or used, again on the next request after
     the connection was lost or stayed dumb for three timeouts, and closes on exit.
@@ -81,8 +87,10 @@ class Context:
             TypeError, ValueError: the URL or an option is wrong.
         """
         endpoint = url.parse(address)
+        if endpoint.framing == "udp":
+            return UdpContext(endpoint.host, endpoint.port, **options)
         if endpoint.transport == "tcp":
-            return TcpContext(endpoint.host, endpoint.port, framing=endpoint.framing, **options)  # type: ignore[arg-type]
+            return TcpContext(endpoint.host, endpoint.port, framing=endpoint.framing, **options)
         kind = RtuContext if endpoint.framing == "rtu" else AsciiContext
         return kind(endpoint.device, **endpoint.options, **options)
 
@@ -155,9 +163,119 @@ class Context:
         for pause in _pauses(self._busy_retries):
             try:
                 return self._line.execute(self.unit, request)
-            except (Acknowledge, ServerDeviceBusy):
+            except BUSY:
                 time.sleep(pause)
         return self._line.execute(self.unit, request)
+
+    def execute_many(
+        self,
+        requests: Iterable[pdu.Request[Any]],
+        *,
+        max_in_flight: int = 16,
+        return_exceptions: bool = False,
+    ) -> list[Any]:
+        """
+        Send many request objects, several at a time where answers can be told apart.
+
+        On "tcp" and "udp" up to `max_in_flight` requests wait for their answers
+        together; `timeout` counts for each from when it is sent, and other threads wait
+        until all are done. A server may carry them out in any order: writes that depend on
+        each other need ``max_in_flight=1``. Then, on the other framings, and
+        with a request that nobody answers among them, they go one after the other.
+
+        With `return_exceptions` the rest goes on whatever fails. A lost connection fails
+        all that was in flight on it, and a new one carries the rest; after
+        three in a row that could not be made or brought no answer the rest fails, too.
+
+        `busy_retries` counts for each request. Those in flight together are asked again
+        together, after the others.
+
+        Args:
+            requests: request objects of `libmodbus_py.pdu`; all are checked before the
+                first is sent.
+            max_in_flight: 1..256; servers need not take more than 16 (TCP guide,
+                section 4.3).
+            return_exceptions: whether a ModbusError is given in the place of its
+                result; else the first in the order of requests is raised, nothing more is
+                sent, and answers that are still to come are dropped when they do.
+
+        Returns:
+            The results in the order of the requests.
+
+        Raises:
+            TypeError, ValueError: `max_in_flight`, or a request, which is named
+                by its index (``requests[3]``).
+        """
+        limit = integer("max_in_flight", max_in_flight, 1, MAX_IN_FLIGHT)
+        asked = self._checked_requests(requests)
+        if limit == 1 or not self._line.can_pipeline(asked):
+            return one_by_one(self.execute, asked, return_exceptions=return_exceptions)
+        outcomes = self._execute_together(asked, limit, return_exceptions)
+        if not return_exceptions:
+            for outcome in outcomes:
+                if isinstance(outcome, ModbusError):
+                    raise outcome
+        return outcomes
+
+    def _checked_requests(self, requests: object) -> list[pdu.Request[Any]]:
+        if not isinstance(requests, Iterable):
+            raise TypeError(f"requests must be a list, not {type(requests).__name__}")
+        asked = list(requests)
+        for at, request in enumerate(asked):
+            self._line.check(self.unit, request, f"requests[{at}]")
+        return asked
+
+    def _execute_together(
+        self, asked: list[pdu.Request[Any]], limit: int, return_exceptions: bool
+    ) -> list[Any]:
+        tolerated = (ModbusError,) if return_exceptions else BUSY if self._busy_retries else ()
+        send = partial(self._line.execute_many, self.unit, max_in_flight=limit, tolerated=tolerated)
+        outcomes = send(asked)
+        for pause in _pauses(self._busy_retries):
+            busy = [at for at, outcome in enumerate(outcomes) if isinstance(outcome, BUSY)]
+            if not busy:
+                break
+            time.sleep(pause)
+            again = send([asked[at] for at in busy])
+            for at, outcome in zip(busy, again, strict=True):
+                outcomes[at] = outcome
+        return outcomes
+
+    def read_many(
+        self,
+        items: Plan | Items,
+        *,
+        gap: int = 0,
+        forbidden: Forbidden = (),
+        max_in_flight: int = 16,
+        return_exceptions: bool = False,
+    ) -> Any:
+        """
+        Read many things in few requests.
+
+        Args:
+            items: a `plan.Plan`; or what makes one, such as
+                ``{"level": ("holding_registers", 100, 1, "float32"), "valves": ("coils", 0, 8)}``.
+            gap, forbidden: of the plan, where `items` is none.
+            max_in_flight: as for `execute_many`.
+            return_exceptions: whether a ModbusError is given in the place of what
+                was to come with a failed request; else it is raised.
+
+        Returns:
+            A list of values for each item, in their order; a dict where `items`
+            was a mapping.
+
+        Raises:
+            TypeError, ValueError: as of `plan.Plan`; registers that hold no such value.
+            IllegalDataAddress: a merged request covers cells that the device
+                lacks: see `plan.Plan`.
+        """
+        plan = plan_of(items, gap=gap, forbidden=forbidden)
+        return plan.results(
+            self.execute_many(
+                plan.requests, max_in_flight=max_in_flight, return_exceptions=return_exceptions
+            )
+        )
 
     def read_coils(self, address: int, count: int) -> list[bool]:
         """Read 1..2000 coils (function 1, modbus_read_bits)."""
@@ -407,9 +525,42 @@ class TcpContext(Context):
         turnaround: float = 0.1,
         busy_retries: int = 0,
     ) -> None:
-        if framing not in FRAMERS:
-            raise ValueError(f"framing must be one of {', '.join(FRAMERS)}, not {framing!r}")
+        if framing not in ("tcp", "rtu", "ascii"):
+            raise ValueError(f"framing must be one of tcp, rtu, ascii, not {framing!r}")
         line = _line(TcpLink(host, port), framing, timeout, turnaround, native, framing == "tcp")
+        super().__init__(line, unit, busy_retries)
+
+
+class UdpContext(Context):
+    """
+    A client over UDP: the frames of Modbus/TCP, each in a datagram, carried by this package.
+
+    The network may lose or double datagrams. A request that gets no answer is a
+    ModbusTimeoutError and is not repeated, for nobody knows whether it was
+    carried out. Damaged datagrams and those of other hosts do not end the wait.
+
+    Args:
+        host: a name, an IPv4 or an IPv6 address. Resolving a name takes as long
+            as the system takes.
+        port: 1..65535.
+        unit: 0..255; a server without a gateway takes any.
+        timeout: seconds for a request, 0.001..86400.
+        busy_retries: as for `TcpContext`.
+
+    Raises:
+        TypeError, ValueError: an argument of the wrong type or range.
+    """
+
+    def __init__(
+        self,
+        host: str,
+        port: int = url.DEFAULT_PORT,
+        *,
+        unit: int = 1,
+        timeout: float = 1.0,
+        busy_retries: int = 0,
+    ) -> None:
+        line = _line(UdpLink(host, port), "udp", timeout, 0, False, False)
         super().__init__(line, unit, busy_retries)
 
 

@@ -1,5 +1,6 @@
 """
-One connection and one transaction at a time on it, through libmodbus or without.
+One connection and the transactions on it: one at a time, through libmodbus or
+without, or many in flight (`pipeline`), without.
 
 libmodbus carries a request when it can be trusted to get the answer right. The
 way around it, with the framers of this package on the same descriptor, is for
@@ -20,7 +21,7 @@ import os
 import threading
 import time
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
 from ._c import UnnamedException, check, lib
@@ -33,16 +34,18 @@ from .errors import (
     ModbusTimeoutError,
 )
 from .framing import Frame, Framer
-from .link import Link
+from .link import TIMEOUTS_BEFORE_RECONNECT, Link
 from .native import NATIVE, Call
 from .pdu import Request
+from .pipeline import Pipeline
 
 __all__ = ["Line"]
 
 Result = TypeVar("Result")
 
-# A connection that is open but dead shows only by its timeouts.
-TIMEOUTS_BEFORE_RECONNECT = 3
+# More requests than this without an answer, and the connection is made anew: their
+# ids could not be used again.
+MAX_ABANDONED = 1024
 
 
 class Line:
@@ -83,6 +86,7 @@ class Line:
         self._timeouts = 0
         self._native_sent = 0  # libmodbus counts its transaction ids like this: 1, 2..65535, 0
         self._python_sent = 0
+        self._abandoned: set[int] = set()  # ids of `execute_many` that may still be answered
         self._adu = b""
         self._received = bytearray()
         self._distrust()
@@ -115,10 +119,7 @@ class Line:
             TypeError: not a request.
             ValueError: a broadcast of what is no write.
         """
-        if not isinstance(request, Request):
-            raise TypeError(f"request must be one of pdu, not {type(request).__name__}")
-        if unit == 0 and self._framer.has_broadcast and not request.is_write:
-            raise ValueError(f"unit 0 is a broadcast, which nobody answers: {request} is no write")
+        self.check(unit, request, "request")
         with self._lock:
             self._adu = b""
             self._received.clear()
@@ -133,6 +134,69 @@ class Line:
             self._in_doubt = False
             self._timeouts = 0
             return result
+
+    def check(self, unit: int, request: object, name: str) -> None:
+        """Raises TypeError, ValueError as `execute` does."""
+        if not isinstance(request, Request):
+            raise TypeError(f"{name} must be one of pdu, not {type(request).__name__}")
+        if unit == 0 and self._framer.has_broadcast and not request.is_write:
+            raise ValueError(
+                f"{name}: unit 0 is a broadcast, which nobody answers, and {request} is no write"
+            )
+
+    def can_pipeline(self, requests: Sequence[Request[Any]]) -> bool:
+        """Whether answers can be told apart, and all of the requests get one."""
+        return not self._framer.has_broadcast and all(each.expects_response for each in requests)
+
+    def execute_many(
+        self,
+        unit: int,
+        requests: Sequence[Request[Any]],
+        *,
+        max_in_flight: int,
+        tolerated: tuple[type[ModbusError], ...],
+    ) -> list[Any]:
+        """
+        Send requests that were checked, many at a time.
+
+        Returns:
+            The result or the ModbusError of each; where one is not `tolerated`, what
+            comes after it may be missing (None).
+        """
+        with self._lock:
+            batch = Pipeline(
+                unit,
+                requests,
+                max_in_flight=max_in_flight,
+                timeout=self.timeout,
+                tolerated=tolerated,
+                next_transaction=self._next_transaction,
+                abandoned=self._abandoned,
+            )
+            try:
+                while not batch.is_done:
+                    self._carry(batch)
+            finally:
+                batch.leave()
+                self.late_answers += batch.late_answers
+                self._in_doubt = batch.had_trouble or self._framer.pending > 0
+                if self._in_doubt:
+                    self._distrust()
+            return batch.outcomes
+
+    def _carry(self, batch: Pipeline) -> None:
+        try:
+            self._open(time.monotonic() + self.timeout)
+            self._clear_line()
+            batch.timeouts = self._timeouts
+            batch.run(self._link, self._framer)
+            self._timeouts = batch.timeouts
+        except ModbusError as error:
+            self._link.close()
+            batch.lose(error)
+        except BaseException:  # Ctrl-C: who knows what went out
+            self._link.close()
+            raise
 
     def _execute(self, unit: int, request: Request[Any]) -> Any:
         self._open(time.monotonic() + self.timeout)
@@ -174,9 +238,12 @@ class Line:
             raise ModbusConnectionError("this context is closed", errno=errno.EBADF)
         if self._timeouts >= TIMEOUTS_BEFORE_RECONNECT and self._link.can_die_silently:
             self._link.close()
+        if len(self._abandoned) > MAX_ABANDONED:
+            self._link.close()
         if self._link.is_open:
             return
         self._timeouts = 0
+        self._abandoned.clear()
         self._link.open(deadline)
         self._link.prepare(self.timeout)
         self._framer = self._make_framer()
@@ -202,7 +269,7 @@ class Line:
 
     def _native_call(self, unit: int, request: Request[Any]) -> Call | None:
         call = self._calls.get(type(request))
-        if call is None or self._in_doubt or not self._link.native:
+        if call is None or self._in_doubt or self._abandoned or not self._link.native:
             return None
         if self._native is None and (unit, request.function) not in self._trusted:
             return None
@@ -254,15 +321,21 @@ class Line:
 
     def _send(self, unit: int, request: Request[Any], deadline: float) -> Frame:
         self._in_doubt = True
-        self._python_sent += 1
-        # Half the circle away from libmodbus's own ids, so that neither can
-        # meet a late answer of the other.
-        transaction = self._native_sent + 0x8000 + self._python_sent % 0x4000 & 0xFFFF
-        frame = Frame(unit, request.encode(), 0 if self._framer.has_broadcast else transaction)
+        transaction = 0 if self._framer.has_broadcast else self._next_transaction()
+        frame = Frame(unit, request.encode(), transaction)
         self._adu = self._framer.encode(frame)
         self._link.wait_for_silence()
         self._link.send(self._adu, deadline)
         return frame
+
+    def _next_transaction(self) -> int:
+        while True:
+            self._python_sent += 1
+            # Half the circle away from libmodbus's own ids, so that neither can
+            # meet a late answer of the other.
+            transaction = self._native_sent + 0x8000 + self._python_sent % 0x4000 & 0xFFFF
+            if transaction not in self._abandoned:
+                return transaction
 
     def _clear_line(self) -> None:
         """Get rid of late answers and garbage before a request goes out."""
@@ -283,11 +356,17 @@ class Line:
             self._reopen()
 
     def _skip_late_answers(self) -> None:
-        while self._link.has_input():
-            found = self._framer.scan(self._link.receive(0))
-            self.late_answers += sum(isinstance(each, Frame) for each in found)
-        if self._framer.pending or not self._framer.in_step:
+        limit = time.monotonic() + self.timeout
+        while (flood := self._link.has_input()) and time.monotonic() < limit:
+            self._drop_late(self._framer.scan(self._link.receive(0)))
+        if self._framer.pending or not self._framer.in_step or flood:
             self._reopen()
+
+    def _drop_late(self, found: Sequence[Frame | FrameError]) -> None:
+        for each in found:
+            if isinstance(each, Frame):
+                self.late_answers += 1
+                self._abandoned.discard(each.transaction)
 
     def _wait_for_quiet(self) -> None:
         """
@@ -316,12 +395,15 @@ class Line:
             self._received += data
             if not data and not wrong and time.monotonic() >= deadline:
                 raise self._timeout()
-            for each in self._framer.scan(data) if data else self._framer.scan_silence():
+            found = self._framer.scan(data) if data else self._framer.scan_silence()
+            for at, each in enumerate(found, start=1):
                 if isinstance(each, FrameError):
-                    wrong = each
+                    # A damaged datagram says nothing about the next one.
+                    wrong = wrong if self._link.datagrams else each
                 elif each.transaction != sent.transaction:
-                    self.late_answers += 1
+                    self._drop_late([each])
                 elif each.unit == sent.unit:
+                    self._drop_late(found[at:])
                     return each.pdu
                 else:
                     wrong = InvalidResponse(f"unit {each.unit} answered")

@@ -16,10 +16,13 @@ from typing import Any, ClassVar
 from ._c import check, lib, microseconds
 from .errors import ModbusConnectionError, ModbusTimeoutError
 
-__all__ = ["Link"]
+__all__ = ["TIMEOUTS_BEFORE_RECONNECT", "Link", "lost"]
 
 # libmodbus waits with select: beyond this its 3.1.6 aborts, 3.1.12 refuses.
 FD_SETSIZE = 1024
+
+# A connection that is open but dead shows only by its timeouts.
+TIMEOUTS_BEFORE_RECONNECT = 3
 
 
 class Link(ABC):
@@ -29,10 +32,12 @@ class Link(ABC):
     Attributes:
         context: the modbus_t that holds the descriptor while the link is open.
         can_die_silently: whether it may seem open when the other side is gone.
+        datagrams: whether bytes come in pieces that have nothing to do with each other.
         gone: what the end of the input means, and its errno.
     """
 
     can_die_silently: ClassVar[bool]
+    datagrams: ClassVar[bool] = False
     gone: ClassVar[tuple[str, int]]
     context: Any
     descriptor = -1
@@ -94,7 +99,11 @@ class Link(ABC):
                 if not self._wait(select.POLLOUT, deadline):
                     raise ModbusTimeoutError("the request could not be sent") from None
             except OSError as error:
-                raise _lost(error) from error
+                raise lost(error) from error
+
+    def send_many(self, adus: list[bytes], deadline: float) -> None:
+        """As `send`, with as few calls as the line allows."""
+        self.send(b"".join(adus), deadline)
 
     def receive(self, deadline: float) -> bytes:
         """
@@ -103,14 +112,22 @@ class Link(ABC):
         Raises:
             ModbusConnectionError: the peer closed, or the port is gone.
         """
+        return self._read(deadline, 4096)
+
+    def receive_many(self, deadline: float) -> list[bytes]:
+        """As `receive`, for many answers: the pieces that are there."""
+        data = self.receive(deadline)
+        return [data] if data else []
+
+    def _read(self, deadline: float, size: int) -> bytes:
         if not self._wait(select.POLLIN, deadline):
             return b""
         try:
-            data = os.read(self.descriptor, 4096)
+            data = os.read(self.descriptor, size)
         except BlockingIOError:
             return b""
         except OSError as error:
-            raise _lost(error) from error
+            raise lost(error) from error
         if not data:
             raise ModbusConnectionError(self.gone[0], errno=self.gone[1])
         return data
@@ -134,5 +151,5 @@ class Link(ABC):
         return bool(poll.poll(-int(-left * 1000 // 1)))
 
 
-def _lost(error: OSError) -> ModbusConnectionError:
+def lost(error: OSError) -> ModbusConnectionError:
     return ModbusConnectionError(error.strerror or str(error), errno=error.errno)

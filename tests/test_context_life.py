@@ -81,7 +81,6 @@ def echo_address(request: bytes) -> list[bytes]:
         (lambda: RtuContext("/dev/x", rs485="yes"), "rs485"),  # type: ignore[arg-type]
         (lambda: AsciiContext("/dev/x", rts_delay=-1), "rts_delay"),
         (lambda: Context.from_url("tcp://"), "host"),
-        (lambda: Context.from_url("udp://127.0.0.1"), "scheme"),
         (lambda: Context.from_url("tcp://127.0.0.1:99999"), "port"),
         (lambda: Context.from_url("rtu:///dev/x?speed=9600"), "speed"),
         (lambda: Context.from_url("rtu:///dev/x?baudrate=fast"), "baudrate"),

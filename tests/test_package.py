@@ -237,7 +237,7 @@ class TestPublicNames:
             for name, value in vars(Context).items()
             if inspect.isfunction(value) and re.match(r"(read|write|mask|report)_", name)
         }
-        lacking = names - {"ReadValues", "WriteValues"} - set(pdu.__all__)
+        lacking = names - {"ReadMany", "ReadValues", "WriteValues"} - set(pdu.__all__)
         assert not lacking
         assert {"diagnostics", "encapsulated_transport", "execute"} < set(vars(Context))
 
