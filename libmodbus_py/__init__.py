@@ -6,6 +6,9 @@ The way of one request, file by file, which is also the order to read them in::
     context     TcpContext, UdpContext, RtuContext, AsciiContext: the blocking clients
     line        one transaction at a time, through libmodbus (native) or without; many
                 in flight: pipeline
+    client      AsyncClient, the same for asyncio; behind it channel (who may send when),
+                flight (which answer is whose; alternating on serial lines), connection
+                (its life) and transport (its descriptor) in place of line and link
     pdu         one class for each function: encode and decode, both ends
     framing     unit and PDU as bytes on TCP, UDP, RTU and ASCII lines
     link        a descriptor in a modbus_t: serial_link a port, socket_link a TCP
@@ -31,6 +34,7 @@ Addresses are 0-based and times are in seconds everywhere.
 
 from . import framing, pdu, values
 from .access import Access
+from .client import AsyncClient, State
 from .context import AsciiContext, Context, RtuContext, TcpContext, UdpContext
 from .device import Caller, Device
 from .errors import (
@@ -62,6 +66,7 @@ __all__ = [
     "Access",
     "Acknowledge",
     "AsciiContext",
+    "AsyncClient",
     "Caller",
     "Context",
     "Device",
@@ -89,6 +94,7 @@ __all__ = [
     "Server",
     "ServerDeviceBusy",
     "ServerDeviceFailure",
+    "State",
     "TcpContext",
     "UdpContext",
     "framing",

@@ -243,21 +243,26 @@ class SerialLink(Link):
         self._last_byte = time.monotonic()
 
     def send(self, data: bytes, deadline: float) -> None:
+        for pause in self.sending(data, deadline):
+            time.sleep(pause)
+
+    def sending(self, data: bytes, deadline: float) -> Iterator[float]:
+        """As `send`, for whoever must not sleep: gives the seconds to wait before it goes on."""
         if self.echo:
             self._awaited_echo += data
         if self.rs485 in self.rts_modes:
-            self._send_with_rts(data, deadline)
+            yield from self._sending_with_rts(data, deadline)
         else:
             super().send(data, deadline)
         # The driver takes the bytes at once; the last one leaves later.
         self._last_byte = time.monotonic() + len(data) * self.character
 
-    def _send_with_rts(self, data: bytes, deadline: float) -> None:
+    def _sending_with_rts(self, data: bytes, deadline: float) -> Iterator[float]:
         self._set_rts(self.rs485 == "rts-up")
-        time.sleep(self.rts_delay)
         try:
+            yield self.rts_delay
             super().send(data, deadline)
-            time.sleep(len(data) * self.character + self.rts_delay)
+            yield len(data) * self.character + self.rts_delay
         finally:
             self._set_rts(self.rs485 != "rts-up")
 
