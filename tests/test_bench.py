@@ -1,0 +1,59 @@
+"""
+The benchmark: its programs in C compile without a warning, and a short run of all of it
+gives numbers.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+BENCH = Path(__file__).parent.parent / "bench"
+PROGRAMS = sorted(BENCH.glob("*.c"))
+
+
+@pytest.mark.parametrize("source", PROGRAMS, ids=lambda source: source.stem)
+def test_program_compiles_without_a_warning(source: Path, tmp_path: Path) -> None:
+    command = ["gcc", "-O2", "-Wall", "-Wextra", "-Werror", "-o", tmp_path / "program", source]
+    subprocess.run([*command, "-lmodbus"], check=True)
+
+
+def run_bench(*arguments: object) -> str:
+    command = [sys.executable, BENCH, *map(str, arguments)]
+    return subprocess.run(command, check=True, capture_output=True, text=True).stdout
+
+
+@pytest.mark.timeout(180)  # it is one program that starts all the others
+def test_short_run_measures_whatever_is_installed(tmp_path: Path) -> None:
+    file = tmp_path / "bench.json"
+    text = run_bench("--rounds", 1, "--seconds", 0.01, "--json", file)
+    report = json.loads(file.read_text())
+    cells = {(cell["section"], cell["variant"], cell["name"]): cell for cell in report["cells"]}
+
+    assert {section for section, _, _ in cells} == {"blocking", "bulk", "servers", "limit"}
+    for name in ("libmodbus, client in C", "TcpContext", "TcpContext, native=False", "pymodbus"):
+        assert_is_measured(cells["blocking", "TCP", name])
+    for load in ("1 x 1", "8 x 16", "1000 x 1"):
+        assert_is_measured(cells["servers", load, "libmodbus, server in C"])
+        assert_is_measured(cells["servers", load, "Server"])
+    assert cells["servers", "8 x 16", "pymodbus"]["note"] == "answers 1 of 16"
+    assert report["memory"]["Server"]["connections"] == 1000
+    assert len(report["targets"]) == text.count(">= ")
+
+
+def assert_is_measured(cell: dict[str, object]) -> None:
+    assert cell["note"] == ""
+    assert isinstance(cell["rate"], float)
+    assert cell["rate"] > 0
+    assert len(cell["rounds"]) == 1  # type: ignore[arg-type]
+
+
+def test_what_is_not_installed_is_left_out_and_said() -> None:
+    text = run_bench("--only", "limit", "--rounds", 1, "--seconds", 0.01)
+    for package in ("pylibmodbus", "pyModbusTCP", "umodbus", "minimalmodbus"):
+        assert (f"left out, not installed: {package}\n" in text) == (find_spec(package) is None)
