@@ -160,11 +160,12 @@ class Context:
         Returns:
             What the method of the same name returns.
         """
-        for pause in _pauses(self._busy_retries):
-            try:
-                return self._line.execute(self.unit, request)
-            except BUSY:
-                time.sleep(pause)
+        if self._busy_retries:
+            for pause in _pauses(self._busy_retries):
+                try:
+                    return self._line.execute(self.unit, request)
+                except BUSY:
+                    time.sleep(pause)
         return self._line.execute(self.unit, request)
 
     def execute_many(

@@ -101,7 +101,7 @@ class Line:
     def open(self) -> None:
         """Connect, unless connected. Raises ModbusConnectionError."""
         with self._lock:
-            self._open(time.monotonic() + self.timeout)
+            self._open()
 
     def close(self) -> None:
         """Close for good. A transaction that another thread waits for ends first."""
@@ -186,7 +186,7 @@ class Line:
 
     def _carry(self, batch: Pipeline) -> None:
         try:
-            self._open(time.monotonic() + self.timeout)
+            self._open()
             self._clear_line()
             batch.timeouts = self._timeouts
             batch.run(self._link, self._framer)
@@ -199,7 +199,7 @@ class Line:
             raise
 
     def _execute(self, unit: int, request: Request[Any]) -> Any:
-        self._open(time.monotonic() + self.timeout)
+        self._open()
         if (unit == 0 and self._framer.has_broadcast) or not request.expects_response:
             return self._tell(unit, request)
         call = self._native_call(unit, request)
@@ -233,7 +233,7 @@ class Line:
 
     # --- the connection --------------------------------------------------------------
 
-    def _open(self, deadline: float) -> None:
+    def _open(self) -> None:
         if self._closed:
             raise ModbusConnectionError("this context is closed", errno=errno.EBADF)
         if self._timeouts >= TIMEOUTS_BEFORE_RECONNECT and self._link.can_die_silently:
@@ -244,7 +244,7 @@ class Line:
             return
         self._timeouts = 0
         self._abandoned.clear()
-        self._link.open(deadline)
+        self._link.open(time.monotonic() + self.timeout)
         self._link.prepare(self.timeout)
         self._framer = self._make_framer()
         self._slave = -1
@@ -252,7 +252,7 @@ class Line:
 
     def _reopen(self) -> None:
         self._link.close()
-        self._open(time.monotonic() + self.timeout)
+        self._open()
 
     def set_timeout(self, timeout: float) -> None:
         with self._lock:

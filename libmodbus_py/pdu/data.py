@@ -11,6 +11,7 @@ from typing import Any, ClassVar, Self, TypeVar
 
 from ..arguments import integer
 from .fields import (
+    TABLE_SIZE,
     checked_bit,
     checked_bits,
     checked_register,
@@ -41,6 +42,8 @@ class _Read(Request[Values]):
     response_length = counted(2, at=1)
 
     def __post_init__(self) -> None:
+        if _is_span(self.address, self.count, self.limit):
+            return
         count = integer("count", self.count, 1, self.limit)
         store(self, address=checked_span("address", self.address, "count", count), count=count)
 
@@ -50,6 +53,17 @@ class _Read(Request[Values]):
     @classmethod
     def decode(cls, pdu: bytes) -> Self:
         return cls(*struct.unpack(">HH", pdu[1:]))
+
+
+def _is_span(address: object, count: object, limit: int) -> bool:
+    """Tell the usual arguments in a fifth of the time that it takes to say what is wrong."""
+    return (
+        type(address) is int
+        and type(count) is int
+        and address >= 0
+        and 1 <= count <= limit
+        and address + count <= TABLE_SIZE
+    )
 
 
 class _ReadBits(_Read[list[bool]]):
