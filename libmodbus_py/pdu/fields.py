@@ -114,12 +114,16 @@ def unpack_bits(data: bytes, count: int) -> list[bool]:
     return [bool(data[position >> 3] >> (position & 7) & 1) for position in range(count)]
 
 
+# Found by their count, for bulk reads do little else.
+_REGISTERS = [struct.Struct(f">{count}H") for count in range(MAX_PDU // 2 + 1)]
+
+
 def pack_registers(values: Sequence[int]) -> bytes:
-    return struct.pack(f">{len(values)}H", *values)
+    return _REGISTERS[len(values)].pack(*values)
 
 
 def unpack_registers(data: bytes) -> tuple[int, ...]:
-    return struct.unpack(f">{len(data) // 2}H", data)
+    return _REGISTERS[len(data) // 2].unpack(data)
 
 
 def fixed(length: int) -> LengthRule:

@@ -78,9 +78,10 @@ class Request(Generic[Result]):
             ExceptionResponse: the server refused (its subclass for the code).
             InvalidResponse: the PDU does not answer this request.
         """
-        if pdu[:1] != bytes([self.function]):
+        if not pdu or pdu[0] != self.function:
             raise self._refusal(pdu)
-        if type(self).response_length(pdu) not in (len(pdu), 0):
+        length = type(self).response_length(pdu)
+        if length != len(pdu) and length != 0:
             raise self._invalid(f"a response of {len(pdu)} bytes")
         return self._decode_response(pdu)
 
