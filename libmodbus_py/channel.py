@@ -161,9 +161,14 @@ class Channel:
         batch.queued = True
         self._queue.append(batch)
 
-    def _pump(self, *, looked: bool = False) -> None:
+    def _pump(self) -> None:
+        """Send what may be sent now, and see to it that the rest has its turn."""
+        self._pump_half()
+        self._pump_half(looked=True)
+
+    def _pump_half(self, *, looked: bool = False) -> None:
         """
-        Send what may be sent now, and see to it that the rest has its turn.
+        The same for half of what may be in flight.
 
         Args:
             looked: whether all that has come was read.
@@ -217,7 +222,7 @@ class Channel:
     def _send(self) -> None:
         queue, flight = self._queue, self.flight
         now = self._now()
-        room = 1 if self._request_spacing else flight.room
+        room = 1 if self._request_spacing else min(flight.room, (flight.limit + 1) // 2)
         adus = []
         while queue and room:
             batch = queue.popleft()
@@ -236,7 +241,7 @@ class Channel:
             return
         self._watch()
         if self._request_spacing:
-            self._pump(looked=True)
+            self._pump_half(looked=True)
 
     def _start(self, batch: Batch, now: float) -> bytes:
         asked = self.flight.start(batch, now)
@@ -280,18 +285,18 @@ class Channel:
             self._release(asked.batch)
             if isinstance(found, bytes):
                 self._timeouts = 0
-        # Others go out before these are decoded, so that the server has work meanwhile;
-        # unless the next request depends on what became of this one.
+        # Half of the next go out before these are decoded, so that the server has work
+        # meanwhile; unless the next request depends on what became of this one.
         if self.flight.limit > 1 and self.flight.in_step:
-            self._pump(looked=True)
+            self._pump_half(looked=True)
         before = self.statistics.responses
         for asked, found in answers:
             self._settle(asked, found)
         if self.statistics.responses > before:
             self.connection.prove()
             self.statistics.last_success = time.monotonic()
-        if self.flight.limit == 1 and self.flight.in_step:
-            self._pump(looked=True)
+        if self.flight.in_step:
+            self._pump_half(looked=True)
 
     def _settle(self, asked: Asked, found: bytes | ModbusError) -> None:
         batch, index = asked.batch, asked.index
