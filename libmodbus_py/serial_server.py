@@ -8,7 +8,7 @@ import asyncio
 import contextlib
 import logging
 import time
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator
 
 from .errors import ModbusConnectionError, ModbusTimeoutError
 from .limits import Statistics
@@ -42,8 +42,8 @@ class SerialServer:
         self._loop = asyncio.get_running_loop()
         self._retry: asyncio.TimerHandle | None = None
         self._unsent = bytearray()
-        self._sending: asyncio.TimerHandle | None = None
-        self._sender = ThreadPoolExecutor(1, "serial port")  # one, to keep the order
+        self._timer: asyncio.TimerHandle | None = None
+        self._sending: Iterator[float] = iter(())
 
     async def open(self) -> Endpoint:
         """Give the endpoint as it is."""
@@ -54,7 +54,6 @@ class SerialServer:
         if self._retry is not None:
             self._retry.cancel()
         self._close()
-        self._sender.shutdown(wait=False)
 
     def _open(self) -> None:
         self._link.open(time.monotonic())
@@ -71,6 +70,11 @@ class SerialServer:
         if self._link.is_open:
             self._session.close()
             self._loop.remove_reader(self._link.descriptor)
+            if self._timer is not None:
+                self._timer.cancel()
+                self._timer = None
+            self._unsent.clear()
+            self._sending = iter(())  # RTS goes back while the port is still open
             self._link.close()
 
     def _read(self) -> None:
@@ -91,28 +95,27 @@ class SerialServer:
     def _write(self, data: bytes) -> None:
         """Answer after the silence that ends the request (serial line, 2.5.1.1)."""
         self._unsent += data
-        wait = self._link.time_to_silence() if self._endpoint.framing == "rtu" else 0
-        if wait <= 0:
-            self._send_unsent()
-        elif self._sending is None:
-            self._sending = self._loop.call_later(wait, self._send_unsent)
+        if self._timer is None:
+            wait = self._link.time_to_silence() if self._endpoint.framing == "rtu" else 0
+            if wait > 0:
+                self._timer = self._loop.call_later(wait, self._send_unsent)
+            else:
+                self._send_unsent()
 
     def _send_unsent(self) -> None:
-        data, self._unsent, self._sending = bytes(self._unsent), bytearray(), None
-        self._send(data)
+        data, self._unsent = bytes(self._unsent), bytearray()
+        self._sending = self._link.sending(data, time.monotonic())
+        self._send_on()
 
-    def _send(self, data: bytes) -> None:
-        if not self._link.is_open:
-            return
-        if self._link.rs485 in self._link.rts_modes:
-            # It waits while the bits go out, and the loop has others to serve.
-            self._loop.run_in_executor(self._sender, self._send_now, data)
-        else:
-            self._send_now(data)
-
-    def _send_now(self, data: bytes) -> None:
+    def _send_on(self) -> None:
+        """Go on until the next pause: others are served while the line is turned round."""
+        self._timer = None
         # The port takes a whole answer at once, or nobody reads at the other
         # end: then there is nothing to wait for. A port that is gone shows
         # in the next read.
         with contextlib.suppress(ModbusTimeoutError, ModbusConnectionError):
-            self._link.send(data, time.monotonic())
+            for pause in self._sending:
+                self._timer = self._loop.call_later(pause, self._send_on)
+                return
+        if self._unsent:
+            self._send_unsent()
