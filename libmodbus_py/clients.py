@@ -134,7 +134,11 @@ class Clients:
         for descriptor, events in self._epoll.poll(0, EVENTS_MAX):
             # Another one's turn may have closed it.
             if connection := self._by_descriptor.get(descriptor):
-                connection.act(events)
+                try:
+                    connection.act(events)
+                except Exception:  # a mistake of ours must not cost the others their turn
+                    logger.exception("%s: connection closed", connection.peer)
+                    connection.close()
         self._in_turn = False
         self._send()
 
@@ -243,9 +247,10 @@ class Connection:
         except (BlockingIOError, InterruptedError):
             return
         except OSError:
-            data = b""
-        if not data:
             self.close()
+            return
+        if not data:  # it will not ask any more, but may still listen
+            self._close_when_sent()
             return
         clients, session = self._clients, self._session
         try:

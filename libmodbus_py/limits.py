@@ -37,7 +37,7 @@ class Limits:
         idle_timeout: seconds without a request after which a connection is closed,
             0.001..86400; None for never. A client that does not take its answers is idle.
         max_unsent: bytes of answers that may wait for one client beyond what the system
-            buffers, 0..2^30; with more it is not read until all are gone.
+            buffers, 0..1048576; with more it is not read until all are gone.
         allow: networks or addresses whose clients are served, such as
             "192.0.2.0/24" or "::1"; none for all.
         requests_per_second: how many of one connection (UDP: one address) are answered
@@ -67,7 +67,7 @@ class Limits:
         seconds("frame_timeout", self.frame_timeout)
         if self.idle_timeout is not None:
             seconds("idle_timeout", self.idle_timeout)
-        integer("max_unsent", self.max_unsent, 0, 2**30)
+        integer("max_unsent", self.max_unsent, 0, 2**20)
         object.__setattr__(self, "_networks", _networks(self.allow))
         if self.requests_per_second is not None:
             _rate(self.requests_per_second)

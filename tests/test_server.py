@@ -35,7 +35,12 @@ from libmodbus_py import (
     pdu,
     serial_server,
 )
+from libmodbus_py.chunk_session import ChunkSession
+from libmodbus_py.clients import Clients
+from libmodbus_py.faults import Faults
+from libmodbus_py.limits import Limits, Statistics
 from libmodbus_py.tap import SerialWire
+from libmodbus_py.units import TcpUnits, Units
 
 READ = pdu.ReadHoldingRegisters(100, 2).encode()
 READ_ANSWER = bytes.fromhex("0304 03e8 03e9")
@@ -80,6 +85,32 @@ def test_sixteen_requests_in_one_segment_are_answered_in_order(port: int) -> Non
         connection.sendall(b"".join(adu(READ, number) for number in range(16)))
         expected = b"".join(adu(READ_ANSWER, number) for number in range(16))
         assert receive(connection, len(expected)) == expected
+
+
+def test_who_only_listens_any_more_gets_all_answers(device: Device) -> None:
+    """More than the system buffers, so that they wait for the client to take them."""
+    body = pdu.ReadHoldingRegisters(100, 125).encode()
+
+    async def serve(end: socket.socket) -> bytes:
+        statistics = Statistics()
+        clients = Clients(Limits(), statistics)
+        units = TcpUnits(Units(device, Faults({})))
+        end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
+        end.setblocking(False)
+        clients.admit(
+            end, ("peer", 1), lambda peer, write, _: ChunkSession(units, peer, statistics, write)
+        )
+        await asyncio.sleep(0.05)  # it has seen the end of the requests
+        received = await asyncio.to_thread(receive, client, 1 << 20)
+        assert statistics.connections == 0
+        clients.close()
+        return received
+
+    client, end = socket.socketpair()
+    with client, end:
+        client.sendall(b"".join(adu(body, number) for number in range(80)))
+        client.shutdown(socket.SHUT_WR)
+        assert len(asyncio.run(serve(end))) == 80 * 259
 
 
 def test_an_illegal_request_does_not_cost_its_neighbours_their_answers(port: int) -> None:
