@@ -44,8 +44,7 @@ static int word(const uint8_t *at)
 
 static int is_read(const uint8_t *pdu, int size, int limit)
 {
-    int count = word(pdu + 3);
-    return size == 5 && count >= 1 && count <= limit;
+    return size == 5 && word(pdu + 3) >= 1 && word(pdu + 3) <= limit;
 }
 
 static int is_write(const uint8_t *pdu, int size, int limit, int bits)

@@ -352,6 +352,8 @@ class RtuFramer(_Scanner):
         head = bytes(self._buffer[start + 1 : start + 1 + MAX_PDU])
         if not head:
             return None
+        if start != self._fresh and not self._start.match(self._buffer, start + 1):
+            return 0  # as for starts that are searched for: it must not matter who found it
         length = self._length(head)
         if length is None:
             return None if len(head) < MAX_PDU else 0
@@ -446,12 +448,12 @@ class AsciiFramer(_Scanner):
             del self._buffer[: end + 1]
             end = self._buffer.find(b"\r")
         last = end if end >= 0 else len(self._buffer)
-        colon = self._buffer.rfind(b":", 0, last)
-        if colon < 0:
+        first = self._buffer.find(b":", 0, last)
+        if first < 0:
             self._buffer.clear()
-        elif self._buffer[0] != 0x3A:
-            del self._buffer[:colon]
-        elif colon:
+            return
+        del self._buffer[:first]
+        if colon := self._buffer.rfind(b":", 0, last - first):
             self._reject("a colon inside a frame", colon, overrun=colon > self.max_size)
 
     def _take(self, end: int) -> None:

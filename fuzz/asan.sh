@@ -1,0 +1,47 @@
+#!/bin/sh
+# fuzz/asan.sh PYTHON [pytest arguments]
+# The tests that cross the boundary to C, with the C module built with AddressSanitizer and
+# UndefinedBehaviorSanitizer, in a copy: the normal build stays as it is.
+set -eu
+cd "$(dirname "$0")/.."
+python=$1
+shift
+copy=build/asan
+
+rm -rf $copy
+mkdir -p $copy
+cp -r libmodbus_py tests fuzz build_ffi.py setup.py pyproject.toml README.md LICENSE $copy
+rm -f $copy/libmodbus_py/_libmodbus.*so
+cd $copy
+
+flags="-g -O1 -fno-omit-frame-pointer -fsanitize=address,undefined -fno-sanitize-recover=all"
+CFLAGS=$flags LDFLAGS=$flags "$python" setup.py -q build_ext --inplace
+
+# Leaks are not looked for: an interpreter ends without freeing what it has.
+# Python's own allocator would hide what lies beside a bytes object; memory cannot be
+# measured under this one.
+export ASAN_OPTIONS="detect_leaks=0:log_path=$PWD/report"
+export UBSAN_OPTIONS="print_stacktrace=1:log_path=$PWD/report"
+export PYTHONMALLOC=malloc
+LD_PRELOAD=$(gcc -print-file-name=libasan.so)
+export LD_PRELOAD
+
+"$python" - <<'END'
+from libmodbus_py import _libmodbus
+maps = open("/proc/self/maps").read()
+assert "libasan" in maps and "build/asan" in _libmodbus.__file__, _libmodbus.__file__
+print("asan:", _libmodbus.__file__)
+END
+
+result=0
+[ $# -gt 0 ] || set -- tests/test_device.py tests/test_mapping.py tests/test_contexts.py \
+    tests/test_server.py tests/test_functions.py tests/test_bad_answers.py \
+    tests/test_fuzz.py tests/test_interop_libmodbus.py
+"$python" -m pytest -n 2 -q -p no:cacheprovider --timeout=180 \
+    -k "not takes_memory_only" "$@" || result=$?
+for report in report.*; do
+    [ -e "$report" ] || continue
+    result=1
+    cat "$report"
+done
+exit $result

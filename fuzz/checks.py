@@ -1,0 +1,200 @@
+"""
+What must hold for any bytes, for whoever thinks of bytes: Hypothesis or atheris.
+
+Each check raises AssertionError, or lets out what should not have been raised.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from functools import partial
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+from libmodbus_py import Device, FrameError, InvalidResponse, Mapping, pdu
+from libmodbus_py.errors import (
+    ExceptionResponse,
+    IllegalDataAddress,
+    IllegalDataValue,
+    IllegalFunction,
+)
+from libmodbus_py.framing import AsciiFramer, Frame, Framer, RtuFramer, TcpFramer, UdpFramer
+
+__all__ = [
+    "FRAMERS",
+    "REQUEST_OBJECTS",
+    "check_datagrams",
+    "check_device",
+    "check_request",
+    "check_response",
+    "check_stream",
+    "examples",
+]
+
+FRAMERS: dict[str, Callable[[], Framer]] = {
+    "tcp": TcpFramer,
+    "rtu server": partial(RtuFramer, role="server"),
+    "rtu client": partial(RtuFramer, role="client"),
+    "ascii": AsciiFramer,
+}
+"""The framers of streams."""
+
+# The longest beginning of a frame that is worth waiting for.
+PENDING = {"tcp": 260, "rtu server": 256, "rtu client": 256, "ascii": 513}
+
+
+_FILE = Path(__file__).parents[1] / "tests" / "vectors.json"
+_EXAMPLES = [example for example in json.loads(_FILE.read_text()) if "tcp" in example]
+
+
+def examples(form: str) -> list[bytes]:
+    """Give the worked examples of the specification: "pdu", "tcp", "rtu" or "ascii"."""
+    found = [example[form] for example in _EXAMPLES]
+    return [text.encode() if form == "ascii" else bytes.fromhex(text) for text in found]
+
+
+Found = list[Frame | FrameError]
+
+
+def check_stream(name: str, stream: bytes, sizes: Sequence[int]) -> None:
+    """
+    Frames were on the wire, and it does not matter in which pieces.
+
+    How many errors there are may depend on it: a framer reports at once what it
+    cannot use, and more of the same may follow. Where they are among the frames may not.
+    """
+    whole, rest = _scan(name, [stream])
+    assert _outline(whole) == _outline(_scan(name, _pieces(stream, sizes))[0])
+    encode = FRAMERS[name]().encode
+    seen = stream.upper() if name == "ascii" else stream
+    for frame in whole:
+        if isinstance(frame, Frame):
+            assert encode(frame) in seen
+            seen = seen[seen.index(encode(frame)) + len(encode(frame)) :]
+    assert rest <= PENDING[name]
+
+
+def check_datagrams(datagrams: Sequence[bytes]) -> None:
+    """One frame or one error for each, whatever came before: so they cannot be cut or glued."""
+    framer = UdpFramer()
+    for datagram in datagrams:
+        found = framer.scan(datagram)
+        assert _outline(found) == _outline(UdpFramer().scan(datagram))
+        assert len(found) == bool(datagram)
+        assert framer.pending == 0
+        assert framer.in_step
+        for frame in found:
+            assert isinstance(frame, FrameError) or framer.encode(frame) == datagram
+
+
+def _scan(name: str, pieces: Sequence[bytes]) -> tuple[Found, int]:
+    """Everything found, silence at the end included, and how much was pending before."""
+    framer = FRAMERS[name]()
+    found: Found = []
+    for piece in pieces:
+        found += framer.scan(piece)
+        assert framer.pending <= PENDING[name]
+    pending = framer.pending
+    return found + framer.scan_silence(), pending
+
+
+def _pieces(stream: bytes, sizes: Sequence[int]) -> list[bytes]:
+    pieces, at = [], 0
+    for size in sizes:
+        pieces.append(stream[at : at + size])
+        at += size
+    return [*pieces, stream[at:]]
+
+
+def _outline(found: Found) -> list[Frame | None]:
+    """Frames, and None where there were errors."""
+    frames = [each if isinstance(each, Frame) else None for each in found]
+    return [each for key, run in groupby(frames) for each in ([None] if key is None else run)]
+
+
+def check_request(data: bytes) -> None:
+    """Decoded and the same again, or refused."""
+    request = _attempt(pdu.decode_request, data)
+    if isinstance(request, ExceptionResponse):
+        assert type(request) in (IllegalFunction, IllegalDataAddress, IllegalDataValue)
+        assert data
+    elif isinstance(request, ValueError):
+        assert not data
+    else:
+        assert isinstance(request, pdu.Request)
+        assert pdu.decode_request(request.encode()) == request
+        assert pdu.request_length(data) in (0, len(data))
+        assert len(str(request)) < 1000
+
+
+def _attempt(decode: Callable[[bytes], Any], data: bytes) -> Any:
+    """What a decoder gives, or raises, as a value."""
+    try:
+        return decode(data)
+    except (ExceptionResponse, InvalidResponse, ValueError) as error:
+        return error
+
+
+def _one_of_each() -> list[pdu.Request[Any]]:
+    """A request of each class, as the examples have them."""
+    found: dict[type, pdu.Request[Any]] = {}
+    for example in _EXAMPLES:
+        if example["kind"] == "request" and example["function"] in pdu.REQUESTS:
+            request = pdu.decode_request(bytes.fromhex(example["pdu"]))
+            found.setdefault(type(request), request)
+    return [*found.values(), pdu.RawRequest(65, b"\1\2")]
+
+
+REQUEST_OBJECTS = _one_of_each()
+
+
+def check_response(request: pdu.Request[Any], data: bytes) -> None:
+    """Decoded, and the result survives another round; or an error that says so."""
+    result = _attempt(request.decode_response, data)
+    if isinstance(result, ExceptionResponse):
+        assert data == bytes([request.function | 0x80, result.code])
+    elif isinstance(result, InvalidResponse):
+        assert result.function == request.function
+    else:
+        assert not isinstance(result, ValueError)
+        assert data[0] == request.function
+        if len(data) <= pdu.MAX_PDU:
+            assert request.decode_response(request.encode_response(result)) == result
+
+
+def new_device() -> Device:
+    """Make a device with a bit of everything."""
+    mapping = Mapping(
+        coils=range(10, 2100),
+        discrete_inputs=range(20, 2100),
+        holding_registers=range(100, 400),
+        input_registers=range(0xFF00, 0x10000),
+    )
+    return Device(
+        mapping,
+        files={4: range(200), 3: {9: 0x33CD, 10: 0x0040, 12: 7}},
+        fifos={0x04DE: [440, 4740], 1: range(31)},
+        identification={"VendorUrl": "http://example.com", 0x80: b"\0" * 244},
+        canopen=lambda data: data,
+    )
+
+
+def check_device(requests: Sequence[bytes]) -> None:
+    """An answer to each request, or none to what has none; and every cell still a cell."""
+    device = new_device()
+    for request in requests:
+        answer = device.answer(request)
+        if not answer:
+            assert request[0] & 0x80
+        elif answer[0] & 0x80:
+            assert answer[0] == request[0] | 0x80
+            assert len(answer) == 2
+            assert answer[1] in (1, 2, 3), answer[1]
+        else:
+            assert answer[0] == request[0]
+            assert len(answer) <= pdu.MAX_PDU
+            pdu.decode_request(request).decode_response(answer)
+    cells = bytes(device.mapping.coils.view) + bytes(device.mapping.discrete_inputs.view)
+    assert not cells.strip(b"\0\1")

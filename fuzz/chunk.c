@@ -1,0 +1,141 @@
+/* libFuzzer on the C helper of the server: chunks of Modbus/TCP, whatever is in them.
+ *
+ * Two bytes of an input say for which unit the device is and how much room there
+ * is for answers; the rest is the chunk. It lies in memory of its exact size, as the
+ * answers do, so that AddressSanitizer sees every byte read or written beside them.
+ * What is answered is compared with what was asked, frame by frame. */
+
+#include <stdio.h>
+#include <stdlib.h>
+
+#include "../libmodbus_py/_chunk.c"
+
+#define CHECK(truth)                                                      \
+    do {                                                                  \
+        if (!(truth)) {                                                   \
+            fprintf(stderr, "chunk.c:%d: not so: %s\n", __LINE__, #truth); \
+            abort();                                                      \
+        }                                                                 \
+    } while (0)
+
+static engine_t engine;
+static modbus_mapping_t *mapping;
+
+static void set_up(void)
+{
+    int pair[2];
+    CHECK(socketpair(AF_UNIX, SOCK_STREAM, 0, pair) == 0);
+    engine.context = modbus_new_tcp("127.0.0.1", 0);
+    CHECK(engine.context != NULL);
+    CHECK(modbus_set_socket(engine.context, pair[0]) == 0);
+    CHECK(modbus_set_response_timeout(engine.context, 0, 1) == 0);
+    engine.outlet = pair[1];
+    mapping = modbus_mapping_new_start_address(10, 2100, 20, 2100, 100, 300, 200, 200);
+    CHECK(mapping != NULL);
+}
+
+static void empty_tables(void)
+{
+    memset(mapping->tab_bits, 0, (size_t)mapping->nb_bits);
+    memset(mapping->tab_registers, 0, 2 * (size_t)mapping->nb_registers);
+}
+
+static int is_whole(const uint8_t *data, int size)
+{
+    return size >= 8 && word(data + 2) == 0 && word(data + 4) >= 2 && word(data + 4) <= 254 &&
+           size >= 6 + word(data + 4);
+}
+
+static int is_known(uint8_t function)
+{
+    return memchr("\1\2\3\4\5\6\17\20\26\27", function, 10) != NULL;
+}
+
+/* An answer to this request, of the one length that it can have. */
+static void check_answer(const uint8_t *request, const uint8_t *answer, int size)
+{
+    const uint8_t *asked = request + 7, *got = answer + 7;
+    CHECK(memcmp(request, answer, 4) == 0 && request[6] == answer[6]);
+    if (got[0] == (asked[0] | 0x80)) {
+        CHECK(size == 9 && (got[1] == 2 || got[1] == 3));
+        return;
+    }
+    CHECK(got[0] == asked[0]);
+    switch (got[0]) {
+    case 1:
+    case 2:
+        CHECK(got[1] == (word(asked + 3) + 7) / 8 && size == 9 + got[1]);
+        break;
+    case 3:
+    case 4:
+    case 23:
+        CHECK(got[1] == 2 * word(asked + 3) && size == 9 + got[1]);
+        break;
+    case 22:
+        CHECK(size == 14 && memcmp(asked, got, 7) == 0);
+        break;
+    default:
+        CHECK(size == 12 && memcmp(asked, got, 5) == 0);
+    }
+}
+
+/* As many answers as requests were used, and nothing else. */
+static void check_answers(const uint8_t *data, int used, int unit)
+{
+    int at = 0, requests = 0, refused = 0;
+    for (int start = 0; start < used; start += 6 + word(data + start + 4)) {
+        CHECK(is_whole(data + start, used - start) && data[start + 6] == unit);
+        CHECK(is_known(data[start + 7]));
+        CHECK(is_whole(engine.answers + at, engine.size - at));
+        check_answer(data + start, engine.answers + at, 6 + word(engine.answers + at + 4));
+        refused += engine.answers[at + 7] >> 7;
+        requests++;
+        at += 6 + word(engine.answers + at + 4);
+    }
+    CHECK(at == engine.size && requests == engine.requests && refused == engine.refused);
+}
+
+/* What was left must be for somebody else, or lack its end or the room for its answer. */
+static void check_rest(const uint8_t *data, int size, int unit)
+{
+    CHECK(!is_whole(data, size) || data[6] != unit || !is_known(data[7]) ||
+          engine.room - engine.size < MODBUS_TCP_MAX_ADU_LENGTH);
+}
+
+static void check_tables(void)
+{
+    for (int at = 0; at < mapping->nb_bits; at++)
+        CHECK(mapping->tab_bits[at] <= 1);
+}
+
+int LLVMFuzzerTestOneInput(const uint8_t *input, size_t given)
+{
+    static tally_t tally;
+    int unit, size, start = 0, end;
+    uint8_t *data, stray;
+
+    if (given < 2)
+        return 0;
+    if (mapping == NULL)
+        set_up();
+    empty_tables();
+    unit = input[0];
+    engine.room = MODBUS_TCP_MAX_ADU_LENGTH + 37 * input[1];
+    engine.answers = malloc((size_t)engine.room);
+    size = (int)given - 2;
+    data = malloc((size_t)size);
+    if (size)
+        memcpy(data, input + 2, (size_t)size);
+    do {
+        end = answer_chunk(&engine, mapping, &tally, unit, data, start, size);
+        CHECK(end >= start && end <= size);
+        CHECK(engine.size <= engine.room && engine.unread == 0 && engine.unread_size == 0);
+        check_answers(data + start, end - start, unit);
+        check_rest(data + end, size - end, unit);
+    } while (end > start && (start = end) < size);
+    CHECK(recv(engine.outlet, &stray, 1, MSG_DONTWAIT) == -1);
+    check_tables();
+    free(data);
+    free(engine.answers);
+    return 0;
+}

@@ -1,0 +1,115 @@
+"""
+Inputs of a fuzzer: what their bytes mean to each target, and examples to begin with.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from checks import (
+    FRAMERS,
+    REQUEST_OBJECTS,
+    check_datagrams,
+    check_device,
+    check_request,
+    check_response,
+    check_stream,
+    examples,
+)
+
+__all__ = ["TARGETS", "Target"]
+
+
+def framers(data: bytes) -> None:
+    """Which framer, the sizes of eight pieces, the stream; or UDP and sized datagrams."""
+    names = [*FRAMERS]
+    if not data:
+        return
+    which, data = data[0] % (len(names) + 1), data[1:]
+    if which < len(names):
+        check_stream(names[which], data[8:], data[:8])
+    else:
+        check_datagrams(_sized(data))
+
+
+def some_framers() -> list[bytes]:
+    forms = {"tcp": "tcp", "rtu server": "rtu", "rtu client": "rtu", "ascii": "ascii"}
+    streams = [
+        bytes([which]) + bytes(range(8)) + example
+        for which, name in enumerate(FRAMERS)
+        for example in examples(forms[name])
+    ]
+    datagrams = [bytes([len(FRAMERS)]) + _with_sizes([each, each]) for each in examples("tcp")]
+    return streams + datagrams
+
+
+def pdus(data: bytes) -> None:
+    """Which request it answers, or none; the PDU."""
+    if not data:
+        return
+    which, data = data[0] % (len(REQUEST_OBJECTS) + 1), data[1:]
+    if which < len(REQUEST_OBJECTS):
+        check_response(REQUEST_OBJECTS[which], data)
+    else:
+        check_request(data)
+
+
+def some_pdus() -> list[bytes]:
+    functions = [request.function for request in REQUEST_OBJECTS]
+    return [
+        bytes([which]) + example
+        for example in examples("pdu")
+        for which, function in enumerate([*functions, example[0]])
+        if function == example[0] & 0x7F
+    ]
+
+
+def devices(data: bytes) -> None:
+    """Requests, each with its size."""
+    check_device([request for request in _sized(data) if 1 <= len(request) <= 253])
+
+
+def some_devices() -> list[bytes]:
+    every = examples("pdu")
+    return [_with_sizes(every[at : at + 4]) for at in range(len(every))]
+
+
+def _sized(data: bytes) -> list[bytes]:
+    parts = []
+    while data:
+        parts.append(data[1 : 1 + data[0]])
+        data = data[1 + data[0] :]
+    return parts
+
+
+def _with_sizes(parts: list[bytes]) -> bytes:
+    return b"".join(bytes([len(part)]) + part for part in parts)
+
+
+def some_chunks() -> list[bytes]:
+    """For chunk.c: the unit of the device, the room for answers, the chunk."""
+    every = examples("tcp")
+    glued = [b"".join(every[at : at + 4]) for at in range(len(every))]
+    return [bytes([stream[6], 0x40]) + stream for stream in every + glued]
+
+
+class Target(NamedTuple):
+    """
+    What is fuzzed.
+
+    Attributes:
+        check: raises if the input shows a defect; None if it is not Python's to call.
+        seeds: gives the inputs to begin with.
+    """
+
+    check: Callable[[bytes], None] | None
+    seeds: Callable[[], list[bytes]]
+
+
+TARGETS = {
+    "framers": Target(framers, some_framers),
+    "pdu": Target(pdus, some_pdus),
+    "device": Target(devices, some_devices),
+    "chunk": Target(None, some_chunks),
+}

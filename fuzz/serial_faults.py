@@ -1,0 +1,77 @@
+"""
+Faults on serial lines: python fuzz/serial_faults.py [TRANSACTIONS] [SEED]
+
+As many transactions, 100000 unless told otherwise, spread over RTU through libmodbus, RTU
+without it, and ASCII, each in a process of its own. Prints what happened; exits with
+1 if a wrong value or an unreported loss got through, or a fault spoiled more
+than one transaction after it.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+
+from bad_line import UNITS, BadLine, Framing
+from transactions import Lateness, Tally, Transactions, known_device
+
+from libmodbus_py import AsciiContext, Context, RtuContext, Server
+
+__all__ = ["BAUDRATE", "LINES", "client", "on_a_line"]
+
+# What a client on each line is: its framing, and whether libmodbus may carry requests.
+LINES: dict[str, tuple[Framing, bool | None]] = {
+    "RTU through libmodbus": ("rtu", None),
+    "RTU without libmodbus": ("rtu", False),
+    "ASCII": ("ascii", None),
+}
+
+BAUDRATE = 1_000_000  # a pty knows none; the client waits for the length of its frames
+
+TIMEOUT = 0.1  # five times what the framer of RTU calls silence
+
+
+def client(name: str, device: str, timeout: float, unit: int = UNITS[0]) -> Context:
+    """Make the client of one of `LINES`."""
+    framing, native = LINES[name]
+    kind = RtuContext if framing == "rtu" else AsciiContext
+    return kind(device, BAUDRATE, unit=unit, timeout=timeout, native=native)
+
+
+def on_a_line(name: str, timeout: float, seed: int, goes_on: Callable[[], bool]) -> Tally:
+    """Do transactions on one of `LINES`, with a server in this process."""
+    framing, _ = LINES[name]
+    with (
+        BadLine(framing, timeout, seed) as line,
+        Server({UNITS[0]: known_device()}).background(
+            "tcp://127.0.0.1:0", f"{framing}://{line.server}?baudrate={BAUDRATE}"
+        ) as running,
+        Context.from_url(running.urls[0], unit=UNITS[0]) as clean,
+        client(name, line.client, timeout) as context,
+        Lateness() as lateness,
+    ):
+        return Transactions(context, clean, line, lateness, seed).run(goes_on)
+
+
+def _in_a_process(name: str, count: int, seed: int) -> Tally:
+    left = iter(range(count))
+    return on_a_line(name, TIMEOUT, seed, lambda: next(left, None) is not None)
+
+
+def main() -> int:
+    arguments = [int(argument) for argument in sys.argv[1:]]
+    total, seed = [*arguments, *[100_000, 1][len(arguments) :]]
+    with ProcessPoolExecutor(len(LINES)) as processes:
+        waiting = {
+            name: processes.submit(_in_a_process, name, -(-total // len(LINES)), seed + number)
+            for number, name in enumerate(LINES)
+        }
+    tallies = {name: future.result() for name, future in waiting.items()}
+    for name, tally in tallies.items():
+        print(f"{name}, seed {seed + list(LINES).index(name)}", tally, "", sep="\n")
+    return 0 if all(tally.is_good for tally in tallies.values()) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

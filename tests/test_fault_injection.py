@@ -1,0 +1,59 @@
+"""
+Serial lines on which things go wrong: no wrong value, no silent loss, one failure for each fault.
+
+The long run of the same is ``./run faults``.
+"""
+
+from __future__ import annotations
+
+import random
+
+import pytest
+from bad_line import FAULTS, BadLine, Framing, Hurt
+from serial_faults import LINES, on_a_line
+from vectors import FRAMES, FrameVector, rows
+
+from libmodbus_py.framing import AsciiFramer, Frame, Framer, Role, RtuFramer
+
+TIMEOUT = 0.15
+
+
+@pytest.mark.parametrize("name", LINES)
+def test_no_fault_goes_unnoticed(name: str) -> None:
+    left = iter(range(150))
+    tally = on_a_line(name, TIMEOUT, 20, lambda: next(left, None) is not None)
+    assert tally.is_good, f"\n{tally}"
+    assert tally.injected.total() > 0
+    assert tally.errors.total() > 0
+
+
+@pytest.mark.parametrize("vector", rows(FRAMES))
+@pytest.mark.parametrize("framing", ["rtu", "ascii"])
+def test_what_is_injected_is_what_the_framing_can_notice(
+    framing: Framing, vector: FrameVector
+) -> None:
+    """Damage gives no frame but the one that was sent; lateness does no damage."""
+    chance = random.Random(vector.id)
+    frame: bytes = getattr(vector, framing)
+    for kind in ("flip", "burst", "lose", "cut", "double", "delay"):
+        for _ in range(10):
+            pieces = FAULTS[kind](Hurt(frame, framing, chance))
+            found = frames(framing, vector, [piece.data for piece in pieces])
+            assert set(found) <= {vector.frame}
+            assert found or kind != "delay"
+
+
+def frames(framing: Framing, vector: FrameVector, pieces: list[bytes]) -> list[Frame]:
+    """What the side that they are for would take these bytes for."""
+    role: Role = "server" if vector.kind == "request" else "client"
+    framer: Framer = RtuFramer(role) if framing == "rtu" else AsciiFramer()
+    found = [each for piece in pieces for each in framer.scan(piece)] + framer.scan_silence()
+    return [each for each in found if isinstance(each, Frame)]
+
+
+def test_nothing_happens_unless_armed() -> None:
+    left = iter(range(100))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(BadLine, "arm", lambda *_: None)
+        tally = on_a_line("RTU through libmodbus", 2, 3, lambda: next(left, None) is not None)
+    assert (tally.done, tally.injected.total(), tally.errors.total()) == (100, 0, 0)

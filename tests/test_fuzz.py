@@ -1,0 +1,124 @@
+"""
+Random bytes and mutations of worked examples, for everything that takes bytes from a wire.
+
+What must hold stands in fuzz/checks.py; ``./run fuzz`` drives the same with coverage.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from checks import (
+    FRAMERS,
+    REQUEST_OBJECTS,
+    check_datagrams,
+    check_device,
+    check_request,
+    check_response,
+    check_stream,
+    examples,
+)
+from hostile import UNIT, Hostile, Innocent
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from transactions import known_device
+
+from libmodbus_py import Server, pdu
+
+FORMS = {"tcp": "tcp", "rtu server": "rtu", "rtu client": "rtu", "ascii": "ascii"}
+
+
+@st.composite
+def mutated(draw: st.DrawFn, form: str) -> bytes:
+    """An example with some damage: cut, doubled, overwritten, flipped, or none."""
+    data = draw(st.sampled_from(examples(form)))
+    for _ in range(draw(st.integers(0, 3))):
+        start = draw(st.integers(0, len(data)))
+        stop = draw(st.integers(start, len(data)))
+        match draw(st.sampled_from(["cut", "double", "insert", "overwrite", "flip"])):
+            case "cut":
+                data = data[:start] + data[stop:]
+            case "double":
+                data = data[:stop] + data[start:]
+            case "insert":
+                data = data[:start] + draw(st.binary(max_size=6)) + data[start:]
+            case "overwrite":
+                data = data[:start] + bytes([draw(st.integers(0, 255))]) + data[start + 1 :]
+            case "flip" if start < len(data):
+                flipped = data[start] ^ 1 << draw(st.integers(0, 7))
+                data = data[:start] + bytes([flipped]) + data[start + 1 :]
+    return data
+
+
+def streams(form: str) -> st.SearchStrategy[bytes]:
+    """Some of them in a row, with noise in between."""
+    return st.lists(mutated(form) | st.binary(max_size=12), max_size=7).map(b"".join)
+
+
+sizes = st.lists(st.integers(0, 20), max_size=40)
+
+
+@pytest.mark.parametrize("name", FRAMERS)
+@settings(max_examples=400, deadline=None)
+@given(st.data())
+def test_streams(name: str, data: st.DataObject) -> None:
+    check_stream(name, data.draw(streams(FORMS[name])), data.draw(sizes))
+
+
+@pytest.mark.parametrize(
+    ("name", "stream", "first"),
+    [
+        # An unfinished frame behind a byte that belongs to none.
+        ("ascii", b"\0::0603007A00037A\r\n", 1),
+        # The refusal of a function without a class, behind damage: CRC of FF FF is 0.
+        ("rtu client", b"\xff\xff\xff\xff\xff\xff\0\0\0", 5),
+    ],
+)
+def test_streams_found_by_guided_fuzzing(name: str, stream: bytes, first: int) -> None:
+    check_stream(name, stream, [first])
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.lists(mutated("tcp") | st.binary(max_size=270), max_size=8))
+def test_datagrams(datagrams: list[bytes]) -> None:
+    check_datagrams(datagrams)
+
+
+def near_pdus() -> st.SearchStrategy[bytes]:
+    return mutated("pdu").map(lambda data: data[: pdu.MAX_PDU])
+
+
+@settings(max_examples=1500, deadline=None)
+@given(near_pdus())
+def test_requests(data: bytes) -> None:
+    check_request(data)
+
+
+@pytest.mark.parametrize("request_", REQUEST_OBJECTS, ids=lambda each: type(each).__name__)
+@settings(max_examples=250, deadline=None)
+@given(data=near_pdus(), matching=st.booleans())
+def test_responses(request_: pdu.Request[Any], data: bytes, matching: bool) -> None:
+    """Also those to other requests, as if they were to this one."""
+    check_response(request_, bytes([request_.function]) + data[1:] if matching else data)
+
+
+@settings(max_examples=400, deadline=None)
+@given(st.lists((near_pdus() | st.binary(max_size=20)).filter(bool), max_size=12))
+def test_devices(requests: list[bytes]) -> None:
+    check_device(requests)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_an_innocent_client_among_hostile_ones(seed: int) -> None:
+    device = known_device()
+    before = bytes(device.mapping.holding_registers.view)
+    with Server({UNIT: device}).background("tcp://127.0.0.1:0") as running:
+        port = int(running.urls[0].rpartition(":")[2])
+        with Hostile(port, seed) as hostile, Innocent(port, seed) as innocent:
+            while hostile.streams < 60:
+                innocent.read()
+        assert innocent.findings == []
+        assert innocent.reads > 0
+        assert all(hostile.by_kind.values())
+    assert bytes(device.mapping.holding_registers.view) == before
