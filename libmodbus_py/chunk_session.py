@@ -49,7 +49,8 @@ class ChunkSession:
     def receive(self, data: bytes) -> int:
         if self._pending:
             data = self._pending + data
-        start, size, requests = 0, len(data), 0
+        before = self._statistics.requests
+        start, size = 0, len(data)
         while size - start >= HEADER.size:
             unit = data[start + 6]
             device = self._units.device(unit)
@@ -58,19 +59,17 @@ class ChunkSession:
                 if end > start:
                     self._write(answers)
                     self._count(count, refused)
-                    requests += count
                     start = end
                     continue
             end = self._take_one(data, start)
             if end == start:
                 break
-            requests += 1
             start = end
         self._pending = data[start:]
         self.is_unfinished = start < size
         if self.is_unfinished:
             self._check_length()
-        return requests
+        return self._statistics.requests - before
 
     def close(self) -> None:
         """Nothing goes on."""

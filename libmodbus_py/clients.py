@@ -12,24 +12,36 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import fcntl
 import logging
+import os
 import select
 import socket
 from collections.abc import Callable
+from heapq import nsmallest
+from select import EPOLLIN, EPOLLOUT
 
 from .errors import FrameError
-from .limits import Allowance, Limits, Statistics
+from .limits import SPARE_DESCRIPTORS, Allowance, Limits, Statistics
 from .session import Session
 
 __all__ = ["Clients"]
 
 logger = logging.getLogger(__name__)
 
-# How much of one client is read in a turn: the others wait while it is answered.
+# How much of one client is read in a turn: the others wait while it is answered. One that
+# sends more than the first is read only when all others are answered, and then more of it.
+FAIR_SIZE = 256
 READ_SIZE = 1024
 
 # How many of them in a turn: serial ports and newcomers have theirs.
 EVENTS_MAX = 128
+
+# How many of those that send more than FAIR_SIZE.
+GREEDY_AT_ONCE = 2
+
+# Room for more descriptors than that is made when they come.
+ROOM_AT_MOST = 16_384
 
 # What is idle is known that exactly: to note it for each request would cost more
 # than to read the request.
@@ -56,7 +68,10 @@ class Clients:
         # Those that have something to send when all have been read.
         self._sending: list[Connection] = []
         self._in_turn = False
+        self._turns = 0
+        self._now = 0.0  # the time of this turn
         self._epoll = select.epoll()
+        _make_room_for_descriptors(self._epoll.fileno(), self._most)
         self._by_descriptor: dict[int, Connection] = {}
         self.loop.add_reader(self._epoll.fileno(), self._turn)
         self._sweeping: asyncio.TimerHandle | None = None
@@ -131,14 +146,21 @@ class Clients:
 
     def _turn(self) -> None:
         self._in_turn = True
+        self._now = self.loop.time()
+        greedy = []
         for descriptor, events in self._epoll.poll(0, EVENTS_MAX):
             # Another one's turn may have closed it.
             if connection := self._by_descriptor.get(descriptor):
-                try:
+                if connection.is_greedy:
+                    greedy.append((connection, events))
+                else:
                     connection.act(events)
-                except Exception:  # a mistake of ours must not cost the others their turn
-                    logger.exception("%s: connection closed", connection.peer)
-                    connection.close()
+        if greedy:
+            self._send()
+            self._turns += 1
+            for connection, events in nsmallest(GREEDY_AT_ONCE, greedy, key=_latest_turn):
+                connection.latest_turn = self._turns
+                connection.act(events)
         self._in_turn = False
         self._send()
 
@@ -152,15 +174,17 @@ class Clients:
     def note_request(self, connection: Connection) -> None:
         """It is the latest of all now, and no frame is begun."""
         self._deadlines.pop(connection, None)
-        now = self.loop.time()
-        if now - self._known.get(connection, 0.0) > RESOLUTION:
+        if self._now - self._known.get(connection, 0.0) > RESOLUTION:
             self._strangers.pop(connection, None)
             self._known.pop(connection, None)
-            self._known[connection] = now
+            self._known[connection] = self._now
 
     def set_deadline(self, connection: Connection) -> None:
         """From now on, unless there is one already."""
         self._deadlines.setdefault(connection, self.loop.time() + self.limits.frame_timeout)
+
+    def drop_deadline(self, connection: Connection) -> None:
+        self._deadlines.pop(connection, None)
 
     def _sweep(self) -> None:
         self._sweeping = None
@@ -175,6 +199,20 @@ class Clients:
                     connection.close()
         if len(self):
             self._sweeping = self.loop.call_later(self._sweep_every, self._sweep)
+
+
+def _make_room_for_descriptors(descriptor: int, most: int) -> None:
+    """
+    Let the system's table grow now: while it grows in a process with threads, whoever
+    needs a new descriptor waits 10 ms (synchronize_rcu), and all clients with it.
+    """
+    highest = min(most, ROOM_AT_MOST) + SPARE_DESCRIPTORS // 2
+    with contextlib.suppress(OSError):
+        os.close(fcntl.fcntl(descriptor, fcntl.F_DUPFD_CLOEXEC, highest))
+
+
+def _latest_turn(ready: tuple[Connection, int]) -> int:
+    return ready[0].latest_turn
 
 
 def _due(times: dict[Connection, float], until: float) -> list[Connection]:
@@ -200,9 +238,12 @@ class Connection:
         "_is_sending",
         "_is_throttled",
         "_loop",
+        "_release_timer",
         "_session",
         "_socket",
         "_unsent",
+        "is_greedy",
+        "latest_turn",
         "peer",
     )
 
@@ -214,19 +255,25 @@ class Connection:
         self._loop = clients.loop
         self._socket = client
         self._descriptor = client.fileno()
-        self._unsent = b""
+        # bytes as long as the client takes them at once: mostly one answer, never copied.
+        self._unsent: bytes | bytearray = b""
+        self.is_greedy = False  # whether there was more than was read
+        self.latest_turn = 0
         self._is_sending = self._is_full = self._is_throttled = self._is_closing = False
         self._is_reading = True
+        self._release_timer: asyncio.TimerHandle | None = None
         rate = clients.limits.requests_per_second
         self._allowance = None if rate is None else Allowance(rate, self._loop.time())
         self._session = make(peer, self._write, self._follow)
-        clients.watch(self, self._descriptor, select.EPOLLIN)
+        clients.watch(self, self._descriptor, EPOLLIN)
 
     def close(self) -> None:
         """Close at once. Any number of times."""
         if self._descriptor < 0:
             return
         self._session.close()
+        if self._release_timer is not None:
+            self._release_timer.cancel()
         self._clients.forget(self._descriptor)
         self._descriptor = -1
         self._socket.close()
@@ -234,16 +281,21 @@ class Connection:
 
     def act(self, events: int) -> None:
         """Do what can be done now."""
-        if events & select.EPOLLIN:
-            self._read()
-        elif events & (select.EPOLLHUP | select.EPOLLERR):
+        try:
+            if events & EPOLLIN:
+                self._read()
+            elif events & (select.EPOLLHUP | select.EPOLLERR):
+                self.close()
+            if events & EPOLLOUT:
+                self.send()
+        except Exception:  # a mistake of ours must not cost the others their turn
+            logger.exception("%s: connection closed", self.peer)
             self.close()
-        if events & select.EPOLLOUT:
-            self.send()
 
     def _read(self) -> None:
         try:
-            data = self._socket.recv(READ_SIZE)
+            size = READ_SIZE if self.is_greedy else FAIR_SIZE
+            data = self._socket.recv(size)
         except (BlockingIOError, InterruptedError):
             return
         except OSError:
@@ -252,6 +304,7 @@ class Connection:
         if not data:  # it will not ask any more, but may still listen
             self._close_when_sent()
             return
+        self.is_greedy = len(data) == size
         clients, session = self._clients, self._session
         try:
             requests = session.receive(data)
@@ -264,7 +317,7 @@ class Connection:
             clients.note_request(self)
             if self._allowance is not None:
                 self._throttle(requests, self._allowance)
-        if session.is_unfinished:
+        if session.is_unfinished and self._is_reading:
             clients.set_deadline(self)
 
     # --- answers ------------------------------------------------------------------------
@@ -272,7 +325,9 @@ class Connection:
     def _write(self, data: bytes) -> None:
         if not self._unsent:
             self._clients.send_soon(self)
-        self._unsent += data  # bytes: mostly there is one answer, and nothing to copy
+        self._unsent += data
+        if self._is_sending:
+            self._pause_if_full()
 
     def send(self) -> None:
         """Send what the client takes, and the rest when it takes more."""
@@ -285,18 +340,23 @@ class Connection:
         except OSError:
             self.close()
             return
-        self._unsent = self._unsent[sent:]
-        if self._unsent:
-            self._wait_to_send()
-        elif self._is_sending:
-            self._finish_sending()
+        if sent < len(self._unsent):
+            self._wait_to_send(sent)
+        else:
+            self._unsent = b""
+            if self._is_sending:
+                self._finish_sending()
         if self._is_closing and not self._unsent:
             self.close()
 
-    def _wait_to_send(self) -> None:
+    def _wait_to_send(self, sent: int) -> None:
+        self._unsent = bytearray(self._unsent[sent:])
         if not self._is_sending:
             self._is_sending = True
             self._watch()
+        self._pause_if_full()
+
+    def _pause_if_full(self) -> None:
         if len(self._unsent) > self._clients.limits.max_unsent and not self._is_full:
             self._is_full = True
             self._clients.statistics.paused += 1
@@ -312,8 +372,8 @@ class Connection:
             self.close()
             return
         self._is_closing = True
-        self._clients.set_deadline(self)
         self._follow()
+        self._clients.set_deadline(self)
 
     # --- reading or not -------------------------------------------------------------------
 
@@ -323,7 +383,7 @@ class Connection:
             self._clients.statistics.throttled += 1
             self._is_throttled = True
             self._follow()
-            self._loop.call_later(wait, self._release)
+            self._release_timer = self._loop.call_later(wait, self._release)
 
     def _release(self) -> None:
         self._is_throttled = False
@@ -339,7 +399,12 @@ class Connection:
         if read != self._is_reading:
             self._is_reading = read
             self._watch()
+            # The time of a frame is not running while nobody reads it.
+            if not read:
+                self._clients.drop_deadline(self)
+            elif self._session.is_unfinished:
+                self._clients.set_deadline(self)
 
     def _watch(self) -> None:
-        events = select.EPOLLIN * self._is_reading | select.EPOLLOUT * self._is_sending
+        events = EPOLLIN * self._is_reading | EPOLLOUT * self._is_sending
         self._clients.watch(self, self._descriptor, events)

@@ -40,28 +40,31 @@ class Engine:
     non-blocking, for it would wait for ever on a full one.
     """
 
+    _pair: tuple[socket.socket, ...] = ()
+
     def __init__(self) -> None:
         self._answers = ffi.new("uint8_t[]", ROOM)
+        self._characters = ffi.cast("char *", self._answers)  # which unpack to bytes
         self._unused_tally = make_tally()
         self._open()
 
     def close(self) -> None:
-        self._inner.close()
-        self._outer.close()
+        for end in self._pair:
+            end.close()
 
     __del__ = close
 
     def _open(self) -> None:
-        self._inner, self._outer = socket.socketpair()
-        self._inner.setblocking(False)
-        self._outer.setblocking(False)
+        self._pair = inner, outer = socket.socketpair()
+        inner.setblocking(False)
+        outer.setblocking(False)
         self._context = make(lib.modbus_new_tcp(b"127.0.0.1", 0))
-        check(lib.modbus_set_socket(self._context, self._inner.fileno()))
+        check(lib.modbus_set_socket(self._context, inner.fileno()))
         # It sleeps that long after what it finds illegal; 0 is refused.
         check(lib.modbus_set_response_timeout(self._context, 0, 1))
         self._struct = ffi.new("engine_t *")
         self._struct.context = self._context
-        self._struct.outlet = self._outer.fileno()
+        self._struct.outlet = outer.fileno()
         self._struct.answers = self._answers
         self._struct.room = ROOM
 
@@ -78,8 +81,7 @@ class Engine:
             self.close()
             self._open()
             check(end)
-        answers = ffi.buffer(self._answers, struct.size)[:]
-        return end, answers, struct.requests, struct.refused
+        return end, ffi.unpack(self._characters, struct.size), struct.requests, struct.refused
 
     def reply(self, pdu: bytes, mapping: Mapping) -> bytes:
         """Answer one request that `decode_request` found good. Hold the mapping's lock."""

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from .arguments import integer, seconds
-from .framing import AsciiFramer, Frame, Framer, RtuFramer, TcpFramer
+from .framing import AsciiFramer, Frame, Framer, RtuFramer, TcpFramer, UdpFramer
 
 __all__ = ["KINDS", "Delivery", "Fault", "Faults", "Piece"]
 
@@ -276,6 +276,7 @@ def _spoil_lrc(adu: bytes) -> bytes:
 
 _SPOILS: dict[type, Callable[[bytes], bytes]] = {
     TcpFramer: _spoil_header,
+    UdpFramer: _spoil_header,
     RtuFramer: _spoil_crc,
     AsciiFramer: _spoil_lrc,
 }

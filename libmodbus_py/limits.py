@@ -32,12 +32,13 @@ class Limits:
             one that never sent a request, else the one whose last request is the oldest
             (messaging guide, 4.3.1); "refuse" closes the new one.
         frame_timeout: seconds from the first byte of a frame to its last, 0.001..86400;
-            then the connection is closed. Also for taking the last answers of a
-            connection that is being closed.
+            then the connection is closed. Not with RTU and ASCII over TCP, where silence
+            ends a frame. Also for taking the last answers of a connection that is
+            being closed.
         idle_timeout: seconds without a request after which a connection is closed,
             0.001..86400; None for never. A client that does not take its answers is idle.
         max_unsent: bytes of answers that may wait for one client beyond what the system
-            buffers, 0..1048576; with more it is not read until all are gone.
+            buffers, 0..2^30; with more it is not read until all are gone.
         allow: networks or addresses whose clients are served, such as
             "192.0.2.0/24" or "::1"; none for all.
         requests_per_second: how many of one connection (UDP: one address) are answered
@@ -67,7 +68,7 @@ class Limits:
         seconds("frame_timeout", self.frame_timeout)
         if self.idle_timeout is not None:
             seconds("idle_timeout", self.idle_timeout)
-        integer("max_unsent", self.max_unsent, 0, 2**20)
+        integer("max_unsent", self.max_unsent, 0, 2**30)
         object.__setattr__(self, "_networks", _networks(self.allow))
         if self.requests_per_second is not None:
             _rate(self.requests_per_second)
@@ -96,6 +97,9 @@ def _networks(allow: Iterable[str]) -> tuple[IPv4Network | IPv6Network, ...]:
         return tuple(ip_network(network, strict=False) for network in allow)
     except ValueError as error:
         raise ValueError(f"allow: {error}") from None
+    except TypeError:
+        given = type(allow).__name__
+        raise TypeError(f"allow must be a list of networks, not {given}") from None
 
 
 def _rate(value: object) -> None:

@@ -20,6 +20,7 @@ from typing import ClassVar, Literal
 from . import url
 from .clients import Clients
 from .device import Device
+from .engine import engine
 from .faults import Fault, Faults
 from .limits import Limits, Statistics
 from .serial_server import SerialServer
@@ -95,6 +96,7 @@ class Server:
         endpoints = [url.parse(address) for address in urls]
         if not endpoints:
             raise ValueError("urls must name at least one endpoint")
+        engine()  # its descriptors, before clients take the last ones
         clients = Clients(self._limits, self.statistics)
         with contextlib.ExitStack() as stack:
             stack.callback(clients.close)

@@ -47,6 +47,7 @@ class TcpServer:
         self._make_session = _maker(endpoint.framing, units, clients.statistics)
         self._listeners: list[socket.socket] = []
         self._retries: dict[socket.socket, asyncio.TimerHandle] = {}
+        self._is_short = False  # of descriptors or memory
         self._endpoint = endpoint
 
     async def open(self) -> Endpoint:
@@ -89,6 +90,7 @@ class TcpServer:
             except OSError as error:
                 self._pause(listener, error)
                 return
+            self._is_short = False
             client.setblocking(False)
             self._clients.admit(client, address, self._make_session)
 
@@ -96,7 +98,9 @@ class TcpServer:
         """No descriptors, no memory: what waits to be accepted would wake the loop for ever."""
         if error.errno not in (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM):
             raise error
-        logger.warning("%s: cannot accept: %s", self._endpoint, reason(error))
+        if not self._is_short:
+            logger.warning("%s: cannot accept: %s", self._endpoint, reason(error))
+        self._is_short = True
         self._loop.remove_reader(listener.fileno())
         self._retries[listener] = self._loop.call_later(RETRY_AFTER, self._resume, listener)
 

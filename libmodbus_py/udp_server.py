@@ -24,6 +24,9 @@ READ_SIZE = 512
 
 ANSWERED_AT_ONCE = 16
 
+# How many answers faults may keep back; what comes meanwhile is lost.
+WAITING_MAX = 1024
+
 # How many addresses' rates are remembered: a sender can pretend to be as many as it likes.
 ADDRESSES_MAX = 4096
 
@@ -91,7 +94,7 @@ class UdpServer:
                 self._statistics.disallowed += 1
             elif self._is_too_fast(address[0]):
                 self._statistics.throttled += 1
-            else:
+            elif len(self._waiting) < WAITING_MAX:
                 self._answer(data, local, address)
 
     def _answer(self, data: bytes, local: socket.socket, address: tuple[str, int]) -> None:

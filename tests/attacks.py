@@ -1,0 +1,517 @@
+"""
+Attacks on a server, and what an innocent client sees of them.
+
+The server is a process of its own. The attackers are another, at a lower priority, for
+they stand for other machines: what is measured is the server, not who else gets this
+one's processors. The innocent is the process that imports this.
+
+``python attacks.py NAME PORT`` says "ready", attacks from the first line of its input
+to the end of it, and prints what it did as JSON.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import heapq
+import itertools
+import json
+import os
+import random
+import resource
+import selectors
+import signal
+import socket
+import statistics
+import struct
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO, NamedTuple, Self
+
+UNIT = 17
+READ_ONE = bytes.fromhex("03 0000 0001")
+READ_MOST = bytes.fromhex("03 0000 007d")
+
+# Seconds that a process may take to start or to stop, and an answer to come.
+PATIENCE = 20
+
+
+def adu(pdu: bytes, transaction: int = 1, unit: int = UNIT) -> bytes:
+    return struct.pack(">HHHB", transaction, 0, 1 + len(pdu), unit) + pdu
+
+
+def connect(port: int, host: str = "127.0.0.1") -> socket.socket:
+    connection = socket.create_connection((host, port), PATIENCE)
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    return connection
+
+
+def receive(connection: socket.socket, size: int) -> bytes:
+    """Give `size` bytes, fewer if the connection is closed before."""
+    data = bytearray()
+    while len(data) < size and (piece := connection.recv(size - len(data))):
+        data += piece
+    return bytes(data)
+
+
+@contextlib.contextmanager
+def descriptor_limit(wanted: int | None = None) -> Iterator[int]:
+    """
+    Set the limit of descriptors of this process and of those it starts.
+
+    Args:
+        wanted: None for as many as there may be.
+
+    Returns:
+        How many there are.
+    """
+    before = resource.getrlimit(resource.RLIMIT_NOFILE)
+    soft = before[1] if wanted is None else wanted
+    resource.setrlimit(resource.RLIMIT_NOFILE, (soft, before[1]))
+    try:
+        yield soft
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, before)
+
+
+class ServerProcess:
+    """``libmodbus-py serve`` on a free port; it must stop when it is told to."""
+
+    def __init__(self, *options: str, url: str = "tcp://127.0.0.1:0") -> None:
+        command = [sys.executable, "-m", "libmodbus_py", "serve", url, *options]
+        self._process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        self.pid = self._process.pid
+
+    def __enter__(self) -> Self:
+        assert self._process.stdout is not None
+        line = self._process.stdout.readline()
+        assert line.startswith("listening on "), line
+        self.port = int(line.rpartition(":")[2])
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._process.send_signal(signal.SIGTERM)
+        try:
+            assert self._process.wait(PATIENCE) == 0
+        finally:
+            self._process.kill()
+            self._process.communicate()
+
+    def descriptors(self) -> int:
+        return len(os.listdir(f"/proc/{self.pid}/fd"))
+
+    def settled_descriptors(self) -> int:
+        """How many it has when those who left are gone."""
+        before, now = -1, self.descriptors()
+        while now != before:
+            time.sleep(0.05)
+            before, now = now, self.descriptors()
+        return now
+
+    def threads(self) -> int:
+        return len(os.listdir(f"/proc/{self.pid}/task"))
+
+    def resident(self) -> int:
+        """Bytes of memory that are its own or shared."""
+        pages = int(Path(f"/proc/{self.pid}/statm").read_text().split()[1])
+        return pages * resource.getpagesize()
+
+    def has_descriptors(self, count: int) -> bool:
+        """Whether it has no more of them, soon."""
+        deadline = time.monotonic() + PATIENCE
+        while self.descriptors() > count:
+            if time.monotonic() > deadline:
+                return False
+            time.sleep(0.01)
+        return True
+
+
+# --- the innocent ------------------------------------------------------------------------
+
+
+@dataclass
+class Polled:
+    """What became of an innocent's requests; times are in seconds."""
+
+    latencies: list[float] = field(default_factory=list)
+    lost: int = 0
+    wrong: int = 0
+
+    @property
+    def requests(self) -> int:
+        return len(self.latencies) + self.lost
+
+    @property
+    def median(self) -> float:
+        return statistics.median(self.latencies)
+
+    @property
+    def p99(self) -> float:
+        return sorted(self.latencies)[len(self.latencies) * 99 // 100]
+
+    @property
+    def worst(self) -> float:
+        return max(self.latencies)
+
+
+class Innocent:
+    """A client that reads what it wrote, every two milliseconds."""
+
+    FIRST = 1000
+    VALUES = tuple(range(40_000, 40_010))
+    PERIOD = 0.002
+
+    def __init__(self, port: int) -> None:
+        self._port = port
+        self._transaction = 0
+        self._connection = connect(port)
+        data = struct.pack(f">{len(self.VALUES)}H", *self.VALUES)
+        self._request = struct.pack(">BHH", 3, self.FIRST, len(self.VALUES))
+        self._answer = bytes([3, len(data)]) + data
+        written = struct.pack(">BHHB", 16, self.FIRST, len(self.VALUES), len(data)) + data
+        self._connection.sendall(adu(written))
+        assert receive(self._connection, 12) == adu(written[:5])
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._connection.close()
+
+    def poll(self, seconds: float) -> Polled:
+        polled = Polled()
+        end = time.perf_counter() + seconds
+        while time.perf_counter() < end:
+            self._ask(polled)
+            time.sleep(self.PERIOD)
+        return polled
+
+    def _ask(self, polled: Polled) -> None:
+        self._transaction = (self._transaction + 1) & 0xFFFF
+        expected = adu(self._answer, self._transaction)
+        start = time.perf_counter()
+        try:
+            self._connection.sendall(adu(self._request, self._transaction))
+            answer = receive(self._connection, len(expected))
+        except OSError:
+            answer = b""
+        if len(answer) < len(expected):
+            polled.lost += 1
+            self._connection.close()
+            self._connection = connect(self._port)
+            return
+        polled.latencies.append(time.perf_counter() - start)
+        polled.wrong += answer != expected
+
+
+# --- honest work, and much of it ---------------------------------------------------------
+
+ANSWER_ONE = bytes.fromhex("03 02 0000")
+BLOCK = 100
+
+
+def churn(port: int, cycles: int) -> None:
+    """Connect, ask, close."""
+    answer = adu(ANSWER_ONE)
+    for number in range(cycles):
+        # From many addresses, so that ports that were used just now do not run out.
+        source = (f"127.3.0.{1 + number % 250}", 0)
+        with socket.create_connection(("127.0.0.1", port), PATIENCE, source) as connection:
+            connection.sendall(adu(READ_ONE))
+            assert receive(connection, len(answer)) == answer
+
+
+def pipeline(port: int, requests: int) -> None:
+    """Ask on one connection, a hundred requests at a time."""
+    with connect(port) as connection:
+        for first in range(0, requests, BLOCK):
+            numbers = [number & 0xFFFF for number in range(first, first + BLOCK)]
+            connection.sendall(b"".join(adu(READ_ONE, number) for number in numbers))
+            expected = b"".join(adu(ANSWER_ONE, number) for number in numbers)
+            assert receive(connection, len(expected)) == expected
+
+
+# --- the attacks -------------------------------------------------------------------------
+
+
+class Step(NamedTuple):
+    """What an attacker sends, how many bytes it waits for then, and how many seconds."""
+
+    send: bytes = b""
+    answer: int = 0
+    pause: float = 0.0
+
+
+# What one connection does; then it is closed, and another one made.
+Script = Callable[[], Iterator[Step]]
+
+
+@dataclass(frozen=True)
+class Attack:
+    name: str
+    connections: int
+    script: Script
+    reads: bool = True
+    sends: bool = True
+
+
+def _idle() -> Iterator[Step]:
+    while True:
+        yield Step(pause=60)
+
+
+def _byte_by_byte() -> Iterator[Step]:
+    while True:
+        for byte in adu(READ_ONE):
+            yield Step(bytes([byte]), pause=1)
+
+
+def _without_end(pdu: bytes) -> Script:
+    block = b"".join(adu(pdu, transaction) for transaction in range(500))
+
+    def script() -> Iterator[Step]:
+        while True:
+            yield Step(block)
+
+    return script
+
+
+def _random_bytes() -> Iterator[Step]:
+    while True:
+        yield Step(random.randbytes(4096))
+
+
+def _half_a_frame() -> Iterator[Step]:
+    yield Step(adu(READ_ONE)[:9])
+
+
+def _nothing() -> Iterator[Step]:
+    yield from ()
+
+
+def _sixteen_at_once() -> Iterator[Step]:
+    block = b"".join(adu(READ_ONE, transaction) for transaction in range(16))
+    while True:
+        yield Step(block, answer=16 * 11)
+
+
+def _in_twelve_segments() -> Iterator[Step]:
+    *begin, last = (bytes([byte]) for byte in adu(READ_ONE))
+    while True:
+        for byte in begin:
+            yield Step(byte)
+        yield Step(last, answer=11)
+
+
+ATTACKS = [
+    Attack("1000 idle connections", 1000, _idle, sends=False),
+    Attack("200 that send a byte a second", 200, _byte_by_byte),
+    Attack("50 that never read", 50, _without_end(READ_MOST), reads=False),
+    Attack("flood of unknown functions", 20, _without_end(b"\x63\x01\x02\x03")),
+    Attack("flood of illegal counts", 20, _without_end(bytes.fromhex("03 0000 ffff"))),
+    Attack("flood of random bytes", 20, _random_bytes),
+    Attack("flood of half frames", 20, _half_a_frame),
+    Attack("storm of connections", 20, _nothing, sends=False),
+    Attack("16 requests in a segment", 20, _sixteen_at_once),
+    Attack("a request in 12 segments", 20, _in_twelve_segments),
+]
+
+
+class Done(NamedTuple):
+    """What an attack came to: connections made, bytes sent and received."""
+
+    connected: int
+    sent: int
+    received: int
+
+
+class AttackerProcess:
+    """All the attackers of one attack."""
+
+    def __init__(self, attack: Attack, port: int) -> None:
+        self._process = subprocess.Popen(
+            [sys.executable, __file__, attack.name, str(port)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        assert self._read_line() == "ready\n"
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._process.kill()
+        self._process.communicate()
+
+    def begin(self) -> None:
+        assert self._process.stdin is not None
+        self._process.stdin.write("go\n")
+        self._process.stdin.flush()
+
+    def end(self) -> Done:
+        assert self._process.stdin is not None
+        self._process.stdin.close()
+        self._process.stdin = None  # communicate() would flush it
+        return Done(*json.loads(self._read_line()))
+
+    def _read_line(self) -> str:
+        assert self._process.stdout is not None
+        return self._process.stdout.readline()
+
+
+# --- the process that attacks ------------------------------------------------------------
+
+
+class Attackers:
+    """All connections of an attack, in one thread."""
+
+    def __init__(self, attack: Attack, port: int) -> None:
+        self.attack = attack
+        self.port = port
+        self.connected = self.sent = self.received = 0
+        self.selector = selectors.DefaultSelector()
+        self._open: set[Attacker] = set()
+        self._order = itertools.count()
+        self._pauses: list[tuple[float, int, Attacker]] = []
+
+    def run(self, until: IO[str]) -> Done:
+        """Attack until there is something to read."""
+        self.selector.register(until, selectors.EVENT_READ)
+        for number in range(self.attack.connections):
+            self.add(number)
+        while self._turn():
+            pass
+        for attacker in self._open:
+            attacker.close()
+        return Done(self.connected, self.sent, self.received)
+
+    def add(self, number: int) -> None:
+        self._open.add(Attacker(self, number))
+
+    def remove(self, attacker: Attacker) -> None:
+        self._open.discard(attacker)
+
+    def pause(self, attacker: Attacker, seconds: float) -> None:
+        heapq.heappush(self._pauses, (time.monotonic() + seconds, next(self._order), attacker))
+
+    def _turn(self) -> bool:
+        wait = max(0.0, self._pauses[0][0] - time.monotonic()) if self._pauses else None
+        for key, events in self.selector.select(wait):
+            if key.data is None:
+                return False
+            key.data.act(events)
+        while self._pauses and self._pauses[0][0] <= time.monotonic():
+            attacker = heapq.heappop(self._pauses)[2]
+            if attacker in self._open:
+                attacker.go_on()
+        return True
+
+
+class Attacker:
+    """One connection. When it ends, another one of its number begins."""
+
+    # Linux keeps for connect() what port there will be: another peer, the same port.
+    IP_BIND_ADDRESS_NO_PORT = 24
+
+    def __init__(self, attackers: Attackers, number: int) -> None:
+        self._all = attackers
+        self._number = number
+        self._reads = attackers.attack.reads
+        self._script = attackers.attack.script()
+        self._step = Step()
+        self._unsent = self._awaited = 0
+        self._is_connected = False
+        self._socket = socket.socket()
+        self._socket.setblocking(False)
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        # An address for each, so that none runs out of ports.
+        self._socket.setsockopt(socket.IPPROTO_IP, self.IP_BIND_ADDRESS_NO_PORT, 1)
+        self._socket.bind((f"127.1.{number // 250}.{1 + number % 250}", 0))
+        self._socket.connect_ex(("127.0.0.1", attackers.port))
+        attackers.selector.register(self._socket, selectors.EVENT_WRITE, self)
+
+    def close(self) -> None:
+        self._all.selector.unregister(self._socket)
+        self._socket.close()
+
+    def act(self, events: int) -> None:
+        try:
+            if events & selectors.EVENT_READ:
+                self._read()
+            if events & selectors.EVENT_WRITE:
+                self._write()
+        except BlockingIOError:
+            pass
+        except OSError:
+            self._begin_again()
+
+    def go_on(self) -> None:
+        """Take the next step."""
+        step = next(self._script, None)
+        if step is None:
+            self._begin_again()
+            return
+        self._step, self._unsent, self._awaited = step, len(step.send), step.answer
+        if self._unsent:
+            self._watch(selectors.EVENT_WRITE | selectors.EVENT_READ * self._reads)
+        else:
+            self._end_sending()
+
+    def _begin_again(self) -> None:
+        self.close()
+        self._all.remove(self)
+        self._all.add(self._number)
+
+    def _read(self) -> None:
+        data = self._socket.recv(65536)
+        if not data:
+            raise ConnectionResetError
+        self._all.received += len(data)
+        if self._awaited:
+            self._awaited = max(0, self._awaited - len(data))
+            if not self._awaited:
+                self.go_on()
+
+    def _write(self) -> None:
+        if not self._is_connected:
+            self._begin()
+            return
+        sent = self._socket.send(self._step.send[-self._unsent :])
+        self._all.sent += sent
+        self._unsent -= sent
+        if not self._unsent:
+            self._end_sending()
+
+    def _begin(self) -> None:
+        if error := self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):
+            raise OSError(error, os.strerror(error))
+        self._is_connected = True
+        self._all.connected += 1
+        self.go_on()
+
+    def _end_sending(self) -> None:
+        self._watch(selectors.EVENT_READ)
+        if self._step.pause:
+            self._all.pause(self, self._step.pause)
+        elif not self._awaited:
+            self.go_on()
+
+    def _watch(self, events: int) -> None:
+        self._all.selector.modify(self._socket, events, self)
+
+
+def main(name: str, port: str) -> None:
+    os.nice(5)
+    attack = next(attack for attack in ATTACKS if attack.name == name)
+    with descriptor_limit():
+        print("ready", flush=True)
+        sys.stdin.readline()
+        print(json.dumps(Attackers(attack, int(port)).run(until=sys.stdin)))
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
