@@ -1,13 +1,17 @@
 """
 A server under attack: what an innocent client sees before, and meanwhile.
 
-The attacks are those of tests/attacks.py. Attackers run at a lower priority, for they
-stand for other machines. Nobody else should use this one meanwhile.
+The attacks are those of tests/attacks.py. Attackers and the innocent stand for other
+machines: the server has a processor to itself (if there are two), the attackers run at the
+lowest priority, and the innocent before all others (if root measures). Nobody else should
+use this machine meanwhile.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
+import os
 import sys
 import time
 from collections.abc import Callable
@@ -29,6 +33,8 @@ from attacks import (
 
 TARGET = 20
 """How many times as long as undisturbed the worst answer may take."""
+
+PROCESSORS = os.sched_getaffinity(0)
 
 CYCLES = 100_000
 REQUESTS = 10_000_000
@@ -82,17 +88,29 @@ def wear(work: Callable[[int, int], None], count: int, what: str) -> None:
 
 
 def measure(attack: Attack, seconds: float) -> tuple[Polled, Polled]:
+    os.sched_setaffinity(0, PROCESSORS)
     with (
         ServerProcess() as server,
         Innocent(server.port) as innocent,
         AttackerProcess(attack, server.port) as attackers,
     ):
+        stand_for_others(server.pid, attackers.pid)
         innocent.poll(0.2)
         undisturbed = innocent.poll(seconds)
         attackers.begin()
         attacked = innocent.poll(seconds)
         attackers.end()
     return undisturbed, attacked
+
+
+def stand_for_others(server: int, attackers: int) -> None:
+    first, *rest = sorted(PROCESSORS)
+    if rest:
+        os.sched_setaffinity(server, {first})
+        os.sched_setaffinity(attackers, rest)
+        os.sched_setaffinity(0, rest)
+    with contextlib.suppress(PermissionError):
+        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(1))
 
 
 def row(name: str, undisturbed: Polled, attacked: Polled) -> str:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import gc
 import json
 import math
 import re
@@ -522,6 +523,10 @@ async def _serve_until_signal(server: Server, urls: list[str]) -> None:
     for number in (signal.SIGINT, signal.SIGTERM):
         asyncio.get_running_loop().add_signal_handler(number, stopped.set)
     async with server.serving(*urls) as running:
+        # Else every full search for garbage looks through all that was imported: 5 ms in
+        # which nobody is answered.
+        gc.collect()
+        gc.freeze()
         for address in running.urls:
             print(f"listening on {address}", flush=True)
         await stopped.wait()

@@ -272,6 +272,7 @@ class Connection:
         if self._descriptor < 0:
             return
         self._session.close()
+        del self._session  # which knows us: a circle would have to be looked for (gc)
         if self._release_timer is not None:
             self._release_timer.cancel()
         self._clients.forget(self._descriptor)

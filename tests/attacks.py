@@ -1,7 +1,7 @@
 """
 Attacks on a server, and what an innocent client sees of them.
 
-The server is a process of its own. The attackers are another, at a lower priority, for
+The server is a process of its own. The attackers are another, at the lowest priority, for
 they stand for other machines: what is measured is the server, not who else gets this
 one's processors. The innocent is the process that imports this.
 
@@ -338,6 +338,7 @@ class AttackerProcess:
             stdout=subprocess.PIPE,
             text=True,
         )
+        self.pid = self._process.pid
         assert self._read_line() == "ready\n"
 
     def __enter__(self) -> Self:
@@ -505,7 +506,7 @@ class Attacker:
 
 
 def main(name: str, port: str) -> None:
-    os.nice(5)
+    os.nice(19)
     attack = next(attack for attack in ATTACKS if attack.name == name)
     with descriptor_limit():
         print("ready", flush=True)
