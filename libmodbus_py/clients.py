@@ -3,9 +3,8 @@ The TCP connections of a server: who may come, who may stay, who must go.
 
 asyncio's transports buffer what they like and accept whoever comes; here every
 connection costs what `Limits` says at most. All of them wait in one epoll, and it alone
-in the loop. In a turn each is read once, and then all answers are sent: a client of
-many connections is woken once, not for each answer. Both together make a third more
-requests a second of 100 connections.
+in the loop. In a turn each is read once, and then all answers are sent: requests of many
+connections can be answered together, and who has many is woken once, not for each answer.
 """
 
 from __future__ import annotations
@@ -67,6 +66,8 @@ class Clients:
         self._deadlines: dict[Connection, float] = {}
         # Those that have something to send when all have been read.
         self._sending: list[Connection] = []
+        # What is to be done before that.
+        self._calls: list[Callable[[], None]] = []
         self._in_turn = False
         self._turns = 0
         self._now = 0.0  # the time of this turn
@@ -138,6 +139,10 @@ class Clients:
         del self._by_descriptor[descriptor]
         self._epoll.unregister(descriptor)
 
+    def later(self, call: Callable[[], None]) -> None:
+        """Have it called when all have been read, before answers are sent."""
+        self._calls.append(call)
+
     def send_soon(self, connection: Connection) -> None:
         """Have it send when all have been read."""
         if not self._sending and not self._in_turn:
@@ -155,13 +160,22 @@ class Clients:
                     greedy.append((connection, events))
                 else:
                     connection.act(events)
+        self._finish_turn()
         if greedy:
-            self._send()
             self._turns += 1
             for connection, events in nsmallest(GREEDY_AT_ONCE, greedy, key=_latest_turn):
                 connection.latest_turn = self._turns
                 connection.act(events)
+            self._finish_turn()
         self._in_turn = False
+
+    def _finish_turn(self) -> None:
+        calls, self._calls = self._calls, []
+        for call in calls:
+            try:
+                call()
+            except Exception:  # a mistake of ours must not end all turns
+                logger.exception("requests are lost")
         self._send()
 
     def _send(self) -> None:

@@ -11,10 +11,9 @@ import socket
 from collections.abc import Callable
 from dataclasses import replace
 
-from .chunk_session import ChunkSession
+from .chunk_session import ChunkSession, Singles
 from .clients import Clients
 from .errors import ModbusConnectionError
-from .limits import Statistics
 from .listening import addresses, reason
 from .session import FramerSession, Session
 from .units import SerialUnits, TcpUnits, Units
@@ -44,7 +43,7 @@ class TcpServer:
     def __init__(self, endpoint: Endpoint, units: Units, clients: Clients) -> None:
         self._clients = clients
         self._loop = asyncio.get_running_loop()
-        self._make_session = _maker(endpoint.framing, units, clients.statistics)
+        self._make_session = _maker(endpoint.framing, units, clients)
         self._listeners: list[socket.socket] = []
         self._retries: dict[socket.socket, asyncio.TimerHandle] = {}
         self._is_short = False  # of descriptors or memory
@@ -110,12 +109,14 @@ class TcpServer:
 
 
 def _maker(
-    framing: str, units: Units, statistics: Statistics
+    framing: str, units: Units, clients: Clients
 ) -> Callable[[str, Callable[[bytes], None], Callable[[], None]], Session]:
+    statistics = clients.statistics
     if framing != "tcp":
         line = SerialUnits(units)
         return lambda peer, *way: FramerSession(line, framing, peer, statistics, *way)
     own = TcpUnits(units)
     if units.faults:
         return lambda peer, *way: FramerSession(own, framing, peer, statistics, *way)
-    return lambda peer, write, _: ChunkSession(own, peer, statistics, write)
+    singles = Singles(own, statistics, clients.later)
+    return lambda peer, write, _: ChunkSession(own, peer, statistics, singles, write)

@@ -5,6 +5,7 @@ Requests that are answered by the chunk, in C, against the same requests one by 
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -13,7 +14,7 @@ from hypothesis import strategies as st
 from vectors import REQUESTS, FrameVector, rows
 
 from libmodbus_py import Access, Device, Mapping, pdu
-from libmodbus_py.chunk_session import ChunkSession
+from libmodbus_py.chunk_session import ChunkSession, Singles
 from libmodbus_py.errors import FrameError
 from libmodbus_py.faults import Faults
 from libmodbus_py.limits import Statistics
@@ -41,21 +42,32 @@ class End:
         self.statistics = Statistics()
         self.sent = bytearray()
         self.is_open = True
+        self.calls: list[Callable[[], None]] = []
         units = TcpUnits(Units(devices, Faults({}), unknown))
         if kind == "chunk":
-            self.session: Any = ChunkSession(units, "peer", self.statistics, self.write)
+            # Here every turn has one connection, which may be alone.
+            singles = Singles(units, self.statistics, self.calls.append)
+            self.session: Any = ChunkSession(units, "peer", self.statistics, singles, self.write)
         else:
             self.session = FramerSession(units, "tcp", "peer", self.statistics, self.write)
 
     def write(self, data: bytes) -> None:
         self.sent += data
 
-    def receive(self, data: bytes) -> None:
-        if self.is_open:
+    def share(self, other: End) -> None:
+        """Be read in the same turn as another one."""
+        self.session._singles = other.session._singles
+        self.calls = other.calls
+
+    def receive(self, data: bytes, *, is_last: bool = True) -> None:
+        """Take bytes; the last one in a turn has all answers made."""
+        if self.is_open and data:
             try:
                 self.session.receive(data)
             except FrameError:
                 self.is_open = False
+        while self.calls and is_last:
+            self.calls.pop()()
 
 
 @pytest.fixture(autouse=True)
@@ -177,6 +189,36 @@ def test_same_answers_contents_counters_and_statistics(
         states = [contents(first), contents(second), notes(first), notes(second)]
         ends.append((bytes(end.sent), states, end.statistics, end.is_open))
     assert ends[0] == ends[1]
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    st.lists(st.tuples(bodies(), st.sampled_from([1, 1, 1, 2, 9, 3])), min_size=1, max_size=12),
+    st.integers(0, 30),
+)
+def test_same_for_connections_that_send_one_request_each(
+    asked: list[tuple[bytes, int]], cut: int
+) -> None:
+    """Together, as in one turn of the server; one of them may send a part, and then the rest."""
+    states = []
+    for kind in ("chunk", "frames"):
+        hooked = made_device(before_write=lambda access: None)
+        devices = {1: made_device(), 2: made_device(), 3: hooked}
+        ends = [End(devices, kind) for _ in asked]
+        if kind == "chunk":
+            for end in ends:
+                end.share(ends[0])
+        requests = [adu(body, number, unit) for number, (body, unit) in enumerate(asked)]
+        ends[0].receive(requests[0][:cut], is_last=False)
+        requests[0] = requests[0][cut:]
+        for end, request in zip(ends, requests, strict=True):
+            end.receive(request, is_last=end is ends[-1])
+        sent = [bytes(end.sent) for end in ends]
+        counted = [end.statistics for end in ends]
+        totals = [sum(each.requests for each in counted), sum(each.refused for each in counted)]
+        tables = [contents(device) for device in devices.values()]
+        states.append((sent, totals, tables, [notes(device) for device in devices.values()]))
+    assert states[0] == states[1]
 
 
 @settings(max_examples=150, deadline=None)

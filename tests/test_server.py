@@ -35,7 +35,7 @@ from libmodbus_py import (
     pdu,
     serial_server,
 )
-from libmodbus_py.chunk_session import ChunkSession
+from libmodbus_py.chunk_session import ChunkSession, Singles
 from libmodbus_py.clients import Clients
 from libmodbus_py.faults import Faults
 from libmodbus_py.limits import Limits, Statistics
@@ -95,10 +95,13 @@ def test_who_only_listens_any_more_gets_all_answers(device: Device) -> None:
         statistics = Statistics()
         clients = Clients(Limits(), statistics)
         units = TcpUnits(Units(device, Faults({})))
+        singles = Singles(units, statistics, clients.later)
         end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
         end.setblocking(False)
         clients.admit(
-            end, ("peer", 1), lambda peer, write, _: ChunkSession(units, peer, statistics, write)
+            end,
+            ("peer", 1),
+            lambda peer, write, _: ChunkSession(units, peer, statistics, singles, write),
         )
         await asyncio.sleep(0.05)  # it has seen the end of the requests
         received = await asyncio.to_thread(receive, client, 1 << 20)
