@@ -325,6 +325,8 @@ class Line:
         frame = Frame(unit, request.encode(), transaction)
         self._adu = self._framer.encode(frame)
         self._link.wait_for_silence()
+        if self._framer.has_broadcast:
+            self._link.discard_input()  # what came while we waited is late, too
         self._link.send(self._adu, deadline)
         return frame
 

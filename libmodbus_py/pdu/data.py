@@ -42,8 +42,14 @@ class _Read(Request[Values]):
     response_length = counted(2, at=1)
 
     def __post_init__(self) -> None:
-        if _is_span(self.address, self.count, self.limit):
-            return
+        address, number = self.address, self.count
+        if (
+            type(address) is int
+            and type(number) is int
+            and 0 <= address <= TABLE_SIZE - number
+            and 1 <= number <= self.limit
+        ):
+            return  # the usual case, in a fifth of the time that it takes to say what is wrong
         count = integer("count", self.count, 1, self.limit)
         store(self, address=checked_span("address", self.address, "count", count), count=count)
 
@@ -53,17 +59,6 @@ class _Read(Request[Values]):
     @classmethod
     def decode(cls, pdu: bytes) -> Self:
         return cls(*struct.unpack(">HH", pdu[1:]))
-
-
-def _is_span(address: object, count: object, limit: int) -> bool:
-    """Tell the usual arguments in a fifth of the time that it takes to say what is wrong."""
-    return (
-        type(address) is int
-        and type(count) is int
-        and address >= 0
-        and 1 <= count <= limit
-        and address + count <= TABLE_SIZE
-    )
 
 
 class _ReadBits(_Read[list[bool]]):
