@@ -18,22 +18,18 @@ Call = Callable[[Any, Any], Any]
 
 
 def _read_bits(name: str) -> Call:
-    read = getattr(lib, name)
-
     def call(context: Any, request: Any) -> list[bool]:
         cells = ffi.new("uint8_t[]", request.count)
-        check(read(context, request.address, request.count, cells))
+        check(getattr(lib, name)(context, request.address, request.count, cells))
         return [cell != 0 for cell in ffi.unpack(cells, request.count)]
 
     return call
 
 
 def _read_registers(name: str) -> Call:
-    read = getattr(lib, name)
-
     def call(context: Any, request: Any) -> list[int]:
         cells = ffi.new("uint16_t[]", request.count)
-        check(read(context, request.address, request.count, cells))
+        check(getattr(lib, name)(context, request.address, request.count, cells))
         values: list[int] = ffi.unpack(cells, request.count)
         return values
 
