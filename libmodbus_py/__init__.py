@@ -15,9 +15,9 @@ The way of one request, file by file, which is also the order to read them in::
                 connection (tcp_link) or a UDP socket (udp_link)
       ... the wire ...
     server      Server: many clients, many endpoints (tcp_server, udp_server, serial_server;
-                listening finds addresses)
+                listening makes sockets)
     clients     the TCP connections of a server, within its limits
-    session     bytes in, answers out: chunk_session by the chunk, in C
+    session     bytes in, answers out; chunk_session on TCP, by the chunk and in C
     units       which device answers a frame, on TCP and on serial lines
     device      Device: request PDU in, response PDU out; beside it access (what hooks
                 see), communication (counters and log of a line), record_file

@@ -24,7 +24,7 @@ from .errors import FrameError
 from .limits import SPARE_DESCRIPTORS, Allowance, Limits, Statistics
 from .session import Session
 
-__all__ = ["Clients"]
+__all__ = ["Clients", "MakeSession"]
 
 logger = logging.getLogger(__name__)
 

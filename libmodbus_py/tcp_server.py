@@ -8,14 +8,11 @@ import asyncio
 import errno
 import logging
 import socket
-from collections.abc import Callable
-from dataclasses import replace
 
 from .chunk_session import ChunkSession, Singles
-from .clients import Clients
-from .errors import ModbusConnectionError
-from .listening import addresses, reason
-from .session import FramerSession, Session
+from .clients import Clients, MakeSession
+from .listening import bound, reason
+from .session import FramerSession
 from .units import SerialUnits, TcpUnits, Units
 from .url import Endpoint
 
@@ -51,26 +48,10 @@ class TcpServer:
 
     async def open(self) -> Endpoint:
         """Give the endpoint with the port it got."""
-        port = self._endpoint.port
-        found = await addresses(self._endpoint, socket.SOCK_STREAM)
-        try:
-            for family, host in found:
-                listener = socket.create_server(
-                    (host, port), family=family, backlog=BACKLOG, reuse_port=False
-                )
-                listener.setblocking(False)
-                self._listeners.append(listener)
-                if not port:  # a free one is free on one address; on the next it may be taken
-                    port = listener.getsockname()[1]
-                    break
-        except OSError as error:
-            self.close()
-            raise ModbusConnectionError(
-                f"cannot listen on {self._endpoint}: {reason(error)}", errno=error.errno
-            ) from error
+        self._listeners, endpoint = await bound(self._endpoint, socket.SOCK_STREAM, _listener)
         for listener in self._listeners:
             self._loop.add_reader(listener.fileno(), self._accept, listener)
-        return replace(self._endpoint, port=port)
+        return endpoint
 
     def close(self) -> None:
         for retry in self._retries.values():
@@ -108,9 +89,11 @@ class TcpServer:
         self._loop.add_reader(listener.fileno(), self._accept, listener)
 
 
-def _maker(
-    framing: str, units: Units, clients: Clients
-) -> Callable[[str, Callable[[bytes], None], Callable[[], None]], Session]:
+def _listener(family: socket.AddressFamily, address: tuple[str, int]) -> socket.socket:
+    return socket.create_server(address, family=family, backlog=BACKLOG)
+
+
+def _maker(framing: str, units: Units, clients: Clients) -> MakeSession:
     statistics = clients.statistics
     if framing != "tcp":
         line = SerialUnits(units)

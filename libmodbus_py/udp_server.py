@@ -7,12 +7,10 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import socket
-from dataclasses import replace
 from functools import partial
 
-from .errors import ModbusConnectionError
 from .limits import Allowance, Limits, Statistics
-from .listening import addresses, reason
+from .listening import bound
 from .session import FramerSession
 from .units import TcpUnits, Units
 from .url import Endpoint
@@ -54,27 +52,10 @@ class UdpServer:
 
     async def open(self) -> Endpoint:
         """Give the endpoint with the port it got."""
-        port = self._endpoint.port
-        found = await addresses(self._endpoint, socket.SOCK_DGRAM)
-        try:
-            for family, host in found:
-                made = socket.socket(family, socket.SOCK_DGRAM)
-                self._sockets.append(made)
-                if family == socket.AF_INET6:
-                    made.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
-                made.setblocking(False)
-                made.bind((host, port))
-                if not port:
-                    port = made.getsockname()[1]
-                    break
-        except OSError as error:
-            self.close()
-            raise ModbusConnectionError(
-                f"cannot listen on {self._endpoint}: {reason(error)}", errno=error.errno
-            ) from error
+        self._sockets, endpoint = await bound(self._endpoint, socket.SOCK_DGRAM, _bound)
         for made in self._sockets:
             self._loop.add_reader(made.fileno(), self._read, made)
-        return replace(self._endpoint, port=port)
+        return endpoint
 
     def close(self) -> None:
         for session in self._waiting:
@@ -127,6 +108,18 @@ class UdpServer:
             return True
         allowance.spend(1)
         return False
+
+
+def _bound(family: socket.AddressFamily, address: tuple[str, int]) -> socket.socket:
+    made = socket.socket(family, socket.SOCK_DGRAM)
+    try:
+        if family == socket.AF_INET6:
+            made.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
+        made.bind(address)
+    except OSError:
+        made.close()
+        raise
+    return made
 
 
 def _send(local: socket.socket, address: tuple[str, int], answer: bytes) -> None:
