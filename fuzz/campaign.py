@@ -18,6 +18,7 @@ import sys
 import tempfile
 from pathlib import Path
 
+from command import numbers, progress
 from inputs import TARGETS
 
 HERE = Path(__file__).parent
@@ -57,14 +58,15 @@ def fuzz(name: str, seconds: int, scratch: Path) -> bool:
     options = ["-max_len=2048", "-timeout=10", f"-artifact_prefix={FINDINGS}/{name}-"]
     options += [f"-max_total_time={seconds}"]
     environment = {**os.environ, "PYTHONPATH": str(HERE.parent)}
-    done = subprocess.run(
-        [*run, *options, corpus],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        errors="replace",
-        env=environment,
-    )
+    with progress(f"{name}, {seconds} s"):
+        done = subprocess.run(
+            [*run, *options, corpus],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            errors="replace",
+            env=environment,
+        )
     inputs = max((int(number) for number in re.findall(r"^#(\d+)\s", done.stdout, re.M)), default=0)
     print(f"{name}: {inputs} inputs, {'no finding' if done.returncode == 0 else 'A FINDING'}")
     if done.returncode:
@@ -74,7 +76,7 @@ def fuzz(name: str, seconds: int, scratch: Path) -> bool:
 
 
 def main() -> int:
-    seconds = int(sys.argv[1]) if len(sys.argv) > 1 else 60
+    (seconds,) = numbers(__doc__, seconds=60)
     FINDINGS.mkdir(exist_ok=True)
     with tempfile.TemporaryDirectory() as scratch:
         each = max(1, seconds // len(TARGETS))

@@ -14,6 +14,7 @@ from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 
 from bad_line import UNITS, BadLine, Framing
+from command import numbers, progress
 from transactions import Lateness, Tally, Transactions, known_device
 
 from libmodbus_py import AsciiContext, Context, RtuContext, Server
@@ -60,14 +61,14 @@ def _in_a_process(name: str, count: int, seed: int) -> Tally:
 
 
 def main() -> int:
-    arguments = [int(argument) for argument in sys.argv[1:]]
-    total, seed = [*arguments, *[100_000, 1][len(arguments) :]]
+    total, seed = numbers(__doc__, transactions=100_000, seed=1)
     with ProcessPoolExecutor(len(LINES)) as processes:
         waiting = {
             name: processes.submit(_in_a_process, name, -(-total // len(LINES)), seed + number)
             for number, name in enumerate(LINES)
         }
-    tallies = {name: future.result() for name, future in waiting.items()}
+        with progress(f"{total} transactions"):
+            tallies = {name: future.result() for name, future in waiting.items()}
     for name, tally in tallies.items():
         print(f"{name}, seed {seed + list(LINES).index(name)}", tally, "", sep="\n")
     return 0 if all(tally.is_good for tally in tallies.values()) else 1

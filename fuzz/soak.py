@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from bad_line import UNITS, BadLine
+from command import numbers, progress
 from hostile import Hostile, Innocent
 from serial_faults import BAUDRATE, LINES, client
 from transactions import Lateness, Tally, Transactions, known_device, seconds_left
@@ -109,8 +110,7 @@ def settled(process: int, before: Size) -> Size:
 
 
 def main() -> int:
-    arguments = [int(argument) for argument in sys.argv[1:]]
-    seconds, seed = [*arguments, *[60, 1][len(arguments) :]]
+    seconds, seed = numbers(__doc__, seconds=60, seed=1)
     with contextlib.ExitStack() as stack:
         # Before there are threads, which a fork does not bring along.
         processes = stack.enter_context(ProcessPoolExecutor(HOSTILES))
@@ -134,7 +134,7 @@ def main() -> int:
             processes.submit(attack, port, seconds, seed + number) for number in range(HOSTILES)
         ]
         goes_on, largest = seconds_left(seconds), before
-        with Innocent(port, seed) as innocent:
+        with progress(f"soak of {seconds} s"), Innocent(port, seed) as innocent:
             while goes_on():
                 innocent.read()
                 largest = Size(*map(max, largest, Size.of(process)))
