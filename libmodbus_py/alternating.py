@@ -109,7 +109,7 @@ class Alternating:
         assert asked is not None
         if isinstance(found, ModbusError):
             found.received = self._received
-        return [Answer(asked, found)]
+        return [(asked, found)]
 
     def overdue(self, now: float) -> list[Answer]:
         due = self.next_due()

@@ -227,9 +227,11 @@ class Channel:
         while queue and room:
             batch = queue.popleft()
             batch.queued = False
-            if batch.has_next:
+            while room and batch.in_flight < batch.limit and batch.has_next:
                 adus.append(self._start(batch, now))
                 room -= 1
+                if queue:
+                    break  # the others have their turn
             if batch.in_flight < batch.limit and batch.has_next:
                 self._enqueue(batch)
         self.statistics.requests += len(adus)

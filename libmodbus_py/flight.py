@@ -13,7 +13,7 @@ import copy
 from asyncio import Future
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, NamedTuple, Protocol
+from typing import Any, Final, Protocol
 
 from .errors import FrameError, InvalidResponse, ModbusError, ModbusTimeoutError
 from .framing import Frame, Framer, UdpFramer
@@ -146,11 +146,9 @@ class Asked:
         self.since = since
 
 
-class Answer(NamedTuple):
-    """What became of a request: the PDU that answers it, or why there is none."""
-
-    asked: Asked
-    found: bytes | ModbusError
+# What became of a request: the PDU that answers it, or why there is none. A plain tuple:
+# a class of its own would take as long as all else that is done with it.
+Answer = tuple[Asked, bytes | ModbusError]
 
 
 class Flight(Protocol):
@@ -304,7 +302,7 @@ class Numbered:
                 self._abandoned.pop(number, None)
                 self._statistics.late_answers += 1
             elif asked.batch.unit == unit:
-                answers.append(Answer(asked, pdu))
+                answers.append((asked, pdu))
             else:
                 received = self._framer.encode(each)
                 answers.append(self._invalid(asked, f"unit {unit} answered", received))
@@ -314,18 +312,18 @@ class Numbered:
 
     def _invalid(self, asked: Asked, reason: str, received: bytes) -> Answer:
         self._statistics.invalid += 1
-        return Answer(asked, InvalidResponse(reason, received=received))
+        return asked, InvalidResponse(reason, received=received)
 
     def _blame(self, error: FrameError) -> list[Answer]:
         """Find whose answer it should have been: all, when nothing can be understood any more."""
         self._statistics.invalid += 1
         if not self._framer.in_step:
             asked, self._asked = list(self._asked.values()), {}
-            return [Answer(each, copy.copy(error)) for each in asked]
+            return [(each, copy.copy(error)) for each in asked]
         if isinstance(self._framer, UdpFramer):
             return []  # the next datagram may be the right one
         one = self._asked.pop(int.from_bytes(error.received[:2], "big"), None)
-        return [Answer(one, error)] if one else []
+        return [(one, error)] if one else []
 
     def fall_silent(self) -> list[Answer]:
         return []
@@ -336,11 +334,11 @@ class Numbered:
             for number, asked in self._asked.items()
             if asked.since + self.timeout <= now
         ]
-        answers = []
+        answers: list[Answer] = []
         for number, asked in late:
             self._give_up(number)
             begun = self._rest.startswith(asked.adu[:2])
-            answers.append(Answer(asked, no_answer(self.timeout, self._rest if begun else b"")))
+            answers.append((asked, no_answer(self.timeout, self._rest if begun else b"")))
         return answers
 
     def _give_up(self, number: int) -> None:
