@@ -12,12 +12,13 @@ import errno
 import time
 from collections import deque
 
-from .connection import Connection, State, alike
+from .connection import Connection, State
 from .errors import (
     ExceptionResponse,
     InvalidResponse,
     ModbusConnectionError,
     ModbusError,
+    alike,
 )
 from .flight import Answer, Asked, Batch, Flight, Statistics
 from .transport import Transport

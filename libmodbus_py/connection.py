@@ -5,19 +5,17 @@ The life of a connection: opened when somebody wants it, lost, opened again.
 from __future__ import annotations
 
 import asyncio
-import copy
 import enum
 import errno
 import logging
 import random
 from collections.abc import Callable
-from typing import TypeVar
 
 from .errors import ModbusConnectionError, ModbusError
 from .flight import Statistics
 from .transport import Transport
 
-__all__ = ["Connection", "State", "alike"]
+__all__ = ["Connection", "State"]
 
 logger = logging.getLogger(__name__)
 
@@ -183,16 +181,6 @@ class Connection:
                 self._on_state(state, error)
             except Exception:
                 logger.exception("on_state(%s) failed", state.name)
-
-
-Error = TypeVar("Error", bound=ModbusError)
-
-
-def alike(error: Error) -> Error:
-    """Copy an error, for everyone who meets it completes his own."""
-    made = copy.copy(error)
-    made.__cause__ = error.__cause__
-    return made
 
 
 def _because_of(cause: ModbusConnectionError, reason: str) -> ModbusConnectionError:

@@ -19,7 +19,8 @@ A server refuses a request by raising the same `ExceptionResponse` classes.
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, TypedDict, Unpack
+import copy
+from typing import Any, ClassVar, TypedDict, TypeVar, Unpack
 
 __all__ = [
     "Acknowledge",
@@ -235,3 +236,13 @@ class ModbusConnectionError(ModbusError, ConnectionError):
     def __reduce__(self) -> tuple[Any, ...]:
         # OSError keeps errno outside of __dict__, and would lose it in a copy.
         return type(self), self.args, {**vars(self), "errno": self.errno}
+
+
+Error = TypeVar("Error", bound=ModbusError)
+
+
+def alike(error: Error) -> Error:
+    """Copy an error that several requests meet: each completes its own."""
+    made = copy.copy(error)
+    made.__cause__ = error.__cause__
+    return made

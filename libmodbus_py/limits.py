@@ -70,6 +70,8 @@ class Limits:
             seconds("idle_timeout", self.idle_timeout)
         integer("max_unsent", self.max_unsent, 0, 2**30)
         object.__setattr__(self, "_networks", _networks(self.allow))
+        # Not what was given: a generator is empty now, and a copy would allow everybody.
+        object.__setattr__(self, "allow", tuple(map(str, self._networks)))
         if self.requests_per_second is not None:
             _rate(self.requests_per_second)
 

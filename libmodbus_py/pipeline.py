@@ -6,7 +6,6 @@ Nothing here opens or closes a connection: that is for the line.
 
 from __future__ import annotations
 
-import copy
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -18,6 +17,7 @@ from .errors import (
     ModbusConnectionError,
     ModbusError,
     ModbusTimeoutError,
+    alike,
 )
 from .framing import Frame, Framer
 from .link import TIMEOUTS_BEFORE_RECONNECT, Link
@@ -132,7 +132,7 @@ class Pipeline:
             self._sent = self._end
         self._in_flight.clear()
         for place, adu in lost:
-            self._fail(place, adu, _alike(error))
+            self._fail(place, adu, alike(error))
 
     def leave(self) -> None:
         """Wait no more for what is in flight."""
@@ -226,7 +226,10 @@ def one_by_one(
     losses = 0
     for request in requests:
         if losses >= LOSSES_BEFORE_END:
-            outcomes.append(_alike(outcomes[-1], asked=request))
+            error = alike(outcomes[-1])
+            error.function, error.asked = request.function, str(request)
+            error.sent = error.received = b""
+            outcomes.append(error)
             continue
         try:
             outcomes.append(execute(request))
@@ -238,12 +241,3 @@ def one_by_one(
             error.__traceback__ = None
             outcomes.append(error)
     return outcomes
-
-
-def _alike(error: ModbusError, asked: Request[Any] | None = None) -> ModbusError:
-    """Another one for another request."""
-    made = copy.copy(error)
-    made.__cause__ = error.__cause__
-    if asked is not None:
-        made.function, made.asked, made.sent, made.received = asked.function, str(asked), b"", b""
-    return made

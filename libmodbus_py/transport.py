@@ -18,6 +18,7 @@ from collections.abc import Iterator
 from typing import Any, Protocol
 
 from .errors import ModbusConnectionError, ModbusTimeoutError
+from .link import lost
 from .serial_link import SerialLink
 
 __all__ = ["SerialTransport", "TcpTransport", "Transport", "UdpTransport"]
@@ -111,7 +112,7 @@ class TcpTransport:
         except BlockingIOError:
             return []
         except OSError as error:
-            raise _lost(error) from error
+            raise lost(error) from error
         if not data:
             raise ModbusConnectionError("closed by the other side", errno=errno.ECONNRESET)
         return [data]
@@ -133,7 +134,7 @@ class TcpTransport:
         except BlockingIOError:
             return 0
         except OSError as error:
-            raise _lost(error) from error
+            raise lost(error) from error
 
     def _send_unsent(self) -> None:
         try:
@@ -183,7 +184,7 @@ class UdpTransport:
         except BlockingIOError:
             pass
         except OSError as error:
-            raise _lost(error) from error
+            raise lost(error) from error
         return datagrams
 
     def send(self, adus: list[bytes]) -> None:
@@ -194,7 +195,7 @@ class UdpTransport:
             except BlockingIOError:
                 return  # lost, as any datagram may be
             except OSError as error:
-                raise _lost(error) from error
+                raise lost(error) from error
 
     def time_to_silence(self) -> float:
         return 0.0
@@ -309,7 +310,3 @@ async def _resolve(host: str, port: int, kind: socket.SocketKind) -> list[Any]:
 
 def _place(host: str, port: int) -> str:
     return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
-
-
-def _lost(error: OSError) -> ModbusConnectionError:
-    return ModbusConnectionError(error.strerror or str(error), errno=error.errno)

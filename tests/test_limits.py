@@ -4,6 +4,7 @@ What clients may cost a server, limit by limit, and what it counts of them.
 
 from __future__ import annotations
 
+import dataclasses
 import gc
 import math
 import os
@@ -455,6 +456,12 @@ def test_the_last_answers_must_be_taken_within_the_time_of_a_frame(kind: str) ->
 )
 def test_networks(allow: list[str], host: str, allowed: bool) -> None:
     assert Limits(allow=allow).allows(host) is allowed
+
+
+def test_a_copy_of_limits_allows_no_more() -> None:
+    limits = dataclasses.replace(Limits(allow=iter(["192.0.2.7"])), max_connections=5)
+    assert limits.allows("192.0.2.7")
+    assert not limits.allows("192.0.2.8")
 
 
 def test_hosts_outside_are_closed_at_once(kind: str) -> None:
