@@ -9,13 +9,13 @@ from pathlib import Path
 
 from cffi import FFI
 
-HERE = Path(__file__).parent / "libmodbus_py"
+HERE = Path(__file__).parent / "libmodbus_py" / "binding"
 
 ffi = FFI()
 ffi.cdef((HERE / "_libmodbus.h").read_text())
 ffi.set_source(
-    "libmodbus_py._libmodbus",
-    "".join((HERE / name).read_text() for name in ("_libmodbus.c", "_chunk.c")),
+    "libmodbus_py.binding._libmodbus",
+    "".join((HERE / name).read_text() for name in ("_libmodbus.c", "answer_chunk.c")),
     libraries=["modbus"],
 )
 

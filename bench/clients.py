@@ -69,7 +69,7 @@ def context_execute_many(place: str, blocks: list[Block]) -> Iterator[Read]:
 
 @contextmanager
 def async_client(place: str, execute_all: Callable[[Any], Any]) -> Iterator[Read]:
-    from libmodbus_py.client import AsyncClient
+    from libmodbus_py.client.asynchronous import AsyncClient
 
     with asyncio.Runner() as runner:
         client = AsyncClient(f"tcp://{HOST}:{place}", max_in_flight=IN_FLIGHT)

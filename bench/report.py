@@ -25,7 +25,7 @@ from memory import FEW, MANY, Memory
 from results import Results
 from targets import Outcome
 
-from libmodbus_py.low_level import loaded_version
+from libmodbus_py.binding.low_level import loaded_version
 
 DISTRIBUTIONS = ("pymodbus", "pylibmodbus", "pyModbusTCP", "uModbus", "minimalmodbus")
 TITLES = {

@@ -11,7 +11,7 @@ copy=build/asan
 rm -rf $copy
 mkdir -p $copy
 cp -r libmodbus_py tests fuzz build_ffi.py setup.py pyproject.toml README.md LICENSE $copy
-rm -f $copy/libmodbus_py/_libmodbus.*so
+rm -f $copy/libmodbus_py/binding/_libmodbus.*so
 cd $copy
 
 flags="-g -O1 -fno-omit-frame-pointer -fsanitize=address,undefined -fno-sanitize-recover=all"
@@ -27,16 +27,16 @@ LD_PRELOAD=$(gcc -print-file-name=libasan.so)
 export LD_PRELOAD
 
 "$python" - <<'END'
-from libmodbus_py import _libmodbus
+from libmodbus_py.binding import _libmodbus
 maps = open("/proc/self/maps").read()
 assert "libasan" in maps and "build/asan" in _libmodbus.__file__, _libmodbus.__file__
 print("asan:", _libmodbus.__file__)
 END
 
 result=0
-[ $# -gt 0 ] || set -- tests/test_device.py tests/test_mapping.py tests/test_contexts.py \
-    tests/test_server.py tests/test_functions.py tests/test_bad_answers.py \
-    tests/test_fuzz.py tests/test_interop_libmodbus.py
+[ $# -gt 0 ] || set -- tests/device/test_device.py tests/device/test_mapping.py tests/client/test_contexts.py \
+    tests/server/test_server.py tests/client/test_functions.py tests/client/test_bad_answers.py \
+    tests/test_fuzz.py tests/interop/test_interop_libmodbus.py
 "$python" -m pytest -n 2 -q -p no:cacheprovider --timeout=180 \
     -k "not takes_memory_only" "$@" || result=$?
 for report in report.*; do

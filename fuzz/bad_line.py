@@ -1,7 +1,7 @@
 """
 A serial line on which things go wrong, one at a time and on demand.
 
-Two pseudo-terminals, joined like the cable of `libmodbus_py.tap.SerialWire`. The next
+Two pseudo-terminals, joined like the cable of `libmodbus_py.testing.wires.SerialWire`. The next
 frame of one side suffers what `arm` says; all others pass untouched.
 
 What is injected is what the framing promises to notice, so that a wrong value

@@ -14,13 +14,20 @@ from pathlib import Path
 from typing import Any
 
 from libmodbus_py import Device, FrameError, InvalidResponse, Mapping, pdu
-from libmodbus_py.errors import (
+from libmodbus_py.protocol.errors import (
     ExceptionResponse,
     IllegalDataAddress,
     IllegalDataValue,
     IllegalFunction,
 )
-from libmodbus_py.framing import AsciiFramer, Frame, Framer, RtuFramer, TcpFramer, UdpFramer
+from libmodbus_py.protocol.framing import (
+    AsciiFramer,
+    Frame,
+    Framer,
+    RtuFramer,
+    TcpFramer,
+    UdpFramer,
+)
 
 __all__ = [
     "FRAMERS",

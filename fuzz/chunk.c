@@ -8,7 +8,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 
-#include "../libmodbus_py/_chunk.c"
+#include "../libmodbus_py/binding/answer_chunk.c"
 
 #define CHECK(truth)                                                      \
     do {                                                                  \

@@ -32,12 +32,18 @@ requests), _c and low_level (libmodbus), cli and demo, device_file with behaviou
 Addresses are 0-based and times are in seconds everywhere.
 """
 
-from . import framing, pdu, values
-from .access import Access
-from .client import AsyncClient, State
-from .context import AsciiContext, Context, RtuContext, TcpContext, UdpContext
-from .device import Caller, Device
-from .errors import (
+import sys
+
+from .binding import low_level
+from .client.asynchronous import AsyncClient, State
+from .client.blocking import AsciiContext, Context, RtuContext, TcpContext, UdpContext
+from .client.plan import Plan, Read
+from .device.access import Access
+from .device.device import Caller, Device
+from .device.mapping import Mapping
+from .device.record_file import RecordFile
+from .protocol import errors, framing, pdu, values
+from .protocol.errors import (
     Acknowledge,
     ExceptionResponse,
     FrameError,
@@ -55,12 +61,10 @@ from .errors import (
     ServerDeviceBusy,
     ServerDeviceFailure,
 )
-from .faults import Fault
-from .limits import Limits
-from .mapping import Mapping
-from .plan import Plan, Read
-from .record_file import RecordFile
-from .server import Running, Server
+from .server.faults import Fault
+from .server.limits import Limits
+from .server.server import Running, Server
+from .simulator import device_file
 
 __all__ = [
     "Access",
@@ -97,9 +101,16 @@ __all__ = [
     "State",
     "TcpContext",
     "UdpContext",
+    "device_file",
+    "errors",
     "framing",
+    "low_level",
     "pdu",
     "values",
 ]
 
 __version__ = "0.1.0"
+
+# The short paths of what programs import by name: ``from libmodbus_py.pdu import ReadCoils``.
+for _module in (device_file, errors, framing, low_level, pdu, values):
+    sys.modules[f"{__name__}.{_module.__name__.rpartition('.')[2]}"] = _module

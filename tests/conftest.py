@@ -4,13 +4,15 @@ What the tests share: a device with known contents, and a server for it on every
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from pathlib import Path
 
 import pytest
+from c_programs import SOURCES, compile_c
 
 from libmodbus_py import Device, Mapping, Server
-from libmodbus_py.tap import SerialWire
+from libmodbus_py.testing.wires import SerialWire
 
 UNIT = 17
 
@@ -49,3 +51,15 @@ def url(request: pytest.FixtureRequest, device: Device) -> Iterator[str]:
             address = f"{request.param}://{wire.server}?baudrate=115200"
             stack.enter_context(Server({UNIT: device}).background(address))
             yield f"{request.param}://{wire.client}?baudrate=115200"
+
+
+@pytest.fixture(scope="session")
+def compiled(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """Gives the program of a source in tests/c, compiled once."""
+    directory = tmp_path_factory.mktemp("c")
+
+    def get(name: str) -> Path:
+        made = directory / name
+        return made if made.exists() else compile_c(SOURCES / f"{name}.c", made)
+
+    return get

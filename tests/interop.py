@@ -13,9 +13,9 @@ from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 from libmodbus_py import Context, Device, Mapping, Server
-from libmodbus_py.pdu import ServerId
-from libmodbus_py.tap import SerialWire, TcpWire
-from libmodbus_py.url import Endpoint, parse
+from libmodbus_py.ports.endpoint import Endpoint, parse
+from libmodbus_py.protocol.pdu import ServerId
+from libmodbus_py.testing.wires import SerialWire, TcpWire
 
 UNIT = 17
 BAUDRATE = 115200

@@ -28,7 +28,7 @@ Row = tuple[str, str, str]  # peer, role, transport
 
 def run(report: Path, options: list[str]) -> int:
     """Run the tests; their own output goes to standard error."""
-    files = sorted(HERE.glob("test_interop_*.py"))
+    files = sorted(HERE.glob("interop/test_interop_*.py"))
     command = [sys.executable, "-m", "pytest", "-q", *files, f"--junitxml={report}", *options]
     return subprocess.run(command, cwd=HERE.parent, stdout=sys.stderr).returncode
 

@@ -13,7 +13,7 @@ from bad_line import FAULTS, BadLine, Framing, Hurt
 from serial_faults import LINES, on_a_line
 from vectors import FRAMES, FrameVector, rows
 
-from libmodbus_py.framing import AsciiFramer, Frame, Framer, Role, RtuFramer
+from libmodbus_py.protocol.framing import AsciiFramer, Frame, Framer, Role, RtuFramer
 
 TIMEOUT = 0.15
 

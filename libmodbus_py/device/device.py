@@ -1,0 +1,452 @@
+"""
+A device: request PDU in, response PDU out.
+
+What libmodbus knows is answered from the mapping by its modbus_reply (`engine`),
+behind the exact checks that it lacks; the rest by the methods here. All state is
+the device's own: two devices share nothing.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Mapping as MappingABC
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
+
+from ..protocol.checks import integer
+from ..protocol.errors import (
+    ExceptionResponse,
+    IllegalDataAddress,
+    IllegalDataValue,
+    IllegalFunction,
+    ServerDeviceFailure,
+)
+from ..protocol.pdu import (
+    MAX_PDU,
+    REQUESTS,
+    CommEventCounter,
+    CommEventLog,
+    Diagnostics,
+    EncapsulatedTransport,
+    IdentificationPage,
+    ReadCommEventCounter,
+    ReadCommEventLog,
+    ReadDeviceIdentification,
+    ReadExceptionStatus,
+    ReadFifoQueue,
+    ReadFileRecords,
+    ReportServerId,
+    Request,
+    ServerId,
+    SubFunction,
+    WriteFileRecords,
+    decode_request,
+)
+from ..protocol.pdu.interface import OBJECT_NAMES, ReadDeviceIdCode, pages
+from .access import ACCESSES, Access, Touched
+from .event_log import Communication
+from .mapping import Mapping
+from .record_file import RecordFile
+from .reply import Answered, engine, make_tally
+
+__all__ = ["Caller", "Device"]
+
+logger = logging.getLogger(__name__)
+
+Hook = Callable[[Access], object]
+
+DEFAULT_SERVER_ID = ServerId(b"\x01", True, b"libmodbus-py")
+
+DEFAULT_IDENTIFICATION: dict[str | int, str | bytes] = {
+    "VendorName": "libmodbus-py",
+    "ProductCode": "Device",
+    "MajorMinorRevision": "0.1",
+}
+
+
+@dataclass(frozen=True)
+class Caller:
+    """
+    Who asks.
+
+    Attributes:
+        unit: the unit that was addressed, 0..255.
+        peer: "host:port", or the serial port.
+        communication: the device's notes about the line; None for its own.
+        is_broadcast: whether nobody is answered.
+    """
+
+    unit: int = 0
+    peer: str = ""
+    communication: Communication | None = None
+    is_broadcast: bool = False
+
+
+class Device:
+    """
+    Answers the requests of one unit. Safe from any thread.
+
+    Hooks are called with an `Access`, while the mapping is locked; they run in the
+    server's loop, so they should be quick. One that raises an ExceptionResponse class
+    refuses the request with it; any other exception is answered with 4 and logged
+    once. They see only accesses to what exists.
+
+    Args:
+        mapping: the four tables.
+        files: ``{file number 1..65535: records}``, records as for `RecordFile`.
+        fifos: ``{pointer address 0..65535: registers}``, up to 31 in each.
+        identification: ``{object: value}``; objects are names such as
+            "VendorName" or ids 0..6, 128..255, values up to 244 bytes or ASCII
+            text. The three mandatory objects have defaults.
+        server_id: the answer to function 17.
+        exception_status: the answer to function 7, 0..255.
+        canopen: called with the data of function 43/13, gives the data of the answer.
+        handlers: ``{request class: function}`` for classes that were registered
+            with `pdu.register`: called with the request, gives its result.
+        before_write: may refuse a write.
+        after_write: told of a write that was done.
+        before_read: may refresh the values, or refuse; of function 23 it is
+            called before the write, as all that may refuse comes before any change.
+
+    Attributes:
+        mapping, server_id, exception_status: as given, and assignable.
+        files: ``{file number: RecordFile}``, what clients wrote included.
+        fifos: ``{pointer address: list of registers}``; change the lists as you like.
+        diagnostic_register: the answer to sub-function 2 of function 8, 0..65535.
+        is_plain: whether the tables are libmodbus's alone: no hook sees requests for
+            them, and no handler answers any.
+
+    Raises:
+        TypeError, ValueError: an argument of the wrong type or range.
+    """
+
+    def __init__(
+        self,
+        mapping: Mapping,
+        *,
+        files: MappingABC[int, Iterable[int] | MappingABC[int, int]] | None = None,
+        fifos: MappingABC[int, Sequence[int]] | None = None,
+        identification: MappingABC[str | int, str | bytes] | None = None,
+        server_id: ServerId = DEFAULT_SERVER_ID,
+        exception_status: int = 0,
+        canopen: Callable[[bytes], bytes] | None = None,
+        handlers: MappingABC[type[Request[Any]], Callable[[Any], Any]] | None = None,
+        before_write: Hook | None = None,
+        after_write: Hook | None = None,
+        before_read: Hook | None = None,
+    ) -> None:
+        if not isinstance(mapping, Mapping):
+            raise TypeError(f"mapping must be a Mapping, not {type(mapping).__name__}")
+        self.mapping = mapping
+        self.files: dict[int, RecordFile] = {
+            integer("file", number, 1, 0xFFFF): RecordFile(records)
+            for number, records in (files or {}).items()
+        }
+        self.fifos: dict[int, list[int]] = {
+            integer("fifo", address, 0, 0xFFFF): list(queue)
+            for address, queue in (fifos or {}).items()
+        }
+        self.server_id = server_id
+        self.exception_status = integer("exception_status", exception_status, 0, 0xFF)
+        self.diagnostic_register = 0
+        self._identification = _checked_identification(identification or {})
+        self._canopen = canopen
+        self._handlers = {**self._own, **_bound(handlers or {})}
+        self._hooks = (before_write, after_write, before_read)
+        self._is_hooked = any(self._hooks)
+        replied = ACCESSES.keys() - self._own.keys()
+        self.is_plain = not self._is_hooked and self._handlers.keys().isdisjoint(replied)
+        self._communication = Communication(is_serial=False)
+        self._tally = make_tally()
+        self._failed: set[int] = set()
+
+    def answer(self, pdu: bytes, caller: Caller = Caller()) -> bytes:
+        """
+        Execute a request.
+
+        Args:
+            pdu: the request, 1..253 bytes.
+            caller: who asks.
+
+        Returns:
+            The response, an exception response included; nothing for function
+            codes 128..255, whose exception has no code, for broadcasts, and in
+            listen-only mode.
+        """
+        function = pdu[0]
+        if function & 0x80:
+            return b""
+        line = caller.communication or self._own_communication()
+        line.note_request(broadcast=caller.is_broadcast)
+        listening = line.listen_only
+        restart = pdu[:3] == _RESTART and not caller.is_broadcast
+        ignored = (listening and not restart) or (caller.is_broadcast and not _is_write(function))
+        response = b"" if ignored else self._respond(pdu, line, caller)
+        silent = caller.is_broadcast or listening or line.listen_only
+        line.note_response(pdu, response, silent=silent)
+        if restart and response[:1] == pdu[:1]:
+            # The answer is sent before the restart, so that only what came after is counted.
+            line.restart(clear_log=pdu[3:] == b"\xff\0")
+        return b"" if silent else response
+
+    def answer_chunk(self, data: bytes, start: int, unit: int) -> Answered:
+        """
+        Execute requests of Modbus/TCP, all in one call of C; for a device that `is_plain`.
+
+        What it leaves is for `answer`: functions that libmodbus lacks, other frames.
+
+        Args:
+            data: frames as received.
+            start: where the first one begins.
+            unit: 0..255, requests to another one are left.
+
+        Returns:
+            Where the first byte is that was not used; the answers; how many requests
+            there were; how many of them were refused.
+
+        Raises:
+            ModbusConnectionError: libmodbus failed in memory.
+        """
+        with self.mapping.lock:
+            return engine().answer(self.mapping, self._tally, unit, data, start)
+
+    def _own_communication(self) -> Communication:
+        """The notes about TCP, with those that were made in C."""
+        with self.mapping:
+            tally = self._tally
+            if requests := tally.requests:
+                size = len(tally.was_refused)
+                latest = [tally.was_refused[n % size] for n in range(requests)[-size:]]
+                self._communication.note_exchanges(requests, tally.refused, latest)
+                tally.requests = tally.refused = 0
+        return self._communication
+
+    def _respond(self, pdu: bytes, line: Communication, caller: Caller) -> bytes:
+        try:
+            return self._execute(decode_request(pdu), pdu, line, caller)
+        except ExceptionResponse as refusal:
+            if 1 <= refusal.code <= 0xFF:
+                return bytes([pdu[0] | 0x80, refusal.code])
+            self._log_failure(pdu)
+        except Exception:
+            self._log_failure(pdu)
+        return bytes([pdu[0] | 0x80, ServerDeviceFailure.code])
+
+    def _execute(
+        self, request: Request[Any], pdu: bytes, line: Communication, caller: Caller
+    ) -> bytes:
+        handle = self._handlers.get(type(request))
+        touched = None
+        with self.mapping:
+            if self._is_hooked and (find := ACCESSES.get(type(request))):
+                touched = find(request, self.mapping)
+                self._call_hooks_before(touched, caller)
+            if handle is not None:
+                response = request.encode_response(handle(self, request, line))
+                if not 1 <= len(response) <= MAX_PDU:
+                    raise ValueError(f"a response of {len(response)} bytes")
+            elif type(request) in ACCESSES:
+                response = engine().reply(pdu, self.mapping)
+            else:
+                raise IllegalFunction(function=request.function)
+            if touched is not None:
+                self._call_hook(self._hooks[1], touched.writes, caller)
+        return response
+
+    def _log_failure(self, pdu: bytes) -> None:
+        """Once for each function: a client must not be able to fill the log."""
+        if pdu[0] not in self._failed:
+            self._failed.add(pdu[0])
+            logger.exception("request %s failed; answered with exception 4", pdu.hex(" "))
+
+    # --- hooks ---------------------------------------------------------------------------
+
+    def _call_hooks_before(self, touched: Touched, caller: Caller) -> None:
+        for access in (*touched.writes, *touched.reads):
+            self._check_exists(access)
+        before_write, _, before_read = self._hooks
+        self._call_hook(before_write, touched.writes, caller)
+        self._call_hook(before_read, touched.reads, caller)
+
+    def _call_hook(self, hook: Hook | None, accesses: tuple[Access, ...], caller: Caller) -> None:
+        if hook is not None:
+            for access in accesses:
+                hook(replace(access, unit=caller.unit, peer=caller.peer))
+
+    def _check_exists(self, access: Access) -> None:
+        if access.table == "file":
+            self._file(access.file, access.address, access.count)
+        elif access.table == "fifo":
+            self._fifo(access.address)
+        else:
+            addresses: range = getattr(self.mapping, access.table).addresses
+            last = access.address + access.count - 1
+            if access.address not in addresses or last not in addresses:
+                raise IllegalDataAddress(f"{access.table} lacks {access.address}..{last}")
+
+    # --- what libmodbus lacks --------------------------------------------------------------
+
+    def _file(self, number: int, record: int, length: int) -> RecordFile:
+        file = self.files.get(number)
+        if file is None or not file.has(record, length):
+            raise IllegalDataAddress(f"file {number} lacks records {record}+{length}")
+        return file
+
+    def _read_file_records(self, request: ReadFileRecords, _: Communication) -> list[list[int]]:
+        return [
+            self._file(number, record, length).read(record, length)
+            for number, record, length in request.records
+        ]
+
+    def _write_file_records(self, request: WriteFileRecords, _: Communication) -> None:
+        # All pieces are found before the first is written: all or nothing.
+        places = [self._file(file, at, len(values)) for file, at, values in request.records]
+        for file, (_number, record, values) in zip(places, request.records, strict=True):
+            file.write(record, values)
+
+    def _fifo(self, address: int) -> list[int]:
+        if address not in self.fifos:
+            raise IllegalDataAddress(f"no queue at {address}")
+        return self.fifos[address]
+
+    def _read_fifo_queue(self, request: ReadFifoQueue, _: Communication) -> list[int]:
+        queue = list(self._fifo(request.address))
+        if len(queue) > request.max_count:
+            raise IllegalDataValue(f"{len(queue)} registers in the queue")
+        return queue
+
+    def _read_exception_status(self, _request: ReadExceptionStatus, _: Communication) -> int:
+        return self.exception_status
+
+    def _report_server_id(self, _request: ReportServerId, _: Communication) -> ServerId:
+        return self.server_id
+
+    def _read_event_counter(self, _: ReadCommEventCounter, line: Communication) -> CommEventCounter:
+        return line.read_event_counter()
+
+    def _read_event_log(self, _: ReadCommEventLog, line: Communication) -> CommEventLog:
+        return line.read_event_log()
+
+    def _encapsulated_transport(self, request: EncapsulatedTransport, _: Communication) -> bytes:
+        if self._canopen is None:
+            raise IllegalFunction(function=request.function)
+        return self._canopen(request.data)
+
+    def _read_device_identification(
+        self, request: ReadDeviceIdentification, _: Communication
+    ) -> IdentificationPage:
+        objects = self._identification
+        highest = max(objects)
+        conformity = 0x80 | (1 if highest <= 2 else 2 if highest <= 6 else 3)
+        if request.code != ReadDeviceIdCode.INDIVIDUAL:
+            return pages(request, objects)._replace(conformity=conformity)
+        if request.object_id not in objects:
+            raise IllegalDataAddress(f"no object {request.object_id}")
+        wanted = {request.object_id: objects[request.object_id]}
+        return IdentificationPage(conformity, None, wanted)
+
+    def _diagnostics(self, request: Diagnostics, line: Communication) -> bytes:
+        try:
+            sub_function = SubFunction(request.sub_function)
+        except ValueError:
+            raise IllegalFunction(f"no sub-function {request.sub_function}") from None
+        if sub_function in _SILENCING and not line.is_serial:
+            raise IllegalFunction("one client must not silence the device for all")
+        allowed = _DATA.get(sub_function, (b"\0\0",))
+        if allowed is not None and request.data not in allowed:
+            raise IllegalDataValue(f"data {request.data.hex()}")
+        if sub_function in _ACTIONS:
+            _ACTIONS[sub_function](self, request, line)
+            return request.data
+        if sub_function is SubFunction.RETURN_DIAGNOSTIC_REGISTER:
+            return self.diagnostic_register.to_bytes(2, "big")
+        return line.counter(sub_function).to_bytes(2, "big")
+
+    def _clear_counters(self, _: Diagnostics, line: Communication) -> None:
+        line.clear_counters()
+        self.diagnostic_register = 0
+
+    def _change_delimiter(self, request: Diagnostics, line: Communication) -> None:
+        delimiter, zero = request.data
+        if zero or delimiter > 0x7F or chr(delimiter) in ":\r0123456789ABCDEFabcdef":
+            raise IllegalDataValue(f"delimiter {request.data.hex()}")
+        line.delimiter = delimiter
+
+    # Request class -> method; what is missing here is libmodbus's.
+    _own: ClassVar[dict[type[Request[Any]], Callable[..., Any]]] = {
+        ReadFileRecords: _read_file_records,
+        WriteFileRecords: _write_file_records,
+        ReadFifoQueue: _read_fifo_queue,
+        ReadExceptionStatus: _read_exception_status,
+        ReportServerId: _report_server_id,
+        ReadCommEventCounter: _read_event_counter,
+        ReadCommEventLog: _read_event_log,
+        Diagnostics: _diagnostics,
+        EncapsulatedTransport: _encapsulated_transport,
+        ReadDeviceIdentification: _read_device_identification,
+    }
+
+
+_RESTART = Diagnostics(SubFunction.RESTART_COMMUNICATIONS).encode()[:3]
+
+_SILENCING = (SubFunction.RESTART_COMMUNICATIONS, SubFunction.FORCE_LISTEN_ONLY)
+
+# What data a sub-function takes; None for any. All others take 0000.
+_DATA: dict[SubFunction, tuple[bytes, ...] | None] = {
+    SubFunction.RETURN_QUERY_DATA: None,
+    SubFunction.CHANGE_ASCII_DELIMITER: None,
+    SubFunction.RESTART_COMMUNICATIONS: (b"\0\0", b"\xff\0"),
+}
+
+# Sub-functions that echo their data, and what they do; a restart comes after its echo.
+_ACTIONS: dict[SubFunction, Callable[[Device, Diagnostics, Communication], None]] = {
+    SubFunction.RETURN_QUERY_DATA: lambda device, request, line: None,
+    SubFunction.RESTART_COMMUNICATIONS: lambda device, request, line: None,
+    SubFunction.CHANGE_ASCII_DELIMITER: Device._change_delimiter,
+    SubFunction.FORCE_LISTEN_ONLY: lambda device, request, line: line.enter_listen_only(),
+    SubFunction.CLEAR_COUNTERS: Device._clear_counters,
+    SubFunction.CLEAR_OVERRUN: lambda device, request, line: line.clear_overrun(),
+}
+
+
+def _is_write(function: int) -> bool:
+    """Whether a broadcast of it is executed."""
+    request = REQUESTS.get(function)
+    return request is not None and request.is_write
+
+
+def _bound(
+    handlers: MappingABC[type[Request[Any]], Callable[[Any], Any]],
+) -> dict[type[Request[Any]], Callable[..., Any]]:
+    bound: dict[type[Request[Any]], Callable[..., Any]] = {}
+    for request, handle in handlers.items():
+        if not (isinstance(request, type) and issubclass(request, Request)):
+            raise TypeError(f"handlers must be {{request class: function}}, not {request!r}")
+        if not callable(handle):
+            raise TypeError(f"handlers[{request.__name__}] must be a function, not {handle!r}")
+        bound[request] = _ignoring_line(handle)
+    return bound
+
+
+def _ignoring_line(handle: Callable[[Any], Any]) -> Callable[..., Any]:
+    return lambda device, request, line: handle(request)
+
+
+def _checked_identification(given: MappingABC[Any, str | bytes]) -> dict[int, bytes]:
+    """Object id -> value, in ascending order."""
+    numbers = {name: number for number, name in OBJECT_NAMES.items()}
+    objects: dict[int, bytes] = {}
+    for key, value in [*DEFAULT_IDENTIFICATION.items(), *given.items()]:
+        if isinstance(key, str) and key not in numbers:
+            raise ValueError(f"identification: {key!r} must be one of {', '.join(numbers)}")
+        number = numbers[key] if isinstance(key, str) else integer("object id", key, 0, 0xFF)
+        if 7 <= number < 0x80:
+            raise ValueError(f"identification: object ids 7..127 are reserved, such as {number}")
+        if not isinstance(value, str | bytes):
+            raise TypeError(f"identification[{key!r}] must be text or bytes, not {value!r}")
+        data = value.encode("ascii") if isinstance(value, str) else value
+        if len(data) > 244:
+            raise ValueError(f"identification[{key!r}] takes {len(data)} bytes, more than 244")
+        objects[number] = data
+    return dict(sorted(objects.items()))

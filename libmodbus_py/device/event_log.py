@@ -1,0 +1,209 @@
+"""
+What one device notes about one line: counters, event log, listen-only mode.
+
+This is the memory behind functions 8, 11 and 12. Definitions: MODBUS Application
+Protocol V1.1b3, sections 6.8-6.10; order of counting: MODBUS over Serial Line
+V1.02, appendix A. What those leave open is decided here:
+
+* counters are 16 bits and wrap to 0;
+* every exchange without exception counts as an event, broadcasts that were
+  executed and function 12 included, function 11 not;
+* the receive event of function 12 itself is the newest entry of its answer;
+* a frame with a bad check logs a receive event alone, 82h (92h if it overran);
+* a restart that clears the log leaves one entry in it, its own 00h;
+* a broadcast that is no write executes nothing, and is no exception.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable
+from enum import IntFlag
+
+from ..protocol.errors import (
+    Acknowledge,
+    NegativeAcknowledge,
+    ServerDeviceBusy,
+    ServerDeviceFailure,
+)
+from ..protocol.pdu import (
+    CommEventCounter,
+    CommEventLog,
+    ReadCommEventCounter,
+    ReadCommEventLog,
+    SubFunction,
+)
+
+__all__ = ["LINE_FEED", "Communication", "Event"]
+
+LINE_FEED = 0x0A
+
+COUNTERS = (
+    SubFunction.BUS_MESSAGE_COUNT,
+    SubFunction.BUS_COMMUNICATION_ERROR_COUNT,
+    SubFunction.BUS_EXCEPTION_ERROR_COUNT,
+    SubFunction.SERVER_MESSAGE_COUNT,
+    SubFunction.SERVER_NO_RESPONSE_COUNT,
+    SubFunction.SERVER_NAK_COUNT,
+    SubFunction.SERVER_BUSY_COUNT,
+    SubFunction.BUS_CHARACTER_OVERRUN_COUNT,
+)
+
+
+class Event(IntFlag):
+    """Bits of the event bytes (section 6.10); receive and send events share bit 5."""
+
+    RECEIVED = 0x80
+    BROADCAST = 0x40
+    LISTEN_ONLY = 0x20
+    OVERRUN = 0x10
+    COMMUNICATION_ERROR = 0x02
+
+    SENT = 0x40
+    SENT_NAK = 0x08
+    SENT_BUSY = 0x04
+    SENT_FAILURE = 0x02
+    SENT_REFUSAL = 0x01
+
+    ENTERED_LISTEN_ONLY = 0x04
+    RESTARTED = 0x00
+
+
+# Exception code -> the bit of the send event.
+SENT_EXCEPTIONS = {
+    1: Event.SENT_REFUSAL,
+    2: Event.SENT_REFUSAL,
+    3: Event.SENT_REFUSAL,
+    ServerDeviceFailure.code: Event.SENT_FAILURE,
+    Acknowledge.code: Event.SENT_BUSY,
+    ServerDeviceBusy.code: Event.SENT_BUSY,
+    NegativeAcknowledge.code: Event.SENT_NAK,
+}
+
+# Exception code -> the counter of its own.
+COUNTED_EXCEPTIONS = {
+    ServerDeviceBusy.code: SubFunction.SERVER_BUSY_COUNT,
+    NegativeAcknowledge.code: SubFunction.SERVER_NAK_COUNT,
+}
+
+
+class Communication:
+    """
+    The notes of one device on one line.
+
+    Attributes:
+        is_serial: whether it is a serial line, where a device can be silenced.
+        listen_only: whether the device neither executes nor answers.
+        event_count: exchanges completed, 0..65535 (function 11).
+        delimiter: the end of ASCII frames on this line, a code 0..127.
+    """
+
+    def __init__(self, *, is_serial: bool) -> None:
+        self.is_serial = is_serial
+        self.delimiter = LINE_FEED
+        self.listen_only = False
+        self.event_count = 0
+        self._events: deque[int] = deque(maxlen=ReadCommEventLog.max_events)
+        self.clear_counters()
+
+    # --- what happens on the line --------------------------------------------------------
+
+    def note_frame(self) -> None:
+        """A good frame passed, for whatever unit."""
+        self._count(SubFunction.BUS_MESSAGE_COUNT)
+
+    def note_damage(self, *, overrun: bool) -> None:
+        """Bytes passed that are no frame."""
+        event = Event.RECEIVED | Event.COMMUNICATION_ERROR
+        if overrun:
+            self._count(SubFunction.BUS_CHARACTER_OVERRUN_COUNT)
+            event |= Event.OVERRUN
+        self._count(SubFunction.BUS_COMMUNICATION_ERROR_COUNT)
+        self._log(event)
+
+    def note_request(self, *, broadcast: bool) -> None:
+        """A request for this device came in, and is processed next."""
+        self._count(SubFunction.SERVER_MESSAGE_COUNT)
+        self._log(Event.RECEIVED | (Event.BROADCAST if broadcast else 0))
+
+    def note_response(self, request: bytes, response: bytes, *, silent: bool) -> None:
+        """
+        A request has been processed.
+
+        Args:
+            request: its PDU.
+            response: the response PDU, or nothing if it was not executed.
+            silent: whether nothing is sent.
+        """
+        refused = len(response) == 2 and response[0] & 0x80
+        if refused:
+            self._count(SubFunction.BUS_EXCEPTION_ERROR_COUNT)
+            counter = COUNTED_EXCEPTIONS.get(response[1])
+            if counter is not None and not silent:
+                self._count(counter)
+        elif response and request[0] != ReadCommEventCounter.function:
+            self.event_count = self.event_count + 1 & 0xFFFF
+        if silent:
+            self._count(SubFunction.SERVER_NO_RESPONSE_COUNT)
+        bit = SENT_EXCEPTIONS.get(response[1], Event(0)) if refused and not silent else Event(0)
+        self._log(Event.SENT | bit)
+
+    def note_exchanges(self, requests: int, refused: int, latest: Iterable[int]) -> None:
+        """
+        Requests have been processed, whose answers were sent.
+
+        Args:
+            requests: how many.
+            refused: how many of them got one of the exceptions 1..3.
+            latest: whether each of the latest ones did, oldest first.
+        """
+        self._count(SubFunction.SERVER_MESSAGE_COUNT, requests)
+        self._count(SubFunction.BUS_EXCEPTION_ERROR_COUNT, refused)
+        self.event_count = self.event_count + requests - refused & 0xFFFF
+        for was_refused in latest:
+            self._log(Event.RECEIVED)
+            self._log(Event.SENT | (Event.SENT_REFUSAL if was_refused else 0))
+
+    def _count(self, counter: SubFunction, times: int = 1) -> None:
+        self._counters[counter] = self._counters[counter] + times & 0xFFFF
+
+    def _log(self, event: int) -> None:
+        self._events.appendleft(event | (Event.LISTEN_ONLY if self.listen_only else 0))
+
+    # --- what functions 8, 11 and 12 do -----------------------------------------------------
+
+    def counter(self, counter: SubFunction) -> int:
+        """Give a counter, 0..65535."""
+        return self._counters[counter]
+
+    def clear_counters(self) -> None:
+        """Sub-function 10: all counters; neither the log nor listen-only mode."""
+        self._counters = dict.fromkeys(COUNTERS, 0)
+        self.event_count = 0
+
+    def clear_overrun(self) -> None:
+        """Sub-function 20."""
+        self._counters[SubFunction.BUS_CHARACTER_OVERRUN_COUNT] = 0
+
+    def restart(self, *, clear_log: bool) -> None:
+        """Sub-function 1: as after power-up, but for the log if it is kept."""
+        self.clear_counters()
+        self.listen_only = False
+        self.delimiter = LINE_FEED
+        if clear_log:
+            self._events.clear()
+        self._events.appendleft(Event.RESTARTED)
+
+    def enter_listen_only(self) -> None:
+        """Sub-function 4."""
+        self._events.appendleft(Event.ENTERED_LISTEN_ONLY)
+        self.listen_only = True
+
+    def read_event_counter(self) -> CommEventCounter:
+        """Function 11; no program command ever runs here, so the status is 0."""
+        return CommEventCounter(0, self.event_count)
+
+    def read_event_log(self) -> CommEventLog:
+        """Function 12."""
+        messages = self._counters[SubFunction.BUS_MESSAGE_COUNT]
+        return CommEventLog(0, self.event_count, messages, bytes(self._events))

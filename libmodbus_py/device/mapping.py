@@ -1,0 +1,332 @@
+"""
+The four tables of a device, inside a modbus_mapping_t that libmodbus answers from.
+
+The tables are anonymous memory of our own, so a view outlives the mapping, and
+pages that nobody wrote to take no memory.
+"""
+
+from __future__ import annotations
+
+import mmap
+import threading
+from abc import ABC, abstractmethod
+from array import array
+from collections.abc import Iterable, Iterator
+from operator import index
+from typing import Any, ClassVar, Generic, Literal, Self, TypeVar, overload
+
+from ..binding.library import ffi
+from ..protocol.checks import integer
+from ..protocol.values import value_type
+
+__all__ = ["BitTable", "Mapping", "RegisterTable", "Table"]
+
+TABLE_SIZE = 65536
+
+Cell = TypeVar("Cell", bool, int)
+
+
+class Table(ABC, Generic[Cell]):
+    """
+    One table of a mapping, indexed by Modbus address.
+
+    Supports ``table[address]``, ``table[start:stop]``, assignment to both,
+    iteration over the values and ``len``. A missing start or stop of a slice
+    is the table's own. Every access takes the mapping's lock.
+
+    Attributes:
+        name: "coils", "discrete_inputs", "holding_registers" or "input_registers".
+        addresses: the 0-based addresses it has.
+
+    Raises:
+        IndexError: an address that the table does not have.
+        TypeError, ValueError: a value that is none of the table's, or too
+            many or too few of them.
+    """
+
+    typecode: ClassVar[Literal["B", "H"]]
+
+    def __init__(self, name: str, addresses: range, lock: threading.RLock) -> None:
+        self.name = name
+        self.addresses = addresses
+        self._lock = lock
+        size = len(addresses) * array(self.typecode).itemsize
+        # An empty table has memory too, for mmap makes none of 0 bytes.
+        memory = memoryview(mmap.mmap(-1, max(size, 1)))
+        self._cells: memoryview = memory[:size].cast(self.typecode)
+
+    @property
+    @abstractmethod
+    def view(self) -> memoryview:
+        """
+        The cells themselves, not a copy; item 0 is the first address.
+
+        Valid as long as it is kept, whatever becomes of the mapping. It does
+        not take the lock: write through it inside ``with mapping:``.
+        """
+
+    @abstractmethod
+    def _to_cell(self, value: object) -> int: ...
+
+    @abstractmethod
+    def _from_cells(self, cells: memoryview) -> list[Cell]: ...
+
+    def __len__(self) -> int:
+        return len(self.addresses)
+
+    def __iter__(self) -> Iterator[Cell]:
+        return iter(self[:])
+
+    def __repr__(self) -> str:
+        has = f"{self.addresses.start}..{self.addresses.stop - 1}" if self.addresses else "empty"
+        return f"<{self.name} {has}>"
+
+    @overload
+    def __getitem__(self, key: int) -> Cell: ...
+
+    @overload
+    def __getitem__(self, key: slice) -> list[Cell]: ...
+
+    def __getitem__(self, key: int | slice) -> Cell | list[Cell]:
+        place = self._place(key)
+        with self._lock:
+            values = self._from_cells(self._cells[place])
+        return values if isinstance(key, slice) else values[0]
+
+    @overload
+    def __setitem__(self, key: int, value: Cell) -> None: ...
+
+    @overload
+    def __setitem__(self, key: slice, value: Iterable[Cell]) -> None: ...
+
+    def __setitem__(self, key: int | slice, value: Any) -> None:
+        place = self._place(key)
+        values = value if isinstance(key, slice) else (value,)
+        cells = array(self.typecode, [self._to_cell(item) for item in values])
+        room = len(self._cells[place])
+        if len(cells) != room:
+            raise ValueError(f"{self.name}: {len(cells)} values for {room} addresses")
+        with self._lock:
+            self._cells[place] = memoryview(cells)
+
+    def _place(self, key: int | slice) -> slice:
+        """Where the addresses are among the cells."""
+        first, end = self.addresses.start, self.addresses.stop
+        if isinstance(key, slice):
+            start = first if key.start is None else self._address(key.start)
+            stop = end if key.stop is None else self._address(key.stop)
+            step = 1 if key.step is None else self._address(key.step)
+            if not (first <= start <= stop <= end and step >= 1):
+                raise IndexError(f"no addresses {start}:{stop}:{step} in {self!r}")
+            return slice(start - first, stop - first, step)
+        address = self._address(key)
+        if address not in self.addresses:
+            raise IndexError(f"no address {address} in {self!r}")
+        return slice(address - first, address - first + 1)
+
+    def _address(self, value: object) -> int:
+        try:
+            return index(value)  # type: ignore[arg-type]
+        except TypeError:
+            given = type(value).__name__
+            raise TypeError(f"an address in {self!r} is an integer, not {given}") from None
+
+
+class BitTable(Table[bool]):
+    """
+    Coils or discrete inputs: values are True and False.
+
+    Whatever number is assigned, the cell becomes 0 or 1: libmodbus packs cells
+    without looking, and any other value would spill into its neighbours.
+    """
+
+    typecode = "B"
+
+    @property
+    def view(self) -> memoryview:
+        """As `Table.view`; read-only, so that no cell can be other than 0 or 1."""
+        return self._cells.toreadonly()
+
+    def _to_cell(self, value: object) -> int:
+        try:
+            return int(index(value) != 0)  # type: ignore[arg-type]
+        except TypeError:
+            given = type(value).__name__
+            raise TypeError(f"{self.name}: a value is True or False, not {given}") from None
+
+    def _from_cells(self, cells: memoryview) -> list[bool]:
+        return [cell != 0 for cell in cells]
+
+
+class RegisterTable(Table[int]):
+    """
+    Holding or input registers: values are 0..65535.
+
+    `read` and `write` take one value of any type (`values`), `read_values` and
+    `write_values` a list of them at consecutive addresses. Each is one access:
+    no request sees half of it, and an error changes nothing.
+    """
+
+    typecode = "H"
+
+    @property
+    def view(self) -> memoryview:
+        """As `Table.view`; writable, in the machine's own byte order."""
+        return self._cells
+
+    def read(self, address: int, type: str, *, order: str = "ABCD", **text: str) -> Any:
+        """
+        Read one value, such as ``read(100, "float32", order="CDAB")``.
+
+        Args:
+            address: 0-based, of the first register.
+            type, order, text: as of `values.encode`.
+
+        Raises:
+            IndexError: the table does not have all its registers.
+            TypeError, ValueError: as of `values.decode`.
+        """
+        kind = value_type(type, order=order, **text)
+        return kind.decode(self[self._run(address, kind.registers)])
+
+    def read_values(
+        self, address: int, type: str, count: int = 1, *, order: str = "ABCD", **text: str
+    ) -> list[Any]:
+        """
+        Read `count` (1..65536) values of one type, one after the other.
+
+        Raises:
+            IndexError: the table does not have all their registers.
+            TypeError, ValueError: as of `values.decode_many`, or no such count.
+        """
+        kind = value_type(type, order=order, **text)
+        values = integer("count", count, 1, TABLE_SIZE)
+        return kind.decode_many(self[self._run(address, values * kind.registers)])
+
+    def write(
+        self, address: int, value: Any, type: str, *, order: str = "ABCD", **text: str
+    ) -> None:
+        """
+        Write one value, such as ``write(100, 3.14, "float32", order="CDAB")``.
+
+        Args:
+            address: 0-based, of the first register.
+            value, type, order, text: as of `values.encode`.
+
+        Raises:
+            IndexError: the table does not have all its registers.
+            TypeError, ValueError: as of `values.encode`.
+        """
+        registers = value_type(type, order=order, **text).encode(value)
+        self[self._run(address, len(registers))] = registers
+
+    def write_values(
+        self, address: int, values: Iterable[Any], type: str, *, order: str = "ABCD", **text: str
+    ) -> None:
+        """
+        Write values of one type, one after the other; none change nothing.
+
+        Raises:
+            IndexError: the table does not have all their registers.
+            TypeError, ValueError: as of `values.encode_many`.
+        """
+        registers = value_type(type, order=order, **text).encode_many(values)
+        self[self._run(address, len(registers))] = registers
+
+    def _run(self, address: object, registers: int) -> slice:
+        start = self._address(address)
+        return slice(start, start + registers)
+
+    def _to_cell(self, value: object) -> int:
+        try:
+            number = index(value)  # type: ignore[arg-type]
+        except TypeError:
+            given = type(value).__name__
+            raise TypeError(f"{self.name}: a value is an integer, not {given}") from None
+        if not 0 <= number <= 0xFFFF:
+            raise ValueError(f"{self.name}: a value must be in 0..65535, not {number}")
+        return number
+
+    def _from_cells(self, cells: memoryview) -> list[int]:
+        return cells.tolist()
+
+
+class Mapping:
+    """
+    The tables of one device, all zero at first.
+
+    ``with mapping:`` makes several accesses one: no answer is given and nothing
+    is written by a client in between.
+
+    Attributes:
+        lock: what ``with mapping:`` holds.
+
+    Args:
+        coils, discrete_inputs, holding_registers, input_registers: how many
+            of them, from address 0; or the range of their addresses
+            (``range(100, 200)``), within 0..65535.
+
+    Raises:
+        TypeError, ValueError: an argument is neither.
+
+    Source: modbus_mapping_new_start_address, with memory of our own.
+    """
+
+    def __init__(
+        self,
+        coils: int | range = 0,
+        discrete_inputs: int | range = 0,
+        holding_registers: int | range = 0,
+        input_registers: int | range = 0,
+    ) -> None:
+        self.lock = threading.RLock()
+        self.coils = BitTable("coils", _addresses("coils", coils), self.lock)
+        self.discrete_inputs = BitTable(
+            "discrete_inputs", _addresses("discrete_inputs", discrete_inputs), self.lock
+        )
+        self.holding_registers = RegisterTable(
+            "holding_registers", _addresses("holding_registers", holding_registers), self.lock
+        )
+        self.input_registers = RegisterTable(
+            "input_registers", _addresses("input_registers", input_registers), self.lock
+        )
+        self._struct = self._make_struct()
+
+    def __enter__(self) -> Self:
+        self.lock.acquire()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.lock.release()
+
+    def __repr__(self) -> str:
+        tables = (self.coils, self.discrete_inputs, self.holding_registers, self.input_registers)
+        return f"Mapping({', '.join(repr(table) for table in tables)})"
+
+    def _make_struct(self) -> Any:
+        """Point a modbus_mapping_t at the tables; `_pointers` keeps the buffers alive."""
+        struct = ffi.new("modbus_mapping_t *")
+        self._pointers = []
+        for table, suffix, item in (
+            (self.coils, "bits", "uint8_t[]"),
+            (self.discrete_inputs, "input_bits", "uint8_t[]"),
+            (self.holding_registers, "registers", "uint16_t[]"),
+            (self.input_registers, "input_registers", "uint16_t[]"),
+        ):
+            setattr(struct, f"nb_{suffix}", len(table))
+            setattr(struct, f"start_{suffix}", table.addresses.start)
+            pointer = ffi.from_buffer(item, table._cells)
+            setattr(struct, f"tab_{suffix}", pointer)
+            self._pointers.append(pointer)
+        return struct
+
+
+def _addresses(name: str, given: object) -> range:
+    if isinstance(given, bool) or not isinstance(given, int | range):
+        raise TypeError(f"{name} must be a count or a range, not {type(given).__name__}")
+    addresses = range(given) if isinstance(given, int) else given
+    if isinstance(given, int) and given < 0:
+        raise ValueError(f"{name} must be in 0..{TABLE_SIZE}, not {given}")
+    if addresses.step != 1 or addresses.start < 0 or max(addresses, default=0) >= TABLE_SIZE:
+        raise ValueError(f"{name} must be a range within 0..{TABLE_SIZE - 1}, not {given}")
+    return addresses

@@ -1,0 +1,71 @@
+"""
+File records: what functions 20 and 21 read and write.
+"""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Iterable, Iterator
+from collections.abc import Mapping as MappingABC
+from operator import index
+
+from ..protocol.checks import integer
+from ..protocol.pdu import RECORDS_PER_FILE
+
+__all__ = ["RecordFile"]
+
+
+class RecordFile:
+    """
+    One file: registers with the record numbers 0..9999, holes allowed.
+
+    ``file[record]`` reads and writes one record; ``len`` and iteration go over
+    the records that exist, in order.
+
+    Args:
+        records: the values 0..65535 from record 0 on, or ``{record: value}``.
+
+    Raises:
+        TypeError, ValueError: a record or value that cannot be.
+        IndexError: a record that does not exist.
+    """
+
+    def __init__(self, records: Iterable[int] | MappingABC[int, int]) -> None:
+        if not isinstance(records, MappingABC):
+            records = dict(enumerate(records))
+        numbers = [integer("record", record, 0, RECORDS_PER_FILE - 1) for record in records]
+        self._values = array("H", bytes(2 * (max(numbers, default=-1) + 1)))
+        self._holes = set(range(len(self._values))) - set(numbers)
+        for record, value in zip(numbers, records.values(), strict=True):
+            self._values[record] = integer("value", value, 0, 0xFFFF)
+
+    def __getitem__(self, record: int) -> int:
+        return self._values[self._existing(record)]
+
+    def __setitem__(self, record: int, value: int) -> None:
+        self._values[self._existing(record)] = integer("value", value, 0, 0xFFFF)
+
+    def __len__(self) -> int:
+        return len(self._values) - len(self._holes)
+
+    def __iter__(self) -> Iterator[int]:
+        return (value for record, value in enumerate(self._values) if record not in self._holes)
+
+    def has(self, record: int, length: int) -> bool:
+        """Say whether all of the `length` records from `record` on exist."""
+        wanted = range(record, record + length)
+        return wanted.stop <= len(self._values) and self._holes.isdisjoint(wanted)
+
+    def read(self, record: int, length: int) -> list[int]:
+        """Give `length` records that exist (`has`)."""
+        return self._values[record : record + length].tolist()
+
+    def write(self, record: int, values: tuple[int, ...]) -> None:
+        """Set records that exist (`has`)."""
+        self._values[record : record + len(values)] = array("H", values)
+
+    def _existing(self, record: int) -> int:
+        number = index(record)
+        if number < 0 or not self.has(number, 1):
+            raise IndexError(f"no record {record}")
+        return number

@@ -1,0 +1,110 @@
+"""
+modbus_reply in memory: requests answered from a mapping, without a network.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+import struct
+import threading
+from typing import Any
+
+from ..binding.library import check, ffi, lib, make
+from .mapping import Mapping
+
+__all__ = ["Answered", "Engine", "engine", "make_tally"]
+
+_HEADER = struct.Struct(">HHHB")
+
+# For the answers to one chunk; what finds no room is answered in a further call.
+ROOM = 65536
+
+
+# What became of a chunk: where the first byte is that was not used; the answers, whole
+# frames in the order of the requests; how many requests there were; how many of them got
+# an exception. A plain tuple: a class would take as long as the rest of Python here.
+Answered = tuple[int, bytes, int, int]
+
+
+def make_tally() -> Any:
+    """Make a tally_t: what the engine notes about the requests of one device."""
+    return ffi.new("tally_t *")
+
+
+class Engine:
+    """
+    modbus_reply on a socketpair (_chunk.c).
+
+    libmodbus 3.1.6 sends and receives on it like on any socket; both ends are
+    non-blocking, for it would wait for ever on a full one.
+    """
+
+    _pair: tuple[socket.socket, ...] = ()
+
+    def __init__(self) -> None:
+        self._answers = ffi.new("uint8_t[]", ROOM)
+        self._characters = ffi.cast("char *", self._answers)  # which unpack to bytes
+        self._unused_tally = make_tally()
+        self._open()
+
+    def close(self) -> None:
+        for end in self._pair:
+            end.close()
+
+    __del__ = close
+
+    def _open(self) -> None:
+        self._pair = inner, outer = socket.socketpair()
+        inner.setblocking(False)
+        outer.setblocking(False)
+        self._context = make(lib.modbus_new_tcp(b"127.0.0.1", 0))
+        check(lib.modbus_set_socket(self._context, inner.fileno()))
+        # It sleeps that long after what it finds illegal; 0 is refused.
+        check(lib.modbus_set_response_timeout(self._context, 0, 1))
+        self._struct = ffi.new("engine_t *")
+        self._struct.context = self._context
+        self._struct.outlet = outer.fileno()
+        self._struct.answers = self._answers
+        self._struct.room = ROOM
+
+    def answer(self, mapping: Mapping, tally: Any, unit: int, data: bytes, start: int) -> Answered:
+        """
+        Answer the requests of Modbus/TCP from ``data[start]`` on, up to the first that
+        is not for libmodbus, not for this unit or not complete.
+
+        Hold the mapping's lock.
+        """
+        struct = self._struct
+        end = lib.answer_chunk(struct, mapping._struct, tally, unit, data, start, len(data))
+        if end == -1:  # answers may still lie in the pair
+            self.close()
+            self._open()
+            check(end)
+        return end, ffi.unpack(self._characters, struct.size), struct.requests, struct.refused
+
+    def reply(self, pdu: bytes, mapping: Mapping) -> bytes:
+        """Answer one request that `decode_request` found good. Hold the mapping's lock."""
+        data = _HEADER.pack(0, 0, 1 + len(pdu), 1) + pdu
+        return self.answer(mapping, self._unused_tally, 1, data, 0)[1][_HEADER.size :]
+
+
+_local = threading.local()
+
+
+def engine() -> Engine:
+    """One for each thread."""
+    try:
+        made: Engine = _local.engine
+    except AttributeError:
+        made = _local.engine = Engine()
+    return made
+
+
+def _renew_engines() -> None:
+    """A child must not answer through the socketpair of its parent."""
+    global _local
+    _local = threading.local()
+
+
+os.register_at_fork(after_in_child=_renew_engines)

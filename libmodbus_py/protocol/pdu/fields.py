@@ -1,0 +1,141 @@
+"""
+What messages are made of: checked arguments, and their bytes.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable, Mapping, Sequence, Set
+from itertools import islice
+from typing import Any, Protocol
+
+from ..checks import integer
+
+MAX_PDU = 253  # section 4.1
+TABLE_SIZE = 65536  # section 4.4: addresses are 16 bits
+
+
+class LengthRule(Protocol):
+    """
+    Given the first bytes of a PDU: its whole length.
+
+    None until that is known; 0 if nothing in it tells.
+    """
+
+    def __call__(self, head: bytes) -> int | None: ...
+
+
+# --- arguments ---------------------------------------------------------------------
+
+
+class AddressError(ValueError):
+    """An address that no table has: a server answers 2 to it, not 3."""
+
+
+def checked_bit(name: str, value: object) -> bool:
+    if isinstance(value, bool):
+        return value
+    return bool(integer(name, value, 0, 1))
+
+
+def checked_register(name: str, value: object) -> int:
+    return integer(name, value, 0, 0xFFFF)
+
+
+def _are_bits(values: tuple[Any, ...]) -> bool:
+    return set(map(type, values)) == {bool}
+
+
+def _are_registers(values: tuple[Any, ...]) -> bool:
+    return set(map(type, values)) == {int} and min(values) >= 0 and max(values) <= 0xFFFF
+
+
+def checked_sequence(name: str, values: object, limit: int) -> tuple[Any, ...]:
+    # Text, sets and mappings are iterable, but never a run of registers.
+    unfit = isinstance(values, str | bytes | bytearray | Set | Mapping)
+    if unfit or not isinstance(values, Iterable):
+        given = type(values).__name__
+        raise TypeError(f"{name} must be a sequence of 1..{limit} values, not {given}")
+    taken = tuple(islice(values, limit + 1))
+    if not 1 <= len(taken) <= limit:
+        given = f"{len(taken)}" if len(taken) <= limit else f"more than {limit}"
+        raise ValueError(f"{name} must hold 1..{limit} values, not {given}")
+    return taken
+
+
+def checked_bits(name: str, values: object, limit: int) -> tuple[bool, ...]:
+    taken = checked_sequence(name, values, limit)
+    if _are_bits(taken):
+        return taken
+    return tuple(checked_bit(f"{name}[{at}]", value) for at, value in enumerate(taken))
+
+
+def checked_registers(name: str, values: object, limit: int) -> tuple[int, ...]:
+    taken = checked_sequence(name, values, limit)
+    if _are_registers(taken):
+        return taken
+    return tuple(checked_register(f"{name}[{at}]", value) for at, value in enumerate(taken))
+
+
+def checked_data(name: str, value: object, limit: int) -> bytes:
+    if not isinstance(value, bytes):
+        raise TypeError(f"{name} must be bytes, not {type(value).__name__}")
+    if len(value) > limit:
+        raise ValueError(f"{name} must be up to {limit} bytes, not {len(value)}")
+    return value
+
+
+def checked_span(name: str, address: object, count_name: str, count: int) -> int:
+    start = integer(name, address, 0, TABLE_SIZE - 1)
+    if start + count > TABLE_SIZE:
+        raise AddressError(
+            f"{name} + {count_name} must not pass {TABLE_SIZE}, but {start} + {count} does"
+        )
+    return start
+
+
+def store(request: object, **values: object) -> None:
+    for name, value in values.items():
+        object.__setattr__(request, name, value)
+
+
+# --- bytes -------------------------------------------------------------------------
+
+
+def pack_bits(bits: Sequence[bool]) -> bytes:
+    value = 0
+    for position, bit in enumerate(bits):
+        if bit:
+            value |= 1 << position
+    return value.to_bytes((len(bits) + 7) // 8, "little")
+
+
+def unpack_bits(data: bytes, count: int) -> list[bool]:
+    return [bool(data[position >> 3] >> (position & 7) & 1) for position in range(count)]
+
+
+# Found by their count, for bulk reads do little else.
+_REGISTERS = [struct.Struct(f">{count}H") for count in range(MAX_PDU // 2 + 1)]
+
+
+def pack_registers(values: Sequence[int]) -> bytes:
+    return _REGISTERS[len(values)].pack(*values)
+
+
+def unpack_registers(data: bytes) -> tuple[int, ...]:
+    return _REGISTERS[len(data) // 2].unpack(data)
+
+
+def fixed(length: int) -> LengthRule:
+    """A rule: always `length` bytes."""
+    return lambda head: length
+
+
+def counted(base: int, at: int) -> LengthRule:
+    """A rule: the byte at `at` counts those that follow the first `base`."""
+    return lambda head: base + head[at] if len(head) > at else None
+
+
+def unknown_length(head: bytes) -> int:
+    """A rule: nothing in the PDU tells its length."""
+    return 0

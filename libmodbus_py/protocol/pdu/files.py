@@ -1,0 +1,188 @@
+"""
+File records: functions 20 and 21.
+"""
+
+from __future__ import annotations
+
+import reprlib
+import struct
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+from ..checks import integer
+from .fields import (
+    MAX_PDU,
+    AddressError,
+    checked_registers,
+    checked_sequence,
+    counted,
+    pack_registers,
+    store,
+    unpack_registers,
+)
+from .request import Echoed, Request
+
+RECORDS_PER_FILE = 10_000  # section 6.14: records 0..9999
+FILE_REFERENCE_TYPE = 6  # section 6.14
+
+
+def _record_span(name: str, file: object, record: object, length: int) -> tuple[int, int]:
+    try:
+        checked = (
+            integer(f"{name} file", file, 1, 0xFFFF),
+            integer(f"{name} record", record, 0, RECORDS_PER_FILE - 1),
+        )
+    except ValueError as error:  # a file or record that does not exist is an address
+        raise AddressError(str(error)) from None
+    if checked[1] + length > RECORDS_PER_FILE:
+        raise AddressError(
+            f"{name} record + length must not pass {RECORDS_PER_FILE},"
+            f" but {checked[1]} + {length} does"
+        )
+    return checked
+
+
+def _triple(name: str, record: object, form: str) -> tuple[object, object, object]:
+    if not isinstance(record, Sequence) or isinstance(record, str | bytes) or len(record) != 3:
+        raise TypeError(f"{name} must be a tuple ({form}), not {reprlib.repr(record)}")
+    return record[0], record[1], record[2]
+
+
+@dataclass(frozen=True, slots=True)
+class ReadFileRecords(Request[list[list[int]]]):
+    """
+    Function 20, section 6.14: 1..35 pieces of files, each (file, record, length).
+
+    File 1..65535, record 0..9999, record + length up to 10000; the response,
+    2 bytes and 2 per register for each piece, up to 251 bytes. Servers that
+    keep the letter of the specification answer at most 245.
+    """
+
+    records: tuple[tuple[int, int, int], ...]
+
+    function = 0x14
+    request_length = counted(2, at=1)
+    response_length = counted(2, at=1)
+    max_response: ClassVar[int] = MAX_PDU - 2
+    max_served: ClassVar[int] = 0xF5  # the table of section 6.14
+
+    def __post_init__(self) -> None:
+        checked = []
+        for position, record in enumerate(checked_sequence("records", self.records, 35)):
+            name = f"records[{position}]"
+            file, start, length = _triple(name, record, "file, record, length")
+            size = integer(f"{name} length", length, 1, 124)
+            checked.append((*_record_span(name, file, start, size), size))
+        store(self, records=tuple(checked))
+        if self._response_size() > self.max_response:
+            raise ValueError(
+                f"records ask for a response of {self._response_size()} bytes,"
+                f" more than {self.max_response}"
+            )
+
+    def _response_size(self) -> int:
+        return sum(2 + 2 * length for _, _, length in self.records)
+
+    def encode(self) -> bytes:
+        pieces = b"".join(
+            struct.pack(">BHHH", FILE_REFERENCE_TYPE, *record) for record in self.records
+        )
+        return bytes([self.function, len(pieces)]) + pieces
+
+    @classmethod
+    def decode(cls, pdu: bytes) -> Self:
+        pieces = [struct.unpack(">BHHH", pdu[at : at + 7]) for at in range(2, len(pdu) - 6, 7)]
+        if not 1 <= len(pieces) <= 35 or len(pdu) != 2 + 7 * len(pieces):
+            raise ValueError(f"byte count must be 7..245 in steps of 7, not {len(pdu) - 2}")
+        if any(length == 0 for *_, length in pieces):
+            raise ValueError("length must not be 0")
+        if sum(2 + 2 * length for *_, length in pieces) > cls.max_served:
+            raise ValueError(f"the response must not pass {cls.max_served} bytes")
+        _check_reference_types(kind for kind, *_ in pieces)
+        return cls(tuple((file, record, length) for _, file, record, length in pieces))
+
+    def encode_response(self, result: Sequence[Sequence[int]]) -> bytes:
+        given = checked_sequence("result", result, len(self.records))
+        if len(given) != len(self.records):
+            raise ValueError(f"result must hold {len(self.records)} pieces, not {len(given)}")
+        pieces = bytearray()
+        for piece, (*_, length) in zip(given, self.records, strict=True):
+            values = checked_registers("result", piece, length)
+            if len(values) != length:
+                raise ValueError(f"result must hold {length} registers, not {len(values)}")
+            pieces += bytes([1 + 2 * length, FILE_REFERENCE_TYPE]) + pack_registers(values)
+        return bytes([self.function, len(pieces)]) + pieces
+
+    def _decode_response(self, pdu: bytes) -> list[list[int]]:
+        result = []
+        at = 2
+        for *_, length in self.records:
+            head, end = pdu[at : at + 2], at + 2 + 2 * length
+            if head != bytes([1 + 2 * length, FILE_REFERENCE_TYPE]) or end > len(pdu):
+                raise self._invalid(f"pieces {pdu[2:].hex(' ')}")
+            result.append(list(unpack_registers(pdu[at + 2 : end])))
+            at = end
+        if at != len(pdu):
+            raise self._invalid(f"{len(pdu) - at} bytes too many")
+        return result
+
+
+@dataclass(frozen=True, slots=True)
+class WriteFileRecords(Echoed):
+    """
+    Function 21, section 6.15: pieces of files, each (file, record, values).
+
+    File 1..65535, record 0..9999, record + length up to 10000, 1..122 values;
+    all pieces, 7 bytes and 2 per value each, up to 251 bytes.
+    """
+
+    records: tuple[tuple[int, int, tuple[int, ...]], ...]
+
+    function = 0x15
+    request_length = counted(2, at=1)
+    response_length = counted(2, at=1)
+    echoed = MAX_PDU
+
+    def __post_init__(self) -> None:
+        checked = []
+        for position, record in enumerate(checked_sequence("records", self.records, 27)):
+            name = f"records[{position}]"
+            file, start, given = _triple(name, record, "file, record, values")
+            values = checked_registers(f"{name} values", given, 122)
+            checked.append((*_record_span(name, file, start, len(values)), values))
+        store(self, records=tuple(checked))
+        size = sum(7 + 2 * len(values) for *_, values in checked)
+        if size > 0xFB:
+            raise ValueError(f"records take {size} bytes, more than {0xFB}")
+
+    def encode(self) -> bytes:
+        pieces = b"".join(
+            struct.pack(">BHHH", FILE_REFERENCE_TYPE, file, record, len(values))
+            + pack_registers(values)
+            for file, record, values in self.records
+        )
+        return bytes([self.function, len(pieces)]) + pieces
+
+    @classmethod
+    def decode(cls, pdu: bytes) -> Self:
+        pieces = []
+        kinds = []
+        at = 2
+        while at + 7 <= len(pdu):
+            kind, file, record, length = struct.unpack(">BHHH", pdu[at : at + 7])
+            start, at = at + 7, at + 7 + 2 * length
+            if length == 0 or at > len(pdu):
+                raise ValueError(f"a piece of {length} registers")
+            pieces.append((file, record, unpack_registers(pdu[start:at])))
+            kinds.append(kind)
+        if not pieces or at != len(pdu) or len(pdu) > 2 + 0xFB:
+            raise ValueError(f"the pieces do not fill the byte count {pdu[1]}, 9..251")
+        _check_reference_types(kinds)
+        return cls(tuple(pieces))
+
+
+def _check_reference_types(kinds: Iterable[int]) -> None:
+    for kind in kinds:
+        if kind != FILE_REFERENCE_TYPE:
+            raise AddressError(f"reference type must be {FILE_REFERENCE_TYPE}, not {kind}")

@@ -1,0 +1,289 @@
+"""
+The encapsulated interface: function 43, with device identification (MEI type 14) in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Mapping
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import ClassVar, NamedTuple, Self
+
+from ..checks import integer
+from ..errors import IllegalFunction, InvalidResponse
+from .fields import MAX_PDU, checked_data, store
+from .request import Request
+
+__all__ = [
+    "DEVICE_IDENTIFICATION",
+    "LEVELS",
+    "OBJECT_NAMES",
+    "DeviceIdentification",
+    "EncapsulatedTransport",
+    "IdentificationPage",
+    "ReadDeviceIdCode",
+    "ReadDeviceIdentification",
+    "pages",
+]
+
+CANOPEN = 0x0D
+DEVICE_IDENTIFICATION = 0x0E
+
+OBJECT_NAMES = {
+    0: "VendorName",
+    1: "ProductCode",
+    2: "MajorMinorRevision",
+    3: "VendorUrl",
+    4: "ProductName",
+    5: "ModelName",
+    6: "UserApplicationName",
+}
+"""Object id -> the name that section 6.21 gives it."""
+
+
+class ReadDeviceIdCode(IntEnum):
+    """How much is asked for (section 6.21)."""
+
+    BASIC = 1
+    REGULAR = 2
+    EXTENDED = 3
+    INDIVIDUAL = 4
+
+
+# The last object of each stream.
+LAST_OBJECT = {
+    ReadDeviceIdCode.BASIC: 0x02,
+    ReadDeviceIdCode.REGULAR: 0x7F,
+    ReadDeviceIdCode.EXTENDED: 0xFF,
+}
+
+
+class IdentificationPage(NamedTuple):
+    """
+    One response of device identification, which may be one of several.
+
+    Attributes:
+        conformity: 1..3, what the device has; 81h..83h if single objects can be read, too.
+        next_object: the object to ask for next, or None if this was all.
+        objects: object id -> value.
+    """
+
+    conformity: int
+    next_object: int | None
+    objects: dict[int, bytes]
+
+
+def _identification_length(head: bytes) -> int | None:
+    """Walk over the objects of a response."""
+    if len(head) < 7:
+        return None
+    end = 7
+    for _ in range(head[6]):
+        if len(head) < end + 2:
+            return None
+        end += 2 + head[end + 1]
+    return end
+
+
+@dataclass(frozen=True, slots=True)
+class EncapsulatedTransport(Request[bytes]):
+    """
+    Function 43, section 6.19: `data` for the interface `mei_type`, 0..255.
+
+    Up to 251 bytes go through as they are. MEI type 13 is CANopen (CiA 309-2);
+    for 14 there is `ReadDeviceIdentification`.
+    """
+
+    mei_type: int
+    data: bytes
+
+    function = 0x2B
+
+    def __post_init__(self) -> None:
+        store(self, mei_type=integer("mei_type", self.mei_type, 0, 0xFF))
+        checked_data("data", self.data, MAX_PDU - 2)
+
+    @staticmethod
+    def request_length(head: bytes) -> int | None:
+        if len(head) < 2:
+            return None
+        return 4 if head[1] == DEVICE_IDENTIFICATION else 0
+
+    @staticmethod
+    def response_length(head: bytes) -> int | None:
+        if len(head) < 2:
+            return None
+        return _identification_length(head) if head[1] == DEVICE_IDENTIFICATION else 0
+
+    def encode(self) -> bytes:
+        return bytes([self.function, self.mei_type]) + self.data
+
+    @classmethod
+    def decode(cls, pdu: bytes) -> EncapsulatedTransport | ReadDeviceIdentification:  # type: ignore[override]
+        if len(pdu) < 2:
+            raise ValueError(f"a request of {len(pdu)} bytes")
+        if pdu[1] == DEVICE_IDENTIFICATION:
+            return ReadDeviceIdentification.decode(pdu)
+        if pdu[1] != CANOPEN:
+            raise IllegalFunction(f"no MEI type {pdu[1]}", function=cls.function)
+        return cls(pdu[1], pdu[2:])
+
+    def encode_response(self, result: bytes) -> bytes:
+        return bytes([self.function, self.mei_type]) + checked_data("result", result, MAX_PDU - 2)
+
+    def _decode_response(self, pdu: bytes) -> bytes:
+        if pdu[:2] != bytes([self.function, self.mei_type]):
+            raise self._invalid(f"{pdu[:4].hex(' ')}")
+        return pdu[2:]
+
+
+@dataclass(frozen=True, slots=True)
+class ReadDeviceIdentification(Request[IdentificationPage]):
+    """
+    Function 43 with MEI type 14, section 6.21: one page of identification.
+
+    `code` is 1..4 (`ReadDeviceIdCode`); `object_id` 0..255, where a stream
+    (1..3) begins, or the one object (4).
+    """
+
+    code: int
+    object_id: int = 0
+
+    function = EncapsulatedTransport.function
+    request_length = staticmethod(EncapsulatedTransport.request_length)
+    response_length = staticmethod(EncapsulatedTransport.response_length)
+    room: ClassVar[int] = MAX_PDU - 7
+
+    def __post_init__(self) -> None:
+        store(
+            self,
+            code=integer("code", self.code, 1, 4),
+            object_id=integer("object_id", self.object_id, 0, 0xFF),
+        )
+
+    def encode(self) -> bytes:
+        return bytes([self.function, DEVICE_IDENTIFICATION, self.code, self.object_id])
+
+    @classmethod
+    def decode(cls, pdu: bytes) -> Self:
+        return cls(pdu[2], pdu[3])
+
+    def encode_response(self, result: IdentificationPage) -> bytes:
+        conformity, next_object, objects = result
+        if not self._answers(objects):
+            raise ValueError(f"result must hold object {self.object_id} alone")
+        more, following = (0, 0) if next_object is None else (0xFF, next_object)
+        head = [self.function, DEVICE_IDENTIFICATION, self.code, conformity]
+        body = b"".join(bytes([at, len(value)]) + value for at, value in objects.items())
+        if len(body) > self.room:
+            raise ValueError(f"objects take {len(body)} bytes, more than {self.room}")
+        return bytes([*head, more, following, len(objects)]) + body
+
+    def _answers(self, objects: dict[int, bytes]) -> bool:
+        """Whether these are what was asked: any of a stream, or the single one."""
+        single = self.code == ReadDeviceIdCode.INDIVIDUAL
+        return list(objects) == [self.object_id] if single else True
+
+    def _decode_response(self, pdu: bytes) -> IdentificationPage:
+        if pdu[1] != DEVICE_IDENTIFICATION or pdu[2] != self.code:
+            raise self._invalid(f"{pdu[:4].hex(' ')}")
+        objects: dict[int, bytes] = {}
+        at = 7
+        while at < len(pdu):
+            end = at + 2 + pdu[at + 1]
+            if pdu[at] in objects:
+                raise self._invalid(f"object {pdu[at]} twice")
+            objects[pdu[at]] = pdu[at + 2 : end]
+            at = end
+        if not self._answers(objects):
+            raise self._invalid(f"objects {list(objects)}")
+        return IdentificationPage(pdu[3], pdu[5] if pdu[4] else None, objects)
+
+
+class DeviceIdentification(NamedTuple):
+    """
+    What a device says about itself.
+
+    Attributes:
+        conformity: 1 basic, 2 regular, 3 extended; 81h..83h if single objects
+            can be read, too.
+        objects: object id -> value.
+    """
+
+    conformity: int
+    objects: dict[int, bytes]
+
+    @property
+    def names(self) -> dict[str, str]:
+        """Give the objects 0..6 by the names that section 6.21 gives them."""
+        return {
+            OBJECT_NAMES[number]: value.decode("ascii", "replace")
+            for number, value in self.objects.items()
+            if number in OBJECT_NAMES
+        }
+
+
+LEVELS = {
+    "basic": ReadDeviceIdCode.BASIC,
+    "regular": ReadDeviceIdCode.REGULAR,
+    "extended": ReadDeviceIdCode.EXTENDED,
+}
+"""What `read_device_identification` takes -> the code."""
+
+
+def identify(
+    level: str | int,
+) -> Generator[ReadDeviceIdentification, IdentificationPage, DeviceIdentification]:
+    """
+    Ask for one page after the other: yields requests, is sent pages, returns all.
+
+    Args:
+        level: "basic", "regular", "extended", or the id of one object, 0..255.
+
+    Raises:
+        TypeError, ValueError: no such level.
+        InvalidResponse: the pages do not come to an end.
+    """
+    if isinstance(level, str) and level not in LEVELS:
+        raise ValueError(f"level must be one of {', '.join(LEVELS)}, or 0..255, not {level!r}")
+    if isinstance(level, str):
+        request = ReadDeviceIdentification(LEVELS[level], 0)
+    else:
+        number = integer("level", level, 0, 0xFF)
+        request = ReadDeviceIdentification(ReadDeviceIdCode.INDIVIDUAL, number)
+    objects: dict[int, bytes] = {}
+    while True:
+        conformity, following, page = yield request
+        objects.update(page)
+        if following is None or request.code == ReadDeviceIdCode.INDIVIDUAL:
+            return DeviceIdentification(conformity, objects)
+        if following <= request.object_id or following <= max(page, default=-1):
+            raise InvalidResponse(
+                f"object {following} comes next, though {max(page, default=0)} was there",
+                function=request.function,
+                asked=str(request),
+            )
+        request = ReadDeviceIdentification(request.code, following)
+
+
+def pages(request: ReadDeviceIdentification, objects: Mapping[int, bytes]) -> IdentificationPage:
+    """
+    Choose what a device with these objects answers; conformity is left 0.
+
+    Args:
+        request: a stream; an object that is not in it starts it over (section 6.21).
+        objects: in ascending order of their ids, each up to 244 bytes.
+    """
+    last = LAST_OBJECT[ReadDeviceIdCode(request.code)]
+    known = [number for number in objects if number <= last]
+    start = request.object_id if request.object_id in known else 0
+    page: dict[int, bytes] = {}
+    room = request.room
+    for number in known:
+        if number < start:
+            continue
+        room -= 2 + len(objects[number])
+        if room < 0:
+            return IdentificationPage(0, number, page)
+        page[number] = objects[number]
+    return IdentificationPage(0, None, page)

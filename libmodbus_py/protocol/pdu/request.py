@@ -1,0 +1,152 @@
+"""
+What every request has in common; those that are echoed, and those sent as they are.
+"""
+
+from __future__ import annotations
+
+import reprlib
+from dataclasses import dataclass, fields
+from typing import ClassVar, Generic, Self, TypeVar
+
+from ..checks import integer
+from ..errors import ExceptionResponse, InvalidResponse
+from .fields import MAX_PDU, LengthRule, checked_data, unknown_length
+
+Result = TypeVar("Result")
+
+
+class Request(Generic[Result]):
+    """
+    What every request has in common.
+
+    Class attributes:
+        function: the function code, 1..127.
+        request_length, response_length: length rules of the two PDUs.
+        is_write: whether a broadcast of it makes sense (it changes the
+            device and its answer carries nothing new).
+
+    Constructors raise TypeError or ValueError, naming the argument and its
+    range; ``str()`` of a request says what is asked, for messages.
+    """
+
+    __slots__ = ()
+
+    function: ClassVar[int]
+    request_length: ClassVar[LengthRule]
+    response_length: ClassVar[LengthRule]
+    is_write: ClassVar[bool] = False
+
+    @property
+    def expects_response(self) -> bool:
+        """Whether a server answers it at all."""
+        return True
+
+    def encode(self) -> bytes:
+        """Encode the request PDU."""
+        raise NotImplementedError
+
+    @classmethod
+    def decode(cls, pdu: bytes) -> Self:
+        """
+        Decode a request PDU of this function, whose length has been checked.
+
+        Raises:
+            ValueError: a quantity, byte count or constant is wrong.
+        """
+        raise NotImplementedError
+
+    def encode_response(self, result: Result) -> bytes:
+        """
+        Encode the response PDU a server sends.
+
+        Args:
+            result: what the client method of this function returns.
+
+        Raises:
+            ValueError: the result is not what was asked for.
+        """
+        raise NotImplementedError
+
+    def decode_response(self, pdu: bytes) -> Result:
+        """
+        Decode the response PDU.
+
+        Returns:
+            What the client method of this function returns.
+
+        Raises:
+            ExceptionResponse: the server refused (its subclass for the code).
+            InvalidResponse: the PDU does not answer this request.
+        """
+        if not pdu or pdu[0] != self.function:
+            raise self._refusal(pdu)
+        length = type(self).response_length(pdu)
+        if length != len(pdu) and length != 0:
+            raise self._invalid(f"a response of {len(pdu)} bytes")
+        return self._decode_response(pdu)
+
+    def _decode_response(self, pdu: bytes) -> Result:
+        raise NotImplementedError
+
+    def _refusal(self, pdu: bytes) -> ExceptionResponse | InvalidResponse:
+        if len(pdu) == 2 and pdu[0] == self.function | 0x80:
+            return ExceptionResponse.of(pdu[1], function=self.function, asked=str(self))
+        return self._invalid(f"response {pdu[:8].hex(' ') or 'without a byte'}")
+
+    def _invalid(self, what: str) -> InvalidResponse:
+        return InvalidResponse(f"answered with {what}", function=self.function, asked=str(self))
+
+    def __str__(self) -> str:
+        shown = (
+            f"{field.name}={reprlib.repr(getattr(self, field.name))}"
+            for field in fields(self)  # type: ignore[arg-type]
+        )
+        return f"{type(self).__name__}({', '.join(shown)})"
+
+
+class Echoed(Request[None]):
+    """A write whose response repeats the first bytes of the request."""
+
+    __slots__ = ()
+    is_write = True
+    echoed: ClassVar[int]
+
+    def encode_response(self, result: None = None) -> bytes:
+        return self.encode()[: self.echoed]
+
+    def _decode_response(self, pdu: bytes) -> None:
+        if pdu != self.encode_response():
+            raise self._invalid(f"the echo {pdu.hex(' ')}")
+
+
+@dataclass(frozen=True, slots=True)
+class RawRequest(Request[bytes]):
+    """
+    Any function code, 1..127, with `data` of up to 252 bytes that are sent as they are.
+
+    The result is what follows the function code of the response. On RTU lines the end
+    of a response without a length rule is where its CRC fits.
+    """
+
+    function: int  # type: ignore[misc]  # here it is data, not the class's own
+    data: bytes = b""
+
+    request_length: ClassVar[LengthRule] = unknown_length
+    response_length: ClassVar[LengthRule] = unknown_length
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "function", integer("function", self.function, 1, 127))
+        checked_data("data", self.data, MAX_PDU - 1)
+
+    def encode(self) -> bytes:
+        return bytes([self.function]) + self.data
+
+    @classmethod
+    def decode(cls, pdu: bytes) -> Self:
+        return cls(pdu[0], pdu[1:])
+
+    def encode_response(self, result: bytes) -> bytes:
+        return bytes([self.function]) + checked_data("result", result, MAX_PDU - 1)
+
+    def _decode_response(self, pdu: bytes) -> bytes:
+        return pdu[1:]

@@ -1,0 +1,267 @@
+"""
+Functions of serial lines: 7, 8, 11, 12 and 17. Many TCP devices answer them, too.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import ClassVar, NamedTuple, Self
+
+from ..checks import integer
+from .fields import MAX_PDU, checked_data, checked_register, counted, fixed, store
+from .request import Request
+
+__all__ = [
+    "CommEventCounter",
+    "CommEventLog",
+    "Diagnostics",
+    "ReadCommEventCounter",
+    "ReadCommEventLog",
+    "ReadExceptionStatus",
+    "ReportServerId",
+    "ServerId",
+    "SubFunction",
+]
+
+
+@dataclass(frozen=True, slots=True)
+class ReadExceptionStatus(Request[int]):
+    """Function 7, section 6.7: eight outputs of the device as a byte, the lowest in bit 0."""
+
+    function = 0x07
+    request_length = fixed(1)
+    response_length = fixed(2)
+
+    def encode(self) -> bytes:
+        return bytes([self.function])
+
+    @classmethod
+    def decode(cls, pdu: bytes) -> Self:
+        return cls()
+
+    def encode_response(self, result: int) -> bytes:
+        return bytes([self.function, integer("result", result, 0, 0xFF)])
+
+    def _decode_response(self, pdu: bytes) -> int:
+        return pdu[1]
+
+
+class SubFunction(IntEnum):
+    """Sub-functions of function 8 (section 6.8)."""
+
+    RETURN_QUERY_DATA = 0x00
+    RESTART_COMMUNICATIONS = 0x01
+    RETURN_DIAGNOSTIC_REGISTER = 0x02
+    CHANGE_ASCII_DELIMITER = 0x03
+    FORCE_LISTEN_ONLY = 0x04
+    CLEAR_COUNTERS = 0x0A
+    BUS_MESSAGE_COUNT = 0x0B
+    BUS_COMMUNICATION_ERROR_COUNT = 0x0C
+    BUS_EXCEPTION_ERROR_COUNT = 0x0D
+    SERVER_MESSAGE_COUNT = 0x0E
+    SERVER_NO_RESPONSE_COUNT = 0x0F
+    SERVER_NAK_COUNT = 0x10
+    SERVER_BUSY_COUNT = 0x11
+    BUS_CHARACTER_OVERRUN_COUNT = 0x12
+    CLEAR_OVERRUN = 0x14
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnostics(Request[bytes]):
+    """
+    Function 8, section 6.8: a sub-function, and its data.
+
+    `sub_function` is 0..65535 (`SubFunction` names those of the specification);
+    `data` are 2 bytes, and 2, 4..250 for sub-function 0. The answer to
+    sub-function 4 is silence.
+    """
+
+    sub_function: int
+    data: bytes = b"\0\0"
+
+    function = 0x08
+    longest: ClassVar[int] = 250
+
+    def __post_init__(self) -> None:
+        sub_function = integer("sub_function", self.sub_function, 0, 0xFFFF)
+        checked_data("data", self.data, self.longest)
+        longest = self.longest if sub_function == SubFunction.RETURN_QUERY_DATA else 2
+        if not 2 <= len(self.data) <= longest or len(self.data) % 2:
+            allowed = "2 bytes" if longest == 2 else f"2, 4..{longest} bytes"
+            raise ValueError(f"data must be {allowed}, not {len(self.data)}")
+        store(self, sub_function=sub_function)
+
+    @property
+    def expects_response(self) -> bool:
+        return self.sub_function != SubFunction.FORCE_LISTEN_ONLY
+
+    @staticmethod
+    def request_length(head: bytes) -> int | None:
+        if len(head) < 3:
+            return None
+        return 5 if head[1:3] != b"\0\0" else 0
+
+    response_length = request_length
+
+    def encode(self) -> bytes:
+        return struct.pack(">BH", self.function, self.sub_function) + self.data
+
+    @classmethod
+    def decode(cls, pdu: bytes) -> Self:
+        if len(pdu) < 3:
+            raise ValueError(f"a request of {len(pdu)} bytes")
+        return cls(int.from_bytes(pdu[1:3], "big"), pdu[3:])
+
+    def encode_response(self, result: bytes) -> bytes:
+        if len(checked_data("result", result, self.longest)) != len(self.data):
+            raise ValueError(f"result must be {len(self.data)} bytes, not {len(result)}")
+        return self.encode()[:3] + result
+
+    def _decode_response(self, pdu: bytes) -> bytes:
+        if pdu[:3] != self.encode()[:3] or len(pdu) != 3 + len(self.data):
+            raise self._invalid(f"{pdu[:5].hex(' ')}")
+        return pdu[3:]
+
+
+class CommEventCounter(NamedTuple):
+    """
+    Answer to function 11.
+
+    Attributes:
+        status: FFFFh while an earlier program command still runs, else 0.
+        event_count: messages completed, 0..65535.
+    """
+
+    status: int
+    event_count: int
+
+
+@dataclass(frozen=True, slots=True)
+class ReadCommEventCounter(Request[CommEventCounter]):
+    """Function 11, section 6.9: status word and event counter."""
+
+    function = 0x0B
+    request_length = fixed(1)
+    response_length = fixed(5)
+
+    def encode(self) -> bytes:
+        return bytes([self.function])
+
+    @classmethod
+    def decode(cls, pdu: bytes) -> Self:
+        return cls()
+
+    def encode_response(self, result: CommEventCounter) -> bytes:
+        status, event_count = (checked_register("result", value) for value in result)
+        return struct.pack(">BHH", self.function, status, event_count)
+
+    def _decode_response(self, pdu: bytes) -> CommEventCounter:
+        return CommEventCounter(*struct.unpack(">HH", pdu[1:]))
+
+
+class CommEventLog(NamedTuple):
+    """
+    Answer to function 12.
+
+    Attributes:
+        status, event_count: as in `CommEventCounter`.
+        message_count: good frames seen on the line, 0..65535.
+        events: up to 64 event bytes, newest first (section 6.10).
+    """
+
+    status: int
+    event_count: int
+    message_count: int
+    events: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class ReadCommEventLog(Request[CommEventLog]):
+    """Function 12, section 6.10: the counters, and the last events."""
+
+    function = 0x0C
+    request_length = fixed(1)
+    response_length = counted(2, at=1)
+    max_events: ClassVar[int] = 64
+
+    def encode(self) -> bytes:
+        return bytes([self.function])
+
+    @classmethod
+    def decode(cls, pdu: bytes) -> Self:
+        return cls()
+
+    def encode_response(self, result: CommEventLog) -> bytes:
+        events = checked_data("events", result.events, self.max_events)
+        words = [checked_register("result", value) for value in result[:3]]
+        return struct.pack(">BBHHH", self.function, 6 + len(events), *words) + events
+
+    def _decode_response(self, pdu: bytes) -> CommEventLog:
+        if not 8 <= len(pdu) <= 8 + self.max_events:
+            raise self._invalid(f"{pdu[1]} bytes of data")
+        status, event_count, message_count = struct.unpack(">HHH", pdu[2:8])
+        return CommEventLog(status, event_count, message_count, pdu[8:])
+
+
+class ServerId(NamedTuple):
+    """
+    Answer to function 17.
+
+    The answer does not say how long the identifier is: one byte is the
+    custom, and `split` is for devices that have more.
+
+    Attributes:
+        identifier: what kind of device it is.
+        running: the run indicator.
+        additional: whatever follows.
+    """
+
+    identifier: bytes
+    running: bool
+    additional: bytes = b""
+
+    @property
+    def data(self) -> bytes:
+        """All of it, as on the wire."""
+        return self.identifier + (b"\xff" if self.running else b"\0") + self.additional
+
+    @classmethod
+    def split(cls, data: bytes, length: int = 1) -> Self:
+        """
+        Take `data` apart, with an identifier of `length` bytes.
+
+        Raises:
+            ValueError: there are no more bytes than that.
+        """
+        if not 0 <= length < len(data):
+            raise ValueError(f"length must be in 0..{len(data) - 1}, not {length}")
+        return cls(data[:length], data[length] == 0xFF, data[length + 1 :])
+
+
+@dataclass(frozen=True, slots=True)
+class ReportServerId(Request[ServerId]):
+    """Function 17, section 6.13: what the device is, and whether it runs."""
+
+    function = 0x11
+    request_length = fixed(1)
+    response_length = counted(2, at=1)
+
+    def encode(self) -> bytes:
+        return bytes([self.function])
+
+    @classmethod
+    def decode(cls, pdu: bytes) -> Self:
+        return cls()
+
+    def encode_response(self, result: ServerId) -> bytes:
+        data = result.data
+        if not 2 <= len(data) <= MAX_PDU - 2:
+            raise ValueError(f"result must take 2..{MAX_PDU - 2} bytes, not {len(data)}")
+        return bytes([self.function, len(data)]) + data
+
+    def _decode_response(self, pdu: bytes) -> ServerId:
+        if len(pdu) < 4:
+            raise self._invalid(f"{pdu[1]} bytes of data")
+        return ServerId.split(pdu[2:])

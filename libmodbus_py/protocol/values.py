@@ -1,0 +1,545 @@
+"""
+Values and references: what registers mean, and how manuals number them.
+
+Modbus carries 16-bit registers, high byte first. All else is an agreement between
+device and reader; this module knows the usual ones. Types are named by text:
+
+* int16, uint16, int32, uint32, int64, uint64;
+* float16, float32, float64 (IEEE 754);
+* bcd16, bcd32, bcd64: decimal digits, four in each register;
+* bits16, bits32, bits64: lists of True and False, lowest bit first;
+* string:N: N bytes of text, 1..250, two in each register; of an odd N the last
+  byte of the last register is no text: written as 0, not looked at when read.
+
+Orders say how the bytes A (most significant), B, C, D of a value lie in the
+registers; four letters name the order of every width, and one of 16 or 64 bits
+may be written out:
+
+==== == ======== ================ ========================
+name 16 64 bits  meaning          registers of 0x12345678
+==== == ======== ================ ========================
+ABCD AB ABCDEFGH big-endian       1234 5678
+CDAB AB GHEFCDAB words swapped    5678 1234
+BADC BA BADCFEHG bytes swapped    3412 7856
+DCBA BA HGFEDCBA little-endian    7856 3412
+==== == ======== ================ ========================
+
+Text stands in reading order: its registers are never reversed, only the bytes of
+each are swapped (BADC, DCBA).
+
+The C library's own float helpers are not used: they disagree between versions.
+"""
+
+from __future__ import annotations
+
+import re
+import reprlib
+import struct
+import sys
+from collections.abc import Callable, Iterable, Mapping, Set
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple, SupportsFloat, SupportsIndex
+
+from .checks import integer
+
+__all__ = [
+    "ORDERS",
+    "Reading",
+    "Reference",
+    "ValueType",
+    "decode",
+    "decode_many",
+    "encode",
+    "encode_many",
+    "parse_reference",
+    "readings",
+    "value_type",
+]
+
+# --- orders ------------------------------------------------------------------------
+
+ORDERS: dict[str, tuple[bool, bool]] = {
+    "ABCD": (False, False),
+    "CDAB": (True, False),
+    "BADC": (False, True),
+    "DCBA": (True, True),
+}
+"""Order -> (registers reversed, bytes of each swapped)."""
+
+# The same orders written out: name and registers.
+_SPELLINGS = {
+    "AB": ("ABCD", 1),
+    "BA": ("BADC", 1),
+    "ABCDEFGH": ("ABCD", 4),
+    "GHEFCDAB": ("CDAB", 4),
+    "BADCFEHG": ("BADC", 4),
+    "HGFEDCBA": ("DCBA", 4),
+}
+
+
+def _order(order: object, kind: ValueType) -> str:
+    """The four letters; a spelling of another width is a mistake, not a synonym."""
+    if not isinstance(order, str):
+        raise TypeError(f"order must be one of {', '.join(ORDERS)}, not {type(order).__name__}")
+    name, width = _SPELLINGS.get(order.upper(), (order.upper(), None))
+    if name not in ORDERS:
+        raise ValueError(f"order must be one of {', '.join(ORDERS)}, not {order!r}")
+    if width not in (None, 1 if kind.is_text else kind.registers):
+        raise ValueError(f"order of {kind.name} must be one of {', '.join(ORDERS)}, not {order!r}")
+    return name
+
+
+def _reorder(data: bytes, words: bool, swap: bool) -> bytes:
+    """Each order undoes itself, so that one function serves both ways."""
+    pairs = [data[at : at + 2] for at in range(0, len(data), 2)]
+    if words:
+        pairs.reverse()
+    return b"".join(pair[::-1] if swap else pair for pair in pairs)
+
+
+# --- types -------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class ValueType:
+    """
+    One type of value in one order of bytes; `value_type` makes them.
+
+    Attributes:
+        name: as in the module's docstring.
+        registers: how many registers one value takes, 1..125.
+        order: ABCD, CDAB, BADC or DCBA.
+        is_text: whether its registers stand in reading order whatever the order.
+    """
+
+    name: str
+    registers: int
+    _pack: Callable[[str, Any], bytes] = field(repr=False)  # the argument's name, the value
+    _unpack: Callable[[bytes], Any] = field(repr=False)  # ValueError says what the bytes are not
+    is_text: bool = False
+    order: str = "ABCD"
+
+    def encode(self, value: Any) -> list[int]:
+        """
+        Turn one value into its registers, 0..65535 each.
+
+        Raises:
+            TypeError, ValueError: the value does not fit the type.
+        """
+        return self._to_registers("value", value)
+
+    def encode_many(self, values: Iterable[Any]) -> list[int]:
+        """
+        Turn values into registers, one value after the other.
+
+        Raises:
+            TypeError, ValueError: `values` is no list, or a value, which is
+                named, does not fit the type.
+        """
+        found = []
+        for at, value in enumerate(_items("values", values)):
+            found += self._to_registers(f"values[{at}]", value)
+        return found
+
+    def decode(self, registers: Iterable[int]) -> Any:
+        """
+        Turn the registers of one value into that value.
+
+        Raises:
+            TypeError, ValueError: the registers are too many or too few, not
+                0..65535 each, or hold no such value.
+        """
+        cells = _cells(registers)
+        if len(cells) != self.registers:
+            raise ValueError(
+                f"registers must hold {self.registers} for {self.name}, not {len(cells)}"
+            )
+        return self._from_registers(cells, 0)
+
+    def decode_many(self, registers: Iterable[int]) -> list[Any]:
+        """
+        Turn registers into values, one after the other; no registers into none.
+
+        Raises:
+            TypeError, ValueError: the registers do not end with a value, are
+                not 0..65535 each, or hold no such value; it says which.
+        """
+        cells = _cells(registers)
+        if len(cells) % self.registers:
+            raise ValueError(
+                f"registers must hold a multiple of {self.registers} for {self.name},"
+                f" not {len(cells)}"
+            )
+        return [self._from_registers(cells, at) for at in range(0, len(cells), self.registers)]
+
+    def _to_registers(self, name: str, value: object) -> list[int]:
+        data = self._reordered(self._pack(name, value))
+        return list(struct.unpack(f">{self.registers}H", data))
+
+    def _from_registers(self, cells: list[int], at: int) -> Any:
+        end = at + self.registers
+        data = struct.pack(f">{self.registers}H", *cells[at:end])
+        try:
+            return self._unpack(self._reordered(data))
+        except ValueError as error:
+            raise ValueError(f"registers[{at}:{end}] hold no {self.name}: {error}") from None
+
+    def _reordered(self, data: bytes) -> bytes:
+        words, swap = ORDERS[self.order]
+        return _reorder(data, words and not self.is_text, swap)
+
+
+def _items(name: str, values: object) -> list[Any]:
+    # Text, sets and mappings are iterable, but never a run of values.
+    unfit = isinstance(values, str | bytes | bytearray | Set | Mapping)
+    if unfit or not isinstance(values, Iterable):
+        raise TypeError(f"{name} must be a list, not {type(values).__name__}")
+    return list(values)
+
+
+def _cells(registers: object) -> list[int]:
+    given = enumerate(_items("registers", registers))
+    return [integer(f"registers[{at}]", cell, 0, 0xFFFF) for at, cell in given]
+
+
+def _integers(bits: int, signed: bool) -> ValueType:
+    low, high = (-1 << bits - 1, (1 << bits - 1) - 1) if signed else (0, (1 << bits) - 1)
+
+    def pack(name: str, value: object) -> bytes:
+        return integer(name, value, low, high).to_bytes(bits // 8, "big", signed=signed)
+
+    def unpack(data: bytes) -> int:
+        return int.from_bytes(data, "big", signed=signed)
+
+    return ValueType(f"{'' if signed else 'u'}int{bits}", bits // 16, pack, unpack)
+
+
+def _floats(bits: int, code: str, largest: float) -> ValueType:
+    form = struct.Struct(f">{code}")
+
+    def pack(name: str, value: object) -> bytes:
+        unfit = isinstance(value, bool) or not isinstance(value, SupportsFloat | SupportsIndex)
+        if unfit:
+            raise TypeError(f"{name} must be a number, not {type(value).__name__}")
+        try:
+            return form.pack(float(value))  # type: ignore[arg-type]
+        except OverflowError:
+            span = f"-{largest:.8g}..{largest:.8g}, infinite or nan"
+            raise ValueError(f"{name} must be in {span}, not {reprlib.repr(value)}") from None
+
+    def unpack(data: bytes) -> float:
+        value: float = form.unpack(data)[0]
+        return value
+
+    return ValueType(f"float{bits}", bits // 16, pack, unpack)
+
+
+def _decimals(bits: int) -> ValueType:
+    digits = bits // 4
+
+    def pack(name: str, value: object) -> bytes:
+        number = integer(name, value, 0, 10**digits - 1)
+        return bytes.fromhex(f"{number:0{digits}}")
+
+    def unpack(data: bytes) -> int:
+        text = data.hex().upper()
+        if not text.isdecimal():
+            raise ValueError(f"{text} has other than decimal digits")
+        return int(text)
+
+    return ValueType(f"bcd{bits}", bits // 16, pack, unpack)
+
+
+def _flags(bits: int) -> ValueType:
+    def pack(name: str, value: object) -> bytes:
+        flags = _items(name, value)
+        if len(flags) != bits:
+            raise ValueError(f"{name} must hold {bits} bits, lowest first, not {len(flags)}")
+        number = sum(_bit(f"{name}[{at}]", flag) << at for at, flag in enumerate(flags))
+        return number.to_bytes(bits // 8, "big")
+
+    def unpack(data: bytes) -> list[bool]:
+        number = int.from_bytes(data, "big")
+        return [bool(number >> at & 1) for at in range(bits)]
+
+    return ValueType(f"bits{bits}", bits // 16, pack, unpack)
+
+
+def _bit(name: str, flag: object) -> int:
+    return int(flag) if isinstance(flag, bool) else integer(name, flag, 0, 1)
+
+
+def _text(size: int, encoding: str, padding: str, fill: bytes) -> ValueType:
+    registers = (size + 1) // 2
+
+    def pack(name: str, value: object) -> bytes:
+        if not isinstance(value, str):
+            raise TypeError(f"{name} must be a string, not {type(value).__name__}")
+        data = _encoded(name, value, encoding)
+        room = size - len(data)
+        if room < 0:
+            given = f"{reprlib.repr(value)} with {len(data)}"
+            raise ValueError(f"{name} must have 0..{size} bytes in {encoding}, not {given}")
+        if room % len(fill):
+            raise ValueError(
+                f"{name} leaves {room} bytes of {size}, and padding fills {len(fill)} at a time"
+            )
+        return (data + fill * (room // len(fill))).ljust(2 * registers, b"\0")
+
+    def unpack(data: bytes) -> str:
+        try:
+            return data[:size].decode(encoding).rstrip(padding)
+        except UnicodeError:
+            raise ValueError(f"{data[:size].hex(' ').upper()} is no {encoding}") from None
+
+    return ValueType(f"string:{size}", registers, pack, unpack, is_text=True)
+
+
+def _encoded(name: str, value: str, encoding: str) -> bytes:
+    try:
+        return value.encode(encoding)
+    except UnicodeError:
+        raise ValueError(f"{name} must be {encoding}, not {reprlib.repr(value)}") from None
+
+
+def _fill(padding: str, encoding: str) -> bytes:
+    """The bytes of one more padding: without the mark that begins UTF-16 text."""
+    for name, given in (("encoding", encoding), ("padding", padding)):
+        if not isinstance(given, str):
+            raise TypeError(f"{name} must be a string, not {type(given).__name__}")
+    if len(padding) != 1:
+        raise ValueError(f"padding must be one character, not {padding!r}")
+    try:
+        one, two = (_encoded("padding", padding * count, encoding) for count in (1, 2))
+    except LookupError:
+        raise ValueError(f"encoding must be one of text in Python, not {encoding!r}") from None
+    return two[len(one) :]
+
+
+TYPES: dict[str, ValueType] = {
+    made.name: made
+    for made in (
+        *(_integers(bits, signed=True) for bits in (16, 32, 64)),
+        *(_integers(bits, signed=False) for bits in (16, 32, 64)),
+        _floats(16, "e", 65504.0),
+        _floats(32, "f", (2 - 2**-23) * 2.0**127),
+        _floats(64, "d", sys.float_info.max),
+        *(_decimals(bits) for bits in (16, 32, 64)),
+        *(_flags(bits) for bits in (16, 32, 64)),
+    )
+}
+"""Name -> type, in the order ABCD; strings are made by `value_type`."""
+
+
+def value_type(
+    name: str, *, order: str = "ABCD", encoding: str = "ascii", padding: str = "\0"
+) -> ValueType:
+    """
+    Find a type; all names and options are checked here, before any value is.
+
+    Args:
+        name: as in the module's docstring.
+        order: ABCD, CDAB, BADC or DCBA, or written out in the type's width;
+            capitals or not.
+        encoding: of strings; any of text that Python knows.
+        padding: the character that fills up strings, and is cut off their end.
+
+    Raises:
+        TypeError, ValueError: no such type, order, encoding or padding.
+    """
+    kind = _known(name) or _string(name, encoding, padding)
+    return replace(kind, order=_order(order, kind))
+
+
+def _known(name: object) -> ValueType | None:
+    if not isinstance(name, str):
+        raise TypeError(f"type must be a string, such as float32, not {type(name).__name__}")
+    return TYPES.get(name)
+
+
+def _string(name: str, encoding: str, padding: str) -> ValueType:
+    found = re.fullmatch(r"string:([0-9]{1,9})", name)
+    if not found:
+        raise ValueError(f"type must be one of {', '.join(TYPES)}, string:N, not {name!r}")
+    size = integer("type string:N: N", int(found[1]), 1, 250)
+    return _text(size, encoding, padding, _fill(padding, encoding))
+
+
+# --- values ------------------------------------------------------------------------
+
+
+def encode(value: Any, type: str, *, order: str = "ABCD", **text: str) -> list[int]:
+    """
+    Turn a value into registers.
+
+    Args:
+        value: a number; a list of True and False for bits, lowest first; a
+            string for string:N.
+        type: as in the module's docstring.
+        order: ABCD, CDAB, BADC or DCBA.
+        text: encoding ("ascii") and padding (a zero) of strings (`value_type`).
+
+    Returns:
+        The registers, 0..65535 each, as many as the type takes.
+
+    Raises:
+        TypeError, ValueError: the value does not fit the type (a string is
+            never cut), or there is no such type, order, encoding or padding.
+    """
+    return value_type(type, order=order, **text).encode(value)
+
+
+def encode_many(values: Iterable[Any], type: str, *, order: str = "ABCD", **text: str) -> list[int]:
+    """
+    Turn values of one type into registers, one value after the other.
+
+    Args:
+        values: as the value of `encode`; none give no registers.
+        type, order, text: as of `encode`.
+
+    Raises:
+        TypeError, ValueError: as of `encode`; the value is named (``values[3]``).
+    """
+    return value_type(type, order=order, **text).encode_many(values)
+
+
+def decode(registers: Iterable[int], type: str, *, order: str = "ABCD", **text: str) -> Any:
+    """
+    Turn registers into a value: `encode` reversed.
+
+    Args:
+        registers: as many as the type takes, 0..65535 each.
+        type, order, text: as of `encode`.
+
+    Returns:
+        An int, a float, a list of True and False or a string; a string without
+        the padding at its end, whatever else it holds.
+
+    Raises:
+        TypeError, ValueError: the registers are too many or too few, or hold
+            no such value (other than decimal digits; bytes that are no text,
+            such as a character cut in the middle); or there is no such type,
+            order, encoding or padding.
+    """
+    return value_type(type, order=order, **text).decode(registers)
+
+
+def decode_many(
+    registers: Iterable[int], type: str, *, order: str = "ABCD", **text: str
+) -> list[Any]:
+    """
+    Turn registers into values of one type: `encode_many` reversed.
+
+    Args:
+        registers: as many as so many values take, 0..65535 each; none give none.
+        type, order, text: as of `encode`.
+
+    Raises:
+        TypeError, ValueError: as of `decode`; the registers are named
+            (``registers[4:6]``).
+    """
+    return value_type(type, order=order, **text).decode_many(registers)
+
+
+class Reading(NamedTuple):
+    """
+    One way to read some registers.
+
+    Attributes:
+        type: as in the module's docstring.
+        order: ABCD, CDAB, BADC or DCBA.
+        value: what `decode` gives for them.
+    """
+
+    type: str
+    order: str
+    value: Any
+
+
+def readings(registers: Iterable[int]) -> list[Reading]:
+    """
+    Read the same registers in every way that takes all of them as one value.
+
+    For manuals that are wrong: one of the readings is the value the device shows.
+    A value that a type gives in several orders stands once, under the first of
+    them (ABCD, CDAB, BADC, DCBA).
+
+    Args:
+        registers: 1..125. Of 1, 2 and 4 registers there are numbers, bits and
+            text; of other counts there can be text (ASCII) only, or nothing.
+
+    Raises:
+        TypeError, ValueError: not 1..125 registers of 0..65535.
+    """
+    cells = _cells(registers)
+    count = integer("the number of registers", len(cells), 1, 125)
+    names = [name for name, kind in TYPES.items() if kind.registers == count]
+    found: dict[tuple[str, str], Reading] = {}
+    for name in [*names, f"string:{2 * count}"]:
+        for order in ORDERS:
+            try:
+                value = decode(cells, name, order=order)
+            except ValueError:
+                continue
+            # By repr, for a nan is not equal to itself.
+            found.setdefault((name, repr(value)), Reading(name, order, value))
+    return list(found.values())
+
+
+# --- references --------------------------------------------------------------------
+
+TABLES = {
+    "0": "coils",
+    "1": "discrete_inputs",
+    "3": "input_registers",
+    "4": "holding_registers",
+    "6": "file",
+}
+"""First digit of a reference -> table."""
+
+
+class Reference(NamedTuple):
+    """
+    What a reference stands for.
+
+    Attributes:
+        table: "coils", "discrete_inputs", "input_registers",
+            "holding_registers" or "file" (whose number goes separately).
+        address: the 0-based address, or the record number.
+    """
+
+    table: str
+    address: int
+
+
+def parse_reference(text: str) -> Reference:
+    """
+    Read a 5- or 6-digit reference (PI-MBUS-300).
+
+    The first digit is the table, the rest the item, from 1: "40123" is holding
+    register 122. File records count from 0: "600007" is record 7.
+
+    Args:
+        text: a string, for the leading zero of coils counts.
+
+    Raises:
+        TypeError: not a string.
+        ValueError: not a reference, and what one looks like.
+    """
+    if not isinstance(text, str):
+        given = type(text).__name__
+        raise TypeError(f'a reference must be a string, such as "40123", not {given}')
+    if not re.fullmatch(r"[0-9]{5,6}", text) or text[0] not in TABLES:
+        raise ValueError(
+            f"reference {text!r} must have 5 or 6 digits and begin with 0 (coil), 1 (discrete"
+            " input), 3 (input register), 4 (holding register) or 6 (file record), as in 40123"
+        )
+    table, item = TABLES[text[0]], int(text[1:])
+    if table == "file":
+        if item > 9999:
+            raise ValueError(f"reference {text!r}: file records are 600000..609999")
+        return Reference(table, item)
+    if not 1 <= item <= 65536:
+        first, last = f"{text[0]}{'1':0>{len(text) - 1}}", f"{text[0]}65536"
+        raise ValueError(f"reference {text!r}: the items are {first}..{last}, counted from 1")
+    return Reference(table, item - 1)

@@ -1,0 +1,192 @@
+"""
+The sessions of Modbus/TCP connections: requests by the chunk, in C where it can be.
+
+They say on the wire what `FramerSession` says, several times faster.
+"""
+
+from __future__ import annotations
+
+import logging
+import struct
+from collections.abc import Callable
+
+from ..protocol.errors import FrameError
+from ..protocol.framing import Frame, TcpFramer
+from ..protocol.pdu import MAX_PDU
+from .limits import Statistics
+from .units import TcpUnits
+
+__all__ = ["ChunkSession", "Singles"]
+
+logger = logging.getLogger(__name__)
+
+HEADER = struct.Struct(">HHHB")
+
+encode = TcpFramer().encode
+
+
+class Singles:
+    """
+    The requests of connections that sent one each: together they are a chunk, too.
+
+    Args:
+        units: who answers.
+        later: has a function called when all connections have been read.
+    """
+
+    def __init__(
+        self,
+        units: TcpUnits,
+        statistics: Statistics,
+        later: Callable[[Callable[[], None]], None],
+    ) -> None:
+        self._units = units
+        self._statistics = statistics
+        self._later = later
+        self._waiting: list[tuple[ChunkSession, bytes]] = []
+
+    def add(self, session: ChunkSession, request: bytes) -> None:
+        """Take a whole frame, which is answered this turn."""
+        if not self._waiting:
+            self._later(self._answer)
+        self._waiting.append((session, request))
+
+    def _answer(self) -> None:
+        waiting, self._waiting = self._waiting, []
+        chunk = b"".join([request for _, request in waiting])
+        start = first = 0
+        while first < len(waiting):
+            count, start = self._answer_run(waiting, first, chunk, start)
+            if count == 0:
+                session, request = waiting[first]
+                session.take(request)
+                start += len(request)
+                count = 1
+            first += count
+
+    def _answer_run(
+        self, waiting: list[tuple[ChunkSession, bytes]], first: int, chunk: bytes, start: int
+    ) -> tuple[int, int]:
+        """Answer those of one unit that follow each other, in C; give how many, and the rest."""
+        unit = chunk[start + 6]
+        device = self._units.device(unit)
+        if device is None or not device.is_plain:
+            return 0, start
+        start, answers, count, refused = device.answer_chunk(chunk, start, unit)
+        at = 0
+        for session, _ in waiting[first : first + count]:
+            end = at + 6 + (answers[at + 4] << 8 | answers[at + 5])
+            session.write(answers[at:end])
+            at = end
+        self._statistics.requests += count
+        self._statistics.refused += refused
+        return count, start
+
+
+class ChunkSession:
+    """
+    Arguments as for `FramerSession`; there is never anything to wait for.
+
+    Args:
+        singles: where requests go that come alone.
+    """
+
+    is_waiting = False
+
+    __slots__ = (
+        "_peer",
+        "_pending",
+        "_singles",
+        "_statistics",
+        "_units",
+        "is_unfinished",
+        "write",
+    )
+
+    def __init__(
+        self,
+        units: TcpUnits,
+        peer: str,
+        statistics: Statistics,
+        singles: Singles,
+        write: Callable[[bytes], None],
+    ) -> None:
+        self._units = units
+        self._peer = peer
+        self._statistics = statistics
+        self._singles = singles
+        self.write = write
+        self._pending = b""  # the beginning of a frame
+        self.is_unfinished = False
+
+    def receive(self, data: bytes) -> int:
+        if not self._pending and _is_one_frame(data):
+            self._singles.add(self, data)
+            return 1
+        return self.take(data)
+
+    def take(self, data: bytes) -> int:
+        """As `receive`, without the help of others."""
+        if self._pending:
+            data = self._pending + data
+        before = self._statistics.requests
+        start, size = 0, len(data)
+        while size - start >= HEADER.size:
+            unit = data[start + 6]
+            device = self._units.device(unit)
+            if device is not None and device.is_plain:
+                end, answers, count, refused = device.answer_chunk(data, start, unit)
+                if end > start:
+                    self.write(answers)
+                    self._count(count, refused)
+                    start = end
+                    continue
+            end = self._take_one(data, start)
+            if end == start:
+                break
+            start = end
+        self._pending = data[start:]
+        self.is_unfinished = start < size
+        if self.is_unfinished:
+            self._check_length()
+        return self._statistics.requests - before
+
+    def close(self) -> None:
+        """Nothing goes on."""
+
+    def _count(self, requests: int, refused: int) -> None:
+        self._statistics.requests += requests
+        self._statistics.refused += refused
+
+    def _take_one(self, data: bytes, start: int) -> int:
+        """Deal with what C has left. Gives where it ends, or `start` if it is not complete."""
+        transaction, protocol, length, unit = HEADER.unpack_from(data, start)
+        end: int = start + 6 + length
+        if not 2 <= length <= 1 + MAX_PDU or end > len(data):
+            return start
+        if protocol != 0:
+            logger.debug("%s: header with protocol %d", self._peer, protocol)
+            self._statistics.bad_frames += 1
+            return end
+        answer = self._units.answer(Frame(unit, data[start + 7 : end], transaction), self._peer)
+        self._count(1, 0 if answer is None else answer.pdu[0] >> 7)
+        if answer is not None:
+            self.write(encode(answer))
+        return end
+
+    def _check_length(self) -> None:
+        """A length that cannot be tells that nobody knows where the next frame begins."""
+        rest = self._pending
+        if len(rest) >= 6 and not 2 <= (length := rest[4] << 8 | rest[5]) <= 1 + MAX_PDU:
+            self._statistics.bad_frames += 1
+            raise FrameError(f"header with length {length}, not 2..254", received=rest)
+
+
+def _is_one_frame(data: bytes) -> bool:
+    """Whether it is a whole frame of Modbus and nothing else."""
+    size = len(data)
+    return (
+        8 <= size <= 7 + MAX_PDU
+        and size == 6 + (data[4] << 8 | data[5])
+        and not (data[2] or data[3])
+    )

@@ -1,0 +1,154 @@
+"""
+A session: what one connection or one port received, and the answers to it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable
+from functools import partial
+from typing import Protocol
+
+from ..protocol.errors import FrameError
+from ..protocol.framing import AsciiFramer, Frame, Framer, RtuFramer, TcpFramer, UdpFramer
+from .faults import Delivery, pieces
+from .limits import Statistics
+from .units import SerialUnits, TcpUnits
+
+__all__ = ["FramerSession", "Session"]
+
+logger = logging.getLogger(__name__)
+
+FRAMERS: dict[str, Callable[[], Framer]] = {
+    "tcp": TcpFramer,
+    "udp": UdpFramer,
+    "rtu": partial(RtuFramer, role="server"),
+    "ascii": AsciiFramer,
+}
+
+
+class Session(Protocol):
+    @property
+    def is_unfinished(self) -> bool:
+        """Whether a frame has begun whose end nothing but its last byte can tell."""
+
+    @property
+    def is_waiting(self) -> bool:
+        """Whether the next request can wait, for an answer is kept back."""
+
+    def receive(self, data: bytes) -> int:
+        """
+        Take received bytes, write the answers, give how many requests there were.
+
+        Raises:
+            FrameError: the stream must be closed; what could be answered was.
+        """
+
+    def close(self) -> None: ...
+
+
+class FramerSession:
+    """
+    Any framing, frame by frame.
+
+    Args:
+        units: who answers.
+        framing: a key of FRAMERS.
+        peer: who asks.
+        statistics: where it is counted.
+        write: takes the answers to the bytes of one `receive` at once.
+        follow: called when `is_waiting` may have changed.
+    """
+
+    def __init__(
+        self,
+        units: TcpUnits | SerialUnits,
+        framing: str,
+        peer: str,
+        statistics: Statistics,
+        write: Callable[[bytes], None],
+        follow: Callable[[], None] = lambda: None,
+    ) -> None:
+        self._units = units
+        self._framer = FRAMERS[framing]()
+        self._peer = peer
+        self._statistics = statistics
+        self._write = write
+        self._loop = asyncio.get_running_loop()
+        self._timer: asyncio.TimerHandle | None = None
+        # Only with faults do answers leave at other times than they are found.
+        self._delivery = Delivery(write, follow) if units.faults else None
+        self._follow_delimiter()
+
+    @property
+    def is_unfinished(self) -> bool:
+        # A line has noise on it, and silence ends what began.
+        return self._framer.quiet is None and self._framer.pending > 0
+
+    @property
+    def is_waiting(self) -> bool:
+        return self._delivery is not None and self._delivery.is_waiting
+
+    def receive(self, data: bytes) -> int:
+        requests = self._answer(self._framer.scan(data))
+        if not self._framer.in_step:
+            raise FrameError("stream out of step")
+        self._stop_timer()
+        if self._framer.quiet and self._framer.pending:
+            self._timer = self._loop.call_later(self._framer.quiet, self._silence)
+        return requests
+
+    def close(self) -> None:
+        self._stop_timer()
+        if self._delivery is not None:
+            self._delivery.close()
+
+    def _stop_timer(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+
+    def _silence(self) -> None:
+        self._answer(self._framer.scan_silence())
+
+    def _answer(self, found: list[Frame | FrameError]) -> int:
+        adus = bytearray()
+        requests = 0
+        for each in found:
+            if isinstance(each, FrameError):
+                logger.debug("%s: %s: %s", self._peer, each, each.received.hex(" "))
+                self._statistics.bad_frames += 1
+                self._units.note_damage(overrun=each.overrun)
+                continue
+            requests += 1
+            if self._delivery is not None:
+                self._answer_with_faults(each, self._delivery)
+            elif (answer := self._units.answer(each, self._peer)) is not None:
+                self._count_refusal(answer)
+                adus += self._framer.encode(answer)
+            self._follow_delimiter()
+        self._statistics.requests += requests
+        if adus:
+            self._write(bytes(adus))
+        return requests
+
+    def _answer_with_faults(self, request: Frame, delivery: Delivery) -> None:
+        fault = None
+        if self._units.faults is not None and self._units.answers(request):
+            has_transaction = isinstance(self._framer, TcpFramer)
+            fault = self._units.faults.due(request, has_transaction=has_transaction)
+        if fault is not None and fault.code is not None:
+            answer: Frame | None = self._units.refuse(request, fault.code)
+        else:
+            answer = self._units.answer(request, self._peer)
+        if answer is not None:
+            self._count_refusal(answer)
+            delivery.send(pieces(fault, answer, self._framer))
+
+    def _count_refusal(self, answer: Frame) -> None:
+        self._statistics.refused += answer.pdu[0] >> 7
+
+    def _follow_delimiter(self) -> None:
+        """From the frame behind the answer on, both ways."""
+        if isinstance(self._framer, AsciiFramer) and self._units.delimiter is not None:
+            self._framer.delimiter = self._units.delimiter

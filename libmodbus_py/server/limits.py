@@ -1,0 +1,166 @@
+"""
+What clients may cost a server, and what they did cost it.
+"""
+
+from __future__ import annotations
+
+import resource
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from ipaddress import IPv4Network, IPv6Address, IPv6Network, ip_address, ip_network
+from typing import Literal
+
+from ..protocol.checks import integer, seconds
+
+__all__ = ["FULL_POLICIES", "Allowance", "Limits", "Statistics"]
+
+# Descriptors that are left to the rest of the process, unless max_connections is given.
+SPARE_DESCRIPTORS = 64
+
+FULL_POLICIES = ("close-idle", "refuse")
+
+
+@dataclass(frozen=True)
+class Limits:
+    """
+    What clients may cost a server. All but `allow` and `requests_per_second` are of TCP.
+
+    Args:
+        max_connections: 1 or more, over all endpoints; None for what the process's
+            limit of descriptors leaves when the server starts.
+        when_full: "close-idle" makes room for a new connection by closing another, first
+            one that never sent a request, else the one whose last request is the oldest
+            (messaging guide, 4.3.1); "refuse" closes the new one.
+        frame_timeout: seconds from the first byte of a frame to its last, 0.001..86400;
+            then the connection is closed. Not with RTU and ASCII over TCP, where silence
+            ends a frame. Also for taking the last answers of a connection that is
+            being closed.
+        idle_timeout: seconds without a request after which a connection is closed,
+            0.001..86400; None for never. A client that does not take its answers is idle.
+        max_unsent: bytes of answers that may wait for one client beyond what the system
+            buffers, 0..2^30; with more it is not read until all are gone.
+        allow: networks or addresses whose clients are served, such as
+            "192.0.2.0/24" or "::1"; none for all.
+        requests_per_second: how many of one connection (UDP: one address) are answered
+            on average, 0.001..1000000, with bursts of one second's; the rest waits on TCP and is
+            dropped on UDP. None for all.
+
+    Raises:
+        TypeError, ValueError: an argument of the wrong type or range.
+    """
+
+    max_connections: int | None = None
+    when_full: Literal["close-idle", "refuse"] = "close-idle"
+    frame_timeout: float = 5.0
+    idle_timeout: float | None = 3600.0
+    max_unsent: int = 65536
+    allow: Iterable[str] = ()
+    requests_per_second: float | None = None
+    _networks: tuple[IPv4Network | IPv6Network, ...] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        if self.max_connections is not None:
+            integer("max_connections", self.max_connections, 1, 1_000_000)
+        if self.when_full not in FULL_POLICIES:
+            raise ValueError(
+                f"when_full must be one of {', '.join(FULL_POLICIES)}, not {self.when_full!r}"
+            )
+        seconds("frame_timeout", self.frame_timeout)
+        if self.idle_timeout is not None:
+            seconds("idle_timeout", self.idle_timeout)
+        integer("max_unsent", self.max_unsent, 0, 2**30)
+        object.__setattr__(self, "_networks", _networks(self.allow))
+        # Not what was given: a generator is empty now, and a copy would allow everybody.
+        object.__setattr__(self, "allow", tuple(map(str, self._networks)))
+        if self.requests_per_second is not None:
+            _rate(self.requests_per_second)
+
+    def allows(self, host: str) -> bool:
+        """Whether clients at this address are served."""
+        if not self._networks:
+            return True
+        address = ip_address(host.partition("%")[0])
+        if isinstance(address, IPv6Address):
+            address = address.ipv4_mapped or address
+        return any(address in network for network in self._networks)
+
+    def connections(self) -> int:
+        """How many connections there may be now."""
+        if self.max_connections is not None:
+            return self.max_connections
+        soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+        return max(1, soft - SPARE_DESCRIPTORS)
+
+
+def _networks(allow: Iterable[str]) -> tuple[IPv4Network | IPv6Network, ...]:
+    if isinstance(allow, str):
+        raise TypeError(f"allow must be a list of networks, not the string {allow!r}")
+    try:
+        return tuple(ip_network(network, strict=False) for network in allow)
+    except ValueError as error:
+        raise ValueError(f"allow: {error}") from None
+    except TypeError:
+        given = type(allow).__name__
+        raise TypeError(f"allow must be a list of networks, not {given}") from None
+
+
+def _rate(value: object) -> None:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        given = type(value).__name__
+        raise TypeError(f"requests_per_second must be a number, not {given}")
+    if not 0.001 <= value <= 1_000_000:
+        raise ValueError(f"requests_per_second must be in 0.001..1000000, not {value}")
+
+
+class Allowance:
+    """How many requests somebody may send: `rate` a second, and as many at once."""
+
+    def __init__(self, rate: float, now: float) -> None:
+        self._rate = rate
+        self._left = self._most = max(1.0, rate)
+        self._at = now
+
+    def wait(self, now: float) -> float:
+        """Seconds until it is not overspent any more."""
+        self._left = min(self._most, self._left + (now - self._at) * self._rate)
+        self._at = now
+        return max(0.0, -self._left / self._rate)
+
+    def spend(self, requests: int) -> None:
+        self._left -= requests
+
+
+@dataclass(slots=True)
+class Statistics:
+    """
+    What happened at all endpoints of a server since it was made.
+
+    Attributes:
+        connections: TCP connections that are open now.
+        accepted: those that ever were.
+        disallowed: connections and datagrams from networks that are not served.
+        refused_full: connections closed at once, for there were too many.
+        closed_for_others: idle connections closed to make room.
+        closed_idle: connections closed after `idle_timeout`.
+        closed_slow: connections closed for a frame that took too long.
+        closed_out_of_step: connections closed for a header that made no sense.
+        paused: how often a client was not read because it did not take its answers.
+        throttled: how often a client exceeded `requests_per_second`.
+        requests: frames that were for this server to look at, other units' included.
+        refused: requests that got an exception.
+        bad_frames: runs of bytes that were no frame.
+    """
+
+    connections: int = 0
+    accepted: int = 0
+    disallowed: int = 0
+    refused_full: int = 0
+    closed_for_others: int = 0
+    closed_idle: int = 0
+    closed_slow: int = 0
+    closed_out_of_step: int = 0
+    paused: int = 0
+    throttled: int = 0
+    requests: int = 0
+    refused: int = 0
+    bad_frames: int = 0

@@ -1,0 +1,121 @@
+"""
+A serial port of a server.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import time
+from collections.abc import Iterator
+
+from ..ports.endpoint import Endpoint
+from ..ports.serial import SerialLink
+from ..protocol.errors import ModbusConnectionError, ModbusTimeoutError
+from .by_frame import FramerSession
+from .limits import Statistics
+from .units import SerialUnits, Units
+
+__all__ = ["SerialServer"]
+
+logger = logging.getLogger(__name__)
+
+# How long an unplugged serial port is left alone before the next attempt.
+REOPEN_AFTER = 1.0
+
+
+class SerialServer:
+    """
+    Answers on one port, which is opened again when it was unplugged and comes back.
+
+    Raises:
+        TypeError, ValueError: an option of the endpoint is wrong.
+        ModbusConnectionError: the port cannot be opened, with errno.
+    """
+
+    def __init__(self, endpoint: Endpoint, units: Units, statistics: Statistics) -> None:
+        self._link = SerialLink(endpoint.device, **endpoint.options)
+        self._endpoint = endpoint
+        self._units = SerialUnits(units)
+        self._statistics = statistics
+        self._loop = asyncio.get_running_loop()
+        self._retry: asyncio.TimerHandle | None = None
+        self._unsent = bytearray()
+        self._timer: asyncio.TimerHandle | None = None
+        self._sending: Iterator[float] = iter(())
+
+    async def open(self) -> Endpoint:
+        """Give the endpoint as it is."""
+        self._open()
+        return self._endpoint
+
+    def close(self) -> None:
+        if self._retry is not None:
+            self._retry.cancel()
+        self._close()
+
+    def _open(self) -> None:
+        self._link.open(time.monotonic())
+        self._session = FramerSession(
+            self._units,
+            self._endpoint.framing,
+            self._endpoint.device,
+            self._statistics,
+            self._write,
+        )
+        self._loop.add_reader(self._link.descriptor, self._read)
+
+    def _close(self) -> None:
+        if self._link.is_open:
+            self._session.close()
+            self._loop.remove_reader(self._link.descriptor)
+            if self._timer is not None:
+                self._timer.cancel()
+                self._timer = None
+            self._unsent.clear()
+            self._sending = iter(())  # RTS goes back while the port is still open
+            self._link.close()
+
+    def _read(self) -> None:
+        try:
+            self._session.receive(self._link.receive(0))
+        except ModbusConnectionError as error:
+            logger.warning("%s: %s; waiting for it to come back", self._endpoint, error)
+            self._close()
+            self._retry = self._loop.call_later(REOPEN_AFTER, self._reopen)
+
+    def _reopen(self) -> None:
+        try:
+            self._open()
+            logger.warning("%s: is back", self._endpoint)
+        except ModbusConnectionError:
+            self._retry = self._loop.call_later(REOPEN_AFTER, self._reopen)
+
+    def _write(self, data: bytes) -> None:
+        """Answer after the silence that ends the request (serial line, 2.5.1.1)."""
+        self._unsent += data
+        if self._timer is None:
+            wait = self._link.time_to_silence() if self._endpoint.framing == "rtu" else 0
+            if wait > 0:
+                self._timer = self._loop.call_later(wait, self._send_unsent)
+            else:
+                self._send_unsent()
+
+    def _send_unsent(self) -> None:
+        data, self._unsent = bytes(self._unsent), bytearray()
+        self._sending = self._link.sending(data, time.monotonic())
+        self._send_on()
+
+    def _send_on(self) -> None:
+        """Go on until the next pause: others are served while the line is turned round."""
+        self._timer = None
+        # The port takes a whole answer at once, or nobody reads at the other
+        # end: then there is nothing to wait for. A port that is gone shows
+        # in the next read.
+        with contextlib.suppress(ModbusTimeoutError, ModbusConnectionError):
+            for pause in self._sending:
+                self._timer = self._loop.call_later(pause, self._send_on)
+                return
+        if self._unsent:
+            self._send_unsent()

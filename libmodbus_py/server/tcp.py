@@ -1,0 +1,105 @@
+"""
+A TCP endpoint of a server: it listens, and hands over who connects.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import logging
+import socket
+
+from ..ports.endpoint import Endpoint
+from .by_chunk import ChunkSession, Singles
+from .by_frame import FramerSession
+from .listening import bound, reason
+from .peers import Clients, MakeSession
+from .units import SerialUnits, TcpUnits, Units
+
+__all__ = ["TcpServer"]
+
+logger = logging.getLogger(__name__)
+
+# As many as the system lets wait; and how many of them become clients in a turn
+# of the loop, for the others want theirs.
+BACKLOG = 4096
+ACCEPTED_AT_ONCE = 16
+
+# How long nobody is accepted when the process has no descriptors left.
+RETRY_AFTER = 0.1
+
+
+class TcpServer:
+    """
+    Listens on all addresses of a host.
+
+    Raises:
+        ModbusConnectionError: it cannot, with errno.
+    """
+
+    def __init__(self, endpoint: Endpoint, units: Units, clients: Clients) -> None:
+        self._clients = clients
+        self._loop = asyncio.get_running_loop()
+        self._make_session = _maker(endpoint.framing, units, clients)
+        self._listeners: list[socket.socket] = []
+        self._retries: dict[socket.socket, asyncio.TimerHandle] = {}
+        self._is_short = False  # of descriptors or memory
+        self._endpoint = endpoint
+
+    async def open(self) -> Endpoint:
+        """Give the endpoint with the port it got."""
+        self._listeners, endpoint = await bound(self._endpoint, socket.SOCK_STREAM, _listener)
+        for listener in self._listeners:
+            self._loop.add_reader(listener.fileno(), self._accept, listener)
+        return endpoint
+
+    def close(self) -> None:
+        for retry in self._retries.values():
+            retry.cancel()
+        for listener in self._listeners:
+            self._loop.remove_reader(listener.fileno())
+            listener.close()
+        self._listeners.clear()
+
+    def _accept(self, listener: socket.socket) -> None:
+        for _ in range(ACCEPTED_AT_ONCE):
+            try:
+                client, address = listener.accept()
+            except (BlockingIOError, InterruptedError, ConnectionAbortedError):
+                return
+            except OSError as error:
+                self._pause(listener, error)
+                return
+            self._is_short = False
+            client.setblocking(False)
+            self._clients.admit(client, address, self._make_session)
+
+    def _pause(self, listener: socket.socket, error: OSError) -> None:
+        """No descriptors, no memory: what waits to be accepted would wake the loop for ever."""
+        if error.errno not in (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM):
+            raise error
+        if not self._is_short:
+            logger.warning("%s: cannot accept: %s", self._endpoint, reason(error))
+        self._is_short = True
+        self._loop.remove_reader(listener.fileno())
+        self._retries[listener] = self._loop.call_later(RETRY_AFTER, self._resume, listener)
+
+    def _resume(self, listener: socket.socket) -> None:
+        del self._retries[listener]
+        self._loop.add_reader(listener.fileno(), self._accept, listener)
+
+
+def _listener(family: socket.AddressFamily, address: tuple[str, int]) -> socket.socket:
+    return socket.create_server(address, family=family, backlog=BACKLOG)
+
+
+def _maker(framing: str, units: Units, clients: Clients) -> MakeSession:
+    statistics = clients.statistics
+    if framing != "tcp":
+        line = SerialUnits(units)
+        return lambda peer, *way: FramerSession(line, framing, peer, statistics, *way)
+    own = TcpUnits(units)
+    if units.faults:
+        return lambda peer, *way: FramerSession(own, framing, peer, statistics, *way)
+    singles = Singles(own, statistics, clients.later)
+    return lambda peer, write, _: ChunkSession(own, peer, statistics, singles, write)

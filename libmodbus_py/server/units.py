@@ -1,0 +1,144 @@
+"""
+Units: request frame in, response frame out, if there is one.
+
+Finds the device of a frame, by the rules of its kind of line.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from ..device.device import Caller, Device
+from ..device.event_log import LINE_FEED, Communication
+from ..protocol.checks import integer
+from ..protocol.errors import GatewayTargetFailedToRespond
+from ..protocol.framing import Frame
+from .faults import Faults
+
+__all__ = ["UNKNOWN_UNIT_POLICIES", "SerialUnits", "TcpUnits", "Units"]
+
+
+UNKNOWN_UNIT_POLICIES = ("refuse", "silent")
+
+
+class Units:
+    """The devices, by unit, and their faults, None if there are none."""
+
+    def __init__(
+        self,
+        devices: Device | Mapping[int, Device],
+        faults: Faults,
+        unknown: str | Device = "refuse",
+    ) -> None:
+        self.faults = faults or None
+        if not isinstance(unknown, Device) and unknown not in UNKNOWN_UNIT_POLICIES:
+            raise ValueError(
+                f"unknown_unit must be a Device or one of {', '.join(UNKNOWN_UNIT_POLICIES)},"
+                f" not {unknown!r}"
+            )
+        self.unknown = unknown
+        self.any = devices if isinstance(devices, Device) else None
+        self.devices: dict[int, Device] = {}
+        if self.any is not None:
+            return
+        if not isinstance(devices, Mapping):
+            given = type(devices).__name__
+            raise TypeError(f"devices must be a Device or {{unit: Device}}, not {given}")
+        for unit, device in devices.items():
+            if not isinstance(device, Device):
+                raise TypeError(f"devices[{unit!r}] must be a Device, not {type(device).__name__}")
+            self.devices[integer("unit", unit, 0, 255)] = device
+
+
+class TcpUnits:
+    """The units of an endpoint with MBAP headers."""
+
+    delimiter = None
+
+    def __init__(self, units: Units) -> None:
+        self.faults = units.faults
+        self._units = units.devices
+        unknown = units.unknown
+        self._other = units.any or (unknown if isinstance(unknown, Device) else None)
+        self._refuses = unknown != "silent"
+
+    def device(self, unit: int) -> Device | None:
+        """Who answers a unit, if somebody does."""
+        return self._units.get(unit, self._other)
+
+    def answers(self, frame: Frame) -> bool:
+        """Whether a request is answered."""
+        is_known = self._refuses or self.device(frame.unit) is not None
+        return is_known and not frame.pdu[0] & 0x80
+
+    def refuse(self, frame: Frame, code: int) -> Frame:
+        """Answer a request with an exception, without executing it."""
+        return frame._replace(pdu=bytes([frame.pdu[0] | 0x80, code]))
+
+    def answer(self, frame: Frame, peer: str) -> Frame | None:
+        unit, pdu, transaction = frame
+        device = self.device(unit)
+        if device is not None:
+            response = device.answer(pdu, Caller(unit, peer))
+        elif pdu[0] & 0x80 or not self._refuses:
+            return None
+        else:
+            response = bytes([pdu[0] | 0x80, GatewayTargetFailedToRespond.code])
+        return Frame(unit, response, transaction) if response else None
+
+    def note_damage(self, *, overrun: bool) -> None:
+        """TCP has no counters of a line."""
+
+
+class SerialUnits:
+    """
+    The units of a serial line, or of one over TCP: silence for others, broadcasts,
+    and what every device notes about the line.
+    """
+
+    def __init__(self, units: Units) -> None:
+        self.faults = units.faults
+        self._any = units.any and (units.any, Communication(is_serial=True))
+        self._stations = {
+            unit: (device, Communication(is_serial=True)) for unit, device in units.devices.items()
+        }
+        self._all = [self._any] if self._any else list(self._stations.values())
+        self.delimiter: int | None = LINE_FEED
+
+    def answers(self, frame: Frame) -> bool:
+        """Whether a request is answered, by somebody here."""
+        station = self._any or self._stations.get(frame.unit)
+        if station is None or frame.unit == 0:
+            return False
+        return not (frame.pdu[0] & 0x80 or station[1].listen_only)
+
+    def refuse(self, frame: Frame, code: int) -> Frame:
+        """Answer a request that `answers` with an exception, without executing it."""
+        for _, communication in self._all:
+            communication.note_frame()
+        refusal = bytes([frame.pdu[0] | 0x80, code])
+        _, communication = self._any or self._stations[frame.unit]
+        communication.note_request(broadcast=False)
+        communication.note_response(frame.pdu, refusal, silent=False)
+        return frame._replace(pdu=refusal)
+
+    def answer(self, frame: Frame, peer: str) -> Frame | None:
+        for _, communication in self._all:
+            communication.note_frame()
+        if frame.unit == 0:
+            for device, communication in self._all:
+                device.answer(frame.pdu, Caller(0, peer, communication, is_broadcast=True))
+            return None
+        station = self._any or self._stations.get(frame.unit)
+        if station is None:
+            return None
+        device, communication = station
+        before = communication.delimiter
+        response = device.answer(frame.pdu, Caller(frame.unit, peer, communication))
+        if communication.delimiter != before:
+            self.delimiter = communication.delimiter
+        return Frame(frame.unit, response) if response else None
+
+    def note_damage(self, *, overrun: bool) -> None:
+        for _, communication in self._all:
+            communication.note_damage(overrun=overrun)

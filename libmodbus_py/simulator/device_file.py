@@ -1,0 +1,546 @@
+"""
+Device files: whole simulated devices, written in TOML.
+
+``examples/plant.toml`` of the source tree has every key once, explained. In short::
+
+    [[unit]]                            one or more; without id: any unit
+      id, exception_status
+      [unit.server_id]                  identifier, running, additional
+      [unit.identification]             VendorName = "...", 128 = "..."
+      [[unit.coils]]                    ranges, also discrete_inputs, input_registers
+      [[unit.holding_registers]]        and holding_registers: address, count, value or
+                                        values, type, order, encoding, padding, access;
+                                        counter, sine, random_walk or copy
+      [[unit.file]]                     records of a file: number, record, count, ...
+      [[unit.fifo]]                     address, values
+      [[unit.fault]]                    as `faults.Fault`
+    [[fault]]                           of all units
+
+What lies in no range does not exist: it is answered with exception 2, as is what a
+range does not allow.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import reprlib
+import time
+import tomllib
+from bisect import bisect_right
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import MISSING, dataclass, fields
+from itertools import pairwise
+from os import PathLike
+from typing import Any, NamedTuple
+
+from ..device.access import Access
+from ..device.device import DEFAULT_SERVER_ID, Device
+from ..device.mapping import Mapping as Tables
+from ..protocol.checks import integer
+from ..protocol.errors import IllegalDataAddress
+from ..protocol.pdu import RECORDS_PER_FILE, ServerId
+from ..protocol.pdu.interface import OBJECT_NAMES
+from ..protocol.values import value_type
+from ..server.faults import Fault
+from .behaviour import BEHAVIOURS, TABLES, Clockwork, Kind, Run, bit_kind, register_kind
+from .toml_lines import line_of
+
+__all__ = ["DeviceFileError", "Simulation", "load", "parse"]
+
+# Checks a value, whose name is given for the error, and gives what it stands for.
+Check = Callable[[str, object], Any]
+
+
+class DeviceFileError(ValueError):
+    """A device file that cannot be: which file, line and key, and what is allowed."""
+
+
+class Simulation(NamedTuple):
+    """
+    What a device file describes; ``Server(*load("plant.toml"))`` serves it.
+
+    Attributes:
+        devices: by unit, or one that answers every unit.
+        faults: by unit; those of None are for every unit.
+    """
+
+    devices: Device | dict[int, Device]
+    faults: dict[int | None, list[Fault]]
+
+
+def load(path: str | PathLike[str], *, clock: Callable[[], float] = time.monotonic) -> Simulation:
+    """
+    Read a device file. Its values begin to move now.
+
+    Args:
+        path: of the file.
+        clock: gives seconds.
+
+    Raises:
+        DeviceFileError: it cannot be read, is no TOML, or says what cannot be.
+    """
+    try:
+        with open(path, encoding="utf-8") as file:
+            text = file.read()
+    except OSError as error:
+        raise DeviceFileError(f"cannot read {path}: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise DeviceFileError(f"{path}: byte {error.start} is no UTF-8") from None
+    try:
+        return parse(text, clock=clock)
+    except DeviceFileError as error:
+        key = str(error).split(" ")[0].rstrip(":")
+        line = line_of(text, key)
+        place = f"{path}, line {line}" if line else path
+        raise DeviceFileError(f"{place}: {error}") from None
+
+
+def parse(text: str, *, clock: Callable[[], float] = time.monotonic) -> Simulation:
+    """
+    Read the text of a device file.
+
+    Raises:
+        DeviceFileError: it is no TOML, or says what cannot be.
+    """
+    try:
+        content = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise DeviceFileError(str(error)) from None
+    given = _checked("", content, FILE, required=("unit",))
+    faults: dict[int | None, list[Fault]] = {None: _faults("fault", given)}
+    devices: dict[int | None, Device] = {}
+    for at, unit in enumerate(given["unit"]):
+        where = f"unit[{at}]"
+        if "id" not in unit and len(given["unit"]) > 1:
+            raise DeviceFileError(f"{where}.id is missing; only a single unit can be without")
+        number, device = _unit(where, unit, clock)
+        if number in devices:
+            raise DeviceFileError(f"{where}.id: there is a unit {number} before this")
+        devices[number] = device
+        faults[number] = faults.get(number, []) + _faults(f"{where}.fault", unit)
+    if not devices:
+        raise DeviceFileError("unit must hold at least one")
+    return Simulation(_by_unit(devices), {unit: found for unit, found in faults.items() if found})
+
+
+def _by_unit(devices: dict[int | None, Device]) -> Device | dict[int, Device]:
+    if None in devices:
+        return devices[None]
+    return {unit: device for unit, device in devices.items() if unit is not None}
+
+
+# --- checks --------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def _inside(where: str) -> Iterator[None]:
+    """Say where it was, unless the message says it itself."""
+    try:
+        yield
+    except DeviceFileError:
+        raise
+    except (TypeError, ValueError) as error:
+        raise DeviceFileError(f"{where}{error}") from None
+
+
+def _checked(
+    where: str,
+    given: Mapping[str, object],
+    allowed: Mapping[str, Check],
+    required: Iterable[str] = (),
+) -> dict[str, Any]:
+    """Check the keys of a TOML table and their values; `where` ends with a dot, or is empty."""
+    for key in given:
+        if key not in allowed:
+            raise DeviceFileError(
+                f"{where}{_key(key)}: no such key; allowed are {', '.join(allowed)}"
+            )
+    for key in required:
+        if key not in given:
+            raise DeviceFileError(f"{where}{key} is missing")
+    with _inside(""):
+        return {key: allowed[key](f"{where}{key}", value) for key, value in given.items()}
+
+
+def _key(key: str) -> str:
+    """A key as it stands in the file: quoted where it must be."""
+    return key if re.fullmatch("[A-Za-z0-9_-]+", key) else reprlib.repr(key)
+
+
+def _integer(low: int, high: int) -> Check:
+    return lambda name, value: integer(name, value, low, high)
+
+
+def _unit_id(name: str, value: object) -> int:
+    number = integer(name, value, 0, 255)
+    if 247 < number < 255:
+        raise ValueError(f"{name} must be in 0..247, or 255, not {number}")
+    return number
+
+
+def _flag(name: str, value: object) -> bool:
+    if not isinstance(value, bool):
+        raise TypeError(f"{name} must be true or false, not {_given(value)}")
+    return value
+
+
+def _table(name: str, value: object) -> dict[str, object]:
+    if not isinstance(value, dict):
+        raise TypeError(f"{name} must be a table, not {_given(value)}")
+    return value
+
+
+def _tables(name: str, value: object) -> list[dict[str, object]]:
+    if not isinstance(value, list):
+        raise TypeError(f"{name} must be a list of tables: [[{re.sub('[^a-z._]', '', name)}]]")
+    return [_table(f"{name}[{at}]", each) for at, each in enumerate(value)]
+
+
+def _list(name: str, value: object) -> list[object]:
+    if not isinstance(value, list):
+        raise TypeError(f"{name} must be a list, not {_given(value)}")
+    return value
+
+
+def _anything(name: str, value: object) -> object:
+    return value
+
+
+def _bytes(low: int, high: int) -> Check:
+    """Text, or a list of bytes for what is none."""
+
+    def check(name: str, value: object) -> bytes:
+        if isinstance(value, list):
+            numbers = enumerate(value)
+            data = bytes(integer(f"{name}[{at}]", number, 0, 255) for at, number in numbers)
+        elif isinstance(value, str) and value.isascii():
+            data = value.encode("ascii")
+        else:
+            raise TypeError(f"{name} must be ASCII text or a list of bytes, not {_given(value)}")
+        if not low <= len(data) <= high:
+            raise ValueError(f"{name} must have {low}..{high} bytes, not {len(data)}")
+        return data
+
+    return check
+
+
+def _one_of(*choices: str) -> Check:
+    def check(name: str, value: object) -> str:
+        if value not in choices:
+            raise ValueError(f"{name} must be one of {', '.join(choices)}, not {_given(value)}")
+        return str(value)
+
+    return check
+
+
+def _made_by(make: Callable[..., Any]) -> Check:
+    """A dataclass that checks itself: its attributes are the keys."""
+    attributes = fields(make)  # type: ignore[arg-type]
+    allowed: dict[str, Check] = {attribute.name: _anything for attribute in attributes}
+    required = [attribute.name for attribute in attributes if attribute.default is MISSING]
+
+    def check(name: str, value: object) -> Any:
+        given = _checked(f"{name}.", _table(name, value), allowed, required)
+        with _inside(f"{name}."):
+            return make(**given)
+
+    return check
+
+
+def _given(value: object) -> str:
+    return reprlib.repr(value)
+
+
+# --- what there is -------------------------------------------------------------------
+
+ACCESS = {
+    "read_write": (True, True),
+    "read": (True, False),
+    "write": (False, True),
+}
+"""How a range can be accessed -> whether clients can read, and write."""
+
+FILE: dict[str, Check] = {"unit": _tables, "fault": _tables}
+
+UNIT: dict[str, Check] = {
+    "id": _unit_id,
+    "exception_status": _integer(0, 255),
+    "server_id": _table,
+    "identification": _table,
+    "coils": _tables,
+    "discrete_inputs": _tables,
+    "holding_registers": _tables,
+    "input_registers": _tables,
+    "file": _tables,
+    "fifo": _tables,
+    "fault": _tables,
+}
+
+SERVER_ID: dict[str, Check] = {
+    "identifier": _bytes(1, 125),
+    "running": _flag,
+    "additional": _bytes(0, 125),
+}
+
+FIFO: dict[str, Check] = {"address": _integer(0, 0xFFFF), "values": _list}
+
+CONTENT: dict[str, Check] = {"value": _anything, "values": _list}
+
+TYPE: dict[str, Check] = {
+    "type": _anything,
+    "order": _anything,
+    "encoding": _anything,
+    "padding": _anything,
+}
+
+PLACE: dict[str, Check] = {"address": _integer(0, 0xFFFF), "count": _integer(1, 0x10000)}
+
+MOVES: dict[str, Check] = {name: _made_by(make) for name, make in BEHAVIOURS.items()}
+
+CAN: dict[str, Check] = {"access": _one_of(*ACCESS)}
+
+RANGES: dict[str, dict[str, Check]] = {
+    "coils": PLACE | CONTENT | CAN | MOVES,
+    "discrete_inputs": PLACE | CONTENT | MOVES,
+    "holding_registers": PLACE | CONTENT | TYPE | CAN | MOVES,
+    "input_registers": PLACE | CONTENT | TYPE | MOVES,
+    "file": {
+        "number": _integer(1, 0xFFFF),
+        "record": _integer(0, RECORDS_PER_FILE - 1),
+        "count": _integer(1, RECORDS_PER_FILE),
+    }
+    | CONTENT
+    | TYPE
+    | CAN,
+}
+"""Table -> the keys of its ranges."""
+
+
+# --- ranges --------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Range:
+    """One range, as given: where in the device file, and what."""
+
+    where: str
+    run: Run
+    cells: list[int]
+    access: str
+    behaviour: str = ""
+    file: int = 0
+
+    @property
+    def place(self) -> tuple[str, int]:
+        return self.run.table, self.file
+
+
+def _ranges(where: str, table: str, unit: Mapping[str, Any]) -> list[_Range]:
+    found = [
+        _range(f"{where}{table}[{at}]", table, given)
+        for at, given in enumerate(unit.get(table, ()))
+    ]
+    in_order = sorted(found, key=lambda each: (each.file, each.run.first))
+    for before, after in pairwise(in_order):
+        if before.place == after.place and after.run.first < before.run.stop:
+            taken = f"{before.where} ({before.run.first}..{before.run.stop - 1})"
+            raise DeviceFileError(f"{after.where} begins at {after.run.first}, within {taken}")
+    return found
+
+
+def _range(where: str, table: str, raw: dict[str, object]) -> _Range:
+    needs = ("number", "record") if table == "file" else ("address",)
+    given = _checked(f"{where}.", raw, RANGES[table], needs)
+    sources = [key for key in given if key in CONTENT or key in MOVES]
+    if len(sources) > 1:
+        raise DeviceFileError(f"{where}.{sources[1]} means nothing beside {sources[0]}")
+    behaviour = sources[0] if sources and sources[0] in MOVES else ""
+    if behaviour and given.get("access", "read") != "read":
+        # What a client wrote would be gone at the next read.
+        raise DeviceFileError(f"{where}.access must be read for what moves by itself")
+    kind = _kind(where, table, given)
+    count, cells = _cells(where, given, kind)
+    first = given["record" if table == "file" else "address"]
+    run = Run(table, first, count, kind, given[behaviour] if behaviour else None)
+    end = RECORDS_PER_FILE if table == "file" else 0x10000
+    if run.stop > end:
+        raise DeviceFileError(f"{where} ends at {run.stop - 1}, after {end - 1}")
+    access = given.get("access", "read" if behaviour else "read_write")
+    return _Range(where, run, cells, access, behaviour, given.get("number", 0))
+
+
+def _kind(where: str, table: str, given: dict[str, Any]) -> Kind:
+    if table in ("coils", "discrete_inputs"):
+        return bit_kind()
+    name, *_ = [key for key in given if key in TYPE] or [""]
+    if name and "type" not in given:
+        raise DeviceFileError(f"{where}.{name} means nothing without type")
+    options = {key: value for key, value in given.items() if key in TYPE and key != "type"}
+    with _inside(f"{where}."):
+        return register_kind(value_type(given.get("type", "uint16"), **options))
+
+
+def _cells(where: str, given: dict[str, Any], kind: Kind) -> tuple[int, list[int]]:
+    """How many values there are, and what they are at first."""
+    if "values" not in given:
+        count = given.get("count", 1)
+        return count, _encoded(f"{where}.value", kind, given.get("value", kind.zero)) * count
+    values = given["values"]
+    if "count" in given:
+        raise DeviceFileError(f"{where}.count means nothing beside values")
+    if not values:
+        raise DeviceFileError(f"{where}.values must hold at least one")
+    cells: list[int] = []
+    for at, value in enumerate(values):
+        cells += _encoded(f"{where}.values[{at}]", kind, value)
+    return len(values), cells
+
+
+def _encoded(where: str, kind: Kind, value: object) -> list[int]:
+    try:
+        return kind.encode(value)
+    except (TypeError, ValueError) as error:
+        # The message begins with the name that the value has there.
+        raise DeviceFileError(f"{where}{str(error).removeprefix('value')}") from None
+
+
+class _Rules:
+    """What clients may do, and what moves when they read: the hooks of a device."""
+
+    def __init__(self, ranges: list[_Range], clockwork: Clockwork) -> None:
+        self._clockwork = clockwork
+        self._readable = _spans(each for each in ranges if ACCESS[each.access][0])
+        self._writable = _spans(each for each in ranges if ACCESS[each.access][1])
+
+    def before_read(self, access: Access) -> None:
+        self._check(self._readable, access, "read")
+        if access.table in TABLES:
+            self._clockwork.refresh(access.table, access.address, access.count)
+
+    def before_write(self, access: Access) -> None:
+        self._check(self._writable, access, "written")
+
+    def _check(self, spans: _Spans, access: Access, what: str) -> None:
+        if access.table == "fifo":
+            return
+        found = spans.get((access.table, access.file), [])
+        at = bisect_right(found, access.address, key=lambda span: span.start) - 1
+        last = access.address + access.count - 1
+        if at < 0 or last not in found[at]:
+            raise IllegalDataAddress(
+                f"{access.table} {access.address}..{last} cannot all be {what}"
+            )
+
+
+# (table, file) -> addresses, where ranges that touch are one.
+_Spans = dict[tuple[str, int], list[range]]
+
+
+def _spans(ranges: Iterable[_Range]) -> _Spans:
+    spans: _Spans = {}
+    for each in sorted(ranges, key=lambda each: each.run.first):
+        found = spans.setdefault(each.place, [])
+        start = each.run.first
+        if found and found[-1].stop == start:
+            start = found.pop().start
+        found.append(range(start, each.run.stop))
+    return spans
+
+
+# --- units ---------------------------------------------------------------------------
+
+
+def _unit(
+    where: str, raw: dict[str, object], clock: Callable[[], float]
+) -> tuple[int | None, Device]:
+    given = _checked(f"{where}.", raw, UNIT)
+    ranges = [found for table in RANGES for found in _ranges(f"{where}.", table, given)]
+    in_tables = [each for each in ranges if each.run.table in TABLES]
+    mapping = _mapping(in_tables)
+    clockwork = Clockwork(mapping, [each.run for each in in_tables], clock)
+    for each in in_tables:
+        with _inside(f"{each.where}.{each.behaviour}: "):
+            clockwork.start(each.run)
+    rules = _Rules(ranges, clockwork)
+    device = Device(
+        mapping,
+        files=_files(each for each in ranges if each.run.table == "file"),
+        fifos=_fifos(f"{where}.fifo", given),
+        identification=_identification(f"{where}.identification", given),
+        server_id=_server_id(f"{where}.server_id.", given),
+        exception_status=given.get("exception_status", 0),
+        before_write=rules.before_write,
+        before_read=rules.before_read,
+    )
+    return given.get("id"), device
+
+
+def _mapping(ranges: list[_Range]) -> Tables:
+    """Tables from the first address to the last; the holes are for the rules."""
+    addresses = {}
+    for table in TABLES:
+        runs = [each.run for each in ranges if each.run.table == table]
+        first = min((run.first for run in runs), default=0)
+        addresses[table] = range(first, max((run.stop for run in runs), default=0))
+    mapping = Tables(**addresses)
+    for each in ranges:
+        getattr(mapping, each.run.table)[each.run.first : each.run.stop] = each.cells
+    return mapping
+
+
+def _files(ranges: Iterable[_Range]) -> dict[int, dict[int, int]]:
+    files: dict[int, dict[int, int]] = {}
+    for each in ranges:
+        records = files.setdefault(each.file, {})
+        records.update(enumerate(each.cells, start=each.run.first))
+    return files
+
+
+def _fifos(where: str, unit: Mapping[str, Any]) -> dict[int, list[int]]:
+    fifos: dict[int, list[int]] = {}
+    for at, raw in enumerate(unit.get("fifo", ())):
+        prefix = f"{where}[{at}]."
+        given = _checked(prefix, raw, FIFO, required=FIFO)
+        address, values = given["address"], given["values"]
+        if address in fifos:
+            raise DeviceFileError(f"{prefix}address: there is a queue at {address} before this")
+        if len(values) > 31:
+            raise DeviceFileError(f"{prefix}values must be 0..31, not {len(values)}")
+        with _inside(prefix):
+            numbers = enumerate(values)
+            fifos[address] = [integer(f"values[{i}]", value, 0, 0xFFFF) for i, value in numbers]
+    return fifos
+
+
+def _identification(where: str, unit: Mapping[str, Any]) -> dict[str | int, str | bytes]:
+    objects: dict[str | int, str | bytes] = {}
+    check = _bytes(0, 244)
+    for key, value in unit.get("identification", {}).items():
+        number = _object_id(where, key)
+        if number in objects:
+            raise DeviceFileError(f"{where}.{_key(key)}: there is an object {number} before this")
+        with _inside(f"{where}."):
+            objects[number] = check(key, value)
+    return objects
+
+
+def _object_id(where: str, key: str) -> int:
+    numbers = {name: number for number, name in OBJECT_NAMES.items()}
+    number = numbers.get(key, int(key) if key.isdecimal() and len(key) < 4 else -1)
+    if number not in OBJECT_NAMES and not 0x80 <= number <= 0xFF:
+        names = ", ".join(numbers)
+        raise DeviceFileError(
+            f"{where}.{_key(key)}: no such key; allowed are {names}, and the numbers 0..6, 128..255"
+        )
+    return number
+
+
+def _server_id(where: str, unit: Mapping[str, Any]) -> ServerId:
+    given = _checked(where, unit.get("server_id", {}), SERVER_ID)
+    return DEFAULT_SERVER_ID._replace(**given)
+
+
+def _faults(where: str, given: Mapping[str, Any]) -> list[Fault]:
+    make = _made_by(Fault)
+    return [make(f"{where}[{at}]", each) for at, each in enumerate(given.get("fault", ()))]

@@ -1,0 +1,435 @@
+"""
+The command line: what it prints, and its exit codes, as a process of its own.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import pytest
+
+from libmodbus_py import Device, Mapping, Server
+from libmodbus_py.testing.wires import SerialWire
+
+COMMAND = [sys.executable, "-m", "libmodbus_py"]
+READ = ["read", "tcp://127.0.0.1:1"]
+WRITE = ["write", "tcp://127.0.0.1:1"]
+
+
+def run(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([*COMMAND, *arguments], capture_output=True, text=True, timeout=30)
+
+
+@contextmanager
+def serving(*urls: str) -> Iterator[list[str]]:
+    process = subprocess.Popen([*COMMAND, "serve", *urls], stdout=subprocess.PIPE, text=True)
+    try:
+        assert process.stdout is not None
+        lines = [process.stdout.readline() for _ in urls]
+        yield [line.removeprefix("listening on ").rstrip("\n") for line in lines]
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(1) == 0
+    finally:
+        process.kill()
+        process.communicate()
+
+
+@pytest.fixture(scope="module")
+def url() -> Iterator[str]:
+    with serving("tcp://127.0.0.1:0") as urls:
+        yield urls[0]
+
+
+def test_demo_shows_every_example_on_every_line() -> None:
+    done = run("demo")
+    assert done.returncode == 0
+    assert done.stderr == ""
+    assert "\x1b" not in done.stdout
+    assert max(map(len, done.stdout.splitlines())) <= 80
+    for line in (
+        "00 01 00 00 00 06 06 03 00 7A 00 03",
+        "06 03 06 03 15 30 39 FD C9 55 7E",
+        r":0603007A00037A\r\n",
+        r":11140C05060DFE0020050633CD00404E\r\n",
+        r":0D86026B\r\n",
+    ):
+        assert line in done.stdout
+    assert done.stdout.count("789  12345  -567") == 3
+    assert done.stdout.count("0DFE 0020   33CD 0040") == 3
+    assert done.stdout.count("refused: illegal data address (exception 2)") == 3
+
+
+def test_demo_has_colour_on_a_terminal_only() -> None:
+    for environment, colour in (({}, True), ({"NO_COLOR": "1"}, False)):
+        master, slave = pty.openpty()
+        process = subprocess.Popen(
+            [*COMMAND, "demo"], stdout=slave, env=os.environ | environment, close_fds=True
+        )
+        os.close(slave)
+        output = b""
+        while True:
+            try:
+                output += os.read(master, 4096)
+            except OSError:
+                break
+        os.close(master)
+        assert process.wait() == 0
+        assert (b"\x1b[32m" in output) == colour
+
+
+def test_serve_has_all_tables_and_files_for_every_unit(url: str) -> None:
+    for unit, *where in (
+        ("1", "coils", "0", "2000"),
+        ("247", "discrete", "65535"),
+        ("0", "holding", "65411", "125"),
+        ("255", "input", "65535", "1"),
+        ("9", "file:1", "0"),
+        ("9", "file:10", "9900", "100"),
+    ):
+        done = run("read", url, *where, "--unit", unit, "--json")
+        assert done.returncode == 0, done.stderr
+        assert set(json.loads(done.stdout)["values"]) == {0}
+
+
+@pytest.mark.parametrize(
+    ("where", "values", "printed"),
+    [
+        (
+            ["holding", "100"],
+            ["789", "12345", "-567"],
+            "  100    789\n  101  12345\n  102  64969\n",
+        ),
+        (["40201"], ["0xFFFF"], "  200  65535\n"),
+        (["coils", "7"], ["on"], "    7  1\n"),
+        (["coils", "10"], ["1", "off", "true"], "   10  1\n   11  0\n   12  1\n"),
+        (["file:4", "9998"], ["1", "2"], " 9998  1\n 9999  2\n"),
+    ],
+)
+def test_what_is_written_is_read(
+    url: str, where: list[str], values: list[str], printed: str
+) -> None:
+    written = run("write", url, *where, *values)
+    assert (written.returncode, written.stdout, written.stderr) == (0, "", "")
+    assert run("read", url, *where, str(len(values))).stdout == printed
+
+
+def test_json_says_what_was_read(url: str) -> None:
+    assert json.loads(run("read", url, "400401", "2", "--json").stdout) == {
+        "unit": 1,
+        "table": "holding_registers",
+        "address": 400,
+        "values": [0, 0],
+    }
+
+
+@pytest.mark.parametrize(
+    ("where", "options", "values", "printed"),
+    [
+        (
+            ["holding", "1000"],
+            ["--type", "float32", "--order", "CDAB"],
+            ["3.14", "-1e5", "-inf", "nan", "1e8"],
+            " 1000         3.14\n 1002    -100000.0\n 1004         -inf\n"
+            " 1006          nan\n 1008  100000000.0\n",
+        ),
+        (["41101"], ["--type", "int32"], ["-2"], " 1100  -2\n"),
+        (
+            ["holding", "1110"],
+            ["--type", "int16"],
+            ["-32768", "0x7f"],
+            " 1110  -32768\n 1111     127\n",
+        ),
+        (["401121"], ["--type", "uint64", "--order", "hgfedcba"], ["5"], " 1120  5\n"),
+        (["holding", "1130"], ["--type", "float16"], ["0.1"], " 1130  0.1\n"),
+        (
+            ["holding", "1140"],
+            ["--type", "float64"],
+            ["0.1", "1e22"],
+            " 1140    0.1\n 1144  1e+22\n",
+        ),
+        (["holding", "1150"], ["--type", "float32"], ["3.4028235e38"], " 1150  3.4028235e+38\n"),
+        (["holding", "1160"], ["--type", "bcd32", "--order", "BADC"], ["1234"], " 1160  1234\n"),
+        (
+            ["holding", "1170"],
+            ["--type", "bits16"],
+            ["1" + "0" * 14 + "1"],
+            " 1170  1000000000000001\n",
+        ),
+        (
+            ["holding", "1180"],
+            ["--type", "string:5"],
+            ["abc", "a b c"],
+            " 1180  'abc'\n 1183  'a b c'\n",
+        ),
+        (["file:4", "9990"], ["--type", "float32"], ["0.5", "2"], " 9990  0.5\n 9992  2.0\n"),
+        (["file:5", "0"], ["--type", "int64", "--order", "DCBA"], ["-1"], "    0  -1\n"),
+    ],
+)
+def test_what_is_written_as_a_type_is_read_as_it(
+    url: str, where: list[str], options: list[str], values: list[str], printed: str
+) -> None:
+    written = run("write", url, *where, *values, *options)
+    assert (written.returncode, written.stdout, written.stderr) == (0, "", "")
+    done = run("read", url, *where, str(len(values)), *options)
+    assert (done.returncode, done.stdout, done.stderr) == (0, printed, "")
+
+
+def test_types_are_registers_in_order(url: str) -> None:
+    run("write", url, "holding", "1200", "1", "-2", "--type", "float32", "--order", "CDAB")
+    done = run("read", url, "holding", "1200", "4", "--json")
+    assert json.loads(done.stdout)["values"] == [0, 0x3F80, 0, 0xC000]
+
+
+def test_every_nan_and_the_largest_floats_are_shown(url: str) -> None:
+    for registers, name, shown in (
+        ("0xffc0 0", "float32", "nan"),
+        ("0xffff 0xffff", "float32", "nan"),
+        ("0xff7f 0xffff", "float32", "-3.4028235e+38"),
+        ("0x7bff", "float16", "65500.0"),
+        ("0x7fef 0xffff 0xffff 0xffff", "float64", "1.7976931348623157e+308"),
+    ):
+        run("write", url, "holding", "1205", *registers.split())
+        done = run("read", url, "holding", "1205", "--type", name)
+        assert done.stdout == f" 1205  {shown}\n"
+
+
+def test_json_of_bits_is_0_and_1_as_of_coils(url: str) -> None:
+    done = run("read", url, "input", "0", "--type", "bits16", "--json")
+    assert done.stdout.endswith(f'"values": [[{", ".join("0" * 16)}]]}}\n')
+
+
+def test_text_that_begins_with_a_dash_follows_two(url: str) -> None:
+    run("write", url, "--type", "string:4", "--", "holding", "1210", "-abc")
+    done = run("read", url, "holding", "1210", "--type", "string:4")
+    assert done.stdout == " 1210  '-abc'\n"
+
+
+def test_control_characters_of_a_device_do_not_reach_the_terminal(url: str) -> None:
+    run("write", url, "holding", "1220", "0x1b5b", "0x0a41")
+    for name in ("string:4", "all"):
+        done = run("read", url, "holding", "1220", "2", "--type", name)
+        assert "\x1b" not in done.stdout
+        assert done.stdout.count("\n") == len(done.stdout.splitlines())
+    assert "'\\x1b[\\nA'" in run("read", url, "holding", "1220", "2", "--type", "all").stdout
+
+
+def test_longest_lists_of_values(url: str) -> None:
+    values = [str(number) for number in range(61)]
+    assert run("write", url, "holding", "1300", *values, "--type", "float32").returncode == 0
+    done = run("read", url, "holding", "1300", "62", "--type", "float32", "--json")
+    assert json.loads(done.stdout)["values"] == [*range(61), 0]
+    assert run("write", url, "file:6", "0", *values, "--type", "int32").returncode == 0
+    done = run("read", url, "file:6", "2", "60", "--type", "int32", "--json")
+    assert json.loads(done.stdout)["values"] == [*range(1, 61)]
+    done = run("read", url, "input", "0", "1", "--type", "string:250", "--json")
+    assert json.loads(done.stdout)["values"] == [""]
+
+
+def test_readings_are_columns(url: str) -> None:
+    run("write", url, "holding", "1400", "0x42c8", "0")
+    done = run("read", url, "41401", "2", "--type", "all")
+    assert done.stdout.splitlines() == [
+        "int32    ABCD  1120403456",
+        "int32    CDAB  17096",
+        "int32    BADC  -935198720",
+        "int32    DCBA  51266",
+        "uint32   ABCD  1120403456",
+        "uint32   CDAB  17096",
+        "uint32   BADC  3359768576",
+        "uint32   DCBA  51266",
+        "float32  ABCD  100.0",
+        "float32  CDAB  2.39566e-41",
+        "float32  BADC  -198656.0",
+        "float32  DCBA  7.1839e-41",
+        "bits32   ABCD  00000000000000000001001101000010",
+        "bits32   CDAB  00010011010000100000000000000000",
+        "bits32   BADC  00000000000000000100001000010011",
+        "bits32   DCBA  01000010000100110000000000000000",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("where", "count", "types"),
+    [
+        ("input 0", 1, {"int16", "uint16", "float16", "bcd16", "bits16", "string:2"}),
+        ("30001", 3, {"string:6"}),
+        ("holding 9000", 4, {"int64", "uint64", "float64", "bcd64", "bits64", "string:8"}),
+        ("file:7 0", 121, {"string:242"}),
+        ("holding 9000", 125, {"string:250"}),
+    ],
+)
+def test_json_of_readings(url: str, where: str, count: int, types: set[str]) -> None:
+    found = json.loads(
+        run("read", url, *where.split(), str(count), "--type", "all", "--json").stdout
+    )
+    assert found["registers"] == [0] * count
+    assert {row["type"] for row in found["readings"]} == types
+    assert {row["order"] for row in found["readings"]} == {"ABCD"}
+    assert ("file" in found) == where.startswith("file")
+    assert set(found) - {"file"} == {"unit", "table", "address", "registers", "readings"}
+
+
+@pytest.mark.parametrize(
+    ("name", "typed", "value"),
+    [
+        ("float32", "0.1", 0.10000000149011612),
+        ("float32", "nan", "nan"),
+        ("float64", "-inf", "-inf"),
+        ("bits16", "1" + "0" * 15, [1] + [0] * 15),
+        ("string:4", 'a"b', 'a"b'),
+        ("uint64", "18446744073709551615", 18446744073709551615),
+    ],
+)
+def test_json_says_type_and_order(url: str, name: str, typed: str, value: object) -> None:
+    run("write", url, "file:8", "10", typed, "--type", name, "--order", "dcba")
+    done = run("read", url, "file:8", "10", "--type", name, "--order", "dcba", "--json")
+    assert json.loads(done.stdout) == {
+        "unit": 1,
+        "table": "file",
+        "address": 10,
+        "file": 8,
+        "type": name,
+        "order": "DCBA",
+        "values": [value],
+    }
+
+
+@pytest.mark.parametrize("form", [[], ["--json"]])
+def test_registers_that_hold_no_such_value_are_exit_code_1(url: str, form: list[str]) -> None:
+    run("write", url, "holding", "1500", "0x0001", "0xffff", "0xffff")
+    for name, count, named in (
+        ("bcd16", "2", "holding registers from 1500: registers[1:2] hold no bcd16: FFFF"),
+        ("string:6", "1", "holding registers from 1500: registers[0:3] hold no string:6"),
+        ("all", "3", "3 registers can only be text"),
+    ):
+        done = run("read", url, "holding", "1500", count, "--type", name, *form)
+        assert (done.returncode, done.stdout) == (1, "")
+        assert done.stderr.startswith(f"libmodbus-py: {named}")
+        assert done.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize("kind", ["rtu", "ascii"])
+def test_serial_ports_are_served_and_read(kind: str) -> None:
+    with SerialWire() as wire, serving(f"{kind}://{wire.server}?baudrate=115200"):
+        client = f"{kind}://{wire.client}?baudrate=115200"
+        assert run("write", client, "holding", "5", "42").returncode == 0
+        assert run("read", client, "holding", "5").stdout == "    5  42\n"
+
+
+def test_refusal_is_one_line_and_exit_code_1() -> None:
+    device = Device(Mapping(holding_registers=10))
+    with Server(device).background("tcp://127.0.0.1:0") as running:
+        done = run("read", running.urls[0], "holding", "10")
+    assert done.returncode == 1
+    assert done.stdout == ""
+    assert re.fullmatch(
+        r"libmodbus-py: unit 1, function 3, .*illegal data address \(exception 2\)\n", done.stderr
+    )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "named"),
+    [
+        (["read", "tcp://127.0.0.1:1", "coils", "0"], 1, "refused"),
+        (["read", "tcp://no-such-host.invalid", "coils", "0"], 1, "no-such-host"),
+        (["read", "rtu:///dev/no-such-port", "coils", "0"], 1, "/dev/no-such-port"),
+        (["serve", "rtu:///dev/null"], 1, "not a serial port"),
+        (["serve", "tcp://127.0.0.1:99999"], 2, "port"),
+        (["serve"], 2, "URL"),
+        ([], 2, "COMMAND"),
+        (["read", "modbus://127.0.0.1", "coils", "0"], 2, "scheme"),
+        (["read", "tcp://127.0.0.1:1", "colis", "0"], 2, "colis"),
+        (["read", "tcp://127.0.0.1:1", "coils"], 2, "address"),
+        (["read", "tcp://127.0.0.1:1", "coils", "x"], 2, "address"),
+        (["read", "tcp://127.0.0.1:1", "coils", "65536"], 2, "address must be in 0..65535"),
+        (["read", "tcp://127.0.0.1:1", "coils", "0", "2001"], 2, "count must be in 1..2000"),
+        (["read", "tcp://127.0.0.1:1", "coils", "0", "1", "2"], 2, "'2'"),
+        (["read", "tcp://127.0.0.1:1", "file", "0"], 2, "file:4"),
+        (["read", "tcp://127.0.0.1:1", "file:0", "0"], 2, "file must be in 1..65535"),
+        (["read", "tcp://127.0.0.1:1", "coils:1", "0"], 2, "only a file"),
+        (["read", "tcp://127.0.0.1:1", "50001"], 2, "50001"),
+        (["read", "tcp://127.0.0.1:1", "600007"], 2, "file:N"),
+        (["read", "tcp://127.0.0.1:1", "coils", "0", "--unit", "256"], 2, "unit"),
+        (["read", "tcp://127.0.0.1:1", "coils", "0", "--timeout", "-1"], 2, "timeout"),
+        (["write", "tcp://127.0.0.1:1", "coils", "0"], 2, "no value"),
+        (["write", "tcp://127.0.0.1:1", "coils", "0", "2"], 2, "'2'"),
+        (["write", "tcp://127.0.0.1:1", "holding", "0", "65536"], 2, "-32768..65535"),
+        (["write", "tcp://127.0.0.1:1", "input", "0", "1"], 2, "can only be read"),
+        (["write", "tcp://127.0.0.1:1", "10001", "1"], 2, "can only be read"),
+        ([*READ, "coils", "0", "--type", "int16"], 2, "only holding, input, file have"),
+        ([*READ, "10001", "--type", "int16"], 2, "discrete inputs have no --type"),
+        ([*READ, "coils", "0", "--type", "all"], 2, "coils have no --type"),
+        ([*READ, "coils", "0", "--order", "ABCD"], 2, "--order needs --type"),
+        ([*READ, "holding", "0", "--order", "ABCD"], 2, "--order needs --type"),
+        ([*READ, "holding", "0", "--type", "all", "--order", "ABCD"], 2, "has no --order"),
+        ([*READ, "holding", "0", "--type", "int8"], 2, "int16, int32, int64, uint16,"),
+        ([*READ, "holding", "0", "--type", ""], 2, "bits64, string:N, not ''"),
+        ([*READ, "holding", "0", "--type", "string:251"], 2, "1..250, not 251"),
+        ([*READ, "holding", "0", "--type", "int16", "--order", "X"], 2, "ABCD, CDAB, BADC, DCBA"),
+        ([*READ, "holding", "0", "--type", "int32", "--order", "AB"], 2, "order of int32"),
+        ([*READ, "holding", "0", "63", "--type", "int32"], 2, "of int32 must be in 1..62, not 63"),
+        ([*READ, "holding", "0", "0", "--type", "int32"], 2, "of int32 must be in 1..62, not 0"),
+        ([*READ, "input", "0", "126", "--type", "all"], 2, "count must be in 1..125, not 126"),
+        ([*READ, "file:1", "0", "125", "--type", "all"], 2, "count must be in 1..124, not 125"),
+        ([*READ, "file:1", "0", "--type", "string:250"], 2, "a request 124"),
+        ([*READ, "holding", "65535", "--type", "int32"], 2, "65536"),
+        ([*WRITE, "coils", "0", "1", "--type", "int16"], 2, "coils have no --type"),
+        ([*WRITE, "input", "0", "1", "--type", "int16"], 2, "can only be read"),
+        ([*WRITE, "holding", "0", "1", "--order", "CDAB"], 2, "--order needs --type"),
+        ([*WRITE, "holding", "0", "1", "--type", "all"], 2, "string:N, not 'all'"),
+        ([*WRITE, "holding", "0", "1", "--type", "int16", "--order", "X"], 2, "CDAB"),
+        ([*WRITE, "holding", "0", "--type", "int16"], 2, "no value"),
+        (
+            [*WRITE, "holding", "0", "1", "65536", "--type", "uint16"],
+            2,
+            "values[1] must be in 0..65535",
+        ),
+        (
+            [*WRITE, "holding", "0", "1.5", "--type", "uint16"],
+            2,
+            "value must be a number, not '1.5'",
+        ),
+        ([*WRITE, "holding", "0", "x", "--type", "float32"], 2, "inf or nan, not 'x'"),
+        ([*WRITE, "holding", "0", "1e39", "--type", "float32"], 2, "values[0] must be in -3.4"),
+        ([*WRITE, "holding", "0", "12", "--type", "bits16"], 2, "digits 0 and 1"),
+        ([*WRITE, "holding", "0", "101", "--type", "bits16"], 2, "must hold 16 bits"),
+        ([*WRITE, "holding", "0", "abc", "--type", "string:2"], 2, "0..2 bytes in ascii"),
+        ([*WRITE, "holding", "0", *["1"] * 62, "--type", "int32"], 2, "1..61, not 62"),
+        ([*WRITE, "file:1", "0", *["1"] * 31, "--type", "int64"], 2, "1..30, not 31"),
+    ],
+)
+def test_errors_are_one_line_on_stderr(arguments: list[str], code: int, named: str) -> None:
+    done = run(*arguments)
+    assert done.returncode == code
+    assert done.stdout == ""
+    assert done.stderr.startswith("libmodbus-py: ")
+    assert done.stderr.count("\n") == 1
+    assert named in done.stderr
+
+
+def test_serve_says_when_a_port_is_taken(url: str) -> None:
+    done = run("serve", url)
+    assert done.returncode == 1
+    assert done.stderr == f"libmodbus-py: cannot listen on {url}: Address already in use\n"
+
+
+def test_serve_stops_on_ctrl_c() -> None:
+    process = subprocess.Popen(
+        [*COMMAND, "serve", "tcp://127.0.0.1:0"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout is not None
+    process.stdout.readline()
+    process.send_signal(signal.SIGINT)
+    assert process.communicate(timeout=1) == ("", "")
+    assert process.returncode == 0

@@ -1,0 +1,181 @@
+"""
+What is particular to serial lines: silence, echo, direction control, settings.
+"""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from fake import FakeUnit
+
+from libmodbus_py import AsciiContext, Context, Device, ModbusError, RtuContext, Server, framing
+from libmodbus_py.testing.wires import SerialWire
+
+ANSWER = framing.RtuFramer("server").encode(framing.Frame(1, b"\x03\x02\x00\x07"))
+
+
+class Recorder:
+    """Answers rightly, and notes when requests came and answers went."""
+
+    def __init__(self) -> None:
+        self.came: list[float] = []
+        self.went: list[float] = []
+
+    def __call__(self, request: bytes) -> list[bytes]:
+        self.came.append(time.monotonic())
+        self.went.append(time.monotonic())
+        return [ANSWER]
+
+
+@pytest.mark.parametrize("native", [None, True, False])
+def test_a_request_waits_for_the_line_to_have_been_silent(native: bool | None) -> None:
+    unit = Recorder()
+    with (
+        FakeUnit(unit) as port,
+        RtuContext(port.path, 115200, silence=0.03, native=native) as context,
+    ):
+        for _ in range(5):
+            assert context.read_holding_registers(0, 1) == [7]
+    gaps = [came - went for came, went in zip(unit.came[1:], unit.went, strict=False)]
+    assert min(gaps) >= 0.03
+
+
+@pytest.mark.parametrize(
+    ("baudrate", "silence"),
+    [(300, 38.5 / 300), (9600, 38.5 / 9600), (19200, 38.5 / 19200), (38400, 0.00175)],
+)
+def test_silence_is_that_of_the_specification(baudrate: int, silence: float) -> None:
+    context = RtuContext("/dev/x", baudrate)
+    assert context._line._link.silence == pytest.approx(silence)  # type: ignore[attr-defined]
+
+
+def test_a_server_answers_after_the_silence(device: Device) -> None:
+    with (
+        SerialWire() as wire,
+        Server({17: device}).background(f"rtu://{wire.server}?silence=0.05"),
+        RtuContext(wire.client, unit=17) as context,
+    ):
+        for _ in range(3):
+            start = time.monotonic()
+            assert context.read_holding_registers(100, 1) == [1000]
+            assert time.monotonic() - start >= 0.05
+
+
+def with_echo(request: bytes) -> list[bytes]:
+    if request.startswith(b":"):
+        framer = framing.AsciiFramer()
+        return [request, framer.encode(framing.Frame(1, b"\x03\x02\x00\x07"))]
+    return [request, ANSWER]
+
+
+@pytest.mark.parametrize("make", [RtuContext, AsciiContext])
+def test_echo_is_taken_out_of_what_is_received(
+    make: type[RtuContext] | type[AsciiContext],
+) -> None:
+    with FakeUnit(with_echo) as unit, make(unit.path, echo=True, timeout=0.5) as context:
+        for _ in range(5):
+            assert context.read_holding_registers(0, 1) == [7]
+
+
+def test_echo_in_one_piece_with_the_answer_is_taken_out() -> None:
+    with (
+        FakeUnit(lambda request: [request[:3], request[3:] + ANSWER[:2], ANSWER[2:]]) as unit,
+        RtuContext(unit.path, echo=True, timeout=0.5) as context,
+    ):
+        for _ in range(3):
+            assert context.read_holding_registers(0, 1) == [7]
+
+
+def test_no_echo_where_one_was_announced_does_no_harm() -> None:
+    with (
+        FakeUnit(lambda request: [ANSWER]) as unit,
+        RtuContext(unit.path, echo=True, timeout=0.2) as context,
+    ):
+        for _ in range(3):
+            try:
+                assert context.read_holding_registers(0, 1) == [7]
+            except ModbusError:
+                pytest.fail("the answer begins like the request, and was taken for its echo")
+
+
+def test_a_server_does_not_take_the_echo_of_its_answer_for_a_request(device: Device) -> None:
+    """The echo of a write's answer is a good request: without the option it would be answered."""
+    with (
+        SerialWire() as wire,
+        Server({17: device}).background(f"rtu://{wire.server}?echo=1&baudrate=115200"),
+        RtuContext(wire.client, 115200, unit=17, timeout=0.3) as context,
+    ):
+        link = context._line._link
+        request = framing.RtuFramer("server").encode(framing.Frame(17, b"\x06\x00\x64\x00\x01"))
+        for _ in range(3):
+            wire.clear()
+            link.send(request, time.monotonic())
+            answer = b""
+            while len(answer) < len(request):
+                answer += link.receive(time.monotonic() + 1)
+            link.send(answer, time.monotonic())  # as the transceiver would
+            assert link.receive(time.monotonic() + 0.1) == b""
+
+
+RTS = """
+from libmodbus_py import *
+context = {make}
+for _ in range(2):
+    context.read_holding_registers(0, 1)
+"""
+
+
+def step(line: str) -> str:
+    """RTS set, RTS cleared, request written, or nothing of these, in a line of strace."""
+    if "TIOCMBIS" in line or ("TIOCMSET, [" in line and "TIOCM_RTS" in line):
+        return "set "
+    if "TIOCMBIC" in line or "TIOCMSET, [" in line:
+        return "cleared "
+    return "written " if re.search(r'write\(\d+, "(\\1\\3|:0103)', line) else ""
+
+
+@pytest.mark.parametrize(
+    ("mode", "expected"), [("up", "set written cleared"), ("down", "cleared written set")]
+)
+@pytest.mark.parametrize("kind", ["native", "python", "ascii"])
+def test_rts_is_turned_while_a_request_goes_out(
+    tmp_path: Path, mode: str, expected: str, kind: str
+) -> None:
+    """A pty has no RTS, so the system calls themselves are looked at."""
+    answer = with_echo(b":")[1] if kind == "ascii" else ANSWER
+    with FakeUnit(lambda request: [answer]) as unit:
+        options = f"{unit.path!r}, 115200, rs485='rts-{mode}'"
+        make = {
+            "native": f"RtuContext({options}, native=True)",
+            "python": f"RtuContext({options}, native=False)",
+            "ascii": f"AsciiContext({options})",
+        }[kind]
+        trace = tmp_path / "trace"
+        watch = ["strace", "-f", "-e", "trace=ioctl,write", "-o", str(trace)]
+        program = [sys.executable, "-c", RTS.format(make=make)]
+        subprocess.run([*watch, *program], check=True, timeout=60)
+    steps = "".join(step(line) for line in trace.read_text().splitlines())
+    assert steps.count(expected) == 2
+
+
+@pytest.mark.parametrize(
+    "query",
+    [
+        "baudrate=115200&parity=N&stop_bits=2&data_bits=8",
+        "baudrate=9600&parity=O&silence=0.001",
+        "rs485=rts-up&rts_delay=0.001",
+    ],
+)
+def test_settings_in_the_url_reach_the_port(device: Device, query: str) -> None:
+    with (
+        SerialWire() as wire,
+        Server({17: device}).background(f"rtu://{wire.server}?{query}"),
+        Context.from_url(f"rtu://{wire.client}?{query}", unit=17) as context,
+    ):
+        for _ in range(3):
+            assert context.read_holding_registers(100, 1) == [1000]

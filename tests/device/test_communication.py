@@ -1,0 +1,311 @@
+"""
+Counters, event log, listen-only mode and delimiter, on real serial lines (sections 6.8-6.10).
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterator
+from typing import ClassVar
+
+import pytest
+
+from libmodbus_py import (
+    AsciiContext,
+    Context,
+    Device,
+    IllegalDataAddress,
+    IllegalDataValue,
+    IllegalFunction,
+    Mapping,
+    ModbusTimeoutError,
+    NegativeAcknowledge,
+    RtuContext,
+    Server,
+    ServerDeviceBusy,
+    ServerDeviceFailure,
+    TcpContext,
+    framing,
+    pdu,
+)
+from libmodbus_py.protocol.pdu import SubFunction
+from libmodbus_py.testing.wires import SerialWire
+
+COUNTERS = {
+    "messages": SubFunction.BUS_MESSAGE_COUNT,
+    "errors": SubFunction.BUS_COMMUNICATION_ERROR_COUNT,
+    "exceptions": SubFunction.BUS_EXCEPTION_ERROR_COUNT,
+    "served": SubFunction.SERVER_MESSAGE_COUNT,
+    "unanswered": SubFunction.SERVER_NO_RESPONSE_COUNT,
+    "nak": SubFunction.SERVER_NAK_COUNT,
+    "busy": SubFunction.SERVER_BUSY_COUNT,
+    "overrun": SubFunction.BUS_CHARACTER_OVERRUN_COUNT,
+}
+
+
+class Refusals:
+    """A hook that refuses by the value that is written."""
+
+    errors: ClassVar = {5: NegativeAcknowledge, 6: ServerDeviceBusy, 7: ServerDeviceFailure}
+
+    def __call__(self, access) -> None:  # type: ignore[no-untyped-def]
+        if error := self.errors.get(access.values[0]):
+            raise error
+
+
+@pytest.fixture
+def devices() -> dict[int, Device]:
+    return {
+        unit: Device(Mapping(holding_registers=10, coils=8), before_write=Refusals())
+        for unit in (1, 2)
+    }
+
+
+@pytest.fixture
+def wire() -> Iterator[SerialWire]:
+    with SerialWire() as made:
+        yield made
+
+
+@pytest.fixture(params=["rtu", "ascii"])
+def line(
+    request: pytest.FixtureRequest, wire: SerialWire, devices: dict[int, Device]
+) -> Iterator[Context]:
+    make = RtuContext if request.param == "rtu" else AsciiContext
+    with (
+        Server(devices).background(f"{request.param}://{wire.server}?baudrate=115200"),
+        make(wire.client, 115200, timeout=0.15, turnaround=0.01) as context,
+    ):
+        yield context
+
+
+def counters(context: Context) -> dict[str, int]:
+    """Each question is a message of its own, and is counted as one."""
+    return {name: context.diagnostics(counter) for name, counter in COUNTERS.items()}
+
+
+def send(context: Context, data: bytes) -> None:
+    os.write(context._line._link.descriptor, data)
+
+
+def frame(context: Context, unit: int, body: bytes) -> bytes:
+    return context._line._framer.encode(framing.Frame(unit, body))
+
+
+def test_every_counter_counts_what_it_should(line: Context) -> None:
+    line.diagnostics(SubFunction.CLEAR_COUNTERS)
+    # A request and its answer are one message: the answer is this device's own.
+    line.read_holding_registers(0, 1)
+    with pytest.raises(IllegalDataAddress):
+        line.read_holding_registers(10, 1)
+    with pytest.raises(NegativeAcknowledge):
+        line.write_register(0, 5)
+    with pytest.raises(ServerDeviceBusy):
+        line.write_register(0, 6)
+    line.for_unit(0).write_register(1, 3)
+    line.for_unit(2).read_coils(0, 1)
+    with pytest.raises(ModbusTimeoutError):
+        line.for_unit(3).read_coils(0, 1)
+    spoilt = bytearray(frame(line, 1, pdu.ReadCoils(0, 1).encode()))
+    spoilt[3] ^= 1
+    send(line, bytes(spoilt))
+    # 5 for this unit, 1 broadcast, 2 for others; each question is one more.
+    found = counters(line)
+    assert found["messages"] == 4 + 1 + 2 + 1
+    assert found["errors"] == 1
+    assert found["exceptions"] == 3
+    assert found["served"] == 4 + 1 + 4
+    assert found["unanswered"] == 1
+    assert found["nak"] == 1
+    assert found["busy"] == 1
+    assert found["overrun"] == 0
+
+
+def test_units_on_one_line_count_for_themselves(line: Context) -> None:
+    other = line.for_unit(2)
+    for context in (line, other):
+        context.diagnostics(SubFunction.CLEAR_COUNTERS)
+    for _ in range(5):
+        other.read_coils(0, 1)
+    assert line.diagnostics(SubFunction.SERVER_MESSAGE_COUNT) == 1
+    assert other.diagnostics(SubFunction.SERVER_MESSAGE_COUNT) == 6
+    # All that passed since each was cleared: bus messages are the line's.
+    assert line.diagnostics(SubFunction.BUS_MESSAGE_COUNT) == 9
+
+
+def test_event_counter_counts_what_was_completed(line: Context) -> None:
+    line.diagnostics(SubFunction.CLEAR_COUNTERS)
+    before = line.read_comm_event_counter()
+    line.read_coils(0, 1)
+    with pytest.raises(IllegalDataAddress):
+        line.read_coils(8, 1)
+    line.for_unit(0).write_coil(0, True)
+    line.for_unit(0)
+    after = line.read_comm_event_counter()
+    assert (before.status, after.status) == (0, 0)
+    assert after.event_count - before.event_count == 2
+
+
+def test_event_log_has_send_and_receive_events_newest_first(line: Context) -> None:
+    line.diagnostics(SubFunction.RESTART_COMMUNICATIONS, 0xFF00)
+    line.read_coils(0, 1)
+    with pytest.raises(IllegalDataAddress):
+        line.read_coils(8, 1)
+    for value, error in ((5, NegativeAcknowledge), (6, ServerDeviceBusy), (7, ServerDeviceFailure)):
+        with pytest.raises(error):
+            line.write_register(0, value)
+    line.for_unit(0).write_register(1, 3)
+    log = line.read_comm_event_log()
+    oldest_first = "00 8040 8041 8048 8044 8042 c040 80"
+    assert log.events[::-1] == bytes.fromhex(oldest_first)
+    assert log.status == 0
+    assert log.message_count == 7
+    assert log.event_count == 2
+
+
+def test_event_log_keeps_the_last_64(line: Context) -> None:
+    for _ in range(40):
+        line.read_coils(0, 1)
+    assert line.read_comm_event_log().events == bytes.fromhex("80" + "4080" * 31 + "40")
+
+
+def test_damaged_frames_are_logged(line: Context) -> None:
+    line.diagnostics(SubFunction.RESTART_COMMUNICATIONS, 0xFF00)
+    spoilt = bytearray(frame(line, 1, pdu.ReadCoils(0, 1).encode()))
+    spoilt[3] ^= 1
+    send(line, bytes(spoilt))
+    assert line.read_comm_event_log().events[::-1] == bytes.fromhex("00 82 80")
+
+
+def test_listen_only_is_silent_until_restarted(line: Context, devices: dict[int, Device]) -> None:
+    line.diagnostics(SubFunction.RESTART_COMMUNICATIONS, 0xFF00)
+    assert line.diagnostics(SubFunction.FORCE_LISTEN_ONLY) == 0
+    for ask in (
+        lambda: line.read_coils(0, 1),
+        lambda: line.write_register(0, 1),
+        lambda: line.read_coils(60000, 1),
+        lambda: line.diagnostics(SubFunction.RETURN_QUERY_DATA, 0xA537),
+        lambda: line.diagnostics(SubFunction.RESTART_COMMUNICATIONS),
+    ):
+        with pytest.raises(ModbusTimeoutError):
+            ask()
+    assert devices[1].mapping.holding_registers[0] == 0
+    line.write_register(0, 9)  # the restart was executed, though not answered
+    assert devices[1].mapping.holding_registers[0] == 9
+    log = line.read_comm_event_log().events[::-1]
+    assert log[:4] == bytes.fromhex("00 80 04 60")
+    assert log[4:12] == bytes.fromhex("a060" * 4)
+    assert log[12:15] == bytes.fromhex("a0 60 00")
+
+
+def test_broadcasts_are_not_executed_in_listen_only(
+    line: Context, devices: dict[int, Device]
+) -> None:
+    line.diagnostics(SubFunction.FORCE_LISTEN_ONLY)
+    line.for_unit(0).write_register(0, 77)
+    line.for_unit(2).read_coils(0, 1)
+    assert [device.mapping.holding_registers[0] for device in devices.values()] == [0, 77]
+
+
+def test_broadcasts_of_what_is_no_write_do_nothing_but_count(line: Context) -> None:
+    line.diagnostics(SubFunction.CLEAR_COUNTERS)
+    for body in (b"\x03\0\0\0\1", b"\x08\0\4\0\0", b"\x08\0\1\0\0", b"\x41", b"\x18\0\0"):
+        send(line, frame(line, 0, body))
+    found = counters(line)
+    assert found["messages"] == 1 + 5
+    assert found["unanswered"] == 5
+    assert found["exceptions"] == 0
+
+
+def test_restart_clears_counters_and_keeps_the_log(line: Context) -> None:
+    line.diagnostics(SubFunction.RESTART_COMMUNICATIONS, 0xFF00)
+    line.read_coils(0, 1)
+    assert line.diagnostics(SubFunction.RESTART_COMMUNICATIONS) == 0
+    log = line.read_comm_event_log()
+    assert log.events[::-1] == bytes.fromhex("00 8040 8040 00 80")
+    assert (log.event_count, log.message_count) == (0, 1)
+
+
+def test_clearing_the_overrun_counter_leaves_the_others(wire: SerialWire) -> None:
+    device = Device(Mapping(coils=8))
+    with (
+        Server({1: device}).background(f"ascii://{wire.server}?baudrate=115200"),
+        AsciiContext(wire.client, 115200, timeout=0.5) as line,
+    ):
+        send(line, b":" + b"00" * 300)
+        assert line.diagnostics(SubFunction.BUS_CHARACTER_OVERRUN_COUNT) == 1
+        assert line.diagnostics(SubFunction.CLEAR_OVERRUN) == 0
+        assert line.diagnostics(SubFunction.BUS_CHARACTER_OVERRUN_COUNT) == 0
+        assert line.diagnostics(SubFunction.BUS_COMMUNICATION_ERROR_COUNT) == 1
+
+
+@pytest.mark.parametrize(
+    ("sub_function", "data", "error"),
+    [
+        (SubFunction.RESTART_COMMUNICATIONS, 1, IllegalDataValue),
+        (SubFunction.RESTART_COMMUNICATIONS, 0xFF01, IllegalDataValue),
+        (SubFunction.FORCE_LISTEN_ONLY + 1, 0, IllegalFunction),
+        (SubFunction.CLEAR_COUNTERS, 1, IllegalDataValue),
+        (SubFunction.BUS_MESSAGE_COUNT, 1, IllegalDataValue),
+        (0x13, 0, IllegalFunction),
+        (0x15, 0, IllegalFunction),
+        (0xFFFF, 0, IllegalFunction),
+        (SubFunction.CHANGE_ASCII_DELIMITER, 0x8000, IllegalDataValue),
+        (SubFunction.CHANGE_ASCII_DELIMITER, 0x3A00, IllegalDataValue),
+        (SubFunction.CHANGE_ASCII_DELIMITER, 0x4100, IllegalDataValue),
+        (SubFunction.CHANGE_ASCII_DELIMITER, 0x2101, IllegalDataValue),
+    ],
+)
+def test_diagnostics_are_refused(
+    line: Context, sub_function: int, data: int, error: type[Exception]
+) -> None:
+    with pytest.raises(error):
+        line.diagnostics(sub_function, data)
+
+
+def test_query_data_come_back(line: Context) -> None:
+    assert line.diagnostics(SubFunction.RETURN_QUERY_DATA, 0xA537) == 0xA537
+    for size in (2, 4, 100, 250):
+        data = bytes(range(size))
+        assert line.execute(pdu.Diagnostics(0, data)) == data
+
+
+def test_ascii_delimiter_changes_after_the_echo_both_ways(wire: SerialWire) -> None:
+    device = Device(Mapping(holding_registers=4))
+    framer = framing.AsciiFramer()
+    with (
+        Server({1: device}).background(f"ascii://{wire.server}?baudrate=115200"),
+        AsciiContext(wire.client, 115200, timeout=0.5) as line,
+    ):
+        assert line.diagnostics(SubFunction.CHANGE_ASCII_DELIMITER, 0x2400) == 0x2400
+        assert wire.sent_by("server").endswith(b"\r\n")
+        wire.clear()
+        framer.delimiter = 0x24
+        request = framer.encode(framing.Frame(1, pdu.ReadHoldingRegisters(0, 1).encode()))
+        assert request.endswith(b"\r$")
+        send(line, request)
+        answer = b""
+        while not answer.endswith(b"\r$"):
+            answer += receive(line)
+        assert framer.feed(answer) == [framing.Frame(1, b"\x03\x02\0\0")]
+
+
+def receive(context: Context) -> bytes:
+    data = context._line._link.receive(time.monotonic() + 2)
+    assert data, "no answer"
+    return data
+
+
+def test_tcp_cannot_silence_the_device(devices: dict[int, Device]) -> None:
+    with (
+        Server(devices).background("tcp://127.0.0.1:0") as running,
+        Context.from_url(running.urls[0]) as context,
+    ):
+        assert isinstance(context, TcpContext)
+        with pytest.raises(IllegalFunction):
+            context.diagnostics(SubFunction.RESTART_COMMUNICATIONS)
+        with pytest.raises(IllegalFunction):
+            context.execute(pdu.RawRequest(8, b"\0\4\0\0"))
+        assert context.diagnostics(SubFunction.RETURN_QUERY_DATA, 5) == 5
+        assert context.read_coils(0, 1) == [False]

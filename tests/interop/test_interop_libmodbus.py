@@ -1,0 +1,518 @@
+"""
+Against libmodbus itself, in C: its server, its client, and the example programs
+of Debian's libmodbus-dev.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import random
+import re
+import socket
+import subprocess
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from c_programs import compile_c
+from interop import (
+    BAUDRATE,
+    TIMEOUT,
+    UNIT,
+    Exchange,
+    case_id,
+    cells,
+    coil,
+    exchanges,
+    holding_register,
+    make_device,
+    our_server,
+    program,
+    refusals,
+)
+
+from libmodbus_py import (
+    Context,
+    Device,
+    IllegalDataAddress,
+    IllegalFunction,
+    Mapping,
+    ModbusConnectionError,
+    ModbusTimeoutError,
+    RtuContext,
+    TcpContext,
+    pdu,
+)
+from libmodbus_py.binding.low_level import loaded_version
+from libmodbus_py.client import native
+from libmodbus_py.testing.wires import SerialWire
+
+EXAMPLES = Path("/usr/share/doc/libmodbus-dev/examples")
+TRANSPORTS = ("tcp", "rtu")
+WAYS = {"native": True, "python": False, "either": None}
+
+
+# --- our contexts, C's server ------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def c_server(server: Path, transport: str, **options: Any) -> Iterator[Context]:
+    """Give a context of ours that is connected to the C server."""
+    options = {"unit": UNIT, "timeout": TIMEOUT, **options}
+    with contextlib.ExitStack() as stack:
+        if transport == "tcp":
+            process = stack.enter_context(program(server, "tcp", 0))
+        else:
+            wire = stack.enter_context(SerialWire())
+            command = (server, "rtu", wire.server, BAUDRATE, UNIT)
+            process = stack.enter_context(program(*command))
+        assert process.stdout is not None
+        word, port = process.stdout.readline().split()
+        assert word == "ready"
+        if transport == "tcp":
+            yield stack.enter_context(TcpContext("127.0.0.1", int(port), **options))
+        else:
+            yield stack.enter_context(RtuContext(wire.client, BAUDRATE, **options))
+
+
+def to_c_server(cases: Iterable[Exchange]) -> Any:
+    """Each case over each transport, in each way that a context has."""
+    return pytest.mark.parametrize(
+        ("exchange", "transport", "way"),
+        [
+            pytest.param(
+                exchange,
+                transport,
+                WAYS[way],
+                id=case_id("libmodbus", "client", transport, exchange.function, exchange.name, way),
+            )
+            for exchange in cases
+            for transport in TRANSPORTS
+            for way in WAYS
+        ],
+    )
+
+
+def who_it_is() -> Iterator[Exchange]:
+    version = ".".join(map(str, loaded_version()))
+    answer = pdu.ServerId(b"\xb4", True, f"LMB{version}".encode())
+    yield Exchange(17, "id", lambda c: c.report_server_id(), answer)
+
+
+@to_c_server([*exchanges(), *who_it_is()])
+def test_context_and_c_server_agree(
+    compiled: Callable[[str], Path], exchange: Exchange, transport: str, way: bool | None
+) -> None:
+    with c_server(compiled("server"), transport, native=way) as context:
+        for _ in range(2):  # with native=None the second goes through libmodbus
+            assert exchange.ask(context) == exchange.answer
+            assert exchange.look(context) == exchange.seen
+
+
+@to_c_server(refusals())
+def test_context_raises_what_c_server_refuses(
+    compiled: Callable[[str], Path], exchange: Exchange, transport: str, way: bool | None
+) -> None:
+    with c_server(compiled("server"), transport, native=way) as context:
+        for _ in range(2):
+            with pytest.raises(IllegalDataAddress) as caught:
+                exchange.ask(context)
+            assert caught.value.function == exchange.function
+        assert context.read_holding_registers(399, 1) == [1399]
+
+
+@pytest.mark.parametrize("way", WAYS.values(), ids=WAYS)
+@pytest.mark.parametrize(
+    "ask",
+    [
+        pytest.param(
+            lambda context: context.read_file_records([(4, 0, 2)]),
+            id=case_id("libmodbus", "client", "tcp", 20, "refused"),
+        ),
+        pytest.param(
+            lambda context: context.write_file_records([(4, 0, [1])]),
+            id=case_id("libmodbus", "client", "tcp", 21, "refused"),
+        ),
+    ],
+)
+def test_file_records_are_refused_over_tcp_and_the_connection_goes_on(
+    compiled: Callable[[str], Path], ask: Callable[[Context], object], way: bool | None
+) -> None:
+    # The C server reads one byte of such a request, answers after its response
+    # timeout of half a second, and throws the rest away: in step again.
+    with c_server(compiled("server"), "tcp", native=way) as context:
+        with pytest.raises(IllegalFunction):
+            ask(context)
+        assert context.read_holding_registers(100, 1) == [1100]
+
+
+@pytest.mark.parametrize(
+    "ask",
+    [
+        pytest.param(
+            lambda context: context.read_file_records([(4, 0, 2)]),
+            id=case_id("libmodbus", "client", "rtu", 20, "pinned"),
+        ),
+        pytest.param(
+            lambda context: context.write_file_records([(4, 0, [1])]),
+            id=case_id("libmodbus", "client", "rtu", 21, "pinned"),
+        ),
+    ],
+)
+def test_file_records_over_rtu_time_out(
+    compiled: Callable[[str], Path], ask: Callable[[Context], object]
+) -> None:
+    # libmodbus has no length for these codes: it takes the two bytes after the code
+    # for the CRC, finds it wrong, and says nothing.
+    with (
+        c_server(compiled("server"), "rtu", timeout=0.2) as context,
+        pytest.raises(ModbusTimeoutError),
+    ):
+        ask(context)
+
+
+# What libmodbus has no answer for. It thinks that a request of a code which it does not
+# know is the code alone: so the first two are whole, and the others are not.
+WITHOUT_DATA: dict[int, Callable[[Context], object]] = {
+    11: lambda context: context.read_comm_event_counter(),
+    12: lambda context: context.read_comm_event_log(),
+}
+WITH_DATA: dict[int, Callable[[Context], object]] = {
+    8: lambda context: context.diagnostics(0, 0xA537),
+    24: lambda context: context.read_fifo_queue(100),
+    43: lambda context: context.read_device_identification(),
+}
+
+
+def to_c_server_in_vain(
+    functions: dict[int, Callable[[Context], object]], transport: str, word: str
+) -> Any:
+    return pytest.mark.parametrize(
+        ("function", "ask"),
+        [
+            pytest.param(
+                function, ask, id=case_id("libmodbus", "client", transport, function, word)
+            )
+            for function, ask in functions.items()
+        ],
+    )
+
+
+@to_c_server_in_vain(WITHOUT_DATA | WITH_DATA, "tcp", "refused")
+def test_what_libmodbus_lacks_is_refused_over_tcp(
+    compiled: Callable[[str], Path], function: int, ask: Callable[[Context], object]
+) -> None:
+    with c_server(compiled("server"), "tcp") as context:
+        with pytest.raises(IllegalFunction) as caught:
+            ask(context)
+        assert caught.value.function == function
+        assert context.read_holding_registers(100, 1) == [1100]
+
+
+@to_c_server_in_vain(WITHOUT_DATA, "rtu", "refused")
+def test_what_libmodbus_lacks_is_refused_over_rtu(
+    compiled: Callable[[str], Path], function: int, ask: Callable[[Context], object]
+) -> None:
+    with c_server(compiled("server"), "rtu") as context:
+        with pytest.raises(IllegalFunction) as caught:
+            ask(context)
+        assert caught.value.function == function
+        assert context.read_holding_registers(100, 1) == [1100]
+
+
+@to_c_server_in_vain(WITH_DATA, "rtu", "pinned")
+def test_what_libmodbus_lacks_times_out_over_rtu(
+    compiled: Callable[[str], Path], function: int, ask: Callable[[Context], object]
+) -> None:
+    # As with file records: the CRC is looked for too early, and not found.
+    with (
+        c_server(compiled("server"), "rtu", timeout=0.2) as context,
+        pytest.raises(ModbusTimeoutError),
+    ):
+        ask(context)
+
+
+@pytest.mark.parametrize(
+    "transport",
+    [
+        pytest.param(each, id=case_id("libmodbus", "client", each, 7, "pinned"))
+        for each in TRANSPORTS
+    ],
+)
+def test_exception_status_is_not_answered(compiled: Callable[[str], Path], transport: str) -> None:
+    # modbus_reply names function 7, and does nothing with it: "FIXME Not implemented"
+    # in 3.1.6; newer ones refuse it as they should.
+    with (
+        c_server(compiled("server"), transport, timeout=0.2) as context,
+        pytest.raises((ModbusTimeoutError, IllegalFunction)),
+    ):
+        context.read_exception_status()
+
+
+@pytest.mark.parametrize("way", WAYS.values(), ids=WAYS)
+def test_c_server_obeys_a_broadcast_in_silence(
+    compiled: Callable[[str], Path], way: bool | None
+) -> None:
+    with c_server(compiled("server"), "rtu", native=way, turnaround=0.05) as context:
+        context.for_unit(0).write_registers(100, [1, 2])
+        assert context.read_holding_registers(100, 3) == [1, 2, 1102]
+
+
+# --- C's client, our server ----------------------------------------------------------------
+
+C_CLIENT_CALLS = (1, 2, 3, 4, 5, 6, 15, 16, 17, 22, 23)
+C_CLIENT_REFUSALS = tuple(code for code in C_CLIENT_CALLS if code != 17)
+
+
+def output_of(command: list[object]) -> str:
+    """All that a program prints; one that hangs is ended, and its lines are missed."""
+    with program(*command) as process, contextlib.suppress(subprocess.TimeoutExpired):
+        return process.communicate(timeout=20)[0]
+    return ""
+
+
+@pytest.fixture(scope="module")
+def c_client_runs(compiled: Callable[[str], Path]) -> Callable[[str], tuple[str, Device]]:
+    """Gives what the C client printed over a transport, and the device it left behind."""
+    runs: dict[str, tuple[str, Device]] = {}
+
+    def run(transport: str) -> tuple[str, Device]:
+        if transport not in runs:
+            device = make_device()
+            with our_server(transport, {UNIT: device}) as place:
+                where = [place.end.port] if transport == "tcp" else [place.end.device, BAUDRATE]
+                command = [compiled("client"), transport, *where, UNIT]
+                runs[transport] = (output_of(command), device)
+        return runs[transport]
+
+    return run
+
+
+@pytest.mark.parametrize(
+    ("transport", "line"),
+    [
+        pytest.param(
+            transport, f"FC {function} ok", id=case_id("libmodbus", "server", transport, function)
+        )
+        for transport in TRANSPORTS
+        for function in C_CLIENT_CALLS
+    ]
+    + [
+        pytest.param(
+            transport,
+            f"FC {function} refused",
+            id=case_id("libmodbus", "server", transport, function, "refused"),
+        )
+        for transport in TRANSPORTS
+        for function in C_CLIENT_REFUSALS
+    ],
+)
+def test_c_client_is_content_with_our_server(
+    c_client_runs: Callable[[str], tuple[str, Device]], transport: str, line: str
+) -> None:
+    printed, _ = c_client_runs(transport)
+    assert line in printed.splitlines()
+
+
+@pytest.mark.parametrize("transport", TRANSPORTS)
+def test_c_client_leaves_its_writes_in_our_mapping(
+    c_client_runs: Callable[[str], tuple[str, Device]], transport: str
+) -> None:
+    _, device = c_client_runs(transport)
+    coils = device.mapping.coils
+    assert coils[10:1978] == [not value for value in cells(coil, 10, 1968)]
+    assert coils[1978:2109] == cells(coil, 1978, 131)
+    assert coils[2109] is True
+    registers = device.mapping.holding_registers
+    assert registers[100:223] == [3 * address for address in range(100, 223)]
+    assert registers[223:250] == cells(holding_register, 223, 27)
+    assert registers[250] == 0xA5EF
+    assert registers[270:391] == [3 * address for address in range(270, 391)]
+    assert registers[391:400] == [*cells(holding_register, 391, 8), 65535]
+
+
+# --- through libmodbus's own calls ------------------------------------------------------------
+
+
+class CountingLibrary:
+    """Passes everything on to libmodbus and counts the calls."""
+
+    def __init__(self, library: Any) -> None:
+        self._library = library
+        self.calls: Counter[str] = Counter()
+
+    def __getattr__(self, name: str) -> Any:
+        function = getattr(self._library, name)
+
+        def call(*arguments: Any) -> Any:
+            self.calls[name] += 1
+            return function(*arguments)
+
+        return call
+
+
+@pytest.mark.parametrize("transport", TRANSPORTS)
+@pytest.mark.parametrize(
+    ("ask", "calls"),
+    [
+        (lambda c: c.read_coils(10, 5), ["modbus_read_bits"]),
+        (lambda c: c.read_discrete_inputs(20, 5), ["modbus_read_input_bits"]),
+        (lambda c: c.read_holding_registers(100, 5), ["modbus_read_registers"]),
+        (lambda c: c.read_input_registers(200, 5), ["modbus_read_input_registers"]),
+        (lambda c: c.write_coil(10, True), ["modbus_write_bit"]),
+        (lambda c: c.write_register(100, 5), ["modbus_write_register"]),
+        (lambda c: c.write_coils(10, [True, False]), ["modbus_write_bits"]),
+        (lambda c: c.write_registers(100, [5, 6]), ["modbus_write_registers"]),
+        (lambda c: c.mask_write_register(100, 5, 6), ["modbus_mask_write_register"]),
+        (
+            lambda c: c.read_write_registers(100, 1, 100, [5]),
+            ["modbus_write_and_read_registers"],
+        ),
+        (lambda c: c.report_server_id(), ["modbus_report_slave_id"]),
+        (lambda c: c.read_file_records([(4, 0, 2)]), []),
+        (lambda c: c.write_file_records([(4, 0, [5])]), []),
+        (lambda c: c.read_exception_status(), []),
+        (lambda c: c.diagnostics(0, 5), []),
+        (lambda c: c.read_comm_event_counter(), []),
+        (lambda c: c.read_comm_event_log(), []),
+        (lambda c: c.read_fifo_queue(100), []),
+        (lambda c: c.read_device_identification("regular"), []),
+    ],
+    ids=[
+        f"fc{code:02}"
+        for code in (1, 2, 3, 4, 5, 6, 15, 16, 22, 23, 17, 20, 21, 7, 8, 11, 12, 24, 43)
+    ],
+)
+def test_native_context_makes_exactly_the_call_of_libmodbus(
+    monkeypatch: pytest.MonkeyPatch,
+    ask: Callable[[Context], object],
+    calls: list[str],
+    transport: str,
+) -> None:
+    counting = CountingLibrary(native.lib)
+    monkeypatch.setattr(native, "lib", counting)
+    options: dict[str, Any] = {"unit": UNIT, "timeout": TIMEOUT}
+    with our_server(transport, {UNIT: make_device()}) as place:
+        with Context.from_url(str(place.end), native=True, **options) as context:
+            ask(context)
+        assert counting.calls == Counter(calls)
+        with Context.from_url(str(place.end), native=False, **options) as context:
+            ask(context)
+        assert counting.calls == Counter(calls)
+
+
+@pytest.mark.parametrize("transport", TRANSPORTS)
+@pytest.mark.parametrize("way", WAYS.values(), ids=WAYS)
+@pytest.mark.parametrize(
+    "server_id",
+    [
+        pdu.ServerId(b"\x2a", False),
+        pdu.ServerId(b"\x2a", True, bytes(range(249))),  # all that a message holds
+    ],
+    ids=["least", "most"],
+)
+def test_identifier_is_the_same_on_every_way(
+    transport: str, way: bool | None, server_id: pdu.ServerId
+) -> None:
+    device = make_device()
+    device.server_id = server_id
+    options: dict[str, Any] = {"unit": UNIT, "timeout": TIMEOUT, "native": way}
+    with (
+        our_server(transport, {UNIT: device}) as place,
+        Context.from_url(str(place.end), **options) as context,
+    ):
+        for _ in range(2):  # with native=None the second goes through libmodbus
+            assert context.report_server_id() == server_id
+
+
+# --- Debian's examples -------------------------------------------------------------------------
+
+EXAMPLE_PORT = re.compile(r'modbus_new_tcp\("127\.0\.0\.1", 1502\)')
+EXAMPLE_CODES = (1, 3, 5, 6, 15, 16, 23)
+
+
+def compile_example(name: str, port: int, directory: Path) -> Path:
+    """Compile an example that has its port in the source, with another port."""
+    source = EXAMPLES / f"{name}.c"
+    if not source.exists():
+        pytest.skip(f"{source} is not there: this system installs no documentation")
+    text, found = EXAMPLE_PORT.subn(
+        f'modbus_new_tcp("127.0.0.1", {port})', source.read_text(encoding="utf-8")
+    )
+    assert found == 1
+    copy = directory / source.name
+    copy.write_text(text, encoding="utf-8")
+    return compile_c(copy, directory / name)
+
+
+def test_example_client_reports_success_against_our_server(tmp_path: Path) -> None:
+    # It reads back what it writes: bits and registers at 0..98, 99 rounds of nine
+    # requests. It sets no unit, and so asks unit 255.
+    device = Device(Mapping(coils=100, holding_registers=100))
+    with our_server("tcp", device) as place:
+        client = compile_example("random-test-client", place.end.port, tmp_path)
+        done = subprocess.run([client], capture_output=True, text=True, timeout=30)
+        codes = {passed.data[7] for passed in place.wire.passed if passed.sender == "client"}
+    assert "Test: SUCCESS" in done.stdout.splitlines()
+    assert "ERROR" not in done.stdout
+    assert done.returncode == 0
+    assert codes == set(EXAMPLE_CODES)
+
+
+@pytest.fixture
+def held_port() -> Iterator[int]:
+    """
+    A port that nobody else gets while the test runs: bound, so that it is not given
+    away, but not listening, so that a program that reuses addresses may take it.
+    """
+    with socket.socket() as holder:
+        holder.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        holder.bind(("127.0.0.1", 0))
+        yield holder.getsockname()[1]
+
+
+def connect_when_it_listens(context: Context) -> None:
+    """The example says nothing when it is ready, and takes one connection only."""
+    deadline = time.monotonic() + TIMEOUT
+    while True:
+        try:
+            context.connect()
+            return
+        except ModbusConnectionError:
+            if time.monotonic() > deadline:
+                raise
+            time.sleep(0.005)
+
+
+@pytest.mark.parametrize("way", WAYS.values(), ids=WAYS)
+def test_context_reads_back_what_it_writes_to_example_server(
+    tmp_path: Path, held_port: int, way: bool | None
+) -> None:
+    # What the example client does, by a context. The mapping has 500 of everything.
+    server = compile_example("random-test-server", held_port, tmp_path)
+    context = TcpContext("127.0.0.1", held_port, unit=255, timeout=TIMEOUT, native=way)
+    chosen = random.Random(1)
+    with program(server) as process:
+        connect_when_it_listens(context)
+        with context:
+            for address in range(99):
+                count = 99 - address
+                registers = [chosen.randrange(65536) for _ in range(count)]
+                coils = [value % 2 == 1 for value in registers]
+                context.write_coil(address, coils[0])
+                assert context.read_coils(address, 1) == coils[:1]
+                context.write_coils(address, coils)
+                assert context.read_coils(address, count) == coils
+                context.write_register(address, registers[0])
+                assert context.read_holding_registers(address, 1) == registers[:1]
+                context.write_registers(address, registers)
+                assert context.read_holding_registers(address, count) == registers
+                other = [65535 - value for value in registers]
+                assert context.read_write_registers(address, count, address, other) == other
+                assert context.read_holding_registers(address, count) == other
+            with pytest.raises(IllegalDataAddress):
+                context.read_input_registers(499, 2)
+        assert process.wait(TIMEOUT) == 0  # it ends with its only connection

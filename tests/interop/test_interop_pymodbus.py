@@ -1,0 +1,1046 @@
+"""
+Against pymodbus: its clients on our server, our contexts on its servers, over
+every transport. Where pymodbus errs, a test pins what it does and what we make of it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future
+from typing import Any, NamedTuple
+
+import pytest
+from interop import (
+    BAUDRATE,
+    COILS,
+    DISCRETE_INPUTS,
+    EXCEPTION_STATUS,
+    FIFOS,
+    HOLDING_REGISTERS,
+    INPUT_REGISTERS,
+    OBJECTS,
+    SERVER_ID,
+    TIMEOUT,
+    UNIT,
+    UNKNOWN_FUNCTIONS,
+    Exchange,
+    Place,
+    case_id,
+    cells,
+    coil,
+    discrete_input,
+    exchanges,
+    holding_register,
+    input_register,
+    make_device,
+    our_server,
+    record,
+    refusals,
+)
+from pymodbus.client import ModbusSerialClient, ModbusTcpClient
+from pymodbus.exceptions import ModbusException, ModbusIOException
+from pymodbus.framer import FramerType
+from pymodbus.pdu import ModbusPDU
+from pymodbus.pdu.device import ModbusControlBlock
+from pymodbus.pdu.diag_message import RestartCommunicationsOptionRequest
+from pymodbus.pdu.file_message import FileRecord
+from pymodbus.server import ModbusSerialServer, ModbusTcpServer
+from pymodbus.simulator import DataType, SimData, SimDevice
+
+from libmodbus_py import (
+    Context,
+    Device,
+    IllegalDataAddress,
+    IllegalFunction,
+    InvalidResponse,
+    ModbusError,
+    ModbusTimeoutError,
+    ServerDeviceFailure,
+    pdu,
+)
+from libmodbus_py.protocol.pdu import SubFunction
+from libmodbus_py.testing.wires import SerialWire
+
+FRAMERS = {
+    "tcp": FramerType.SOCKET,
+    "rtu": FramerType.RTU,
+    "ascii": FramerType.ASCII,
+    "rtu+tcp": FramerType.RTU,
+    "ascii+tcp": FramerType.ASCII,
+}
+TRANSPORTS = tuple(FRAMERS)
+SERIAL = tuple(each for each in TRANSPORTS if each != "tcp")
+# It finds the end of RTU frames by lengths that are wrong for some functions.
+NOT_RTU = ("tcp", "ascii", "ascii+tcp")
+ON_RTU = ("rtu", "rtu+tcp")
+
+
+# A pseudo-terminal has neither parity nor 7 bits, and pyserial insists on what it set.
+SERIAL_SETTINGS: dict[str, Any] = {"baudrate": BAUDRATE, "parity": "N", "bytesize": 8}
+
+
+# --- pymodbus's client, our server -----------------------------------------------------------
+
+
+@contextlib.contextmanager
+def pymodbus_client(transport: str, place: Place, timeout: float = TIMEOUT) -> Iterator[Any]:
+    options: dict[str, Any] = {"framer": FRAMERS[transport], "timeout": timeout, "retries": 0}
+    client: ModbusTcpClient | ModbusSerialClient
+    if transport.endswith("tcp"):
+        client = ModbusTcpClient(place.end.host, port=place.end.port, **options)
+    else:
+        client = ModbusSerialClient(place.end.device, **SERIAL_SETTINGS, **options)
+    assert client.connect()
+    try:
+        yield client
+    finally:
+        client.close()
+
+
+class Asked(NamedTuple):
+    """One request of pymodbus's client, and what our device has to say to it."""
+
+    function: int
+    name: str
+    ask: Callable[[Any], Any]
+    answer: Callable[[Any], object] = lambda response: None
+    expected: object = None
+    look: Callable[[Device], object] = lambda device: None
+    seen: object = None
+    transports: tuple[str, ...] = TRANSPORTS
+
+
+def message(response: Any) -> object:
+    return response.message
+
+
+def bits(count: int) -> Callable[[Any], list[bool]]:
+    """It gives whole bytes of bits; what is beyond the count means nothing."""
+    return lambda response: response.bits[:count]
+
+
+def registers(response: Any) -> list[int]:
+    return response.registers
+
+
+def pieces(response: Any) -> list[bytes]:
+    return [piece.record_data for piece in response.records]
+
+
+def as_bytes(values: list[int]) -> bytes:
+    return b"".join(value.to_bytes(2, "big") for value in values)
+
+
+def piece_to_read(file: int, start: int, count: int) -> FileRecord:
+    """pymodbus counts bytes here, though it sends registers."""
+    return FileRecord(file_number=file, record_number=start, record_length=2 * count)
+
+
+def piece_to_write(file: int, start: int, values: list[int]) -> FileRecord:
+    return FileRecord(file_number=file, record_number=start, record_data=as_bytes(values))
+
+
+def asked() -> Iterator[Asked]:
+    unit = {"device_id": UNIT}
+    for name, first, count in (("few", 12, 3), ("most", 10, 2000)):
+        yield Asked(
+            1,
+            name,
+            lambda c, first=first, count=count: c.read_coils(first, count=count, **unit),
+            bits(count),
+            cells(coil, first, count),
+        )
+    for name, first, count in (("few", 20, 9), ("most", 20, 2000)):
+        yield Asked(
+            2,
+            name,
+            lambda c, first=first, count=count: c.read_discrete_inputs(first, count=count, **unit),
+            bits(count),
+            cells(discrete_input, first, count),
+        )
+    for name, first, count in (("few", 399, 1), ("most", 100, 125)):
+        yield Asked(
+            3,
+            name,
+            lambda c, first=first, count=count: c.read_holding_registers(
+                first, count=count, **unit
+            ),
+            registers,
+            cells(holding_register, first, count),
+        )
+    for name, first, count in (("few", 200, 2), ("most", 275, 125)):
+        yield Asked(
+            4,
+            name,
+            lambda c, first=first, count=count: c.read_input_registers(first, count=count, **unit),
+            registers,
+            cells(input_register, first, count),
+        )
+    for name, address, value in (("on", 10, True), ("off", 12, False)):
+        yield Asked(
+            5,
+            name,
+            lambda c, address=address, value=value: c.write_coil(address, value, **unit),
+            look=lambda d, address=address: d.mapping.coils[address : address + 2],
+            seen=[value, coil(address + 1)],
+        )
+    yield Asked(
+        6,
+        "few",
+        lambda c: c.write_register(101, 65535, **unit),
+        look=lambda d: d.mapping.holding_registers[100:103],
+        seen=[1100, 65535, 1102],
+    )
+    for name, first, count in (("few", 13, 3), ("most", 11, 1968)):
+        other = [not value for value in cells(coil, first, count)]
+        yield Asked(
+            15,
+            name,
+            lambda c, first=first, other=other: c.write_coils(first, other, **unit),
+            look=lambda d, first=first, count=count: d.mapping.coils[first - 1 : first + count + 1],
+            seen=[coil(first - 1), *other, coil(first + count)],
+        )
+    for name, first, count in (("few", 397, 2), ("most", 101, 123)):
+        yield Asked(
+            16,
+            name,
+            lambda c, first=first, count=count: c.write_registers(
+                first, list(range(count)), **unit
+            ),
+            look=lambda d, first=first, count=count: d.mapping.holding_registers[
+                first - 1 : first + count + 1
+            ],
+            seen=[holding_register(first - 1), *range(count), holding_register(first + count)],
+        )
+    yield Asked(
+        20,
+        "few",
+        lambda c: c.read_file_record([piece_to_read(4, 7, 3), piece_to_read(3, 9, 2)], **unit),
+        pieces,
+        [as_bytes([5007, 5008, 5009]), as_bytes([0x33CD, 0x0040])],
+    )
+    yield Asked(
+        20,
+        "most",  # 2 + 242 bytes, the 245 of the specification less the odd one
+        lambda c: c.read_file_record([piece_to_read(4, 10, 121)], **unit),
+        pieces,
+        [as_bytes(cells(record, 10, 121))],
+    )
+    yield Asked(
+        21,
+        "few",
+        lambda c: c.write_file_record(
+            [piece_to_write(4, 7, [1, 65535]), piece_to_write(3, 10, [2])], **unit
+        ),
+        pieces,
+        [as_bytes([1, 65535]), as_bytes([2])],
+        look=lambda d: [d.files[4].read(6, 4), list(d.files[3])],
+        seen=[[5006, 1, 65535, 5009], [0x33CD, 2]],
+    )
+    yield Asked(
+        21,
+        "most",  # 7 + 244 bytes
+        lambda c: c.write_file_record([piece_to_write(4, 1, list(range(122)))], **unit),
+        look=lambda d: d.files[4].read(0, 124),
+        seen=[5000, *range(122), 5123],
+    )
+    yield Asked(
+        22,
+        "few",
+        lambda c: c.mask_write_register(address=250, and_mask=0x00F0, or_mask=0xA50F, **unit),
+        look=lambda d: d.mapping.holding_registers[249:252],
+        seen=[1249, 0xA5EF, 1251],
+    )
+    for name, count, first, written in (("few", 2, 101, 1), ("most", 125, 104, 121)):
+        after = cells(holding_register, 100, 300)
+        after[first - 100 : first - 100 + written] = range(written)
+        yield Asked(
+            23,
+            name,
+            lambda c, count=count, first=first, written=written: c.readwrite_registers(
+                read_address=100,
+                read_count=count,
+                write_address=first,
+                values=list(range(written)),
+                **unit,
+            ),
+            registers,
+            after[:count],
+            look=lambda d: d.mapping.holding_registers[:],
+            seen=after,
+        )
+    yield from asked_beside_the_tables()
+
+
+def asked_beside_the_tables() -> Iterator[Asked]:
+    unit = {"device_id": UNIT}
+    yield Asked(
+        7,
+        "status",
+        lambda c: c.read_exception_status(**unit),
+        lambda response: response.status,
+        EXCEPTION_STATUS,
+    )
+    yield Asked(
+        8,
+        "query",
+        lambda c: c.diag_query_data(b"\xa5\x37", **unit),
+        message,
+        b"\xa5\x37",
+    )
+    yield Asked(
+        8,
+        "query-most",
+        lambda c: c.diag_query_data(bytes(range(250)), **unit),
+        message,
+        bytes(range(250)),
+        transports=NOT_RTU,
+    )
+    yield Asked(
+        8,
+        "restart",
+        lambda c: c.diag_restart_communication(True, **unit),
+        message,
+        0xFF00,
+        transports=SERIAL,
+    )
+    for name, ask, answer in (
+        ("register", lambda c: c.diag_read_diagnostic_register(**unit), 0),
+        ("clear", lambda c: c.diag_clear_counters(**unit), 0),
+        ("errors", lambda c: c.diag_read_bus_comm_error_count(**unit), 0),
+        ("exceptions", lambda c: c.diag_read_bus_exception_error_count(**unit), 0),
+        ("served", lambda c: c.diag_read_device_message_count(**unit), 1),
+        ("unanswered", lambda c: c.diag_read_device_no_response_count(**unit), 0),
+        ("nak", lambda c: c.diag_read_device_nak_count(**unit), 0),
+        ("busy", lambda c: c.diag_read_device_busy_count(**unit), 0),
+        ("overrun", lambda c: c.diag_read_bus_char_overrun_count(**unit), 0),
+        ("clear-overrun", lambda c: c.diag_clear_overrun_counter(**unit), 0),
+    ):
+        yield Asked(8, name, ask, message, answer)
+    yield Asked(
+        8,
+        "messages",  # the request itself; TCP has no line to count on
+        lambda c: c.diag_read_bus_message_count(**unit),
+        message,
+        1,
+        transports=SERIAL,
+    )
+    yield Asked(
+        11,
+        "counter",
+        lambda c: [c.read_coils(12, **unit), c.diag_get_comm_event_counter(**unit)][1],
+        lambda response: (response.status, response.count),
+        (True, 1),
+    )
+    for transports, count in ((("tcp",), 0), (SERIAL, 3)):
+        yield Asked(
+            12,
+            "log",
+            lambda c: [
+                c.read_coils(12, **unit),
+                c.read_coils(3000, **unit),
+                c.diag_get_comm_event_log(**unit),
+            ][2],
+            lambda response: (
+                response.status,
+                response.event_count,
+                response.message_count,
+                response.events,
+            ),
+            (True, 1, count, [0x80, 0x41, 0x80, 0x40, 0x80]),
+            transports=transports,
+        )
+    for name, address in (("few", 100), ("none", 101), ("most", 102)):
+        yield Asked(
+            24,
+            name,
+            lambda c, address=address: c.read_fifo_queue(address=address, **unit),
+            lambda response: response.values,
+            FIFOS[address],
+            look=lambda device: device.fifos,
+            seen=FIFOS,
+            transports=NOT_RTU,
+        )
+    for name, code, start, more, following, numbers in (
+        ("basic", 1, 0, 0, 0, (0, 1, 2)),
+        ("regular", 2, 0, 0xFF, 3, (0, 1, 2)),
+        ("regular-on", 2, 3, 0xFF, 6, (3,)),
+        ("regular-last", 2, 6, 0, 0, (6,)),
+        ("extended", 3, 6, 0, 0, (6, 128)),
+        ("restart", 1, 6, 0, 0, (0, 1, 2)),
+        ("single", 4, 128, 0, 0, (128,)),
+    ):
+        yield Asked(
+            43,
+            name,
+            lambda c, code=code, start=start: c.read_device_information(
+                read_code=code, object_id=start, **unit
+            ),
+            lambda response: (
+                response.read_code,
+                response.conformity,
+                response.more_follows,
+                response.next_object_id,
+                response.number_of_objects,
+                response.information,
+            ),
+            (
+                code,
+                0x83,
+                more,
+                following,
+                len(numbers),
+                {number: OBJECTS[number] for number in numbers},
+            ),
+        )
+
+
+class Unknown(ModbusPDU):
+    """A request of any code; it has no other way to send one."""
+
+    def __init__(self, function: int) -> None:
+        super().__init__(dev_id=UNIT)
+        self.function_code = function
+
+    def encode(self) -> bytes:
+        return b"\1\2\3"
+
+
+def asked_in_vain() -> Iterator[Asked]:
+    """Requests that must be refused; `expected` is the exception code."""
+    unit = {"device_id": UNIT}
+    for function, ask in (
+        (1, lambda c: c.read_coils(3000, **unit)),
+        (2, lambda c: c.read_discrete_inputs(2119, count=2, **unit)),
+        (3, lambda c: c.read_holding_registers(399, count=2, **unit)),
+        (4, lambda c: c.read_input_registers(199, count=2, **unit)),
+        (5, lambda c: c.write_coil(2110, True, **unit)),
+        (6, lambda c: c.write_register(99, 1, **unit)),
+        (15, lambda c: c.write_coils(2109, [True, True], **unit)),
+        (16, lambda c: c.write_registers(399, [1, 2], **unit)),
+        (20, lambda c: c.read_file_record([piece_to_read(3, 9, 3)], **unit)),
+        (
+            21,
+            lambda c: c.write_file_record(
+                [piece_to_write(4, 0, [1]), piece_to_write(9, 0, [1])], **unit
+            ),
+        ),
+        (22, lambda c: c.mask_write_register(address=400, and_mask=0, or_mask=0, **unit)),
+        (
+            23,
+            lambda c: c.readwrite_registers(
+                read_address=399, read_count=2, write_address=100, values=[1], **unit
+            ),
+        ),
+    ):
+        yield Asked(function, "refused", ask, expected=2)
+    for function, name, code, ask in (
+        (8, "iop", 1, lambda c: c.diag_read_iop_overrun_count(**unit)),
+        (8, "modbus-plus", 1, lambda c: c.diag_getclear_modbus_response(data=3, **unit)),
+        # It sends the character in the low byte, where 00 belongs.
+        (8, "delimiter", 3, lambda c: c.diag_change_ascii_input_delimeter(**unit)),
+        (24, "queue", 2, lambda c: c.read_fifo_queue(address=99, **unit)),
+        (43, "object", 2, lambda c: c.read_device_information(read_code=4, object_id=5, **unit)),
+        (43, "code", 3, lambda c: c.read_device_information(read_code=5, **unit)),
+    ):
+        yield Asked(function, f"refused-{name}", ask, expected=code)
+    yield Asked(
+        8,
+        "refused-restart",
+        lambda c: c.diag_restart_communication(False, **unit),
+        expected=1,
+        transports=("tcp",),
+    )
+    for function in UNKNOWN_FUNCTIONS:
+        yield Asked(
+            function,
+            "refused",
+            lambda c, function=function: c.execute(False, Unknown(function)),
+            expected=1,
+        )
+
+
+def to_our_server(cases: Iterator[Asked]) -> Any:
+    return pytest.mark.parametrize(
+        ("case", "transport"),
+        [
+            pytest.param(
+                case,
+                transport,
+                id=case_id("pymodbus", "server", transport, case.function, case.name),
+            )
+            for case in cases
+            for transport in case.transports
+        ],
+    )
+
+
+@to_our_server(asked())
+def test_pymodbus_client_and_our_server_agree(case: Asked, transport: str) -> None:
+    device = make_device()
+    with our_server(transport, {UNIT: device}) as place:
+        with pymodbus_client(transport, place) as client:
+            response = case.ask(client)
+        assert not response.isError(), response
+        assert case.answer(response) == case.expected
+        assert case.look(device) == case.seen
+        assert case.function in (11, 12) or place.function == case.function
+
+
+@to_our_server(asked_in_vain())
+def test_pymodbus_client_sees_our_refusal_and_nothing_changes(case: Asked, transport: str) -> None:
+    device, untouched = make_device(), make_device()
+    with our_server(transport, {UNIT: device}) as place:
+        with pymodbus_client(transport, place) as client:
+            response = case.ask(client)
+            assert response.isError()
+            assert response.exception_code == case.expected
+            # and the line goes on
+            assert client.read_coils(12, device_id=UNIT).bits[0] is True
+        assert place.function == case.function
+    assert device.mapping.coils[:] == untouched.mapping.coils[:]
+    assert device.mapping.holding_registers[:] == untouched.mapping.holding_registers[:]
+    assert list(device.files[4]) == list(untouched.files[4])
+
+
+@pytest.mark.parametrize("transport", [each for each in TRANSPORTS if each != "tcp"])
+def test_unit_without_a_device_is_silent_to_pymodbus_on_a_line(transport: str) -> None:
+    with (
+        our_server(transport, {UNIT: make_device()}) as place,
+        pymodbus_client(transport, place, timeout=0.2) as client,
+    ):
+        with pytest.raises(ModbusIOException):
+            client.read_coils(10, device_id=UNIT + 1)
+        client.comm_params.timeout_connect = TIMEOUT
+        assert client.read_coils(12, device_id=UNIT).bits[0] is True
+
+
+def test_unit_without_a_device_is_exception_11_to_pymodbus_over_tcp() -> None:
+    with (
+        our_server("tcp", {UNIT: make_device()}) as place,
+        pymodbus_client("tcp", place) as client,
+    ):
+        assert client.read_coils(10, device_id=UNIT + 1).exception_code == 11
+
+
+@pytest.mark.parametrize("transport", [each for each in TRANSPORTS if each != "tcp"])
+def test_broadcast_of_pymodbus_reaches_every_unit_and_is_not_answered(transport: str) -> None:
+    devices = {UNIT: make_device(), UNIT + 1: make_device()}
+    with our_server(transport, devices) as place, pymodbus_client(transport, place) as client:
+        client.write_register(100, 7, device_id=0, no_response_expected=True)
+        for unit in devices:
+            response = client.read_holding_registers(100, device_id=unit)
+            assert (response.dev_id, response.registers) == (unit, [7])
+    assert [device.mapping.holding_registers[100] for device in devices.values()] == [7, 7]
+
+
+def test_two_pymodbus_clients_share_one_server_over_tcp() -> None:
+    with (
+        our_server("tcp", {UNIT: make_device()}) as place,
+        pymodbus_client("tcp", place) as first,
+        pymodbus_client("tcp", place) as second,
+    ):
+        for value in range(5):
+            first.write_register(100, value, device_id=UNIT)
+            assert second.read_holding_registers(100, device_id=UNIT).registers == [value]
+
+
+@pytest.mark.parametrize("transport", SERIAL)
+def test_pymodbus_client_silences_our_device_and_wakes_it(transport: str) -> None:
+    with (
+        our_server(transport, {UNIT: make_device()}) as place,
+        pymodbus_client(transport, place, timeout=0.2) as client,
+    ):
+        assert client.diag_force_listen_only(device_id=UNIT) is None
+        with pytest.raises(ModbusIOException):
+            client.read_coils(12, device_id=UNIT)
+        # The restart is silence, too, and the way out.
+        assert client.execute(True, RestartCommunicationsOptionRequest(0, dev_id=UNIT)) is None
+        client.comm_params.timeout_connect = TIMEOUT
+        assert client.read_coils(12, device_id=UNIT).bits[0] is True
+
+
+@pytest.mark.parametrize("running", [True, False])
+@pytest.mark.parametrize(
+    "transport",
+    [pytest.param(each, id=case_id("pymodbus", "server", each, 17, "id")) for each in TRANSPORTS],
+)
+def test_pymodbus_client_reads_our_identifier(transport: str, running: bool) -> None:
+    device = make_device()
+    device.server_id = pdu.ServerId(b"\x2a", running)
+    with (
+        our_server(transport, {UNIT: device}) as place,
+        pymodbus_client(transport, place) as client,
+    ):
+        response = client.report_device_id(device_id=UNIT)
+        assert (response.identifier, response.status) == (b"\x2a", running)
+
+
+class TestWherePymodbusClientErrs:
+    @pytest.mark.parametrize(
+        "transport",
+        [
+            pytest.param(each, id=case_id("pymodbus", "server", each, 17, "pinned"))
+            for each in TRANSPORTS
+        ],
+    )
+    def test_additional_data_hide_the_run_indicator(self, transport: str) -> None:
+        # It takes all but the last byte for the identifier, and the last one for the
+        # indicator, which stands behind the identifier and before the rest.
+        with (
+            our_server(transport, {UNIT: make_device()}) as place,
+            pymodbus_client(transport, place) as client,
+        ):
+            response = client.report_device_id(device_id=UNIT)
+            assert response.identifier == SERVER_ID.data[:-1]
+            assert response.status is False
+
+    @pytest.mark.parametrize(
+        ("transport", "ask"),
+        [
+            pytest.param(each, ask, id=case_id("pymodbus", "server", each, function, "pinned"))
+            for each in ON_RTU
+            for function, ask in (
+                # It counts two bytes too few, and then finds no CRC.
+                (24, lambda client: client.read_fifo_queue(address=100, device_id=UNIT)),
+                # It takes every message of function 8 for 8 bytes.
+                (8, lambda client: client.diag_query_data(b"abcd", device_id=UNIT)),
+            )
+        ],
+    )
+    def test_answers_it_cannot_measure_are_silence_to_it(
+        self, transport: str, ask: Callable[[Any], Any]
+    ) -> None:
+        with our_server(transport, {UNIT: make_device()}) as place:
+            with (
+                pymodbus_client(transport, place, timeout=0.2) as client,
+                pytest.raises(ModbusIOException),
+            ):
+                ask(client)
+            answer = place.wire.sent_by("server")
+            assert pdu.RawRequest(answer[1]).decode_response(answer[1:-2])
+
+    @pytest.mark.parametrize(
+        "transport",
+        [
+            pytest.param(each, id=case_id("pymodbus", "server", each, 8, "pinned", "delimiter"))
+            for each in TRANSPORTS
+        ],
+    )
+    def test_delimiter_must_be_shifted_by_hand(self, transport: str) -> None:
+        with (
+            our_server(transport, {UNIT: make_device()}) as place,
+            pymodbus_client(transport, place) as client,
+        ):
+            response = client.diag_change_ascii_input_delimeter(delimiter=0x0A00, device_id=UNIT)
+            assert response.message == 0x0A00
+            assert client.read_coils(12, device_id=UNIT).bits[0] is True
+
+    @pytest.mark.parametrize(
+        "transport",
+        [
+            pytest.param(each, id=case_id("pymodbus", "server", each, 15, "pinned"))
+            for each in TRANSPORTS
+        ],
+    )
+    def test_more_coils_than_a_write_may_have_are_refused(self, transport: str) -> None:
+        # It sends 1969 coils without a word; they just fit a frame, but not the rule.
+        device = make_device()
+        with (
+            our_server(transport, {UNIT: device}) as place,
+            pymodbus_client(transport, place) as client,
+        ):
+            response = client.write_coils(10, [True] * 1969, device_id=UNIT)
+            assert response.exception_code == 3
+            assert device.mapping.coils[10:1979] == cells(coil, 10, 1969)
+
+    def test_frame_that_is_too_long_ends_only_its_own_connection(self) -> None:
+        # 2000 coils make a PDU of 256 bytes, where 253 is the limit.
+        device = make_device()
+        with our_server("tcp", {UNIT: device}) as place:
+            with pymodbus_client("tcp", place) as client:
+                with pytest.raises(ModbusException):
+                    client.write_coils(10, [True] * 2000, device_id=UNIT)
+                assert client.read_coils(12, device_id=UNIT).bits[0] is True  # it connects again
+            assert device.mapping.coils[10:2010] == cells(coil, 10, 2000)
+
+    @pytest.mark.parametrize(
+        "transport",
+        [
+            pytest.param(each, id=case_id("pymodbus", "server", each, 20, "pinned"))
+            for each in TRANSPORTS
+        ],
+    )
+    def test_record_length_is_halved_on_the_way(self, transport: str) -> None:
+        # record_length is in bytes for it, although the field of the frame is in
+        # registers: 4 asks for two registers, and an odd one cannot be asked for.
+        asked = FileRecord(file_number=4, record_number=7, record_length=4)
+        with (
+            our_server(transport, {UNIT: make_device()}) as place,
+            pymodbus_client(transport, place) as client,
+        ):
+            response = client.read_file_record([asked], device_id=UNIT)
+            assert pieces(response) == [as_bytes([5007, 5008])]
+        with pytest.raises(ModbusException, match="multiple of 2"):
+            FileRecord(file_number=4, record_number=7, record_length=3)
+
+
+# --- our contexts, pymodbus's server --------------------------------------------------------------
+
+
+def simulated_device() -> SimDevice:
+    """The tables of make_device; pymodbus has no files."""
+    tables = (
+        (COILS, coil, DataType.BITS),
+        (DISCRETE_INPUTS, discrete_input, DataType.BITS),
+        (HOLDING_REGISTERS, holding_register, DataType.REGISTERS),
+        (INPUT_REGISTERS, input_register, DataType.REGISTERS),
+    )
+    coils, inputs, holdings, readings = (
+        [SimData(addresses.start, values=[value(each) for each in addresses], datatype=kind)]
+        for addresses, value, kind in tables
+    )
+    return SimDevice(UNIT, simdata=(coils, inputs, holdings, readings))
+
+
+@contextlib.contextmanager
+def in_background(make_server: Callable[[], Any]) -> Iterator[Any]:
+    """Run a server of pymodbus in a thread with a loop of its own."""
+    started: Future[tuple[Any, Callable[[], object]]] = Future()
+
+    async def serve() -> None:
+        stop = asyncio.Event()
+        loop = asyncio.get_running_loop()
+        server = make_server()
+        await server.serve_forever(background=True)
+        started.set_result((server, lambda: loop.call_soon_threadsafe(stop.set)))
+        await stop.wait()
+        await server.shutdown()
+
+    def run() -> None:
+        try:
+            asyncio.run(serve())
+        except BaseException as error:
+            if started.done():
+                raise
+            started.set_exception(error)
+
+    thread = threading.Thread(target=run, name="pymodbus server")
+    thread.start()
+    try:
+        server, stop = started.result()
+        try:
+            yield server
+        finally:
+            stop()
+    finally:
+        thread.join()
+
+
+@contextlib.contextmanager
+def pymodbus_server(transport: str, **options: Any) -> Iterator[Context]:
+    """Give a context of ours that is connected to a server of pymodbus."""
+    options = {"unit": UNIT, "timeout": TIMEOUT, **options}
+    framer = FRAMERS[transport]
+    if transport.endswith("tcp"):
+
+        def make_tcp() -> ModbusTcpServer:
+            return ModbusTcpServer(simulated_device(), framer=framer, address=("127.0.0.1", 0))
+
+        with in_background(make_tcp) as server:
+            port = server.transport.sockets[0].getsockname()[1]
+            with Context.from_url(f"{transport}://127.0.0.1:{port}", **options) as context:
+                yield context
+        return
+    with SerialWire() as wire:
+
+        def make_serial() -> ModbusSerialServer:
+            return ModbusSerialServer(
+                simulated_device(), framer=framer, port=wire.server, **SERIAL_SETTINGS
+            )
+
+        with in_background(make_serial):
+            address = f"{transport}://{wire.client}?baudrate={BAUDRATE}"
+            with Context.from_url(address, **options) as context:
+                yield context
+
+
+# Framings that libmodbus does not speak, or not there, have one way only.
+WAYS: dict[str, dict[str, dict[str, Any]]] = {
+    transport: (
+        {"either": {"native": None}, "python": {"native": False}}
+        if transport in ("tcp", "rtu")
+        else {"python": {}}
+    )
+    for transport in TRANSPORTS
+}
+
+
+def to_pymodbus_server(cases: Iterator[Exchange]) -> Any:
+    return pytest.mark.parametrize(
+        ("exchange", "transport", "options"),
+        [
+            pytest.param(
+                exchange,
+                transport,
+                options,
+                id=case_id("pymodbus", "client", transport, exchange.function, exchange.name, way),
+            )
+            for exchange in cases
+            for transport in TRANSPORTS
+            for way, options in WAYS[transport].items()
+        ],
+    )
+
+
+@to_pymodbus_server(exchanges())
+def test_context_and_pymodbus_server_agree(
+    exchange: Exchange, transport: str, options: dict[str, Any]
+) -> None:
+    with pymodbus_server(transport, **options) as context:
+        for _ in range(2):  # with native=None the second goes through libmodbus
+            assert exchange.ask(context) == exchange.answer
+            assert exchange.look(context) == exchange.seen
+
+
+def exchanges_beside_the_tables() -> Iterator[Exchange]:
+    """Its counters, log and register are always 0, for nothing in it counts."""
+    yield Exchange(7, "status", lambda c: c.read_exception_status(), 0)
+    yield Exchange(8, "query", lambda c: c.diagnostics(0, 0xA537), 0xA537)
+    yield Exchange(8, "restart", lambda c: c.diagnostics(1, 0xFF00), 0xFF00)
+    for sub_function in sorted(set(SubFunction) - {0, 1, 3, 4}):
+        name = f"sub{sub_function:02x}"
+        yield Exchange(8, name, lambda c, sub_function=sub_function: c.diagnostics(sub_function), 0)
+    yield Exchange(11, "counter", lambda c: c.read_comm_event_counter(), (0, 0))
+    yield Exchange(12, "log", lambda c: c.read_comm_event_log(), (0, 0, 0, b""))
+    # The same four registers, whatever is asked for; it has no queues.
+    yield Exchange(24, "pinned", lambda c: c.read_fifo_queue(65535), [0, 1, 2, 3])
+    # The identifier should come first and the run indicator next; it has them the other
+    # way round, and no end that one could find.
+    yield Exchange(
+        17, "pinned", lambda c: c.report_server_id(), pdu.ServerId(b"P", False, b"ymodbus\xff"[1:])
+    )
+
+
+@to_pymodbus_server(exchanges_beside_the_tables())
+def test_context_and_pymodbus_server_agree_beside_the_tables(
+    exchange: Exchange, transport: str, options: dict[str, Any]
+) -> None:
+    with pymodbus_server(transport, **options) as context:
+        for _ in range(2):
+            assert exchange.ask(context) == exchange.answer
+
+
+@pytest.fixture
+def control() -> Iterator[Any]:
+    """What all servers and ASCII framers of pymodbus in one process share."""
+    block = ModbusControlBlock()
+    identity, delimiter = dict(block.Identity.stat_data), block.Delimiter
+    yield block
+    block.Identity.stat_data.clear()
+    block.Identity.stat_data.update(identity)
+    block.Delimiter = delimiter
+    block.ListenOnly = False
+
+
+@pytest.mark.parametrize(
+    ("level", "numbers"),
+    [
+        ("basic", (0, 1, 2)),
+        ("regular", (0, 1, 2, 3, 6)),
+        ("extended", (0, 1, 2, 3, 6, 128)),
+        (0, (0,)),
+        (128, (128,)),
+    ],
+)
+@pytest.mark.parametrize(
+    "transport",
+    [pytest.param(each, id=case_id("pymodbus", "client", each, 43, "id")) for each in TRANSPORTS],
+)
+def test_context_reads_the_identification_of_pymodbus_server(
+    control: Any, transport: str, level: str | int, numbers: tuple[int, ...]
+) -> None:
+    control.Identity.stat_data.update({number: OBJECTS[number] for number in OBJECTS})
+    with pymodbus_server(transport) as context:
+        found = context.read_device_identification(level)
+        assert found.objects == {number: OBJECTS[number] for number in numbers}
+        assert found.conformity == 0x83
+        with pytest.raises(IllegalDataAddress):
+            context.read_device_identification(5)
+
+
+@to_pymodbus_server(refusals())
+def test_context_raises_what_pymodbus_server_refuses(
+    exchange: Exchange, transport: str, options: dict[str, Any]
+) -> None:
+    with pymodbus_server(transport, **options) as context:
+        for _ in range(2):
+            with pytest.raises(IllegalDataAddress) as caught:
+                exchange.ask(context)
+            assert caught.value.function == exchange.function
+        assert context.read_holding_registers(399, 1) == [1399]
+
+
+def pinned(function: int) -> Any:
+    return pytest.mark.parametrize(
+        "transport",
+        [
+            pytest.param(each, id=case_id("pymodbus", "client", each, function, "pinned"))
+            for each in TRANSPORTS
+        ],
+    )
+
+
+class TestWherePymodbusServerErrs:
+    @pinned(20)
+    def test_file_reads_give_its_dummy_or_an_error(self, transport: str) -> None:
+        # Whatever file, record and length are asked for, it answers these 20 bytes.
+        # We believe them where ten registers were asked for; any other length is no
+        # answer. An odd length it cannot decode, and answers function 0 with 80 01.
+        dummy = b"SERVER DUMMY RECORD."
+        # On a line every error costs a timeout of silence before the next request.
+        with pymodbus_server(transport, timeout=0.6) as context:
+            ten = context.read_file_records([(4, 0, 10), (65535, 9990, 10)])
+            assert [as_bytes(piece) for piece in ten] == [dummy, dummy]
+            for length in (2, 9):
+                with pytest.raises(InvalidResponse) as caught:
+                    context.read_file_records([(4, 0, length)])
+                assert caught.value.function == 20
+                assert caught.value.received
+            assert context.read_holding_registers(100, 1) == [1100]
+
+    @pinned(21)
+    def test_file_writes_are_echoed_and_not_done(self, transport: str) -> None:
+        with pymodbus_server(transport) as context:
+            values = list(range(10))
+            context.write_file_records([(4, 0, values), (3, 5, [1, 2, 3])])
+            assert context.read_file_records([(4, 0, 10)]) != [values]
+
+    @pinned(23)
+    def test_refused_read_write_has_written(self, transport: str) -> None:
+        # Its write is done before the read is checked; that we pass on, and our own
+        # server writes nothing (test_pymodbus_client_sees_our_refusal...).
+        with pymodbus_server(transport) as context:
+            with pytest.raises(IllegalDataAddress):
+                context.read_write_registers(399, 2, 100, [55])
+            assert context.read_holding_registers(100, 2) == [55, 1101]
+
+    @pinned(8)
+    def test_answer_to_force_listen_only_is_not_taken_for_the_next_one(
+        self, control: Any, transport: str
+    ) -> None:
+        # It answers, though nobody may, and goes on answering.
+        with pymodbus_server(transport) as context:
+            assert context.diagnostics(SubFunction.FORCE_LISTEN_ONLY) == 0
+            assert context.diagnostics(0, 0xA537) == 0xA537
+            assert context.read_coils(12, 1) == [True]
+
+    @pytest.mark.parametrize(
+        "transport",
+        [
+            pytest.param(each, id=case_id("pymodbus", "client", each, 8, "pinned", "delimiter"))
+            for each in ("ascii", "ascii+tcp")
+        ],
+    )
+    def test_echo_of_a_new_delimiter_ends_with_it(self, control: Any, transport: str) -> None:
+        # The delimiter is that of the process, and changes before the echo goes out:
+        # which then has no end for us.
+        with pymodbus_server(transport, timeout=0.2) as context:
+            with pytest.raises(ModbusError) as caught:
+                context.diagnostics(SubFunction.CHANGE_ASCII_DELIMITER, 0x2400)
+            assert caught.value.received.endswith(b"\r$")
+
+    @pinned(8)
+    def test_wrong_data_and_reserved_sub_functions_are_answered(self, transport: str) -> None:
+        with pymodbus_server(transport) as context:
+            assert context.diagnostics(SubFunction.BUS_MESSAGE_COUNT, 7) == 0  # should be 3
+            assert context.diagnostics(0x13) == 0  # should be 1
+
+    @pytest.mark.parametrize(
+        "transport",
+        [
+            pytest.param(each, id=case_id("pymodbus", "client", each, 8, "pinned", "long"))
+            for each in ON_RTU
+        ],
+    )
+    def test_query_data_of_more_than_a_word_are_lost_on_it(self, transport: str) -> None:
+        # It takes every message of function 8 for 8 bytes.
+        with (
+            pymodbus_server(transport, timeout=0.2) as context,
+            pytest.raises(ModbusTimeoutError),
+        ):
+            context.execute(pdu.Diagnostics(0, b"abcd"))
+
+    @pytest.mark.parametrize(
+        "transport",
+        [
+            pytest.param(each, id=case_id("pymodbus", "client", each, 8, "query-most"))
+            for each in NOT_RTU
+        ],
+    )
+    def test_query_data_of_any_length_come_back_otherwise(self, transport: str) -> None:
+        with pymodbus_server(transport) as context:
+            data = bytes(range(250))
+            assert context.execute(pdu.Diagnostics(0, data)) == data
+
+    @pytest.mark.parametrize(
+        ("transport", "error"),
+        [
+            pytest.param(each, error, id=case_id("pymodbus", "client", each, 43, word, "canopen"))
+            for each, error, word in (
+                *((each, IllegalFunction, "refused") for each in NOT_RTU),
+                *((each, ModbusTimeoutError, "pinned") for each in ON_RTU),
+            )
+        ],
+    )
+    def test_canopen_is_refused_or_not_heard(
+        self, transport: str, error: type[ModbusError]
+    ) -> None:
+        # On RTU it has no length for it, and waits.
+        timeout = TIMEOUT if transport in NOT_RTU else 0.2
+        with pymodbus_server(transport, timeout=timeout) as context, pytest.raises(error):
+            context.encapsulated_transport(13, b"abc")
+
+    @pytest.mark.parametrize(
+        ("transport", "function", "error"),
+        [
+            pytest.param(
+                each, function, error, id=case_id("pymodbus", "client", each, function, "pinned")
+            )
+            for function in UNKNOWN_FUNCTIONS
+            for each, error in (
+                *((each, InvalidResponse) for each in NOT_RTU),
+                *((each, ModbusTimeoutError) for each in ON_RTU),
+            )
+        ],
+    )
+    def test_unknown_function_is_answered_by_function_0_or_not_heard(
+        self, transport: str, function: int, error: type[ModbusError]
+    ) -> None:
+        # 80 01 instead of the code with 80 and 01; on RTU it has no length, and waits.
+        timeout = TIMEOUT if transport in NOT_RTU else 0.2
+        with pymodbus_server(transport, timeout=timeout) as context:
+            with pytest.raises(error) as caught:
+                context.execute(pdu.RawRequest(function, b"ab"))
+            assert caught.value.function == function
+
+    @pytest.mark.parametrize("transport", TRANSPORTS)
+    def test_unit_that_it_lacks_is_server_device_failure(self, transport: str) -> None:
+        # Its simulator looks for a unit 0 instead, finds none, and answers the
+        # KeyError as exception 4; on a serial line it should be silent.
+        with pymodbus_server(transport) as context:
+            with pytest.raises(ServerDeviceFailure):
+                context.for_unit(UNIT + 1).read_coils(10, 1)
+            assert context.read_coils(12, 1) == [True]
+
+    @pytest.mark.parametrize("transport", [each for each in TRANSPORTS if each != "tcp"])
+    def test_answer_to_a_broadcast_is_not_taken_for_the_next_one(self, transport: str) -> None:
+        # Unit 0 is a unit like any other for it, so that it answers broadcasts.
+        with pymodbus_server(transport, turnaround=0.1) as context:
+            context.for_unit(0).write_register(100, 7)
+            assert context.read_holding_registers(100, 2) == [1100, 1101]
+            context.write_register(100, 8)
+            assert context.read_holding_registers(100, 2) == [8, 1101]

@@ -1,0 +1,1609 @@
+"""
+PDUs of both ends: the worked examples, what constructors refuse, what servers must answer
+to bad requests, and what clients must make of bad responses.
+"""
+
+from __future__ import annotations
+
+import itertools
+import struct
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self
+
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from vectors import EXCEPTIONS, REQUESTS, RESPONSES, FrameVector, rows
+
+from libmodbus_py import pdu
+from libmodbus_py.protocol.errors import (
+    Acknowledge,
+    ExceptionResponse,
+    GatewayPathUnavailable,
+    GatewayTargetFailedToRespond,
+    IllegalDataAddress,
+    IllegalDataValue,
+    IllegalFunction,
+    InvalidResponse,
+    MemoryParityError,
+    NegativeAcknowledge,
+    ServerDeviceBusy,
+    ServerDeviceFailure,
+)
+from libmodbus_py.protocol.pdu import (
+    CommEventCounter,
+    CommEventLog,
+    Diagnostics,
+    EncapsulatedTransport,
+    IdentificationPage,
+    MaskWriteRegister,
+    RawRequest,
+    ReadCoils,
+    ReadCommEventCounter,
+    ReadCommEventLog,
+    ReadDeviceIdentification,
+    ReadDiscreteInputs,
+    ReadExceptionStatus,
+    ReadFifoQueue,
+    ReadFileRecords,
+    ReadHoldingRegisters,
+    ReadInputRegisters,
+    ReadWriteRegisters,
+    ReportServerId,
+    Request,
+    ServerId,
+    SubFunction,
+    WriteCoil,
+    WriteCoils,
+    WriteFileRecords,
+    WriteRegister,
+    WriteRegisters,
+    decode_request,
+)
+from libmodbus_py.protocol.pdu.interface import LAST_OBJECT, identify, pages
+
+Fields = dict[str, Any]
+
+
+def _read(kind: type[Request[Any]]) -> Callable[[Fields], Request[Any]]:
+    return lambda fields: kind(fields["address"], fields["quantity"])  # type: ignore[call-arg]
+
+
+def _encapsulated(fields: Fields) -> Request[Any]:
+    if fields["mei"] == 14:
+        return ReadDeviceIdentification(fields["read_code"], fields["object_id"])
+    return EncapsulatedTransport(fields["mei"], bytes.fromhex(fields["data"]))
+
+
+# Function -> the request that an example's fields describe.
+FROM_FIELDS: dict[int, Callable[[Fields], Request[Any]]] = {
+    1: _read(ReadCoils),
+    2: _read(ReadDiscreteInputs),
+    3: _read(ReadHoldingRegisters),
+    4: _read(ReadInputRegisters),
+    5: lambda fields: WriteCoil(fields["address"], fields["value"] == "ON"),
+    6: lambda fields: WriteRegister(fields["address"], fields["value"]),
+    7: lambda fields: ReadExceptionStatus(),
+    8: lambda fields: Diagnostics(fields["sub_function"], bytes.fromhex(fields["data"])),
+    11: lambda fields: ReadCommEventCounter(),
+    12: lambda fields: ReadCommEventLog(),
+    15: lambda fields: WriteCoils(fields["address"], fields["values"]),
+    16: lambda fields: WriteRegisters(fields["address"], fields["values"]),
+    17: lambda fields: ReportServerId(),
+    20: lambda fields: ReadFileRecords(
+        [(sub["file"], sub["record"], sub["length"]) for sub in fields["sub_requests"]]
+    ),
+    21: lambda fields: WriteFileRecords(
+        [(sub["file"], sub["record"], sub["values"]) for sub in fields["sub_requests"]]
+    ),
+    22: lambda fields: MaskWriteRegister(fields["address"], fields["and_mask"], fields["or_mask"]),
+    23: lambda fields: ReadWriteRegisters(
+        fields["read_address"], fields["read_quantity"], fields["write_address"], fields["values"]
+    ),
+    24: lambda fields: ReadFifoQueue(fields["address"]),
+    43: _encapsulated,
+}
+
+
+def tells_its_length(body: bytes) -> bool:
+    """Return query data carries what it likes, and so does CANopen; all others tell."""
+    return body[:3] != b"\x08\0\0" and body[:2] != b"\x2b\x0d"
+
+
+def _request_of(response: FrameVector) -> Request[Any]:
+    """The request that a response answers; one that fits where the example has none."""
+    for vector in REQUESTS:
+        if vector.id == response.request:
+            return FROM_FIELDS[vector.function](vector.fields)
+    return ReadHoldingRegisters(0, len(response.fields.get("values", [0])))
+
+
+def _result_of(response: FrameVector) -> Any:
+    fields = response.fields
+    if response.function in (1, 2):
+        return [value == 1 for value in fields["values"]]
+    if response.function in (3, 4, 23):
+        return fields["values"]
+    match response.function:
+        case 7:
+            return sum(bit << at for at, bit in enumerate(fields["outputs"]))
+        case 8:
+            return bytes.fromhex(fields["data"])
+        case 11:
+            return CommEventCounter(fields["status"], fields["event_count"])
+        case 12:
+            counters = (fields[name] for name in ("status", "event_count", "message_count"))
+            return CommEventLog(*counters, bytes(fields["events"]))
+        case 17:
+            texts = (bytes.fromhex(fields[name]) for name in ("identifier", "additional"))
+            identifier, additional = texts
+            return ServerId(identifier, fields["running"], additional)
+        case 20:
+            return [sub["values"] for sub in fields["sub_responses"]]
+        case 24:
+            return fields["values"]
+        case 43 if fields["mei"] == 13:
+            return bytes.fromhex(fields["data"])
+        case 43:
+            objects = {int(number): text.encode() for number, text in fields["objects"].items()}
+            following = fields["next_object_id"] if fields["more_follows"] else None
+            return IdentificationPage(fields["conformity"], following, objects)
+    return None
+
+
+class TestWorkedExamples:
+    def test_there_is_one_of_every_function(self) -> None:
+        for vectors in (REQUESTS, RESPONSES):
+            assert {vector.function for vector in vectors} == set(FROM_FIELDS) == set(pdu.REQUESTS)
+
+    @pytest.mark.parametrize("vector", rows(REQUESTS))
+    def test_request_encodes_to_the_bytes(self, vector: FrameVector) -> None:
+        assert FROM_FIELDS[vector.function](vector.fields).encode() == vector.pdu
+
+    @pytest.mark.parametrize("vector", rows(REQUESTS))
+    def test_request_decodes_from_the_bytes(self, vector: FrameVector) -> None:
+        assert decode_request(vector.pdu) == FROM_FIELDS[vector.function](vector.fields)
+
+    @pytest.mark.parametrize("vector", rows(RESPONSES))
+    def test_response_encodes_to_the_bytes(self, vector: FrameVector) -> None:
+        assert _request_of(vector).encode_response(_result_of(vector)) == vector.pdu
+
+    @pytest.mark.parametrize("vector", rows(RESPONSES))
+    def test_response_decodes_to_the_values(self, vector: FrameVector) -> None:
+        result = _request_of(vector).decode_response(vector.pdu)
+        assert result == _result_of(vector)
+        assert type(result) is type(_result_of(vector))
+        if vector.function in (1, 2):
+            assert set(map(type, result)) == {bool}
+
+    @pytest.mark.parametrize("vector", rows(EXCEPTIONS))
+    def test_exception_raises_its_class_with_code_and_request(self, vector: FrameVector) -> None:
+        kinds = {1: IllegalFunction, 2: IllegalDataAddress}
+        request = next(
+            (
+                FROM_FIELDS[asked.function](asked.fields)
+                for asked in REQUESTS
+                if asked.id == vector.request
+            ),
+            ReadHoldingRegisters(0, 1),
+        )
+        with pytest.raises(kinds[vector.fields["exception"]]) as caught:
+            request.decode_response(vector.pdu)
+        assert caught.value.code == vector.fields["exception"]
+        assert caught.value.function == vector.function
+        assert str(request) in str(caught.value)
+
+    @pytest.mark.parametrize("vector", rows(REQUESTS))
+    def test_decoded_request_encodes_to_the_same_bytes(self, vector: FrameVector) -> None:
+        request = decode_request(vector.pdu)
+        assert type(request) is type(FROM_FIELDS[vector.function](vector.fields))
+        assert request.function == vector.function
+        assert request.encode() == vector.pdu
+
+
+def lengths_by_head(rule: Callable[[bytes], int | None], body: bytes) -> list[int | None]:
+    return [rule(body[:end]) for end in range(1, len(body) + 1)]
+
+
+class TestLengthRules:
+    @pytest.mark.parametrize("vector", rows(REQUESTS))
+    def test_request_length_is_known_from_the_head_and_right(self, vector: FrameVector) -> None:
+        lengths = lengths_by_head(pdu.request_length, vector.pdu)
+        right = len(vector.pdu) if tells_its_length(vector.pdu) else 0
+        assert lengths[-1] == right
+        assert set(lengths) <= {None, right}
+
+    @pytest.mark.parametrize("vector", rows(RESPONSES + EXCEPTIONS))
+    def test_response_length_is_known_from_the_head_and_right(self, vector: FrameVector) -> None:
+        lengths = lengths_by_head(pdu.response_length, vector.pdu)
+        right = len(vector.pdu) if tells_its_length(vector.pdu) else 0
+        assert lengths[-1] == right
+        assert set(lengths) <= {None, right}
+
+    @pytest.mark.parametrize("code", [0x80, 0x81, 0xAB, 0xFF])
+    def test_every_exception_response_has_two_bytes(self, code: int) -> None:
+        assert pdu.response_length(bytes([code])) == 2
+
+    def test_nothing_tells_the_length_of_unknown_functions(self) -> None:
+        for code in set(range(256)) - set(pdu.REQUESTS):
+            assert pdu.request_length(bytes([code, 0])) == 0
+        for code in set(range(128)) - set(pdu.REQUESTS):
+            assert pdu.response_length(bytes([code, 0])) == 0
+
+    @pytest.mark.parametrize("rule", [pdu.request_length, pdu.response_length])
+    def test_diagnostics_tell_but_for_query_data(self, rule: Callable[[bytes], int | None]) -> None:
+        assert rule(b"\x08") is rule(b"\x08\0") is None
+        assert rule(b"\x08\0\0") == rule(b"\x08\0\0\1") == 0
+        for sub_function in (1, 4, 0x14, 0x100, 0xFFFF):
+            assert rule(b"\x08" + sub_function.to_bytes(2, "big")) == 5
+
+    def test_encapsulated_interfaces_tell_where_it_is_identification(self) -> None:
+        assert pdu.request_length(b"\x2b") is pdu.response_length(b"\x2b") is None
+        for mei_type in set(range(256)) - {14}:
+            head = bytes([0x2B, mei_type])
+            assert pdu.request_length(head) == pdu.response_length(head) == 0
+        assert pdu.request_length(b"\x2b\x0e") == 4
+        assert pdu.response_length(b"\x2b\x0e") is None
+        assert pdu.response_length(b"\x2b\x0e\1\x83\0\0\0") == 7
+
+    def test_byte_count_of_a_queue_is_two_bytes_wide(self) -> None:
+        assert pdu.response_length(b"\x18\0") is None
+        assert pdu.response_length(b"\x18\0\x40") == 67
+        assert pdu.response_length(b"\x18\1\0") == 259
+
+    def test_rules_for_classes_of_ones_own(self) -> None:
+        assert pdu.fixed(4)(b"") == 4
+        assert pdu.counted(3, at=2)(b"ab") is None
+        assert pdu.counted(3, at=2)(b"ab\5") == 8
+        assert pdu.unknown_length(b"abc") == 0
+
+
+class Seven:
+    """An integer that is no int, as those of numpy are."""
+
+    def __index__(self) -> int:
+        return 7
+
+
+# --- constructors ------------------------------------------------------------------
+
+NO_INTEGERS: list[Any] = [1.5, "1", None, True, b"1", [1]]
+NO_SEQUENCES: list[Any] = ["12", b"12", bytearray(b"12"), {1: 2}, {1, 2}, frozenset({1}), 5, None]
+
+# Constructors with one address, and what makes the rest of their arguments.
+ADDRESSED: list[tuple[str, Callable[[Any], Request[Any]]]] = [
+    ("address", lambda address: ReadCoils(address, 1)),
+    ("address", lambda address: ReadDiscreteInputs(address, 1)),
+    ("address", lambda address: ReadHoldingRegisters(address, 1)),
+    ("address", lambda address: ReadInputRegisters(address, 1)),
+    ("address", lambda address: WriteCoil(address, True)),
+    ("address", lambda address: WriteRegister(address, 1)),
+    ("address", lambda address: WriteCoils(address, [True])),
+    ("address", lambda address: WriteRegisters(address, [1])),
+    ("address", lambda address: MaskWriteRegister(address, 0, 0)),
+    ("address", ReadFifoQueue),
+    ("read_address", lambda address: ReadWriteRegisters(address, 1, 0, [1])),
+    ("write_address", lambda address: ReadWriteRegisters(0, 1, address, [1])),
+]
+
+COUNTED: list[tuple[str, int, Callable[[int, Any], Request[Any]]]] = [
+    ("count", 2000, ReadCoils),
+    ("count", 2000, ReadDiscreteInputs),
+    ("count", 125, ReadHoldingRegisters),
+    ("count", 125, ReadInputRegisters),
+    ("read_count", 125, lambda address, count: ReadWriteRegisters(address, count, 0, [1])),
+]
+
+SEQUENCED: list[tuple[str, int, Callable[[int, Any], Request[Any]]]] = [
+    ("values", 1968, WriteCoils),
+    ("values", 123, WriteRegisters),
+    ("values", 121, lambda address, values: ReadWriteRegisters(0, 1, address, values)),
+]
+
+# Other numbers: name, range, and what makes the rest.
+NUMBERS: list[tuple[str, int, int, Callable[[Any], Request[Any]]]] = [
+    ("sub_function", 0, 65535, Diagnostics),
+    ("code", 1, 4, ReadDeviceIdentification),
+    ("object_id", 0, 255, lambda number: ReadDeviceIdentification(4, number)),
+    ("mei_type", 0, 255, lambda number: EncapsulatedTransport(number, b"")),
+    ("function", 1, 127, RawRequest),
+]
+
+# Constructors with bytes: how many there may be.
+BYTES: list[tuple[list[int], list[int], Callable[[Any], Request[Any]]]] = [
+    ([2, 4, 248, 250], [0, 1, 3, 249, 251, 252], lambda data: Diagnostics(0, data)),
+    ([2], [0, 1, 3, 4, 250], lambda data: Diagnostics(1, data)),
+    ([2], [0, 1, 3, 4, 250], lambda data: Diagnostics(0xFFFF, data)),
+    ([0, 1, 250, 251], [252, 1000], lambda data: EncapsulatedTransport(13, data)),
+    ([0, 1, 251, 252], [253, 1000], lambda data: RawRequest(65, data)),
+]
+
+REGISTERS: list[tuple[str, Callable[[Any], Request[Any]]]] = [
+    ("value", lambda value: WriteRegister(0, value)),
+    ("and_mask", lambda value: MaskWriteRegister(0, value, 0)),
+    ("or_mask", lambda value: MaskWriteRegister(0, 0, value)),
+    (r"values\[2\]", lambda value: WriteRegisters(0, [1, 2, value])),
+    (r"values\[2\]", lambda value: ReadWriteRegisters(0, 1, 0, [1, 2, value])),
+    (r"records\[0\] values\[1\]", lambda value: WriteFileRecords([(1, 0, [1, value])])),
+]
+
+
+class TestConstructors:
+    @pytest.mark.parametrize(("name", "make"), ADDRESSED)
+    def test_address_goes_from_0_to_65535(
+        self, name: str, make: Callable[[Any], Request[Any]]
+    ) -> None:
+        for good in (0, 65535):
+            assert getattr(make(good), name) == good
+        for bad in (-1, 65536, 1 << 40):
+            with pytest.raises(ValueError, match=rf"^{name} must be in 0\.\.65535, not {bad}"):
+                make(bad)
+
+    @pytest.mark.parametrize("bad", NO_INTEGERS, ids=repr)
+    @pytest.mark.parametrize(("name", "make"), ADDRESSED)
+    def test_address_is_an_integer(
+        self, name: str, make: Callable[[Any], Request[Any]], bad: Any
+    ) -> None:
+        with pytest.raises(TypeError, match=rf"^{name} must be an integer"):
+            make(bad)
+
+    @pytest.mark.parametrize(("name", "make"), ADDRESSED)
+    def test_other_kinds_of_integers_become_int(
+        self, name: str, make: Callable[[Any], Request[Any]]
+    ) -> None:
+        address = getattr(make(Seven()), name)
+        assert address == 7
+        assert type(address) is int
+
+    @pytest.mark.parametrize(("name", "low", "high", "make"), NUMBERS)
+    def test_other_numbers_have_their_ranges(
+        self, name: str, low: int, high: int, make: Callable[[Any], Request[Any]]
+    ) -> None:
+        for good in (low, high):
+            assert getattr(make(good), name) == good
+        for bad in (low - 1, high + 1, -1, 1 << 40):
+            with pytest.raises(ValueError, match=rf"^{name} must be in {low}\.\.{high}, not {bad}"):
+                make(bad)
+        for wrong in NO_INTEGERS:
+            with pytest.raises(TypeError, match=rf"^{name} must be an integer in {low}\.\.{high}"):
+                make(wrong)
+
+    @pytest.mark.parametrize(("name", "low", "high", "make"), NUMBERS)
+    def test_other_numbers_become_int(
+        self, name: str, low: int, high: int, make: Callable[[Any], Request[Any]]
+    ) -> None:
+        if high >= 7:
+            number = getattr(make(Seven()), name)
+            assert number == 7
+            assert type(number) is int
+
+    @pytest.mark.parametrize(("good", "bad", "make"), BYTES)
+    def test_data_are_bytes_of_some_sizes(
+        self, good: list[int], bad: list[int], make: Callable[[Any], Request[Any]]
+    ) -> None:
+        for size in good:
+            assert len(make(bytes(size)).encode()) <= pdu.MAX_PDU
+        for size in bad:
+            with pytest.raises(ValueError, match=rf"^data must be .*, not {size}$"):
+                make(bytes(size))
+        for wrong in ("ab", [1, 2], (1, 2), None, 2, bytearray(2), memoryview(b"ab")):
+            with pytest.raises(TypeError, match=r"^data must be bytes, not "):
+                make(wrong)
+
+    def test_diagnostics_have_a_zero_word_unless_told(self) -> None:
+        assert Diagnostics(SubFunction.CLEAR_COUNTERS) == Diagnostics(10, b"\0\0")
+        assert Diagnostics(10).encode() == b"\x08\0\x0a\0\0"
+
+    def test_only_force_listen_only_is_not_answered(self) -> None:
+        silent = [each for each in range(65536) if not Diagnostics(each).expects_response]
+        assert silent == [SubFunction.FORCE_LISTEN_ONLY]
+        for request in one_of_each():
+            assert request.expects_response
+
+    @pytest.mark.parametrize(("name", "limit", "make"), COUNTED)
+    def test_count_goes_from_1_to_its_limit(
+        self, name: str, limit: int, make: Callable[[int, Any], Request[Any]]
+    ) -> None:
+        for good in (1, limit):
+            assert getattr(make(0, good), name) == good
+        for bad in (0, -1, limit + 1, 65536):
+            with pytest.raises(ValueError, match=rf"^{name} must be in 1\.\.{limit}, not {bad}"):
+                make(0, bad)
+
+    @pytest.mark.parametrize("bad", NO_INTEGERS, ids=repr)
+    @pytest.mark.parametrize(("name", "limit", "make"), COUNTED)
+    def test_count_is_an_integer(
+        self, name: str, limit: int, make: Callable[[int, Any], Request[Any]], bad: Any
+    ) -> None:
+        with pytest.raises(TypeError, match=rf"^{name} must be an integer in 1\.\.{limit}"):
+            make(0, bad)
+
+    @pytest.mark.parametrize(("name", "limit", "make"), COUNTED)
+    def test_address_and_count_do_not_pass_65536(
+        self, name: str, limit: int, make: Callable[[int, Any], Request[Any]]
+    ) -> None:
+        make(65535, 1)
+        make(65536 - limit, limit)
+        for address, count in ((65535, 2), (65536 - limit + 1, limit)):
+            with pytest.raises(ValueError, match=rf"address \+ {name} .* 65536"):
+                make(address, count)
+
+    @pytest.mark.parametrize(("name", "limit", "make"), SEQUENCED)
+    def test_values_hold_1_to_their_limit(
+        self, name: str, limit: int, make: Callable[[int, Any], Request[Any]]
+    ) -> None:
+        for good in (1, limit):
+            assert len(getattr(make(0, [1] * good), name)) == good
+        for bad in ([], [1] * (limit + 1), itertools.repeat(1)):
+            with pytest.raises(ValueError, match=rf"^{name} must hold 1\.\.{limit} values"):
+                make(0, bad)
+
+    @pytest.mark.parametrize("bad", NO_SEQUENCES, ids=repr)
+    @pytest.mark.parametrize(("name", "limit", "make"), SEQUENCED)
+    def test_values_are_no_text_set_mapping_or_number(
+        self, name: str, limit: int, make: Callable[[int, Any], Request[Any]], bad: Any
+    ) -> None:
+        with pytest.raises(TypeError, match=rf"^{name} must be a sequence of 1\.\.{limit} values"):
+            make(0, bad)
+
+    @pytest.mark.parametrize(("name", "limit", "make"), SEQUENCED)
+    def test_values_of_any_iterable_are_kept_as_a_tuple(
+        self, name: str, limit: int, make: Callable[[int, Any], Request[Any]]
+    ) -> None:
+        for values in ([1, 0], (1, 0), range(1, -1, -1), (value for value in (1, 0))):
+            kept = getattr(make(0, values), name)
+            assert kept == (1, 0)
+            assert type(kept) is tuple
+
+    def test_registers_of_other_kinds_of_integers_become_int(self) -> None:
+        assert repr(WriteRegisters(0, [1, Seven()]).values) == "(1, 7)"
+
+    @pytest.mark.parametrize(("name", "limit", "make"), SEQUENCED)
+    def test_address_and_values_do_not_pass_65536(
+        self, name: str, limit: int, make: Callable[[int, Any], Request[Any]]
+    ) -> None:
+        make(65536 - limit, [1] * limit)
+        with pytest.raises(ValueError, match=rf"address \+ len\({name}\) .* 65536"):
+            make(65536 - limit + 1, [1] * limit)
+
+    @pytest.mark.parametrize(("name", "make"), REGISTERS)
+    def test_registers_go_from_0_to_65535(
+        self, name: str, make: Callable[[Any], Request[Any]]
+    ) -> None:
+        make(0)
+        make(65535)
+        for bad in (-1, 65536):
+            with pytest.raises(ValueError, match=rf"^{name} must be in 0\.\.65535, not {bad}"):
+                make(bad)
+        for bad in NO_INTEGERS:
+            with pytest.raises(TypeError, match=rf"^{name} must be an integer in 0\.\.65535"):
+                make(bad)
+
+    @pytest.mark.parametrize(
+        ("name", "make"),
+        [
+            ("value", lambda value: WriteCoil(0, value)),
+            (r"values\[1\]", lambda value: WriteCoils(0, [True, value])),
+        ],
+    )
+    def test_coils_are_true_false_1_or_0(
+        self, name: str, make: Callable[[Any], Request[Any]]
+    ) -> None:
+        assert make(1) == make(True)
+        assert make(0) == make(False)
+        assert make(0) != make(1)
+        for bad in (2, -1, 0xFF00):
+            with pytest.raises(ValueError, match=rf"^{name} must be in 0\.\.1, not {bad}"):
+                make(bad)
+        for bad in (1.0, "1", None, b"\1"):
+            with pytest.raises(TypeError, match=rf"^{name} must be an integer in 0\.\.1"):
+                make(bad)
+
+    @pytest.mark.parametrize(
+        ("record", "error", "words"),
+        [
+            ((0, 0, 1), ValueError, r"records\[1\] file must be in 1\.\.65535, not 0"),
+            ((65536, 0, 1), ValueError, r"records\[1\] file must be in 1\.\.65535"),
+            (("1", 0, 1), TypeError, r"records\[1\] file must be an integer"),
+            ((1, -1, 1), ValueError, r"records\[1\] record must be in 0\.\.9999"),
+            ((1, 10_000, 1), ValueError, r"records\[1\] record must be in 0\.\.9999"),
+            ((1, 1.5, 1), TypeError, r"records\[1\] record must be an integer"),
+            ((1, 9999, 2), ValueError, r"records\[1\] record \+ length must not pass 10000"),
+            ((1, 0, 0), ValueError, r"records\[1\] length must be in 1\.\.124"),
+            ((1, 0, 125), ValueError, r"records\[1\] length must be in 1\.\.124"),
+            ((1, 0, True), TypeError, r"records\[1\] length must be an integer"),
+            ((1, 0), TypeError, r"records\[1\] must be a tuple \(file, record, length\)"),
+            ((1, 0, 1, 1), TypeError, r"records\[1\] must be a tuple \(file, record, length\)"),
+            ("abc", TypeError, r"records\[1\] must be a tuple \(file, record, length\)"),
+            (5, TypeError, r"records\[1\] must be a tuple \(file, record, length\)"),
+        ],
+    )
+    def test_read_file_records_names_the_bad_piece(
+        self, record: Any, error: type[Exception], words: str
+    ) -> None:
+        with pytest.raises(error, match=f"^{words}"):
+            ReadFileRecords([(1, 0, 1), record])
+
+    @pytest.mark.parametrize(
+        ("record", "error", "words"),
+        [
+            ((0, 0, [1]), ValueError, r"records\[1\] file must be in 1\.\.65535, not 0"),
+            ((65536, 0, [1]), ValueError, r"records\[1\] file must be in 1\.\.65535"),
+            ((1, 10_000, [1]), ValueError, r"records\[1\] record must be in 0\.\.9999"),
+            ((1, 9999, [1, 2]), ValueError, r"records\[1\] record \+ length must not pass 10000"),
+            ((1, 0, []), ValueError, r"records\[1\] values must hold 1\.\.122 values"),
+            ((1, 0, [1] * 123), ValueError, r"records\[1\] values must hold 1\.\.122 values"),
+            ((1, 0, "ab"), TypeError, r"records\[1\] values must be a sequence"),
+            ((1, 0, 1), TypeError, r"records\[1\] values must be a sequence"),
+            ((1, 0), TypeError, r"records\[1\] must be a tuple \(file, record, values\)"),
+        ],
+    )
+    def test_write_file_records_names_the_bad_piece(
+        self, record: Any, error: type[Exception], words: str
+    ) -> None:
+        with pytest.raises(error, match=f"^{words}"):
+            WriteFileRecords([(1, 0, [1]), record])
+
+    @pytest.mark.parametrize("kind", [ReadFileRecords, WriteFileRecords])
+    def test_records_are_a_sequence_of_at_least_one(self, kind: Any) -> None:
+        with pytest.raises(ValueError, match=r"^records must hold 1"):
+            kind([])
+        for bad in NO_SEQUENCES:
+            with pytest.raises(TypeError, match=r"^records must be a sequence"):
+                kind(bad)
+
+    def test_file_pieces_fit_one_message(self) -> None:
+        """Section 6.14 and 6.15: what the PDU of 253 bytes holds, to the last register."""
+        ReadFileRecords([(1, 0, 124)])
+        ReadFileRecords([(1, 0, 1)] * 35)
+        ReadFileRecords([(1, 0, 61)] * 2)  # 2 * (2 + 122) = 248
+        with pytest.raises(ValueError, match=r"^records ask for a response of 252 bytes"):
+            ReadFileRecords([(1, 0, 62)] * 2)
+        with pytest.raises(ValueError, match=r"^records must hold 1\.\.35"):
+            ReadFileRecords([(1, 0, 1)] * 36)
+        assert len(WriteFileRecords([(1, 0, [1] * 122)]).encode()) == 253
+        WriteFileRecords([(1, 0, [1])] * 27)
+        with pytest.raises(ValueError, match=r"^records take 252 bytes, more than 251"):
+            WriteFileRecords([(1, 0, [1] * 59), (2, 0, [1] * 60)])
+        with pytest.raises(ValueError, match=r"^records must hold 1\.\.27"):
+            WriteFileRecords([(1, 0, [1])] * 28)
+
+    def test_requests_are_values(self) -> None:
+        request = WriteRegisters(1, [1, 2])
+        assert request == WriteRegisters(1, (1, 2))
+        assert hash(request) == hash(WriteRegisters(1, (1, 2)))
+        assert request != WriteRegisters(1, [1, 3])
+        assert ReadCoils(0, 1) != ReadDiscreteInputs(0, 1)
+        with pytest.raises(AttributeError):
+            request.address = 2  # type: ignore[misc]
+
+    def test_list_given_is_not_kept(self) -> None:
+        values = [1, 2]
+        request = WriteRegisters(1, values)
+        values.append(3)
+        assert request.values == (1, 2)
+
+    def test_text_names_the_arguments_and_stays_short(self) -> None:
+        assert str(ReadCoils(3, 5)) == "ReadCoils(address=3, count=5)"
+        assert len(str(WriteCoils(0, [True] * 1968))) < 200
+        assert len(str(WriteFileRecords([(1, 0, [1])] * 27))) < 300
+
+    def test_only_requests_that_change_the_device_alone_can_be_broadcast(self) -> None:
+        writes = {code for code, request in pdu.REQUESTS.items() if request.is_write}
+        assert writes == {5, 6, 15, 16, 21, 22}
+        assert not any(kind.is_write for kind in (ReadDeviceIdentification, RawRequest))
+
+
+# --- bad requests --------------------------------------------------------------------
+
+
+def words(*values: int) -> bytes:
+    return struct.pack(f">{len(values)}H", *values)
+
+
+def read(function: int, address: int, count: int) -> bytes:
+    return bytes([function]) + words(address, count)
+
+
+def write_many(function: int, address: int, count: int, size: int, data: bytes) -> bytes:
+    return bytes([function]) + words(address, count) + bytes([size]) + data
+
+
+def read_write(at: int, count: int, to: int, write_count: int, size: int, data: bytes) -> bytes:
+    return b"\x17" + words(at, count, to, write_count) + bytes([size]) + data
+
+
+def read_file(*pieces: tuple[int, int, int, int]) -> bytes:
+    body = b"".join(struct.pack(">BHHH", *piece) for piece in pieces)
+    return bytes([0x14, len(body) & 0xFF]) + body
+
+
+def write_file(*pieces: tuple[int, int, int, int, int]) -> bytes:
+    """Pieces of (type, file, record, length, registers that really follow)."""
+    body = b"".join(
+        struct.pack(">BHHH", kind, file, record, length) + bytes(2 * present)
+        for kind, file, record, length, present in pieces
+    )
+    return bytes([0x15, len(body) & 0xFF]) + body
+
+
+BAD_READS: list[Any] = []
+for _function, _limit in ((1, 2000), (2, 2000), (3, 125), (4, 125)):
+    for _why, _pdu, _error in (
+        ("no count", read(_function, 0, 0), IllegalDataValue),
+        ("count over the limit", read(_function, 0, _limit + 1), IllegalDataValue),
+        ("count 65535", read(_function, 0, 65535), IllegalDataValue),
+        ("past the last address", read(_function, 65535, 2), IllegalDataAddress),
+        ("far past it", read(_function, 65535, _limit), IllegalDataAddress),
+        ("no count at the last address", read(_function, 65535, 0), IllegalDataValue),
+        ("count and address", read(_function, 65535, _limit + 1), IllegalDataValue),
+        ("only the code", bytes([_function]), IllegalDataValue),
+        ("one byte short", read(_function, 0, 1)[:-1], IllegalDataValue),
+        ("one byte long", read(_function, 0, 1) + b"\0", IllegalDataValue),
+        ("length before address", read(_function, 65535, 2) + b"\0", IllegalDataValue),
+    ):
+        BAD_READS.append(pytest.param(_pdu, _error, id=f"{_function:02} {_why}"))
+
+BAD_REQUESTS: list[tuple[str, bytes, type[ExceptionResponse]]] = [
+    ("05 value 0001", b"\x05\0\0\0\1", IllegalDataValue),
+    ("05 value FFFF", b"\x05\0\0\xff\xff", IllegalDataValue),
+    ("05 value 00FF", b"\x05\0\0\0\xff", IllegalDataValue),
+    ("05 value FF01", b"\x05\0\0\xff\1", IllegalDataValue),
+    ("05 short", b"\x05\0\0\xff", IllegalDataValue),
+    ("05 long", b"\x05\0\0\xff\0\0", IllegalDataValue),
+    ("06 short", b"\x06\0\0\xff", IllegalDataValue),
+    ("06 long", b"\x06\0\0\xff\0\0", IllegalDataValue),
+    ("06 only the code", b"\x06", IllegalDataValue),
+    ("15 no count", write_many(15, 0, 0, 0, b""), IllegalDataValue),
+    ("15 no count with a byte", write_many(15, 0, 0, 1, b"\0"), IllegalDataValue),
+    ("15 count 1969", write_many(15, 0, 1969, 247, bytes(247)), IllegalDataValue),
+    ("15 byte count too small", write_many(15, 0, 9, 1, bytes(1)), IllegalDataValue),
+    ("15 byte count too large", write_many(15, 0, 8, 2, bytes(2)), IllegalDataValue),
+    ("15 data short", write_many(15, 0, 9, 2, bytes(1)), IllegalDataValue),
+    ("15 data long", write_many(15, 0, 9, 2, bytes(3)), IllegalDataValue),
+    ("15 no byte count", b"\x0f\0\0\0\1", IllegalDataValue),
+    ("15 past the end", write_many(15, 65535, 2, 1, b"\3"), IllegalDataAddress),
+    ("15 past the end, bad byte count", write_many(15, 65535, 2, 2, b"\3\0"), IllegalDataValue),
+    ("16 no count", write_many(16, 0, 0, 0, b""), IllegalDataValue),
+    ("16 count 124", write_many(16, 0, 124, 248, bytes(248)), IllegalDataValue),
+    ("16 odd byte count", write_many(16, 0, 1, 3, bytes(3)), IllegalDataValue),
+    ("16 byte count too small", write_many(16, 0, 2, 2, bytes(2)), IllegalDataValue),
+    ("16 byte count too large", write_many(16, 0, 1, 4, bytes(4)), IllegalDataValue),
+    ("16 count 129 and byte count 2", write_many(16, 0, 129, 2, bytes(2)), IllegalDataValue),
+    ("16 data short", write_many(16, 0, 2, 4, bytes(3)), IllegalDataValue),
+    ("16 data long", write_many(16, 0, 2, 4, bytes(5)), IllegalDataValue),
+    ("16 past the end", write_many(16, 65535, 2, 4, bytes(4)), IllegalDataAddress),
+    ("16 past the end, bad byte count", write_many(16, 65535, 2, 2, bytes(2)), IllegalDataValue),
+    ("22 short", b"\x16\0\0\0\0\0", IllegalDataValue),
+    ("22 long", b"\x16\0\0\0\0\0\0\0", IllegalDataValue),
+    ("23 reads none", read_write(0, 0, 0, 1, 2, bytes(2)), IllegalDataValue),
+    ("23 reads 126", read_write(0, 126, 0, 1, 2, bytes(2)), IllegalDataValue),
+    ("23 writes none", read_write(0, 1, 0, 0, 0, b""), IllegalDataValue),
+    ("23 writes 122", read_write(0, 1, 0, 122, 244, bytes(244)), IllegalDataValue),
+    ("23 byte count", read_write(0, 1, 0, 2, 2, bytes(2)), IllegalDataValue),
+    ("23 odd byte count", read_write(0, 1, 0, 1, 3, bytes(3)), IllegalDataValue),
+    ("23 data short", read_write(0, 1, 0, 2, 4, bytes(3)), IllegalDataValue),
+    ("23 no byte count", b"\x17" + words(0, 1, 0, 1), IllegalDataValue),
+    ("23 reads past the end", read_write(65535, 2, 0, 1, 2, bytes(2)), IllegalDataAddress),
+    ("23 writes past the end", read_write(0, 1, 65535, 2, 4, bytes(4)), IllegalDataAddress),
+    ("23 reads past, writes none", read_write(65535, 2, 0, 0, 0, b""), IllegalDataValue),
+    ("23 writes past, reads none", read_write(0, 0, 65535, 2, 4, bytes(4)), IllegalDataValue),
+    ("23 writes past, byte count", read_write(0, 1, 65535, 2, 2, bytes(2)), IllegalDataValue),
+    ("20 no pieces", b"\x14\0", IllegalDataValue),
+    ("20 only the code", b"\x14", IllegalDataValue),
+    ("20 no multiple of 7", b"\x14\x06\x06\0\1\0\0\0", IllegalDataValue),
+    ("20 eight bytes", b"\x14\x08\x06\0\1\0\0\0\1\0", IllegalDataValue),
+    ("20 36 pieces", read_file(*[(6, 1, 0, 1)] * 36), IllegalDataValue),
+    ("20 byte count lies low", b"\x14\x07" + read_file(*[(6, 1, 0, 1)] * 2)[2:], IllegalDataValue),
+    ("20 byte count lies high", b"\x14\x0e" + read_file((6, 1, 0, 1))[2:], IllegalDataValue),
+    ("20 length 0", read_file((6, 1, 0, 0)), IllegalDataValue),
+    ("20 answer of 246 bytes", read_file((6, 1, 0, 122)), IllegalDataValue),
+    ("20 answer of 246 in two", read_file((6, 1, 0, 60), (6, 1, 0, 61)), IllegalDataValue),
+    ("20 length 65535", read_file((6, 1, 0, 65535)), IllegalDataValue),
+    ("20 type 5", read_file((5, 1, 0, 1)), IllegalDataAddress),
+    ("20 type 0 in the second", read_file((6, 1, 0, 1), (0, 1, 0, 1)), IllegalDataAddress),
+    ("20 file 0", read_file((6, 0, 0, 1)), IllegalDataAddress),
+    ("20 record 10000", read_file((6, 1, 10_000, 1)), IllegalDataAddress),
+    ("20 past record 9999", read_file((6, 1, 9_999, 2)), IllegalDataAddress),
+    ("20 type and length 0", read_file((5, 1, 0, 0)), IllegalDataValue),
+    ("20 file 0 and size", read_file((6, 0, 0, 122)), IllegalDataValue),
+    ("20 record and byte count", read_file((6, 1, 10_000, 1)) + b"\0", IllegalDataValue),
+    ("21 no pieces", b"\x15\0", IllegalDataValue),
+    ("21 only the code", b"\x15", IllegalDataValue),
+    ("21 length 0", write_file((6, 1, 0, 0, 0)), IllegalDataValue),
+    ("21 length 0 behind a piece", write_file((6, 1, 0, 1, 1), (6, 1, 0, 0, 0)), IllegalDataValue),
+    ("21 data short", write_file((6, 1, 0, 2, 1)), IllegalDataValue),
+    ("21 data long", write_file((6, 1, 0, 1, 2)), IllegalDataValue),
+    ("21 half a register", b"\x15\x0a\x06\0\1\0\0\0\2\0\0\0", IllegalDataValue),
+    ("21 half a piece", write_file((6, 1, 0, 1, 1)) + b"\x06", IllegalDataValue),
+    ("21 byte count 252", write_file(*[(6, 1, 0, 1, 1)] * 28), IllegalDataValue),
+    ("21 byte count 255", b"\x15\xff" + bytes(255), IllegalDataValue),
+    ("21 length far past the data", write_file((6, 1, 0, 65535, 1)), IllegalDataValue),
+    ("21 type 7", write_file((7, 1, 0, 1, 1)), IllegalDataAddress),
+    ("21 file 0", write_file((6, 0, 0, 1, 1)), IllegalDataAddress),
+    ("21 record 10000", write_file((6, 1, 10_000, 1, 1)), IllegalDataAddress),
+    ("21 past record 9999", write_file((6, 1, 9_999, 2, 2)), IllegalDataAddress),
+    ("07 long", b"\x07\0", IllegalDataValue),
+    ("08 only the code", b"\x08", IllegalDataValue),
+    ("08 half a sub-function", b"\x08\0", IllegalDataValue),
+    ("08 query without data", b"\x08\0\0", IllegalDataValue),
+    ("08 query with one byte", b"\x08\0\0\1", IllegalDataValue),
+    ("08 query with three bytes", b"\x08\0\0\1\2\3", IllegalDataValue),
+    ("08 query with 252 bytes", b"\x08\0\0" + bytes(252), IllegalDataValue),
+    ("08 counter without data", b"\x08\0\x0b", IllegalDataValue),
+    ("08 counter short", b"\x08\0\x0b\0", IllegalDataValue),
+    ("08 counter long", b"\x08\0\x0b\0\0\0", IllegalDataValue),
+    ("08 unknown and short", b"\x08\xff\xff\0", IllegalDataValue),
+    ("11 long", b"\x0b\0\0", IllegalDataValue),
+    ("12 long", b"\x0c\0", IllegalDataValue),
+    ("17 long", b"\x11\0", IllegalDataValue),
+    ("24 only the code", b"\x18", IllegalDataValue),
+    ("24 short", b"\x18\0", IllegalDataValue),
+    ("24 long", b"\x18\0\0\0", IllegalDataValue),
+    ("43 only the code", b"\x2b", IllegalDataValue),
+    ("43 type 0", b"\x2b\0", IllegalFunction),
+    ("43 type 12", b"\x2b\x0c\1\0", IllegalFunction),
+    ("43 type 15", b"\x2b\x0f\1\0", IllegalFunction),
+    ("43 type 255 and long", b"\x2b\xff" + bytes(200), IllegalFunction),
+    ("43/14 alone", b"\x2b\x0e", IllegalDataValue),
+    ("43/14 short", b"\x2b\x0e\1", IllegalDataValue),
+    ("43/14 long", b"\x2b\x0e\1\0\0", IllegalDataValue),
+    ("43/14 code 0", b"\x2b\x0e\0\0", IllegalDataValue),
+    ("43/14 code 5", b"\x2b\x0e\5\0", IllegalDataValue),
+    ("43/14 code 255", b"\x2b\x0e\xff\xff", IllegalDataValue),
+    ("21 type and data short", write_file((7, 1, 0, 2, 1)), IllegalDataValue),
+    ("21 file 0, then length 0", write_file((6, 0, 0, 1, 1), (6, 1, 0, 0, 0)), IllegalDataValue),
+]
+
+
+class TestBadRequests:
+    """Section 6: length and quantity are refused with 3, before addresses with 2."""
+
+    @pytest.mark.parametrize(
+        ("request_pdu", "error"),
+        BAD_READS + [pytest.param(bad, error, id=why) for why, bad, error in BAD_REQUESTS],
+    )
+    def test_server_must_answer_with(
+        self, request_pdu: bytes, error: type[ExceptionResponse]
+    ) -> None:
+        with pytest.raises(ExceptionResponse) as caught:
+            decode_request(request_pdu)
+        assert type(caught.value) is error
+        assert caught.value.function == request_pdu[0]
+
+    @pytest.mark.parametrize(
+        "request_pdu",
+        [
+            read(1, 65535, 1),
+            read(1, 63536, 2000),
+            read(3, 65411, 125),
+            b"\x05\xff\xff\0\0",
+            b"\x06\xff\xff\xff\xff",
+            write_many(15, 63568, 1968, 246, bytes(246)),
+            write_many(16, 65413, 123, 246, bytes(246)),
+            read_write(65411, 125, 65415, 121, 242, bytes(242)),
+            read_file((6, 1, 0, 121)),
+            read_file((6, 65535, 9999, 1)),
+            read_file(*[(6, 1, 0, 1)] * 35),
+            write_file((6, 65535, 9878, 122, 122)),
+            write_file(*[(6, 1, 0, 1, 1)] * 27),
+            b"\x08\0\0" + bytes(250),
+            b"\x08\xff\xff\xff\xff",
+            b"\x18\xff\xff",
+            b"\x2b\x0d",
+            b"\x2b\x0d" + bytes(251),
+            b"\x2b\x0e\1\xff",
+            b"\x2b\x0e\4\xff",
+        ],
+        ids=lambda request_pdu: f"{request_pdu[0]:02} {request_pdu[1:6].hex()}",
+    )
+    def test_limits_themselves_are_good(self, request_pdu: bytes) -> None:
+        assert decode_request(request_pdu).encode() == request_pdu
+
+    @pytest.mark.parametrize("data", [b"", b"\0\0\0\1"])
+    def test_unknown_function_is_illegal_whatever_follows(self, data: bytes) -> None:
+        for code in set(range(256)) - set(pdu.REQUESTS):
+            with pytest.raises(IllegalFunction) as caught:
+                decode_request(bytes([code]) + data)
+            assert caught.value.code == 1
+            assert caught.value.function == code
+
+    def test_empty_pdu_is_the_callers_fault(self) -> None:
+        with pytest.raises(ValueError, match="pdu"):
+            decode_request(b"")
+
+    @pytest.mark.parametrize("data", [b"\xff", b"\xf5"])
+    def test_unused_bits_of_coils_are_ignored(self, data: bytes) -> None:
+        assert decode_request(write_many(15, 0, 3, 1, data)) == WriteCoils(
+            0, [value == 1 for value in (1, data[0] >> 1 & 1, 1)]
+        )
+
+
+# --- bad responses -------------------------------------------------------------------
+
+
+def one_of_each() -> list[Request[Any]]:
+    return [
+        ReadCoils(0, 10),
+        ReadDiscreteInputs(0, 8),
+        ReadHoldingRegisters(0, 2),
+        ReadInputRegisters(0, 2),
+        WriteCoil(1, True),
+        WriteRegister(1, 2),
+        WriteCoils(1, [True, False]),
+        WriteRegisters(1, [2, 3]),
+        ReadFileRecords([(1, 2, 1), (3, 4, 2)]),
+        WriteFileRecords([(1, 2, [3]), (4, 5, [6, 7])]),
+        MaskWriteRegister(1, 2, 3),
+        ReadWriteRegisters(1, 2, 3, [4]),
+        ReadExceptionStatus(),
+        Diagnostics(0, b"\xa5\x37\1\2"),
+        Diagnostics(SubFunction.BUS_MESSAGE_COUNT),
+        ReadCommEventCounter(),
+        ReadCommEventLog(),
+        ReportServerId(),
+        ReadFifoQueue(1246),
+        ReadDeviceIdentification(2),
+    ]
+
+
+# These take whatever follows the code, or the MEI type.
+UNJUDGED: list[Request[bytes]] = [
+    EncapsulatedTransport(13, b"\1\2"),
+    RawRequest(65, b"\1\2"),
+    RawRequest(3, b"\0\0\0\1"),
+]
+
+
+def good_result(request: Request[Any]) -> Any:
+    match request:
+        case ReadCoils() | ReadDiscreteInputs():
+            return [True] * request.count
+        case ReadHoldingRegisters() | ReadInputRegisters():
+            return [7] * request.count
+        case ReadWriteRegisters():
+            return [7] * request.read_count
+        case ReadFileRecords():
+            return [[7] * length for _, _, length in request.records]
+        case ReadExceptionStatus():
+            return 0x6D
+        case Diagnostics():
+            return request.data
+        case ReadCommEventCounter():
+            return CommEventCounter(0xFFFF, 264)
+        case ReadCommEventLog():
+            return CommEventLog(0, 264, 289, b"\x20\0")
+        case ReportServerId():
+            return ServerId(b"\1", True, b"abc")
+        case ReadFifoQueue():
+            return [440, 4740]
+        case ReadDeviceIdentification():
+            return IdentificationPage(0x83, 4, {0: b"vendor", 3: b""})
+        case EncapsulatedTransport() | RawRequest():
+            return b"\3\4\5"
+        case _:
+            return None
+
+
+def the_name(request: Request[Any]) -> str:
+    return type(request).__name__
+
+
+each_request = pytest.mark.parametrize("request_", one_of_each(), ids=the_name)
+every_request = pytest.mark.parametrize("request_", one_of_each() + UNJUDGED, ids=the_name)
+
+
+class TestBadResponses:
+    @each_request
+    def test_empty_cut_and_prolonged_responses_are_invalid(self, request_: Request[Any]) -> None:
+        good = request_.encode_response(good_result(request_))
+        assert request_.decode_response(good) == good_result(request_)
+        for end in range(len(good)):
+            with pytest.raises(InvalidResponse):
+                request_.decode_response(good[:end])
+        with pytest.raises(InvalidResponse):
+            request_.decode_response(good + b"\0")
+
+    @every_request
+    def test_other_function_is_invalid_and_the_error_names_the_request(
+        self, request_: Request[Any]
+    ) -> None:
+        good = request_.encode_response(good_result(request_))
+        for other in {0, *pdu.REQUESTS, 0x7F} - {request_.function}:
+            with pytest.raises(InvalidResponse) as caught:
+                request_.decode_response(bytes([other]) + good[1:])
+            assert str(request_) in str(caught.value)
+            assert caught.value.function == request_.function
+
+    @every_request
+    def test_refusal_of_another_function_is_invalid(self, request_: Request[Any]) -> None:
+        for other in {*pdu.REQUESTS, 0, 0x7F} - {request_.function}:
+            with pytest.raises(InvalidResponse):
+                request_.decode_response(bytes([other | 0x80, 2]))
+
+    @every_request
+    def test_refusal_of_other_length_is_invalid(self, request_: Request[Any]) -> None:
+        for tail in (b"", b"\2\0", b"\2\0\0\0"):
+            with pytest.raises(InvalidResponse):
+                request_.decode_response(bytes([request_.function | 0x80]) + tail)
+
+    def test_refusal_keeps_its_code(self) -> None:
+        kinds = {
+            1: IllegalFunction,
+            2: IllegalDataAddress,
+            3: IllegalDataValue,
+            4: ServerDeviceFailure,
+            5: Acknowledge,
+            6: ServerDeviceBusy,
+            7: NegativeAcknowledge,
+            8: MemoryParityError,
+            10: GatewayPathUnavailable,
+            11: GatewayTargetFailedToRespond,
+        }
+        for code in range(256):
+            with pytest.raises(ExceptionResponse) as caught:
+                ReadCoils(0, 1).decode_response(bytes([0x81, code]))
+            assert type(caught.value) is kinds.get(code, ExceptionResponse)
+            assert caught.value.code == code
+            assert f"exception {code})" in str(caught.value)
+
+    @pytest.mark.parametrize(
+        ("request_", "response"),
+        [
+            (ReadCoils(0, 10), b"\1\1\1"),  # bytes for 8
+            (ReadCoils(0, 10), b"\1\3\1\1\1"),  # bytes for 24
+            (ReadCoils(0, 8), b"\1\0"),
+            (ReadHoldingRegisters(0, 2), b"\3\2\0\1"),
+            (ReadHoldingRegisters(0, 2), b"\3\6" + bytes(6)),
+            (ReadHoldingRegisters(0, 2), b"\3\3" + bytes(3)),
+            (ReadHoldingRegisters(0, 2), b"\3\0"),
+            (ReadWriteRegisters(0, 2, 0, [1]), b"\x17\2\0\1"),
+            (ReadFileRecords([(1, 0, 1)]), b"\x14\0"),
+            (ReadFileRecords([(1, 0, 1)]), b"\x14\4\3\5\0\1"),  # reference type
+            (ReadFileRecords([(1, 0, 1)]), b"\x14\4\4\6\0\1"),  # length of the piece
+            (ReadFileRecords([(1, 0, 1)]), b"\x14\6\5\6\0\1\0\1"),  # one register more
+            (ReadFileRecords([(1, 0, 1)]), b"\x14\x08" + b"\3\6\0\1" * 2),  # one piece more
+            (ReadFileRecords([(1, 0, 1)] * 2), b"\x14\4\3\6\0\1"),  # one piece less
+            (ReadFileRecords([(1, 0, 1), (1, 0, 2)]), b"\x14\x0a\5\6\0\1\0\2\3\6\0\1"),  # order
+            (Diagnostics(0, b"\1\2"), b"\x08\0\0\1\2\3\4"),
+            (Diagnostics(0, b"\1\2\3\4"), b"\x08\0\0\1\2"),
+            (Diagnostics(0, b"\1\2"), b"\x08\0\1\1\2"),  # another sub-function
+            (Diagnostics(11), b"\x08\0\x0c\0\0"),
+            (Diagnostics(11), b"\x08\0\0\0\0"),
+            (ReadCommEventLog(), b"\x0c\0"),
+            (ReadCommEventLog(), b"\x0c\5" + bytes(5)),
+            (ReadCommEventLog(), b"\x0c\x47" + bytes(71)),  # 65 events
+            (ReportServerId(), b"\x11\0"),
+            (ReportServerId(), b"\x11\1\1"),
+            (ReadFifoQueue(1), b"\x18\0\0"),
+            (ReadFifoQueue(1), b"\x18\0\1\0"),
+            (ReadFifoQueue(1), b"\x18\0\4\0\0\0\7"),  # count too small
+            (ReadFifoQueue(1), b"\x18\0\2\0\1"),  # count too large
+            (ReadFifoQueue(1), b"\x18\0\2\0\1\0\7"),  # byte count too small
+            (ReadFifoQueue(1), b"\x18\0\6\0\1\0\7"),  # byte count too large
+            (ReadFifoQueue(1), b"\x18\0\5\0\1\0\7\0"),  # odd
+            (ReadFifoQueue(1), b"\x18\2\0\0\0"),
+            (ReadFifoQueue(1), b"\x18\0\x42\0\x20" + bytes(64)),  # 32 registers
+            (ReadDeviceIdentification(1), b"\x2b\x0d\1\1\0\0\0"),  # another MEI type
+            (ReadDeviceIdentification(1), b"\x2b\x0e\2\1\0\0\0"),  # another code
+            (ReadDeviceIdentification(1), b"\x2b\x0e\1\1\0\0\1"),  # an object is missing
+            (ReadDeviceIdentification(1), b"\x2b\x0e\1\1\0\0\1\0\2a"),
+            (ReadDeviceIdentification(1), b"\x2b\x0e\1\1\0\0\0\0\1a"),  # an object too many
+            (ReadDeviceIdentification(1), b"\x2b\x0e\1\1\0\0\2\0\1a"),
+            (EncapsulatedTransport(13, b""), b"\x2b\x0e\1\1\0\0\0"),
+            (EncapsulatedTransport(13, b""), b"\x2b"),
+        ],
+    )
+    def test_byte_counts_that_do_not_fit_the_request_are_invalid(
+        self, request_: Request[Any], response: bytes
+    ) -> None:
+        with pytest.raises(InvalidResponse):
+            request_.decode_response(response)
+
+    @pytest.mark.parametrize(
+        "request_",
+        [request for request in one_of_each() if request.is_write],
+        ids=the_name,
+    )
+    def test_every_byte_of_an_echo_counts(self, request_: Request[Any]) -> None:
+        good = request_.encode_response(None)
+        for at in range(1, len(good)):
+            spoilt = bytearray(good)
+            spoilt[at] ^= 1
+            with pytest.raises(InvalidResponse):
+                request_.decode_response(bytes(spoilt))
+
+    def test_padding_bits_of_coils_are_ignored(self) -> None:
+        assert ReadCoils(0, 3).decode_response(b"\1\1\xfd") == [True, False, True]
+
+    def test_padding_bits_are_sent_as_0(self) -> None:
+        assert ReadCoils(0, 3).encode_response([True] * 3) == b"\1\1\7"
+        assert WriteCoils(0, [True] * 9).encode()[-2:] == b"\xff\1"
+
+    def test_client_takes_more_from_files_than_a_server_may_send(self) -> None:
+        """The table of section 6.14 ends at 245 bytes, the PDU at 251."""
+        request = ReadFileRecords([(1, 0, 124)])
+        response = request.encode_response([range(124)])
+        assert len(response) == 252
+        assert request.decode_response(response) == [list(range(124))]
+
+
+class TestEncodeResponse:
+    @pytest.mark.parametrize(
+        ("request_", "result", "error"),
+        [
+            (ReadCoils(0, 2), [True], ValueError),
+            (ReadCoils(0, 2), [True] * 3, ValueError),
+            (ReadCoils(0, 2), [True, 2], ValueError),
+            (ReadCoils(0, 2), "10", TypeError),
+            (ReadHoldingRegisters(0, 2), [], ValueError),
+            (ReadHoldingRegisters(0, 2), [1], ValueError),
+            (ReadHoldingRegisters(0, 2), [1, 2, 3], ValueError),
+            (ReadHoldingRegisters(0, 2), [1, 65536], ValueError),
+            (ReadHoldingRegisters(0, 2), [1, -1], ValueError),
+            (ReadHoldingRegisters(0, 2), [1, "2"], TypeError),
+            (ReadInputRegisters(0, 2), None, TypeError),
+            (ReadWriteRegisters(0, 2, 0, [1]), [1], ValueError),
+            (ReadFileRecords([(1, 0, 2)]), [], ValueError),
+            (ReadFileRecords([(1, 0, 2)]), [[1]], ValueError),
+            (ReadFileRecords([(1, 0, 2)]), [[1, 2, 3]], ValueError),
+            (ReadFileRecords([(1, 0, 2)]), [[1, 2], [3]], ValueError),
+            (ReadExceptionStatus(), 256, ValueError),
+            (ReadExceptionStatus(), -1, ValueError),
+            (ReadExceptionStatus(), "1", TypeError),
+            (ReadFifoQueue(0), [1] * 32, ValueError),
+            (ReadFifoQueue(0), [65536], ValueError),
+            (ReadFifoQueue(0), [-1], ValueError),
+            (ReportServerId(), ServerId(b"", True), ValueError),
+            (ReportServerId(), ServerId(bytes(250), True, b"a"), ValueError),
+        ],
+    )
+    def test_result_must_be_what_was_asked_for(
+        self, request_: Request[Any], result: Any, error: type[Exception]
+    ) -> None:
+        with pytest.raises(error, match="result"):
+            request_.encode_response(result)
+
+    @pytest.mark.parametrize(
+        ("request_", "result"),
+        [
+            (Diagnostics(0, b"\1\2"), b""),
+            (Diagnostics(0, b"\1\2"), b"\1"),
+            (Diagnostics(11), b"\0\0\0"),
+            (Diagnostics(11), b"\0\0\0\0"),
+            (ReadCommEventCounter(), CommEventCounter(-1, 0)),
+            (ReadCommEventCounter(), CommEventCounter(0, 65536)),
+            (ReadCommEventLog(), CommEventLog(0, 65536, 0, b"")),
+            (ReadCommEventLog(), CommEventLog(0, 0, -1, b"")),
+            (ReadCommEventLog(), CommEventLog(0, 0, 0, bytes(65))),
+            (ReadDeviceIdentification(1), IdentificationPage(256, None, {})),
+            (ReadDeviceIdentification(1), IdentificationPage(1, 256, {})),
+            (ReadDeviceIdentification(4, 5), IdentificationPage(0x81, None, {})),
+            (ReadDeviceIdentification(4, 5), IdentificationPage(0x81, None, {4: b""})),
+            (ReadDeviceIdentification(1), IdentificationPage(1, None, {256: b""})),
+            (ReadDeviceIdentification(1), IdentificationPage(1, None, {0: bytes(245)})),
+            (ReadDeviceIdentification(1), IdentificationPage(1, None, {0: bytes(243), 1: b""})),
+            (EncapsulatedTransport(13, b""), bytes(252)),
+            (RawRequest(65), bytes(253)),
+        ],
+    )
+    def test_results_that_no_message_can_carry_are_value_errors(
+        self, request_: Request[Any], result: Any
+    ) -> None:
+        with pytest.raises(ValueError, match=r"."):
+            request_.encode_response(result)
+
+    def test_largest_results_fill_the_message(self) -> None:
+        for request, result, size in (
+            (ReadFifoQueue(0), range(31), 67),
+            (ReadCommEventLog(), CommEventLog(0, 0, 0, bytes(64)), 72),
+            (ReportServerId(), ServerId(b"\1", False, bytes(249)), 253),
+            (ReadDeviceIdentification(1), IdentificationPage(1, None, {0: bytes(244)}), 253),
+            (EncapsulatedTransport(13, b""), bytes(251), 253),
+            (RawRequest(65), bytes(252), 253),
+        ):
+            assert len(request.encode_response(result)) == size
+
+    def test_empty_queue_is_a_queue(self) -> None:
+        assert ReadFifoQueue(0).encode_response([]) == b"\x18\0\2\0\0"
+        assert ReadFifoQueue(0).decode_response(b"\x18\0\2\0\0") == []
+
+
+# --- the server's identifier (function 17) ------------------------------------------------
+
+
+class TestServerId:
+    def test_identifier_is_one_byte_unless_split_again(self) -> None:
+        found = ReportServerId().decode_response(b"\x11\6abc\xffde")
+        assert found == ServerId(b"a", False, b"c\xffde")
+        assert found.data == b"a\0c\xffde"  # only FFh says that it runs
+        assert ServerId.split(b"abc\xffde", 3) == ServerId(b"abc", True, b"de")
+
+    def test_all_of_the_data_can_be_had_back(self) -> None:
+        for data in (b"\xb4\xff", b"\xb4\0", b"\xb4\xff3.1.6", bytes(251)):
+            found = ReportServerId().decode_response(bytes([0x11, len(data)]) + data)
+            assert found.data == data
+
+    def test_split_takes_any_length_that_leaves_the_indicator(self) -> None:
+        assert ServerId.split(b"\xff", 0) == ServerId(b"", True)
+        assert ServerId.split(b"ab\xff", 2) == ServerId(b"ab", True)
+        for data, length in ((b"", 0), (b"a", 1), (b"ab\xff", 3), (b"ab\xff", -1)):
+            with pytest.raises(ValueError, match="length"):
+                ServerId.split(data, length)
+
+
+# --- device identification (function 43/14) ------------------------------------------------
+
+# Two fill a page exactly, with their heads; the last ones are private.
+OBJECTS = {
+    0: b"v" * 120,
+    1: b"c" * 122,
+    2: b"r",
+    3: b"u" * 244,
+    4: b"",
+    6: b"a" * 3,
+    128: b"p" * 244,
+    129: b"q" * 200,
+    255: b"z" * 42,
+}
+
+
+def served(objects: dict[int, bytes], level: str | int) -> tuple[dict[int, bytes], list[int]]:
+    """What a client gets from a device with these objects, and what it asks for."""
+    steps = identify(level)
+    request = next(steps)
+    asked: list[int] = []
+    while True:
+        asked.append(request.object_id)
+        assert len(asked) <= 300
+        body = request.encode_response(pages(request, objects)._replace(conformity=0x83))
+        assert len(body) <= pdu.MAX_PDU
+        again = decode_request(request.encode())
+        assert again == request
+        try:
+            request = steps.send(again.decode_response(body))
+        except StopIteration as done:
+            found: pdu.DeviceIdentification = done.value
+            break
+    assert found.conformity == 0x83
+    return found.objects, asked
+
+
+class TestIdentification:
+    @pytest.mark.parametrize(
+        ("level", "numbers", "asked"),
+        [
+            ("basic", [0, 1, 2], [0, 2]),
+            ("regular", [0, 1, 2, 3, 4, 6], [0, 2, 3, 4]),
+            ("extended", list(OBJECTS), [0, 2, 3, 4, 128, 129]),
+        ],
+    )
+    def test_stream_goes_over_as_many_pages_as_it_takes(
+        self, level: str, numbers: list[int], asked: list[int]
+    ) -> None:
+        found, requests = served(OBJECTS, level)
+        assert found == {number: OBJECTS[number] for number in numbers}
+        assert list(found) == numbers
+        assert requests == asked
+
+    def test_what_fits_to_the_byte_is_on_the_page(self) -> None:
+        request = ReadDeviceIdentification(1)
+        full = {0: bytes(120), 1: bytes(122)}
+        assert pages(request, full) == IdentificationPage(0, None, full)
+        over = {0: bytes(120), 1: bytes(123)}
+        assert pages(request, over) == IdentificationPage(0, 1, {0: bytes(120)})
+
+    @pytest.mark.parametrize(
+        ("code", "unknown"),
+        [(1, [3, 4, 6, 7, 128, 255]), (2, [5, 7, 127, 128, 255]), (3, [5, 7, 130, 254])],
+    )
+    def test_unknown_object_starts_the_stream_over(self, code: int, unknown: list[int]) -> None:
+        first = pages(ReadDeviceIdentification(code, 0), OBJECTS)
+        for number in unknown:
+            assert pages(ReadDeviceIdentification(code, number), OBJECTS) == first
+
+    def test_known_object_is_where_the_stream_goes_on(self) -> None:
+        for code, last in LAST_OBJECT.items():
+            for number in OBJECTS:
+                if number <= last:
+                    page = pages(ReadDeviceIdentification(code, number), OBJECTS)
+                    assert next(iter(page.objects)) == number
+                    assert min(page.objects) == number
+
+    def test_names_are_those_of_the_specification(self) -> None:
+        found = pdu.DeviceIdentification(1, {0: b"a", 1: b"b", 2: b"c\xff", 6: b"d", 128: b"e"})
+        assert found.names == {
+            "VendorName": "a",
+            "ProductCode": "b",
+            "MajorMinorRevision": "c\ufffd",
+            "UserApplicationName": "d",
+        }
+
+    def test_single_object_is_asked_for_once(self) -> None:
+        for number in (0, 6, 200, 255):
+            steps = identify(number)
+            assert next(steps) == ReadDeviceIdentification(4, number)
+            with pytest.raises(StopIteration) as done:
+                steps.send(IdentificationPage(0x81, None, {number: b"x"}))
+            assert done.value.value == pdu.DeviceIdentification(0x81, {number: b"x"})
+
+    @pytest.mark.parametrize(
+        ("pages_", "asked"),
+        [
+            ([(0, {0: b"a"})], [0]),  # the same again
+            ([(1, {0: b"a"}), (1, {1: b"b"})], [0, 1]),  # stays
+            ([(2, {0: b"a", 1: b"b"}), (1, {2: b"c"})], [0, 2]),  # goes back
+            ([(2, {0: b"a", 1: b"b"}), (2, {0: b"a", 1: b"b"})], [0, 2]),  # starts over
+            ([(1, {0: b"a", 1: b"b"})], [0]),  # was there already
+            ([(1, {}), (1, {})], [0, 1]),  # nothing, for ever
+            ([(5, {}), (3, {})], [0, 5]),
+        ],
+    )
+    def test_device_that_leads_in_circles_is_invalid(
+        self, pages_: list[tuple[int, dict[int, bytes]]], asked: list[int]
+    ) -> None:
+        steps = identify("regular")
+        requests = [next(steps)]
+        *good, bad = pages_
+        for following, objects in good:
+            requests.append(steps.send(IdentificationPage(2, following, objects)))
+        with pytest.raises(InvalidResponse) as caught:
+            steps.send(IdentificationPage(2, *bad))
+        assert [request.object_id for request in requests] == asked
+        assert caught.value.function == 43
+        assert caught.value.asked == str(requests[-1])
+
+    def test_any_device_comes_to_an_end(self) -> None:
+        """The ids only rise, so no device has a client ask more than 256 times."""
+        steps = identify("extended")
+        next(steps)
+        for number in range(1, 256):
+            assert steps.send(IdentificationPage(3, number, {})).object_id == number
+        with pytest.raises(InvalidResponse):
+            steps.send(IdentificationPage(3, 255, {}))
+
+    @pytest.mark.parametrize(
+        ("level", "error"),
+        [
+            ("all", ValueError),
+            ("", ValueError),
+            ("Basic", ValueError),
+            (-1, ValueError),
+            (256, ValueError),
+            (None, TypeError),
+            (True, TypeError),
+            (1.0, TypeError),
+            (b"basic", TypeError),
+        ],
+        ids=repr,
+    )
+    def test_level_is_a_name_or_an_object(self, level: Any, error: type[Exception]) -> None:
+        with pytest.raises(error, match=r"^level must be"):
+            next(identify(level))
+
+
+# --- functions of one's own ----------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Doubled(Request[list[int]]):
+    """A request of some registers, an answer with twice as many."""
+
+    values: tuple[int, ...]
+
+    function: ClassVar[int] = 0x41
+    request_length = pdu.counted(2, at=1)
+    response_length = pdu.counted(2, at=1)
+
+    def encode(self) -> bytes:
+        return bytes([self.function, 2 * len(self.values)]) + words(*self.values)
+
+    @classmethod
+    def decode(cls, pdu: bytes) -> Self:
+        if pdu[1] % 2:
+            raise ValueError("an odd byte count")
+        return cls(struct.unpack(f">{pdu[1] // 2}H", pdu[2:]))
+
+    def encode_response(self, result: list[int]) -> bytes:
+        return bytes([self.function, 2 * len(result)]) + words(*result)
+
+    def _decode_response(self, pdu: bytes) -> list[int]:
+        return list(struct.unpack(f">{pdu[1] // 2}H", pdu[2:]))
+
+
+@pytest.fixture
+def doubled() -> Iterator[type[Doubled]]:
+    yield pdu.register(Doubled)
+    pdu.REQUESTS.pop(Doubled.function)
+
+
+class TestRegister:
+    def test_registered_class_is_known_to_both_ends(self, doubled: type[Doubled]) -> None:
+        request = doubled((1, 2))
+        assert decode_request(request.encode()) == request
+        assert pdu.request_length(b"\x41\4") == pdu.response_length(b"\x41\4") == 6
+        response = request.encode_response([1, 1, 2, 2])
+        assert request.decode_response(response) == [1, 1, 2, 2]
+        assert str(request) == "Doubled(values=(1, 2))"
+
+    def test_its_errors_are_those_of_any_class(self, doubled: type[Doubled]) -> None:
+        with pytest.raises(IllegalDataValue):
+            decode_request(b"\x41\1\0")
+        with pytest.raises(IllegalDataValue):
+            decode_request(b"\x41\4\0\0")
+        with pytest.raises(MemoryParityError) as caught:
+            doubled((1,)).decode_response(b"\xc1\x08")
+        assert caught.value.function == 0x41
+        for bad in (b"", b"\x41", b"\x41\2\0", b"\x42\2\0\0", b"\xc2\1"):
+            with pytest.raises(InvalidResponse):
+                doubled((1,)).decode_response(bad)
+
+    def test_unknown_until_then_and_afterwards(self) -> None:
+        for _ in range(2):
+            with pytest.raises(IllegalFunction):
+                decode_request(b"\x41\0")
+            assert pdu.register(Doubled) is Doubled  # as a decorator gives it
+            assert pdu.register(Doubled) is Doubled  # once more is no harm
+            assert decode_request(b"\x41\0") == Doubled(())
+            pdu.REQUESTS.pop(0x41)
+
+    def test_taken_function_is_refused(self, doubled: type[Doubled]) -> None:
+        known = dict(pdu.REQUESTS)
+        for code in pdu.REQUESTS:
+            other = type("Other", (Doubled,), {"function": code, "__slots__": ()})
+            with pytest.raises(ValueError, match=rf"^Other: function {code} is \w+$"):
+                pdu.register(other)
+        assert known == pdu.REQUESTS
+
+    @pytest.mark.parametrize("code", [0, 128, 255, -1, "65", None])
+    def test_function_is_a_code(self, code: Any) -> None:
+        other = type("Other", (Doubled,), {"function": code, "__slots__": ()})
+        with pytest.raises(ValueError, match=r"^Other: function must be in 1\.\.127"):
+            pdu.register(other)
+
+    def test_class_without_a_function_is_refused(self) -> None:
+        for kind in (Request, RawRequest):
+            with pytest.raises(ValueError, match="function must be in"):
+                pdu.register(kind)
+
+    @pytest.mark.parametrize("bad", [None, 65, "Doubled", Doubled((1,)), int, Exception], ids=repr)
+    def test_only_request_classes_are_taken(self, bad: Any) -> None:
+        with pytest.raises(TypeError, match="derived from Request"):
+            pdu.register(bad)
+
+    @pytest.mark.parametrize("code", [9, 18, 65, 72, 100, 110, 127])
+    def test_any_free_code_will_do(self, code: int) -> None:
+        other = type("Other", (Doubled,), {"function": code, "__slots__": ()})
+        assert pdu.register(other) is other
+        try:
+            assert type(decode_request(bytes([code, 2, 0, 1]))) is other
+        finally:
+            pdu.REQUESTS.pop(code)
+
+
+class TestRawRequest:
+    def test_data_go_and_come_as_they_are(self) -> None:
+        for function in range(1, 128):
+            request = RawRequest(function, b"\0\xff")
+            assert request.encode() == bytes([function, 0, 0xFF])
+            assert request.decode_response(bytes([function])) == b""
+            assert request.decode_response(bytes([function]) + bytes(252)) == bytes(252)
+            assert RawRequest.decode(request.encode()) == request
+            assert request.encode_response(b"\7") == bytes([function, 7])
+
+    def test_refusals_are_exceptions(self) -> None:
+        with pytest.raises(IllegalDataAddress) as caught:
+            RawRequest(65, b"\1").decode_response(b"\xc1\2")
+        assert caught.value.function == 65
+        assert "RawRequest(function=65, data=b'\\x01')" in str(caught.value)
+
+    def test_it_is_no_write_and_is_answered(self) -> None:
+        assert RawRequest(6).is_write is False
+        assert RawRequest(6).expects_response
+
+    def test_it_takes_no_place_in_the_table(self) -> None:
+        assert RawRequest not in pdu.REQUESTS.values()
+
+
+class TestFunctionNames:
+    def test_every_code_has_one(self, doubled: type[Doubled]) -> None:
+        from libmodbus_py.protocol.pdu import function_name
+
+        assert function_name(3) == "ReadHoldingRegisters"
+        assert function_name(0x41) == "Doubled"
+        assert function_name(72) == function_name(100) == "user-defined"
+        assert function_name(126) == "program 584/984"
+        assert function_name(25) == "unassigned"
+        assert not set(pdu.OTHER_FUNCTIONS) & set(pdu.REQUESTS)
+
+
+# --- properties ------------------------------------------------------------------------
+
+registers = st.integers(0, 65535)
+
+
+def at(count: int) -> st.SearchStrategy[int]:
+    """An address from which `count` items fit."""
+    return st.integers(0, 65536 - count)
+
+
+@st.composite
+def requests(draw: st.DrawFn) -> Request[Any]:
+    function = draw(st.sampled_from(sorted(FROM_FIELDS)))
+    if function in (1, 2, 3, 4):
+        count = draw(st.integers(1, 2000 if function < 3 else 125))
+        return pdu.REQUESTS[function](draw(at(count)), count)  # type: ignore[call-arg]
+    if function == 5:
+        return WriteCoil(draw(registers), draw(st.booleans()))
+    if function == 6:
+        return WriteRegister(draw(registers), draw(registers))
+    if function == 15:
+        bits = draw(st.lists(st.booleans(), min_size=1, max_size=1968))
+        return WriteCoils(draw(at(len(bits))), bits)
+    if function == 16:
+        values = draw(st.lists(registers, min_size=1, max_size=123))
+        return WriteRegisters(draw(at(len(values))), values)
+    if function == 20:
+        lengths = draw(st.lists(st.integers(1, 5), min_size=1, max_size=20))
+        return ReadFileRecords(
+            [(draw(st.integers(1, 65535)), draw(st.integers(0, 9995)), n) for n in lengths]
+        )
+    if function == 21:
+        pieces = draw(
+            st.lists(st.lists(registers, min_size=1, max_size=5), min_size=1, max_size=14)
+        )
+        return WriteFileRecords(
+            [(draw(st.integers(1, 65535)), draw(st.integers(0, 9995)), v) for v in pieces]
+        )
+    if function == 22:
+        return MaskWriteRegister(draw(registers), draw(registers), draw(registers))
+    if function in (7, 11, 12, 17):
+        return pdu.REQUESTS[function]()
+    if function == 8:
+        sub_function = draw(registers | st.integers(0, 21))
+        return Diagnostics(sub_function, bytes(draw(word_bytes(1 if sub_function else 125))))
+    if function == 24:
+        return ReadFifoQueue(draw(registers))
+    if function == 43 and draw(st.booleans()):
+        return EncapsulatedTransport(13, draw(st.binary(max_size=251)))
+    if function == 43:
+        return ReadDeviceIdentification(draw(st.integers(1, 4)), draw(st.integers(0, 255)))
+    values = draw(st.lists(registers, min_size=1, max_size=121))
+    count = draw(st.integers(1, 125))
+    return ReadWriteRegisters(draw(at(count)), count, draw(at(len(values))), values)
+
+
+def word_bytes(most: int) -> st.SearchStrategy[bytes]:
+    return st.binary(min_size=2, max_size=2 * most).map(lambda data: data[len(data) % 2 :])
+
+
+identifications = st.dictionaries(st.integers(0, 255), st.binary(max_size=244), max_size=12).map(
+    lambda objects: dict(sorted(objects.items()))
+)
+
+
+def one_page(objects: dict[int, bytes]) -> dict[int, bytes]:
+    """The first of the objects, as many as fit."""
+    return pages(ReadDeviceIdentification(3), objects).objects
+
+
+def results(request: Request[Any]) -> st.SearchStrategy[Any]:
+    def exactly(item: st.SearchStrategy[Any], count: int) -> st.SearchStrategy[list[Any]]:
+        return st.lists(item, min_size=count, max_size=count)
+
+    match request:
+        case ReadCoils() | ReadDiscreteInputs():
+            return st.binary(min_size=1, max_size=1).map(
+                lambda pattern: [bool(pattern[0] >> at % 8 & 1) for at in range(request.count)]
+            )
+        case ReadHoldingRegisters() | ReadInputRegisters():
+            return exactly(registers, request.count)
+        case ReadWriteRegisters():
+            return exactly(registers, request.read_count)
+        case ReadFileRecords():
+            return st.tuples(*(exactly(registers, n) for _, _, n in request.records)).map(list)
+        case ReadExceptionStatus():
+            return st.integers(0, 255)
+        case Diagnostics():
+            return st.binary(min_size=len(request.data), max_size=len(request.data))
+        case ReadCommEventCounter():
+            return st.builds(CommEventCounter, registers, registers)
+        case ReadCommEventLog():
+            events = st.binary(max_size=64)
+            return st.builds(CommEventLog, registers, registers, registers, events)
+        case ReportServerId():
+            byte = st.binary(min_size=1, max_size=1)
+            return st.builds(ServerId, byte, st.booleans(), st.binary(max_size=249))
+        case ReadFifoQueue():
+            return st.lists(registers, max_size=31)
+        case ReadDeviceIdentification(code, object_id):
+            byte = st.integers(0, 255)
+            alone = st.binary(max_size=244).map(lambda value: {object_id: value})
+            page = alone if code == 4 else identifications.map(one_page)
+            return st.builds(IdentificationPage, byte, st.none() | byte, page)
+        case EncapsulatedTransport():
+            return st.binary(max_size=251)
+        case _:
+            return st.none()
+
+
+def attempt(decode: Callable[[bytes], Any], data: bytes) -> Any:
+    """What a decoder gives, or what it raises, as a value."""
+    try:
+        return decode(data)
+    except Exception as error:
+        return error
+
+
+class TestProperties:
+    @settings(max_examples=120, deadline=None)
+    @given(requests())
+    def test_requests_survive_the_wire(self, request_: Request[Any]) -> None:
+        encoded = request_.encode()
+        assert decode_request(encoded) == request_
+        assert len(encoded) <= pdu.MAX_PDU
+        right = len(encoded) if tells_its_length(encoded) else 0
+        assert pdu.request_length(encoded) == right
+
+    @settings(max_examples=120, deadline=None)
+    @given(st.data())
+    def test_results_survive_the_wire(self, data: st.DataObject) -> None:
+        request = data.draw(requests())
+        result = data.draw(results(request))
+        encoded = request.encode_response(result)
+        assert request.decode_response(encoded) == result
+        assert len(encoded) <= pdu.MAX_PDU
+        right = len(encoded) if tells_its_length(encoded) else 0
+        assert pdu.response_length(encoded) == right
+
+    @settings(max_examples=60, deadline=None)
+    @given(identifications, st.sampled_from(["basic", "regular", "extended"]))
+    def test_any_identification_arrives_whole(self, objects: dict[int, bytes], level: str) -> None:
+        last = LAST_OBJECT[pdu.interface.LEVELS[level]]
+        wanted = {number: value for number, value in objects.items() if number <= last}
+        assert served(objects, level)[0] == wanted
+
+    @settings(max_examples=400, deadline=None)
+    @given(
+        st.binary(max_size=260)
+        | st.builds(
+            lambda code, tail: bytes([code]) + tail,
+            st.sampled_from(sorted(pdu.REQUESTS)),
+            st.binary(max_size=30),
+        )
+    )
+    @example(b"\x15\x09" + bytes(9))
+    @example(b"\x15\x0a\x06\0\1\0\0\0\2\0\0\0")
+    @example(b"\x14\x07" + bytes(7))
+    def test_any_request_is_decoded_or_refused(self, data: bytes) -> None:
+        outcome = attempt(decode_request, data)
+        if isinstance(outcome, ExceptionResponse):
+            assert type(outcome) in (IllegalFunction, IllegalDataAddress, IllegalDataValue)
+        elif isinstance(outcome, ValueError):
+            assert data == b""
+        elif outcome.function == 15:  # unused bits are the sender's own
+            assert outcome.encode()[:-1] == data[:-1]
+        else:
+            assert outcome.encode() == data
+
+    @settings(max_examples=400, deadline=None)
+    @given(
+        st.sampled_from(one_of_each() + UNJUDGED),
+        st.binary(max_size=260),
+        st.booleans(),
+        st.sampled_from([0, 0x80]),
+    )
+    def test_any_response_is_decoded_or_an_error(
+        self, request_: Request[Any], data: bytes, with_function: bool, mark: int
+    ) -> None:
+        if with_function:
+            data = bytes([request_.function | mark]) + data
+        outcome = attempt(request_.decode_response, data)
+        if isinstance(outcome, ExceptionResponse):
+            assert data == bytes([request_.function | 0x80, outcome.code])
+        elif isinstance(outcome, InvalidResponse):
+            assert outcome.function == request_.function
+        else:
+            assert not isinstance(outcome, Exception)
+            assert data[:1] == bytes([request_.function])

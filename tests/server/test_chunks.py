@@ -1,0 +1,419 @@
+"""
+Requests that are answered by the chunk, in C, against the same requests one by one.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from vectors import REQUESTS, FrameVector, rows
+
+from libmodbus_py import Access, Device, Mapping, pdu
+from libmodbus_py.protocol.errors import FrameError
+from libmodbus_py.server.by_chunk import ChunkSession, Singles
+from libmodbus_py.server.by_frame import FramerSession
+from libmodbus_py.server.faults import Faults
+from libmodbus_py.server.limits import Statistics
+from libmodbus_py.server.units import TcpUnits, Units
+
+REPLIED = (1, 2, 3, 4, 5, 6, 15, 16, 22, 23)
+"""The functions that libmodbus answers from a mapping."""
+
+
+def made_device(**options: Any) -> Device:
+    """Small tables that do not begin at 0, so that most random addresses are beside them."""
+    mapping = Mapping(range(3, 40), range(5, 40), range(7, 300), range(2, 300))
+    mapping.coils[3:40] = [number % 3 == 0 for number in range(37)]
+    mapping.discrete_inputs[5:40] = [number % 2 == 0 for number in range(35)]
+    mapping.holding_registers[7:300] = range(293)
+    mapping.input_registers[2:300] = range(298)
+    return Device(mapping, files={4: range(20)}, **options)
+
+
+class End:
+    """A server's end of one connection, without the connection: bytes in, bytes out."""
+
+    def __init__(self, devices: Any, kind: str, unknown: Any = "refuse") -> None:
+        self.statistics = Statistics()
+        self.sent = bytearray()
+        self.is_open = True
+        self.calls: list[Callable[[], None]] = []
+        units = TcpUnits(Units(devices, Faults({}), unknown))
+        if kind == "chunk":
+            # Here every turn has one connection, which may be alone.
+            singles = Singles(units, self.statistics, self.calls.append)
+            self.session: Any = ChunkSession(units, "peer", self.statistics, singles, self.write)
+        else:
+            self.session = FramerSession(units, "tcp", "peer", self.statistics, self.write)
+
+    def write(self, data: bytes) -> None:
+        self.sent += data
+
+    def share(self, other: End) -> None:
+        """Be read in the same turn as another one."""
+        self.session._singles = other.session._singles
+        self.calls = other.calls
+
+    def receive(self, data: bytes, *, is_last: bool = True) -> None:
+        """Take bytes; the last one in a turn has all answers made."""
+        if self.is_open and data:
+            try:
+                self.session.receive(data)
+            except FrameError:
+                self.is_open = False
+        while self.calls and is_last:
+            self.calls.pop()()
+
+
+@pytest.fixture(autouse=True)
+def loop(monkeypatch: pytest.MonkeyPatch) -> None:
+    """FramerSession asks for the loop, and needs it on serial lines only."""
+    monkeypatch.setattr("asyncio.get_running_loop", lambda: None)
+
+
+def adu(body: bytes, transaction: int, unit: int = 1, protocol: int = 0) -> bytes:
+    return struct.pack(">HHHB", transaction, protocol, 1 + len(body), unit) + body
+
+
+def contents(device: Device) -> list[list[int]]:
+    tables = device.mapping
+    return [
+        list(table)
+        for table in (
+            tables.coils,
+            tables.discrete_inputs,
+            tables.holding_registers,
+            tables.input_registers,
+        )
+    ]
+
+
+def notes(device: Device) -> list[bytes]:
+    """What functions 11, 12 and all counters of 8 say."""
+    asked = [b"\x0b", b"\x0c", *(bytes([8, 0, number, 0, 0]) for number in range(0x0B, 0x13))]
+    return [device.answer(body) for body in asked]
+
+
+# --- random requests ---------------------------------------------------------------------------
+
+words = st.one_of(st.integers(0, 320), st.integers(0, 0xFFFF)).map(lambda n: n.to_bytes(2, "big"))
+counts = st.one_of(st.integers(0, 130), st.integers(0, 0xFFFF), st.sampled_from([1968, 1969, 2000]))
+
+
+@st.composite
+def reads(draw: st.DrawFn) -> bytes:
+    count = draw(counts).to_bytes(2, "big")
+    return bytes([draw(st.integers(1, 4))]) + draw(words) + count
+
+
+@st.composite
+def single_writes(draw: st.DrawFn) -> bytes:
+    value = draw(st.one_of(words, st.sampled_from([b"\xff\x00", b"\x00\x00", b"\xff\x01"])))
+    return bytes([draw(st.sampled_from([5, 6]))]) + draw(words) + value
+
+
+@st.composite
+def writes(draw: st.DrawFn) -> bytes:
+    function = draw(st.sampled_from([15, 16]))
+    count = draw(st.integers(0, 125))
+    size = (count + 7) // 8 if function == 15 else 2 * count
+    data = draw(st.binary(min_size=size, max_size=size))
+    said = draw(st.sampled_from([size, size, size, (size + 1) & 0xFF, 0]))
+    return bytes([function]) + draw(words) + count.to_bytes(2, "big") + bytes([said]) + data
+
+
+@st.composite
+def read_writes(draw: st.DrawFn) -> bytes:
+    count = draw(st.integers(0, 122))
+    said = draw(st.sampled_from([2 * count, 2 * count, 2 * count, 3]))
+    read = draw(words) + draw(st.integers(0, 130)).to_bytes(2, "big")
+    data = draw(st.binary(min_size=2 * count, max_size=2 * count))
+    write = draw(words) + count.to_bytes(2, "big") + bytes([said & 0xFF])
+    return b"\x17" + read + write + data
+
+
+mask_writes = st.tuples(words, words, words).map(lambda parts: b"\x16" + b"".join(parts))
+
+others = st.one_of(
+    st.sampled_from([b"\x07", b"\x11", b"\x0b", b"\x0c", b"\x14\x07\x06\0\x04\0\x01\0\x02"]),
+    st.binary(min_size=1, max_size=30),
+)
+
+
+@st.composite
+def bodies(draw: st.DrawFn) -> bytes:
+    """Mostly right requests; some cut or with bytes too many."""
+    kinds = (reads(), single_writes(), writes(), read_writes(), mask_writes, others)
+    body: bytes = draw(st.one_of(*kinds))[: pdu.MAX_PDU]
+    change = draw(st.sampled_from([0, 0, 0, 0, -1, 1]))
+    if change < 0 and len(body) > 1:
+        body = body[: draw(st.integers(1, len(body) - 1))]
+    return (body + b"\0" if change > 0 else body)[: pdu.MAX_PDU]
+
+
+@st.composite
+def streams(draw: st.DrawFn) -> bytes:
+    frames = [
+        adu(
+            body,
+            number,
+            draw(st.sampled_from([1, 1, 1, 2, 9])),
+            draw(st.sampled_from([0] * 9 + [7])),
+        )
+        for number, body in enumerate(draw(st.lists(bodies(), min_size=1, max_size=12)))
+    ]
+    return b"".join(frames)
+
+
+def in_pieces(data: bytes, cuts: list[int]) -> list[bytes]:
+    ends = sorted({cut % (len(data) + 1) for cut in cuts} | {len(data)})
+    return [data[start:end] for start, end in zip([0, *ends], ends, strict=False)]
+
+
+@settings(max_examples=400, deadline=None)
+@given(streams(), st.lists(st.integers(0, 4000), max_size=4), st.booleans())
+def test_same_answers_contents_counters_and_statistics(
+    stream: bytes, cuts: list[int], one_for_all: bool
+) -> None:
+    ends = []
+    for kind in ("chunk", "frames"):
+        first, second = made_device(), made_device()
+        end = End(first if one_for_all else {1: first, 2: second}, kind)
+        for piece in in_pieces(stream, cuts):
+            end.receive(piece)
+        states = [contents(first), contents(second), notes(first), notes(second)]
+        ends.append((bytes(end.sent), states, end.statistics, end.is_open))
+    assert ends[0] == ends[1]
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    st.lists(st.tuples(bodies(), st.sampled_from([1, 1, 1, 2, 9, 3])), min_size=1, max_size=12),
+    st.integers(0, 30),
+)
+def test_same_for_connections_that_send_one_request_each(
+    asked: list[tuple[bytes, int]], cut: int
+) -> None:
+    """Together, as in one turn of the server; one of them may send a part, and then the rest."""
+    states = []
+    for kind in ("chunk", "frames"):
+        hooked = made_device(before_write=lambda access: None)
+        devices = {1: made_device(), 2: made_device(), 3: hooked}
+        ends = [End(devices, kind) for _ in asked]
+        if kind == "chunk":
+            for end in ends:
+                end.share(ends[0])
+        requests = [adu(body, number, unit) for number, (body, unit) in enumerate(asked)]
+        ends[0].receive(requests[0][:cut], is_last=False)
+        requests[0] = requests[0][cut:]
+        for end, request in zip(ends, requests, strict=True):
+            end.receive(request, is_last=end is ends[-1])
+        sent = [bytes(end.sent) for end in ends]
+        counted = [end.statistics for end in ends]
+        totals = [sum(each.requests for each in counted), sum(each.refused for each in counted)]
+        tables = [contents(device) for device in devices.values()]
+        states.append((sent, totals, tables, [notes(device) for device in devices.values()]))
+    assert states[0] == states[1]
+
+
+@settings(max_examples=150, deadline=None)
+@given(streams(), st.lists(st.integers(0, 4000), max_size=4))
+def test_hooks_change_no_answer(stream: bytes, cuts: list[int]) -> None:
+    """A device with hooks answers in Python what one without answers in C."""
+    seen: list[Access] = []
+    ends = []
+    for hooks in ({}, {"before_read": seen.append, "before_write": seen.append}):
+        device = made_device(**hooks)
+        end = End({1: device}, "chunk")
+        for piece in in_pieces(stream, cuts):
+            end.receive(piece)
+        ends.append((bytes(end.sent), contents(device), notes(device), end.statistics))
+    assert ends[0] == ends[1]
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.binary(min_size=1, max_size=600), st.lists(st.integers(0, 600), max_size=4))
+def test_same_for_bytes_that_are_no_requests(data: bytes, cuts: list[int]) -> None:
+    """Where a length makes no sense both stop, and what came before is answered."""
+    stream = adu(b"\x03\0\x07\0\x01", 1) + data
+    ends = []
+    for kind in ("chunk", "frames"):
+        end = End({1: made_device()}, kind)
+        for piece in in_pieces(stream, cuts):
+            end.receive(piece)
+        ends.append((bytes(end.sent), end.is_open, end.statistics.requests))
+    assert ends[0] == ends[1]
+
+
+def test_the_event_log_has_the_latest_of_many_requests() -> None:
+    """64 events are 32 requests; which of them were refused has no short period."""
+    states = []
+    for kind in ("chunk", "frames"):
+        device = made_device()
+        end = End({1: device}, kind)
+        for number in range(100):
+            address = 7 if number % 7 and number % 5 else 0
+            end.receive(adu(bytes([3, 0, address, 0, 1]), number))
+        states.append(notes(device))
+    assert states[0] == states[1]
+
+
+# --- worked examples ---------------------------------------------------------------------------
+
+
+def replied_vectors() -> list[FrameVector]:
+    return [vector for vector in REQUESTS if vector.function in REPLIED]
+
+
+@pytest.mark.parametrize("vector", rows(REQUESTS))
+@pytest.mark.parametrize("times", [1, 3])
+def test_worked_examples_are_answered_alike(vector: FrameVector, times: int) -> None:
+    answers = []
+    for kind in ("chunk", "frames"):
+        device = Device(Mapping(65536, 65536, 65536, 65536), files={4: [1] * 100, 3: [2] * 100})
+        end = End(device, kind)
+        end.receive(vector.tcp * times)
+        answers.append(bytes(end.sent))
+    assert answers[0] == answers[1]
+
+
+def test_all_functions_of_libmodbus_are_answered_in_c(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not by the way around, which would give the same answers."""
+    monkeypatch.delattr(Device, "answer")
+    device = Device(Mapping(65536, 65536, 65536, 65536))
+    vectors = replied_vectors()
+    assert {vector.function for vector in vectors} == set(REPLIED)
+    end = End(device, "chunk")
+    for vector in vectors:
+        end.receive(vector.tcp)
+    assert end.statistics.requests == len(vectors)
+    assert end.statistics.refused == 0
+
+
+def test_illegal_values_are_refused_in_c(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delattr(Device, "answer")
+    end = End(made_device(), "chunk")
+    for function in REPLIED:
+        end.receive(adu(bytes([function, 0]), function))
+    assert end.sent == b"".join(
+        struct.pack(">HHHBBB", function, 0, 3, 1, function | 0x80, 3) for function in REPLIED
+    )
+
+
+def request_of(function: int, count: int) -> bytes:
+    """A read or write of so many items, whole."""
+    head = bytes([function]) + b"\0\0" + count.to_bytes(2, "big")
+    if function == 15:
+        return head + bytes([-(-count // 8)]) + bytes(-(-count // 8))
+    return head + bytes([2 * count]) + bytes(2 * count) if function == 16 else head
+
+
+def read_write_of(read: int, write: int) -> bytes:
+    counts = struct.pack(">HHHHB", 0, read, 0, write, 2 * write)
+    return b"\x17" + counts + bytes(2 * write)
+
+
+# Application Protocol V1.1b3, sections 6.1-6.4, 6.11, 6.12 and 6.17.
+LIMITS = {1: 2000, 2: 2000, 3: 125, 4: 125, 15: 1968, 16: 123}
+
+
+@pytest.mark.parametrize(
+    ("body", "is_good"),
+    [
+        *[
+            pytest.param(request_of(function, count), 1 <= count <= limit, id=f"{function}-{count}")
+            for function, limit in LIMITS.items()
+            for count in (0, 1, limit, limit + 1)
+            if (function, count) != (16, 124)  # which no frame has room for
+        ],
+        *[
+            pytest.param(read_write_of(read, write), is_good, id=f"23-{read}-{write}")
+            for read, write, is_good in [
+                (0, 1, False),
+                (1, 0, False),
+                (1, 1, True),
+                (125, 121, True),
+                (126, 121, False),
+            ]
+        ],
+    ],
+)
+def test_counts_at_their_limits(
+    body: bytes, is_good: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delattr(Device, "answer")
+    end = End(Device(Mapping(65536, 65536, 65536, 65536)), "chunk")
+    end.receive(adu(body, 1))
+    refusal = bytes([body[0] | 0x80, 3])
+    assert (end.sent == adu(refusal, 1)) is not is_good
+    assert end.statistics.requests == 1
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        b"\x0f\0\0\0\x09\x01\0",
+        b"\x0f\0\0\0\x08\x02\0\0",
+        b"\x10\0\0\0\x01\x01\0\0",
+        b"\x10\0\0\0\x01\x02\0\0\0",
+        b"\x17\0\0\0\x01\0\0\0\x01\x03\0\0",
+        b"\x17\0\0\0\x01\0\0\0\x01\x02\0\0\0",
+        b"\x17\0\0\0\x01\0\0\0\x01\x02\0",
+    ],
+    ids=lambda body: body.hex(),
+)
+def test_a_byte_count_that_is_not_what_follows(
+    body: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delattr(Device, "answer")
+    end = End(Device(Mapping(65536, 65536, 65536, 65536)), "chunk")
+    end.receive(adu(body, 1))
+    assert end.sent == adu(bytes([body[0] | 0x80, 3]), 1)
+
+
+# --- more than one call has room for ----------------------------------------------------------
+
+
+def test_more_answers_than_one_call_has_room_for() -> None:
+    """A thousand of the longest answers are 259 000 bytes."""
+    device = made_device()
+    end = End(device, "chunk")
+    end.receive(b"".join(adu(b"\x03\0\x07\0\x7d", number) for number in range(1000)))
+    answer = device.answer(b"\x03\0\x07\0\x7d")
+    assert end.sent == b"".join(adu(answer, number) for number in range(1000))
+
+
+def test_units_take_turns_in_one_chunk() -> None:
+    first, second = made_device(), made_device()
+    second.mapping.holding_registers[7] = 99
+    end = End({1: first, 2: second}, "chunk")
+    end.receive(b"".join(adu(b"\x03\0\x07\0\x01", unit, unit) for unit in (1, 2, 3, 1, 2)))
+    answers = [b"\x03\x02\0\0", b"\x03\x02\0\x63", b"\x83\x0b", b"\x03\x02\0\0", b"\x03\x02\0\x63"]
+    units = (1, 2, 3, 1, 2)
+    assert end.sent == b"".join(
+        adu(answer, unit, unit) for answer, unit in zip(answers, units, strict=True)
+    )
+
+
+@pytest.mark.parametrize(
+    ("unknown", "answer"),
+    [("refuse", b"\x83\x0b"), ("silent", None), ("device", b"\x03\x02\0\0")],
+)
+def test_unknown_unit(unknown: str, answer: bytes | None) -> None:
+    policy = made_device() if unknown == "device" else unknown
+    for kind in ("chunk", "frames"):
+        end = End({1: made_device()}, kind, policy)
+        end.receive(adu(b"\x03\0\x07\0\x01", 1, 77))
+        assert end.sent == (b"" if answer is None else adu(answer, 1, 77))
+
+
+def test_handlers_of_tables_are_asked() -> None:
+    handlers = {pdu.ReadHoldingRegisters: lambda request: [request.address] * request.count}
+    end = End({1: made_device(handlers=handlers)}, "chunk")
+    end.receive(adu(b"\x03\x12\x34\0\x02", 5))
+    assert end.sent == adu(b"\x03\x04\x12\x34\x12\x34", 5)

@@ -1,0 +1,551 @@
+"""
+Faults on demand: what a client sees of each, what others do not see, and how it is counted.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import struct
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from libmodbus_py import (
+    Context,
+    Device,
+    ExceptionResponse,
+    FrameError,
+    GatewayTargetFailedToRespond,
+    InvalidResponse,
+    Mapping,
+    ModbusTimeoutError,
+    Server,
+    ServerDeviceBusy,
+    pdu,
+)
+from libmodbus_py.protocol.framing import AsciiFramer, Frame, Framer, RtuFramer, TcpFramer
+from libmodbus_py.server.by_frame import FramerSession
+from libmodbus_py.server.faults import KINDS, MAX_WAITING, Delivery, Fault, Faults, Piece, pieces
+from libmodbus_py.server.limits import Statistics
+from libmodbus_py.server.units import TcpUnits, Units
+from libmodbus_py.testing.wires import SerialWire
+
+FOREVER = 600.0  # longer than any test may last
+
+READ = pdu.ReadHoldingRegisters(0, 1).encode()
+REQUEST = Frame(1, READ)
+
+
+def made_device() -> Device:
+    mapping = Mapping(coils=8, holding_registers=8)
+    mapping.holding_registers[0:3] = [555, 0, 100]
+    return Device(mapping)
+
+
+@contextmanager
+def serving(scheme: str, faults: dict[int | None, list[Fault]], **devices: Any) -> Iterator[str]:
+    """Serve units 1 and 2; gives the URL for clients."""
+    units = devices.get("units") or {1: made_device(), 2: made_device()}
+    with ExitStack() as stack:
+        if scheme.endswith("tcp"):
+            address = client = f"{scheme}://127.0.0.1:0"
+        else:
+            wire = stack.enter_context(SerialWire())
+            address = f"{scheme}://{wire.server}?baudrate=115200"
+            client = f"{scheme}://{wire.client}?baudrate=115200"
+        running = stack.enter_context(Server(units, faults).background(address))
+        yield running.urls[0] if scheme.endswith("tcp") else client
+
+
+def client_of(url: str, unit: int = 1, timeout: float = 0.2) -> Context:
+    return Context.from_url(url, unit=unit, timeout=timeout, native=False)
+
+
+def connect(url: str) -> socket.socket:
+    connection = socket.create_connection(("127.0.0.1", int(url.rpartition(":")[2])), 5)
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    return connection
+
+
+def adu(body: bytes, transaction: int = 1, unit: int = 1) -> bytes:
+    return struct.pack(">HHHB", transaction, 0, 1 + len(body), unit) + body
+
+
+def receive(connection: socket.socket, size: int) -> bytes:
+    data = b""
+    while len(data) < size and (piece := connection.recv(size - len(data))):
+        data += piece
+    return data
+
+
+# --- what a client sees ----------------------------------------------------------------------
+
+SEEN: dict[str, tuple[Fault, type[Exception]]] = {
+    "delay": (Fault("delay", every=2, seconds=0.3), ModbusTimeoutError),
+    "no_answer": (Fault("no_answer", every=2), ModbusTimeoutError),
+    "exception": (Fault("exception", every=2, code=6), ServerDeviceBusy),
+    "unknown exception": (Fault("exception", every=2, code=255), ExceptionResponse),
+    "wrong_check": (Fault("wrong_check", every=2), FrameError),
+    "wrong_transaction": (Fault("wrong_transaction", every=2), ModbusTimeoutError),
+    "wrong_unit": (Fault("wrong_unit", every=2), InvalidResponse),
+    "trickle": (Fault("trickle", every=2, seconds=0.03), ModbusTimeoutError),
+    "truncate": (Fault("truncate", every=2, length=5), ModbusTimeoutError),
+}
+
+SERIAL = [name for name in SEEN if name not in ("wrong_transaction", "unknown exception")]
+
+CASES = [
+    *(("tcp", name) for name in SEEN),
+    *((scheme, name) for scheme in ("rtu", "ascii") for name in SERIAL),
+    *((scheme, "wrong_check") for scheme in ("rtu+tcp", "ascii+tcp")),
+]
+
+
+@pytest.mark.parametrize(("scheme", "name"), CASES)
+def test_a_client_sees_the_fault_and_the_next_request_succeeds(scheme: str, name: str) -> None:
+    fault, error = SEEN[name]
+    if scheme == "ascii" and name == "trickle":
+        # Twice the bytes; and a line must not be noisy for longer than two timeouts.
+        fault = replace(fault, seconds=0.015)
+    with serving(scheme, {1: [fault]}) as url, client_of(url) as client:
+        assert client.read_holding_registers(0, 3) == [555, 0, 100]
+        with pytest.raises(error) as seen:
+            client.read_holding_registers(0, 3)
+        assert type(seen.value) is error
+        assert client.read_holding_registers(0, 3) == [555, 0, 100]
+
+
+def test_a_late_answer_is_the_answer_to_its_own_request() -> None:
+    with (
+        serving("tcp", {1: [Fault("delay", every=2, seconds=0.3)]}) as url,
+        client_of(url) as client,
+    ):
+        client.read_holding_registers(0, 1)
+        with pytest.raises(ModbusTimeoutError):
+            client.read_holding_registers(0, 1)
+        client.timeout = 5
+        assert client.read_holding_registers(2, 1) == [100]
+        assert client.late_answers == 1
+
+
+@pytest.mark.parametrize("scheme", ["tcp", "rtu", "ascii"])
+def test_a_client_with_patience_gets_delayed_and_trickled_answers(scheme: str) -> None:
+    faults = [Fault("delay", function=3, seconds=0.05), Fault("trickle", seconds=0.005)]
+    with serving(scheme, {1: faults}) as url, client_of(url, timeout=5) as client:
+        assert client.read_holding_registers(0, 3) == [555, 0, 100]
+        assert client.read_coils(0, 3) == [False] * 3
+
+
+# Address 107 holds 555, 0, 100: section 6.3 of the application protocol; the frames around
+# it by hand.
+ANSWER = Frame(17, bytes.fromhex("03 06 022B 0000 0064"), 0x1501)
+TCP = bytes.fromhex("1501 0000 0009 11 03 06 022B 0000 0064")
+RTU = bytes.fromhex("11 03 06 022B 0000 0064")
+ASCII = b":1103060"
+
+BYTES: list[tuple[Fault, Framer, list[tuple[float, str]]]] = [
+    (Fault("delay", seconds=2), TcpFramer(), [(2, TCP.hex())]),
+    (Fault("no_answer"), TcpFramer(), []),
+    (Fault("exception", code=6), TcpFramer(), [(0, TCP.hex())]),
+    (Fault("wrong_check"), TcpFramer(), [(0, "150100000000" + TCP[6:].hex())]),
+    (Fault("wrong_transaction"), TcpFramer(), [(0, "1500" + TCP[2:].hex())]),
+    (Fault("wrong_unit"), TcpFramer(), [(0, "15010000000912" + TCP[7:].hex())]),
+    (Fault("truncate", length=1), TcpFramer(), [(0, "15")]),
+    (Fault("truncate", length=512), TcpFramer(), [(0, TCP[:-1].hex())]),
+    (
+        Fault("trickle", seconds=2),
+        TcpFramer(),
+        [(2 if at else 0, f"{byte:02x}") for at, byte in enumerate(TCP)],
+    ),
+    # CRC C8BA by the algorithm of appendix B; its complement.
+    (Fault("wrong_check"), RtuFramer("client"), [(0, RTU.hex() + "3745")]),
+    # LRC: 100h - (11 + 03 + 06 + 02 + 2B + 64) = 55h; its complement is AAh.
+    (
+        Fault("wrong_check"),
+        AsciiFramer(),
+        [(0, b":110306022B00000064AA\r\n".hex())],
+    ),
+    (Fault("truncate", length=8), AsciiFramer(), [(0, ASCII.hex())]),
+]
+
+
+@pytest.mark.parametrize(("fault", "framer", "expected"), BYTES)
+def test_bytes_of_each_fault(
+    fault: Fault, framer: Framer, expected: list[tuple[float, str]]
+) -> None:
+    sent = [(piece.wait, piece.data.hex()) for piece in pieces(fault, ANSWER, framer)]
+    assert sent == expected
+
+
+@pytest.mark.parametrize(("unit", "other"), [(0, 1), (1, 2), (246, 247), (247, 1), (255, 9)])
+def test_another_unit_is_one_that_a_line_can_have(unit: int, other: int) -> None:
+    (piece,) = pieces(Fault("wrong_unit"), ANSWER._replace(unit=unit), TcpFramer())
+    assert piece.data[6] == other
+
+
+def test_the_transaction_before_0_is_65535() -> None:
+    (piece,) = pieces(Fault("wrong_transaction"), ANSWER._replace(transaction=0), TcpFramer())
+    assert piece.data[:2] == b"\xff\xff"
+
+
+# --- what others see -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "fault", [Fault("delay", seconds=FOREVER), Fault("trickle", seconds=FOREVER)]
+)
+@pytest.mark.parametrize("unit", [1, 2])
+def test_others_are_answered_while_the_fault_lasts(fault: Fault, unit: int) -> None:
+    # The other client asks another unit, or the same one by another function.
+    only = Fault(fault.kind, function=3, seconds=fault.seconds)
+    with serving("tcp", {1: [only]}) as url, connect(url) as slow:
+        slow.sendall(adu(READ))
+        head = receive(slow, 1 if fault.kind == "trickle" else 0)
+        with client_of(url, unit, timeout=5) as client:
+            for _ in range(20):
+                assert client.read_coils(0, 8) == [False] * 8
+        slow.setblocking(False)
+        with pytest.raises(BlockingIOError):
+            slow.recv(1)
+        assert head == (b"\0" if fault.kind == "trickle" else b"")
+
+
+def test_a_server_stops_while_answers_wait() -> None:
+    with ExitStack() as stack:
+        url = stack.enter_context(serving("tcp", {None: [Fault("delay", seconds=FOREVER)]}))
+        for _ in range(5):
+            stack.enter_context(connect(url)).sendall(adu(READ))
+        time.sleep(0.05)
+        start = time.monotonic()
+    assert time.monotonic() - start < 5
+
+
+def test_a_serial_server_stops_while_an_answer_waits() -> None:
+    faults: dict[int | None, list[Fault]] = {None: [Fault("delay", seconds=FOREVER)]}
+    with serving("rtu", faults) as url, client_of(url, timeout=0.05) as client:
+        with pytest.raises(ModbusTimeoutError):
+            client.read_coils(0, 1)
+        start = time.monotonic()
+    assert time.monotonic() - start < 5
+
+
+def test_a_client_that_leaves_costs_its_answers_only() -> None:
+    with serving("tcp", {1: [Fault("delay", function=3, seconds=0.05)]}) as url:
+        for _ in range(10):
+            with connect(url) as connection:
+                connection.sendall(adu(READ) * 3)
+        time.sleep(0.1)
+        with client_of(url, timeout=5) as client:
+            assert client.read_holding_registers(0, 1) == [555]
+
+
+# --- the order of answers --------------------------------------------------------------------
+
+
+def test_answers_keep_their_order() -> None:
+    faults = [
+        Fault("delay", every=7, seconds=0.01),
+        Fault("trickle", every=11, seconds=0.001),
+    ]
+    with serving("tcp", {1: faults}) as url, connect(url) as connection:
+        numbers = range(500)
+        connection.sendall(b"".join(adu(b"\x03\0\0\0\x01", number) for number in numbers[:250]))
+        answers = b"".join(adu(b"\x03\x02\x02\x2b", number) for number in numbers)
+        received = receive(connection, 500)
+        connection.sendall(b"".join(adu(b"\x03\0\0\0\x01", number) for number in numbers[250:]))
+        received += receive(connection, len(answers) - 500)
+        assert received == answers
+
+
+def blocks(connection: socket.socket, requests: bytes) -> bool:
+    """Send more than the system keeps; say whether the server stops to read it."""
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 16)
+    connection.settimeout(0.5)
+    sent = 0
+    try:
+        while sent < 1 << 24:
+            sent += connection.send(requests[sent % len(requests) :])
+    except TimeoutError:
+        return True
+    return False
+
+
+def test_what_is_not_answered_is_not_read() -> None:
+    faults: dict[int | None, list[Fault]] = {1: [Fault("delay", seconds=FOREVER)]}
+    with serving("tcp", faults) as url, connect(url) as flood:
+        assert blocks(flood, adu(READ) * 10_000)
+
+
+def test_a_client_that_does_not_take_its_answers_is_not_read() -> None:
+    # Also where faults end again and again, each of which lets the server go on.
+    faults: dict[int | None, list[Fault]] = {1: [Fault("delay", every=50, seconds=0.001)]}
+    with serving("tcp", faults) as url, connect(url) as flood:
+        assert blocks(flood, adu(b"\x03\0\0\0\x08") * 10_000)
+
+
+def test_answers_that_nobody_waits_for_are_lost() -> None:
+    written: list[bytes] = []
+
+    async def deliver() -> None:
+        delivery = Delivery(written.append, lambda: None)
+        delivery.send([Piece(0.01, b"first")])
+        for _ in range(3):
+            delivery.send([Piece(0, bytes(MAX_WAITING // 2))])
+        delivery.send([Piece(0, b"lost")])
+        await asyncio.sleep(0.05)
+        assert not delivery.is_waiting
+        delivery.send([Piece(0, b"last")])
+
+    asyncio.run(deliver())
+    assert [data for data in written if len(data) < 10] == [b"first", b"last"]
+    assert sum(map(len, written)) <= 2 * MAX_WAITING
+
+
+def test_delivery_tells_when_it_waits() -> None:
+    told: list[bool] = []
+
+    async def deliver() -> None:
+        delivery = Delivery(lambda data: None, lambda: told.append(delivery.is_waiting))
+        delivery.send([Piece(0, b"1")])
+        assert told == []
+        delivery.send([Piece(0.001, b"2"), Piece(0.001, b"3")])
+        delivery.send([Piece(0, b"4")])
+        await asyncio.sleep(0.05)
+
+    asyncio.run(deliver())
+    assert told == [True, False]
+
+
+def test_each_wait_begins_when_what_is_before_is_sent() -> None:
+    written: list[bytes] = []
+
+    async def deliver() -> None:
+        delivery = Delivery(written.append, lambda: None)
+        delivery.send([Piece(0.001, b"1")])
+        delivery.send([Piece(FOREVER, b"2")])
+        await asyncio.sleep(0.05)
+        delivery.close()
+
+    asyncio.run(deliver())
+    assert written == [b"1"]
+
+
+def test_a_session_that_is_closed_sends_nothing_more() -> None:
+    written: list[bytes] = []
+    units = Units(made_device(), Faults({None: [Fault("delay", seconds=0.001)]}))
+
+    async def ask() -> None:
+        session = FramerSession(TcpUnits(units), "tcp", "", Statistics(), written.append)
+        session.receive(adu(READ))
+        session.close()
+        await asyncio.sleep(0.02)
+
+    asyncio.run(ask())
+    assert written == []
+
+
+def test_nothing_is_sent_after_close() -> None:
+    written: list[bytes] = []
+
+    async def deliver() -> None:
+        delivery = Delivery(written.append, lambda: None)
+        delivery.send([Piece(0, b"1"), Piece(0.001, b"2")])
+        delivery.close()
+        await asyncio.sleep(0.02)
+
+    asyncio.run(deliver())
+    assert written == [b"1"]
+
+
+# --- which request it happens to -------------------------------------------------------------
+
+
+def hits(faults: Faults, count: int, request: Frame = REQUEST) -> list[int]:
+    """Which of the next requests meet a fault, counted from 1."""
+    due = (faults.due(request, has_transaction=True) for _ in range(count))
+    return [number for number, fault in enumerate(due, start=1) if fault is not None]
+
+
+@given(every=st.integers(1, 50), count=st.integers(0, 200))
+def test_every_nth_request_is_hit(every: int, count: int) -> None:
+    faults = Faults({1: [Fault("no_answer", every=every)]})
+    assert hits(faults, count) == list(range(every, count + 1, every))
+
+
+def test_each_request_is_hit_unless_told_otherwise() -> None:
+    assert hits(Faults({None: [Fault("no_answer")]}), 3) == [1, 2, 3]
+
+
+def test_a_seed_hits_the_same_requests_each_time() -> None:
+    fault = Fault("no_answer", probability=0.25, seed=7)
+    first = hits(Faults({1: [fault]}), 1000)
+    assert first == hits(Faults({1: [fault]}), 1000)
+    assert 200 < len(first) < 300
+    other = Fault("no_answer", probability=0.25, seed=8)
+    assert first != hits(Faults({1: [other]}), 1000)
+    assert hits(Faults({1: [Fault("no_answer", probability=0.0)]}), 100) == []
+    assert hits(Faults({1: [Fault("no_answer", probability=1)]}), 3) == [1, 2, 3]
+
+
+def test_only_the_unit_and_the_function_are_hit_and_counted() -> None:
+    faults = Faults({1: [Fault("no_answer", function=3, every=2)]})
+    assert hits(faults, 1) == []
+    assert hits(faults, 5, Frame(2, READ)) == []
+    assert hits(faults, 5, Frame(1, b"\x01\0\0\0\1")) == []
+    assert hits(faults, 1) == [1]
+
+
+def test_the_first_fault_that_is_due_happens_and_all_count() -> None:
+    own = [Fault("delay", every=2, seconds=1), Fault("no_answer", every=3)]
+    faults = Faults({None: [Fault("exception", code=4)], 1: own})
+    due = [faults.due(REQUEST, has_transaction=True) for _ in range(6)]
+    kinds = [fault.kind if fault else "" for fault in due]
+    assert kinds == ["exception", "delay", "no_answer", "delay", "exception", "delay"]
+    other = faults.due(Frame(2, READ), has_transaction=True)
+    assert other is not None
+    assert other.kind == "exception"
+
+
+def test_faults_of_all_units_also_hit_units_that_do_not_exist() -> None:
+    with (
+        serving("tcp", {None: [Fault("exception", code=10, every=2)]}) as url,
+        client_of(url, unit=99) as client,
+    ):
+        with pytest.raises(GatewayTargetFailedToRespond):
+            client.read_coils(0, 1)
+        with pytest.raises(ExceptionResponse, match="exception 10"):
+            client.read_coils(0, 1)
+
+
+def test_on_serial_lines_what_nobody_answers_is_not_counted() -> None:
+    with (
+        serving("rtu", {None: [Fault("exception", code=6, every=2)]}) as url,
+        client_of(url) as client,
+    ):
+        client.for_unit(0).write_register(0, 7)
+        with pytest.raises(ModbusTimeoutError):
+            client.for_unit(99).read_coils(0, 1)
+        assert client.read_holding_registers(0, 1) == [7]
+        with pytest.raises(ServerDeviceBusy):
+            client.read_holding_registers(0, 1)
+
+
+def test_a_broadcast_is_not_counted_where_one_device_answers_every_unit() -> None:
+    device = made_device()
+    faults: dict[int | None, list[Fault]] = {None: [Fault("exception", code=6, every=2)]}
+    with serving("rtu", faults, units=device) as url, client_of(url) as client:
+        client.for_unit(0).write_register(0, 7)
+        assert client.read_holding_registers(0, 1) == [7]
+
+
+def test_a_device_in_listen_only_mode_stays_silent() -> None:
+    with (
+        serving("rtu", {None: [Fault("exception", code=6, function=3)]}) as url,
+        client_of(url) as client,
+    ):
+        client.diagnostics(pdu.SubFunction.FORCE_LISTEN_ONLY)
+        with pytest.raises(ModbusTimeoutError):
+            client.read_holding_registers(0, 1)
+
+
+def test_wrong_transactions_never_happen_where_there_are_none() -> None:
+    with serving("rtu+tcp", {None: [Fault("wrong_transaction")]}) as url, client_of(url) as client:
+        assert client.read_holding_registers(0, 1) == [555]
+
+
+def test_a_refused_write_is_not_executed_and_all_others_are() -> None:
+    for kind in KINDS:
+        if kind in ("delay", "trickle"):
+            continue
+        device = made_device()
+        settings: dict[str, Any] = {"code": 6} if kind == "exception" else {}
+        settings |= {"length": 3} if kind == "truncate" else {}
+        with (
+            serving("tcp", {1: [Fault(kind, **settings)]}, units={1: device}) as url,
+            connect(url) as connection,
+        ):
+            connection.sendall(adu(b"\x06\0\0\0\x09"))
+            connection.shutdown(socket.SHUT_WR)
+            while connection.recv(100):
+                pass
+        assert device.mapping.holding_registers[0] == (555 if kind == "exception" else 9), kind
+
+
+def test_serial_counters_know_the_refusals_of_a_fault() -> None:
+    with (
+        serving("rtu", {1: [Fault("exception", code=6, function=3)]}) as url,
+        client_of(url, timeout=2) as client,
+    ):
+        for _ in range(3):
+            with pytest.raises(ServerDeviceBusy):
+                client.read_holding_registers(0, 1)
+        read = client.diagnostics
+        assert read(pdu.SubFunction.BUS_EXCEPTION_ERROR_COUNT) == 3
+        assert read(pdu.SubFunction.SERVER_BUSY_COUNT) == 3
+        assert read(pdu.SubFunction.BUS_MESSAGE_COUNT) == 6
+        assert read(pdu.SubFunction.SERVER_MESSAGE_COUNT) == 7
+
+
+def test_a_reserved_function_gets_no_answer_and_no_fault() -> None:
+    with serving("tcp", {None: [Fault("exception", code=6)]}) as url, connect(url) as connection:
+        connection.sendall(adu(b"\x83\x01", 1) + adu(READ, 2))
+        assert receive(connection, 9) == adu(b"\x83\x06", 2)
+
+
+# --- what cannot be --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"kind": "dealy"}, "kind must be one of delay, no_answer, exception, .*, not 'dealy'"),
+        ({"kind": ["delay"]}, "kind must be one of"),
+        ({"kind": "delay"}, "seconds is missing, which delay needs"),
+        ({"kind": "trickle", "seconds": 0}, r"seconds must be in 0.001..86400 seconds, not 0"),
+        ({"kind": "delay", "seconds": "1"}, "seconds must be a number of seconds, not str"),
+        ({"kind": "exception"}, "code is missing, which exception needs"),
+        ({"kind": "exception", "code": 256}, r"code must be in 1..255, not 256"),
+        ({"kind": "exception", "code": 0}, r"code must be in 1..255, not 0"),
+        ({"kind": "truncate"}, "length is missing, which truncate needs"),
+        ({"kind": "truncate", "length": 0}, r"length must be in 1..512, not 0"),
+        ({"kind": "no_answer", "seconds": 1}, "seconds means nothing for no_answer"),
+        ({"kind": "delay", "seconds": 1, "code": 1}, "code means nothing for delay"),
+        ({"kind": "no_answer", "function": 128}, r"function must be in 1..127, not 128"),
+        ({"kind": "no_answer", "every": 0}, r"every must be in 1..1000000000, not 0"),
+        ({"kind": "no_answer", "every": 2, "probability": 0.5}, "probability means nothing"),
+        ({"kind": "no_answer", "probability": 1.1}, r"probability must be in 0..1, not 1.1"),
+        ({"kind": "no_answer", "probability": float("nan")}, r"probability must be in 0..1"),
+        ({"kind": "no_answer", "probability": True}, r"probability must be a number in 0..1"),
+        ({"kind": "no_answer", "seed": 1}, "seed means nothing without probability"),
+        ({"kind": "no_answer", "probability": 0.5, "seed": -1}, "seed must be in 0"),
+    ],
+)
+def test_a_fault_that_cannot_be_is_refused(settings: dict[str, Any], message: str) -> None:
+    with pytest.raises((TypeError, ValueError), match=message):
+        Fault(**settings)
+
+
+@pytest.mark.parametrize(
+    ("faults", "message"),
+    [
+        ([Fault("no_answer")], "faults must be"),
+        ({256: [Fault("no_answer")]}, r"faults: unit must be in 0..255, not 256"),
+        ({1: ["no_answer"]}, "faults must be .*, not 'no_answer'"),
+    ],
+)
+def test_faults_that_are_none_are_refused(faults: Any, message: str) -> None:
+    with pytest.raises((TypeError, ValueError), match=message):
+        Server(made_device(), faults)
+
+
+def test_a_server_without_faults_has_nothing_to_do_with_them() -> None:
+    assert not Faults({})
+    assert not Faults({1: [], None: []})
+    assert Server(made_device(), {1: []})._units.faults is None

@@ -1,0 +1,509 @@
+"""
+The server against clients that cut, glue, lie, flood and vanish, on raw sockets and ports.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import fcntl
+import os
+import random
+import socket
+import struct
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from libmodbus_py import (
+    AsciiContext,
+    Context,
+    Device,
+    GatewayTargetFailedToRespond,
+    Mapping,
+    ModbusConnectionError,
+    ModbusTimeoutError,
+    RtuContext,
+    Server,
+    TcpContext,
+    framing,
+    pdu,
+)
+from libmodbus_py.server import serial as serial_server
+from libmodbus_py.server.by_chunk import ChunkSession, Singles
+from libmodbus_py.server.faults import Faults
+from libmodbus_py.server.limits import Limits, Statistics
+from libmodbus_py.server.peers import Clients
+from libmodbus_py.server.units import TcpUnits, Units
+from libmodbus_py.testing.wires import SerialWire
+
+READ = pdu.ReadHoldingRegisters(100, 2).encode()
+READ_ANSWER = bytes.fromhex("0304 03e8 03e9")
+
+
+@pytest.fixture
+def port(device: Device) -> Iterator[int]:
+    with Server({17: device}).background("tcp://127.0.0.1:0") as running:
+        yield port_of(running.urls[0])
+
+
+def port_of(url: str) -> int:
+    return int(url.rpartition(":")[2])
+
+
+def connect(port: int) -> socket.socket:
+    connection = socket.create_connection(("127.0.0.1", port), 5)
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    return connection
+
+
+def adu(body: bytes, transaction: int = 1, unit: int = 17, **changed: int) -> bytes:
+    header = {"transaction": transaction, "protocol": 0, "length": 1 + len(body), "unit": unit}
+    return struct.pack(">HHHB", *(header | changed).values()) + body
+
+
+def receive(connection: socket.socket, size: int) -> bytes:
+    data = b""
+    while len(data) < size:
+        piece = connection.recv(size - len(data))
+        if not piece:
+            break
+        data += piece
+    return data
+
+
+# --- requests glued and cut ------------------------------------------------------------------
+
+
+def test_sixteen_requests_in_one_segment_are_answered_in_order(port: int) -> None:
+    with connect(port) as connection:
+        connection.sendall(b"".join(adu(READ, number) for number in range(16)))
+        expected = b"".join(adu(READ_ANSWER, number) for number in range(16))
+        assert receive(connection, len(expected)) == expected
+
+
+def test_who_only_listens_any_more_gets_all_answers(device: Device) -> None:
+    """More than the system buffers, so that they wait for the client to take them."""
+    body = pdu.ReadHoldingRegisters(100, 125).encode()
+
+    async def serve(end: socket.socket) -> bytes:
+        statistics = Statistics()
+        clients = Clients(Limits(), statistics)
+        units = TcpUnits(Units(device, Faults({})))
+        singles = Singles(units, statistics, clients.later)
+        end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
+        end.setblocking(False)
+        clients.admit(
+            end,
+            ("peer", 1),
+            lambda peer, write, _: ChunkSession(units, peer, statistics, singles, write),
+        )
+        await asyncio.sleep(0.05)  # it has seen the end of the requests
+        received = await asyncio.to_thread(receive, client, 1 << 20)
+        assert statistics.connections == 0
+        clients.close()
+        return received
+
+    client, end = socket.socketpair()
+    with client, end:
+        client.sendall(b"".join(adu(body, number) for number in range(80)))
+        client.shutdown(socket.SHUT_WR)
+        assert len(asyncio.run(serve(end))) == 80 * 259
+
+
+def test_an_illegal_request_does_not_cost_its_neighbours_their_answers(port: int) -> None:
+    requests = [READ, b"\x03\x00\x64\x00\x00", READ, b"\x41", READ, b"\x06\x09", READ]
+    answers = [READ_ANSWER, b"\x83\x03", READ_ANSWER, b"\xc1\x01", READ_ANSWER, b"\x86\x03"]
+    answers.append(READ_ANSWER)
+    with connect(port) as connection:
+        start = time.monotonic()
+        connection.sendall(b"".join(adu(body, number) for number, body in enumerate(requests)))
+        expected = b"".join(adu(body, number) for number, body in enumerate(answers))
+        assert receive(connection, len(expected)) == expected
+        assert time.monotonic() - start < 0.4  # modbus_reply would sleep 0.5 s for each
+
+
+@pytest.mark.parametrize("cut", range(1, 12))
+def test_a_request_cut_anywhere_is_answered(port: int, cut: int) -> None:
+    with connect(port) as connection:
+        request = adu(READ)
+        connection.sendall(request[:cut])
+        time.sleep(0.02)
+        connection.sendall(request[cut:])
+        assert receive(connection, 13) == adu(READ_ANSWER)
+
+
+@pytest.mark.parametrize("scheme", ["rtu+tcp", "ascii+tcp"])
+def test_serial_frames_over_tcp_cut_anywhere_are_answered(scheme: str, device: Device) -> None:
+    framer: framing.Framer = framing.AsciiFramer()
+    if scheme == "rtu+tcp":
+        framer = framing.RtuFramer("server")
+    request = framer.encode(framing.Frame(17, READ))
+    answer = framer.encode(framing.Frame(17, READ_ANSWER))
+    with Server(device).background(f"{scheme}://127.0.0.1:0") as running:
+        for cut in range(1, len(request)):
+            with connect(port_of(running.urls[0])) as connection:
+                connection.sendall(request[:cut])
+                time.sleep(0.03)
+                connection.sendall(request[cut:] + request)
+                assert receive(connection, 2 * len(answer)) == 2 * answer
+
+
+# --- units -----------------------------------------------------------------------------------
+
+
+def test_unknown_unit_is_answered_with_exception_11_on_tcp(port: int) -> None:
+    for native in (None, True, False):
+        with TcpContext("127.0.0.1", port, unit=18, native=native) as context:
+            for _ in range(2):
+                with pytest.raises(GatewayTargetFailedToRespond):
+                    context.read_coils(0, 1)
+
+
+def test_one_device_answers_every_unit_on_tcp(device: Device) -> None:
+    with (
+        Server(device).background("tcp://127.0.0.1:0") as running,
+        Context.from_url(running.urls[0]) as context,
+    ):
+        for unit in (0, 1, 2, 247, 248, 254, 255):
+            for _ in range(2):
+                assert context.for_unit(unit).read_holding_registers(100, 1) == [1000]
+
+
+@pytest.mark.parametrize("kind", ["rtu", "ascii"])
+def test_several_units_on_one_port_and_silence_for_others(kind: str) -> None:
+    devices = {unit: Device(Mapping(holding_registers=10, coils=8)) for unit in (1, 2)}
+    make = RtuContext if kind == "rtu" else AsciiContext
+    with (
+        SerialWire() as wire,
+        Server(devices).background(f"{kind}://{wire.server}?baudrate=115200"),
+        make(wire.client, 115200, timeout=0.2) as context,
+    ):
+        for unit in (1, 2):
+            context.for_unit(unit).write_register(0, unit)
+        with pytest.raises(ModbusTimeoutError):
+            context.for_unit(3).read_coils(0, 1)
+        for unit in (1, 2):
+            assert context.for_unit(unit).read_holding_registers(0, 1) == [unit]
+        context.for_unit(0).write_registers(1, [7, 8])
+        context.for_unit(0).write_coil(3, True)
+        for device in devices.values():
+            assert device.mapping.holding_registers[1:3] == [7, 8]
+            assert device.mapping.coils[3]
+
+
+@pytest.mark.parametrize("noise", [b"\x00", b"\xff\xff", b"\x01\x03", bytes(range(40)), b":0103"])
+@pytest.mark.parametrize("kind", ["rtu", "ascii"])
+def test_serial_server_answers_the_next_request_after_noise(kind: str, noise: bytes) -> None:
+    device = Device(Mapping(holding_registers=2))
+    make = RtuContext if kind == "rtu" else AsciiContext
+    with (
+        SerialWire() as wire,
+        Server({1: device}).background(f"{kind}://{wire.server}?baudrate=115200"),
+        make(wire.client, 115200, timeout=0.5) as context,
+    ):
+        for _ in range(3):
+            os.write(context._line._link.descriptor, noise)
+            assert context.read_holding_registers(0, 2) == [0, 0]
+
+
+def test_serial_server_stays_silent_while_others_talk() -> None:
+    """Requests to unit 2, and its answers, pass by; only unit 1 is answered."""
+    framer = framing.RtuFramer("client")
+    device = Device(Mapping(holding_registers=10))
+    foreign = [
+        framing.Frame(2, pdu.ReadHoldingRegisters(0, 10).encode()),
+        framing.Frame(2, b"\x03\x14" + bytes(range(20))),
+        framing.Frame(2, pdu.WriteRegister(0, 3).encode()),
+        framing.Frame(2, b"\x86\x02"),
+    ]
+    with (
+        SerialWire() as wire,
+        Server({1: device}).background(f"rtu://{wire.server}?baudrate=115200"),
+        RtuContext(wire.client, 115200, timeout=0.5) as context,
+    ):
+        for frame in foreign * 3:
+            os.write(context._line._link.descriptor, framer.encode(frame))
+            assert context.read_holding_registers(0, 2) == [0, 0]
+        assert wire.sent_by("server").count(b"\x01\x03\x04") == 12
+
+
+# --- hostile clients ----------------------------------------------------------------------------
+
+
+LYING = [
+    b"\x10\x00\x64\x00\x02\xff\x00\x01\x00\x02",  # byte count beyond the data
+    b"\x10\x00\x64\x00\x02\x02\x00\x01",  # byte count and quantity disagree
+    b"\x10\x00\x64\x00\x7b\xf6",  # 123 registers promised, none there
+    b"\x0f\x00\x0a\x00\x10\xff\xff\xff",
+    b"\x0f\x00\x0a\x00\x08\x02\xff\xff",
+    b"\x16\x00\x64\xff\xff",  # short mask write
+    b"\x16\x00\x64\x00\x00\xff\xff\x00",  # long mask write
+    b"\x06\x00\x64\x12",
+    b"\x06\x00\x64\x12\x34\x56",
+    b"\x05\x00\x0a\x12\x34",
+    b"\x17\x00\x64\x00\x01\x00\x64\x00\x7d\xfa\x00",
+    b"\x17\x00\x64\x00\x01\x00\x64\x00\x02\x02\x00\x01",
+    b"\x00",
+    b"\x00\x00\x64\x00\x01",
+    b"\x80\x00\x64\x00\x01",
+    b"\x86\x00\x64\x12\x34",
+    b"\xff",
+    b"\x15\xff" + bytes(9),
+]
+
+
+@pytest.mark.parametrize("body", LYING, ids=lambda body: body[:8].hex())
+def test_a_lying_request_changes_nothing_and_hurts_nobody(
+    port: int, device: Device, body: bytes
+) -> None:
+    before = contents(device)
+    with connect(port) as liar, TcpContext("127.0.0.1", port, unit=17) as innocent:
+        liar.sendall(adu(body) + adu(READ, 2))
+        expected_last = adu(READ_ANSWER, 2)
+        received = b""
+        while not received.endswith(expected_last):
+            piece = liar.recv(260)
+            assert piece
+            received += piece
+        assert contents(device) == before
+        assert innocent.read_holding_registers(100, 1) == [1000]
+
+
+def contents(device: Device) -> tuple[list[int], list[bool]]:
+    return list(device.mapping.holding_registers), list(device.mapping.coils)
+
+
+def test_another_protocol_is_skipped_and_the_next_request_answered(port: int) -> None:
+    with connect(port) as connection:
+        connection.sendall(adu(READ, 1, protocol=7) + adu(READ, 2))
+        assert receive(connection, 13) == adu(READ_ANSWER, 2)
+
+
+@pytest.mark.parametrize("length", [0, 1, 255, 65535])
+def test_a_length_that_cannot_be_closes_the_connection(port: int, length: int) -> None:
+    with connect(port) as liar, TcpContext("127.0.0.1", port, unit=17) as innocent:
+        innocent.connect()
+        liar.sendall(adu(READ, 1) + adu(READ, 2, length=length))
+        assert receive(liar, 13) == adu(READ_ANSWER, 1)
+        assert liar.recv(1) == b""
+        assert innocent.read_holding_registers(100, 1) == [1000]
+
+
+@pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp", "ascii+tcp"])
+def test_four_megabytes_of_random_bytes_change_nothing(scheme: str, device: Device) -> None:
+    before = contents(device)
+    noise = random.Random(1).randbytes(1 << 20)
+    with (
+        Server({17: device}).background(f"{scheme}://127.0.0.1:0", "tcp://127.0.0.1:0") as running,
+        Context.from_url(running.urls[1], unit=17, timeout=2) as innocent,
+    ):
+        flood = threading.Thread(target=send_anyhow, args=(port_of(running.urls[0]), noise))
+        flood.start()
+        while flood.is_alive():
+            assert innocent.read_holding_registers(100, 1) == [1000]
+        flood.join()
+        assert contents(device) == before
+
+
+def send_anyhow(port: int, data: bytes) -> None:
+    for _ in range(4):
+        try:
+            with connect(port) as connection:
+                connection.sendall(data)
+                connection.shutdown(socket.SHUT_WR)
+                while connection.recv(4096):
+                    pass  # until the server has read it all
+        except OSError:
+            pass  # closed by the server, which may do so
+
+
+def test_clients_that_are_silent_half_way_or_never_read_block_nobody(port: int) -> None:
+    with (
+        connect(port) as silent,
+        connect(port) as half_way,
+        connect(port) as deaf,
+        TcpContext("127.0.0.1", port, unit=17) as innocent,
+    ):
+        assert silent.fileno() >= 0
+        half_way.sendall(adu(READ)[:9])
+        deaf.setblocking(False)
+        big = b"".join(adu(pdu.ReadHoldingRegisters(100, 125).encode()) for _ in range(100))
+        sent = 0
+        try:
+            for _ in range(20_000):
+                sent += deaf.send(big)
+        except BlockingIOError:
+            pass  # it is not read any more: backpressure has reached the client
+        else:
+            pytest.fail(f"{sent} bytes of requests taken, though no answer was read")
+        for _ in range(100):
+            assert innocent.read_holding_registers(100, 2) == [1000, 1001]
+
+
+def test_connections_that_come_and_go_leave_nothing(port: int) -> None:
+    with TcpContext("127.0.0.1", port, unit=17) as innocent:
+        innocent.read_coils(10, 1)
+        before = len(os.listdir("/proc/self/fd"))
+        for _ in range(200):
+            with connect(port) as connection:
+                connection.sendall(adu(READ)[:5])
+        assert innocent.read_holding_registers(100, 1) == [1000]
+        deadline = time.monotonic() + 5
+        while len(os.listdir("/proc/self/fd")) > before and time.monotonic() < deadline:
+            time.sleep(0.01)
+        assert len(os.listdir("/proc/self/fd")) <= before
+
+
+@settings(
+    max_examples=60,
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
+@given(body=st.binary(min_size=1, max_size=253), transaction=st.integers(0, 0xFFFF))
+def test_any_request_gets_one_answer_or_none(port: int, body: bytes, transaction: int) -> None:
+    with connect(port) as connection:
+        last = transaction ^ 1
+        connection.sendall(adu(body, transaction) + adu(READ, last))
+        data = b""
+        while not data.endswith(adu(READ_ANSWER, last)):
+            data += connection.recv(600)
+        frames = framing.TcpFramer().feed(data)
+        expected = [last] if body[0] & 0x80 else [transaction, last]
+        assert [frame.transaction for frame in frames] == expected
+        assert frames[0].pdu[0] & 0x7F == body[0] & 0x7F or body[0] & 0x80
+
+
+# --- starting and stopping ----------------------------------------------------------------------
+
+
+def test_stops_within_a_second_whatever_clients_do(device: Device) -> None:
+    with Server(device).background("tcp://127.0.0.1:0", "rtu+tcp://127.0.0.1:0") as running:
+        clients = [connect(port_of(url)) for url in running.urls for _ in range(20)]
+        for number, client in enumerate(clients):
+            client.sendall(adu(READ)[: number % 12])
+        start = time.monotonic()
+    assert time.monotonic() - start < 1
+    for client in clients:
+        client.close()
+    with pytest.raises(ConnectionRefusedError):
+        connect(port_of(running.urls[0]))
+
+
+def test_a_port_that_is_taken_is_a_clear_error(device: Device) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        url = f"tcp://127.0.0.1:{taken.getsockname()[1]}"
+        with (
+            pytest.raises(ModbusConnectionError, match="in use") as caught,
+            Server(device).background("tcp://127.0.0.1:0", url),
+        ):
+            pass
+    assert caught.value.errno == errno.EADDRINUSE
+    assert url in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("url", "named"),
+    [
+        ("rtu:///dev/no-such-port", "/dev/no-such-port"),
+        ("rtu:///dev/null", "not a serial port"),
+        ("tcp://no-such-host.invalid:0", "no-such-host"),
+    ],
+)
+def test_an_endpoint_that_cannot_be_opened_is_a_clear_error(
+    device: Device, url: str, named: str
+) -> None:
+    with (
+        pytest.raises(ModbusConnectionError, match=named),
+        Server(device).background(url),
+    ):
+        pass
+
+
+@pytest.mark.parametrize(
+    "devices", [None, {}, [], {1: "device"}, {256: Device(Mapping())}, {"1": Device(Mapping())}]
+)
+def test_devices_must_be_devices(devices: object) -> None:
+    if devices == {}:
+        Server({})  # a server without units is legal: every request is answered with 11
+        return
+    with pytest.raises((TypeError, ValueError), match=r"device|unit"):
+        Server(devices)  # type: ignore[arg-type]
+
+
+def test_serving_in_asyncio(device: Device) -> None:
+    async def main() -> bytes:
+        async with Server(device).serving("tcp://127.0.0.1:0", "tcp://[::1]:0") as running:
+            assert [url.rpartition(":")[0] for url in running.urls] == [
+                "tcp://127.0.0.1",
+                "tcp://[::1]",
+            ]
+            reader, writer = await asyncio.open_connection("127.0.0.1", port_of(running.urls[0]))
+            writer.write(adu(READ))
+            answer = await reader.readexactly(13)
+            writer.close()
+            return answer
+
+    assert asyncio.run(main()) == adu(READ_ANSWER)
+
+
+def test_an_unplugged_port_is_opened_again(
+    device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The path stays, as udev keeps it; what it leads to is another port."""
+    monkeypatch.setattr(serial_server, "REOPEN_AFTER", 0.05)
+    path = tmp_path / "ttyUSB0"
+    with SerialWire() as first, SerialWire() as second:
+        path.symlink_to(first.server)
+        with Server({17: device}).background(f"rtu://{path}"):
+            with RtuContext(first.client, unit=17, timeout=0.5) as context:
+                assert context.read_holding_registers(100, 1) == [1000]
+            first.unplug()
+            path.unlink()
+            path.symlink_to(second.server)
+            with RtuContext(second.client, unit=17, timeout=5) as context:
+                wait_until_open(second.server)
+                assert context.read_holding_registers(100, 1) == [1000]
+
+
+def wait_until_open(path: str) -> None:
+    """A port that is served is locked."""
+    deadline = time.monotonic() + 5
+    descriptor = os.open(path, os.O_RDWR | os.O_NOCTTY)
+    try:
+        while time.monotonic() < deadline:
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                return
+            fcntl.flock(descriptor, fcntl.LOCK_UN)
+            time.sleep(0.02)
+    finally:
+        os.close(descriptor)
+
+
+def test_updates_under_the_mapping_lock_are_seen_whole(port: int, mapping: Mapping) -> None:
+    stop = threading.Event()
+
+    def update() -> None:
+        value = 0
+        while not stop.is_set():
+            value = (value + 1) & 0xFFFF
+            with mapping:
+                for address in range(150, 170):
+                    mapping.holding_registers[address] = value
+
+    updater = threading.Thread(target=update)
+    updater.start()
+    try:
+        with TcpContext("127.0.0.1", port, unit=17, timeout=5) as context:
+            for _ in range(200):
+                assert len(set(context.read_holding_registers(150, 20))) == 1
+    finally:
+        stop.set()
+        updater.join()

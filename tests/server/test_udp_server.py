@@ -1,0 +1,296 @@
+"""
+The server on UDP: one request in a datagram, its answer in another to whoever asked.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+import vectors
+from attacks import PATIENCE, READ_MOST, READ_ONE, adu
+
+from libmodbus_py import Device, Fault, Mapping, Server, framing
+from libmodbus_py.server.limits import Limits
+
+UNIT = 17
+READ = bytes.fromhex("03 0064 0002")
+ANSWER = bytes.fromhex("03 04 03e8 03e9")
+
+HOSTS = {"127.0.0.1": socket.AF_INET, "::1": socket.AF_INET6}
+
+
+@contextlib.contextmanager
+def served(
+    device: Device, host: str = "127.0.0.1", faults: Any = None, **limits: Any
+) -> Iterator[tuple[Server, int]]:
+    """A server, and its port."""
+    server = Server({UNIT: device}, faults, Limits(**limits))
+    url = f"udp://[{host}]:0" if ":" in host else f"udp://{host}:0"
+    with server.background(url) as running:
+        yield server, int(running.urls[0].rpartition(":")[2])
+
+
+@contextlib.contextmanager
+def client_of(port: int, host: str = "127.0.0.1", source: str = "") -> Iterator[socket.socket]:
+    with socket.socket(HOSTS[host], socket.SOCK_DGRAM) as client:
+        client.settimeout(PATIENCE)
+        if source:
+            client.bind((source, 0))
+        client.connect((host, port))
+        yield client
+
+
+def ask(client: socket.socket, pdu: bytes, transaction: int = 1) -> bytes:
+    client.send(adu(pdu, transaction))
+    return client.recv(1000)
+
+
+@pytest.mark.parametrize("host", HOSTS)
+def test_answers_have_the_transaction_of_their_request(host: str, device: Device) -> None:
+    with served(device, host) as (server, port), client_of(port, host) as client:
+        for transaction in (0, 1, 0x1234, 0xFFFF):
+            assert ask(client, READ, transaction) == adu(ANSWER, transaction)
+        # All under way at once; loopback keeps the order.
+        for transaction in range(50):
+            client.send(adu(READ, transaction))
+        answers = [client.recv(1000) for _ in range(50)]
+        assert answers == [adu(ANSWER, transaction) for transaction in range(50)]
+        assert server.statistics.requests == 54
+        assert server.statistics.connections == server.statistics.accepted == 0
+
+
+@pytest.mark.parametrize("host", HOSTS)
+def test_answers_go_to_who_asked(host: str, device: Device) -> None:
+    """With the same transaction, at the same time, for other values."""
+    other = bytes.fromhex("03 0066 0002")
+    other_answer = bytes.fromhex("03 04 03ea 03eb")
+    with (
+        served(device, host) as (_, port),
+        client_of(port, host) as first,
+        client_of(port, host) as second,
+    ):
+        for _ in range(100):
+            first.send(adu(READ))
+            second.send(adu(other))
+            assert second.recv(1000) == adu(other_answer)
+            assert first.recv(1000) == adu(ANSWER)
+
+
+LONGEST = bytes.fromhex("10 0064 007b f6") + bytes(246)
+
+NO_FRAME = {
+    "a byte": b"\x00",
+    "half a header": adu(READ)[:4],
+    "a header": adu(READ)[:7],
+    "a byte too few": adu(READ)[:-1],
+    "a byte too many": adu(READ) + b"\x00",
+    "two in one": adu(READ, 8) + adu(READ, 9),
+    "another protocol": b"\0\1\0\7" + adu(READ)[4:],
+    "length 0": adu(READ)[:4] + b"\0\0" + adu(READ)[6:],
+    "length 1": adu(READ)[:4] + b"\0\1" + adu(READ)[6:7],
+    "length 255": adu(bytes([3]) + bytes(253)),
+    "longer than can be": adu(LONGEST) + bytes(253),
+    "longer than is read": adu(READ) + bytes(60_000),
+    "a frame of a serial line": framing.RtuFramer("server").encode(framing.Frame(UNIT, READ)),
+}
+
+
+@pytest.mark.parametrize("faulty", [False, True])
+@pytest.mark.parametrize("name", NO_FRAME)
+def test_a_datagram_that_is_not_one_frame_is_not_answered(
+    name: str, faulty: bool, device: Device
+) -> None:
+    faults = {None: [Fault("no_answer", function=100)]} if faulty else None
+    with served(device, faults=faults) as (server, port), client_of(port) as client:
+        client.send(NO_FRAME[name])
+        assert ask(client, READ, 77) == adu(ANSWER, 77)
+        wait_for(lambda: server.statistics.requests == 1)
+        assert server.statistics.bad_frames == 1
+
+
+def test_an_empty_datagram_is_nothing(device: Device) -> None:
+    with served(device) as (server, port), client_of(port) as client:
+        client.send(b"")
+        assert ask(client, READ) == adu(ANSWER)
+        assert server.statistics.bad_frames == 0
+
+
+def test_a_damaged_datagram_is_no_part_of_the_next(device: Device) -> None:
+    with served(device) as (server, port), client_of(port) as client:
+        client.send(adu(READ, 5)[:7])
+        client.send(adu(READ, 5)[7:])
+        assert ask(client, READ, 6) == adu(ANSWER, 6)
+        assert server.statistics.bad_frames == 2
+
+
+def test_the_longest_request_and_the_longest_answer(device: Device) -> None:
+    with served(device) as (_, port), client_of(port) as client:
+        assert ask(client, LONGEST) == adu(LONGEST[:5])
+        assert (
+            ask(client, bytes.fromhex("03 0064 007d"))[:9] == adu(bytes([3, 250]) + bytes(250))[:9]
+        )
+
+
+@pytest.mark.parametrize("faulty", [False, True])
+@pytest.mark.parametrize("vector", vectors.rows(vectors.REQUESTS))
+def test_worked_requests_are_answered_as_on_tcp(vector: vectors.FrameVector, faulty: bool) -> None:
+    """The same device as on TCP, and that the answer is of this request."""
+    faults = {None: [Fault("no_answer", function=100)]} if faulty else None
+    answers = []
+    for scheme, kind in (("udp", socket.SOCK_DGRAM), ("tcp", socket.SOCK_STREAM)):
+        server = Server(Device(Mapping(65536, 65536, 65536, 65536)), faults)
+        with (
+            server.background(f"{scheme}://127.0.0.1:0") as running,
+            socket.socket(type=kind) as client,
+        ):
+            client.settimeout(PATIENCE)
+            client.connect(("127.0.0.1", int(running.urls[0].rpartition(":")[2])))
+            client.sendall(vector.tcp)
+            answers.append(client.recv(1000))
+    assert answers[0] == answers[1]
+    (frame,) = framing.TcpFramer().feed(answers[0])
+    assert (frame.unit, frame.transaction) == (vector.unit, vector.transaction)
+    assert frame.pdu[0] & 0x7F == vector.function
+
+
+# --- limits ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("host", "allow"), [("127.0.0.1", "127.0.0.2/32"), ("::1", "2001:db8::/32")]
+)
+def test_hosts_outside_are_not_answered(host: str, allow: str, device: Device) -> None:
+    with served(device, host, allow=[allow]) as (server, port), client_of(port, host) as client:
+        client.send(adu(READ))
+        wait_for(lambda: server.statistics.disallowed == 1)
+        client.settimeout(0.05)
+        with pytest.raises(TimeoutError):
+            client.recv(1000)
+        assert server.statistics.requests == 0
+
+
+@pytest.mark.parametrize(("host", "allow"), [("127.0.0.1", "127.0.0.0/30"), ("::1", "::/64")])
+def test_hosts_inside_are_answered(host: str, allow: str, device: Device) -> None:
+    with served(device, host, allow=[allow]) as (server, port), client_of(port, host) as client:
+        assert ask(client, READ) == adu(ANSWER)
+        assert server.statistics.disallowed == 0
+
+
+def test_too_many_requests_are_dropped_for_one_address_only(device: Device) -> None:
+    with (
+        served(device, requests_per_second=5) as (server, port),
+        client_of(port) as eager,
+        client_of(port, source="127.0.0.2") as other,
+    ):
+        start = time.monotonic()
+        for transaction in range(200):
+            eager.send(adu(READ, transaction))
+        wait_for(lambda: server.statistics.requests + server.statistics.throttled == 200)
+        # Five are free, and the one that overdraws is answered.
+        most = 6 + 5 * (time.monotonic() - start)
+        assert 5 <= server.statistics.requests <= most
+        assert ask(other, READ, 500) == adu(ANSWER, 500)
+        answers = [eager.recv(1000) for _ in range(server.statistics.requests - 1)]
+        assert answers[:5] == [adu(ANSWER, transaction) for transaction in range(5)]
+        time.sleep(0.4)  # two more
+        assert ask(eager, READ, 600) == adu(ANSWER, 600)
+
+
+def wait_for(condition: Any) -> None:
+    deadline = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.005)
+
+
+def test_many_addresses_are_not_remembered_for_ever(device: Device) -> None:
+    with served(device, requests_per_second=1) as (server, port):
+        for number in range(50):
+            with client_of(port, source=f"127.2.0.{1 + number}") as client:
+                assert ask(client, READ, number) == adu(ANSWER, number)
+        assert server.statistics.throttled == 0
+
+
+# --- units -------------------------------------------------------------------------------
+
+
+def test_each_unit_has_its_device() -> None:
+    devices = {}
+    for unit in (0, 1, 255):
+        devices[unit] = Device(Mapping(holding_registers=1))
+        devices[unit].mapping.holding_registers[0] = unit
+    with (
+        Server(devices).background("udp://127.0.0.1:0") as running,
+        client_of(int(running.urls[0].rpartition(":")[2])) as client,
+    ):
+        for unit in devices:  # unit 0 is no broadcast here
+            client.send(adu(READ_ONE, 1, unit))
+            assert client.recv(1000) == adu(bytes([3, 2, 0, unit]), 1, unit)
+        client.send(adu(READ_ONE, 1, 2))
+        assert client.recv(1000) == adu(b"\x83\x0b", 1, 2)
+
+
+def test_an_answer_to_nobody_is_not_answered(device: Device) -> None:
+    """Else two servers could keep each other busy for ever."""
+    with served(device) as (_, port), client_of(port) as client:
+        client.send(adu(b"\x83\x02"))
+        assert ask(client, READ, 9) == adu(ANSWER, 9)
+
+
+# --- faults ------------------------------------------------------------------------------
+
+
+def test_a_late_answer_does_not_hold_up_the_others(device: Device) -> None:
+    faults = {UNIT: [Fault("delay", seconds=0.3, every=2)]}
+    with (
+        served(device, faults=faults) as (_, port),
+        client_of(port) as client,
+        client_of(port) as other,
+    ):
+        assert ask(client, READ, 1) == adu(ANSWER, 1)
+        start = time.monotonic()
+        client.send(adu(READ, 2))
+        assert ask(other, READ, 3) == adu(ANSWER, 3)
+        assert client.recv(1000) == adu(ANSWER, 2)
+        assert time.monotonic() - start >= 0.29
+
+
+def test_an_answer_that_never_comes(device: Device) -> None:
+    faults = {UNIT: [Fault("no_answer", every=2)]}
+    with served(device, faults=faults) as (server, port), client_of(port) as client:
+        for transaction in range(6):
+            client.send(adu(READ, transaction))
+        answers = [client.recv(1000) for _ in range(3)]
+        assert answers == [adu(ANSWER, transaction) for transaction in (0, 2, 4)]
+        wait_for(lambda: server.statistics.requests == 6)
+
+
+@pytest.mark.parametrize(
+    ("fault", "answer"),
+    [
+        (Fault("exception", code=6), adu(b"\x83\x06", 7)),
+        (Fault("wrong_transaction"), adu(ANSWER, 6)),
+        (Fault("wrong_unit"), adu(ANSWER, 7, UNIT + 1)),
+        (Fault("truncate", length=9), adu(ANSWER, 7)[:9]),
+        (Fault("wrong_check"), adu(ANSWER, 7)[:4] + b"\0\0" + adu(ANSWER, 7)[6:]),
+    ],
+    ids=lambda value: value.kind if isinstance(value, Fault) else "",
+)
+def test_wrong_answers(fault: Fault, answer: bytes, device: Device) -> None:
+    with served(device, faults={None: [fault]}) as (_, port), client_of(port) as client:
+        for _ in range(3):
+            assert ask(client, READ, 7) == answer
+
+
+def test_an_answer_still_kept_back_does_not_keep_the_server(device: Device) -> None:
+    faults = {None: [Fault("delay", seconds=60)]}
+    with served(device, faults=faults) as (server, port), client_of(port) as client:
+        client.send(adu(READ_MOST))
+        wait_for(lambda: server.statistics.requests == 1)
+        start = time.monotonic()
+    assert time.monotonic() - start < PATIENCE
