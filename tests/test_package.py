@@ -63,14 +63,21 @@ def imports_of(name: str) -> tuple[set[str], set[str]]:
             modules = names & set(MODULES)
             # What is no module comes out of the base, or out of the compiled module.
             inner |= modules | ({base} & set(MODULES) if names - modules else set())
-            inner |= {each for each in names | {base} if each == "_libmodbus"}
+            inner |= {each for each in names | {base} if each == COMPILED}
     return inner, outer
 
 
+COMPILED = "binding._libmodbus"
 IMPORTS = {name: imports_of(name) for name in MODULES}
 
 
 class TestImports:
+    """What import-linter, which ./run lint asks about the floors, cannot see."""
+
+    def test_one_file_alone_imports_the_compiled_module(self) -> None:
+        own = [name for name, (inner, _) in IMPORTS.items() if COMPILED in inner]
+        assert own == ["binding.library"]
+
     def test_the_package_is_never_imported_by_its_own_name(self) -> None:
         own = [name for name, (_, outer) in IMPORTS.items() if "libmodbus_py" in outer]
         assert own == []
