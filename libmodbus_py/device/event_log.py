@@ -178,7 +178,7 @@ class Communication:
 
     def clear_counters(self) -> None:
         """Sub-function 10: all counters; neither the log nor listen-only mode."""
-        self._counters = dict.fromkeys(COUNTERS, 0)
+        self._counters: dict[SubFunction, int] = dict.fromkeys(COUNTERS, 0)
         self.event_count = 0
 
     def clear_overrun(self) -> None:

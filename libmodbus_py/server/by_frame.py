@@ -32,10 +32,12 @@ class Session(Protocol):
     @property
     def is_unfinished(self) -> bool:
         """Whether a frame has begun whose end nothing but its last byte can tell."""
+        ...
 
     @property
     def is_waiting(self) -> bool:
         """Whether the next request can wait, for an answer is kept back."""
+        ...
 
     def receive(self, data: bytes) -> int:
         """
@@ -44,6 +46,7 @@ class Session(Protocol):
         Raises:
             FrameError: the stream must be closed; what could be answered was.
         """
+        ...
 
     def close(self) -> None: ...
 

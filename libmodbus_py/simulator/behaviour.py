@@ -163,6 +163,7 @@ class Behaviour(Protocol):
         Raises:
             ValueError: this does not go with what the run's values are.
         """
+        ...
 
 
 def _number(name: str, value: object) -> None:

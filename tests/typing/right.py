@@ -1,0 +1,92 @@
+"""
+Right uses of the public face, which type checkers must take as they are.
+
+Nothing here runs. A line that ends in ``# later`` waits for what is not built yet.
+"""
+
+from __future__ import annotations
+
+from typing import Any, assert_type
+
+from libmodbus_py import (
+    AsciiContext,
+    AsyncClient,
+    Context,
+    Device,
+    Mapping,
+    RtuContext,
+    Server,
+    TcpContext,
+    UdpContext,
+    pdu,
+)
+
+ALL = [
+    TcpContext("192.0.2.10", unit=17, timeout=1.0, framing="rtu", native=False),
+    UdpContext("192.0.2.10", 502, unit=17),
+    RtuContext("/dev/ttyUSB0", 19200, parity="E", stop_bits=1, rs485="kernel", silence=0.01),
+    AsciiContext("/dev/ttyUSB0", 9600, parity="N", data_bits=7),
+]
+TcpContext("192.0.2.10", retries=2, trace=print)  # later
+TcpContext("192.0.2.10", request_spacing=0.01, connect_delay=0.5, keepalive=None)  # later
+AsciiContext("/dev/ttyUSB0", delimiter=0x0A)  # later
+Context.from_url("tcp://192.0.2.10?unit=17", timeout=0.5, retries=1)
+AsyncClient("tcp://192.0.2.10", unit=17, max_in_flight=4, on_state=print)
+AsyncClient("tcp://192.0.2.10", retries=2, trace=print)  # later
+
+
+def blocking(plc: TcpContext) -> None:
+    assert_type(plc.read_coils(0, 8), list[bool])
+    assert_type(plc.read_holding_registers(address=0, count=8), list[int])
+    assert_type(plc.read_file_records([(4, 1, 2)]), list[list[int]])
+    assert_type(plc.read_device_identification("regular"), pdu.DeviceIdentification)
+    assert_type(plc.diagnostics(0, 0x1234), int)
+    assert_type(plc.execute(pdu.ReadCoils(0, 8)), list[bool])
+    assert_type(plc.execute(pdu.ReportServerId()), pdu.ServerId)
+    plc.write_coil(0, True)
+    plc.write_registers(0, (number for number in range(8)))
+
+
+def handles(plc: TcpContext) -> None:
+    assert_type(plc.for_unit(3), TcpContext)
+    plc.for_unit(3, timeout=0.3, retries=1)  # later
+    plc.execute(pdu.ReadCoils(0, 8), timeout=0.1)  # later
+    assert_type(plc.statistics.late_answers, int)  # later
+    print(plc.state)  # later
+
+
+def values(plc: TcpContext) -> None:
+    plc.read_values("holding_registers", 100, "float32", 2, order="CDAB")
+    plc.read_values("input_registers", 100, "string:16", encoding="latin-1", padding=" ")
+    plc.write_values("holding_registers", 100, [3.14], "float64", order="DCBA")
+
+
+def many(plc: TcpContext) -> None:
+    for key, read in plc.read_many({"level": ("coils", 0, 8)}).items():
+        assert_type(key, str)  # later
+        assert_type(read, list[Any])  # later
+    for number in plc.read_many({7: ("coils", 0, 8)}):
+        assert_type(number, int)  # later
+    assert_type(plc.read_many([("coils", 0, 8)]), list[list[Any]])  # later
+
+
+async def asking(plc: AsyncClient) -> None:
+    assert_type(await plc.read_coils(0, 8), list[bool])
+    assert_type(await plc.read_holding_registers(address=0, count=8), list[int])
+    assert_type(await plc.read_device_identification("regular"), pdu.DeviceIdentification)
+    assert_type(await plc.execute(pdu.ReportServerId()), pdu.ServerId)
+    assert_type(plc.for_unit(3), AsyncClient)
+    await plc.write_coil(0, True)
+    await plc.for_unit(3, timeout=0.3).read_coils(0, 8)  # later
+    for key in await plc.read_many({"level": ("coils", 0, 8)}):
+        assert_type(key, str)  # later
+
+
+def serving() -> None:
+    mapping = Mapping(coils=64, discrete_inputs=range(10, 20))
+    mapping.holding_registers[100:104] = [1, 2, 3, 4]
+    assert_type(mapping.holding_registers[100], int)
+    Mapping(holding_registers=[range(10), range(100, 110)])  # later
+    Mapping(holding_registers={100: [555, 0, 100]}, coils={0: [True]})  # later
+    Server({1: Device(mapping), 2: Device(Mapping(coils=8))})
+    Server(Device(mapping)).serve_forever("tcp://127.0.0.1:1502")  # later
