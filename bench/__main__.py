@@ -3,17 +3,23 @@ Clients and servers of Modbus side by side on this machine: ./run bench
 
 All peers take turns, in another order in each round; printed are the medians over the
 rounds. Nobody else should use the machine meanwhile.
+
+Two states of the package: --before DIR measures both in one run, which is what small
+differences want; or --package DIR --save FILE, and later --against FILE. DIR is a checkout
+in which ./run demo was run.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import sys
 import tempfile
 from pathlib import Path
 
-from cells import SECTIONS, cells_of
+from cells import SECTIONS, Tools, cells_of
 from children import compile_all
+from compare import saved, side_by_side, taken_turns
 from memory import measure_memory
 from report import Report, as_json, as_text
 from results import Results, run_rounds
@@ -26,10 +32,17 @@ ALL = [*SECTIONS, MEMORY]
 def main() -> None:
     options = parse()
     sections = options.only or ALL
-    report = measure(sections, *effort(options))
+    earlier = saved(options.against) if options.against else None
+    package, before = options.package or sys.executable, options.before or ""
+    report = measure(sections, *effort(options), package, before)
     print(as_text(report))
-    if options.json:
-        options.json.write_text(json.dumps(as_json(report), indent=1) + "\n")
+    numbers = as_json(report)
+    if before:
+        earlier = taken_turns(numbers["cells"])
+    if earlier:
+        print(f"\n{side_by_side(earlier, numbers['cells'])}")
+    if options.save:
+        options.save.write_text(json.dumps(numbers, indent=1) + "\n")
     if options.picture:
         from picture import draw
 
@@ -48,9 +61,33 @@ def parse() -> argparse.Namespace:
     )
     parser.add_argument("--rounds", type=int, help="rounds (5)")
     parser.add_argument("--seconds", type=float, help="seconds for a cell in each round (1)")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write all numbers there")
+    parser.add_argument(
+        "--save", type=Path, metavar="FILE", help="write all numbers there, as JSON"
+    )
+    parser.add_argument(
+        "--against", type=Path, metavar="FILE", help="compare with numbers that were saved"
+    )
+    parser.add_argument(
+        "--package",
+        type=interpreter,
+        metavar="DIR",
+        help="measure the package of another checkout",
+    )
+    parser.add_argument(
+        "--before",
+        type=interpreter,
+        metavar="DIR",
+        help="measure the package of another checkout, too, in turns, and compare",
+    )
     parser.add_argument("--picture", type=Path, metavar="FILE", help="draw them there, as PNG")
     return parser.parse_args()
+
+
+def interpreter(checkout: str) -> str:
+    found = Path(checkout).absolute() / ".venv/bin/python"
+    if not found.exists():
+        raise argparse.ArgumentTypeError(f"no {found}: ./run demo there makes it")
+    return str(found)
 
 
 def effort(options: argparse.Namespace) -> tuple[int, float]:
@@ -58,16 +95,16 @@ def effort(options: argparse.Namespace) -> tuple[int, float]:
     return options.rounds or rounds, options.seconds or seconds
 
 
-def measure(sections: list[str], rounds: int, seconds: float) -> Report:
+def measure(sections: list[str], rounds: int, seconds: float, package: str, before: str) -> Report:
     results = Results()
     with tempfile.TemporaryDirectory() as folder:
-        programs = Path(folder)
-        compile_all(programs)
+        tools = Tools(Path(folder), package, before)
+        compile_all(tools.programs)
         for section in SECTIONS:
             if section in sections:
-                with cells_of(section, programs) as cells:
+                with cells_of(section, tools) as cells:
                     run_rounds(section, cells, rounds, seconds, results)
-        memory = measure_memory(programs) if MEMORY in sections else {}
+        memory = measure_memory(tools) if MEMORY in sections else {}
     measured = {key.section for key in results.measured}
     outcomes = [
         outcome(target, results.rate) for target in TARGETS if target.theirs.section in measured

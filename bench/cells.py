@@ -7,6 +7,7 @@ Every section starts all its servers and clients, gives its cells, and ends them
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass
@@ -58,6 +59,7 @@ Cells = dict[Key, Callable[[float], Measured]]
 
 
 OURS = "libmodbus_py"
+BEFORE = "libmodbus_py, before"  # another state of it, with an interpreter of its own
 C = "C"  # the program is one of ours in C, not in Python
 
 
@@ -68,6 +70,48 @@ class Peer(NamedTuple):
     program: str
     package: str = OURS
 
+    @property
+    def before(self) -> Peer:
+        return Peer(before(self.name), self.program, BEFORE)
+
+
+def before(name: str) -> str:
+    return f"{name}, before"
+
+
+@dataclass(frozen=True)
+class Tools:
+    """
+    What peers are run with.
+
+    Attributes:
+        programs: where the programs in C are.
+        ours: the interpreter that has the package to measure.
+        before: one that has another state of it, which then takes turns with it.
+    """
+
+    programs: Path
+    ours: str = sys.executable
+    before: str = ""
+
+    def command(self, peer: Peer, script: str, *arguments: str) -> list[str]:
+        if peer.package == C:
+            return [str(self.programs / peer.program), *arguments]
+        interpreter = {OURS: self.ours, BEFORE: self.before}.get(peer.package, sys.executable)
+        return python(script, peer.program, *arguments, interpreter=interpreter)
+
+    def present(self, peers: list[Peer]) -> Iterator[Peer]:
+        """Give those whose package is installed; each of ours twice if there is a `before`."""
+        for peer in peers:
+            if is_present(peer):
+                yield peer
+            if self.before and peer.package == OURS:
+                yield peer.before
+
+
+def is_present(peer: Peer) -> bool:
+    return peer.package == C or find_spec(peer.package) is not None
+
 
 C_CLIENT = "libmodbus, client in C"
 C_SERVER = "libmodbus, server in C"
@@ -75,11 +119,13 @@ OUR_SERVER = "Server"
 HOOKED_SERVER = "Server with a hook"
 TRIVIAL_SERVER = "no Modbus: answers in C"
 
+DEFAULT, PYTHON = "TcpContext", "TcpContext, native=False"
+CONTEXT_BULK, ASYNC_BULK = "TcpContext.execute_many", "AsyncClient.execute_many"
+
 TCP_CLIENTS = [
     Peer(C_CLIENT, "client", C),
-    Peer("TcpContext", "tcp-context"),
-    Peer("TcpContext, native=True", "tcp-context-native"),
-    Peer("TcpContext, native=False", "tcp-context-python"),
+    Peer(DEFAULT, "tcp-context"),
+    Peer(PYTHON, "tcp-context-python"),
     Peer("pylibmodbus", "pylibmodbus", "pylibmodbus"),
     Peer("pymodbus", "pymodbus", "pymodbus"),
     Peer("pyModbusTCP", "pyModbusTCP", "pyModbusTCP"),
@@ -88,32 +134,42 @@ TCP_CLIENTS = [
 RTU_CLIENTS = [
     Peer(C_CLIENT, "client", C),
     Peer("RtuContext", "rtu-context"),
+    Peer("RtuContext, native=False", "rtu-context-python"),
     Peer("RtuContext, silence=0", "rtu-context-hasty"),
     Peer("pymodbus", "pymodbus-rtu", "pymodbus"),
     Peer("minimalmodbus", "minimalmodbus", "minimalmodbus"),
     Peer("uModbus", "uModbus-rtu", "umodbus"),
 ]
+ASYNC_CLIENTS = [
+    Peer(C_CLIENT, "client", C),
+    Peer("AsyncClient", "async-one"),
+    Peer("AsyncClient, 64 gathered", "async-gather-64"),
+    Peer("pymodbus, async", "pymodbus-async", "pymodbus"),
+]
 BULK_CLIENTS = [
     Peer(C_CLIENT, "client", C),
-    Peer("TcpContext.execute_many", "context-execute-many"),
-    Peer("AsyncClient.execute_many", "async-execute-many"),
+    Peer(CONTEXT_BULK, "context-execute-many"),
+    Peer(ASYNC_BULK, "async-execute-many"),
     Peer("AsyncClient, gather", "async-gather"),
     Peer("pymodbus, async", "pymodbus-async", "pymodbus"),
     Peer("pyModbusTCP", "pyModbusTCP", "pyModbusTCP"),
 ]
+C_TCP_SERVER, C_RTU_SERVER = Peer(C_SERVER, "many", C), Peer(C_SERVER, "rtu", C)
+OUR_TCP_SERVER = Peer(OUR_SERVER, "ours")
 SERVERS = [
-    Peer(C_SERVER, "many", C),
-    Peer(OUR_SERVER, "ours"),
+    C_TCP_SERVER,
+    OUR_TCP_SERVER,
     Peer(HOOKED_SERVER, "ours-with-hook"),
     Peer("pymodbus", "pymodbus", "pymodbus"),
     Peer("pyModbusTCP", "pyModbusTCP", "pyModbusTCP"),
     Peer(TRIVIAL_SERVER, "answer", C),
 ]
-PEERS = [*TCP_CLIENTS, *RTU_CLIENTS, *BULK_CLIENTS, *SERVERS]
+PEERS = [*TCP_CLIENTS, *RTU_CLIENTS, *ASYNC_CLIENTS, *BULK_CLIENTS, *SERVERS]
 OUR_NAMES = {peer.name for peer in PEERS if peer.package == OURS}
 
-BLOCKING, BULK, SERVER, LIMIT = "blocking", "bulk", "servers", "limit"
-FREE, ONE_PROCESSOR = "TCP", "TCP, client and server on one processor"
+BLOCKING, ASYNCIO, BULK, SERVER, LIMIT = "blocking", "asyncio", "bulk", "servers", "limit"
+FREE, ONE_PROCESSOR = "TCP", "TCP, on one processor"  # from libmodbus's server
+OURS_FREE, OURS_ONE_PROCESSOR = "TCP, our server", "TCP, our server, on one processor"
 # RtuContext and minimalmodbus keep the specified 1.75 ms of silence, pymodbus looks every
 # millisecond; libmodbus and uModbus do neither.
 RTU = "RTU on a pseudo-terminal"
@@ -132,13 +188,9 @@ def load_name(connections: int, in_flight: int) -> str:
     return f"{connections} x {in_flight}"
 
 
-def present(peers: list[Peer]) -> list[Peer]:
-    return [peer for peer in peers if peer.package == C or find_spec(peer.package)]
-
-
 def absent() -> list[str]:
     """Give the packages that are not installed."""
-    return sorted({peer.package for peer in PEERS} - {peer.package for peer in present(PEERS)})
+    return sorted({peer.package for peer in PEERS if not is_present(peer)})
 
 
 # --- servers ------------------------------------------------------------------------------
@@ -164,24 +216,18 @@ class RunningServer:
         wait_until_idle(self.child.pid, self.descriptors)
 
 
-def server_command(peer: Peer, programs: Path) -> list[str]:
-    if peer.package == C:
-        return [str(programs / peer.program)]
-    return python("servers.py", peer.program)
+def start_server(stack: ExitStack, tools: Tools, peer: Peer) -> RunningServer:
+    return RunningServer(stack, tools.command(peer, "servers.py"))
 
 
 # --- clients ------------------------------------------------------------------------------
 
 
 def start_client(
-    stack: ExitStack, peer: Peer, programs: Path, place: str, work: tuple[str, str]
+    stack: ExitStack, tools: Tools, peer: Peer, place: str, work: tuple[str, str]
 ) -> Child:
-    if peer.package == C:
-        transport = "rtu" if place.startswith("/") else "tcp"
-        command = [str(programs / peer.program), transport, place, *work]
-    else:
-        command = python("clients.py", peer.program, place, *work)
-    return stack.enter_context(Child(command))
+    transport = [] if peer.package != C else ["rtu" if place.startswith("/") else "tcp"]
+    return stack.enter_context(Child(tools.command(peer, "clients.py", *transport, place, *work)))
 
 
 def measure_client(
@@ -200,14 +246,14 @@ def measure_client(
 
 def client_cells(
     stack: ExitStack,
+    tools: Tools,
     peers: list[Peer],
-    programs: Path,
     server: RunningServer,
     work: tuple[str, str],
 ) -> Iterator[tuple[str, Callable[..., Measured]]]:
     started = [
-        (peer.name, start_client(stack, peer, programs, server.place, work))
-        for peer in present(peers)
+        (peer.name, start_client(stack, tools, peer, server.place, work))
+        for peer in tools.present(peers)
     ]
     for name, client in started:
         try:
@@ -225,49 +271,60 @@ def fail(why: str, *_: object, **__: object) -> Measured:
 # --- sections -----------------------------------------------------------------------------
 
 
-def blocking(stack: ExitStack, programs: Path) -> Cells:
-    """Ten holding registers at a time, from libmodbus's server in C, one request in flight."""
+def blocking(stack: ExitStack, tools: Tools) -> Cells:
+    """Ten holding registers at a time, one request in flight."""
     cells: Cells = {}
-    tcp = RunningServer(stack, [str(programs / "many")])
-    for name, measure in client_cells(stack, TCP_CLIENTS, programs, tcp, SMALL):
-        cells[Key(BLOCKING, FREE, name)] = measure
-        cells[Key(BLOCKING, ONE_PROCESSOR, name)] = partial(measure, on_one=True)
-    rtu = RunningServer(stack, [str(programs / "rtu")])
-    for name, measure in client_cells(stack, RTU_CLIENTS, programs, rtu, SMALL_ON_SERIAL_LINES):
+    for peer, free, on_one in (
+        (C_TCP_SERVER, FREE, ONE_PROCESSOR),
+        (OUR_TCP_SERVER, OURS_FREE, OURS_ONE_PROCESSOR),
+    ):
+        tcp = start_server(stack, tools, peer)
+        for name, measure in client_cells(stack, tools, TCP_CLIENTS, tcp, SMALL):
+            cells[Key(BLOCKING, free, name)] = measure
+            cells[Key(BLOCKING, on_one, name)] = partial(measure, on_one=True)
+    rtu = start_server(stack, tools, C_RTU_SERVER)
+    for name, measure in client_cells(stack, tools, RTU_CLIENTS, rtu, SMALL_ON_SERIAL_LINES):
         cells[Key(BLOCKING, RTU, name)] = measure
     return cells
 
 
-def bulk(stack: ExitStack, programs: Path) -> Cells:
+def with_asyncio(stack: ExitStack, tools: Tools) -> Cells:
+    """Ten holding registers at a time; the client in C to compare with has one in flight."""
+    return on_both_servers(stack, tools, ASYNCIO, ASYNC_CLIENTS, SMALL)
+
+
+def bulk(stack: ExitStack, tools: Tools) -> Cells:
     """100 000 registers in blocks of 125; ours have 16 requests in flight, the others one."""
+    return on_both_servers(stack, tools, BULK, BULK_CLIENTS, LARGE)
+
+
+def on_both_servers(
+    stack: ExitStack, tools: Tools, section: str, peers: list[Peer], work: tuple[str, str]
+) -> Cells:
     cells: Cells = {}
-    servers = {
-        TO_OURS: python("servers.py", "ours"),
-        TO_C: [str(programs / "many")],
-    }
-    for variant, command in servers.items():
-        server = RunningServer(stack, command)
-        for name, measure in client_cells(stack, BULK_CLIENTS, programs, server, LARGE):
-            cells[Key(BULK, variant, name)] = measure
+    for variant, peer in ((TO_OURS, OUR_TCP_SERVER), (TO_C, C_TCP_SERVER)):
+        server = start_server(stack, tools, peer)
+        for name, measure in client_cells(stack, tools, peers, server, work):
+            cells[Key(section, variant, name)] = measure
     return cells
 
 
-def servers(stack: ExitStack, programs: Path) -> Cells:
+def servers(stack: ExitStack, tools: Tools) -> Cells:
     """Ten holding registers at a time: connections x requests in flight on each."""
     cells: Cells = {}
-    for peer in present(SERVERS):
-        measure = server_measure(stack, peer, programs)
+    for peer in tools.present(SERVERS):
+        measure = server_measure(stack, tools, peer)
         for load in LOADS:
             cells[Key(SERVER, load_name(*load), peer.name)] = partial(measure, *load)
     return cells
 
 
-def server_measure(stack: ExitStack, peer: Peer, programs: Path) -> Callable[..., Measured]:
+def server_measure(stack: ExitStack, tools: Tools, peer: Peer) -> Callable[..., Measured]:
     try:
-        server = RunningServer(stack, server_command(peer, programs))
+        server = start_server(stack, tools, peer)
     except Failed as failure:
         return partial(fail, str(failure))
-    return partial(measure_server, str(programs / "load"), server)
+    return partial(measure_server, str(tools.programs / "load"), server)
 
 
 def measure_server(
@@ -301,15 +358,11 @@ def what_went_wrong(result: dict[str, int], connections: int, in_flight: int) ->
     return ""
 
 
-def limit(stack: ExitStack, programs: Path) -> Cells:
+def limit(_: ExitStack, tools: Tools) -> Cells:
     """Two processes in C that send each other as many bytes as request and answer have."""
-    return {
-        Key(LIMIT, FREE, name): partial(measure_pingpong, str(programs / "pingpong"), sizes)
-        for name, sizes in SIZES.items()
-    } | {
-        Key(LIMIT, ONE_PROCESSOR, name): partial(
-            measure_pingpong, str(programs / "pingpong"), sizes, on_one=True
-        )
+    measure = partial(measure_pingpong, str(tools.programs / "pingpong"))
+    return {Key(LIMIT, FREE, name): partial(measure, sizes) for name, sizes in SIZES.items()} | {
+        Key(LIMIT, ONE_PROCESSOR, name): partial(measure, sizes, on_one=True)
         for name, sizes in SIZES.items()
     }
 
@@ -322,8 +375,9 @@ def measure_pingpong(
         return Measured(**run([program, *map(str, sizes), str(seconds)]))
 
 
-SECTIONS: dict[str, Callable[[ExitStack, Path], Cells]] = {
+SECTIONS: dict[str, Callable[[ExitStack, Tools], Cells]] = {
     BLOCKING: blocking,
+    ASYNCIO: with_asyncio,
     BULK: bulk,
     SERVER: servers,
     LIMIT: limit,
@@ -331,7 +385,7 @@ SECTIONS: dict[str, Callable[[ExitStack, Path], Cells]] = {
 
 
 @contextmanager
-def cells_of(section: str, programs: Path) -> Iterator[Cells]:
+def cells_of(section: str, tools: Tools) -> Iterator[Cells]:
     """Give the cells of a section while its processes run."""
     with ExitStack() as stack:
-        yield SECTIONS[section](stack, programs)
+        yield SECTIONS[section](stack, tools)

@@ -40,9 +40,9 @@ def compile_all(folder: Path) -> None:
         subprocess.run([*command, "-lmodbus"], check=True)
 
 
-def python(program: str, *arguments: str) -> list[str]:
+def python(program: str, *arguments: str, interpreter: str = sys.executable) -> list[str]:
     """Give the command for a program in Python here."""
-    return [sys.executable, str(HERE / program), *arguments]
+    return [interpreter, str(HERE / program), *arguments]
 
 
 def die_with_parent() -> None:

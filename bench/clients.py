@@ -43,18 +43,18 @@ Connect = Callable[[str, list[Block]], AbstractContextManager[Read]]
 
 
 @contextmanager
-def tcp_context(place: str, blocks: list[Block], native: bool | None = None) -> Iterator[Read]:
+def tcp_context(place: str, blocks: list[Block], **options: bool) -> Iterator[Read]:
     from libmodbus_py import TcpContext
 
-    with TcpContext(HOST, int(place), native=native) as context:
+    with TcpContext(HOST, int(place), **options) as context:
         yield lambda: [context.read_holding_registers(*block) for block in blocks]
 
 
 @contextmanager
-def rtu_context(place: str, blocks: list[Block], silence: float | None = None) -> Iterator[Read]:
+def rtu_context(place: str, blocks: list[Block], **options: Any) -> Iterator[Read]:
     from libmodbus_py import RtuContext
 
-    with RtuContext(place, BAUDRATE, parity="N", unit=1, silence=silence) as context:
+    with RtuContext(place, BAUDRATE, parity="N", unit=1, **options) as context:
         yield lambda: [context.read_holding_registers(*block) for block in blocks]
 
 
@@ -69,7 +69,7 @@ def context_execute_many(place: str, blocks: list[Block]) -> Iterator[Read]:
 
 @contextmanager
 def async_client(place: str, execute_all: Callable[[Any], Any]) -> Iterator[Read]:
-    from libmodbus_py.client.asynchronous import AsyncClient
+    from libmodbus_py import AsyncClient
 
     with asyncio.Runner() as runner:
         client = AsyncClient(f"tcp://{HOST}:{place}", max_in_flight=IN_FLIGHT)
@@ -92,11 +92,28 @@ def async_execute_many(place: str, blocks: list[Block]) -> AbstractContextManage
     )
 
 
-def async_gather(place: str, blocks: list[Block]) -> AbstractContextManager[Read]:
-    async def gather(client: Any) -> list[list[int]]:
-        return await asyncio.gather(*(client.read_holding_registers(*block) for block in blocks))
+def async_one(place: str, blocks: list[Block]) -> AbstractContextManager[Read]:
+    async def read_all(client: Any) -> list[list[int]]:
+        return [await client.read_holding_registers(*block) for block in blocks]
 
-    return async_client(place, gather)
+    return async_client(place, read_all)
+
+
+def async_gather(
+    place: str, blocks: list[Block], together: int | None = None
+) -> AbstractContextManager[Read]:
+    async def read_all(client: Any) -> list[list[int]]:
+        values: list[list[int]] = []
+        for some in batched(blocks, together or len(blocks)):
+            reads = [client.read_holding_registers(*block) for block in some]
+            values += await asyncio.gather(*reads)
+        return values
+
+    return async_client(place, read_all)
+
+
+def batched(blocks: list[Block], size: int) -> Iterator[list[Block]]:
+    return (blocks[at : at + size] for at in range(0, len(blocks), size))
 
 
 # --- peers ------------------------------------------------------------------------------
@@ -198,13 +215,15 @@ def minimalmodbus(place: str, blocks: list[Block]) -> Iterator[Read]:
 
 CLIENTS: dict[str, Connect] = {
     "tcp-context": tcp_context,
-    "tcp-context-native": partial(tcp_context, native=True),
     "tcp-context-python": partial(tcp_context, native=False),
     "rtu-context": rtu_context,
+    "rtu-context-python": partial(rtu_context, native=False),
     "rtu-context-hasty": partial(rtu_context, silence=0),
     "context-execute-many": context_execute_many,
     "async-execute-many": async_execute_many,
     "async-gather": async_gather,
+    "async-gather-64": partial(async_gather, together=64),
+    "async-one": async_one,
     "pylibmodbus": pylibmodbus,
     "pymodbus": pymodbus,
     "pymodbus-rtu": pymodbus_rtu,

@@ -10,9 +10,8 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from pathlib import Path
 
-from cells import SERVERS, RunningServer, present, server_command
+from cells import SERVERS, RunningServer, Tools, start_server
 from children import Failed, resident_memory
 
 FEW, MANY = 100, 1000  # connections
@@ -36,14 +35,14 @@ class Memory:
     note: str = ""
 
 
-def measure_memory(programs: Path) -> dict[str, Memory | str]:
+def measure_memory(tools: Tools) -> dict[str, Memory | str]:
     """Give the memory of every server, freshly started; or why there is none."""
     raise_descriptor_limit()
     found: dict[str, Memory | str] = {}
-    for peer in present(SERVERS):
+    for peer in tools.present(SERVERS):
         with ExitStack() as stack:
             try:
-                server = RunningServer(stack, server_command(peer, programs))
+                server = start_server(stack, tools, peer)
                 found[peer.name] = measure_server(server)
             except (Failed, OSError) as failure:
                 found[peer.name] = str(failure)

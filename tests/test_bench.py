@@ -31,11 +31,17 @@ def run_bench(*arguments: object) -> str:
 @pytest.mark.timeout(180)  # it is one program that starts all the others
 def test_short_run_measures_whatever_is_installed(tmp_path: Path) -> None:
     file = tmp_path / "bench.json"
-    text = run_bench("--rounds", 1, "--seconds", 0.01, "--json", file)
+    text = run_bench("--rounds", 1, "--seconds", 0.01, "--save", file)
     report = json.loads(file.read_text())
     cells = {(cell["section"], cell["variant"], cell["name"]): cell for cell in report["cells"]}
 
-    assert {section for section, _, _ in cells} == {"blocking", "bulk", "servers", "limit"}
+    assert {section for section, _, _ in cells} == {
+        "blocking",
+        "asyncio",
+        "bulk",
+        "servers",
+        "limit",
+    }
     for name in ("libmodbus, client in C", "TcpContext", "TcpContext, native=False", "pymodbus"):
         assert_is_measured(cells["blocking", "TCP", name])
     for load in ("1 x 1", "8 x 16", "1000 x 1"):
@@ -44,6 +50,30 @@ def test_short_run_measures_whatever_is_installed(tmp_path: Path) -> None:
     assert cells["servers", "8 x 16", "pymodbus"]["note"] == "answers 1 of 16"
     assert report["memory"]["Server"]["connections"] == 1000
     assert len(report["targets"]) == text.count(">= ")
+
+
+def test_two_states_of_the_package_are_compared(tmp_path: Path) -> None:
+    """Here this one with itself: in turns, and with numbers that were saved."""
+    file = tmp_path / "bench.json"
+    short = ("--only", "asyncio", "--rounds", 1, "--seconds", 0.01)
+    checkout = BENCH.parent
+    lines = (
+        "asyncio, to our server, AsyncClient ",
+        "asyncio, to libmodbus's server, AsyncClient, 64",
+    )
+
+    in_turns = run_bench(*short, "--before", checkout)
+    alone = run_bench(*short, "--package", checkout, "--save", file)
+    with_saved = run_bench(*short, "--against", file)
+
+    for text in (in_turns, with_saved):
+        table = text.partition("after / before")[2]
+        assert all(line in table for line in lines)
+        assert "before" not in table.partition("\n")[2]
+    assert "AsyncClient, before" in in_turns
+    assert "after / before" not in alone
+    # The peers that are in both show how far the machine is to be trusted.
+    assert "libmodbus, client in C" in with_saved.partition("after / before")[2]
 
 
 def assert_is_measured(cell: dict[str, object]) -> None:
