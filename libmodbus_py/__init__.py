@@ -1,33 +1,20 @@
 """
 Modbus for Python on Debian's libmodbus.
 
-The way of one request, file by file, which is also the order to read them in::
+Its folders, floor by floor. Imports run downwards only, and those on one floor do not know
+each other::
 
-    context     TcpContext, UdpContext, RtuContext, AsciiContext: the blocking clients
-    line        one transaction at a time, through libmodbus (native) or without; many
-                in flight: pipeline
-    client      AsyncClient, the same for asyncio; behind it channel (who may send when),
-                flight (which answer is whose; alternating on serial lines), connection
-                (its life) and transport (its descriptor) in place of line and link
-    pdu         one class for each function: encode and decode, both ends
-    framing     unit and PDU as bytes on TCP, UDP, RTU and ASCII lines
-    link        a descriptor in a modbus_t: serial_link a port, socket_link a TCP
-                connection (tcp_link) or a UDP socket (udp_link)
-      ... the wire ...
-    server      Server: many clients, many endpoints (tcp_server, udp_server, serial_server;
-                listening makes sockets)
-    clients     the TCP connections of a server, within its limits
-    session     bytes in, answers out; chunk_session on TCP, by the chunk and in C
-    units       which device answers a frame, on TCP and on serial lines
-    device      Device: request PDU in, response PDU out; beside it access (what hooks
-                see), communication (counters and log of a line), record_file
-    engine      libmodbus's modbus_reply, in memory (_chunk.c)
-    mapping     Mapping: four tables, which it answers from
+    cli                 libmodbus-py: read, write, serve, demo
+    simulator           devices from a file, which move, wait and err
+    testing             lines with a tap, for tests and the demo
+    client   server     who asks: TcpContext, ..., AsyncClient; and who answers: Server
+    ports    device     what carries bytes, and waits for them; one unit and its tables
+    binding             the C library
+    protocol            bytes and values: PDUs, frames, errors; no socket, no clock
 
-Around them: errors (the exceptions), arguments (the check of numbers), url (endpoints),
-values (numbers and text in registers, references such as 40123), plan (many reads in few
-requests), _c and low_level (libmodbus), cli and demo, device_file with behaviour and faults
-(the simulator), tap.
+A read goes ``client`` -> ``protocol.pdu`` -> ``protocol.framing`` -> ``ports`` -> the wire ->
+``ports`` -> ``server`` -> ``device`` -> libmodbus's modbus_reply on the tables, and back. The
+docstring of each folder names its files.
 
 Addresses are 0-based and times are in seconds everywhere.
 """

@@ -1,1 +1,12 @@
-""" """
+"""
+Bytes and values, for both ends. No socket, no clock, no event loop, no libmodbus.
+
+Bottom up:
+
+    errors     whose fault it was: the exceptions
+    checks     numbers that callers give
+    pdu        one class for each function: encode and decode, request and response
+    scan       the CRC, and where RTU frames begin and end; in C (scan.c)
+    framing    unit and PDU as bytes on TCP, UDP, RTU and ASCII lines, and back
+    values     numbers, text and bits in registers; references such as 40123
+"""
