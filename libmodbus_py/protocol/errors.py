@@ -4,7 +4,7 @@ The exceptions, cut by whose fault it is.
 ::
 
     ValueError, TypeError            yours: an argument, before a byte is sent
-    ModbusError                      everything below; carries unit, function, sent, received
+    ModbusError                      all below; carries unit, function, endpoint, sent, received
       ExceptionResponse              the server's no: .code
         IllegalFunction 1   IllegalDataAddress 2   IllegalDataValue 3   ServerDeviceFailure 4
         Acknowledge 5   ServerDeviceBusy 6   NegativeAcknowledge 7   MemoryParityError 8
@@ -46,8 +46,19 @@ class _Transaction(TypedDict, total=False):
     unit: int | None
     function: int | None
     asked: str
+    endpoint: str
     sent: bytes
     received: bytes
+
+
+MAX_RECEIVED = 600
+"""Bytes that an error keeps of what came in: more than the longest frame of any line has."""
+
+
+def in_hex(data: bytes, most: int = 32) -> str:
+    """Show the first bytes in hex, and how many there are if these are not all."""
+    shown = data[:most].hex(" ")
+    return shown if len(data) <= most else f"{shown} ... ({len(data)} bytes)"
 
 
 class ModbusError(Exception):
@@ -58,11 +69,14 @@ class ModbusError(Exception):
         unit: the unit that was asked, or None where there is none.
         function: the function code that was asked, 1..127, or None.
         asked: the request in words, or empty.
+        endpoint: URL of the connection, such as "tcp://192.0.2.10:502", or empty.
         sent: the request as it went out, header and check bytes included, or
             empty. Where libmodbus sent it: what it builds for this request.
-        received: what came back until the error, or empty. Where libmodbus
+        received: what came back until the error, its first 600 bytes, or empty. Where libmodbus
             received it, exception responses only: it hands out no other bytes
             (``native=False`` gives them all).
+
+    ``str()`` is one line for messages; ``repr()`` says all of the above.
     """
 
     def __init__(self, reason: str = "", **transaction: Unpack[_Transaction]) -> None:
@@ -70,8 +84,18 @@ class ModbusError(Exception):
         self.unit = transaction.get("unit")
         self.function = transaction.get("function")
         self.asked = transaction.get("asked", "")
+        self.endpoint = transaction.get("endpoint", "")
         self.sent = transaction.get("sent", b"")
         self.received = transaction.get("received", b"")
+
+    @property
+    def received(self) -> bytes:
+        return self._received
+
+    @received.setter
+    def received(self, data: bytes) -> None:
+        # The first ones: headers are there, and what all that follows was mistaken for.
+        self._received = bytes(data[:MAX_RECEIVED])
 
     def __str__(self) -> str:
         where = [
@@ -82,6 +106,16 @@ class ModbusError(Exception):
         prefix = ", ".join(part for part in where if part)
         reason = super().__str__()
         return f"{prefix}: {reason}" if prefix else reason
+
+    def __repr__(self) -> str:
+        names = ("code", "errno", "unit", "function", "asked", "endpoint", "sent", "received")
+        told = ((name, getattr(self, name, None)) for name in names)
+        parts = (f"{name}={_shown(value)}" for name, value in told if value not in (None, "", b""))
+        return f"{type(self).__name__}({', '.join([repr(super().__str__()), *parts])})"
+
+
+def _shown(value: object) -> str:
+    return f"<{in_hex(value)}>" if isinstance(value, bytes) else repr(value)
 
 
 class ExceptionResponse(ModbusError):

@@ -1,0 +1,86 @@
+"""
+What errors carry, how much of it, and what they say.
+"""
+
+from __future__ import annotations
+
+import copy
+import pickle
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from libmodbus_py.protocol import errors
+from libmodbus_py.protocol.errors import (
+    ExceptionResponse,
+    FrameError,
+    IllegalDataAddress,
+    ModbusConnectionError,
+    ModbusError,
+    ModbusTimeoutError,
+    alike,
+    in_hex,
+)
+
+TOLD: dict[str, Any] = {
+    "unit": 17,
+    "function": 3,
+    "asked": "ReadHoldingRegisters(address=1, count=2)",
+    "endpoint": "tcp://192.0.2.10:502",
+    "sent": bytes(range(12)),
+    "received": b"\x11\x83\x02",
+}
+KINDS = [getattr(errors, name) for name in errors.__all__]
+
+
+def test_repr_says_it_all() -> None:
+    assert repr(IllegalDataAddress(**TOLD)) == (
+        "IllegalDataAddress('illegal data address (exception 2)', code=2, unit=17, function=3,"
+        " asked='ReadHoldingRegisters(address=1, count=2)', endpoint='tcp://192.0.2.10:502',"
+        " sent=<00 01 02 03 04 05 06 07 08 09 0a 0b>, received=<11 83 02>)"
+    )
+    assert "errno=111" in repr(ModbusConnectionError("refused", errno=111))
+    assert repr(ModbusTimeoutError("no answer")) == "ModbusTimeoutError('no answer')"
+    assert repr(FrameError()) == "FrameError('')"
+
+
+def test_text_is_one_line_without_the_endpoint() -> None:
+    text = str(FrameError("a wrong CRC", **TOLD))
+    assert text == "unit 17, function 3, ReadHoldingRegisters(address=1, count=2): a wrong CRC"
+
+
+def test_hex_is_cut_and_counted() -> None:
+    assert in_hex(bytes(32)) == " ".join(["00"] * 32)
+    assert in_hex(bytes(33)) == " ".join(["00"] * 32) + " ... (33 bytes)"
+    assert in_hex(b"") == ""
+    assert len(repr(FrameError("x", received=bytes(10_000)))) < 200
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_first_600_bytes_are_kept_whoever_sets_them(kind: type[ModbusError]) -> None:
+    flood = bytes(range(256)) * 300
+    error = kind("x", received=flood)
+    assert error.received == flood[:600]
+    error.received = b"\1" + flood
+    assert error.received == b"\1" + flood[:599]
+    error.received += flood
+    assert len(error.received) == 600
+    error.received = b""
+    assert error.received == b""
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    "double", [copy.copy, copy.deepcopy, alike, lambda each: pickle.loads(pickle.dumps(each))]
+)
+def test_copies_keep_it_all(kind: Any, double: Callable[[Any], Any]) -> None:
+    made = kind("x", **TOLD, **({"errno": 5} if kind is ModbusConnectionError else {}))
+    assert repr(double(made)) == repr(made)
+    assert {name: getattr(double(made), name) for name in TOLD} == TOLD
+
+
+def test_a_received_bytearray_is_kept_as_bytes() -> None:
+    error = ExceptionResponse.of(2)
+    error.received = bytearray(b"\1")
+    assert type(error.received) is bytes
