@@ -1233,7 +1233,7 @@ class TestIdentification:
         [
             ([(0, {0: b"a"})], [0]),  # the same again
             ([(1, {0: b"a"}), (1, {1: b"b"})], [0, 1]),  # stays
-            ([(2, {0: b"a", 1: b"b"}), (1, {2: b"c"})], [0, 2]),  # goes back
+            ([(2, {0: b"a"}), (1, {2: b"c"})], [0, 2]),  # goes back
             ([(2, {0: b"a", 1: b"b"}), (2, {0: b"a", 1: b"b"})], [0, 2]),  # starts over
             ([(1, {0: b"a", 1: b"b"})], [0]),  # was there already
             ([(1, {}), (1, {})], [0, 1]),  # nothing, for ever
@@ -1253,6 +1253,56 @@ class TestIdentification:
         assert [request.object_id for request in requests] == asked
         assert caught.value.function == 43
         assert caught.value.asked == str(requests[-1])
+
+    @pytest.mark.parametrize("level", ["basic", "regular", "extended"])
+    @pytest.mark.parametrize("following", [0, 1, 2])
+    def test_circles_are_left_with_what_every_device_has(self, level: str, following: int) -> None:
+        steps = identify(level)
+        next(steps)
+        assert steps.send(IdentificationPage(2, 2, {0: b"a", 1: b"b"})).object_id == 2
+        with pytest.raises(StopIteration) as done:
+            steps.send(IdentificationPage(2, following, {2: b"c"}))
+        expected = pdu.DeviceIdentification(2, {0: b"a", 1: b"b", 2: b"c"}, complete=False)
+        assert done.value.value == expected
+
+    @pytest.mark.parametrize("next_object", [None, 3])
+    def test_page_that_promises_more_than_a_message_holds_gives_what_came(
+        self, next_object: int | None
+    ) -> None:
+        request = ReadDeviceIdentification(2)
+        more, following = (0, 0) if next_object is None else (0xFF, next_object)
+        objects = b"\0\1a" + b"\1\1b" + b"\2\1c" + b"\3\xff"
+        full = bytes([43, 14, 2, 2, more, following, 5]) + objects + bytes(235)
+        assert len(full) == pdu.MAX_PDU
+        page = request.decode_response(full)
+        objects_ = {0: b"a", 1: b"b", 2: b"c"}
+        assert page == IdentificationPage(2, next_object, objects_, complete=False)
+        steps = identify("regular")
+        next(steps)
+        with pytest.raises(StopIteration) as done:
+            steps.send(page)
+        assert done.value.value == pdu.DeviceIdentification(2, objects_, complete=False)
+        steps = identify("regular")
+        next(steps)
+        with pytest.raises(InvalidResponse, match="promised"):
+            steps.send(page._replace(objects={0: b"a", 1: b"b"}))
+        short = full[:243]
+        with pytest.raises(InvalidResponse, match="243 bytes"):
+            request.decode_response(short)
+
+    @pytest.mark.parametrize("mei_type", [13, 14])
+    @pytest.mark.parametrize("code", [1, 2, 4])
+    def test_mei_type_in_an_exception_is_not_its_code(self, mei_type: int, code: int) -> None:
+        identification = ReadDeviceIdentification(1)
+        request = identification if mei_type == 14 else EncapsulatedTransport(13, b"")
+        for tail in (bytes([mei_type, code]), bytes([code, mei_type])):
+            with pytest.raises(ExceptionResponse) as caught:
+                request.decode_response(b"\xab" + tail)
+            assert caught.value.code == code
+            assert caught.value.function == 43
+        for tail in (bytes([mei_type ^ 3, code]), bytes([code, 0]), bytes([mei_type, code, 0])):
+            with pytest.raises(InvalidResponse):
+                request.decode_response(b"\xab" + tail)
 
     def test_any_device_comes_to_an_end(self) -> None:
         """The ids only rise, so no device has a client ask more than 256 times."""
@@ -1281,6 +1331,18 @@ class TestIdentification:
     def test_level_is_a_name_or_an_object(self, level: Any, error: type[Exception]) -> None:
         with pytest.raises(error, match=r"^level must be"):
             next(identify(level))
+
+
+# --- what may be sent twice ----------------------------------------------------------------
+
+
+def test_reads_and_writes_of_absolute_values_are_repeatable() -> None:
+    once = {8, 43}
+    for function, kind in pdu.REQUESTS.items():
+        assert kind.repeatable is (function not in once), kind
+    assert ReadDeviceIdentification.repeatable is True
+    assert RawRequest.repeatable is False
+    assert Doubled.repeatable is False
 
 
 # --- functions of one's own ----------------------------------------------------------------
@@ -1521,7 +1583,7 @@ def results(request: Request[Any]) -> st.SearchStrategy[Any]:
             byte = st.integers(0, 255)
             alone = st.binary(max_size=244).map(lambda value: {object_id: value})
             page = alone if code == 4 else identifications.map(one_page)
-            return st.builds(IdentificationPage, byte, st.none() | byte, page)
+            return st.builds(IdentificationPage, byte, st.none() | byte, page, st.just(True))
         case EncapsulatedTransport():
             return st.binary(max_size=251)
         case _:
@@ -1601,7 +1663,9 @@ class TestProperties:
             data = bytes([request_.function | mark]) + data
         outcome = attempt(request_.decode_response, data)
         if isinstance(outcome, ExceptionResponse):
-            assert data == bytes([request_.function | 0x80, outcome.code])
+            assert data[0] == request_.function | 0x80
+            assert outcome.code in data[1:]
+            assert len(data) == 2 or (len(data) == 3 and request_.function == 43)
         elif isinstance(outcome, InvalidResponse):
             assert outcome.function == request_.function
         else:

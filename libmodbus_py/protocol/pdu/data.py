@@ -38,6 +38,7 @@ class _Read(Request[Values]):
     count: int
 
     limit: ClassVar[int]
+    repeatable = True
     request_length = fixed(5)
     response_length = counted(2, at=1)
 
@@ -294,6 +295,7 @@ class ReadWriteRegisters(Request[list[int]]):
     values: tuple[int, ...]
 
     function = 0x17
+    repeatable = True
     request_length = counted(10, at=9)
     response_length = counted(2, at=1)
 
@@ -348,6 +350,7 @@ class ReadFifoQueue(Request[list[int]]):
     address: int
 
     function = 0x18
+    repeatable = True
     request_length = fixed(3)
     max_count: ClassVar[int] = 31
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import ClassVar, Self
 
 from ..checks import integer
+from ..errors import in_hex
 from .fields import (
     MAX_PDU,
     AddressError,
@@ -62,6 +63,7 @@ class ReadFileRecords(Request[list[list[int]]]):
     records: tuple[tuple[int, int, int], ...]
 
     function = 0x14
+    repeatable = True
     request_length = counted(2, at=1)
     response_length = counted(2, at=1)
     max_response: ClassVar[int] = MAX_PDU - 2
@@ -120,7 +122,7 @@ class ReadFileRecords(Request[list[list[int]]]):
         for *_, length in self.records:
             head, end = pdu[at : at + 2], at + 2 + 2 * length
             if head != bytes([1 + 2 * length, FILE_REFERENCE_TYPE]) or end > len(pdu):
-                raise self._invalid(f"pieces {pdu[2:].hex(' ')}")
+                raise self._invalid(f"pieces {in_hex(pdu[2:])}")
             result.append(list(unpack_registers(pdu[at + 2 : end])))
             at = end
         if at != len(pdu):

@@ -10,9 +10,9 @@ from enum import IntEnum
 from typing import ClassVar, NamedTuple, Self
 
 from ..checks import integer
-from ..errors import IllegalFunction, InvalidResponse
+from ..errors import ExceptionResponse, IllegalFunction, InvalidResponse
 from .fields import MAX_PDU, checked_data, store
-from .request import Request
+from .request import Request, Result
 
 __all__ = [
     "DEVICE_IDENTIFICATION",
@@ -50,6 +50,12 @@ class ReadDeviceIdCode(IntEnum):
     INDIVIDUAL = 4
 
 
+# What every device has (section 6.21).
+MANDATORY = {0, 1, 2}
+
+# From here on a response may lack an object because there was no room for it.
+FULL_MESSAGE = 244
+
 # The last object of each stream.
 LAST_OBJECT = {
     ReadDeviceIdCode.BASIC: 0x02,
@@ -66,11 +72,13 @@ class IdentificationPage(NamedTuple):
         conformity: 1..3, what the device has; 81h..83h if single objects can be read, too.
         next_object: the object to ask for next, or None if this was all.
         objects: object id -> value.
+        complete: False if it promises more objects than came in its message.
     """
 
     conformity: int
     next_object: int | None
     objects: dict[int, bytes]
+    complete: bool = True
 
 
 def _identification_length(head: bytes) -> int | None:
@@ -85,23 +93,11 @@ def _identification_length(head: bytes) -> int | None:
     return end
 
 
-@dataclass(frozen=True, slots=True)
-class EncapsulatedTransport(Request[bytes]):
-    """
-    Function 43, section 6.19: `data` for the interface `mei_type`, 0..255.
+class _Encapsulated(Request[Result]):
+    """What the interfaces have in common: their lengths, and how devices refuse."""
 
-    Up to 251 bytes go through as they are. MEI type 13 is CANopen (CiA 309-2);
-    for 14 there is `ReadDeviceIdentification`.
-    """
-
-    mei_type: int
-    data: bytes
-
+    __slots__ = ()
     function = 0x2B
-
-    def __post_init__(self) -> None:
-        store(self, mei_type=integer("mei_type", self.mei_type, 0, 0xFF))
-        checked_data("data", self.data, MAX_PDU - 2)
 
     @staticmethod
     def request_length(head: bytes) -> int | None:
@@ -114,6 +110,30 @@ class EncapsulatedTransport(Request[bytes]):
         if len(head) < 2:
             return None
         return _identification_length(head) if head[1] == DEVICE_IDENTIFICATION else 0
+
+    def _refusal(self, pdu: bytes) -> ExceptionResponse | InvalidResponse:
+        """Some devices put the MEI type into their exceptions, before the code or behind it."""
+        mei_type = self.encode()[1]
+        if len(pdu) == 3 and pdu[0] == self.function | 0x80 and mei_type in pdu[1:]:
+            return super()._refusal(pdu[:1] + (pdu[2:] if pdu[1] == mei_type else pdu[1:2]))
+        return super()._refusal(pdu)
+
+
+@dataclass(frozen=True, slots=True)
+class EncapsulatedTransport(_Encapsulated[bytes]):
+    """
+    Function 43, section 6.19: `data` for the interface `mei_type`, 0..255.
+
+    Up to 251 bytes go through as they are. MEI type 13 is CANopen (CiA 309-2);
+    for 14 there is `ReadDeviceIdentification`.
+    """
+
+    mei_type: int
+    data: bytes
+
+    def __post_init__(self) -> None:
+        store(self, mei_type=integer("mei_type", self.mei_type, 0, 0xFF))
+        checked_data("data", self.data, MAX_PDU - 2)
 
     def encode(self) -> bytes:
         return bytes([self.function, self.mei_type]) + self.data
@@ -138,7 +158,7 @@ class EncapsulatedTransport(Request[bytes]):
 
 
 @dataclass(frozen=True, slots=True)
-class ReadDeviceIdentification(Request[IdentificationPage]):
+class ReadDeviceIdentification(_Encapsulated[IdentificationPage]):
     """
     Function 43 with MEI type 14, section 6.21: one page of identification.
 
@@ -149,9 +169,7 @@ class ReadDeviceIdentification(Request[IdentificationPage]):
     code: int
     object_id: int = 0
 
-    function = EncapsulatedTransport.function
-    request_length = staticmethod(EncapsulatedTransport.request_length)
-    response_length = staticmethod(EncapsulatedTransport.response_length)
+    repeatable = True
     room: ClassVar[int] = MAX_PDU - 7
 
     def __post_init__(self) -> None:
@@ -169,7 +187,7 @@ class ReadDeviceIdentification(Request[IdentificationPage]):
         return cls(pdu[2], pdu[3])
 
     def encode_response(self, result: IdentificationPage) -> bytes:
-        conformity, next_object, objects = result
+        conformity, next_object, objects, _ = result
         if not self._answers(objects):
             raise ValueError(f"result must hold object {self.object_id} alone")
         more, following = (0, 0) if next_object is None else (0xFF, next_object)
@@ -184,13 +202,18 @@ class ReadDeviceIdentification(Request[IdentificationPage]):
         single = self.code == ReadDeviceIdCode.INDIVIDUAL
         return list(objects) == [self.object_id] if single else True
 
+    def _decode_misfit(self, pdu: bytes, length: int | None) -> IdentificationPage:
+        """Some devices promise all they have, and send what a message can hold."""
+        if len(pdu) < FULL_MESSAGE or (length is not None and length < len(pdu)):
+            raise self._invalid(f"a response of {len(pdu)} bytes")
+        return self._decode_response(pdu)._replace(complete=False)
+
     def _decode_response(self, pdu: bytes) -> IdentificationPage:
         if pdu[1] != DEVICE_IDENTIFICATION or pdu[2] != self.code:
             raise self._invalid(f"{pdu[:4].hex(' ')}")
         objects: dict[int, bytes] = {}
         at = 7
-        while at < len(pdu):
-            end = at + 2 + pdu[at + 1]
+        while at + 2 <= len(pdu) and (end := at + 2 + pdu[at + 1]) <= len(pdu):
             if pdu[at] in objects:
                 raise self._invalid(f"object {pdu[at]} twice")
             objects[pdu[at]] = pdu[at + 2 : end]
@@ -208,10 +231,13 @@ class DeviceIdentification(NamedTuple):
         conformity: 1 basic, 2 regular, 3 extended; 81h..83h if single objects
             can be read, too.
         objects: object id -> value.
+        complete: False if the device led in circles, or promised objects that did
+            not fit its message; the objects that every device has are there.
     """
 
     conformity: int
     objects: dict[int, bytes]
+    complete: bool = True
 
     @property
     def names(self) -> dict[str, str]:
@@ -240,30 +266,46 @@ def identify(
     Args:
         level: "basic", "regular", "extended", or the id of one object, 0..255.
 
+    Returns:
+        All that came; not `complete` where the pages went wrong after the objects that
+        every device has, 0..2, were there.
+
     Raises:
         TypeError, ValueError: no such level.
-        InvalidResponse: the pages do not come to an end.
+        InvalidResponse: the pages do not come to an end, or to their objects.
     """
-    if isinstance(level, str) and level not in LEVELS:
-        raise ValueError(f"level must be one of {', '.join(LEVELS)}, or 0..255, not {level!r}")
-    if isinstance(level, str):
-        request = ReadDeviceIdentification(LEVELS[level], 0)
-    else:
-        number = integer("level", level, 0, 0xFF)
-        request = ReadDeviceIdentification(ReadDeviceIdCode.INDIVIDUAL, number)
+    request = _first_request(level)
     objects: dict[int, bytes] = {}
     while True:
-        conformity, following, page = yield request
-        objects.update(page)
-        if following is None or request.code == ReadDeviceIdCode.INDIVIDUAL:
-            return DeviceIdentification(conformity, objects)
-        if following <= request.object_id or following <= max(page, default=-1):
-            raise InvalidResponse(
-                f"object {following} comes next, though {max(page, default=0)} was there",
-                function=request.function,
-                asked=str(request),
-            )
-        request = ReadDeviceIdentification(request.code, following)
+        page = yield request
+        objects.update(page.objects)
+        trouble = _trouble(request, page)
+        if trouble and not objects.keys() >= MANDATORY:
+            raise InvalidResponse(trouble, function=request.function, asked=str(request))
+        if trouble or page.next_object is None or request.code == ReadDeviceIdCode.INDIVIDUAL:
+            return DeviceIdentification(page.conformity, objects, complete=not trouble)
+        request = ReadDeviceIdentification(request.code, page.next_object)
+
+
+def _first_request(level: str | int) -> ReadDeviceIdentification:
+    if not isinstance(level, str):
+        number = integer("level", level, 0, 0xFF)
+        return ReadDeviceIdentification(ReadDeviceIdCode.INDIVIDUAL, number)
+    if level not in LEVELS:
+        raise ValueError(f"level must be one of {', '.join(LEVELS)}, or 0..255, not {level!r}")
+    return ReadDeviceIdentification(LEVELS[level], 0)
+
+
+def _trouble(request: ReadDeviceIdentification, page: IdentificationPage) -> str:
+    """Why nobody can go on after this page; empty if one can, or need not."""
+    following = page.next_object
+    if not page.complete:
+        return "more objects are promised than came"
+    if following is None or request.code == ReadDeviceIdCode.INDIVIDUAL:
+        return ""
+    if following > max([request.object_id, *page.objects]):
+        return ""
+    return f"object {following} comes next, though {max(page.objects, default=0)} was there"
 
 
 def pages(request: ReadDeviceIdentification, objects: Mapping[int, bytes]) -> IdentificationPage:

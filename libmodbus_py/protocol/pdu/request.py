@@ -9,8 +9,8 @@ from dataclasses import dataclass, fields
 from typing import ClassVar, Generic, Self, TypeVar
 
 from ..checks import integer
-from ..errors import ExceptionResponse, InvalidResponse
-from .fields import MAX_PDU, LengthRule, checked_data, unknown_length
+from ..errors import ExceptionResponse, InvalidResponse, in_hex
+from .fields import MAX_PDU, LengthRule, checked_data, fixed, unknown_length
 
 Result = TypeVar("Result")
 
@@ -24,6 +24,8 @@ class Request(Generic[Result]):
         request_length, response_length: length rules of the two PDUs.
         is_write: whether a broadcast of it makes sense (it changes the
             device and its answer carries nothing new).
+        repeatable: whether it may be sent again when its answer was lost: a
+            device that gets it twice ends as if it had got it once.
 
     Constructors raise TypeError or ValueError, naming the argument and its
     range; ``str()`` of a request says what is asked, for messages.
@@ -35,6 +37,7 @@ class Request(Generic[Result]):
     request_length: ClassVar[LengthRule]
     response_length: ClassVar[LengthRule]
     is_write: ClassVar[bool] = False
+    repeatable: ClassVar[bool] = False
 
     @property
     def expects_response(self) -> bool:
@@ -82,8 +85,11 @@ class Request(Generic[Result]):
             raise self._refusal(pdu)
         length = type(self).response_length(pdu)
         if length != len(pdu) and length != 0:
-            raise self._invalid(f"a response of {len(pdu)} bytes")
+            return self._decode_misfit(pdu, length)
         return self._decode_response(pdu)
+
+    def _decode_misfit(self, pdu: bytes, length: int | None) -> Result:
+        raise self._invalid(f"a response of {len(pdu)} bytes")
 
     def _decode_response(self, pdu: bytes) -> Result:
         raise NotImplementedError
@@ -109,6 +115,7 @@ class Echoed(Request[None]):
 
     __slots__ = ()
     is_write = True
+    repeatable = True
     echoed: ClassVar[int]
 
     def encode_response(self, result: None = None) -> bytes:
@@ -116,7 +123,22 @@ class Echoed(Request[None]):
 
     def _decode_response(self, pdu: bytes) -> None:
         if pdu != self.encode_response():
-            raise self._invalid(f"the echo {pdu.hex(' ')}")
+            raise self._invalid(f"the echo {in_hex(pdu)}")
+
+
+class Bare(Request[Result]):
+    """A read that is asked with the function code alone."""
+
+    __slots__ = ()
+    repeatable = True
+    request_length = fixed(1)
+
+    def encode(self) -> bytes:
+        return bytes([self.function])
+
+    @classmethod
+    def decode(cls, pdu: bytes) -> Self:
+        return cls()
 
 
 @dataclass(frozen=True, slots=True)

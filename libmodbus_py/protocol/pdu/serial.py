@@ -11,7 +11,7 @@ from typing import ClassVar, NamedTuple, Self
 
 from ..checks import integer
 from .fields import MAX_PDU, checked_data, checked_register, counted, fixed, store
-from .request import Request
+from .request import Bare, Request
 
 __all__ = [
     "CommEventCounter",
@@ -27,19 +27,11 @@ __all__ = [
 
 
 @dataclass(frozen=True, slots=True)
-class ReadExceptionStatus(Request[int]):
+class ReadExceptionStatus(Bare[int]):
     """Function 7, section 6.7: eight outputs of the device as a byte, the lowest in bit 0."""
 
     function = 0x07
-    request_length = fixed(1)
     response_length = fixed(2)
-
-    def encode(self) -> bytes:
-        return bytes([self.function])
-
-    @classmethod
-    def decode(cls, pdu: bytes) -> Self:
-        return cls()
 
     def encode_response(self, result: int) -> bytes:
         return bytes([self.function, integer("result", result, 0, 0xFF)])
@@ -139,19 +131,11 @@ class CommEventCounter(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class ReadCommEventCounter(Request[CommEventCounter]):
+class ReadCommEventCounter(Bare[CommEventCounter]):
     """Function 11, section 6.9: status word and event counter."""
 
     function = 0x0B
-    request_length = fixed(1)
     response_length = fixed(5)
-
-    def encode(self) -> bytes:
-        return bytes([self.function])
-
-    @classmethod
-    def decode(cls, pdu: bytes) -> Self:
-        return cls()
 
     def encode_response(self, result: CommEventCounter) -> bytes:
         status, event_count = (checked_register("result", value) for value in result)
@@ -178,20 +162,12 @@ class CommEventLog(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class ReadCommEventLog(Request[CommEventLog]):
+class ReadCommEventLog(Bare[CommEventLog]):
     """Function 12, section 6.10: the counters, and the last events."""
 
     function = 0x0C
-    request_length = fixed(1)
     response_length = counted(2, at=1)
     max_events: ClassVar[int] = 64
-
-    def encode(self) -> bytes:
-        return bytes([self.function])
-
-    @classmethod
-    def decode(cls, pdu: bytes) -> Self:
-        return cls()
 
     def encode_response(self, result: CommEventLog) -> bytes:
         events = checked_data("events", result.events, self.max_events)
@@ -241,19 +217,11 @@ class ServerId(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class ReportServerId(Request[ServerId]):
+class ReportServerId(Bare[ServerId]):
     """Function 17, section 6.13: what the device is, and whether it runs."""
 
     function = 0x11
-    request_length = fixed(1)
     response_length = counted(2, at=1)
-
-    def encode(self) -> bytes:
-        return bytes([self.function])
-
-    @classmethod
-    def decode(cls, pdu: bytes) -> Self:
-        return cls()
 
     def encode_response(self, result: ServerId) -> bytes:
         data = result.data
