@@ -9,15 +9,25 @@ from pathlib import Path
 
 from cffi import FFI
 
-HERE = Path(__file__).parent / "libmodbus_py" / "binding"
+BINDING = Path(__file__).parent / "libmodbus_py" / "binding"
+PROTOCOL = BINDING.parent / "protocol"
 
 ffi = FFI()
-ffi.cdef((HERE / "_libmodbus.h").read_text())
+ffi.cdef((BINDING / "_libmodbus.h").read_text())
 ffi.set_source(
     "libmodbus_py.binding._libmodbus",
-    "".join((HERE / name).read_text() for name in ("_libmodbus.c", "answer_chunk.c")),
+    "".join((BINDING / name).read_text() for name in ("_libmodbus.c", "answer_chunk.c")),
     libraries=["modbus"],
+)
+
+# A module of its own, for the protocol knows no library.
+scan = FFI()
+scan.cdef((PROTOCOL / "scan.h").read_text())
+scan.set_source(
+    "libmodbus_py.protocol._scan",
+    "#include <stdint.h>\n" + "".join((PROTOCOL / f"scan.{end}").read_text() for end in "hc"),
 )
 
 if __name__ == "__main__":
     ffi.compile(verbose=True)
+    scan.compile(verbose=True)

@@ -11,7 +11,7 @@ copy=build/asan
 rm -rf $copy
 mkdir -p $copy
 cp -r libmodbus_py tests fuzz build_ffi.py setup.py pyproject.toml README.md LICENSE $copy
-rm -f $copy/libmodbus_py/binding/_libmodbus.*so
+rm -f $copy/libmodbus_py/*/_*.*so
 cd $copy
 
 flags="-g -O1 -fno-omit-frame-pointer -fsanitize=address,undefined -fno-sanitize-recover=all"
@@ -28,8 +28,10 @@ export LD_PRELOAD
 
 "$python" - <<'END'
 from libmodbus_py.binding import _libmodbus
+from libmodbus_py.protocol import _scan
 maps = open("/proc/self/maps").read()
-assert "libasan" in maps and "build/asan" in _libmodbus.__file__, _libmodbus.__file__
+assert "libasan" in maps
+assert "build/asan" in _libmodbus.__file__ and "build/asan" in _scan.__file__, _scan.__file__
 print("asan:", _libmodbus.__file__)
 END
 

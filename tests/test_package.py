@@ -373,9 +373,23 @@ def copied_package(directory: Path) -> Path:
     return directory / "libmodbus_py"
 
 
+def copied_modules(package: Path) -> Path:
+    """Copy what is compiled, too; give the one that needs libmodbus."""
+    for folder, name in (("protocol", "_scan"), ("binding", "_libmodbus")):
+        built = Path(importlib.import_module(f"libmodbus_py.{folder}.{name}").__file__ or "")
+        shutil.copy(built, package / folder)
+    return built
+
+
 class TestImportErrors:
-    def test_without_the_compiled_module_it_says_what_to_install(self, tmp_path: Path) -> None:
-        copied_package(tmp_path)
+    @pytest.mark.parametrize("missing", ["protocol/_scan", "binding/_libmodbus"])
+    def test_without_a_compiled_module_it_says_what_to_install(
+        self, tmp_path: Path, missing: str
+    ) -> None:
+        package = copied_package(tmp_path)
+        copied_modules(package)
+        for built in package.glob(f"{missing}.*"):
+            built.unlink()
         run = import_from(tmp_path)
         assert run.returncode == 1
         last = run.stderr.splitlines()[-1]
@@ -385,7 +399,7 @@ class TestImportErrors:
     def test_without_libmodbus_it_says_what_to_install(self, tmp_path: Path) -> None:
         """The real loader, on a module that wants a library which no system has."""
         package = copied_package(tmp_path)
-        built = Path(importlib.import_module("libmodbus_py.binding._libmodbus").__file__ or "")
+        built = copied_modules(package)
         code = built.read_bytes()
         assert code.count(b"libmodbus.so.5") >= 1
         (package / "binding" / built.name).write_bytes(
@@ -400,9 +414,7 @@ class TestImportErrors:
 
     def test_the_copy_loads_when_nothing_is_missing(self, tmp_path: Path) -> None:
         """Else the two tests above would prove nothing."""
-        package = copied_package(tmp_path)
-        built = Path(importlib.import_module("libmodbus_py.binding._libmodbus").__file__ or "")
-        shutil.copy(built, package / "binding")
+        copied_modules(copied_package(tmp_path))
         run = import_from(tmp_path)
         assert (run.returncode, run.stderr) == (0, "")
 

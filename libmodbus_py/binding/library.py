@@ -15,6 +15,7 @@ from ..protocol.errors import (
     ModbusError,
     ModbusTimeoutError,
 )
+from ..protocol.scan import NOT_BUILT
 
 try:
     from ._libmodbus import ffi, lib
@@ -23,10 +24,7 @@ except ImportError as error:
         raise ImportError(
             f"libmodbus_py needs the C library libmodbus: apt install libmodbus5 ({error})"
         ) from error
-    raise ImportError(
-        "libmodbus_py is not built: apt install libmodbus-dev gcc python3-dev,"
-        f" then pip install the package again ({error})"
-    ) from error
+    raise ImportError(f"{NOT_BUILT} ({error})") from error
 
 __all__ = ["UnnamedException", "check", "ffi", "lib", "loaded_version", "make", "microseconds"]
 

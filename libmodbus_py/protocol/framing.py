@@ -19,23 +19,33 @@ from __future__ import annotations
 import re
 import struct
 from abc import ABC, abstractmethod
-from typing import Literal, NamedTuple, Protocol
+from collections.abc import Callable
+from typing import Any, Literal, NamedTuple, Protocol
 
-from .errors import FrameError
-from .pdu import MAX_PDU, REQUESTS, request_length, response_length
+from .errors import MAX_RECEIVED, FrameError
+from .pdu import MAX_PDU, REQUESTS, Request, request_length, response_length
+from .pdu.fields import IN_C
+from .scan import Scan, crc16, lib
 
 __all__ = [
     "AsciiFramer",
     "Frame",
     "Framer",
+    "Framing",
     "RtuFramer",
     "TcpFramer",
     "UdpFramer",
     "crc16",
+    "is_delimiter",
     "lrc",
+    "make_framer",
 ]
 
 Role = Literal["client", "server"]
+Framing = Literal["tcp", "rtu", "ascii", "udp"]
+
+# In a row, in one scan: who floods a line must not be answered with a flood of errors.
+MOST_ERRORS = 8
 
 
 class Frame(NamedTuple):
@@ -75,31 +85,6 @@ class Framer(Protocol):
     def scan(self, data: bytes) -> list[Frame | FrameError]: ...
 
     def scan_silence(self) -> list[Frame | FrameError]: ...
-
-
-def _crc_table() -> tuple[int, ...]:
-    table = []
-    for value in range(256):
-        for _ in range(8):
-            value = value >> 1 ^ (0xA001 if value & 1 else 0)
-        table.append(value)
-    return tuple(table)
-
-
-_CRC_TABLE = _crc_table()
-
-
-def crc16(data: bytes | bytearray) -> int:
-    """
-    Compute the CRC of an RTU frame: polynomial A001h reflected, preset FFFFh.
-
-    On the wire its low byte comes first; over a frame with its CRC it is 0
-    (serial line, appendix B).
-    """
-    crc = 0xFFFF
-    for byte in data:
-        crc = crc >> 8 ^ _CRC_TABLE[(crc ^ byte) & 0xFF]
-    return crc
 
 
 def lrc(data: bytes) -> int:
@@ -169,11 +154,18 @@ class _Scanner(ABC):
     @abstractmethod
     def _scan_silence(self) -> None: ...
 
-    def _reject(self, why: str, count: int, *, overrun: bool = False) -> None:
-        """Drop the first bytes."""
-        error = FrameError(why, received=bytes(self._buffer[:count]))
+    def _report(self, why: str, received: bytes | bytearray, *, overrun: bool = False) -> None:
+        """Of many errors in a row the first few say enough."""
+        last = self._found[-MOST_ERRORS:]
+        if len(last) == MOST_ERRORS and all(type(each) is FrameError for each in last):
+            return
+        error = FrameError(why, received=bytes(received[:MAX_RECEIVED]))
         error.overrun = overrun
         self._found.append(error)
+
+    def _reject(self, why: str, count: int, *, overrun: bool = False) -> None:
+        """Drop the first bytes."""
+        self._report(why, self._buffer[:count], overrun=overrun)
         del self._buffer[:count]
 
     def _give(self) -> list[Frame | FrameError]:
@@ -217,25 +209,24 @@ class TcpFramer(_Scanner):
         return struct.pack(">HHHB", transaction, 0, 1 + len(pdu), unit) + pdu
 
     def _scan(self) -> None:
-        buffer, found, start = self._buffer, self._found, 0
+        buffer, start = self._buffer, 0
         while self.in_step and len(buffer) - start >= 6:
             transaction, protocol, length = _HEADER.unpack_from(buffer, start)
             end = start + 6 + length
             if not 2 <= length <= 1 + MAX_PDU:
                 self.in_step = False
                 end = len(buffer)
-                why = f"header with length {length}, not 2..254"
-                found.append(FrameError(why, received=bytes(buffer[start:])))
+                self._report(f"header with length {length}, not 2..254", buffer[start:])
             elif len(buffer) < end:
                 break
             elif protocol != 0:
-                why = f"header with protocol {protocol}, not 0"
-                found.append(FrameError(why, received=bytes(buffer[start:end])))
+                self._report(f"header with protocol {protocol}, not 0", buffer[start:end])
             else:
-                found.append(Frame(buffer[start + 6], bytes(buffer[start + 7 : end]), transaction))
+                pdu = bytes(buffer[start + 7 : end])
+                self._found.append(Frame(buffer[start + 6], pdu, transaction))
             start = end
         del buffer[:start]
-        if not self.in_step and not found:
+        if not self.in_step and not self._found:
             self._reject("stream out of step", len(buffer))
 
     def _scan_silence(self) -> None:
@@ -250,9 +241,12 @@ class UdpFramer(TcpFramer):
     in what comes after.
     """
 
+    max_size = MAX_PDU + 7
+
     def _scan(self) -> None:
         datagram = bytes(self._buffer)
-        super()._scan()
+        if len(datagram) <= self.max_size:
+            super()._scan()
         whole = len(self._found) == 1 and not self._buffer
         self._buffer.clear()
         self.in_step = True
@@ -286,11 +280,12 @@ class RtuFramer(_Scanner):
         if role not in ("client", "server"):
             raise ValueError(f'role must be "client" or "server", not {role!r}')
         super().__init__()
-        self._length = request_length if role == "server" else response_length
-        # A start: any byte, then a function code whose length is known.
-        codes = bytes(REQUESTS) + (bytes(code | 0x80 for code in REQUESTS) * (role == "client"))
-        self._start = re.compile(b"[%s]" % re.escape(codes), re.DOTALL)
-        self._fresh = 0  # where in the buffer a frame should begin
+        is_client = role == "client"
+        self._scanner = Scan(
+            is_client,
+            {code: _in_c(request, is_client) for code, request in REQUESTS.items()},
+            response_length if is_client else request_length,
+        )
         self._in_run = False  # whether the bytes before the buffer were no frame
 
     def encode(self, frame: Frame) -> bytes:
@@ -305,14 +300,17 @@ class RtuFramer(_Scanner):
         return body + struct.pack("<H", crc16(body))
 
     def _scan(self) -> None:
-        while self._buffer and (end := self._end(0)) is not None:
-            if end:
-                self._found.append(Frame(self._buffer[0], bytes(self._buffer[1 : end - 2])))
-                del self._buffer[:end]
-                self._fresh = 0
-                self._in_run = False
-            else:
-                self._drop(self._next_start(1))
+        data, scan, begin = bytes(self._buffer), self._scanner, 0
+        while begin < len(data):
+            end = scan.next(data, begin)
+            self._skip(data, begin, start := scan.start)
+            if end < 0:
+                begin = start
+                break
+            self._found.append(Frame(data[start], data[start + 1 : end - 2]))
+            begin = scan.fresh = end
+            self._in_run = False
+        self._forget(begin)
 
     def _scan_silence(self) -> None:
         """
@@ -321,61 +319,38 @@ class RtuFramer(_Scanner):
         What is found puts an end to the wait for the front; if nothing is
         found, the front may still be completed.
         """
-        start = 0
-        while (start := self._next_start(start + 1)) < len(self._buffer):
-            if self._end(start) == len(self._buffer):
-                self._drop(start)
-                self._scan()
-                return
-        self._fresh = len(self._buffer)
-
-    def _drop(self, count: int) -> None:
-        """A run of bytes that are no frame is one error, however they come in."""
-        last = self._found[-1] if self._found else None
-        if not self._in_run:
-            self._reject("bytes without a fitting CRC", count)
+        data, scan = bytes(self._buffer), self._scanner
+        if scan.next(data, at_end=True) > 0:
+            self._skip(data, 0, scan.start)
+            self._forget(scan.start)
+            self._scan()
         else:
-            if isinstance(last, FrameError):
-                last.received += self._buffer[:count]
-            del self._buffer[:count]
-        self._in_run = not 0 < self._fresh <= count
-        self._fresh -= count
+            scan.fresh = len(data)
 
-    def _next_start(self, first: int) -> int:
-        """Where a frame may begin, from `first` on; the last byte may always be a unit."""
-        found = self._start.search(self._buffer, first + 1)
-        start = found.start() - 1 if found else max(first, len(self._buffer) - 1)
-        return self._fresh if first <= self._fresh < start else start
+    def _skip(self, data: bytes, begin: int, end: int) -> None:
+        """A run of bytes that are no frame is one error, however they come in."""
+        fresh = self._scanner.fresh
+        if begin < fresh < end:
+            self._skip(data, begin, fresh)
+            begin = fresh
+        if begin < end:
+            if not self._in_run:
+                self._report("bytes without a fitting CRC", data[begin:end])
+            self._in_run = end != fresh  # silence ends a run
 
-    def _end(self, start: int) -> int | None:
-        """Where the frame that begins at `start` ends: None unknown yet, 0 there is none."""
-        head = bytes(self._buffer[start + 1 : start + 1 + MAX_PDU])
-        if not head:
-            return None
-        if start != self._fresh and not self._start.match(self._buffer, start + 1):
-            return 0  # as for starts that are searched for: it must not matter who found it
-        length = self._length(head)
-        if length is None:
-            return None if len(head) < MAX_PDU else 0
-        if length == 0:
-            return self._end_by_crc(start) if start == self._fresh else 0
-        end = start + length + 3
-        if length > MAX_PDU:
-            return 0
-        if end > len(self._buffer):
-            return None
-        return 0 if crc16(self._buffer[start:end]) else end
+    def _forget(self, count: int) -> None:
+        del self._buffer[:count]
+        self._scanner.fresh = max(self._scanner.fresh - count, -1)
 
-    def _end_by_crc(self, start: int) -> int | None:
-        if self._buffer[start + 1] & 0x80:
-            return 0  # no request has such a code, and such responses have a length
-        crc = 0xFFFF
-        candidate = self._buffer[start : start + self.max_size]
-        for size, byte in enumerate(candidate, start=1):
-            crc = crc >> 8 ^ _CRC_TABLE[(crc ^ byte) & 0xFF]
-            if crc == 0 and size >= 4:
-                return start + size
-        return 0 if len(candidate) == self.max_size else None
+
+def _in_c(request: type[Request[Any]], is_client: bool) -> tuple[int, int, int]:
+    rule = request.response_length if is_client else request.request_length
+    return IN_C.get(rule, (lib.BY_PYTHON, 0, 0))
+
+
+def is_delimiter(value: int) -> bool:
+    """Whether a byte may end ASCII frames: no colon, CR or hexadecimal digit, nor above 7Fh."""
+    return 0 <= value <= 0x7F and chr(value) not in ":\r0123456789ABCDEFabcdef"
 
 
 class AsciiFramer(_Scanner):
@@ -409,7 +384,7 @@ class AsciiFramer(_Scanner):
 
     @delimiter.setter
     def delimiter(self, value: int) -> None:
-        if not 0 <= value <= 0x7F or chr(value) in ":\r0123456789ABCDEFabcdef":
+        if not is_delimiter(value):
             raise ValueError(f"delimiter must be an ASCII code with no other use, not {value}")
         self._delimiter = value
 
@@ -470,3 +445,28 @@ class AsciiFramer(_Scanner):
         else:
             self._found.append(Frame(body[0], body[1:-1]))
             del self._buffer[: end + 2]
+
+
+_FRAMERS: dict[str, Callable[[], Framer]] = {
+    "tcp": TcpFramer,
+    "udp": UdpFramer,
+    "ascii": AsciiFramer,
+}
+
+
+def make_framer(framing: Framing, role: Role) -> Framer:
+    """
+    Make a framer for one direction of one connection.
+
+    Args:
+        framing: "tcp", "rtu", "ascii" or "udp".
+        role: "server" when requests come in, "client" when responses do.
+
+    Raises:
+        ValueError: no such framing or role.
+    """
+    if framing == "rtu":
+        return RtuFramer(role)
+    if framing not in _FRAMERS:
+        raise ValueError(f'framing must be "tcp", "rtu", "ascii" or "udp", not {framing!r}')
+    return _FRAMERS[framing]()

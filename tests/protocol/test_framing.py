@@ -18,7 +18,17 @@ from vectors import CHECKSUMS, FRAMES, REQUESTS, RESPONSES, Checksum, FrameVecto
 
 from libmodbus_py import pdu
 from libmodbus_py.protocol.errors import FrameError
-from libmodbus_py.protocol.framing import AsciiFramer, Frame, RtuFramer, TcpFramer, crc16, lrc
+from libmodbus_py.protocol.framing import (
+    AsciiFramer,
+    Frame,
+    RtuFramer,
+    TcpFramer,
+    UdpFramer,
+    crc16,
+    is_delimiter,
+    lrc,
+    make_framer,
+)
 
 AnyFramer = TcpFramer | RtuFramer | AsciiFramer
 
@@ -179,6 +189,23 @@ ALL_FRAMERS: dict[str, Callable[[], AnyFramer]] = {
     "ascii strict": lambda: AsciiFramer(strict=True),
 }
 each_framer = pytest.mark.parametrize("make", ALL_FRAMERS.values(), ids=ALL_FRAMERS)
+
+
+class TestMakeFramer:
+    @pytest.mark.parametrize("role", ["client", "server"])
+    def test_each_framing_has_its_framer(self, role: Any) -> None:
+        kinds = {"tcp": TcpFramer, "udp": UdpFramer, "ascii": AsciiFramer, "rtu": RtuFramer}
+        for framing, kind in kinds.items():
+            assert type(make_framer(framing, role)) is kind  # type: ignore[arg-type]
+        frame = REFUSAL if role == "client" else READ
+        assert make_framer("rtu", role).feed(rtu(*frame[:2])) == [frame]
+
+    def test_others_are_refused_by_name(self) -> None:
+        for bad in ("tls", "", None, 1):
+            with pytest.raises(ValueError, match=r"^framing must be"):
+                make_framer(bad, "client")  # type: ignore[arg-type]
+        with pytest.raises(ValueError, match=r"^role must be"):
+            make_framer("rtu", "master")  # type: ignore[arg-type]
 
 
 class TestEncode:
@@ -342,6 +369,27 @@ class TestRtu:
         framer = RtuFramer("client")
         response = rtu(17, bytes([code, 2]))
         assert take(framer, response * 2) == ([Frame(17, bytes([code, 2]))] * 2, [])
+
+    @pytest.mark.parametrize("tail", ["0e 02", "02 0e", "0d 01", "01 0d"])
+    def test_client_takes_an_exception_with_a_mei_type(self, tail: str) -> None:
+        frame = Frame(17, b"\xab" + bytes.fromhex(tail))
+        good = rtu(*frame[:2])
+        framer = RtuFramer("client")
+        for _ in range(2):
+            for byte in single_bytes(good[:-1]):
+                assert framer.feed(byte) == []
+            assert framer.feed(good[-1:]) == [frame]
+        short = Frame(17, b"\xab\x01")
+        stream = good + rtu(*short[:2]) + good + rtu(*ANSWER[:2])
+        assert take(framer, stream) == ([frame, short, frame, ANSWER], [])
+        frames = take(framer, b"\xff\xff\xff" + good)[0]
+        assert frames + quiet(framer) == [frame]
+
+    @pytest.mark.parametrize("body", [b"\xab\1\2", b"\xac\x0e\2", b"\xab\x0e\2\0"])
+    def test_other_exceptions_are_two_bytes(self, body: bytes) -> None:
+        framer = RtuFramer("client")
+        frames, _ = take(framer, rtu(17, body) + rtu(*ANSWER[:2]))
+        assert frames + quiet(framer) == [ANSWER]
 
     def test_server_takes_no_exceptions(self) -> None:
         framer = RtuFramer("server")
@@ -529,6 +577,62 @@ class TestRtu:
         frames, errors = take(framer, b"\xff\xff\xff" + whole)
         assert frames + quiet(framer) == [Frame(17, early)]
         assert errors
+
+    def test_rule_in_python_is_asked_and_may_fail(self) -> None:
+        asked: list[bytes] = []
+
+        def rule(head: bytes) -> int | None:
+            asked.append(head)
+            if head[1:2] == b"\xee":
+                raise LookupError("a mistake in a rule")
+            return 4 + head[1] if len(head) > 1 else None
+
+        class Own(pdu.RawRequest):
+            function = 0x6D
+            request_length = staticmethod(rule)  # type: ignore[assignment]
+
+        pdu.register(Own)
+        try:
+            framer = RtuFramer("server")
+            frame = Frame(17, b"\x6d\2abcd")
+            good = rtu(*frame[:2])
+            for byte in single_bytes(good[:-1]):
+                assert framer.feed(byte) == []
+            assert framer.feed(good[-1:]) == [frame]
+            frames, errors = take(framer, b"\xff\xff\xff" + good + good + rtu(*READ[:2]))
+            assert (frames, len(errors)) == ([frame, frame, READ], 1)
+            take(framer, b"\1\x6d\xff" + bytes(60))
+            assert all(1 <= len(head) <= pdu.MAX_PDU for head in asked)
+            with pytest.raises(LookupError):
+                RtuFramer("server").feed(b"\1\x6d\xee")
+        finally:
+            pdu.REQUESTS.pop(Own.function)
+
+    @pytest.mark.parametrize(
+        "rule",
+        [
+            pdu.fixed(254),
+            pdu.fixed(1 << 40),
+            pdu.counted(1 << 40, 1),
+            pdu.counted(2, at=1 << 40),
+            pdu.counted(2, at=253),
+            lambda head: 1 << 40,
+            lambda head: None,
+        ],
+    )
+    def test_rules_beyond_a_message_find_nothing(self, rule: Any) -> None:
+        class Own(pdu.RawRequest):
+            function = 0x6D
+            response_length = rule
+
+        pdu.register(Own)
+        try:
+            framer = RtuFramer("client")
+            frames = take(framer, b"\1\x6d\1" + bytes(300))[0] + quiet(framer)
+            frames += take(framer, rtu(*ANSWER[:2]))[0] + quiet(framer)
+            assert frames == [ANSWER]
+        finally:
+            pdu.REQUESTS.pop(Own.function)
 
     def test_refusal_of_a_class_of_ones_own_is_found(self, own_class: int) -> None:
         refusal = Frame(17, bytes([own_class | 0x80, 3]))
@@ -757,6 +861,7 @@ class TestAscii:
     @pytest.mark.parametrize("delimiter", [-1, 128, 256, *b":\r0123456789ABCDEFabcdef"])
     def test_delimiter_with_another_use_is_refused(self, delimiter: int) -> None:
         framer = AsciiFramer()
+        assert not is_delimiter(delimiter)
         with pytest.raises(ValueError, match="delimiter"):
             framer.delimiter = delimiter
         assert framer.delimiter == 0x0A
@@ -897,6 +1002,48 @@ class TestWhateverComes:
             found = take(framer, good)[0] + quiet(framer)
             assert found[-1:] == [WRITE]
         assert time.process_time() - began < 20
+
+    @pytest.mark.parametrize("size", [1, 300, 65536])
+    @pytest.mark.parametrize(
+        ("name", "pattern"),
+        [
+            ("rtu server", bytes.fromhex("01 10 00 00 00 7b f6")),
+            ("rtu server", b"\x14"),
+            ("rtu client", b"\x03\xab"),
+            ("rtu client", bytes.fromhex("01 2b 0e 01 01 00 00 ff 00 00")),
+            ("rtu client", b"\xab\x0e"),
+            ("ascii", b":\r"),
+            ("ascii", b":1103006B00037F\r\n"),
+            ("ascii", b"0"),
+            ("tcp", bytes.fromhex("0001 0001 0002 0103")),
+            ("tcp", b"\xff"),
+        ],
+    )
+    def test_flood_costs_little_and_is_answered_with_few_errors(
+        self, name: str, pattern: bytes, size: int
+    ) -> None:
+        framer = ALL_FRAMERS[name]()
+        flood = pattern * (65536 // len(pattern))
+        began = time.process_time()
+        for at in range(0, len(flood), size):
+            found = framer.scan(flood[at : at + size])
+            assert len(found) <= 8
+            assert all(isinstance(each, FrameError) for each in found)
+            assert all(len(each.received) <= 600 for each in found)  # type: ignore[union-attr]
+            assert framer.pending <= PENDING[type(framer)]
+        # Some 0.2 us a byte, and 2 us a call; the rest is for slow and busy machines.
+        assert time.process_time() - began < 0.2 + 10e-6 * len(flood) / size
+
+    def test_errors_are_left_out_in_one_row_only(self) -> None:
+        bad, good = b":1103006B00037F\r\n", b":1103006B00037E\r\n"
+        found = AsciiFramer().scan(bad * 7 + good + bad * 20 + good + bad)
+        assert [type(each) for each in found] == [
+            *[FrameError] * 7,
+            Frame,
+            *[FrameError] * 8,
+            Frame,
+            FrameError,
+        ]
 
     @pytest.mark.parametrize(
         "pattern",

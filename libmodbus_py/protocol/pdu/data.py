@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Self, TypeVar
 
 from ..checks import integer
+from ..scan import lib
 from .fields import (
     TABLE_SIZE,
     checked_bit,
@@ -19,6 +20,7 @@ from .fields import (
     checked_span,
     counted,
     fixed,
+    in_c,
     pack_bits,
     pack_registers,
     store,
@@ -343,6 +345,10 @@ class ReadWriteRegisters(Request[list[int]]):
         return list(unpack_registers(pdu[2:]))
 
 
+def _counted_wide(head: bytes) -> int | None:
+    return 3 + int.from_bytes(head[1:3], "big") if len(head) >= 3 else None
+
+
 @dataclass(frozen=True, slots=True)
 class ReadFifoQueue(Request[list[int]]):
     """Function 24, section 6.18: the 0..31 registers of the queue at `address`; it keeps them."""
@@ -352,11 +358,8 @@ class ReadFifoQueue(Request[list[int]]):
     function = 0x18
     repeatable = True
     request_length = fixed(3)
+    response_length = in_c(_counted_wide, lib.COUNTED_WIDE, 3, 1)
     max_count: ClassVar[int] = 31
-
-    @staticmethod
-    def response_length(head: bytes) -> int | None:
-        return 3 + int.from_bytes(head[1:3], "big") if len(head) >= 3 else None
 
     def __post_init__(self) -> None:
         store(self, address=checked_span("address", self.address, "", 1))

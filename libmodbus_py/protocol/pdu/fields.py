@@ -10,8 +10,9 @@ from itertools import islice
 from typing import Any, Protocol
 
 from ..checks import integer
+from ..scan import MAX_PDU as MAX_PDU
+from ..scan import lib
 
-MAX_PDU = 253  # section 4.1
 TABLE_SIZE = 65536  # section 4.4: addresses are 16 bits
 
 
@@ -126,16 +127,30 @@ def unpack_registers(data: bytes) -> tuple[int, ...]:
     return _REGISTERS[len(data) // 2].unpack(data)
 
 
+# Rule -> the same for scan.c: how, `base` and `at`. It asks Python for all others.
+IN_C: dict[LengthRule, tuple[int, int, int]] = {}
+
+
+def in_c(rule: LengthRule, told: int, base: int = 0, at: int = 0) -> LengthRule:
+    """Note that C knows this rule, too."""
+    if 0 <= base <= MAX_PDU and 0 <= at < MAX_PDU:
+        IN_C[rule] = told, base, at
+    return rule
+
+
 def fixed(length: int) -> LengthRule:
     """A rule: always `length` bytes."""
-    return lambda head: length
+    return in_c(lambda head: length, lib.FIXED, length)
 
 
 def counted(base: int, at: int) -> LengthRule:
     """A rule: the byte at `at` counts those that follow the first `base`."""
-    return lambda head: base + head[at] if len(head) > at else None
+    return in_c(lambda head: base + head[at] if len(head) > at else None, lib.COUNTED, base, at)
 
 
 def unknown_length(head: bytes) -> int:
     """A rule: nothing in the PDU tells its length."""
     return 0
+
+
+in_c(unknown_length, lib.BY_CRC)

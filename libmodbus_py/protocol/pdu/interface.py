@@ -11,7 +11,8 @@ from typing import ClassVar, NamedTuple, Self
 
 from ..checks import integer
 from ..errors import ExceptionResponse, IllegalFunction, InvalidResponse
-from .fields import MAX_PDU, checked_data, store
+from ..scan import lib
+from .fields import MAX_PDU, checked_data, in_c, store
 from .request import Request, Result
 
 __all__ = [
@@ -93,23 +94,26 @@ def _identification_length(head: bytes) -> int | None:
     return end
 
 
+def _request_length(head: bytes) -> int | None:
+    if len(head) < 2:
+        return None
+    return 4 if head[1] == DEVICE_IDENTIFICATION else 0
+
+
+def _response_length(head: bytes) -> int | None:
+    if len(head) < 2:
+        return None
+    return _identification_length(head) if head[1] == DEVICE_IDENTIFICATION else 0
+
+
 class _Encapsulated(Request[Result]):
     """What the interfaces have in common: their lengths, and how devices refuse."""
 
     __slots__ = ()
     function = 0x2B
 
-    @staticmethod
-    def request_length(head: bytes) -> int | None:
-        if len(head) < 2:
-            return None
-        return 4 if head[1] == DEVICE_IDENTIFICATION else 0
-
-    @staticmethod
-    def response_length(head: bytes) -> int | None:
-        if len(head) < 2:
-            return None
-        return _identification_length(head) if head[1] == DEVICE_IDENTIFICATION else 0
+    request_length = in_c(_request_length, lib.ENCAPSULATED_REQUEST)
+    response_length = in_c(_response_length, lib.ENCAPSULATED_RESPONSE)
 
     def _refusal(self, pdu: bytes) -> ExceptionResponse | InvalidResponse:
         """Some devices put the MEI type into their exceptions, before the code or behind it."""

@@ -10,7 +10,8 @@ from enum import IntEnum
 from typing import ClassVar, NamedTuple, Self
 
 from ..checks import integer
-from .fields import MAX_PDU, checked_data, checked_register, counted, fixed, store
+from ..scan import lib
+from .fields import MAX_PDU, checked_data, checked_register, counted, fixed, in_c, store
 from .request import Bare, Request
 
 __all__ = [
@@ -60,6 +61,12 @@ class SubFunction(IntEnum):
     CLEAR_OVERRUN = 0x14
 
 
+def _diagnostics_length(head: bytes) -> int | None:
+    if len(head) < 3:
+        return None
+    return 5 if head[1:3] != b"\0\0" else 0
+
+
 @dataclass(frozen=True, slots=True)
 class Diagnostics(Request[bytes]):
     """
@@ -89,13 +96,7 @@ class Diagnostics(Request[bytes]):
     def expects_response(self) -> bool:
         return self.sub_function != SubFunction.FORCE_LISTEN_ONLY
 
-    @staticmethod
-    def request_length(head: bytes) -> int | None:
-        if len(head) < 3:
-            return None
-        return 5 if head[1:3] != b"\0\0" else 0
-
-    response_length = request_length
+    request_length = response_length = in_c(_diagnostics_length, lib.DIAGNOSTICS)
 
     def encode(self) -> bytes:
         return struct.pack(">BH", self.function, self.sub_function) + self.data
