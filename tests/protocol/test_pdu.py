@@ -1468,18 +1468,6 @@ class TestRawRequest:
         assert RawRequest not in pdu.REQUESTS.values()
 
 
-class TestFunctionNames:
-    def test_every_code_has_one(self, doubled: type[Doubled]) -> None:
-        from libmodbus_py.protocol.pdu import function_name
-
-        assert function_name(3) == "ReadHoldingRegisters"
-        assert function_name(0x41) == "Doubled"
-        assert function_name(72) == function_name(100) == "user-defined"
-        assert function_name(126) == "program 584/984"
-        assert function_name(25) == "unassigned"
-        assert not set(pdu.OTHER_FUNCTIONS) & set(pdu.REQUESTS)
-
-
 # --- properties ------------------------------------------------------------------------
 
 registers = st.integers(0, 65535)

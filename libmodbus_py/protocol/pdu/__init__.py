@@ -55,7 +55,6 @@ from .serial import (
 
 __all__ = [
     "MAX_PDU",
-    "OTHER_FUNCTIONS",
     "RECORDS_PER_FILE",
     "REQUESTS",
     "CommEventCounter",
@@ -90,7 +89,6 @@ __all__ = [
     "counted",
     "decode_request",
     "fixed",
-    "function_name",
     "register",
     "request_length",
     "response_length",
@@ -125,27 +123,6 @@ REQUESTS: dict[int, type[Request[Any]]] = {
 }
 """Function code -> request class."""
 
-USER_DEFINED = (*range(65, 73), *range(100, 111))
-"""The function codes that section 5 leaves to users."""
-
-OTHER_FUNCTIONS = {
-    9: "program 484",
-    10: "poll 484",
-    13: "program controller",
-    14: "poll controller",
-    18: "program 884/M84",
-    19: "reset communications link",
-    40: "program Concept",
-    41: "reserved",
-    42: "reserved",
-    90: "reserved",
-    91: "reserved",
-    125: "firmware replacement",
-    126: "program 584/984",
-    127: "report local address",
-}
-"""Reserved and legacy codes (annex A, PI-MBUS-300) -> name; no server has them."""
-
 
 def register(request: Kind) -> Kind:
     """
@@ -175,15 +152,6 @@ def register(request: Kind) -> Kind:
     return request
 
 
-def function_name(function: int) -> str:
-    """Name a function code, 0..255, for messages."""
-    if function in REQUESTS:
-        return REQUESTS[function].__name__
-    if function in USER_DEFINED:
-        return "user-defined"
-    return OTHER_FUNCTIONS.get(function, "unassigned")
-
-
 def decode_request(pdu: bytes) -> Request[Any]:
     """
     Decode any request PDU, as a server does.
@@ -206,7 +174,7 @@ def decode_request(pdu: bytes) -> Request[Any]:
         raise ValueError("pdu must hold at least the function code")
     request = REQUESTS.get(pdu[0])
     if request is None:
-        raise IllegalFunction(f"no function {pdu[0]}: {function_name(pdu[0])}", function=pdu[0])
+        raise IllegalFunction(f"no function {pdu[0]}", function=pdu[0])
     try:
         if request.request_length(pdu) not in (len(pdu), 0):
             raise ValueError(f"a request of {len(pdu)} bytes")
