@@ -180,11 +180,11 @@ class RegisterTable(Table[int]):
 
         Args:
             address: 0-based, of the first register.
-            type, order, text: as of `values.encode`.
+            type, order, text: as of `values.value_type`.
 
         Raises:
             IndexError: the table does not have all its registers.
-            TypeError, ValueError: as of `values.decode`.
+            TypeError, ValueError: as of `values.ValueType.decode`.
         """
         kind = value_type(type, order=order, **text)
         return kind.decode(self[self._run(address, kind.registers)])
@@ -197,7 +197,7 @@ class RegisterTable(Table[int]):
 
         Raises:
             IndexError: the table does not have all their registers.
-            TypeError, ValueError: as of `values.decode_many`, or no such count.
+            TypeError, ValueError: as of `values.ValueType.decode_many`, or no such count.
         """
         kind = value_type(type, order=order, **text)
         values = integer("count", count, 1, TABLE_SIZE)
@@ -211,11 +211,11 @@ class RegisterTable(Table[int]):
 
         Args:
             address: 0-based, of the first register.
-            value, type, order, text: as of `values.encode`.
+            value, type, order, text: as of `values.value_type`.
 
         Raises:
             IndexError: the table does not have all its registers.
-            TypeError, ValueError: as of `values.encode`.
+            TypeError, ValueError: as of `values.ValueType.encode`.
         """
         registers = value_type(type, order=order, **text).encode(value)
         self[self._run(address, len(registers))] = registers
@@ -228,7 +228,7 @@ class RegisterTable(Table[int]):
 
         Raises:
             IndexError: the table does not have all their registers.
-            TypeError, ValueError: as of `values.encode_many`.
+            TypeError, ValueError: as of `values.ValueType.encode_many`.
         """
         registers = value_type(type, order=order, **text).encode_many(values)
         self[self._run(address, len(registers))] = registers

@@ -38,23 +38,87 @@ import struct
 import sys
 from collections.abc import Callable, Iterable, Mapping, Set
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple, SupportsFloat, SupportsIndex
+from typing import Any, Literal, NamedTuple, SupportsFloat, SupportsIndex, TypedDict
 
 from .checks import integer
 
 __all__ = [
     "ORDERS",
+    "BitsType",
+    "NumberType",
+    "Order",
     "Reading",
     "Reference",
+    "TextOptions",
+    "TextType",
+    "TypeName",
     "ValueType",
-    "decode",
-    "decode_many",
-    "encode",
-    "encode_many",
     "parse_reference",
     "readings",
     "value_type",
 ]
+
+# --- names, for type checkers ------------------------------------------------------
+
+Order = Literal["ABCD", "CDAB", "BADC", "DCBA"]
+# fmt: off
+NumberType = Literal[
+    "int16", "int32", "int64", "uint16", "uint32", "uint64",
+    "float16", "float32", "float64", "bcd16", "bcd32", "bcd64",
+]
+BitsType = Literal["bits16", "bits32", "bits64"]
+TextType = Literal[
+    "string:1", "string:2", "string:3", "string:4", "string:5", "string:6", "string:7", "string:8",
+    "string:9", "string:10", "string:11", "string:12", "string:13", "string:14", "string:15",
+    "string:16", "string:17", "string:18", "string:19", "string:20", "string:21", "string:22",
+    "string:23", "string:24", "string:25", "string:26", "string:27", "string:28", "string:29",
+    "string:30", "string:31", "string:32", "string:33", "string:34", "string:35", "string:36",
+    "string:37", "string:38", "string:39", "string:40", "string:41", "string:42", "string:43",
+    "string:44", "string:45", "string:46", "string:47", "string:48", "string:49", "string:50",
+    "string:51", "string:52", "string:53", "string:54", "string:55", "string:56", "string:57",
+    "string:58", "string:59", "string:60", "string:61", "string:62", "string:63", "string:64",
+    "string:65", "string:66", "string:67", "string:68", "string:69", "string:70", "string:71",
+    "string:72", "string:73", "string:74", "string:75", "string:76", "string:77", "string:78",
+    "string:79", "string:80", "string:81", "string:82", "string:83", "string:84", "string:85",
+    "string:86", "string:87", "string:88", "string:89", "string:90", "string:91", "string:92",
+    "string:93", "string:94", "string:95", "string:96", "string:97", "string:98", "string:99",
+    "string:100", "string:101", "string:102", "string:103", "string:104", "string:105",
+    "string:106", "string:107", "string:108", "string:109", "string:110", "string:111",
+    "string:112", "string:113", "string:114", "string:115", "string:116", "string:117",
+    "string:118", "string:119", "string:120", "string:121", "string:122", "string:123",
+    "string:124", "string:125", "string:126", "string:127", "string:128", "string:129",
+    "string:130", "string:131", "string:132", "string:133", "string:134", "string:135",
+    "string:136", "string:137", "string:138", "string:139", "string:140", "string:141",
+    "string:142", "string:143", "string:144", "string:145", "string:146", "string:147",
+    "string:148", "string:149", "string:150", "string:151", "string:152", "string:153",
+    "string:154", "string:155", "string:156", "string:157", "string:158", "string:159",
+    "string:160", "string:161", "string:162", "string:163", "string:164", "string:165",
+    "string:166", "string:167", "string:168", "string:169", "string:170", "string:171",
+    "string:172", "string:173", "string:174", "string:175", "string:176", "string:177",
+    "string:178", "string:179", "string:180", "string:181", "string:182", "string:183",
+    "string:184", "string:185", "string:186", "string:187", "string:188", "string:189",
+    "string:190", "string:191", "string:192", "string:193", "string:194", "string:195",
+    "string:196", "string:197", "string:198", "string:199", "string:200", "string:201",
+    "string:202", "string:203", "string:204", "string:205", "string:206", "string:207",
+    "string:208", "string:209", "string:210", "string:211", "string:212", "string:213",
+    "string:214", "string:215", "string:216", "string:217", "string:218", "string:219",
+    "string:220", "string:221", "string:222", "string:223", "string:224", "string:225",
+    "string:226", "string:227", "string:228", "string:229", "string:230", "string:231",
+    "string:232", "string:233", "string:234", "string:235", "string:236", "string:237",
+    "string:238", "string:239", "string:240", "string:241", "string:242", "string:243",
+    "string:244", "string:245", "string:246", "string:247", "string:248", "string:249",
+    "string:250",
+]
+# fmt: on
+TypeName = Literal[NumberType, BitsType, TextType]
+
+
+class TextOptions(TypedDict, total=False):
+    """How strings lie in registers, as of `value_type`."""
+
+    encoding: str
+    padding: str
+
 
 # --- orders ------------------------------------------------------------------------
 
@@ -109,6 +173,7 @@ class ValueType:
         name: as in the module's docstring.
         registers: how many registers one value takes, 1..125.
         order: ABCD, CDAB, BADC or DCBA.
+        limits: the lowest and the highest number; None if values are no numbers.
         is_text: whether its registers stand in reading order whatever the order.
     """
 
@@ -116,12 +181,17 @@ class ValueType:
     registers: int
     _pack: Callable[[str, Any], bytes] = field(repr=False)  # the argument's name, the value
     _unpack: Callable[[bytes], Any] = field(repr=False)  # ValueError says what the bytes are not
+    limits: tuple[int, int] | tuple[float, float] | None = None
     is_text: bool = False
     order: str = "ABCD"
 
     def encode(self, value: Any) -> list[int]:
         """
         Turn one value into its registers, 0..65535 each.
+
+        Args:
+            value: a number; a list of True and False for bits, lowest first; a
+                string for string:N, which is never cut.
 
         Raises:
             TypeError, ValueError: the value does not fit the type.
@@ -144,6 +214,10 @@ class ValueType:
     def decode(self, registers: Iterable[int]) -> Any:
         """
         Turn the registers of one value into that value.
+
+        Returns:
+            An int, a float, a list of True and False or a string; a string without
+            the padding at its end, whatever else it holds.
 
         Raises:
             TypeError, ValueError: the registers are too many or too few, not
@@ -211,7 +285,8 @@ def _integers(bits: int, signed: bool) -> ValueType:
     def unpack(data: bytes) -> int:
         return int.from_bytes(data, "big", signed=signed)
 
-    return ValueType(f"{'' if signed else 'u'}int{bits}", bits // 16, pack, unpack)
+    name = f"{'' if signed else 'u'}int{bits}"
+    return ValueType(name, bits // 16, pack, unpack, (low, high))
 
 
 def _floats(bits: int, code: str, largest: float) -> ValueType:
@@ -231,14 +306,15 @@ def _floats(bits: int, code: str, largest: float) -> ValueType:
         value: float = form.unpack(data)[0]
         return value
 
-    return ValueType(f"float{bits}", bits // 16, pack, unpack)
+    return ValueType(f"float{bits}", bits // 16, pack, unpack, (-largest, largest))
 
 
 def _decimals(bits: int) -> ValueType:
     digits = bits // 4
+    high = 10**digits - 1
 
     def pack(name: str, value: object) -> bytes:
-        number = integer(name, value, 0, 10**digits - 1)
+        number = integer(name, value, 0, high)
         return bytes.fromhex(f"{number:0{digits}}")
 
     def unpack(data: bytes) -> int:
@@ -247,7 +323,7 @@ def _decimals(bits: int) -> ValueType:
             raise ValueError(f"{text} has other than decimal digits")
         return int(text)
 
-    return ValueType(f"bcd{bits}", bits // 16, pack, unpack)
+    return ValueType(f"bcd{bits}", bits // 16, pack, unpack, (0, high))
 
 
 def _flags(bits: int) -> ValueType:
@@ -365,80 +441,7 @@ def _string(name: str, encoding: str, padding: str) -> ValueType:
     return _text(size, encoding, padding, _fill(padding, encoding))
 
 
-# --- values ------------------------------------------------------------------------
-
-
-def encode(value: Any, type: str, *, order: str = "ABCD", **text: str) -> list[int]:
-    """
-    Turn a value into registers.
-
-    Args:
-        value: a number; a list of True and False for bits, lowest first; a
-            string for string:N.
-        type: as in the module's docstring.
-        order: ABCD, CDAB, BADC or DCBA.
-        text: encoding ("ascii") and padding (a zero) of strings (`value_type`).
-
-    Returns:
-        The registers, 0..65535 each, as many as the type takes.
-
-    Raises:
-        TypeError, ValueError: the value does not fit the type (a string is
-            never cut), or there is no such type, order, encoding or padding.
-    """
-    return value_type(type, order=order, **text).encode(value)
-
-
-def encode_many(values: Iterable[Any], type: str, *, order: str = "ABCD", **text: str) -> list[int]:
-    """
-    Turn values of one type into registers, one value after the other.
-
-    Args:
-        values: as the value of `encode`; none give no registers.
-        type, order, text: as of `encode`.
-
-    Raises:
-        TypeError, ValueError: as of `encode`; the value is named (``values[3]``).
-    """
-    return value_type(type, order=order, **text).encode_many(values)
-
-
-def decode(registers: Iterable[int], type: str, *, order: str = "ABCD", **text: str) -> Any:
-    """
-    Turn registers into a value: `encode` reversed.
-
-    Args:
-        registers: as many as the type takes, 0..65535 each.
-        type, order, text: as of `encode`.
-
-    Returns:
-        An int, a float, a list of True and False or a string; a string without
-        the padding at its end, whatever else it holds.
-
-    Raises:
-        TypeError, ValueError: the registers are too many or too few, or hold
-            no such value (other than decimal digits; bytes that are no text,
-            such as a character cut in the middle); or there is no such type,
-            order, encoding or padding.
-    """
-    return value_type(type, order=order, **text).decode(registers)
-
-
-def decode_many(
-    registers: Iterable[int], type: str, *, order: str = "ABCD", **text: str
-) -> list[Any]:
-    """
-    Turn registers into values of one type: `encode_many` reversed.
-
-    Args:
-        registers: as many as so many values take, 0..65535 each; none give none.
-        type, order, text: as of `encode`.
-
-    Raises:
-        TypeError, ValueError: as of `decode`; the registers are named
-            (``registers[4:6]``).
-    """
-    return value_type(type, order=order, **text).decode_many(registers)
+# --- readings ----------------------------------------------------------------------
 
 
 class Reading(NamedTuple):
@@ -448,7 +451,7 @@ class Reading(NamedTuple):
     Attributes:
         type: as in the module's docstring.
         order: ABCD, CDAB, BADC or DCBA.
-        value: what `decode` gives for them.
+        value: what the type makes of them.
     """
 
     type: str
@@ -478,7 +481,7 @@ def readings(registers: Iterable[int]) -> list[Reading]:
     for name in [*names, f"string:{2 * count}"]:
         for order in ORDERS:
             try:
-                value = decode(cells, name, order=order)
+                value = value_type(name, order=order).decode(cells)
             except ValueError:
                 continue
             # By repr, for a nan is not equal to itself.

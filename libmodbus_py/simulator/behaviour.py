@@ -9,21 +9,20 @@ from __future__ import annotations
 
 import math
 import random
-import re
-import sys
 import time
 from bisect import bisect_right
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol
 
 from ..device.mapping import Mapping
 from ..protocol.checks import integer, seconds
 from ..protocol.errors import ServerDeviceFailure
+from ..protocol.tables import TABLES
 from ..protocol.values import ValueType
 
-__all__ = ["BEHAVIOURS", "Behaviour", "Clockwork", "Copy", "Counter", "Kind", "RandomWalk", "Run"]
-__all__ += ["Sine", "bit_kind", "register_kind"]
+__all__ = ["BEHAVIOURS", "BIT", "Behaviour", "Clockwork", "Copy", "Counter", "RandomWalk", "Run"]
+__all__ += ["Sine"]
 
 Number = int | float
 
@@ -39,85 +38,29 @@ MOST_COPIES = 8
 # So that sums and products of them are numbers, too.
 LARGEST = 1e100
 
-TABLES = ("coils", "discrete_inputs", "holding_registers", "input_registers")
-
-LARGEST_FLOATS = {
-    "float16": 65504.0,
-    "float32": (2 - 2**-23) * 2.0**127,
-    "float64": sys.float_info.max,
-}
-
 
 # --- values --------------------------------------------------------------------------
 
 
-class Kind(NamedTuple):
-    """
-    What the values of a run are.
-
-    Attributes:
-        name: of the type, or "bit".
-        cells: how many registers or bits one value takes.
-        encode: a value -> its cells; TypeError, ValueError if it does not fit.
-        decode: cells -> the value; ValueError if they hold none.
-        limits: the lowest and the highest number; None if values are no numbers.
-        is_whole: whether the numbers are integers.
-    """
-
-    name: str
-    cells: int
-    encode: Callable[[Any], list[int]]
-    decode: Callable[[list[int]], Any]
-    limits: tuple[Number, Number] | None = None
-    is_whole: bool = True
-
-    def fit(self, number: Number) -> Number:
-        """Give the number of this kind that is nearest; 0 for nan."""
-        assert self.limits is not None
-        low, high = self.limits
-        if number != number:  # nan; math.isnan cannot take the largest integers
-            return 0
-        nearest = min(max(number, low), high)
-        return round(nearest) if self.is_whole else float(nearest)
-
-    @property
-    def zero(self) -> Any:
-        """What a value is unless it is given: 0, False, no bits, no text."""
-        if self.limits is not None:
-            return 0
-        return "" if self.name.startswith("string") else self.decode([0] * self.cells)
-
-
-def bit_kind() -> Kind:
-    """Coils and discrete inputs: True and False, or 1 and 0."""
-    return Kind("bit", 1, lambda value: [_bit("value", value)], lambda cells: cells[0], (0, 1))
-
-
-def _bit(name: str, value: object) -> int:
+def _pack_bit(name: str, value: object) -> bytes:
     if value not in (0, 1) or isinstance(value, float):
         raise ValueError(f"{name} must be true or false, not {value!r}")
-    return int(value is True or value == 1)
+    return bytes([0, value == 1])
 
 
-def register_kind(of: ValueType) -> Kind:
-    """Registers that hold values of a type."""
-    limits, is_whole = _limits(of.name)
-    return Kind(of.name, of.registers, of.encode, of.decode, limits, is_whole)
+BIT = ValueType("bit", 1, _pack_bit, lambda data: data[1], limits=(0, 1))
+"""What coils and discrete inputs hold: True and False, or 1 and 0."""
 
 
-def _limits(name: str) -> tuple[tuple[Number, Number] | None, bool]:
-    """The range of a type, and whether its numbers are integers."""
-    if name in LARGEST_FLOATS:
-        return (-LARGEST_FLOATS[name], LARGEST_FLOATS[name]), False
-    found = re.fullmatch(r"(int|uint|bcd)(\d+)", name)
-    if not found:
-        return None, False
-    bits = int(found[2])
-    return {
-        "int": (-1 << bits - 1, (1 << bits - 1) - 1),
-        "uint": (0, (1 << bits) - 1),
-        "bcd": (0, 10 ** (bits // 4) - 1),
-    }[found[1]], True
+def _fitting(kind: ValueType, value: Any) -> Any:
+    """Give the number of this kind that is nearest; 0 for nan. What is no number fits."""
+    if kind.limits is None:
+        return value
+    if value != value:  # nan; math.isnan cannot take the largest integers
+        return 0
+    low, high = kind.limits
+    nearest = min(max(value, low), high)
+    return round(nearest) if isinstance(low, int) else float(nearest)
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,18 +79,18 @@ class Run:
     table: str
     first: int
     count: int
-    kind: Kind
+    kind: ValueType
     behaviour: Behaviour | None = None
 
     @property
     def stop(self) -> int:
         """The address behind the last value."""
-        return self.first + self.count * self.kind.cells
+        return self.first + self.count * self.kind.registers
 
     def place(self, index: int) -> slice:
         """The addresses of one value."""
-        start = self.first + index * self.kind.cells
-        return slice(start, start + self.kind.cells)
+        start = self.first + index * self.kind.registers
+        return slice(start, start + self.kind.registers)
 
 
 # --- behaviours ----------------------------------------------------------------------
@@ -228,7 +171,7 @@ class Counter:
     def begin(self, run: Run, clockwork: Clockwork) -> Compute:
         low, high = _numeric(run, start=self.start)
         wrap = self.wrap
-        if wrap is None and run.kind.is_whole:
+        if wrap is None and isinstance(high, int):
             wrap = high + 1 if self.step > 0 else low - 1
         elif wrap is not None and not low - 1 <= wrap <= high + 1:
             span = f"{low - 1}..{high + 1} for {run.kind.name}"
@@ -393,11 +336,11 @@ class Copy:
         address = self.address
         first = clockwork.find(self.table, address)
         if first is not None:
-            address += index * first.kind.cells
+            address += index * first.kind.registers
         source = clockwork.find(self.table, address)
-        if source is None or (address - source.first) % source.kind.cells:
+        if source is None or (address - source.first) % source.kind.registers:
             raise ValueError(f"in {self.table} no value begins at {address}")
-        return source, (address - source.first) // source.kind.cells
+        return source, (address - source.first) // source.kind.registers
 
     def _check(self, run: Run, index: int, clockwork: Clockwork) -> None:
         source, at = self.source(index, clockwork)
@@ -475,8 +418,8 @@ class Clockwork:
         at = max(bisect_right(runs, address, key=lambda run: run.first) - 1, 0)
         while at < len(runs) and runs[at].first < stop:
             run = runs[at]
-            first = max(address - run.first, 0) // run.kind.cells
-            last = (min(stop, run.stop) - run.first - 1) // run.kind.cells
+            first = max(address - run.first, 0) // run.kind.registers
+            last = (min(stop, run.stop) - run.first - 1) // run.kind.registers
             for index in range(first, last + 1):
                 self._refresh(run, index, now)
             at += 1
@@ -484,7 +427,7 @@ class Clockwork:
     def value(self, run: Run, index: int, now: float) -> Any:
         """Give one value, at a time since the start."""
         self._refresh(run, index, now)
-        cells = list(self._table(run)[run.place(index)])
+        cells = map(int, self._table(run)[run.place(index)])
         try:
             return run.kind.decode(cells)
         except ValueError as error:
@@ -493,8 +436,7 @@ class Clockwork:
     def _refresh(self, run: Run, index: int, now: float) -> None:
         compute = self._moving.get((run.table, run.first))
         if compute is not None:
-            value = compute(index, now)
-            fitting = value if run.kind.limits is None else run.kind.fit(value)
+            fitting = _fitting(run.kind, compute(index, now))
             self._table(run)[run.place(index)] = run.kind.encode(fitting)
 
     def _table(self, run: Run) -> Any:

@@ -41,9 +41,10 @@ from ..protocol.checks import integer
 from ..protocol.errors import IllegalDataAddress
 from ..protocol.pdu import RECORDS_PER_FILE, ServerId
 from ..protocol.pdu.interface import OBJECT_NAMES
-from ..protocol.values import value_type
+from ..protocol.tables import TABLES
+from ..protocol.values import ValueType, value_type
 from ..server.faults import Fault
-from .behaviour import BEHAVIOURS, TABLES, Clockwork, Kind, Run, bit_kind, register_kind
+from .behaviour import BEHAVIOURS, BIT, Clockwork, Run
 from .toml_lines import line_of
 
 __all__ = ["DeviceFileError", "Simulation", "load", "parse"]
@@ -370,22 +371,23 @@ def _range(where: str, table: str, raw: dict[str, object]) -> _Range:
     return _Range(where, run, cells, access, behaviour, given.get("number", 0))
 
 
-def _kind(where: str, table: str, given: dict[str, Any]) -> Kind:
+def _kind(where: str, table: str, given: dict[str, Any]) -> ValueType:
     if table in ("coils", "discrete_inputs"):
-        return bit_kind()
+        return BIT
     name, *_ = [key for key in given if key in TYPE] or [""]
     if name and "type" not in given:
         raise DeviceFileError(f"{where}.{name} means nothing without type")
     options = {key: value for key, value in given.items() if key in TYPE and key != "type"}
     with _inside(f"{where}."):
-        return register_kind(value_type(given.get("type", "uint16"), **options))
+        return value_type(given.get("type", "uint16"), **options)
 
 
-def _cells(where: str, given: dict[str, Any], kind: Kind) -> tuple[int, list[int]]:
+def _cells(where: str, given: dict[str, Any], kind: ValueType) -> tuple[int, list[int]]:
     """How many values there are, and what they are at first."""
     if "values" not in given:
         count = given.get("count", 1)
-        return count, _encoded(f"{where}.value", kind, given.get("value", kind.zero)) * count
+        zero = "" if kind.is_text else kind.decode([0] * kind.registers)
+        return count, _encoded(f"{where}.value", kind, given.get("value", zero)) * count
     values = given["values"]
     if "count" in given:
         raise DeviceFileError(f"{where}.count means nothing beside values")
@@ -397,7 +399,7 @@ def _cells(where: str, given: dict[str, Any], kind: Kind) -> tuple[int, list[int
     return len(values), cells
 
 
-def _encoded(where: str, kind: Kind, value: object) -> list[int]:
+def _encoded(where: str, kind: ValueType, value: object) -> list[int]:
     try:
         return kind.encode(value)
     except (TypeError, ValueError) as error:

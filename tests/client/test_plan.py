@@ -131,8 +131,8 @@ def test_results_are_values_by_name() -> None:
         }
     )
     assert plan.requests == (pdu.ReadHoldingRegisters(10, 6),)
-    registers = values.encode_many([1.5, -2.25], "float32", order="CDAB")
-    registers += values.encode("ab", "string:4", padding=" ")
+    registers = values.value_type("float32", order="CDAB").encode_many([1.5, -2.25])
+    registers += values.value_type("string:4", padding=" ").encode("ab")
     assert plan.results([registers]) == {
         "level": [1.5, -2.25],
         "name": ["ab"],
@@ -334,7 +334,7 @@ def test_plan_of_any_items(reads: list[Read], gap: int, limit: int, closed: set[
 
 
 def decoded(read: Read, registers: list[Any]) -> list[Any]:
-    return registers if read.type is None else values.decode_many(registers, read.type)
+    return registers if read.type is None else values.value_type(read.type).decode_many(registers)
 
 
 # --- read_many ---------------------------------------------------------------------------
@@ -347,7 +347,7 @@ def context(url: str) -> Iterator[Context]:
 
 
 def test_read_many_on_every_transport(context: Context, mapping: Mapping) -> None:
-    mapping.holding_registers[120:122] = values.encode(2.5, "float32")
+    mapping.holding_registers[120:122] = values.value_type("float32").encode(2.5)
     plan = Plan(
         {
             "valves": ("coils", 10, 3),

@@ -10,7 +10,7 @@ from array import array
 from collections.abc import Callable
 from decimal import Decimal
 from fractions import Fraction
-from typing import Any
+from typing import Any, get_args
 
 import pytest
 from hypothesis import given, settings
@@ -20,14 +20,32 @@ from vectors import BYTE_ORDERS, REFERENCES, ByteOrder, Reference, rows
 from libmodbus_py import values
 from libmodbus_py.protocol.values import (
     ORDERS,
-    decode,
-    decode_many,
-    encode,
-    encode_many,
+    TYPES,
+    BitsType,
+    NumberType,
+    Order,
+    TextType,
     parse_reference,
     readings,
     value_type,
 )
+
+
+def encode(value: Any, type: str, **options: Any) -> list[int]:
+    return value_type(type, **options).encode(value)
+
+
+def encode_many(values: Any, type: str, **options: Any) -> list[int]:
+    return value_type(type, **options).encode_many(values)
+
+
+def decode(registers: Any, type: str, **options: Any) -> Any:
+    return value_type(type, **options).decode(registers)
+
+
+def decode_many(registers: Any, type: str, **options: Any) -> list[Any]:
+    return value_type(type, **options).decode_many(registers)
+
 
 # As the examples call the tables, and as this package does.
 TABLES = {
@@ -849,3 +867,30 @@ class TestParseReference:
 
     def test_tables_are_those_of_mappings(self) -> None:
         assert values.TABLES == DIGITS
+
+
+# --- names and limits --------------------------------------------------------------------
+
+
+def test_names_for_type_checkers_are_all_there_are() -> None:
+    assert {*get_args(NumberType), *get_args(BitsType)} == set(TYPES)
+    assert get_args(TextType) == tuple(f"string:{size}" for size in range(1, 251))
+    assert set(get_args(Order)) == set(ORDERS)
+
+
+@pytest.mark.parametrize("name", get_args(NumberType))
+def test_limits_are_the_numbers_that_just_fit(name: str) -> None:
+    kind = TYPES[name]
+    assert kind.limits is not None
+    low, high = kind.limits
+    for number in kind.limits:
+        assert kind.decode(kind.encode(number)) == number
+    for beyond in (low * 2 - 1, high * 2 + 1):
+        if math.isfinite(beyond):
+            with pytest.raises(ValueError, match="must be in"):
+                kind.encode(beyond)
+
+
+@pytest.mark.parametrize("name", [*get_args(BitsType), "string:1"])
+def test_what_is_no_number_has_no_limits(name: str) -> None:
+    assert value_type(name).limits is None

@@ -193,13 +193,14 @@ class WriteCoils(Echoed):
     address: int
     values: tuple[bool, ...]
 
+    limit: ClassVar[int] = 1968
     function = 0x0F
     request_length = counted(6, at=5)
     response_length = fixed(5)
     echoed = 5
 
     def __post_init__(self) -> None:
-        values = checked_bits("values", self.values, 1968)
+        values = checked_bits("values", self.values, self.limit)
         store(
             self,
             values=values,
@@ -214,8 +215,8 @@ class WriteCoils(Echoed):
     @classmethod
     def decode(cls, pdu: bytes) -> Self:
         address, count, size = struct.unpack(">HHB", pdu[1:6])
-        if not 1 <= count <= 1968 or size != (count + 7) // 8:
-            raise ValueError(f"byte count {size} does not hold {count} coils, 1..1968")
+        if not 1 <= count <= cls.limit or size != (count + 7) // 8:
+            raise ValueError(f"byte count {size} does not hold {count} coils, 1..{cls.limit}")
         return cls(address, tuple(unpack_bits(pdu[6:], count)))
 
 
@@ -226,13 +227,14 @@ class WriteRegisters(Echoed):
     address: int
     values: tuple[int, ...]
 
+    limit: ClassVar[int] = 123
     function = 0x10
     request_length = counted(6, at=5)
     response_length = fixed(5)
     echoed = 5
 
     def __post_init__(self) -> None:
-        values = checked_registers("values", self.values, 123)
+        values = checked_registers("values", self.values, self.limit)
         store(
             self,
             values=values,
@@ -248,7 +250,7 @@ class WriteRegisters(Echoed):
     def decode(cls, pdu: bytes) -> Self:
         address, count, size = struct.unpack(">HHB", pdu[1:6])
         if size != 2 * count:
-            raise ValueError(f"byte count {size} does not hold {count} registers, 1..123")
+            raise ValueError(f"byte count {size} does not hold {count} registers, 1..{cls.limit}")
         return cls(address, unpack_registers(pdu[6:]))
 
 

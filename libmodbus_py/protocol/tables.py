@@ -1,0 +1,44 @@
+"""
+The four tables of a device: what they hold, and how much of it a request may carry.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Literal, NamedTuple
+
+from . import pdu
+from .pdu.fields import TABLE_SIZE
+
+__all__ = ["TABLES", "TABLE_SIZE", "RegisterTable", "Table", "TableRules"]
+
+RegisterTable = Literal["holding_registers", "input_registers"]
+Table = Literal["coils", "discrete_inputs", RegisterTable]
+
+
+class TableRules(NamedTuple):
+    """
+    What holds for one table; all have the addresses 0..65535 (`TABLE_SIZE`).
+
+    Attributes:
+        read: makes the request for some of it: (address, count).
+        is_bits: whether its cells are True and False, not 0..65535.
+        most_read: the most cells of one read.
+        most_written: the most cells of one write; 0 if clients can only read it.
+    """
+
+    read: Callable[[int, int], pdu.Request[list[Any]]]
+    is_bits: bool
+    most_read: int
+    most_written: int = 0
+
+
+TABLES: dict[str, TableRules] = {
+    "coils": TableRules(pdu.ReadCoils, True, pdu.ReadCoils.limit, pdu.WriteCoils.limit),
+    "discrete_inputs": TableRules(pdu.ReadDiscreteInputs, True, pdu.ReadDiscreteInputs.limit),
+    "holding_registers": TableRules(
+        pdu.ReadHoldingRegisters, False, pdu.ReadHoldingRegisters.limit, pdu.WriteRegisters.limit
+    ),
+    "input_registers": TableRules(pdu.ReadInputRegisters, False, pdu.ReadInputRegisters.limit),
+}
+"""Name -> rules; the names are those of `Table`."""
