@@ -20,7 +20,7 @@ import re
 import struct
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Any, Literal, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple
 
 from .errors import MAX_RECEIVED, FrameError
 from .pdu import MAX_PDU, REQUESTS, Request, request_length, response_length
@@ -63,30 +63,6 @@ class Frame(NamedTuple):
     transaction: int = 0
 
 
-class Framer(Protocol):
-    """What the framers have in common; see the module's docstring."""
-
-    # Whether unit 0 addresses every unit, as on a serial line.
-    has_broadcast: bool
-    # Seconds without a byte after which `silence` should be called; None for never.
-    quiet: float | None
-    # False once the stream cannot be understood any more and must be closed.
-    in_step: bool
-
-    @property
-    def pending(self) -> int: ...
-
-    def encode(self, frame: Frame) -> bytes: ...
-
-    def feed(self, data: bytes) -> list[Frame]: ...
-
-    def silence(self) -> list[Frame]: ...
-
-    def scan(self, data: bytes) -> list[Frame | FrameError]: ...
-
-    def scan_silence(self) -> list[Frame | FrameError]: ...
-
-
 def lrc(data: bytes) -> int:
     """
     Compute the LRC of an ASCII frame: two's complement of the sum of its bytes.
@@ -106,8 +82,15 @@ def _check(frame: Frame) -> Frame:
     return frame
 
 
-class _Scanner(ABC):
-    """Keeps frames and errors in the order of their bytes."""
+class Framer(ABC):
+    """What the framers have in common: they keep frames and errors in the order of their bytes."""
+
+    # Whether unit 0 addresses every unit, as on a serial line.
+    has_broadcast = True
+    # Seconds without a byte after which `silence` should be called; None for never.
+    quiet: float | None = None
+    # False once the stream cannot be understood any more and must be closed.
+    in_step = True
 
     def __init__(self) -> None:
         self._buffer = bytearray()
@@ -149,6 +132,9 @@ class _Scanner(ABC):
         return self._give()
 
     @abstractmethod
+    def encode(self, frame: Frame) -> bytes: ...
+
+    @abstractmethod
     def _scan(self) -> None: ...
 
     @abstractmethod
@@ -185,7 +171,7 @@ class _Scanner(ABC):
 _HEADER = struct.Struct(">HHH")
 
 
-class TcpFramer(_Scanner):
+class TcpFramer(Framer):
     """
     MBAP: transaction, protocol, length, unit in front of the PDU.
 
@@ -195,8 +181,6 @@ class TcpFramer(_Scanner):
     """
 
     has_broadcast = False
-    quiet: float | None = None
-    in_step = True
 
     def encode(self, frame: Frame) -> bytes:
         """
@@ -254,7 +238,7 @@ class UdpFramer(TcpFramer):
             self._found[:] = [FrameError("a datagram that is not one frame", received=datagram)]
 
 
-class RtuFramer(_Scanner):
+class RtuFramer(Framer):
     """
     Unit, PDU, CRC; found by the length rules of `pdu` and judged by the CRC.
 
@@ -268,12 +252,10 @@ class RtuFramer(_Scanner):
         role: "server" when requests come in, "client" when responses do.
     """
 
-    has_broadcast = True
-    in_step = True
     # Longer than USB adapters keep bytes back (16 ms), which is longer than 3.5
     # characters from 2400 bit/s on. Below that it may fall inside a frame; that
     # does harm only where what came so far ends with a whole frame.
-    quiet: float | None = 0.02
+    quiet = 0.02
     max_size = MAX_PDU + 3
 
     def __init__(self, role: Role) -> None:
@@ -353,7 +335,7 @@ def is_delimiter(value: int) -> bool:
     return 0 <= value <= 0x7F and chr(value) not in ":\r0123456789ABCDEFabcdef"
 
 
-class AsciiFramer(_Scanner):
+class AsciiFramer(Framer):
     """
     A colon, hexadecimal digits of unit, PDU and LRC, CR and a delimiter.
 
@@ -368,9 +350,7 @@ class AsciiFramer(_Scanner):
             sub-function 3); it counts for frames sent and received from then on.
     """
 
-    has_broadcast = True
-    in_step = True
-    quiet: float | None = 1.0
+    quiet = 1.0
     max_size = 513
 
     def __init__(self, *, strict: bool = False) -> None:
