@@ -18,18 +18,18 @@
         }                                                                 \
     } while (0)
 
-static engine_t engine;
+static replier_t replier;
 static modbus_mapping_t *mapping;
 
 static void set_up(void)
 {
     int pair[2];
     CHECK(socketpair(AF_UNIX, SOCK_STREAM, 0, pair) == 0);
-    engine.context = modbus_new_tcp("127.0.0.1", 0);
-    CHECK(engine.context != NULL);
-    CHECK(modbus_set_socket(engine.context, pair[0]) == 0);
-    CHECK(modbus_set_response_timeout(engine.context, 0, 1) == 0);
-    engine.outlet = pair[1];
+    replier.context = modbus_new_tcp("127.0.0.1", 0);
+    CHECK(replier.context != NULL);
+    CHECK(modbus_set_socket(replier.context, pair[0]) == 0);
+    CHECK(modbus_set_response_timeout(replier.context, 0, 1) == 0);
+    replier.outlet = pair[1];
     mapping = modbus_mapping_new_start_address(10, 2100, 20, 2100, 100, 300, 200, 200);
     CHECK(mapping != NULL);
 }
@@ -86,20 +86,20 @@ static void check_answers(const uint8_t *data, int used, int unit)
     for (int start = 0; start < used; start += 6 + word(data + start + 4)) {
         CHECK(is_whole(data + start, used - start) && data[start + 6] == unit);
         CHECK(is_known(data[start + 7]));
-        CHECK(is_whole(engine.answers + at, engine.size - at));
-        check_answer(data + start, engine.answers + at, 6 + word(engine.answers + at + 4));
-        refused += engine.answers[at + 7] >> 7;
+        CHECK(is_whole(replier.answers + at, replier.size - at));
+        check_answer(data + start, replier.answers + at, 6 + word(replier.answers + at + 4));
+        refused += replier.answers[at + 7] >> 7;
         requests++;
-        at += 6 + word(engine.answers + at + 4);
+        at += 6 + word(replier.answers + at + 4);
     }
-    CHECK(at == engine.size && requests == engine.requests && refused == engine.refused);
+    CHECK(at == replier.size && requests == replier.requests && refused == replier.refused);
 }
 
 /* What was left must be for somebody else, or lack its end or the room for its answer. */
 static void check_rest(const uint8_t *data, int size, int unit)
 {
     CHECK(!is_whole(data, size) || data[6] != unit || !is_known(data[7]) ||
-          engine.room - engine.size < MODBUS_TCP_MAX_ADU_LENGTH);
+          replier.room - replier.size < MODBUS_TCP_MAX_ADU_LENGTH);
 }
 
 static void check_tables(void)
@@ -120,22 +120,22 @@ int LLVMFuzzerTestOneInput(const uint8_t *input, size_t given)
         set_up();
     empty_tables();
     unit = input[0];
-    engine.room = MODBUS_TCP_MAX_ADU_LENGTH + 37 * input[1];
-    engine.answers = malloc((size_t)engine.room);
+    replier.room = MODBUS_TCP_MAX_ADU_LENGTH + 37 * input[1];
+    replier.answers = malloc((size_t)replier.room);
     size = (int)given - 2;
     data = malloc((size_t)size);
     if (size)
         memcpy(data, input + 2, (size_t)size);
     do {
-        end = answer_chunk(&engine, mapping, &tally, unit, data, start, size);
+        end = answer_chunk(&replier, mapping, &tally, unit, data, start, size);
         CHECK(end >= start && end <= size);
-        CHECK(engine.size <= engine.room && engine.unread == 0 && engine.unread_size == 0);
+        CHECK(replier.size <= replier.room && replier.unread == 0 && replier.unread_size == 0);
         check_answers(data + start, end - start, unit);
         check_rest(data + end, size - end, unit);
     } while (end > start && (start = end) < size);
-    CHECK(recv(engine.outlet, &stray, 1, MSG_DONTWAIT) == -1);
+    CHECK(recv(replier.outlet, &stray, 1, MSG_DONTWAIT) == -1);
     check_tables();
     free(data);
-    free(engine.answers);
+    free(replier.answers);
     return 0;
 }

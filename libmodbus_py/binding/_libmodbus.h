@@ -182,7 +182,7 @@ int modbus_enable_quirks(modbus_t *ctx, unsigned int quirks_mask);
 int modbus_disable_quirks(modbus_t *ctx, unsigned int quirks_mask);
 int modbus_send_raw_request_tid(modbus_t *ctx, const uint8_t *raw_req, int raw_req_length, int tid);
 
-/* Ours: _chunk.c. */
+/* Ours: answer_chunk.c. */
 typedef struct {
     uint32_t requests;
     uint32_t refused;
@@ -198,7 +198,7 @@ typedef struct {
     int requests;
     int refused;
     ...;
-} engine_t;
+} replier_t;
 
-int answer_chunk(engine_t *engine, modbus_mapping_t *mapping, tally_t *tally, int unit,
+int answer_chunk(replier_t *replier, modbus_mapping_t *mapping, tally_t *tally, int unit,
                  const uint8_t *data, int start, int end);

@@ -35,7 +35,7 @@ typedef struct {
     int refused;     /* and how many of them got an exception */
     int unread;      /* answers that wait in the outlet, */
     int unread_size; /* and their bytes */
-} engine_t;
+} replier_t;
 
 static int word(const uint8_t *at)
 {
@@ -99,70 +99,70 @@ static int judge(const uint8_t *pdu, int size)
 }
 
 /* Move the answers that wait in the outlet to the others. */
-static int gather(engine_t *engine)
+static int gather(replier_t *replier)
 {
-    while (engine->unread_size > 0) {
-        ssize_t got = recv(engine->outlet, engine->answers + engine->size,
-                           (size_t)engine->unread_size, MSG_DONTWAIT);
+    while (replier->unread_size > 0) {
+        ssize_t got = recv(replier->outlet, replier->answers + replier->size,
+                           (size_t)replier->unread_size, MSG_DONTWAIT);
         if (got <= 0)
             return -1;
-        engine->size += (int)got;
-        engine->unread_size -= (int)got;
+        replier->size += (int)got;
+        replier->unread_size -= (int)got;
     }
-    engine->unread = 0;
+    replier->unread = 0;
     return 0;
 }
 
-static int refuse(engine_t *engine, const uint8_t *request, uint8_t code)
+static int refuse(replier_t *replier, const uint8_t *request, uint8_t code)
 {
     uint8_t *answer;
-    if (gather(engine) == -1)
+    if (gather(replier) == -1)
         return -1;
-    answer = engine->answers + engine->size;
+    answer = replier->answers + replier->size;
     memcpy(answer, request, HEADER_SIZE);
     answer[4] = 0;
     answer[5] = EXCEPTION_SIZE - 6;
     answer[7] = request[7] | 0x80;
     answer[8] = code;
-    engine->size += EXCEPTION_SIZE;
+    replier->size += EXCEPTION_SIZE;
     return EXCEPTION_SIZE;
 }
 
-static int reply(engine_t *engine, const uint8_t *request, int size, modbus_mapping_t *mapping)
+static int reply(replier_t *replier, const uint8_t *request, int size, modbus_mapping_t *mapping)
 {
-    int sent = modbus_reply(engine->context, request, size, mapping);
+    int sent = modbus_reply(replier->context, request, size, mapping);
     if (sent == -1)
         return -1;
-    engine->unread_size += sent;
-    if (++engine->unread == UNREAD_MAX && gather(engine) == -1)
+    replier->unread_size += sent;
+    if (++replier->unread == UNREAD_MAX && gather(replier) == -1)
         return -1;
     return sent;
 }
 
-static void note(engine_t *engine, tally_t *tally, int refused)
+static void note(replier_t *replier, tally_t *tally, int refused)
 {
     tally->was_refused[tally->requests++ % OUTCOMES] = (uint8_t)refused;
     tally->refused += (uint32_t)refused;
-    engine->requests++;
-    engine->refused += refused;
+    replier->requests++;
+    replier->refused += refused;
 }
 
-static int has_room(const engine_t *engine)
+static int has_room(const replier_t *replier)
 {
-    return engine->room - engine->size - engine->unread_size >= MODBUS_TCP_MAX_ADU_LENGTH;
+    return replier->room - replier->size - replier->unread_size >= MODBUS_TCP_MAX_ADU_LENGTH;
 }
 
 /* Answer the requests from data[start] on, as far as they are for this device and
  * there is room for answers.
  *
  * unit: whose requests they are. Gives where the first byte is that
- * was not used, always behind a whole frame; or -1 if the engine failed (errno), whose
+ * was not used, always behind a whole frame; or -1 if the replier failed (errno), whose
  * outlet cannot be used any more then. */
-static int answer_chunk(engine_t *engine, modbus_mapping_t *mapping, tally_t *tally, int unit,
+static int answer_chunk(replier_t *replier, modbus_mapping_t *mapping, tally_t *tally, int unit,
                         const uint8_t *data, int start, int end)
 {
-    engine->size = engine->requests = engine->refused = 0;
-    while (end - start > HEADER_SIZE && has_room(engine)) {
+    replier->size = replier->requests = replier->refused = 0;
+    while (end - start > HEADER_SIZE && has_room(replier)) {
         const uint8_t *frame = data + start;
         int length = word(frame + 4);
         int size = 6 + length;
@@ -173,13 +173,13 @@ static int answer_chunk(engine_t *engine, modbus_mapping_t *mapping, tally_t *ta
         verdict = judge(frame + HEADER_SIZE, size - HEADER_SIZE);
         if (verdict == -1)
             break;
-        sent = verdict ? reply(engine, frame, size, mapping)
-                       : refuse(engine, frame, MODBUS_EXCEPTION_ILLEGAL_DATA_VALUE);
+        sent = verdict ? reply(replier, frame, size, mapping)
+                       : refuse(replier, frame, MODBUS_EXCEPTION_ILLEGAL_DATA_VALUE);
         if (sent == -1)
             return -1;
         /* No other answer is as short: the least of them has a byte count and a byte. */
-        note(engine, tally, sent == EXCEPTION_SIZE);
+        note(replier, tally, sent == EXCEPTION_SIZE);
         start += size;
     }
-    return gather(engine) == -1 ? -1 : start;
+    return gather(replier) == -1 ? -1 : start;
 }

@@ -1,7 +1,7 @@
 """
 A device: request PDU in, response PDU out.
 
-What libmodbus knows is answered from the mapping by its modbus_reply (`engine`),
+What libmodbus knows is answered from the mapping by its modbus_reply (`replier`),
 behind the exact checks that it lacks; the rest by the methods here. All state is
 the device's own: two devices share nothing.
 """
@@ -45,10 +45,10 @@ from ..protocol.pdu import (
 )
 from ..protocol.pdu.interface import OBJECT_NAMES, ReadDeviceIdCode, pages
 from .access import ACCESSES, Access, Touched
-from .event_log import Communication
+from .event_log import EventLog
 from .mapping import Mapping
 from .record_file import RecordFile
-from .reply import Answered, engine, make_tally
+from .reply import Answered, make_tally, replier
 
 __all__ = ["Caller", "Device"]
 
@@ -73,13 +73,13 @@ class Caller:
     Attributes:
         unit: the unit that was addressed, 0..255.
         peer: "host:port", or the serial port.
-        communication: the device's notes about the line; None for its own.
+        log: the device's notes about the line; None for its own.
         is_broadcast: whether nobody is answered.
     """
 
     unit: int = 0
     peer: str = ""
-    communication: Communication | None = None
+    log: EventLog | None = None
     is_broadcast: bool = False
 
 
@@ -157,7 +157,7 @@ class Device:
         self._is_hooked = any(self._hooks)
         replied = ACCESSES.keys() - self._own.keys()
         self.is_plain = not self._is_hooked and self._handlers.keys().isdisjoint(replied)
-        self._communication = Communication(is_serial=False)
+        self._log = EventLog(is_serial=False)
         self._tally = make_tally()
         self._failed: set[int] = set()
 
@@ -177,17 +177,17 @@ class Device:
         function = pdu[0]
         if function & 0x80:
             return b""
-        line = caller.communication or self._own_communication()
-        line.note_request(broadcast=caller.is_broadcast)
-        listening = line.listen_only
+        log = caller.log or self._own_log()
+        log.note_request(broadcast=caller.is_broadcast)
+        listening = log.listen_only
         restart = pdu[:3] == _RESTART and not caller.is_broadcast
         ignored = (listening and not restart) or (caller.is_broadcast and not _is_write(function))
-        response = b"" if ignored else self._respond(pdu, line, caller)
-        silent = caller.is_broadcast or listening or line.listen_only
-        line.note_response(pdu, response, silent=silent)
+        response = b"" if ignored else self._respond(pdu, log, caller)
+        silent = caller.is_broadcast or listening or log.listen_only
+        log.note_response(pdu, response, silent=silent)
         if restart and response[:1] == pdu[:1]:
             # The answer is sent before the restart, so that only what came after is counted.
-            line.restart(clear_log=pdu[3:] == b"\xff\0")
+            log.restart(clear_log=pdu[3:] == b"\xff\0")
         return b"" if silent else response
 
     def answer_chunk(self, data: bytes, start: int, unit: int) -> Answered:
@@ -209,22 +209,22 @@ class Device:
             ModbusConnectionError: libmodbus failed in memory.
         """
         with self.mapping.lock:
-            return engine().answer(self.mapping, self._tally, unit, data, start)
+            return replier().answer(self.mapping, self._tally, unit, data, start)
 
-    def _own_communication(self) -> Communication:
+    def _own_log(self) -> EventLog:
         """The notes about TCP, with those that were made in C."""
         with self.mapping:
             tally = self._tally
             if requests := tally.requests:
                 size = len(tally.was_refused)
                 latest = [tally.was_refused[n % size] for n in range(requests)[-size:]]
-                self._communication.note_exchanges(requests, tally.refused, latest)
+                self._log.note_exchanges(requests, tally.refused, latest)
                 tally.requests = tally.refused = 0
-        return self._communication
+        return self._log
 
-    def _respond(self, pdu: bytes, line: Communication, caller: Caller) -> bytes:
+    def _respond(self, pdu: bytes, log: EventLog, caller: Caller) -> bytes:
         try:
-            return self._execute(decode_request(pdu), pdu, line, caller)
+            return self._execute(decode_request(pdu), pdu, log, caller)
         except ExceptionResponse as refusal:
             if 1 <= refusal.code <= 0xFF:
                 return bytes([pdu[0] | 0x80, refusal.code])
@@ -233,9 +233,7 @@ class Device:
             self._log_failure(pdu)
         return bytes([pdu[0] | 0x80, ServerDeviceFailure.code])
 
-    def _execute(
-        self, request: Request[Any], pdu: bytes, line: Communication, caller: Caller
-    ) -> bytes:
+    def _execute(self, request: Request[Any], pdu: bytes, log: EventLog, caller: Caller) -> bytes:
         handle = self._handlers.get(type(request))
         touched = None
         with self.mapping:
@@ -243,11 +241,11 @@ class Device:
                 touched = find(request, self.mapping)
                 self._call_hooks_before(touched, caller)
             if handle is not None:
-                response = request.encode_response(handle(self, request, line))
+                response = request.encode_response(handle(self, request, log))
                 if not 1 <= len(response) <= MAX_PDU:
                     raise ValueError(f"a response of {len(response)} bytes")
             elif type(request) in ACCESSES:
-                response = engine().reply(pdu, self.mapping)
+                response = replier().reply(pdu, self.mapping)
             else:
                 raise IllegalFunction(function=request.function)
             if touched is not None:
@@ -293,13 +291,13 @@ class Device:
             raise IllegalDataAddress(f"file {number} lacks records {record}+{length}")
         return file
 
-    def _read_file_records(self, request: ReadFileRecords, _: Communication) -> list[list[int]]:
+    def _read_file_records(self, request: ReadFileRecords, _: EventLog) -> list[list[int]]:
         return [
             self._file(number, record, length).read(record, length)
             for number, record, length in request.records
         ]
 
-    def _write_file_records(self, request: WriteFileRecords, _: Communication) -> None:
+    def _write_file_records(self, request: WriteFileRecords, _: EventLog) -> None:
         # All pieces are found before the first is written: all or nothing.
         places = [self._file(file, at, len(values)) for file, at, values in request.records]
         for file, (_number, record, values) in zip(places, request.records, strict=True):
@@ -310,31 +308,31 @@ class Device:
             raise IllegalDataAddress(f"no queue at {address}")
         return self.fifos[address]
 
-    def _read_fifo_queue(self, request: ReadFifoQueue, _: Communication) -> list[int]:
+    def _read_fifo_queue(self, request: ReadFifoQueue, _: EventLog) -> list[int]:
         queue = list(self._fifo(request.address))
         if len(queue) > request.max_count:
             raise IllegalDataValue(f"{len(queue)} registers in the queue")
         return queue
 
-    def _read_exception_status(self, _request: ReadExceptionStatus, _: Communication) -> int:
+    def _read_exception_status(self, _request: ReadExceptionStatus, _: EventLog) -> int:
         return self.exception_status
 
-    def _report_server_id(self, _request: ReportServerId, _: Communication) -> ServerId:
+    def _report_server_id(self, _request: ReportServerId, _: EventLog) -> ServerId:
         return self.server_id
 
-    def _read_event_counter(self, _: ReadCommEventCounter, line: Communication) -> CommEventCounter:
-        return line.read_event_counter()
+    def _read_event_counter(self, _: ReadCommEventCounter, log: EventLog) -> CommEventCounter:
+        return log.read_event_counter()
 
-    def _read_event_log(self, _: ReadCommEventLog, line: Communication) -> CommEventLog:
-        return line.read_event_log()
+    def _read_event_log(self, _: ReadCommEventLog, log: EventLog) -> CommEventLog:
+        return log.read_event_log()
 
-    def _encapsulated_transport(self, request: EncapsulatedTransport, _: Communication) -> bytes:
+    def _encapsulated_transport(self, request: EncapsulatedTransport, _: EventLog) -> bytes:
         if self._canopen is None:
             raise IllegalFunction(function=request.function)
         return self._canopen(request.data)
 
     def _read_device_identification(
-        self, request: ReadDeviceIdentification, _: Communication
+        self, request: ReadDeviceIdentification, _: EventLog
     ) -> IdentificationPage:
         objects = self._identification
         highest = max(objects)
@@ -346,32 +344,32 @@ class Device:
         wanted = {request.object_id: objects[request.object_id]}
         return IdentificationPage(conformity, None, wanted)
 
-    def _diagnostics(self, request: Diagnostics, line: Communication) -> bytes:
+    def _diagnostics(self, request: Diagnostics, log: EventLog) -> bytes:
         try:
             sub_function = SubFunction(request.sub_function)
         except ValueError:
             raise IllegalFunction(f"no sub-function {request.sub_function}") from None
-        if sub_function in _SILENCING and not line.is_serial:
+        if sub_function in _SILENCING and not log.is_serial:
             raise IllegalFunction("one client must not silence the device for all")
         allowed = _DATA.get(sub_function, (b"\0\0",))
         if allowed is not None and request.data not in allowed:
             raise IllegalDataValue(f"data {request.data.hex()}")
         if sub_function in _ACTIONS:
-            _ACTIONS[sub_function](self, request, line)
+            _ACTIONS[sub_function](self, request, log)
             return request.data
         if sub_function is SubFunction.RETURN_DIAGNOSTIC_REGISTER:
             return self.diagnostic_register.to_bytes(2, "big")
-        return line.counter(sub_function).to_bytes(2, "big")
+        return log.counter(sub_function).to_bytes(2, "big")
 
-    def _clear_counters(self, _: Diagnostics, line: Communication) -> None:
-        line.clear_counters()
+    def _clear_counters(self, _: Diagnostics, log: EventLog) -> None:
+        log.clear_counters()
         self.diagnostic_register = 0
 
-    def _change_delimiter(self, request: Diagnostics, line: Communication) -> None:
+    def _change_delimiter(self, request: Diagnostics, log: EventLog) -> None:
         delimiter, zero = request.data
         if zero or delimiter > 0x7F or chr(delimiter) in ":\r0123456789ABCDEFabcdef":
             raise IllegalDataValue(f"delimiter {request.data.hex()}")
-        line.delimiter = delimiter
+        log.delimiter = delimiter
 
     # Request class -> method; what is missing here is libmodbus's.
     _own: ClassVar[dict[type[Request[Any]], Callable[..., Any]]] = {
@@ -400,13 +398,13 @@ _DATA: dict[SubFunction, tuple[bytes, ...] | None] = {
 }
 
 # Sub-functions that echo their data, and what they do; a restart comes after its echo.
-_ACTIONS: dict[SubFunction, Callable[[Device, Diagnostics, Communication], None]] = {
-    SubFunction.RETURN_QUERY_DATA: lambda device, request, line: None,
-    SubFunction.RESTART_COMMUNICATIONS: lambda device, request, line: None,
+_ACTIONS: dict[SubFunction, Callable[[Device, Diagnostics, EventLog], None]] = {
+    SubFunction.RETURN_QUERY_DATA: lambda device, request, log: None,
+    SubFunction.RESTART_COMMUNICATIONS: lambda device, request, log: None,
     SubFunction.CHANGE_ASCII_DELIMITER: Device._change_delimiter,
-    SubFunction.FORCE_LISTEN_ONLY: lambda device, request, line: line.enter_listen_only(),
+    SubFunction.FORCE_LISTEN_ONLY: lambda device, request, log: log.enter_listen_only(),
     SubFunction.CLEAR_COUNTERS: Device._clear_counters,
-    SubFunction.CLEAR_OVERRUN: lambda device, request, line: line.clear_overrun(),
+    SubFunction.CLEAR_OVERRUN: lambda device, request, log: log.clear_overrun(),
 }
 
 
@@ -425,12 +423,12 @@ def _bound(
             raise TypeError(f"handlers must be {{request class: function}}, not {request!r}")
         if not callable(handle):
             raise TypeError(f"handlers[{request.__name__}] must be a function, not {handle!r}")
-        bound[request] = _ignoring_line(handle)
+        bound[request] = _ignoring_log(handle)
     return bound
 
 
-def _ignoring_line(handle: Callable[[Any], Any]) -> Callable[..., Any]:
-    return lambda device, request, line: handle(request)
+def _ignoring_log(handle: Callable[[Any], Any]) -> Callable[..., Any]:
+    return lambda device, request, log: handle(request)
 
 
 def _checked_identification(given: MappingABC[Any, str | bytes]) -> dict[int, bytes]:

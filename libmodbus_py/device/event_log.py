@@ -34,7 +34,7 @@ from ..protocol.pdu import (
     SubFunction,
 )
 
-__all__ = ["LINE_FEED", "Communication", "Event"]
+__all__ = ["LINE_FEED", "Event", "EventLog"]
 
 LINE_FEED = 0x0A
 
@@ -87,7 +87,7 @@ COUNTED_EXCEPTIONS = {
 }
 
 
-class Communication:
+class EventLog:
     """
     The notes of one device on one line.
 

@@ -13,7 +13,7 @@ from typing import Any
 from ..binding.library import check, ffi, lib, make
 from .mapping import Mapping
 
-__all__ = ["Answered", "Engine", "engine", "make_tally"]
+__all__ = ["Answered", "Replier", "make_tally", "replier"]
 
 _HEADER = struct.Struct(">HHHB")
 
@@ -28,13 +28,13 @@ Answered = tuple[int, bytes, int, int]
 
 
 def make_tally() -> Any:
-    """Make a tally_t: what the engine notes about the requests of one device."""
+    """Make a tally_t: what the replier notes about the requests of one device."""
     return ffi.new("tally_t *")
 
 
-class Engine:
+class Replier:
     """
-    modbus_reply on a socketpair (_chunk.c).
+    modbus_reply on a socketpair (answer_chunk.c).
 
     libmodbus 3.1.6 sends and receives on it like on any socket; both ends are
     non-blocking, for it would wait for ever on a full one.
@@ -62,7 +62,7 @@ class Engine:
         check(lib.modbus_set_socket(self._context, inner.fileno()))
         # It sleeps that long after what it finds illegal; 0 is refused.
         check(lib.modbus_set_response_timeout(self._context, 0, 1))
-        self._struct = ffi.new("engine_t *")
+        self._struct = ffi.new("replier_t *")
         self._struct.context = self._context
         self._struct.outlet = outer.fileno()
         self._struct.answers = self._answers
@@ -92,19 +92,19 @@ class Engine:
 _local = threading.local()
 
 
-def engine() -> Engine:
+def replier() -> Replier:
     """One for each thread."""
     try:
-        made: Engine = _local.engine
+        made: Replier = _local.replier
     except AttributeError:
-        made = _local.engine = Engine()
+        made = _local.replier = Replier()
     return made
 
 
-def _renew_engines() -> None:
+def _renew_repliers() -> None:
     """A child must not answer through the socketpair of its parent."""
     global _local
     _local = threading.local()
 
 
-os.register_at_fork(after_in_child=_renew_engines)
+os.register_at_fork(after_in_child=_renew_repliers)

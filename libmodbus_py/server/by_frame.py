@@ -13,10 +13,10 @@ from typing import Protocol
 from ..protocol.errors import FrameError
 from ..protocol.framing import AsciiFramer, Frame, Framer, RtuFramer, TcpFramer, UdpFramer
 from .faults import Delivery, pieces
-from .limits import Statistics
+from .limits import ServerStatistics
 from .units import SerialUnits, TcpUnits
 
-__all__ = ["FramerSession", "Session"]
+__all__ = ["ByFrame", "Session"]
 
 logger = logging.getLogger(__name__)
 
@@ -51,7 +51,7 @@ class Session(Protocol):
     def close(self) -> None: ...
 
 
-class FramerSession:
+class ByFrame:
     """
     Any framing, frame by frame.
 
@@ -69,7 +69,7 @@ class FramerSession:
         units: TcpUnits | SerialUnits,
         framing: str,
         peer: str,
-        statistics: Statistics,
+        statistics: ServerStatistics,
         write: Callable[[bytes], None],
         follow: Callable[[], None] = lambda: None,
     ) -> None:

@@ -12,7 +12,7 @@ from typing import Literal
 
 from ..protocol.checks import integer, seconds
 
-__all__ = ["FULL_POLICIES", "Allowance", "Limits", "Statistics"]
+__all__ = ["FULL_POLICIES", "Allowance", "Limits", "ServerStatistics"]
 
 # Descriptors that are left to the rest of the process, unless max_connections is given.
 SPARE_DESCRIPTORS = 64
@@ -131,7 +131,7 @@ class Allowance:
 
 
 @dataclass(slots=True)
-class Statistics:
+class ServerStatistics:
     """
     What happened at all endpoints of a server since it was made.
 

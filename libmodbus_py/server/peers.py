@@ -22,9 +22,9 @@ from select import EPOLLIN, EPOLLOUT
 
 from ..protocol.errors import FrameError
 from .by_frame import Session
-from .limits import SPARE_DESCRIPTORS, Allowance, Limits, Statistics
+from .limits import SPARE_DESCRIPTORS, Allowance, Limits, ServerStatistics
 
-__all__ = ["Clients", "MakeSession"]
+__all__ = ["MakeSession", "Peer", "Peers"]
 
 logger = logging.getLogger(__name__)
 
@@ -46,26 +46,26 @@ ROOM_AT_MOST = 16_384
 # than to read the request.
 RESOLUTION = 0.05
 
-# A connection -> its session; given who asks, how to write, and whom to tell of waiting.
+# Makes the session of a peer; given who asks, how to write, and whom to tell of waiting.
 MakeSession = Callable[[str, Callable[[bytes], None], Callable[[], None]], Session]
 
 
-class Clients:
+class Peers:
     """The connections of all TCP endpoints, within the limits."""
 
-    def __init__(self, limits: Limits, statistics: Statistics) -> None:
+    def __init__(self, limits: Limits, statistics: ServerStatistics) -> None:
         self.limits = limits
         self.statistics = statistics
         self.loop = asyncio.get_running_loop()
         self._most = limits.connections()
         # Both from the longest idle to the latest: those that never sent a request, and
         # the others.
-        self._strangers: dict[Connection, float] = {}
-        self._known: dict[Connection, float] = {}
+        self._strangers: dict[Peer, float] = {}
+        self._known: dict[Peer, float] = {}
         # Connections that must get on with something, and until when.
-        self._deadlines: dict[Connection, float] = {}
+        self._deadlines: dict[Peer, float] = {}
         # Those that have something to send when all have been read.
-        self._sending: list[Connection] = []
+        self._sending: list[Peer] = []
         # What is to be done before that.
         self._calls: list[Callable[[], None]] = []
         self._in_turn = False
@@ -73,7 +73,7 @@ class Clients:
         self._now = 0.0  # the time of this turn
         self._epoll = select.epoll()
         _make_room_for_descriptors(self._epoll.fileno(), self._most)
-        self._by_descriptor: dict[int, Connection] = {}
+        self._by_descriptor: dict[int, Peer] = {}
         self.loop.add_reader(self._epoll.fileno(), self._turn)
         self._sweeping: asyncio.TimerHandle | None = None
         timeouts = [limits.frame_timeout, limits.idle_timeout or limits.frame_timeout]
@@ -97,18 +97,18 @@ class Clients:
     def close(self) -> None:
         if self._sweeping is not None:
             self._sweeping.cancel()
-        for connection in [*self._strangers, *self._known]:
-            connection.close()
+        for peer in [*self._strangers, *self._known]:
+            peer.close()
         self.loop.remove_reader(self._epoll.fileno())
         self._epoll.close()
 
-    def _add(self, client: socket.socket, peer: str, make: MakeSession) -> None:
+    def _add(self, client: socket.socket, address: str, make: MakeSession) -> None:
         with contextlib.suppress(OSError):  # it may be gone already
             client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             client.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
         self.statistics.accepted += 1
         self.statistics.connections += 1
-        self._strangers[Connection(self, client, peer, make)] = self.loop.time()
+        self._strangers[Peer(self, client, address, make)] = self.loop.time()
         if self._sweeping is None:
             self._sweeping = self.loop.call_later(self._sweep_every, self._sweep)
 
@@ -119,20 +119,20 @@ class Clients:
         next(iter(self._strangers or self._known)).close()
         return True
 
-    def remove(self, connection: Connection) -> None:
+    def remove(self, peer: Peer) -> None:
         self.statistics.connections -= 1
-        self._strangers.pop(connection, None)
-        self._known.pop(connection, None)
-        self._deadlines.pop(connection, None)
+        self._strangers.pop(peer, None)
+        self._known.pop(peer, None)
+        self._deadlines.pop(peer, None)
 
     # --- reading and writing ----------------------------------------------------------------
 
-    def watch(self, connection: Connection, descriptor: int, events: int) -> None:
-        """Tell a connection of these events from now on."""
+    def watch(self, peer: Peer, descriptor: int, events: int) -> None:
+        """Tell a peer of these events from now on."""
         if descriptor in self._by_descriptor:
             self._epoll.modify(descriptor, events)
         else:
-            self._by_descriptor[descriptor] = connection
+            self._by_descriptor[descriptor] = peer
             self._epoll.register(descriptor, events)
 
     def forget(self, descriptor: int) -> None:
@@ -143,11 +143,11 @@ class Clients:
         """Have it called when all have been read, before answers are sent."""
         self._calls.append(call)
 
-    def send_soon(self, connection: Connection) -> None:
+    def send_soon(self, peer: Peer) -> None:
         """Have it send when all have been read."""
         if not self._sending and not self._in_turn:
             self.loop.call_soon(self._send)
-        self._sending.append(connection)
+        self._sending.append(peer)
 
     def _turn(self) -> None:
         self._in_turn = True
@@ -155,17 +155,17 @@ class Clients:
         greedy = []
         for descriptor, events in self._epoll.poll(0, EVENTS_MAX):
             # Another one's turn may have closed it.
-            if connection := self._by_descriptor.get(descriptor):
-                if connection.is_greedy:
-                    greedy.append((connection, events))
+            if peer := self._by_descriptor.get(descriptor):
+                if peer.is_greedy:
+                    greedy.append((peer, events))
                 else:
-                    connection.act(events)
+                    peer.act(events)
         self._finish_turn()
         if greedy:
             self._turns += 1
-            for connection, events in nsmallest(GREEDY_AT_ONCE, greedy, key=_latest_turn):
-                connection.latest_turn = self._turns
-                connection.act(events)
+            for peer, events in nsmallest(GREEDY_AT_ONCE, greedy, key=_latest_turn):
+                peer.latest_turn = self._turns
+                peer.act(events)
             self._finish_turn()
         self._in_turn = False
 
@@ -180,37 +180,37 @@ class Clients:
 
     def _send(self) -> None:
         sending, self._sending = self._sending, []
-        for connection in sending:
-            connection.send()
+        for peer in sending:
+            peer.send()
 
     # --- who is idle, who is late --------------------------------------------------------
 
-    def note_request(self, connection: Connection) -> None:
+    def note_request(self, peer: Peer) -> None:
         """It is the latest of all now, and no frame is begun."""
-        self._deadlines.pop(connection, None)
-        if self._now - self._known.get(connection, 0.0) > RESOLUTION:
-            self._strangers.pop(connection, None)
-            self._known.pop(connection, None)
-            self._known[connection] = self._now
+        self._deadlines.pop(peer, None)
+        if self._now - self._known.get(peer, 0.0) > RESOLUTION:
+            self._strangers.pop(peer, None)
+            self._known.pop(peer, None)
+            self._known[peer] = self._now
 
-    def set_deadline(self, connection: Connection) -> None:
+    def set_deadline(self, peer: Peer) -> None:
         """From now on, unless there is one already."""
-        self._deadlines.setdefault(connection, self.loop.time() + self.limits.frame_timeout)
+        self._deadlines.setdefault(peer, self.loop.time() + self.limits.frame_timeout)
 
-    def drop_deadline(self, connection: Connection) -> None:
-        self._deadlines.pop(connection, None)
+    def drop_deadline(self, peer: Peer) -> None:
+        self._deadlines.pop(peer, None)
 
     def _sweep(self) -> None:
         self._sweeping = None
         now = self.loop.time()
-        for connection in _due(self._deadlines, now):
+        for peer in _due(self._deadlines, now):
             self.statistics.closed_slow += 1
-            connection.close()
+            peer.close()
         if self.limits.idle_timeout is not None:
             for table in (self._strangers, self._known):
-                for connection in _due(table, now - self.limits.idle_timeout):
+                for peer in _due(table, now - self.limits.idle_timeout):
                     self.statistics.closed_idle += 1
-                    connection.close()
+                    peer.close()
         if len(self):
             self._sweeping = self.loop.call_later(self._sweep_every, self._sweep)
 
@@ -225,26 +225,25 @@ def _make_room_for_descriptors(descriptor: int, most: int) -> None:
         os.close(fcntl.fcntl(descriptor, fcntl.F_DUPFD_CLOEXEC, highest))
 
 
-def _latest_turn(ready: tuple[Connection, int]) -> int:
+def _latest_turn(ready: tuple[Peer, int]) -> int:
     return ready[0].latest_turn
 
 
-def _due(times: dict[Connection, float], until: float) -> list[Connection]:
+def _due(times: dict[Peer, float], until: float) -> list[Peer]:
     """The first ones, for their times are in order."""
     due = []
-    for connection, time in times.items():
+    for peer, time in times.items():
         if time > until:
             break
-        due.append(connection)
+        due.append(peer)
     return due
 
 
-class Connection:
+class Peer:
     """One client. It is read only while it takes its answers and is not throttled."""
 
     __slots__ = (
         "_allowance",
-        "_clients",
         "_descriptor",
         "_is_closing",
         "_is_full",
@@ -252,21 +251,22 @@ class Connection:
         "_is_sending",
         "_is_throttled",
         "_loop",
+        "_peers",
         "_release_timer",
         "_session",
         "_socket",
         "_unsent",
+        "address",
         "is_greedy",
         "latest_turn",
-        "peer",
     )
 
     def __init__(
-        self, clients: Clients, client: socket.socket, peer: str, make: MakeSession
+        self, peers: Peers, client: socket.socket, address: str, make: MakeSession
     ) -> None:
-        self.peer = peer
-        self._clients = clients
-        self._loop = clients.loop
+        self.address = address
+        self._peers = peers
+        self._loop = peers.loop
         self._socket = client
         self._descriptor = client.fileno()
         # bytes as long as the client takes them at once: mostly one answer, never copied.
@@ -276,10 +276,10 @@ class Connection:
         self._is_sending = self._is_full = self._is_throttled = self._is_closing = False
         self._is_reading = True
         self._release_timer: asyncio.TimerHandle | None = None
-        rate = clients.limits.requests_per_second
+        rate = peers.limits.requests_per_second
         self._allowance = None if rate is None else Allowance(rate, self._loop.time())
-        self._session = make(peer, self._write, self._follow)
-        clients.watch(self, self._descriptor, EPOLLIN)
+        self._session = make(address, self._write, self._follow)
+        peers.watch(self, self._descriptor, EPOLLIN)
 
     def close(self) -> None:
         """Close at once. Any number of times."""
@@ -289,10 +289,10 @@ class Connection:
         del self._session  # which knows us: a circle would have to be looked for (gc)
         if self._release_timer is not None:
             self._release_timer.cancel()
-        self._clients.forget(self._descriptor)
+        self._peers.forget(self._descriptor)
         self._descriptor = -1
         self._socket.close()
-        self._clients.remove(self)
+        self._peers.remove(self)
 
     def act(self, events: int) -> None:
         """Do what can be done now."""
@@ -304,7 +304,7 @@ class Connection:
             if events & EPOLLOUT:
                 self.send()
         except Exception:  # a mistake of ours must not cost the others their turn
-            logger.exception("%s: connection closed", self.peer)
+            logger.exception("%s: connection closed", self.address)
             self.close()
 
     def _read(self) -> None:
@@ -320,26 +320,26 @@ class Connection:
             self._close_when_sent()
             return
         self.is_greedy = len(data) == size
-        clients, session = self._clients, self._session
+        peers, session = self._peers, self._session
         try:
             requests = session.receive(data)
         except FrameError as error:
-            logger.debug("%s: connection closed: %s", self.peer, error)
-            clients.statistics.closed_out_of_step += 1
+            logger.debug("%s: connection closed: %s", self.address, error)
+            peers.statistics.closed_out_of_step += 1
             self._close_when_sent()
             return
         if requests:
-            clients.note_request(self)
+            peers.note_request(self)
             if self._allowance is not None:
                 self._throttle(requests, self._allowance)
         if session.is_unfinished and self._is_reading:
-            clients.set_deadline(self)
+            peers.set_deadline(self)
 
     # --- answers ------------------------------------------------------------------------
 
     def _write(self, data: bytes) -> None:
         if not self._unsent:
-            self._clients.send_soon(self)
+            self._peers.send_soon(self)
         self._unsent += data
         if self._is_sending:
             self._pause_if_full()
@@ -372,9 +372,9 @@ class Connection:
         self._pause_if_full()
 
     def _pause_if_full(self) -> None:
-        if len(self._unsent) > self._clients.limits.max_unsent and not self._is_full:
+        if len(self._unsent) > self._peers.limits.max_unsent and not self._is_full:
             self._is_full = True
-            self._clients.statistics.paused += 1
+            self._peers.statistics.paused += 1
             self._follow()
 
     def _finish_sending(self) -> None:
@@ -388,14 +388,14 @@ class Connection:
             return
         self._is_closing = True
         self._follow()
-        self._clients.set_deadline(self)
+        self._peers.set_deadline(self)
 
     # --- reading or not -------------------------------------------------------------------
 
     def _throttle(self, requests: int, allowance: Allowance) -> None:
         allowance.spend(requests)
         if wait := allowance.wait(self._loop.time()):
-            self._clients.statistics.throttled += 1
+            self._peers.statistics.throttled += 1
             self._is_throttled = True
             self._follow()
             self._release_timer = self._loop.call_later(wait, self._release)
@@ -416,10 +416,10 @@ class Connection:
             self._watch()
             # The time of a frame is not running while nobody reads it.
             if not read:
-                self._clients.drop_deadline(self)
+                self._peers.drop_deadline(self)
             elif self._session.is_unfinished:
-                self._clients.set_deadline(self)
+                self._peers.set_deadline(self)
 
     def _watch(self) -> None:
         events = EPOLLIN * self._is_reading | EPOLLOUT * self._is_sending
-        self._clients.watch(self, self._descriptor, events)
+        self._peers.watch(self, self._descriptor, events)

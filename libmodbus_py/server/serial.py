@@ -13,8 +13,8 @@ from collections.abc import Iterator
 from ..ports.endpoint import Endpoint
 from ..ports.serial import SerialLink
 from ..protocol.errors import ModbusConnectionError, ModbusTimeoutError
-from .by_frame import FramerSession
-from .limits import Statistics
+from .by_frame import ByFrame
+from .limits import ServerStatistics
 from .units import SerialUnits, Units
 
 __all__ = ["SerialServer"]
@@ -34,7 +34,7 @@ class SerialServer:
         ModbusConnectionError: the port cannot be opened, with errno.
     """
 
-    def __init__(self, endpoint: Endpoint, units: Units, statistics: Statistics) -> None:
+    def __init__(self, endpoint: Endpoint, units: Units, statistics: ServerStatistics) -> None:
         self._link = SerialLink(endpoint.device, **endpoint.options)
         self._endpoint = endpoint
         self._units = SerialUnits(units)
@@ -57,7 +57,7 @@ class SerialServer:
 
     def _open(self) -> None:
         self._link.open(time.monotonic())
-        self._session = FramerSession(
+        self._session = ByFrame(
             self._units,
             self._endpoint.framing,
             self._endpoint.device,

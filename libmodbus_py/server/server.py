@@ -18,11 +18,11 @@ from functools import partial
 from typing import ClassVar, Literal
 
 from ..device.device import Device
-from ..device.reply import engine
+from ..device.reply import replier
 from ..ports import endpoint as url
 from .faults import Fault, Faults
-from .limits import Limits, Statistics
-from .peers import Clients
+from .limits import Limits, ServerStatistics
+from .peers import Peers
 from .serial import SerialServer
 from .tcp import TcpServer
 from .udp import UdpServer
@@ -78,7 +78,7 @@ class Server:
         if not isinstance(limits, Limits | None):
             raise TypeError(f"limits must be Limits, not {type(limits).__name__}")
         self._limits = limits or Limits()
-        self.statistics = Statistics()
+        self.statistics = ServerStatistics()
 
     @contextlib.asynccontextmanager
     async def serving(self, *urls: str) -> AsyncIterator[Running]:
@@ -96,13 +96,13 @@ class Server:
         endpoints = [url.parse(address) for address in urls]
         if not endpoints:
             raise ValueError("urls must name at least one endpoint")
-        engine()  # its descriptors, before clients take the last ones
-        clients = Clients(self._limits, self.statistics)
+        replier()  # its descriptors, before clients take the last ones
+        peers = Peers(self._limits, self.statistics)
         with contextlib.ExitStack() as stack:
-            stack.callback(clients.close)
+            stack.callback(peers.close)
             opened = []
             for endpoint in endpoints:
-                server = self._make[endpoint.transport](self, endpoint, clients)
+                server = self._make[endpoint.transport](self, endpoint, peers)
                 stack.callback(server.close)
                 opened.append(await server.open())
             yield Running([str(endpoint) for endpoint in opened])
@@ -140,16 +140,16 @@ class Server:
             stop()
             thread.join()
 
-    def _tcp(self, endpoint: url.Endpoint, clients: Clients) -> TcpServer:
-        return TcpServer(endpoint, self._units, clients)
+    def _tcp(self, endpoint: url.Endpoint, peers: Peers) -> TcpServer:
+        return TcpServer(endpoint, self._units, peers)
 
-    def _udp(self, endpoint: url.Endpoint, _: Clients) -> UdpServer:
+    def _udp(self, endpoint: url.Endpoint, _: Peers) -> UdpServer:
         return UdpServer(endpoint, self._units, self._limits, self.statistics)
 
-    def _serial(self, endpoint: url.Endpoint, _: Clients) -> SerialServer:
+    def _serial(self, endpoint: url.Endpoint, _: Peers) -> SerialServer:
         return SerialServer(endpoint, self._units, self.statistics)
 
-    _make: ClassVar[dict[str, Callable[[Server, url.Endpoint, Clients], AnyServer]]] = {
+    _make: ClassVar[dict[str, Callable[[Server, url.Endpoint, Peers], AnyServer]]] = {
         "tcp": _tcp,
         "udp": _udp,
         "serial": _serial,

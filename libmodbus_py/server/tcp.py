@@ -10,10 +10,10 @@ import logging
 import socket
 
 from ..ports.endpoint import Endpoint
-from .by_chunk import ChunkSession, Singles
-from .by_frame import FramerSession
+from .by_chunk import ByChunk, Singles
+from .by_frame import ByFrame
 from .listening import bound, reason
-from .peers import Clients, MakeSession
+from .peers import MakeSession, Peers
 from .units import SerialUnits, TcpUnits, Units
 
 __all__ = ["TcpServer"]
@@ -37,10 +37,10 @@ class TcpServer:
         ModbusConnectionError: it cannot, with errno.
     """
 
-    def __init__(self, endpoint: Endpoint, units: Units, clients: Clients) -> None:
-        self._clients = clients
+    def __init__(self, endpoint: Endpoint, units: Units, peers: Peers) -> None:
+        self._peers = peers
         self._loop = asyncio.get_running_loop()
-        self._make_session = _maker(endpoint.framing, units, clients)
+        self._make_session = _maker(endpoint.framing, units, peers)
         self._listeners: list[socket.socket] = []
         self._retries: dict[socket.socket, asyncio.TimerHandle] = {}
         self._is_short = False  # of descriptors or memory
@@ -72,7 +72,7 @@ class TcpServer:
                 return
             self._is_short = False
             client.setblocking(False)
-            self._clients.admit(client, address, self._make_session)
+            self._peers.admit(client, address, self._make_session)
 
     def _pause(self, listener: socket.socket, error: OSError) -> None:
         """No descriptors, no memory: what waits to be accepted would wake the loop for ever."""
@@ -93,13 +93,13 @@ def _listener(family: socket.AddressFamily, address: tuple[str, int]) -> socket.
     return socket.create_server(address, family=family, backlog=BACKLOG)
 
 
-def _maker(framing: str, units: Units, clients: Clients) -> MakeSession:
-    statistics = clients.statistics
+def _maker(framing: str, units: Units, peers: Peers) -> MakeSession:
+    statistics = peers.statistics
     if framing != "tcp":
         line = SerialUnits(units)
-        return lambda peer, *way: FramerSession(line, framing, peer, statistics, *way)
+        return lambda peer, *way: ByFrame(line, framing, peer, statistics, *way)
     own = TcpUnits(units)
     if units.faults:
-        return lambda peer, *way: FramerSession(own, framing, peer, statistics, *way)
-    singles = Singles(own, statistics, clients.later)
-    return lambda peer, write, _: ChunkSession(own, peer, statistics, singles, write)
+        return lambda peer, *way: ByFrame(own, framing, peer, statistics, *way)
+    singles = Singles(own, statistics, peers.later)
+    return lambda peer, write, _: ByChunk(own, peer, statistics, singles, write)

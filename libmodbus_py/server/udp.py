@@ -10,8 +10,8 @@ import socket
 from functools import partial
 
 from ..ports.endpoint import Endpoint
-from .by_frame import FramerSession
-from .limits import Allowance, Limits, Statistics
+from .by_frame import ByFrame
+from .limits import Allowance, Limits, ServerStatistics
 from .listening import bound
 from .units import TcpUnits, Units
 
@@ -38,7 +38,7 @@ class UdpServer:
     """
 
     def __init__(
-        self, endpoint: Endpoint, units: Units, limits: Limits, statistics: Statistics
+        self, endpoint: Endpoint, units: Units, limits: Limits, statistics: ServerStatistics
     ) -> None:
         self._endpoint = endpoint
         self._units = TcpUnits(units)
@@ -47,7 +47,7 @@ class UdpServer:
         self._loop = asyncio.get_running_loop()
         self._sockets: list[socket.socket] = []
         # Those whose answer a fault keeps back.
-        self._waiting: set[FramerSession] = set()
+        self._waiting: set[ByFrame] = set()
         self._allowances: dict[str, Allowance] = {}
 
     async def open(self) -> Endpoint:
@@ -85,7 +85,7 @@ class UdpServer:
             else:
                 self._waiting.discard(session)
 
-        session = FramerSession(
+        session = ByFrame(
             self._units,
             "udp",
             f"{address[0]}:{address[1]}",

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from ..device.device import Caller, Device
-from ..device.event_log import LINE_FEED, Communication
+from ..device.event_log import LINE_FEED, EventLog
 from ..protocol.checks import integer
 from ..protocol.errors import GatewayTargetFailedToRespond
 from ..protocol.framing import Frame
@@ -98,9 +98,9 @@ class SerialUnits:
 
     def __init__(self, units: Units) -> None:
         self.faults = units.faults
-        self._any = units.any and (units.any, Communication(is_serial=True))
+        self._any = units.any and (units.any, EventLog(is_serial=True))
         self._stations = {
-            unit: (device, Communication(is_serial=True)) for unit, device in units.devices.items()
+            unit: (device, EventLog(is_serial=True)) for unit, device in units.devices.items()
         }
         self._all = [self._any] if self._any else list(self._stations.values())
         self.delimiter: int | None = LINE_FEED
@@ -114,31 +114,31 @@ class SerialUnits:
 
     def refuse(self, frame: Frame, code: int) -> Frame:
         """Answer a request that `answers` with an exception, without executing it."""
-        for _, communication in self._all:
-            communication.note_frame()
+        for _, log in self._all:
+            log.note_frame()
         refusal = bytes([frame.pdu[0] | 0x80, code])
-        _, communication = self._any or self._stations[frame.unit]
-        communication.note_request(broadcast=False)
-        communication.note_response(frame.pdu, refusal, silent=False)
+        _, log = self._any or self._stations[frame.unit]
+        log.note_request(broadcast=False)
+        log.note_response(frame.pdu, refusal, silent=False)
         return frame._replace(pdu=refusal)
 
     def answer(self, frame: Frame, peer: str) -> Frame | None:
-        for _, communication in self._all:
-            communication.note_frame()
+        for _, log in self._all:
+            log.note_frame()
         if frame.unit == 0:
-            for device, communication in self._all:
-                device.answer(frame.pdu, Caller(0, peer, communication, is_broadcast=True))
+            for device, log in self._all:
+                device.answer(frame.pdu, Caller(0, peer, log, is_broadcast=True))
             return None
         station = self._any or self._stations.get(frame.unit)
         if station is None:
             return None
-        device, communication = station
-        before = communication.delimiter
-        response = device.answer(frame.pdu, Caller(frame.unit, peer, communication))
-        if communication.delimiter != before:
-            self.delimiter = communication.delimiter
+        device, log = station
+        before = log.delimiter
+        response = device.answer(frame.pdu, Caller(frame.unit, peer, log))
+        if log.delimiter != before:
+            self.delimiter = log.delimiter
         return Frame(frame.unit, response) if response else None
 
     def note_damage(self, *, overrun: bool) -> None:
-        for _, communication in self._all:
-            communication.note_damage(overrun=overrun)
+        for _, log in self._all:
+            log.note_damage(overrun=overrun)

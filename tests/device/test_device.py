@@ -20,8 +20,8 @@ from vectors import EXCEPTIONS, REQUESTS, RESPONSES, FrameVector, rows
 
 from libmodbus_py import Access, Caller, Device, Mapping, RecordFile, pdu
 from libmodbus_py.device import device as device_module
-from libmodbus_py.device.event_log import Communication
-from libmodbus_py.device.reply import engine
+from libmodbus_py.device.event_log import EventLog
+from libmodbus_py.device.reply import replier
 from libmodbus_py.protocol import errors
 from libmodbus_py.protocol.pdu import SubFunction
 from libmodbus_py.protocol.pdu.interface import identify
@@ -591,7 +591,7 @@ def vector(name: str) -> bytes:
 
 
 def on_a_line() -> Caller:
-    return Caller(1, "/dev/ttyS0", Communication(is_serial=True))
+    return Caller(1, "/dev/ttyS0", EventLog(is_serial=True))
 
 
 def diagnose(device: Device, sub_function: int, data: bytes = b"\0\0", *caller: Caller) -> bytes:
@@ -632,7 +632,7 @@ class TestStatusAndIdentifier:
 
 
 class TestCounters:
-    """The rest stands in test_communication.py, on real lines."""
+    """The rest stands in test_event_log.py, on real lines."""
 
     def test_event_counter_counts_what_succeeded(self) -> None:
         device = new_device()
@@ -652,8 +652,8 @@ class TestCounters:
 
     def test_event_counter_wraps(self) -> None:
         device, caller = new_device(), on_a_line()
-        assert caller.communication is not None
-        caller.communication.event_count = 65535
+        assert caller.log is not None
+        caller.log.event_count = 65535
         device.answer(b"\x03" + words(100, 1), caller)
         assert device.answer(b"\x0b", caller) == b"\x0b\0\0\0\0"
 
@@ -672,7 +672,7 @@ both_lines = pytest.mark.parametrize("serial", [True, False], ids=["serial", "tc
 
 
 def caller_on(serial: bool) -> Caller:
-    return Caller(1, "", Communication(is_serial=serial))
+    return Caller(1, "", EventLog(is_serial=serial))
 
 
 class TestDiagnostics:
@@ -733,18 +733,18 @@ class TestDiagnostics:
 
     def test_listen_only_takes_0_and_is_not_answered(self) -> None:
         device, caller = new_device(), on_a_line()
-        assert caller.communication is not None
+        assert caller.log is not None
         for data in (b"\0\1", b"\xff\0"):
             assert diagnose(device, 4, data, caller) == b"\x88\3"
-            assert not caller.communication.listen_only
+            assert not caller.log.listen_only
         assert diagnose(device, 4, b"\0\0", caller) == b""
-        assert caller.communication.listen_only
+        assert caller.log.listen_only
 
     def test_listening_device_neither_acts_nor_answers(self) -> None:
         device, caller = new_device(), on_a_line()
         before = contents(device)
         diagnose(device, 4, b"\0\0", caller)
-        broadcast = Caller(0, "", caller.communication, is_broadcast=True)
+        broadcast = Caller(0, "", caller.log, is_broadcast=True)
         for request in (
             b"\x06" + words(100, 7),
             b"\x03" + words(0, 1),
@@ -779,15 +779,15 @@ class TestDiagnostics:
         device = new_device()
         for character in range(256):
             caller = caller_on(serial)
-            assert caller.communication is not None
+            assert caller.log is not None
             data = bytes([character, 0])
             answer = diagnose(device, 3, data, caller)
             if character > 0x7F or chr(character) in ":\r0123456789abcdefABCDEF":
                 assert answer == b"\x88\3"
-                assert caller.communication.delimiter == 0x0A
+                assert caller.log.delimiter == 0x0A
             else:
                 assert answer == b"\x08\0\3" + data
-                assert caller.communication.delimiter == character
+                assert caller.log.delimiter == character
         for zero in (1, 0x0A, 255):
             assert diagnose(device, 3, bytes([0x24, zero]), caller_on(serial)) == b"\x88\3"
 
@@ -814,7 +814,7 @@ class TestDiagnostics:
 class TestBroadcasts:
     def test_writes_are_executed_in_silence(self) -> None:
         device = new_device()
-        caller = Caller(0, "", Communication(is_serial=True), is_broadcast=True)
+        caller = Caller(0, "", EventLog(is_serial=True), is_broadcast=True)
         assert device.answer(b"\x06" + words(100, 7), caller) == b""
         assert device.answer(b"\x06" + words(0, 7), caller) == b""
         assert device.mapping.holding_registers[100] == 7
@@ -822,7 +822,7 @@ class TestBroadcasts:
     def test_everything_else_is_ignored(self) -> None:
         seen: list[Access] = []
         device = Device(Mapping(holding_registers=4), before_read=seen.append)
-        line = Communication(is_serial=True)
+        line = EventLog(is_serial=True)
         line.delimiter = 0x24
         caller = Caller(0, "", line, is_broadcast=True)
         bodies = (
@@ -1196,8 +1196,8 @@ class TestTwoDevices:
         diagnose(first, 4, b"\0\0", one)
         assert first.answer(b"\x07", one) == b""
         assert second.answer(b"\x07", other) == b"\x07\0"
-        assert other.communication is not None
-        assert other.communication.delimiter == 0x0A
+        assert other.log is not None
+        assert other.log.delimiter == 0x0A
 
     def test_identification_status_identifier_and_register(self) -> None:
         first = Device(Mapping(), identification={0: "first"}, exception_status=1)
@@ -1399,7 +1399,7 @@ class TestHooks:
 
     def test_units_of_a_broadcast(self) -> None:
         recorder = Recorder()
-        caller = Caller(0, "/dev/ttyS0", Communication(is_serial=True), is_broadcast=True)
+        caller = Caller(0, "/dev/ttyS0", EventLog(is_serial=True), is_broadcast=True)
         recorder.device.answer(b"\6" + words(100, 7), caller)
         recorder.device.answer(b"\3" + words(100, 1), caller)
         access = Access("holding_registers", 100, 1, (7,), 0, 0, "/dev/ttyS0")
@@ -1633,7 +1633,7 @@ class TestFailures:
         assert answers == [b"\x03\2\0\0"]
         assert len(caplog.records) == 1
 
-    def test_failure_of_the_engine_is_answered_4(
+    def test_failure_of_libmodbus_is_answered_4(
         self, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
     ) -> None:
         device = new_device()
@@ -1642,26 +1642,26 @@ class TestFailures:
             raise OSError("no descriptor left")
 
         with monkeypatch.context() as patch:
-            patch.setattr(device_module, "engine", fail)
+            patch.setattr(device_module, "replier", fail)
             assert device.answer(b"\x03" + words(100, 1)) == b"\x83\4"
             assert device.answer(b"\x03" + words(0, 1, 1)) == b"\x83\3"
         assert device.answer(b"\x03" + words(100, 1)) == b"\x03\2\0\0"
         assert len(caplog.records) == 1
 
-    def test_answer_left_in_the_engine_is_not_given_to_the_next_request(self) -> None:
+    def test_answer_left_in_the_socketpair_is_not_given_to_the_next_request(self) -> None:
         """libmodbus replies, and what it sent cannot be received."""
         device = new_device()
         device.mapping.holding_registers[100:102] = [1, 2]
         answers: list[bytes] = []
 
         def work() -> None:
-            own = engine()
+            own = replier()
             outlet, own._struct.outlet = own._struct.outlet, -1
             answers.append(device.answer(b"\x03" + words(100, 1)))
             assert own._struct.outlet != -1, outlet
             answers.extend(device.answer(b"\x03" + words(address, 1)) for address in (101, 100))
 
-        thread = threading.Thread(target=work)  # which has an engine of its own
+        thread = threading.Thread(target=work)  # which has a replier of its own
         thread.start()
         thread.join()
         assert answers == [b"\x83\x04", b"\x03\2\0\2", b"\x03\2\0\1"]

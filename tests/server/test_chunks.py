@@ -15,10 +15,10 @@ from vectors import REQUESTS, FrameVector, rows
 
 from libmodbus_py import Access, Device, Mapping, pdu
 from libmodbus_py.protocol.errors import FrameError
-from libmodbus_py.server.by_chunk import ChunkSession, Singles
-from libmodbus_py.server.by_frame import FramerSession
+from libmodbus_py.server.by_chunk import ByChunk, Singles
+from libmodbus_py.server.by_frame import ByFrame
 from libmodbus_py.server.faults import Faults
-from libmodbus_py.server.limits import Statistics
+from libmodbus_py.server.limits import ServerStatistics
 from libmodbus_py.server.units import TcpUnits, Units
 
 REPLIED = (1, 2, 3, 4, 5, 6, 15, 16, 22, 23)
@@ -39,7 +39,7 @@ class End:
     """A server's end of one connection, without the connection: bytes in, bytes out."""
 
     def __init__(self, devices: Any, kind: str, unknown: Any = "refuse") -> None:
-        self.statistics = Statistics()
+        self.statistics = ServerStatistics()
         self.sent = bytearray()
         self.is_open = True
         self.calls: list[Callable[[], None]] = []
@@ -47,9 +47,9 @@ class End:
         if kind == "chunk":
             # Here every turn has one connection, which may be alone.
             singles = Singles(units, self.statistics, self.calls.append)
-            self.session: Any = ChunkSession(units, "peer", self.statistics, singles, self.write)
+            self.session: Any = ByChunk(units, "peer", self.statistics, singles, self.write)
         else:
-            self.session = FramerSession(units, "tcp", "peer", self.statistics, self.write)
+            self.session = ByFrame(units, "tcp", "peer", self.statistics, self.write)
 
     def write(self, data: bytes) -> None:
         self.sent += data
@@ -72,7 +72,7 @@ class End:
 
 @pytest.fixture(autouse=True)
 def loop(monkeypatch: pytest.MonkeyPatch) -> None:
-    """FramerSession asks for the loop, and needs it on serial lines only."""
+    """ByFrame asks for the loop, and needs it on serial lines only."""
     monkeypatch.setattr("asyncio.get_running_loop", lambda: None)
 
 

@@ -31,9 +31,9 @@ from libmodbus_py import (
     pdu,
 )
 from libmodbus_py.protocol.framing import AsciiFramer, Frame, Framer, RtuFramer, TcpFramer
-from libmodbus_py.server.by_frame import FramerSession
+from libmodbus_py.server.by_frame import ByFrame
 from libmodbus_py.server.faults import KINDS, MAX_WAITING, Delivery, Fault, Faults, Piece, pieces
-from libmodbus_py.server.limits import Statistics
+from libmodbus_py.server.limits import ServerStatistics
 from libmodbus_py.server.units import TcpUnits, Units
 from libmodbus_py.testing.wires import SerialWire
 
@@ -342,7 +342,7 @@ def test_a_session_that_is_closed_sends_nothing_more() -> None:
     units = Units(made_device(), Faults({None: [Fault("delay", seconds=0.001)]}))
 
     async def ask() -> None:
-        session = FramerSession(TcpUnits(units), "tcp", "", Statistics(), written.append)
+        session = ByFrame(TcpUnits(units), "tcp", "", ServerStatistics(), written.append)
         session.receive(adu(READ))
         session.close()
         await asyncio.sleep(0.02)

@@ -35,8 +35,8 @@ from attacks import (
 )
 
 from libmodbus_py import Device, Fault, Mapping, Server, framing
-from libmodbus_py.server.limits import Allowance, Limits, Statistics
-from libmodbus_py.server.peers import Connection
+from libmodbus_py.server.limits import Allowance, Limits, ServerStatistics
+from libmodbus_py.server.peers import Peer
 from libmodbus_py.testing.wires import SerialWire
 
 ANSWER_ONE = bytes.fromhex("03 02 0000")
@@ -566,7 +566,7 @@ def test_a_connection_lost_while_it_waits_leaves_nothing(kind: str) -> None:
                 eager.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
             assert server.has(connections=0)
         gc.collect()
-        assert not [each for each in gc.get_objects() if isinstance(each, Connection)]
+        assert not [each for each in gc.get_objects() if isinstance(each, Peer)]
 
 
 # --- unknown_unit ------------------------------------------------------------------------
@@ -759,7 +759,7 @@ def processor_time(pid: int) -> float:
 # --- statistics --------------------------------------------------------------------------
 
 
-def assert_counted(statistics: Statistics, **expected: int) -> None:
+def assert_counted(statistics: ServerStatistics, **expected: int) -> None:
     counted = {name: value for name, value in asdict(statistics).items() if value}
     assert counted == expected
 

@@ -35,10 +35,10 @@ from libmodbus_py import (
     pdu,
 )
 from libmodbus_py.server import serial as serial_server
-from libmodbus_py.server.by_chunk import ChunkSession, Singles
+from libmodbus_py.server.by_chunk import ByChunk, Singles
 from libmodbus_py.server.faults import Faults
-from libmodbus_py.server.limits import Limits, Statistics
-from libmodbus_py.server.peers import Clients
+from libmodbus_py.server.limits import Limits, ServerStatistics
+from libmodbus_py.server.peers import Peers
 from libmodbus_py.server.units import TcpUnits, Units
 from libmodbus_py.testing.wires import SerialWire
 
@@ -92,21 +92,21 @@ def test_who_only_listens_any_more_gets_all_answers(device: Device) -> None:
     body = pdu.ReadHoldingRegisters(100, 125).encode()
 
     async def serve(end: socket.socket) -> bytes:
-        statistics = Statistics()
-        clients = Clients(Limits(), statistics)
+        statistics = ServerStatistics()
+        peers = Peers(Limits(), statistics)
         units = TcpUnits(Units(device, Faults({})))
-        singles = Singles(units, statistics, clients.later)
+        singles = Singles(units, statistics, peers.later)
         end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
         end.setblocking(False)
-        clients.admit(
+        peers.admit(
             end,
             ("peer", 1),
-            lambda peer, write, _: ChunkSession(units, peer, statistics, singles, write),
+            lambda peer, write, _: ByChunk(units, peer, statistics, singles, write),
         )
         await asyncio.sleep(0.05)  # it has seen the end of the requests
         received = await asyncio.to_thread(receive, client, 1 << 20)
         assert statistics.connections == 0
-        clients.close()
+        peers.close()
         return received
 
     client, end = socket.socketpair()
