@@ -15,7 +15,7 @@ from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass
 from functools import partial
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 from ..device.device import Device
 from ..device.reply import replier
@@ -26,7 +26,7 @@ from .peers import Peers
 from .serial import SerialServer
 from .tcp import TcpServer
 from .udp import UdpServer
-from .units import Units
+from .units import Units, UnknownUnit
 
 __all__ = ["Running", "Server"]
 
@@ -58,7 +58,7 @@ class Server:
             None is every unit.
         limits: what clients may cost; None for the defaults of `Limits`.
         unknown_unit: what a unit without a device gets on TCP and UDP: "refuse", exception
-            11; "silent", nothing; or the device that answers for it.
+            11; "silent", nothing.
 
     Attributes:
         statistics: what happened at all endpoints, kept up to date.
@@ -72,7 +72,7 @@ class Server:
         devices: Device | Mapping[int, Device],
         faults: Mapping[int | None, Iterable[Fault]] | None = None,
         limits: Limits | None = None,
-        unknown_unit: Literal["refuse", "silent"] | Device = "refuse",
+        unknown_unit: UnknownUnit = "refuse",
     ) -> None:
         self._units = Units(devices, Faults({} if faults is None else faults), unknown_unit)
         if not isinstance(limits, Limits | None):

@@ -7,6 +7,7 @@ Finds the device of a frame, by the rules of its kind of line.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Literal, get_args
 
 from ..device.device import Caller, Device
 from ..device.event_log import LINE_FEED, EventLog
@@ -15,10 +16,12 @@ from ..protocol.errors import GatewayTargetFailedToRespond
 from ..protocol.framing import Frame
 from .faults import Faults
 
-__all__ = ["UNKNOWN_UNIT_POLICIES", "SerialUnits", "TcpUnits", "Units"]
+__all__ = ["UNKNOWN_UNIT_POLICIES", "SerialUnits", "TcpUnits", "Units", "UnknownUnit"]
 
 
-UNKNOWN_UNIT_POLICIES = ("refuse", "silent")
+UnknownUnit = Literal["refuse", "silent"]
+
+UNKNOWN_UNIT_POLICIES: tuple[UnknownUnit, ...] = get_args(UnknownUnit)
 
 
 class Units:
@@ -28,14 +31,12 @@ class Units:
         self,
         devices: Device | Mapping[int, Device],
         faults: Faults,
-        unknown: str | Device = "refuse",
+        unknown: UnknownUnit = "refuse",
     ) -> None:
         self.faults = faults or None
-        if not isinstance(unknown, Device) and unknown not in UNKNOWN_UNIT_POLICIES:
-            raise ValueError(
-                f"unknown_unit must be a Device or one of {', '.join(UNKNOWN_UNIT_POLICIES)},"
-                f" not {unknown!r}"
-            )
+        if unknown not in UNKNOWN_UNIT_POLICIES:
+            allowed = ", ".join(UNKNOWN_UNIT_POLICIES)
+            raise ValueError(f"unknown_unit must be one of {allowed}, not {unknown!r}")
         self.unknown = unknown
         self.any = devices if isinstance(devices, Device) else None
         self.devices: dict[int, Device] = {}
@@ -58,13 +59,12 @@ class TcpUnits:
     def __init__(self, units: Units) -> None:
         self.faults = units.faults
         self._units = units.devices
-        unknown = units.unknown
-        self._other = units.any or (unknown if isinstance(unknown, Device) else None)
-        self._refuses = unknown != "silent"
+        self._any = units.any
+        self._refuses = units.unknown == "refuse"
 
     def device(self, unit: int) -> Device | None:
         """Who answers a unit, if somebody does."""
-        return self._units.get(unit, self._other)
+        return self._units.get(unit, self._any)
 
     def answers(self, frame: Frame) -> bool:
         """Whether a request is answered."""

@@ -402,12 +402,11 @@ def test_units_take_turns_in_one_chunk() -> None:
 
 @pytest.mark.parametrize(
     ("unknown", "answer"),
-    [("refuse", b"\x83\x0b"), ("silent", None), ("device", b"\x03\x02\0\0")],
+    [("refuse", b"\x83\x0b"), ("silent", None)],
 )
 def test_unknown_unit(unknown: str, answer: bytes | None) -> None:
-    policy = made_device() if unknown == "device" else unknown
     for kind in ("chunk", "frames"):
-        end = End({1: made_device()}, kind, policy)
+        end = End({1: made_device()}, kind, unknown)
         end.receive(adu(b"\x03\0\x07\0\x01", 1, 77))
         assert end.sent == (b"" if answer is None else adu(answer, 1, 77))
 
