@@ -190,6 +190,20 @@ typedef struct {
 } tally_t;
 
 typedef struct {
+    int count;
+    const uint16_t *edges;
+} runs_t;
+
+typedef struct {
+    modbus_mapping_t tables;
+    int has_holes;
+    runs_t coils;
+    runs_t discrete_inputs;
+    runs_t holding_registers;
+    runs_t input_registers;
+} mapping_t;
+
+typedef struct {
     modbus_t *context;
     int outlet;
     uint8_t *answers;
@@ -200,5 +214,5 @@ typedef struct {
     ...;
 } replier_t;
 
-int answer_chunk(replier_t *replier, modbus_mapping_t *mapping, tally_t *tally, int unit,
+int answer_chunk(replier_t *replier, mapping_t *mapping, tally_t *tally, int unit,
                  const uint8_t *data, int start, int end);

@@ -24,6 +24,22 @@ typedef struct {
     uint8_t was_refused[OUTCOMES]; /* the latest ones; request n at n % OUTCOMES */
 } tally_t;
 
+/* The addresses that a table with holes has, ascending: the first and the last of each run.
+ * Runs that touch are one. */
+typedef struct {
+    int count; /* of runs; 0 for a table without holes */
+    const uint16_t *edges;
+} runs_t;
+
+typedef struct {
+    modbus_mapping_t tables; /* from the first address to the last, holes included */
+    int has_holes;           /* somewhere */
+    runs_t coils;
+    runs_t discrete_inputs;
+    runs_t holding_registers;
+    runs_t input_registers;
+} mapping_t;
+
 /* modbus_reply writes into the socket of the context; `outlet` is its other end. */
 typedef struct {
     modbus_t *context;
@@ -98,6 +114,47 @@ static int judge(const uint8_t *pdu, int size)
     }
 }
 
+static int has(const runs_t *runs, int first, int count)
+{
+    int low = 0, high = runs->count;
+    if (runs->count == 0)
+        return 1;
+    while (low < high) { /* for the first run that does not end before it */
+        int middle = (low + high) / 2;
+        if (runs->edges[2 * middle + 1] < first)
+            low = middle + 1;
+        else
+            high = middle;
+    }
+    return low < runs->count && runs->edges[2 * low] <= first &&
+           first + count - 1 <= runs->edges[2 * low + 1];
+}
+
+/* Whether a request that was judged good keeps clear of all holes; what is beyond a table
+ * without holes is left to modbus_reply. */
+static int exists(const mapping_t *mapping, const uint8_t *pdu)
+{
+    switch (pdu[0]) {
+    case MODBUS_FC_READ_COILS:
+    case MODBUS_FC_WRITE_MULTIPLE_COILS:
+        return has(&mapping->coils, word(pdu + 1), word(pdu + 3));
+    case MODBUS_FC_WRITE_SINGLE_COIL:
+        return has(&mapping->coils, word(pdu + 1), 1);
+    case MODBUS_FC_READ_DISCRETE_INPUTS:
+        return has(&mapping->discrete_inputs, word(pdu + 1), word(pdu + 3));
+    case MODBUS_FC_READ_INPUT_REGISTERS:
+        return has(&mapping->input_registers, word(pdu + 1), word(pdu + 3));
+    case MODBUS_FC_WRITE_SINGLE_REGISTER:
+    case MODBUS_FC_MASK_WRITE_REGISTER:
+        return has(&mapping->holding_registers, word(pdu + 1), 1);
+    case MODBUS_FC_WRITE_AND_READ_REGISTERS:
+        return has(&mapping->holding_registers, word(pdu + 1), word(pdu + 3)) &&
+               has(&mapping->holding_registers, word(pdu + 5), word(pdu + 7));
+    default:
+        return has(&mapping->holding_registers, word(pdu + 1), word(pdu + 3));
+    }
+}
+
 /* Move the answers that wait in the outlet to the others. */
 static int gather(replier_t *replier)
 {
@@ -158,7 +215,7 @@ static int has_room(const replier_t *replier)
  * unit: whose requests they are. Gives where the first byte is that
  * was not used, always behind a whole frame; or -1 if the replier failed (errno), whose
  * outlet cannot be used any more then. */
-static int answer_chunk(replier_t *replier, modbus_mapping_t *mapping, tally_t *tally, int unit,
+static int answer_chunk(replier_t *replier, mapping_t *mapping, tally_t *tally, int unit,
                         const uint8_t *data, int start, int end)
 {
     replier->size = replier->requests = replier->refused = 0;
@@ -173,8 +230,12 @@ static int answer_chunk(replier_t *replier, modbus_mapping_t *mapping, tally_t *
         verdict = judge(frame + HEADER_SIZE, size - HEADER_SIZE);
         if (verdict == -1)
             break;
-        sent = verdict ? reply(replier, frame, size, mapping)
-                       : refuse(replier, frame, MODBUS_EXCEPTION_ILLEGAL_DATA_VALUE);
+        if (verdict == 0)
+            sent = refuse(replier, frame, MODBUS_EXCEPTION_ILLEGAL_DATA_VALUE);
+        else if (mapping->has_holes && !exists(mapping, frame + HEADER_SIZE))
+            sent = refuse(replier, frame, MODBUS_EXCEPTION_ILLEGAL_DATA_ADDRESS);
+        else
+            sent = reply(replier, frame, size, &mapping->tables);
         if (sent == -1)
             return -1;
         /* No other answer is as short: the least of them has a byte count and a byte. */

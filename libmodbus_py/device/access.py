@@ -62,7 +62,7 @@ def _writes(table: str) -> Callable[[Any, Mapping], Touched]:
 
 def _mask_write(request: pdu.MaskWriteRegister, mapping: Mapping) -> Touched:
     registers = mapping.holding_registers
-    current = registers[request.address] if request.address in registers.addresses else 0
+    current = registers[request.address] if registers.has(request.address) else 0
     value = current & request.and_mask | request.or_mask & ~request.and_mask & 0xFFFF
     return Touched((Access("holding_registers", request.address, 1, (value,)),))
 

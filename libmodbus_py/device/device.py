@@ -46,7 +46,7 @@ from ..protocol.pdu import (
 from ..protocol.pdu.interface import OBJECT_NAMES, ReadDeviceIdCode, pages
 from .access import ACCESSES, Access, Touched
 from .event_log import EventLog
-from .mapping import Mapping
+from .mapping import Mapping, Table
 from .record_file import RecordFile
 from .reply import Answered, make_tally, replier
 
@@ -278,10 +278,9 @@ class Device:
         elif access.table == "fifo":
             self._fifo(access.address)
         else:
-            addresses: range = getattr(self.mapping, access.table).addresses
-            last = access.address + access.count - 1
-            if access.address not in addresses or last not in addresses:
-                raise IllegalDataAddress(f"{access.table} lacks {access.address}..{last}")
+            table: Table[Any] = getattr(self.mapping, access.table)
+            if not table.has(access.address, access.count):
+                raise IllegalDataAddress(f"{table} lacks {access.address}+{access.count}")
 
     # --- what libmodbus lacks --------------------------------------------------------------
 

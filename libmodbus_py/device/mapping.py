@@ -8,10 +8,13 @@ pages that nobody wrote to take no memory.
 from __future__ import annotations
 
 import mmap
+import reprlib
 import threading
 from abc import ABC, abstractmethod
 from array import array
+from bisect import bisect_right
 from collections.abc import Iterable, Iterator
+from collections.abc import Mapping as MappingABC
 from operator import index
 from typing import Any, ClassVar, Generic, Literal, Self, TypeVar, overload
 
@@ -23,7 +26,13 @@ __all__ = ["BitTable", "Mapping", "RegisterTable", "Table"]
 
 TABLE_SIZE = 65536
 
+# Of a table with holes, in its repr.
+SHOWN_RANGES = 8
+
 Cell = TypeVar("Cell", bool, int)
+
+Contents = int | range | Iterable[range] | MappingABC[int, Iterable[int]]
+"""How many cells, or where they are, or what is in them."""
 
 
 class Table(ABC, Generic[Cell]):
@@ -31,35 +40,46 @@ class Table(ABC, Generic[Cell]):
     One table of a mapping, indexed by Modbus address.
 
     Supports ``table[address]``, ``table[start:stop]``, assignment to both,
-    iteration over the values and ``len``. A missing start or stop of a slice
-    is the table's own. Every access takes the mapping's lock.
+    iteration over the values and ``len``, which know of no holes. A missing start
+    or stop of a slice is the table's own. Every access takes the mapping's lock.
 
     Attributes:
         name: "coils", "discrete_inputs", "holding_registers" or "input_registers".
-        addresses: the 0-based addresses it has.
+        addresses: 0-based, from the first to the last one; holes lie between.
+        ranges: the addresses it has, in order; ranges that touch are one.
 
     Raises:
-        IndexError: an address that the table does not have.
+        IndexError: an address that the table does not have; a hole is named.
         TypeError, ValueError: a value that is none of the table's, or too
             many or too few of them.
     """
 
     typecode: ClassVar[Literal["B", "H"]]
 
-    def __init__(self, name: str, addresses: range, lock: threading.RLock) -> None:
+    def __init__(self, name: str, contents: Contents, lock: threading.RLock) -> None:
         self.name = name
-        self.addresses = addresses
+        given = _values(name, contents) if isinstance(contents, MappingABC) else {}
+        if isinstance(contents, MappingABC):
+            contents = [range(at, at + len(values)) for at, values in given.items()]
+        self.ranges = _joined(name, _ranges(name, contents))
+        self.addresses = range(0)
+        if self.ranges:
+            self.addresses = range(self.ranges[0].start, self.ranges[-1].stop)
+        self._starts = [each.start for each in self.ranges]
         self._lock = lock
-        size = len(addresses) * array(self.typecode).itemsize
+        size = len(self.addresses) * array(self.typecode).itemsize
         # An empty table has memory too, for mmap makes none of 0 bytes.
         memory = memoryview(mmap.mmap(-1, max(size, 1)))
         self._cells: memoryview = memory[:size].cast(self.typecode)
+        for at, values in given.items():
+            self[at : at + len(values)] = values
 
     @property
     @abstractmethod
     def view(self) -> memoryview:
         """
-        The cells themselves, not a copy; item 0 is the first address.
+        The cells themselves, not a copy; item 0 is the first address. Those of holes
+        are there, and nobody sees them.
 
         Valid as long as it is kept, whatever becomes of the mapping. It does
         not take the lock: write through it inside ``with mapping:``.
@@ -71,15 +91,22 @@ class Table(ABC, Generic[Cell]):
     @abstractmethod
     def _from_cells(self, cells: memoryview) -> list[Cell]: ...
 
+    def has(self, address: int, count: int = 1) -> bool:
+        """Say whether all of the `count` addresses from `address` on exist."""
+        at = bisect_right(self._starts, address) - 1
+        return at >= 0 and address + count <= self.ranges[at].stop
+
     def __len__(self) -> int:
-        return len(self.addresses)
+        return sum(map(len, self.ranges))
 
     def __iter__(self) -> Iterator[Cell]:
-        return iter(self[:])
+        with self._lock:
+            return iter([value for each in self.ranges for value in self[each.start : each.stop]])
 
     def __repr__(self) -> str:
-        has = f"{self.addresses.start}..{self.addresses.stop - 1}" if self.addresses else "empty"
-        return f"<{self.name} {has}>"
+        shown = [_span(each) for each in self.ranges[:SHOWN_RANGES]] or ["empty"]
+        more = len(self.ranges) - SHOWN_RANGES
+        return f"<{self.name} {', '.join(shown)}{f', {more} more' if more > 0 else ''}>"
 
     @overload
     def __getitem__(self, key: int) -> Cell: ...
@@ -118,11 +145,17 @@ class Table(ABC, Generic[Cell]):
             step = 1 if key.step is None else self._address(key.step)
             if not (first <= start <= stop <= end and step >= 1):
                 raise IndexError(f"no addresses {start}:{stop}:{step} in {self!r}")
+            if len(self.ranges) > 1 and start < stop and not self.has(start, stop - start):
+                raise IndexError(f"no address {self._hole_from(start)} in {self!r}")
             return slice(start - first, stop - first, step)
         address = self._address(key)
-        if address not in self.addresses:
+        if not self.has(address):
             raise IndexError(f"no address {address} in {self!r}")
         return slice(address - first, address - first + 1)
+
+    def _hole_from(self, address: int) -> int:
+        """The first address from this one on that does not exist."""
+        return max(address, self.ranges[bisect_right(self._starts, address) - 1].stop)
 
     def _address(self, value: object) -> int:
         try:
@@ -253,7 +286,7 @@ class RegisterTable(Table[int]):
 
 class Mapping:
     """
-    The tables of one device, all zero at first.
+    The tables of one device, zero unless values are given.
 
     ``with mapping:`` makes several accesses one: no answer is given and nothing
     is written by a client in between.
@@ -264,32 +297,28 @@ class Mapping:
     Args:
         coils, discrete_inputs, holding_registers, input_registers: how many
             of them, from address 0; or the range of their addresses
-            (``range(100, 200)``), within 0..65535.
+            (``range(100, 200)``), within 0..65535; or several ranges, in a list; or
+            what is in them, ``{address: values from there on}``. What lies between is
+            a hole: clients get exception 2 (illegal data address) for it.
 
     Raises:
-        TypeError, ValueError: an argument is neither.
+        TypeError, ValueError: an argument is none of these, or addresses overlap.
 
     Source: modbus_mapping_new_start_address, with memory of our own.
     """
 
     def __init__(
         self,
-        coils: int | range = 0,
-        discrete_inputs: int | range = 0,
-        holding_registers: int | range = 0,
-        input_registers: int | range = 0,
+        coils: Contents = 0,
+        discrete_inputs: Contents = 0,
+        holding_registers: Contents = 0,
+        input_registers: Contents = 0,
     ) -> None:
         self.lock = threading.RLock()
-        self.coils = BitTable("coils", _addresses("coils", coils), self.lock)
-        self.discrete_inputs = BitTable(
-            "discrete_inputs", _addresses("discrete_inputs", discrete_inputs), self.lock
-        )
-        self.holding_registers = RegisterTable(
-            "holding_registers", _addresses("holding_registers", holding_registers), self.lock
-        )
-        self.input_registers = RegisterTable(
-            "input_registers", _addresses("input_registers", input_registers), self.lock
-        )
+        self.coils = BitTable("coils", coils, self.lock)
+        self.discrete_inputs = BitTable("discrete_inputs", discrete_inputs, self.lock)
+        self.holding_registers = RegisterTable("holding_registers", holding_registers, self.lock)
+        self.input_registers = RegisterTable("input_registers", input_registers, self.lock)
         self._struct = self._make_struct()
 
     def __enter__(self) -> Self:
@@ -304,8 +333,8 @@ class Mapping:
         return f"Mapping({', '.join(repr(table) for table in tables)})"
 
     def _make_struct(self) -> Any:
-        """Point a modbus_mapping_t at the tables; `_pointers` keeps the buffers alive."""
-        struct = ffi.new("modbus_mapping_t *")
+        """Point a mapping_t at the tables; `_pointers` keeps the buffers alive."""
+        struct = ffi.new("mapping_t *")
         self._pointers = []
         for table, suffix, item in (
             (self.coils, "bits", "uint8_t[]"),
@@ -313,20 +342,58 @@ class Mapping:
             (self.holding_registers, "registers", "uint16_t[]"),
             (self.input_registers, "input_registers", "uint16_t[]"),
         ):
-            setattr(struct, f"nb_{suffix}", len(table))
-            setattr(struct, f"start_{suffix}", table.addresses.start)
+            setattr(struct.tables, f"nb_{suffix}", len(table.addresses))
+            setattr(struct.tables, f"start_{suffix}", table.addresses.start)
             pointer = ffi.from_buffer(item, table._cells)
-            setattr(struct, f"tab_{suffix}", pointer)
+            setattr(struct.tables, f"tab_{suffix}", pointer)
             self._pointers.append(pointer)
+            if len(table.ranges) > 1:
+                struct.has_holes = 1
+                edges = [edge for each in table.ranges for edge in (each[0], each[-1])]
+                self._pointers.append(ffi.new("uint16_t[]", edges))
+                setattr(struct, table.name, (len(table.ranges), self._pointers[-1]))
         return struct
 
 
-def _addresses(name: str, given: object) -> range:
-    if isinstance(given, bool) or not isinstance(given, int | range):
-        raise TypeError(f"{name} must be a count or a range, not {type(given).__name__}")
-    addresses = range(given) if isinstance(given, int) else given
-    if isinstance(given, int) and given < 0:
-        raise ValueError(f"{name} must be in 0..{TABLE_SIZE}, not {given}")
-    if addresses.step != 1 or addresses.start < 0 or max(addresses, default=0) >= TABLE_SIZE:
-        raise ValueError(f"{name} must be a range within 0..{TABLE_SIZE - 1}, not {given}")
-    return addresses
+def _span(addresses: range) -> str:
+    return f"{addresses.start}..{addresses.stop - 1}"
+
+
+def _values(name: str, given: MappingABC[int, Iterable[int]]) -> dict[int, list[Any]]:
+    """The first address -> what is there, and behind it."""
+    values: dict[int, list[Any]] = {}
+    for key, items in given.items():
+        address = integer(f"{name}: an address", key, 0, TABLE_SIZE - 1)
+        if not isinstance(items, Iterable):
+            raise TypeError(f"{name}[{key}] must be a list of values, not {type(items).__name__}")
+        if cells := list(items):
+            values[address] = cells
+    return values
+
+
+def _ranges(name: str, given: Any) -> list[range]:
+    if isinstance(given, int) and not isinstance(given, bool):
+        if not 0 <= given <= TABLE_SIZE:
+            raise ValueError(f"{name} must be in 0..{TABLE_SIZE}, not {given}")
+        return [range(given)]
+    several = isinstance(given, Iterable) and not isinstance(given, range)
+    found: list[Any] = list(given) if several else [given]
+    if all(isinstance(each, range) for each in found):
+        return found
+    wanted = "a count, ranges of addresses or {address: values}"
+    raise TypeError(f"{name} must be {wanted}, not {reprlib.repr(given)}")
+
+
+def _joined(name: str, ranges: Iterable[range]) -> tuple[range, ...]:
+    """Those that are not empty, in order; those that touch are one."""
+    joined: list[range] = []
+    for each in sorted(ranges, key=lambda each: each.start):
+        if each.step != 1 or each.start < 0 or max(each, default=0) >= TABLE_SIZE:
+            raise ValueError(f"{name} must be within 0..{TABLE_SIZE - 1}, step 1, not {each}")
+        if joined and each and each.start < joined[-1].stop:
+            raise ValueError(f"{name}: {_span(each)} overlaps {_span(joined[-1])}")
+        if joined and each.start == joined[-1].stop:
+            joined[-1] = range(joined[-1].start, each.stop)
+        elif each:
+            joined.append(each)
+    return tuple(joined)

@@ -25,14 +25,27 @@ REPLIED = (1, 2, 3, 4, 5, 6, 15, 16, 22, 23)
 """The functions that libmodbus answers from a mapping."""
 
 
-def made_device(**options: Any) -> Device:
-    """Small tables that do not begin at 0, so that most random addresses are beside them."""
-    mapping = Mapping(range(3, 40), range(5, 40), range(7, 300), range(2, 300))
-    mapping.coils[3:40] = [number % 3 == 0 for number in range(37)]
-    mapping.discrete_inputs[5:40] = [number % 2 == 0 for number in range(35)]
-    mapping.holding_registers[7:300] = range(293)
-    mapping.input_registers[2:300] = range(298)
-    return Device(mapping, files={4: range(20)}, **options)
+BITS = [number % 3 == 0 for number in range(37)]
+
+WHOLE = {
+    "coils": {3: BITS},
+    "discrete_inputs": {5: BITS[:35]},
+    "holding_registers": {7: range(293)},
+    "input_registers": {2: range(298)},
+}
+"""Small tables that do not begin at 0, so that most random addresses are beside them."""
+
+HOLES = {
+    "coils": {3: BITS[:10], 14: BITS[:5], 39: [True]},
+    "discrete_inputs": {5: BITS[:3], 20: BITS[:15]},
+    "holding_registers": {7: range(3), 11: range(50), 61: range(20), 299: [7]},
+    "input_registers": {2: range(98), 200: range(100)},
+}
+"""The same from the first to the last address; one run touches another."""
+
+
+def made_device(contents: Any = WHOLE, **options: Any) -> Device:
+    return Device(Mapping(**contents), files={4: range(20)}, **options)
 
 
 class End:
@@ -182,7 +195,7 @@ def test_same_answers_contents_counters_and_statistics(
 ) -> None:
     ends = []
     for kind in ("chunk", "frames"):
-        first, second = made_device(), made_device()
+        first, second = made_device(HOLES), made_device()
         end = End(first if one_for_all else {1: first, 2: second}, kind)
         for piece in in_pieces(stream, cuts):
             end.receive(piece)
@@ -222,18 +235,54 @@ def test_same_for_connections_that_send_one_request_each(
 
 
 @settings(max_examples=150, deadline=None)
-@given(streams(), st.lists(st.integers(0, 4000), max_size=4))
-def test_hooks_change_no_answer(stream: bytes, cuts: list[int]) -> None:
+@given(streams(), st.lists(st.integers(0, 4000), max_size=4), st.sampled_from([WHOLE, HOLES]))
+def test_hooks_change_no_answer(stream: bytes, cuts: list[int], holds: Any) -> None:
     """A device with hooks answers in Python what one without answers in C."""
     seen: list[Access] = []
     ends = []
     for hooks in ({}, {"before_read": seen.append, "before_write": seen.append}):
-        device = made_device(**hooks)
+        device = made_device(holds, **hooks)
         end = End({1: device}, "chunk")
         for piece in in_pieces(stream, cuts):
             end.receive(piece)
         ends.append((bytes(end.sent), contents(device), notes(device), end.statistics))
     assert ends[0] == ends[1]
+
+
+def touched(body: bytes) -> set[int]:
+    """The addresses that a good request reads or writes."""
+    places = struct.unpack_from(">HHHH" if body[0] == 23 else ">HH", body, 1)
+    if body[0] in (5, 6, 22):
+        return {places[0]}
+    pairs = zip(places[::2], places[1::2], strict=True)
+    return {address for first, count in pairs for address in range(first, first + count)}
+
+
+TABLE_OF = {1: "coils", 5: "coils", 15: "coils", 2: "discrete_inputs", 4: "input_registers"}
+
+
+@settings(max_examples=600, deadline=None)
+@given(st.one_of(reads(), single_writes(), writes(), read_writes(), mask_writes))
+def test_holes_are_answered_with_exception_2_and_stay_as_they_are(body: bytes) -> None:
+    """What is refused for other reasons comes first."""
+    everything = Device(Mapping(65536, 65536, 65536, 65536))
+    devices = [made_device(HOLES), made_device(HOLES, before_write=lambda access: None)]
+    table = getattr(devices[0].mapping, TABLE_OF.get(body[0], "holding_registers"))
+    exists = {address for each in table.ranges for address in each}
+    good = not everything.answer(body)[0] & 0x80
+    for device in devices:
+        before = contents(device)
+        answer = device.answer(body)
+        if good and touched(body) <= exists:
+            assert answer[0] == body[0]
+        elif good:
+            assert answer == bytes([body[0] | 0x80, 2])
+        if answer[0] & 0x80:
+            assert contents(device) == before
+        for name in HOLES:
+            own = getattr(device.mapping, name)
+            view, first = own.view, own.addresses.start
+            assert not any(view[at - first] for at in own.addresses if not own.has(at))
 
 
 @settings(max_examples=300, deadline=None)
