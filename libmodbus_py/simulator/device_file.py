@@ -27,7 +27,7 @@ import re
 import reprlib
 import time
 import tomllib
-from bisect import bisect_right
+from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import MISSING, dataclass, fields
 from itertools import pairwise
@@ -408,46 +408,40 @@ def _encoded(where: str, kind: ValueType, value: object) -> list[int]:
 
 
 class _Rules:
-    """What clients may do, and what moves when they read: the hooks of a device."""
+    """What clients may not do, and what moves when they read: the hooks of a device."""
 
     def __init__(self, ranges: list[_Range], clockwork: Clockwork) -> None:
         self._clockwork = clockwork
-        self._readable = _spans(each for each in ranges if ACCESS[each.access][0])
-        self._writable = _spans(each for each in ranges if ACCESS[each.access][1])
+        self._unreadable = _by_place(each for each in ranges if not ACCESS[each.access][0])
+        self._unwritable = _by_place(each for each in ranges if not ACCESS[each.access][1])
 
     def before_read(self, access: Access) -> None:
-        self._check(self._readable, access, "read")
+        _check(self._unreadable, access, "read")
         if access.table in TABLES:
             self._clockwork.refresh(access.table, access.address, access.count)
 
     def before_write(self, access: Access) -> None:
-        self._check(self._writable, access, "written")
-
-    def _check(self, spans: _Spans, access: Access, what: str) -> None:
-        if access.table == "fifo":
-            return
-        found = spans.get((access.table, access.file), [])
-        at = bisect_right(found, access.address, key=lambda span: span.start) - 1
-        last = access.address + access.count - 1
-        if at < 0 or last not in found[at]:
-            raise IllegalDataAddress(
-                f"{access.table} {access.address}..{last} cannot all be {what}"
-            )
+        _check(self._unwritable, access, "written")
 
 
-# (table, file) -> addresses, where ranges that touch are one.
-_Spans = dict[tuple[str, int], list[range]]
+# (table, file) -> runs, in order.
+_Runs = dict[tuple[str, int], list[Run]]
 
 
-def _spans(ranges: Iterable[_Range]) -> _Spans:
-    spans: _Spans = {}
+def _by_place(ranges: Iterable[_Range]) -> _Runs:
+    runs: _Runs = {}
     for each in sorted(ranges, key=lambda each: each.run.first):
-        found = spans.setdefault(each.place, [])
-        start = each.run.first
-        if found and found[-1].stop == start:
-            start = found.pop().start
-        found.append(range(start, each.run.stop))
-    return spans
+        runs.setdefault(each.place, []).append(each.run)
+    return runs
+
+
+def _check(forbidden: _Runs, access: Access, what: str) -> None:
+    runs = forbidden.get((access.table, access.file), [])
+    stop = access.address + access.count
+    at = bisect_left(runs, stop, key=lambda run: run.first) - 1  # the last that begins before
+    if at >= 0 and access.address < runs[at].stop:
+        span = f"{access.table} {access.address}..{stop - 1}"
+        raise IllegalDataAddress(f"{span} cannot all be {what}")
 
 
 # --- units ---------------------------------------------------------------------------
@@ -479,16 +473,10 @@ def _unit(
 
 
 def _mapping(ranges: list[_Range]) -> Tables:
-    """Tables from the first address to the last; the holes are for the rules."""
-    addresses = {}
-    for table in TABLES:
-        runs = [each.run for each in ranges if each.run.table == table]
-        first = min((run.first for run in runs), default=0)
-        addresses[table] = range(first, max((run.stop for run in runs), default=0))
-    mapping = Tables(**addresses)
+    contents: dict[str, dict[int, list[int]]] = {table: {} for table in TABLES}
     for each in ranges:
-        getattr(mapping, each.run.table)[each.run.first : each.run.stop] = each.cells
-    return mapping
+        contents[each.run.table][each.run.first] = each.cells
+    return Tables(**contents)
 
 
 def _files(ranges: Iterable[_Range]) -> dict[int, dict[int, int]]:
