@@ -10,24 +10,28 @@ Endpoints as URLs, alike for clients, servers and the command line.
 HOST is a name, an IPv4 address or an IPv6 address in brackets; the default port
 is 502. udp has one frame of Modbus/TCP in each datagram. Serial ports also take
 rs485 (kernel, rts-up, rts-down), rts_delay and silence (seconds), echo (0, 1).
+
+Clients take their own options from every URL: ``tcp://192.0.2.10?unit=7&timeout=0.5``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
-from urllib.parse import parse_qsl, unquote, urlsplit
+from urllib.parse import SplitResult, parse_qsl, quote, unquote, urlsplit
 
-__all__ = ["DEFAULT_PORT", "Endpoint", "parse"]
+__all__ = ["CLIENT_OPTIONS", "DEFAULT_PORT", "SCHEMES", "SERIAL_OPTIONS", "Endpoint", "parse"]
 
 DEFAULT_PORT = 502
+
+Scheme = Literal["tcp", "rtu+tcp", "ascii+tcp", "udp", "rtu", "ascii"]
 
 Framing = Literal["tcp", "rtu", "ascii", "udp"]
 
 Transport = Literal["tcp", "udp", "serial"]
 
-SCHEMES: dict[str, tuple[Framing, Transport]] = {
+SCHEMES: dict[Scheme, tuple[Framing, Transport]] = {
     "tcp": ("tcp", "tcp"),
     "rtu+tcp": ("rtu", "tcp"),
     "ascii+tcp": ("ascii", "tcp"),
@@ -37,40 +41,65 @@ SCHEMES: dict[str, tuple[Framing, Transport]] = {
 }
 """Scheme -> framing, and what carries the bytes."""
 
+# Converts a text; and what the text must be.
+Option = tuple[Callable[[str], Any], str]
 
-def _switch(text: str) -> bool:
-    return {"1": True, "true": True, "0": False, "false": False}[text.lower()]
+INTEGER: Option = (int, "a number")
+SECONDS: Option = (float, "a number")
+TEXT: Option = (str, "text")
+SWITCH: Option = (lambda text: ("0", "1", "false", "true").index(text.lower()) % 2 == 1, "0 or 1")
 
-
-SERIAL_OPTIONS: dict[str, Callable[[str], Any]] = {
-    "baudrate": int,
-    "parity": str,
-    "data_bits": int,
-    "stop_bits": int,
-    "rs485": str,
-    "rts_delay": float,
-    "echo": _switch,
-    "silence": float,
+SERIAL_OPTIONS: dict[str, Option] = {
+    "baudrate": INTEGER,
+    "parity": TEXT,
+    "data_bits": INTEGER,
+    "stop_bits": INTEGER,
+    "rs485": TEXT,
+    "rts_delay": SECONDS,
+    "echo": SWITCH,
+    "silence": SECONDS,
 }
+
+CLIENT_OPTIONS: dict[str, Option] = {
+    "unit": INTEGER,
+    "timeout": SECONDS,
+    "retries": INTEGER,
+    "busy_retries": INTEGER,
+    "max_in_flight": INTEGER,
+    "turnaround": SECONDS,
+    "request_spacing": SECONDS,
+    "connect_delay": SECONDS,
+    "timeouts_before_reconnect": INTEGER,
+    "keepalive": (lambda text: None if text == "none" else float(text), "a number or none"),
+    "max_pause": SECONDS,
+    "native": SWITCH,
+    "accept_unit": TEXT,
+    "delimiter": (lambda text: int(text, 0), "a number such as 10 or 0x0A"),
+}
+
+USUAL: dict[Framing, dict[str, Any]] = {"ascii": {"data_bits": 7, "silence": 0.0}}
+"""Serial settings unless told otherwise: ASCII frames are text, and have marks of their own."""
 
 
 @dataclass(frozen=True)
 class Endpoint:
     """
-    Where to connect or to listen.
+    Where to connect or to listen; ``str`` of it is its URL, without client options.
 
     Attributes:
         scheme: one of `SCHEMES`.
         host, port: for TCP and UDP; else empty and 0.
         device: for serial ports; else empty.
         options: settings of the serial port, converted but not checked.
+        client_options: of a client, likewise.
     """
 
-    scheme: str
+    scheme: Scheme
     host: str = ""
     port: int = 0
     device: str = ""
     options: dict[str, Any] = field(default_factory=dict)
+    client_options: dict[str, Any] = field(default_factory=dict)
 
     @property
     def framing(self) -> Framing:
@@ -82,12 +111,28 @@ class Endpoint:
         """ "tcp", "udp" or "serial"."""
         return SCHEMES[self.scheme][1]
 
+    @property
+    def serial_settings(self) -> dict[str, Any]:
+        """The options, and the usual settings of the framing that they leave open."""
+        return {**USUAL.get(self.framing, {}), **self.options}
+
+    @property
+    def url(self) -> str:
+        """The URL with all options."""
+        return self._shown({**self.options, **self.client_options})
+
     def __str__(self) -> str:
-        if self.transport == "serial":
-            query = "&".join(f"{name}={value}" for name, value in self.options.items())
-            return f"{self.scheme}://{self.device}{'?' if query else ''}{query}"
+        return self._shown(self.options)
+
+    def _shown(self, options: dict[str, Any]) -> str:
         host = f"[{self.host}]" if ":" in self.host else self.host
-        return f"{self.scheme}://{host}:{self.port}"
+        place = self.device if self.transport == "serial" else f"{host}:{self.port}"
+        query = "&".join(f"{name}={quote(_text(value))}" for name, value in options.items())
+        return f"{self.scheme}://{place}{'?' if query else ''}{query}"
+
+
+def _text(value: object) -> str:
+    return "none" if value is None else str(value)
 
 
 def parse(url: str) -> Endpoint:
@@ -105,35 +150,44 @@ def parse(url: str) -> Endpoint:
         raise ValueError(f"{url!r}: the scheme must be one of {', '.join(SCHEMES)}")
     if parts.fragment or parts.username is not None:
         raise ValueError(f"{url!r}: neither user nor fragment have a meaning here")
-    read = _parse_serial if SCHEMES[parts.scheme][1] == "serial" else _parse_network
-    return read(url, parts)
+    scheme: Scheme = parts.scheme
+    read = _parse_serial if SCHEMES[scheme][1] == "serial" else _parse_network
+    return read(url, scheme, parts)
 
 
-def _parse_network(url: str, parts: Any) -> Endpoint:
-    if parts.path not in ("", "/") or parts.query:
-        raise ValueError(f"{url!r}: nothing may follow the port")
+def _parse_network(url: str, scheme: Scheme, parts: SplitResult) -> Endpoint:
+    if parts.path not in ("", "/"):
+        raise ValueError(f"{url!r}: nothing but options may follow the port")
     if not parts.hostname:
-        raise ValueError(f"{url!r}: a host is missing, as in {parts.scheme}://127.0.0.1:502")
+        raise ValueError(f"{url!r}: a host is missing, as in {scheme}://127.0.0.1:502")
     try:
         port = DEFAULT_PORT if parts.port is None else parts.port
     except ValueError:
         raise ValueError(f"{url!r}: the port must be in 0..65535") from None
-    return Endpoint(parts.scheme, host=parts.hostname, port=port)
+    options = _options(url, parts.query, CLIENT_OPTIONS)
+    return Endpoint(scheme, host=parts.hostname, port=port, client_options=options)
 
 
-def _parse_serial(url: str, parts: Any) -> Endpoint:
+def _parse_serial(url: str, scheme: Scheme, parts: SplitResult) -> Endpoint:
     device = unquote(parts.path)
     if parts.netloc or not device.strip("/"):
-        raise ValueError(f"{url!r}: a device is missing, as in {parts.scheme}:///dev/ttyUSB0")
+        raise ValueError(f"{url!r}: a device is missing, as in {scheme}:///dev/ttyUSB0")
+    given = _options(url, parts.query, {**SERIAL_OPTIONS, **CLIENT_OPTIONS})
+    options = {name: value for name, value in given.items() if name in SERIAL_OPTIONS}
+    others = {name: value for name, value in given.items() if name not in options}
+    return Endpoint(scheme, device=device, options=options, client_options=others)
+
+
+def _options(url: str, query: str, allowed: Mapping[str, Option]) -> dict[str, Any]:
     options: dict[str, Any] = {}
-    for name, text in parse_qsl(parts.query, keep_blank_values=True):
-        convert = SERIAL_OPTIONS.get(name)
-        if convert is None:
-            raise ValueError(f"{url!r}: {name!r} must be one of {', '.join(SERIAL_OPTIONS)}")
+    for name, text in parse_qsl(query, keep_blank_values=True):
+        if name not in allowed:
+            raise ValueError(f"{url!r}: {name!r} must be one of {', '.join(allowed)}")
+        if name in options:
+            raise ValueError(f"{url!r}: {name} is given twice")
+        convert, wanted = allowed[name]
         try:
             options[name] = convert(text)
         except ValueError:
-            raise ValueError(f"{url!r}: {name} must be a number, not {text!r}") from None
-        except KeyError:
-            raise ValueError(f"{url!r}: {name} must be 0 or 1, not {text!r}") from None
-    return Endpoint(parts.scheme, device=device, options=options)
+            raise ValueError(f"{url!r}: {name} must be {wanted}, not {text!r}") from None
+    return options

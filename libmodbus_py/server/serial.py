@@ -35,7 +35,7 @@ class SerialServer:
     """
 
     def __init__(self, endpoint: Endpoint, units: Units, statistics: ServerStatistics) -> None:
-        self._link = SerialLink(endpoint.device, **endpoint.options)
+        self._link = SerialLink(endpoint.device, **endpoint.serial_settings)
         self._endpoint = endpoint
         self._units = SerialUnits(units)
         self._statistics = statistics
@@ -96,7 +96,7 @@ class SerialServer:
         """Answer after the silence that ends the request (serial line, 2.5.1.1)."""
         self._unsent += data
         if self._timer is None:
-            wait = self._link.time_to_silence() if self._endpoint.framing == "rtu" else 0
+            wait = self._link.time_to_silence()
             if wait > 0:
                 self._timer = self._loop.call_later(wait, self._send_unsent)
             else:

@@ -34,11 +34,13 @@ from libmodbus_py import (
     framing,
     pdu,
 )
+from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.server import serial as serial_server
 from libmodbus_py.server.by_chunk import ByChunk, Singles
 from libmodbus_py.server.faults import Faults
 from libmodbus_py.server.limits import Limits, ServerStatistics
 from libmodbus_py.server.peers import Peers
+from libmodbus_py.server.serial import SerialServer
 from libmodbus_py.server.units import TcpUnits, Units
 from libmodbus_py.testing.wires import SerialWire
 
@@ -507,3 +509,21 @@ def test_updates_under_the_mapping_lock_are_seen_whole(port: int, mapping: Mappi
     finally:
         stop.set()
         updater.join()
+
+
+@pytest.mark.parametrize(
+    ("url", "data_bits", "is_silent"),
+    [("ascii://{}", 7, False), ("ascii://{}?data_bits=8", 8, False), ("rtu://{}", 8, True)],
+)
+def test_ascii_ports_have_seven_data_bits(
+    device: Device, url: str, data_bits: int, is_silent: bool
+) -> None:
+    """Pseudo-terminals ignore them, so what the port is told is looked at."""
+
+    async def made() -> SerialServer:
+        units = Units(device, Faults({}))
+        return SerialServer(parse(url.format("/dev/null")), units, ServerStatistics())
+
+    link = asyncio.run(made())._link
+    assert link.data_bits == data_bits
+    assert (link.silence > 0) is is_silent

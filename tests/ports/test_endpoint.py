@@ -1,0 +1,139 @@
+"""
+URLs: what they stand for, what is wrong with them, and how they are shown.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import pytest
+
+from libmodbus_py.ports.endpoint import CLIENT_OPTIONS, SCHEMES, SERIAL_OPTIONS, Endpoint, parse
+
+
+@pytest.mark.parametrize(
+    ("url", "endpoint"),
+    [
+        ("tcp://192.0.2.10", Endpoint("tcp", "192.0.2.10", 502)),
+        ("udp://[::1]:0/", Endpoint("udp", "::1", 0)),
+        ("rtu+tcp://plant.example:65535", Endpoint("rtu+tcp", "plant.example", 65535)),
+        (
+            "tcp://h?unit=7&timeout=0.5&retries=2",
+            Endpoint("tcp", "h", 502, client_options={"unit": 7, "timeout": 0.5, "retries": 2}),
+        ),
+        (
+            "rtu:///dev/ttyUSB0?baudrate=9600&parity=N&unit=7",
+            Endpoint(
+                "rtu",
+                device="/dev/ttyUSB0",
+                options={"baudrate": 9600, "parity": "N"},
+                client_options={"unit": 7},
+            ),
+        ),
+    ],
+)
+def test_what_a_url_stands_for(url: str, endpoint: Endpoint) -> None:
+    assert parse(url) == endpoint
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.mark.parametrize(
+    ("query", "value"),
+    [
+        ("unit=255", 255),
+        ("timeout=.5", 0.5),
+        ("retries=3", 3),
+        ("busy_retries=1", 1),
+        ("max_in_flight=4", 4),
+        ("turnaround=0.1", 0.1),
+        ("request_spacing=0.01", 0.01),
+        ("connect_delay=2", 2.0),
+        ("timeouts_before_reconnect=5", 5),
+        ("keepalive=30", 30.0),
+        ("keepalive=none", None),
+        ("max_pause=1.5", 1.5),
+        ("native=0", False),
+        ("native=TRUE", True),
+        ("accept_unit=any", "any"),
+        ("delimiter=10", 10),
+        ("delimiter=0x0D", 13),
+    ],
+)
+def test_every_scheme_takes_the_options_of_clients(scheme: str, query: str, value: Any) -> None:
+    place = "/dev/ttyS0" if SCHEMES[scheme][1] == "serial" else "h:1"  # type: ignore[index]
+    endpoint = parse(f"{scheme}://{place}?{query}")
+    name = query.partition("=")[0]
+    assert endpoint.client_options == {name: value}
+    assert type(endpoint.client_options[name]) is type(value)
+    assert endpoint.options == {}
+    assert str(endpoint) == f"{scheme}://{place}"
+    assert parse(endpoint.url) == endpoint
+
+
+def test_all_options_of_clients_are_tried_above() -> None:
+    tried = test_every_scheme_takes_the_options_of_clients.pytestmark[0].args[1]  # type: ignore[attr-defined]
+    assert {query.partition("=")[0] for query, _ in tried} == set(CLIENT_OPTIONS)
+
+
+def test_serial_settings_are_shown() -> None:
+    url = "rtu:///dev/ttyS0?baudrate=9600&rs485=rts-up&rts_delay=0.001&echo=True&silence=0.01"
+    endpoint = parse(f"{url}&timeout=2.0")
+    assert str(endpoint) == url
+    assert endpoint.url == f"{url}&timeout=2.0"
+
+
+ASCII = {"data_bits": 7, "silence": 0.0}
+
+
+@pytest.mark.parametrize(
+    ("url", "settings"),
+    [
+        ("ascii:///dev/ttyS0", ASCII),
+        ("ascii:///dev/ttyS0?data_bits=8", {**ASCII, "data_bits": 8}),
+        ("ascii:///dev/ttyS0?silence=0.1&stop_bits=2", {**ASCII, "silence": 0.1, "stop_bits": 2}),
+        ("rtu:///dev/ttyS0?baudrate=9600", {"baudrate": 9600}),
+        ("rtu:///dev/ttyS0?unit=1", {}),
+    ],
+)
+def test_ascii_has_seven_data_bits_and_no_silence(url: str, settings: dict[str, Any]) -> None:
+    assert parse(url).serial_settings == settings
+
+
+ALL = ", ".join([*SERIAL_OPTIONS, *CLIENT_OPTIONS])
+
+
+@pytest.mark.parametrize(
+    ("url", "text"),
+    [
+        ("http://h", "the scheme must be one of tcp, rtu"),
+        ("h:502", "the scheme must be one of"),
+        ("tcp://me@h", "neither user nor fragment"),
+        ("tcp://h#x", "neither user nor fragment"),
+        ("tcp://h/x", "nothing but options may follow the port"),
+        ("tcp://", "a host is missing, as in tcp://127.0.0.1:502"),
+        ("udp://h:65536", "the port must be in 0..65535"),
+        ("udp://h:x", "the port must be in 0..65535"),
+        ("rtu://ttyS0", "a device is missing, as in rtu:///dev/ttyUSB0"),
+        ("ascii:///", "a device is missing"),
+        ("tcp://h?baudrate=9600", "'baudrate' must be one of unit, timeout, retries"),
+        ("rtu:///dev/x?speed=1", f"'speed' must be one of {ALL}"),
+        ("tcp://h?unit=1&unit=1", "unit is given twice"),
+        ("rtu:///dev/x?parity=E&parity=N", "parity is given twice"),
+        ("rtu:///dev/x?baudrate=fast", "baudrate must be a number, not 'fast'"),
+        ("rtu:///dev/x?echo=yes", "echo must be 0 or 1, not 'yes'"),
+        ("tcp://h?native=", "native must be 0 or 1, not ''"),
+        ("tcp://h?unit=0x1", "unit must be a number, not '0x1'"),
+        ("tcp://h?timeout=1s", "timeout must be a number, not '1s'"),
+        ("tcp://h?keepalive=never", "keepalive must be a number or none, not 'never'"),
+        ("tcp://h?delimiter=LF", "delimiter must be a number such as 10 or 0x0A, not 'LF'"),
+    ],
+)
+def test_what_is_wrong_is_named_and_what_is_allowed(url: str, text: str) -> None:
+    with pytest.raises(ValueError, match=f"^{re.escape(f'{url!r}: {text}')}"):
+        parse(url)
+
+
+def test_a_url_is_text() -> None:
+    with pytest.raises(TypeError, match="url must be a string, not int"):
+        parse(502)  # type: ignore[arg-type]
