@@ -1,8 +1,8 @@
 """
 The server: many clients, many units, many endpoints, in one asyncio loop.
 
-An endpoint (`tcp_server`, `udp_server`, `serial_server`) takes bytes to a session, the
-session takes requests to the device of their unit, and the answers go back in order of
+An endpoint (`tcp`, `udp`, `serial`) takes bytes to a session (`by_chunk`, `by_frame`),
+which takes requests to the device of their unit, and the answers go back in order of
 arrival. Nobody waits for anybody.
 """
 
@@ -10,6 +10,9 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import gc
+import logging
+import signal
 import threading
 from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Future
@@ -19,7 +22,7 @@ from typing import ClassVar
 
 from ..device.device import Device
 from ..device.reply import replier
-from ..ports import endpoint as url
+from ..ports.endpoint import Endpoint, parse
 from .faults import Fault, Faults
 from .limits import Limits, ServerStatistics
 from .peers import Peers
@@ -29,6 +32,8 @@ from .udp import UdpServer
 from .units import Units, UnknownUnit
 
 __all__ = ["Running", "Server"]
+
+logger = logging.getLogger(__name__)
 
 AnyServer = TcpServer | UdpServer | SerialServer
 
@@ -86,14 +91,14 @@ class Server:
         Serve while the ``async with`` block runs.
 
         Args:
-            urls: where to listen (`libmodbus_py.url`): tcp, rtu+tcp, ascii+tcp, udp
-                with port 0 for a free one; rtu, ascii for serial ports.
+            urls: where to listen: tcp, rtu+tcp, ascii+tcp, udp with port 0 for a free
+                one; rtu, ascii for serial ports with their settings.
 
         Raises:
-            TypeError, ValueError: a URL is wrong, or there is none.
+            TypeError, ValueError: a URL is wrong or has options of clients, or there is none.
             ModbusConnectionError: an endpoint cannot be opened, with errno.
         """
-        endpoints = [url.parse(address) for address in urls]
+        endpoints = [_endpoint(url) for url in urls]
         if not endpoints:
             raise ValueError("urls must name at least one endpoint")
         replier()  # its descriptors, before clients take the last ones
@@ -105,7 +110,10 @@ class Server:
                 server = self._make[endpoint.transport](self, endpoint, peers)
                 stack.callback(server.close)
                 opened.append(await server.open())
-            yield Running([str(endpoint) for endpoint in opened])
+            running = Running([str(endpoint) for endpoint in opened])
+            for url in running.urls:
+                logger.info("listening on %s", url)
+            yield running
 
     @contextlib.contextmanager
     def background(self, *urls: str) -> Iterator[Running]:
@@ -140,17 +148,76 @@ class Server:
             stop()
             thread.join()
 
-    def _tcp(self, endpoint: url.Endpoint, peers: Peers) -> TcpServer:
+    def serve_forever(
+        self, *urls: str, on_listening: Callable[[Running], object] = lambda running: None
+    ) -> None:
+        """
+        Serve until SIGTERM or Ctrl-C: for a program that does nothing else.
+
+        Both end it well: it sees the clients off and returns. In another thread than
+        the main one no signal comes, and it serves as long as the process lives (daemon=True).
+        Nothing is printed; the log has ``listening on URL`` at INFO.
+
+        Args:
+            urls: as for `serving`.
+            on_listening: called once, when all endpoints are open.
+
+        Raises:
+            RuntimeError: an event loop runs in this thread: use `serving`.
+
+        Other exceptions as for `serving`, and those of `on_listening`.
+        """
+
+        async def serve() -> None:
+            stopped = asyncio.Event()
+            with _signals_call(stopped.set):
+                async with self.serving(*urls) as running:
+                    # Else every full search for garbage looks through all that was
+                    # imported: 5 ms in which nobody is answered.
+                    gc.collect()
+                    gc.freeze()
+                    on_listening(running)
+                    await stopped.wait()
+
+        asyncio.run(serve())
+
+    def _tcp(self, endpoint: Endpoint, peers: Peers) -> TcpServer:
         return TcpServer(endpoint, self._units, peers)
 
-    def _udp(self, endpoint: url.Endpoint, _: Peers) -> UdpServer:
+    def _udp(self, endpoint: Endpoint, _: Peers) -> UdpServer:
         return UdpServer(endpoint, self._units, self._limits, self.statistics)
 
-    def _serial(self, endpoint: url.Endpoint, _: Peers) -> SerialServer:
+    def _serial(self, endpoint: Endpoint, _: Peers) -> SerialServer:
         return SerialServer(endpoint, self._units, self.statistics)
 
-    _make: ClassVar[dict[str, Callable[[Server, url.Endpoint, Peers], AnyServer]]] = {
+    _make: ClassVar[dict[str, Callable[[Server, Endpoint, Peers], AnyServer]]] = {
         "tcp": _tcp,
         "udp": _udp,
         "serial": _serial,
     }
+
+
+def _endpoint(url: str) -> Endpoint:
+    endpoint = parse(url)
+    if endpoint.client_options:
+        names = ", ".join(endpoint.client_options)
+        raise ValueError(f"{url!r}: {names} is for clients, and means nothing to a server")
+    return endpoint
+
+
+@contextlib.contextmanager
+def _signals_call(stop: Callable[[], object]) -> Iterator[None]:
+    """Have SIGTERM and Ctrl-C do this, in the main thread of a running loop."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    loop = asyncio.get_running_loop()
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    for number in before:
+        loop.add_signal_handler(number, stop)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            loop.remove_signal_handler(number)
+            signal.signal(number, handler)

@@ -1,0 +1,185 @@
+"""
+Programs that do nothing but serve, as processes of their own, and the signals that end them.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import pytest
+
+from libmodbus_py import Device, Mapping, ModbusConnectionError, Running, Server, TcpContext
+from libmodbus_py.ports.endpoint import parse
+
+HEAD = """
+import logging, signal, sys, threading
+from libmodbus_py import Device, Mapping, Server
+
+server = Server(Device(Mapping(holding_registers={7: [555]})))
+"""
+
+PLAIN = """
+logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s %(message)s")
+server.serve_forever("tcp://127.0.0.1:0", "udp://127.0.0.1:0")
+print("returned", server.statistics.requests)
+"""
+
+QUIET = """
+def say(running):
+    sys.stderr.write(f"listening on {running.urls[0]}\\n")
+
+signal.signal(signal.SIGTERM, lambda *_: print("own handler"))
+server.serve_forever("tcp://127.0.0.1:0", on_listening=say)
+print("returned")
+print(signal.getsignal(signal.SIGINT) is signal.default_int_handler)
+signal.raise_signal(signal.SIGTERM)
+"""
+
+THREAD = """
+def say(running):
+    sys.stderr.write(f"listening on {running.urls[0]}\\n")
+
+def serve():
+    server.serve_forever("tcp://127.0.0.1:0", on_listening=say)
+
+threading.Thread(target=serve, daemon=True).start()
+try:
+    signal.pause()
+except KeyboardInterrupt:
+    print("interrupted")
+"""
+
+
+@contextmanager
+def program(text: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """Run it; give the first URL that it names on stderr, too."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", HEAD + text],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert process.stderr is not None
+        yield process, process.stderr.readline().rstrip("\n").partition("listening on ")[2]
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def end(process: subprocess.Popen[str], number: signal.Signals) -> tuple[str, str]:
+    process.send_signal(number)
+    return process.communicate(timeout=2)
+
+
+def read(url: str) -> list[int]:
+    with TcpContext("127.0.0.1", parse(url).port) as plc:
+        return plc.read_holding_registers(7, 1)
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_signals_end_it_well_whatever_clients_do(number: signal.Signals) -> None:
+    with program(PLAIN) as (process, url), socket.socket() as half_way:
+        assert read(url) == [555]
+        half_way.connect(("127.0.0.1", parse(url).port))
+        half_way.sendall(b"\0\1\0\0\0\6\1")
+        half_way.settimeout(2)
+        out, err = end(process, number)
+        assert half_way.recv(10) == b""
+    assert (out, process.returncode) == ("returned 1\n", 0)
+    assert err.startswith("INFO libmodbus_py.server.server listening on udp://127.0.0.1:")
+    assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_it_prints_nothing_and_leaves_the_handlers_as_they_were(number: signal.Signals) -> None:
+    with program(QUIET) as (process, url):
+        assert read(url) == [555]
+        assert end(process, number) == ("returned\nTrue\nown handler\n", "")
+        assert process.returncode == 0
+
+
+def test_another_thread_serves_without_signals() -> None:
+    with program(THREAD) as (process, url):
+        assert read(url) == [555]
+        assert end(process, signal.SIGINT) == ("interrupted\n", "")
+        assert process.returncode == 0
+
+
+def in_a_thread(server: Server, *urls: str, on_listening: Callable[[Running], object]) -> object:
+    """What it raised there."""
+    raised: list[BaseException] = []
+
+    def serve() -> None:
+        try:
+            server.serve_forever(*urls, on_listening=on_listening)
+        except BaseException as error:
+            raised.append(error)
+
+    thread = threading.Thread(target=serve, daemon=True)
+    thread.start()
+    thread.join(5)
+    return raised[0]
+
+
+def test_what_on_listening_raises_ends_it() -> None:
+    found: list[Running] = []
+
+    def fail(running: Running) -> None:
+        found.append(running)
+        raise BrokenPipeError
+
+    server = Server(Device(Mapping()))
+    raised = in_a_thread(server, "tcp://127.0.0.1:0", on_listening=fail)
+    assert isinstance(raised, BrokenPipeError)
+    with pytest.raises(ConnectionRefusedError):
+        socket.create_connection(("127.0.0.1", parse(found[0].urls[0]).port))
+
+
+def test_a_port_that_is_taken_ends_it() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        url = f"tcp://127.0.0.1:{taken.getsockname()[1]}"
+        raised = in_a_thread(Server(Device(Mapping())), url, on_listening=print)
+    assert isinstance(raised, ModbusConnectionError)
+
+
+def ways(server: Server, url: str) -> list[Callable[[], object]]:
+    async def serving() -> None:
+        async with server.serving(url):
+            pass
+
+    return [
+        lambda: asyncio.run(serving()),
+        lambda: server.background(url).__enter__(),
+        lambda: server.serve_forever(url),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("url", "names"),
+    [
+        ("tcp://127.0.0.1:0?unit=1", "unit"),
+        ("udp://127.0.0.1:0?timeout=1&retries=2", "timeout, retries"),
+        ("rtu:///dev/null?baudrate=9600&unit=7", "unit"),
+    ],
+)
+@pytest.mark.parametrize("way", range(3))
+def test_servers_refuse_the_options_of_clients(url: str, names: str, way: int) -> None:
+    with pytest.raises(ValueError, match=f": {names} is for clients"):
+        ways(Server(Device(Mapping())), url)[way]()
+
+
+def test_all_ways_log_where_they_listen(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO, "libmodbus_py")
+    with Server(Device(Mapping())).background("tcp://127.0.0.1:0") as running:
+        time.sleep(0)
+    assert caplog.messages == [f"listening on {running.urls[0]}"]
