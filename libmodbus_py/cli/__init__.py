@@ -1,1 +1,10 @@
-""" """
+"""
+The command line, on top of everything: what is typed becomes requests and servers.
+
+::
+
+    main          what was typed, and with which exit code it ends
+    read_write    read and write: a place, values as text, one request
+    serve         serve: a device file, limits, until a signal
+    demo          demo: worked examples on three lines, with the bytes that a tap saw
+"""

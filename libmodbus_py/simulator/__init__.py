@@ -1,1 +1,9 @@
-""" """
+"""
+Simulated devices, described in a file.
+
+::
+
+    device_file    TOML to devices and faults; every mistake is told with its line
+    toml_lines     where in the text a key stands
+    behaviour      values that move by themselves: counters, waves, walks, copies
+"""

@@ -415,6 +415,28 @@ def test_errors_are_one_line_on_stderr(arguments: list[str], code: int, named: s
     assert named in done.stderr
 
 
+@pytest.mark.parametrize(
+    ("query", "options", "unit"),
+    [("?unit=7&timeout=5", [], 7), ("?unit=7", ["--unit", "9"], 9), ("", [], 1)],
+)
+def test_the_unit_is_that_of_the_url_unless_it_is_told(
+    query: str, options: list[str], unit: int
+) -> None:
+    devices = {each: Device(Mapping(coils=each)) for each in (1, 7, 9)}
+    with Server(devices).background("tcp://127.0.0.1:0") as running:
+        where = [running.urls[0] + query, "coils", str(unit - 1)]
+        done = run("read", *where, "--json", "-v", *options)
+        assert json.loads(done.stdout)["unit"] == unit
+        assert run("write", *where, "1", *options).returncode == 0
+    assert devices[unit].mapping.coils[unit - 1]
+
+
+def test_a_server_has_no_options_of_clients() -> None:
+    done = run("serve", "tcp://127.0.0.1:0?unit=7")
+    assert done.returncode == 2
+    assert "unit is for clients" in done.stderr
+
+
 def test_serve_says_when_a_port_is_taken(url: str) -> None:
     done = run("serve", url)
     assert done.returncode == 1

@@ -1,0 +1,88 @@
+"""
+The command serve: a device file, or one device that has everything, until a signal.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Callable
+from typing import Any
+
+from ..device.device import Device
+from ..device.mapping import Mapping
+from ..ports.endpoint import SCHEMES
+from ..protocol.pdu import RECORDS_PER_FILE
+from ..server.limits import FULL_POLICIES, Limits
+from ..server.server import Running, Server
+from ..server.units import UNKNOWN_UNIT_POLICIES
+from ..simulator import device_file
+
+__all__ = ["add_command"]
+
+LIMITS: list[tuple[str, Callable[[str], Any], str, str]] = [
+    ("max-connections", int, "N", "over TCP (what the descriptor limit leaves)"),
+    ("frame-timeout", float, "S", "seconds that a frame may take from its first byte (5)"),
+    ("idle-timeout", float, "S", "seconds without a request, inf for no limit (3600)"),
+    ("max-unsent", int, "BYTES", "of answers that a client does not take (65536)"),
+    ("requests-per-second", float, "N", "of one client (no limit)"),
+]
+"""Options of `serve` that are one number."""
+
+LIMIT_NAMES = [*(name.replace("-", "_") for name, *_ in LIMITS), "when_full", "allow"]
+
+
+def add_command(commands: Any) -> None:
+    """Tell argparse of it."""
+    command = commands.add_parser(
+        "serve",
+        help="serve a device file; or all tables and ten files, all zero, to every unit",
+        epilog=f"URLs: {' '.join(f'{scheme}://...' for scheme in SCHEMES)}",
+    )
+    command.add_argument("urls", metavar="URL", nargs="+", help="such as tcp://127.0.0.1:1502")
+    command.add_argument("--device", metavar="FILE", help="a device file, such as plant.toml")
+    _add_limit_arguments(command)
+    command.set_defaults(run=_serve)
+
+
+def _add_limit_arguments(command: argparse.ArgumentParser) -> None:
+    group = command.add_argument_group("what clients may cost")
+    for name, convert, metavar, text in LIMITS:
+        group.add_argument(f"--{name}", type=convert, metavar=metavar, help=text)
+    group.add_argument("--when-full", choices=FULL_POLICIES, help="(close-idle)")
+    group.add_argument(
+        "--allow", action="append", metavar="NETWORK", help="serve only these; may be repeated"
+    )
+    group.add_argument(
+        "--unknown-unit",
+        choices=UNKNOWN_UNIT_POLICIES,
+        default="refuse",
+        help="what a unit nobody is gets on TCP and UDP (refuse)",
+    )
+
+
+def _serve(options: argparse.Namespace) -> int:
+    devices, faults = _devices(options.device)
+    server = Server(devices, faults, _limits(options), options.unknown_unit)
+    server.serve_forever(*options.urls, on_listening=_say)
+    return 0
+
+
+def _say(running: Running) -> None:
+    for url in running.urls:
+        print(f"listening on {url}", flush=True)
+
+
+def _devices(file: str | None) -> tuple[Any, Any]:
+    if file is not None:
+        return device_file.load(file)
+    everything = Mapping(65536, 65536, 65536, 65536)
+    files = {number: [0] * RECORDS_PER_FILE for number in range(1, 11)}
+    return Device(everything, files=files), None
+
+
+def _limits(options: argparse.Namespace) -> Limits:
+    given = {name: value for name in LIMIT_NAMES if (value := getattr(options, name)) is not None}
+    if given.get("idle_timeout") == math.inf:
+        given["idle_timeout"] = None
+    return Limits(**given)
