@@ -25,8 +25,6 @@ from ..protocol.errors import (
 from ..protocol.pdu import (
     MAX_PDU,
     REQUESTS,
-    CommEventCounter,
-    CommEventLog,
     Diagnostics,
     EncapsulatedTransport,
     IdentificationPage,
@@ -313,18 +311,6 @@ class Device:
             raise IllegalDataValue(f"{len(queue)} registers in the queue")
         return queue
 
-    def _read_exception_status(self, _request: ReadExceptionStatus, _: EventLog) -> int:
-        return self.exception_status
-
-    def _report_server_id(self, _request: ReportServerId, _: EventLog) -> ServerId:
-        return self.server_id
-
-    def _read_event_counter(self, _: ReadCommEventCounter, log: EventLog) -> CommEventCounter:
-        return log.read_event_counter()
-
-    def _read_event_log(self, _: ReadCommEventLog, log: EventLog) -> CommEventLog:
-        return log.read_event_log()
-
     def _encapsulated_transport(self, request: EncapsulatedTransport, _: EventLog) -> bytes:
         if self._canopen is None:
             raise IllegalFunction(function=request.function)
@@ -370,15 +356,15 @@ class Device:
             raise IllegalDataValue(f"delimiter {request.data.hex()}")
         log.delimiter = delimiter
 
-    # Request class -> method; what is missing here is libmodbus's.
+    # Request class -> its result; what is missing here is libmodbus's.
     _own: ClassVar[dict[type[Request[Any]], Callable[..., Any]]] = {
         ReadFileRecords: _read_file_records,
         WriteFileRecords: _write_file_records,
         ReadFifoQueue: _read_fifo_queue,
-        ReadExceptionStatus: _read_exception_status,
-        ReportServerId: _report_server_id,
-        ReadCommEventCounter: _read_event_counter,
-        ReadCommEventLog: _read_event_log,
+        ReadExceptionStatus: lambda device, request, log: device.exception_status,
+        ReportServerId: lambda device, request, log: device.server_id,
+        ReadCommEventCounter: lambda device, request, log: log.read_event_counter(),
+        ReadCommEventLog: lambda device, request, log: log.read_event_log(),
         Diagnostics: _diagnostics,
         EncapsulatedTransport: _encapsulated_transport,
         ReadDeviceIdentification: _read_device_identification,
@@ -422,12 +408,8 @@ def _bound(
             raise TypeError(f"handlers must be {{request class: function}}, not {request!r}")
         if not callable(handle):
             raise TypeError(f"handlers[{request.__name__}] must be a function, not {handle!r}")
-        bound[request] = _ignoring_log(handle)
+        bound[request] = lambda device, request, log, handle=handle: handle(request)
     return bound
-
-
-def _ignoring_log(handle: Callable[[Any], Any]) -> Callable[..., Any]:
-    return lambda device, request, log: handle(request)
 
 
 def _checked_identification(given: MappingABC[Any, str | bytes]) -> dict[int, bytes]:

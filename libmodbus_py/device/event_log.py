@@ -1,17 +1,9 @@
 """
 What one device notes about one line: counters, event log, listen-only mode.
 
-This is the memory behind functions 8, 11 and 12. Definitions: MODBUS Application
-Protocol V1.1b3, sections 6.8-6.10; order of counting: MODBUS over Serial Line
-V1.02, appendix A. What those leave open is decided here:
-
-* counters are 16 bits and wrap to 0;
-* every exchange without exception counts as an event, broadcasts that were
-  executed and function 12 included, function 11 not;
-* the receive event of function 12 itself is the newest entry of its answer;
-* a frame with a bad check logs a receive event alone, 82h (92h if it overran);
-* a restart that clears the log leaves one entry in it, its own 00h;
-* a broadcast that is no write executes nothing, and is no exception.
+This is the memory behind functions 8, 11 and 12: MODBUS Application Protocol V1.1b3,
+sections 6.8-6.10; order of counting: MODBUS over Serial Line V1.02, appendix A. What
+those leave open is decided in docs/decisions.md.
 """
 
 from __future__ import annotations

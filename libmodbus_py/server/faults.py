@@ -206,58 +206,26 @@ def pieces(fault: Fault | None, answer: Frame, framer: Framer) -> list[Piece]:
     """Say what is sent in place of an answer."""
     if fault is None:
         return [Piece(0, framer.encode(answer))]
-    return _SENDS[fault.kind](fault, answer, framer)
+    change = _FRAMES.get(fault.kind)
+    data = framer.encode(change(answer) if change else answer)
+    wait = fault.seconds or 0
+    if fault.kind == "no_answer":
+        return []
+    if fault.kind == "wrong_check":
+        data = _SPOILS[type(framer)](data)
+    if fault.kind == "trickle":
+        return [Piece(wait if at else 0, data[at : at + 1]) for at in range(len(data))]
+    if fault.length is not None:
+        data = data[: min(fault.length, len(data) - 1)]
+    return [Piece(wait, data)]
 
 
-def _send_late(fault: Fault, answer: Frame, framer: Framer) -> list[Piece]:
-    return [Piece(fault.seconds or 0, framer.encode(answer))]
-
-
-def _send_nothing(fault: Fault, answer: Frame, framer: Framer) -> list[Piece]:
-    return []
-
-
-def _send_as_it_is(fault: Fault, answer: Frame, framer: Framer) -> list[Piece]:
-    # An exception: the answer is the refusal already.
-    return [Piece(0, framer.encode(answer))]
-
-
-def _send_spoiled(fault: Fault, answer: Frame, framer: Framer) -> list[Piece]:
-    return [Piece(0, _SPOILS[type(framer)](framer.encode(answer)))]
-
-
-def _send_other_transaction(fault: Fault, answer: Frame, framer: Framer) -> list[Piece]:
+# Kind -> the frame that is sent in place of the answer.
+_FRAMES: dict[str, Callable[[Frame], Frame]] = {
     # Never that of the next request, whose answer this one would then be.
-    other = answer._replace(transaction=answer.transaction - 1 & 0xFFFF)
-    return [Piece(0, framer.encode(other))]
-
-
-def _send_other_unit(fault: Fault, answer: Frame, framer: Framer) -> list[Piece]:
+    "wrong_transaction": lambda frame: frame._replace(transaction=frame.transaction - 1 & 0xFFFF),
     # 1..247, that of a unit which a serial line can have.
-    other = answer._replace(unit=answer.unit % 247 + 1)
-    return [Piece(0, framer.encode(other))]
-
-
-def _send_slowly(fault: Fault, answer: Frame, framer: Framer) -> list[Piece]:
-    data = framer.encode(answer)
-    gap = fault.seconds or 0
-    return [Piece(gap if at else 0, data[at : at + 1]) for at in range(len(data))]
-
-
-def _send_the_beginning(fault: Fault, answer: Frame, framer: Framer) -> list[Piece]:
-    data = framer.encode(answer)
-    return [Piece(0, data[: min(fault.length or 1, len(data) - 1)])]
-
-
-_SENDS: dict[str, Callable[[Fault, Frame, Framer], list[Piece]]] = {
-    "delay": _send_late,
-    "no_answer": _send_nothing,
-    "exception": _send_as_it_is,
-    "wrong_check": _send_spoiled,
-    "wrong_transaction": _send_other_transaction,
-    "wrong_unit": _send_other_unit,
-    "trickle": _send_slowly,
-    "truncate": _send_the_beginning,
+    "wrong_unit": lambda frame: frame._replace(unit=frame.unit % 247 + 1),
 }
 
 

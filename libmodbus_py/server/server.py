@@ -18,7 +18,6 @@ from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass
 from functools import partial
-from typing import ClassVar
 
 from ..device.device import Device
 from ..device.reply import replier
@@ -34,8 +33,6 @@ from .units import Units, UnknownUnit
 __all__ = ["Running", "Server"]
 
 logger = logging.getLogger(__name__)
-
-AnyServer = TcpServer | UdpServer | SerialServer
 
 
 @dataclass(frozen=True)
@@ -107,7 +104,7 @@ class Server:
             stack.callback(peers.close)
             opened = []
             for endpoint in endpoints:
-                server = self._make[endpoint.transport](self, endpoint, peers)
+                server = self._make(endpoint, peers)
                 stack.callback(server.close)
                 opened.append(await server.open())
             running = Running([str(endpoint) for endpoint in opened])
@@ -181,20 +178,12 @@ class Server:
 
         asyncio.run(serve())
 
-    def _tcp(self, endpoint: Endpoint, peers: Peers) -> TcpServer:
-        return TcpServer(endpoint, self._units, peers)
-
-    def _udp(self, endpoint: Endpoint, _: Peers) -> UdpServer:
-        return UdpServer(endpoint, self._units, self._limits, self.statistics)
-
-    def _serial(self, endpoint: Endpoint, _: Peers) -> SerialServer:
+    def _make(self, endpoint: Endpoint, peers: Peers) -> TcpServer | UdpServer | SerialServer:
+        if endpoint.transport == "tcp":
+            return TcpServer(endpoint, self._units, peers)
+        if endpoint.transport == "udp":
+            return UdpServer(endpoint, self._units, self._limits, self.statistics)
         return SerialServer(endpoint, self._units, self.statistics)
-
-    _make: ClassVar[dict[str, Callable[[Server, Endpoint, Peers], AnyServer]]] = {
-        "tcp": _tcp,
-        "udp": _udp,
-        "serial": _serial,
-    }
 
 
 def _endpoint(url: str) -> Endpoint:
