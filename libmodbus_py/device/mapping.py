@@ -69,8 +69,8 @@ class Table(ABC, Generic[Cell]):
         self._lock = lock
         size = len(self.addresses) * array(self.typecode).itemsize
         # An empty table has memory too, for mmap makes none of 0 bytes.
-        memory = memoryview(mmap.mmap(-1, max(size, 1)))
-        self._cells: memoryview = memory[:size].cast(self.typecode)
+        self._memory = mmap.mmap(-1, max(size, 1))
+        self._cells: memoryview = memoryview(self._memory)[:size].cast(self.typecode)
         for at, values in given.items():
             self[at : at + len(values)] = values
 
@@ -344,7 +344,9 @@ class Mapping:
         ):
             setattr(struct.tables, f"nb_{suffix}", len(table.addresses))
             setattr(struct.tables, f"start_{suffix}", table.addresses.start)
-            pointer = ffi.from_buffer(item, table._cells)
+            # Not the cells: a memoryview that is looked into and part of a circle makes
+            # the garbage collector of Python 3.11 crash (gh-77894).
+            pointer = ffi.from_buffer(item, table._memory)
             setattr(struct.tables, f"tab_{suffix}", pointer)
             self._pointers.append(pointer)
             if len(table.ranges) > 1:

@@ -620,3 +620,25 @@ def test_full_mapping_takes_memory_only_where_it_is_written() -> None:
     sparse, filled, holes = map(int, run.stdout.split())
     assert max(sparse, holes) < 100 * 393_216 / 5
     assert filled > 50 * 131_072 * 0.9  # the measure itself sees what is written
+
+
+CIRCLE = """
+import gc
+from libmodbus_py import Mapping
+
+for name in ("coils", "holding_registers"):
+    mapping = Mapping(8, 8, 8, 8)
+    mapping.itself = mapping
+    view, holder = getattr(mapping, name)._cells, [mapping]
+    del mapping
+    gc.collect()  # now the view comes before the mapping
+    del view, holder
+    gc.collect()
+print("done")
+"""
+
+
+def test_a_mapping_in_a_circle_can_be_collected() -> None:
+    """A memoryview that something else looks into must not be cleared first (gh-77894)."""
+    run = subprocess.run([sys.executable, "-c", CIRCLE], capture_output=True, text=True, timeout=50)
+    assert (run.stdout, run.stderr, run.returncode) == ("done\n", "", 0)
