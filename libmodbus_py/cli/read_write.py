@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 from ..client.blocking import Context
 from ..ports.endpoint import parse
-from ..protocol import pdu
+from ..protocol import pdu, tables
 from ..protocol.values import (
     ORDERS,
     TYPES,
@@ -36,19 +36,12 @@ TABLES = {
 }
 """What is typed -> the table's name."""
 
-READS: dict[str, Callable[[int, int], pdu.Request[Any]]] = {
-    "coils": pdu.ReadCoils,
-    "discrete_inputs": pdu.ReadDiscreteInputs,
-    "holding_registers": pdu.ReadHoldingRegisters,
-    "input_registers": pdu.ReadInputRegisters,
-}
-
 # Sections 6.3, 6.4, 6.12, 6.14 and 6.15.
 REGISTERS = {
-    "holding_registers": (125, 123),
-    "input_registers": (125, 0),
-    "file": (124, 122),
-}
+    name: (rules.most_read, rules.most_written)
+    for name, rules in tables.TABLES.items()
+    if not rules.is_bits
+} | {"file": (124, 122)}
 """Table of registers -> how many of them one request reads, and writes."""
 
 BITS = {"0": False, "1": True, "off": False, "on": True, "false": False, "true": True}
@@ -292,7 +285,7 @@ def _view(options: argparse.Namespace, place: Place) -> _Plain:
 def _read_request(place: Place, count: int) -> pdu.Request[Any]:
     if place.table == "file":
         return pdu.ReadFileRecords(((place.file, place.address, count),))
-    return READS[place.table](place.address, count)
+    return tables.TABLES[place.table].read(place.address, count)
 
 
 def _whence(unit: int, place: Place) -> dict[str, Any]:

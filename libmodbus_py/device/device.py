@@ -22,6 +22,7 @@ from ..protocol.errors import (
     IllegalFunction,
     ServerDeviceFailure,
 )
+from ..protocol.framing import is_delimiter
 from ..protocol.pdu import (
     MAX_PDU,
     REQUESTS,
@@ -352,7 +353,7 @@ class Device:
 
     def _change_delimiter(self, request: Diagnostics, log: EventLog) -> None:
         delimiter, zero = request.data
-        if zero or delimiter > 0x7F or chr(delimiter) in ":\r0123456789ABCDEFabcdef":
+        if zero or not is_delimiter(delimiter):
             raise IllegalDataValue(f"delimiter {request.data.hex()}")
         log.delimiter = delimiter
 

@@ -20,11 +20,10 @@ from typing import Any, ClassVar, Generic, Literal, Self, TypeVar, overload
 
 from ..binding.library import ffi
 from ..protocol.checks import integer
+from ..protocol.tables import TABLE_SIZE
 from ..protocol.values import value_type
 
 __all__ = ["BitTable", "Mapping", "RegisterTable", "Table"]
-
-TABLE_SIZE = 65536
 
 # Of a table with holes, in its repr.
 SHOWN_RANGES = 8

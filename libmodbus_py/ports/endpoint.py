@@ -21,13 +21,13 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 from urllib.parse import SplitResult, parse_qsl, quote, unquote, urlsplit
 
+from ..protocol.framing import Framing
+
 __all__ = ["CLIENT_OPTIONS", "DEFAULT_PORT", "SCHEMES", "SERIAL_OPTIONS", "Endpoint", "parse"]
 
 DEFAULT_PORT = 502
 
 Scheme = Literal["tcp", "rtu+tcp", "ascii+tcp", "udp", "rtu", "ascii"]
-
-Framing = Literal["tcp", "rtu", "ascii", "udp"]
 
 Transport = Literal["tcp", "udp", "serial"]
 

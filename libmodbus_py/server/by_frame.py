@@ -7,11 +7,10 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Callable
-from functools import partial
 from typing import Protocol
 
 from ..protocol.errors import FrameError
-from ..protocol.framing import AsciiFramer, Frame, Framer, RtuFramer, TcpFramer, UdpFramer
+from ..protocol.framing import AsciiFramer, Frame, Framing, TcpFramer, make_framer
 from .faults import Delivery, pieces
 from .limits import ServerStatistics
 from .units import SerialUnits, TcpUnits
@@ -19,13 +18,6 @@ from .units import SerialUnits, TcpUnits
 __all__ = ["ByFrame", "Session"]
 
 logger = logging.getLogger(__name__)
-
-FRAMERS: dict[str, Callable[[], Framer]] = {
-    "tcp": TcpFramer,
-    "udp": UdpFramer,
-    "rtu": partial(RtuFramer, role="server"),
-    "ascii": AsciiFramer,
-}
 
 
 class Session(Protocol):
@@ -57,7 +49,7 @@ class ByFrame:
 
     Args:
         units: who answers.
-        framing: a key of FRAMERS.
+        framing: "tcp", "rtu", "ascii" or "udp".
         peer: who asks.
         statistics: where it is counted.
         write: takes the answers to the bytes of one `receive` at once.
@@ -67,14 +59,14 @@ class ByFrame:
     def __init__(
         self,
         units: TcpUnits | SerialUnits,
-        framing: str,
+        framing: Framing,
         peer: str,
         statistics: ServerStatistics,
         write: Callable[[bytes], None],
         follow: Callable[[], None] = lambda: None,
     ) -> None:
         self._units = units
-        self._framer = FRAMERS[framing]()
+        self._framer = make_framer(framing, "server")
         self._peer = peer
         self._statistics = statistics
         self._write = write

@@ -10,6 +10,7 @@ import logging
 import socket
 
 from ..ports.endpoint import Endpoint
+from ..protocol.framing import Framing
 from .by_chunk import ByChunk, Singles
 from .by_frame import ByFrame
 from .listening import bound, reason
@@ -93,7 +94,7 @@ def _listener(family: socket.AddressFamily, address: tuple[str, int]) -> socket.
     return socket.create_server(address, family=family, backlog=BACKLOG)
 
 
-def _maker(framing: str, units: Units, peers: Peers) -> MakeSession:
+def _maker(framing: Framing, units: Units, peers: Peers) -> MakeSession:
     statistics = peers.statistics
     if framing != "tcp":
         line = SerialUnits(units)
