@@ -36,8 +36,9 @@ print("asan:", _libmodbus.__file__)
 END
 
 result=0
-[ $# -gt 0 ] || set -- tests/protocol/test_framing.py tests/device/test_device.py tests/device/test_mapping.py tests/client/test_contexts.py \
-    tests/server/test_server.py tests/client/test_functions.py tests/client/test_bad_answers.py \
+[ $# -gt 0 ] || set -- tests/protocol/test_framing.py tests/device/test_device.py tests/device/test_mapping.py \
+    tests/client/test_contexts.py tests/server/test_server.py tests/server/test_chunks.py \
+    tests/client/test_functions.py tests/client/test_bad_answers.py \
     tests/test_fuzz.py tests/interop/test_interop_libmodbus.py
 "$python" -m pytest -n 2 -q -p no:cacheprovider --timeout=180 \
     -k "not takes_memory_only" "$@" || result=$?

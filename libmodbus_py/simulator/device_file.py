@@ -180,28 +180,24 @@ def _unit_id(name: str, value: object) -> int:
     return number
 
 
-def _flag(name: str, value: object) -> bool:
-    if not isinstance(value, bool):
-        raise TypeError(f"{name} must be true or false, not {_given(value)}")
-    return value
+def _a(kind: type, what: str) -> Check:
+    def check(name: str, value: object) -> Any:
+        if not isinstance(value, kind):
+            raise TypeError(f"{name} must be {what}, not {_given(value)}")
+        return value
+
+    return check
 
 
-def _table(name: str, value: object) -> dict[str, object]:
-    if not isinstance(value, dict):
-        raise TypeError(f"{name} must be a table, not {_given(value)}")
-    return value
+_flag = _a(bool, "true or false")
+_table = _a(dict, "a table")
+_list = _a(list, "a list")
 
 
 def _tables(name: str, value: object) -> list[dict[str, object]]:
     if not isinstance(value, list):
         raise TypeError(f"{name} must be a list of tables: [[{re.sub('[^a-z._]', '', name)}]]")
     return [_table(f"{name}[{at}]", each) for at, each in enumerate(value)]
-
-
-def _list(name: str, value: object) -> list[object]:
-    if not isinstance(value, list):
-        raise TypeError(f"{name} must be a list, not {_given(value)}")
-    return value
 
 
 def _anything(name: str, value: object) -> object:
