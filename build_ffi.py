@@ -16,7 +16,9 @@ ffi = FFI()
 ffi.cdef((BINDING / "_libmodbus.h").read_text())
 ffi.set_source(
     "libmodbus_py.binding._libmodbus",
-    "".join((BINDING / name).read_text() for name in ("_libmodbus.c", "answer_chunk.c")),
+    "".join(
+        (BINDING / name).read_text() for name in ("_libmodbus.c", "answer_chunk.c", "exchange.c")
+    ),
     libraries=["modbus"],
 )
 

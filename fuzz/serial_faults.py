@@ -22,10 +22,10 @@ from libmodbus_py import AsciiContext, Context, RtuContext, Server
 __all__ = ["BAUDRATE", "LINES", "client", "on_a_line"]
 
 # What a client on each line is: its framing, and whether libmodbus may carry requests.
-LINES: dict[str, tuple[Framing, bool | None]] = {
-    "RTU through libmodbus": ("rtu", None),
+LINES: dict[str, tuple[Framing, bool]] = {
+    "RTU through libmodbus": ("rtu", True),
     "RTU without libmodbus": ("rtu", False),
-    "ASCII": ("ascii", None),
+    "ASCII": ("ascii", True),
 }
 
 BAUDRATE = 1_000_000  # a pty knows none; the client waits for the length of its frames

@@ -22,9 +22,11 @@ Addresses are 0-based and times are in seconds everywhere.
 import sys
 
 from .binding import low_level
-from .client.asynchronous import AsyncClient, State
+from .client.asynchronous import AsyncClient
 from .client.blocking import AsciiContext, Context, RtuContext, TcpContext, UdpContext
 from .client.plan import Plan, Read
+from .client.reconnecting import State
+from .client.trace import Traced
 from .device.access import Access
 from .device.device import Caller, Device
 from .device.mapping import Mapping
@@ -87,6 +89,7 @@ __all__ = [
     "ServerDeviceFailure",
     "State",
     "TcpContext",
+    "Traced",
     "UdpContext",
     "device_file",
     "errors",

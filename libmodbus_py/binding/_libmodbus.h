@@ -216,3 +216,7 @@ typedef struct {
 
 int answer_chunk(replier_t *replier, mapping_t *mapping, tally_t *tally, int unit,
                  const uint8_t *data, int start, int end);
+
+/* Ours: exchange.c. */
+int exchange(modbus_t *context, int descriptor, int waker, const uint8_t *request, int size,
+             int milliseconds, uint8_t *answer, int room);

@@ -26,18 +26,17 @@ except ImportError as error:
         ) from error
     raise ImportError(f"{NOT_BUILT} ({error})") from error
 
-__all__ = ["UnnamedException", "check", "ffi", "lib", "loaded_version", "make", "microseconds"]
+__all__ = ["check", "exchange", "ffi", "lib", "loaded_version", "make"]
 
 
-class UnnamedException(InvalidResponse):
-    """An exception response whose code libmodbus knows not and does not tell (EMBBADEXC)."""
-
+# More than a frame, so that what follows an answer shows.
+ANSWER_SIZE = 512
 
 _LIBRARY_ERRORS: dict[int, type[ModbusError]] = {
     lib.EMBBADCRC: FrameError,
     lib.EMBBADDATA: InvalidResponse,
-    lib.EMBBADEXC: UnnamedException,
-    lib.EMBUNKEXC: UnnamedException,
+    lib.EMBBADEXC: InvalidResponse,
+    lib.EMBUNKEXC: InvalidResponse,
     lib.EMBMDATA: InvalidResponse,
     lib.EMBBADSLAVE: InvalidResponse,
     errno.ETIMEDOUT: ModbusTimeoutError,
@@ -70,9 +69,33 @@ def make(context: Any) -> Any:
     return ffi.gc(context, lib.modbus_free)
 
 
-def microseconds(seconds: float) -> tuple[int, int]:
-    """Split a timeout for libmodbus, which refuses (0, 0) and a million microseconds."""
-    return divmod(max(1, round(seconds * 1_000_000)), 1_000_000)
+def exchange(
+    context: Any, descriptor: int, waker: int, request: bytes, milliseconds: int
+) -> bytes | None:
+    """
+    Send a request and give the first bytes that come back, without the GIL.
+
+    Args:
+        context: the modbus_t of a serial port, or None for a socket.
+        waker: a descriptor that ends the wait when it is readable.
+        request: the whole frame; unit and PDU for a serial port.
+
+    Returns:
+        Nothing (b"") if the wait ended first; None if nothing was sent, for there was
+        something to read already.
+    """
+    answer = ffi.new("uint8_t[]", ANSWER_SIZE)
+    got = lib.exchange(
+        ffi.NULL if context is None else context,
+        descriptor,
+        waker,
+        request,
+        len(request),
+        milliseconds,
+        answer,
+        ANSWER_SIZE,
+    )
+    return None if got < 0 else bytes(ffi.buffer(answer, got))
 
 
 def loaded_version() -> tuple[int, int, int]:

@@ -1,131 +1,102 @@
 """
-The blocking client: one method for each function, on libmodbus.
+The blocking client: a context for each kind of endpoint.
 """
 
 from __future__ import annotations
 
-import copy
-import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from functools import partial
-from typing import Any, Literal, Self, TypeVar
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from typing import Any, Literal, Self, TypeVar, Unpack, overload
 
-from ..ports import endpoint as url
-from ..ports.link import Link
-from ..ports.serial import SerialLink
-from ..ports.tcp_link import TcpLink
-from ..ports.udp_link import UdpLink
+from ..ports.endpoint import DEFAULT_PORT, Endpoint, parse
+from ..ports.serial import LineSettings, SerialSettings
 from ..protocol import pdu
-from ..protocol.checks import integer, seconds
-from ..protocol.errors import Acknowledge, InvalidResponse, ModbusError, ServerDeviceBusy
-from ..protocol.framing import AsciiFramer, RtuFramer, TcpFramer, UdpFramer
-from ..protocol.pdu.interface import identify
-from ..protocol.values import value_type
-from .line import Line
-from .pipeline import MAX_IN_FLIGHT, one_by_one
-from .plan import Forbidden, Items, Plan, plan_of
+from ..protocol.errors import InvalidResponse
+from .batch import MAX_IN_FLIGHT, Batch, raised
+from .blocking_driver import BlockingDriver
+from .handle import Handle
+from .libmodbus import Shortcut
+from .options import ContextOptions, Settings, assembled
+from .plan import Items, Key, Plan, PlanOptions, planned
+from .requests import Blocking
 
 __all__ = ["AsciiContext", "Context", "RtuContext", "TcpContext", "UdpContext"]
 
 Result = TypeVar("Result")
 
-FRAMERS: dict[str, Any] = {
-    "tcp": TcpFramer,
-    "rtu": partial(RtuFramer, role="client"),
-    "ascii": AsciiFramer,
-    "udp": UdpFramer,
-}
 
-BUSY = (Acknowledge, ServerDeviceBusy)
+class RtuOptions(ContextOptions, LineSettings, total=False):
+    """The options of contexts on a serial line."""
 
 
-class Context:
+class UrlOptions(ContextOptions, SerialSettings, total=False):
+    """The options of a context of any kind."""
+
+
+class Context(Handle[BlockingDriver], Blocking):
     """
     A client of one unit: a `TcpContext`, `UdpContext`, `RtuContext` or `AsciiContext`.
 
-    Connects when entered (``with``) or used, again on the next request after
-    the connection was lost or stayed dumb for three timeouts, and closes on exit.
-    Safe from any thread: one request at a time, the others wait. After a fork the
-    child connects anew and the parent notices nothing.
+    Connects when entered (``with``) or used, again on the next request after the
+    connection was lost or counts as dead, and closes on exit. Safe from any thread: one
+    request at a time, the others wait. After a fork the child connects anew and the
+    parent notices nothing. Ctrl-C takes effect at once.
 
-    Addresses are 0-based, 0..65535; timeouts are in seconds.
+    Addresses are 0-based, 0..65535; times are in seconds; the options are those of
+    `client.options.ContextOptions`.
 
     Every request raises, apart from what its method names:
 
     * TypeError, ValueError: an argument, named with its range; nothing was sent.
     * ExceptionResponse: the server refused; the subclass says why.
     * ModbusTimeoutError: no complete answer within `timeout`.
-    * ModbusConnectionError: no connection, with errno.
+    * ModbusConnectionError: no connection, or it was lost meanwhile, with errno.
     * FrameError, InvalidResponse: the answer was none.
+    * RuntimeError: from a signal handler or callback within a request of this thread.
 
-    After any of the last three, a serial line must be silent for `timeout` before the
-    next request goes out: an answer that is still to come would be taken for its own.
+    After one of the three in the middle, or a damaged answer, a unit on a serial line is
+    only asked again when the line has been silent for `timeout`: an answer that is still to
+    come would be taken for its own. Other units need not wait for that.
 
-    The requests that libmodbus knows are carried by libmodbus, without the GIL;
-    Ctrl-C then takes effect when it returns, after `timeout` at most.
+    Every answer is checked in full: id, unit, function, length, byte count, echo. With `native`
+    a request that libmodbus knows is sent and its answer awaited in one call of C,
+    without the GIL; on serial lines libmodbus sends it.
 
     Attributes:
         unit: who is asked.
     """
 
-    unit: int
-
-    def __init__(self, line: Line, unit: int, busy_retries: int) -> None:
-        self._line = line
-        self.unit = integer("unit", unit, 0, 255)
-        self._busy_retries = integer("busy_retries", busy_retries, 0, 100)
+    def __init__(self, endpoint: Endpoint, options: Mapping[str, Any]) -> None:
+        settings = Settings.of(endpoint, options, native=True)
+        parts = assembled(endpoint, settings, MAX_IN_FLIGHT)
+        knows_framing = endpoint.scheme in ("tcp", "rtu") and not endpoint.options.get("echo")
+        is_paced = settings.request_spacing or settings.connect_delay
+        may_be_short = settings.native and knows_framing and not is_paced
+        driver = BlockingDriver(parts, Shortcut(parts) if may_be_short else None)
+        super().__init__(parts, settings, driver)
 
     @staticmethod
-    def from_url(address: str, **options: Any) -> Context:
+    def from_url(address: str, **options: Unpack[UrlOptions]) -> Context:
         """
-        Make the context for a URL (`libmodbus_py.url`).
+        Make the context for a URL (`libmodbus_py.ports.endpoint`).
 
         Args:
-            address: such as "tcp://192.0.2.10" or "rtu:///dev/ttyUSB0?baudrate=9600".
-            options: as for the class: unit, timeout, ...
+            address: such as "tcp://192.0.2.10?unit=17" or "rtu:///dev/ttyUSB0?baudrate=9600".
+            options: as for the class; they win over those of the URL.
 
         Raises:
             TypeError, ValueError: the URL or an option is wrong.
         """
-        endpoint = url.parse(address)
-        if endpoint.framing == "udp":
-            return UdpContext(endpoint.host, endpoint.port, **options)
-        if endpoint.transport == "tcp":
-            return TcpContext(endpoint.host, endpoint.port, framing=endpoint.framing, **options)
-        kind = RtuContext if endpoint.framing == "rtu" else AsciiContext
-        return kind(endpoint.device, **endpoint.options, **options)
-
-    def for_unit(self, unit: int) -> Self:
-        """
-        Give a handle to another unit, 0..255, on the same connection.
-
-        Unit 0 is a broadcast on serial lines: writes only, which return after
-        the turnaround delay. Closing either handle closes the connection of both.
-        """
-        handle = copy.copy(self)
-        handle.unit = integer("unit", unit, 0, 255)
-        return handle
-
-    # --- the connection ------------------------------------------------------------
-
-    @property
-    def timeout(self) -> float:
-        """Seconds that one request may take, connecting included; settable."""
-        return self._line.timeout
-
-    @timeout.setter
-    def timeout(self, value: float) -> None:
-        self._line.set_timeout(seconds("timeout", value))
-
-    @property
-    def closed(self) -> bool:
-        """Whether `close` was called."""
-        return self._line.closed
-
-    @property
-    def late_answers(self) -> int:
-        """How many answers came after their timeout and were dropped."""
-        return self._line.late_answers
+        endpoint = parse(address)
+        if endpoint.transport == "serial":
+            settings = {**endpoint.options}
+            for name in SerialSettings.__annotations__.keys() & options.keys():
+                settings[name] = options.pop(name)  # type: ignore[misc]
+            endpoint = replace(endpoint, options=settings)
+        kind: type[Context] = _KINDS[endpoint.transport, endpoint.framing]
+        context = kind.__new__(kind)
+        Context.__init__(context, endpoint, options)
+        return context
 
     def connect(self) -> None:
         """
@@ -134,40 +105,49 @@ class Context:
         Raises:
             ModbusConnectionError: with errno.
         """
-        self._line.open()
+        batch = Batch(self.unit, [], self._patience)
+        self._driver.run(batch)
+        if batch.refusal is not None:
+            raise batch.refusal
 
     def close(self) -> None:
         """
-        Close for good; any number of times, from any thread.
+        Close for good; any number of times, from any thread and from signal handlers.
 
-        A TCP request that another thread waits for fails at once; one on a serial
-        line ends first.
+        Whoever waits for an answer or a connection fails at once.
         """
-        self._line.close()
+        self._driver.close()
 
     def __enter__(self) -> Self:
-        self.connect()
+        try:
+            self.connect()
+        except BaseException:
+            self.close()
+            raise
         return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    # --- the functions --------------------------------------------------------------
-
-    def execute(self, request: pdu.Request[Result]) -> Result:
+    def execute(
+        self,
+        request: pdu.Request[Result],
+        *,
+        timeout: float | None = None,
+        retries: int | None = None,
+    ) -> Result:
         """
         Send any request object of `libmodbus_py.pdu`.
+
+        Args:
+            timeout, retries: of this request; None for those of the handle.
 
         Returns:
             What the method of the same name returns.
         """
-        if self._busy_retries:
-            for pause in _pauses(self._busy_retries):
-                try:
-                    return self._line.execute(self.unit, request)
-                except BUSY:
-                    time.sleep(pause)
-        return self._line.execute(self.unit, request)
+        patience = self._patience_for(timeout, retries)
+        result: Result = self._driver.ask(self.unit, request, patience, self._is_broadcast)
+        return result
 
     def execute_many(
         self,
@@ -180,17 +160,18 @@ class Context:
         Send many request objects, several at a time where answers can be told apart.
 
         On "tcp" and "udp" up to `max_in_flight` requests wait for their answers
-        together; `timeout` counts for each from when it is sent, and other threads wait
-        until all are done. A server may carry them out in any order: writes that depend on
-        each other need ``max_in_flight=1``. Then, on the other framings, and
-        with a request that nobody answers among them, they go one after the other.
+        together, and no more than the client's own; `timeout` counts for each from when it
+        is sent, and other threads wait until all are done. A server may carry them out in
+        any order: writes that depend on each other need ``max_in_flight=1``. Then, on the
+        other framings, and with a request that nobody answers among them, they go one
+        after the other.
 
         With `return_exceptions` the rest goes on whatever fails. A lost connection fails
-        all that was in flight on it, and a new one carries the rest; after
-        three in a row that could not be made or brought no answer the rest fails, too.
+        all that was in flight on it, and a new one carries the rest; an attempt to connect
+        that fails fails the rest.
 
-        `busy_retries` counts for each request. Those in flight together are asked again
-        together, after the others.
+        A request that is repeated (`retries`, `busy_retries`) keeps its place among
+        those in flight meanwhile, and no other one overtakes it with ``max_in_flight=1``.
 
         Args:
             requests: request objects of `libmodbus_py.pdu`; all are checked before the
@@ -208,287 +189,86 @@ class Context:
             TypeError, ValueError: `max_in_flight`, or a request, which is named
                 by its index (``requests[3]``).
         """
-        limit = integer("max_in_flight", max_in_flight, 1, MAX_IN_FLIGHT)
-        asked = self._checked_requests(requests)
-        if limit == 1 or not self._line.can_pipeline(asked):
-            return one_by_one(self.execute, asked, return_exceptions=return_exceptions)
-        outcomes = self._execute_together(asked, limit, return_exceptions)
-        if not return_exceptions:
-            for outcome in outcomes:
-                if isinstance(outcome, ModbusError):
-                    raise outcome
-        return outcomes
+        batch = self._batch(requests, max_in_flight, return_exceptions)
+        if batch.pdus:
+            self._driver.run(batch)
+        raised(batch.outcomes, self._tolerated(return_exceptions))
+        return batch.outcomes
 
-    def _checked_requests(self, requests: object) -> list[pdu.Request[Any]]:
-        if not isinstance(requests, Iterable):
-            raise TypeError(f"requests must be a list, not {type(requests).__name__}")
-        asked = list(requests)
-        for at, request in enumerate(asked):
-            self._line.check(self.unit, request, f"requests[{at}]")
-        return asked
-
-    def _execute_together(
-        self, asked: list[pdu.Request[Any]], limit: int, return_exceptions: bool
-    ) -> list[Any]:
-        tolerated = (ModbusError,) if return_exceptions else BUSY if self._busy_retries else ()
-        send = partial(self._line.execute_many, self.unit, max_in_flight=limit, tolerated=tolerated)
-        outcomes = send(asked)
-        for pause in _pauses(self._busy_retries):
-            busy = [at for at, outcome in enumerate(outcomes) if isinstance(outcome, BUSY)]
-            if not busy:
-                break
-            time.sleep(pause)
-            again = send([asked[at] for at in busy])
-            for at, outcome in zip(busy, again, strict=True):
-                outcomes[at] = outcome
-        return outcomes
-
+    @overload
+    def read_many(  # type: ignore[overload-overlap]  # mappings first
+        self,
+        items: Mapping[Key, Any],
+        *,
+        max_in_flight: int = 16,
+        return_exceptions: bool = False,
+        **options: Unpack[PlanOptions],
+    ) -> dict[Key, Any]: ...
+    @overload
+    def read_many(
+        self,
+        items: Plan,
+        *,
+        max_in_flight: int = 16,
+        return_exceptions: bool = False,
+        **options: Unpack[PlanOptions],
+    ) -> Any: ...
+    @overload
+    def read_many(
+        self,
+        items: Iterable[Any],
+        *,
+        max_in_flight: int = 16,
+        return_exceptions: bool = False,
+        **options: Unpack[PlanOptions],
+    ) -> list[Any]: ...
     def read_many(
         self,
         items: Plan | Items,
         *,
-        gap: int = 0,
-        forbidden: Forbidden = (),
         max_in_flight: int = 16,
         return_exceptions: bool = False,
+        **options: Unpack[PlanOptions],
     ) -> Any:
         """
         Read many things in few requests.
 
         Args:
-            items: a `plan.Plan`; or what makes one, such as
+            items: a `Plan`; or what makes one, such as
                 ``{"level": ("holding_registers", 100, 1, "float32"), "valves": ("coils", 0, 8)}``.
-            gap, forbidden: of the plan, where `items` is none.
             max_in_flight: as for `execute_many`.
             return_exceptions: whether a ModbusError is given in the place of what
                 was to come with a failed request; else it is raised.
+            options: of the plan, where `items` is none: `gap`, `forbidden`,
+                `max_registers`, `max_bits`.
 
         Returns:
             A list of values for each item, in their order; a dict where `items`
             was a mapping.
 
         Raises:
-            TypeError, ValueError: as of `plan.Plan`; registers that hold no such value.
+            TypeError, ValueError: as of `Plan`; registers that hold no such value.
             IllegalDataAddress: a merged request covers cells that the device
-                lacks: see `plan.Plan`.
+                lacks: see `Plan`.
         """
-        plan = plan_of(items, gap=gap, forbidden=forbidden)
+        plan = planned(items, options)
         return plan.results(
             self.execute_many(
                 plan.requests, max_in_flight=max_in_flight, return_exceptions=return_exceptions
             )
         )
 
-    def read_coils(self, address: int, count: int) -> list[bool]:
-        """Read 1..2000 coils (function 1, modbus_read_bits)."""
-        return self.execute(pdu.ReadCoils(address, count))
-
-    def read_discrete_inputs(self, address: int, count: int) -> list[bool]:
-        """Read 1..2000 discrete inputs (function 2, modbus_read_input_bits)."""
-        return self.execute(pdu.ReadDiscreteInputs(address, count))
-
-    def read_holding_registers(self, address: int, count: int) -> list[int]:
-        """Read 1..125 holding registers (function 3, modbus_read_registers)."""
-        return self.execute(pdu.ReadHoldingRegisters(address, count))
-
-    def read_input_registers(self, address: int, count: int) -> list[int]:
-        """Read 1..125 input registers (function 4, modbus_read_input_registers)."""
-        return self.execute(pdu.ReadInputRegisters(address, count))
-
-    def write_coil(self, address: int, value: bool) -> None:
-        """Write one coil (function 5, modbus_write_bit)."""
-        self.execute(pdu.WriteCoil(address, value))
-
-    def write_register(self, address: int, value: int) -> None:
-        """Write one holding register, 0..65535 (function 6, modbus_write_register)."""
-        self.execute(pdu.WriteRegister(address, value))
-
-    def write_coils(self, address: int, values: Iterable[bool]) -> None:
-        """Write 1..1968 coils (function 15, modbus_write_bits)."""
-        self.execute(pdu.WriteCoils(address, values))  # type: ignore[arg-type]
-
-    def write_registers(self, address: int, values: Iterable[int]) -> None:
-        """Write 1..123 holding registers (function 16, modbus_write_registers)."""
-        self.execute(pdu.WriteRegisters(address, values))  # type: ignore[arg-type]
-
-    def read_exception_status(self) -> int:
-        """Read the eight exception status outputs, lowest in bit 0 (function 7)."""
-        return self.execute(pdu.ReadExceptionStatus())
-
-    def diagnostics(self, sub_function: int, data: int = 0) -> int:
-        """
-        Run a diagnostic sub-function (function 8).
-
-        Args:
-            sub_function: 0..65535; `pdu.SubFunction` names them.
-            data: 0..65535; FF00h makes a restart clear the event log, and a
-                new ASCII delimiter stands in the high byte.
-
-        Returns:
-            The data of the answer; `data` for "force listen only", which
-            nobody answers. `execute(pdu.Diagnostics(0, data))` echoes up to 250 bytes.
-        """
-        word = integer("data", data, 0, 0xFFFF).to_bytes(2, "big")
-        answer = self.execute(pdu.Diagnostics(sub_function, word))
-        return data if answer is None else int.from_bytes(answer, "big")
-
-    def read_comm_event_counter(self) -> pdu.CommEventCounter:
-        """Read the status word and the event counter (function 11)."""
-        return self.execute(pdu.ReadCommEventCounter())
-
-    def read_comm_event_log(self) -> pdu.CommEventLog:
-        """Read the counters and up to 64 events, newest first (function 12)."""
-        return self.execute(pdu.ReadCommEventLog())
-
-    def report_server_id(self) -> pdu.ServerId:
-        """
-        Read what the device is and whether it runs (function 17, modbus_report_slave_id).
-
-        Returns:
-            With an identifier of one byte; ``pdu.ServerId.split(answer.data, length)``
-            for devices that have a longer one.
-        """
-        return self.execute(pdu.ReportServerId())
-
-    def read_file_records(self, records: Sequence[tuple[int, int, int]]) -> list[list[int]]:
-        """
-        Read pieces of files (function 20, by this package).
-
-        Args:
-            records: 1..35 tuples (file 1..65535, first record 0..9999, length).
-
-        Returns:
-            The registers of each piece.
-        """
-        return self.execute(pdu.ReadFileRecords(records))  # type: ignore[arg-type]
-
-    def write_file_records(self, records: Sequence[tuple[int, int, Iterable[int]]]) -> None:
-        """
-        Write pieces of files (function 21, by this package).
-
-        Args:
-            records: tuples (file 1..65535, first record 0..9999, values).
-        """
-        self.execute(pdu.WriteFileRecords(records))  # type: ignore[arg-type]
-
-    def mask_write_register(self, address: int, and_mask: int, or_mask: int) -> None:
-        """
-        Set a holding register to (current AND and_mask) OR (or_mask AND NOT and_mask).
-
-        Function 22, modbus_mask_write_register.
-        """
-        self.execute(pdu.MaskWriteRegister(address, and_mask, or_mask))
-
-    def read_write_registers(
-        self, read_address: int, read_count: int, write_address: int, values: Iterable[int]
-    ) -> list[int]:
-        """
-        Write 1..121 holding registers, then read 1..125.
-
-        Function 23, modbus_write_and_read_registers.
-        """
-        return self.execute(
-            pdu.ReadWriteRegisters(read_address, read_count, write_address, values)  # type: ignore[arg-type]
-        )
-
-    def read_fifo_queue(self, address: int) -> list[int]:
-        """Read the 0..31 registers of a queue, which keeps them (function 24)."""
-        return self.execute(pdu.ReadFifoQueue(address))
-
-    def read_device_identification(self, level: str | int = "basic") -> pdu.DeviceIdentification:
-        """
-        Read what a device says about itself (function 43/14), in as many requests as it takes.
-
-        Args:
-            level: "basic", "regular" or "extended"; or the id of a single object, 0..255.
-
-        Raises:
-            InvalidResponse: the device would never come to an end.
-        """
-        steps = identify(level)
-        request = next(steps)
-        while True:
-            page = self.execute(request)
-            try:
-                request = steps.send(page)
-            except StopIteration as done:
-                result: pdu.DeviceIdentification = done.value
-                return result
-            except InvalidResponse as error:
-                error.unit = self.unit
-                raise
-
-    def encapsulated_transport(self, mei_type: int, data: bytes) -> bytes:
-        """
-        Send up to 251 bytes to an encapsulated interface (function 43).
-
-        Args:
-            mei_type: 0..255; 13 is CANopen.
-            data: sent as it is.
-
-        Returns:
-            The data of the answer.
-        """
-        return self.execute(pdu.EncapsulatedTransport(mei_type, data))
-
-    # --- values ----------------------------------------------------------------------
-
-    def read_values(
-        self,
-        table: str,
-        address: int,
-        type: str,
-        count: int = 1,
-        *,
-        order: str = "ABCD",
-        **text: str,
-    ) -> list[Any]:
-        """
-        Read numbers, text or bits out of registers, in one request.
-
-        Args:
-            table: "holding_registers" or "input_registers".
-            address: the first register.
-            type: such as "float32"; see `libmodbus_py.values`.
-            count: how many values, up to what 125 registers hold.
-            order: ABCD, CDAB, BADC or DCBA.
-            text: encoding and padding of strings.
-        """
-        if table not in READ_REGISTERS:
-            raise ValueError(f"table must be one of {', '.join(READ_REGISTERS)}, not {table!r}")
-        kind = value_type(type, order=order, **text)
-        registers = kind.registers * integer("count", count, 1, 125 // kind.registers)
-        cells = self.execute(READ_REGISTERS[table](address, registers))
-        return kind.decode_many(cells)
-
-    def write_values(
-        self,
-        table: str,
-        address: int,
-        values: Iterable[Any],
-        type: str,
-        *,
-        order: str = "ABCD",
-        **text: str,
-    ) -> None:
-        """
-        Write numbers, text or bits to registers, in one request.
-
-        Args:
-            table: "holding_registers"; others cannot be written.
-            address: the first register.
-            values: one or more, up to what 123 registers hold.
-            type, order, text: as for `read_values`.
-        """
-        if table != "holding_registers":
-            raise ValueError(f"table must be holding_registers, not {table!r}")
-        self.write_registers(address, value_type(type, order=order, **text).encode_many(values))
-
-
-READ_REGISTERS: dict[str, Callable[[int, int], pdu.Request[list[int]]]] = {
-    "holding_registers": pdu.ReadHoldingRegisters,
-    "input_registers": pdu.ReadInputRegisters,
-}
+    def _follow(self, make: Any, arguments: Any, named: Any) -> Any:
+        """Carry out a procedure."""
+        steps = make(self, *arguments, **named)
+        try:
+            request = next(steps)
+            while True:
+                request = steps.send(self.execute(request))
+        except StopIteration as done:
+            return done.value
+        except InvalidResponse as error:
+            raise self._named(error) from None
 
 
 class TcpContext(Context):
@@ -496,20 +276,11 @@ class TcpContext(Context):
     A client over TCP.
 
     Args:
-        host: a name, an IPv4 or an IPv6 address. Resolving a name takes as long
-            as the system takes.
+        host: a name with all its addresses, an IPv4 or an IPv6 address.
         port: 1..65535.
-        unit: 0..255; a server without a gateway takes any.
-        timeout: seconds for a request, 0.001..86400.
         framing: "tcp" (MBAP); "rtu" or "ascii" for such a line behind a
             serial device server.
-        native: True lets libmodbus carry all it knows; it does not check the
-            unit of answers. False lets this package do it, with strict checks,
-            all bytes in errors and Ctrl-C at once. None: libmodbus carries what
-            was answered rightly once.
-        turnaround: seconds that a broadcast takes, on "rtu" and "ascii".
-        busy_retries: how often a request is repeated that was refused with
-            Acknowledge or ServerDeviceBusy, 0..100, after 0.1, 0.2, 0.4, 0.8, 1, 1... s.
+        options: `unit`, `timeout` and others; see `client.options.ContextOptions`.
 
     Raises:
         TypeError, ValueError: an argument of the wrong type or range.
@@ -518,115 +289,59 @@ class TcpContext(Context):
     def __init__(
         self,
         host: str,
-        port: int = url.DEFAULT_PORT,
+        port: int = DEFAULT_PORT,
         *,
-        unit: int = 1,
-        timeout: float = 1.0,
         framing: Literal["tcp", "rtu", "ascii"] = "tcp",
-        native: bool | None = None,
-        turnaround: float = 0.1,
-        busy_retries: int = 0,
+        **options: Unpack[ContextOptions],
     ) -> None:
         if framing not in ("tcp", "rtu", "ascii"):
             raise ValueError(f"framing must be one of tcp, rtu, ascii, not {framing!r}")
-        line = _line(TcpLink(host, port), framing, timeout, turnaround, native, framing == "tcp")
-        super().__init__(line, unit, busy_retries)
+        scheme: Any = framing if framing == "tcp" else f"{framing}+tcp"
+        super().__init__(Endpoint(scheme, host=host, port=port), options)
 
 
 class UdpContext(Context):
     """
-    A client over UDP: the frames of Modbus/TCP, each in a datagram, carried by this package.
+    A client over UDP: the frames of Modbus/TCP, each in a datagram.
 
     The network may lose or double datagrams. A request that gets no answer is a
-    ModbusTimeoutError and is not repeated, for nobody knows whether it was
-    carried out. Damaged datagrams and those of other hosts do not end the wait.
+    ModbusTimeoutError; `retries` sends those again that may be carried out twice.
+    Damaged datagrams and those of other hosts do not end the wait.
 
     Args:
-        host: a name, an IPv4 or an IPv6 address. Resolving a name takes as long
-            as the system takes.
+        host: a name, an IPv4 or an IPv6 address.
         port: 1..65535.
-        unit: 0..255; a server without a gateway takes any.
-        timeout: seconds for a request, 0.001..86400.
-        busy_retries: as for `TcpContext`.
+        options: `unit`, `timeout` and others; see `client.options.ContextOptions`.
 
     Raises:
         TypeError, ValueError: an argument of the wrong type or range.
     """
 
     def __init__(
-        self,
-        host: str,
-        port: int = url.DEFAULT_PORT,
-        *,
-        unit: int = 1,
-        timeout: float = 1.0,
-        busy_retries: int = 0,
+        self, host: str, port: int = DEFAULT_PORT, **options: Unpack[ContextOptions]
     ) -> None:
-        line = _line(UdpLink(host, port), "udp", timeout, 0, False, False)
-        super().__init__(line, unit, busy_retries)
+        super().__init__(Endpoint("udp", host=host, port=port), options)
 
 
 class RtuContext(Context):
     """
-    A client on a serial line in RTU mode.
+    A client on a serial line in RTU mode; libmodbus opens, configures and sends.
 
     Args:
         device: such as "/dev/ttyUSB0"; locked while open, so that no two
             programs talk at once.
         baudrate: bits per second.
-        parity: "E", "O" or "N".
-        data_bits: 8 in RTU mode.
-        stop_bits: 1 or 2.
-        unit: 1..247; 0 is a broadcast.
-        timeout: seconds for a request, 0.001..86400; more than the slowest
-            unit needs, for a late answer cannot be told from the next one.
-        native: as for `TcpContext`.
-        rs485: None; "kernel", the driver turns the transceiver round;
-            "rts-up" or "rts-down", RTS is set or cleared while we send.
-        rts_delay: seconds between RTS and the first bit and after the last;
-            None for one character.
-        echo: whether all that is sent comes back; libmodbus cannot cope with
-            that, so this package carries all requests.
-        silence: seconds of quiet before a request; None for 3.5 characters
-            (1.75 ms above 19200 bit/s; serial line, 2.5.1.1).
-        turnaround: seconds that a broadcast takes (serial line, 2.4.1).
-        busy_retries: as for `TcpContext`.
+        options: `unit`, `timeout` and others, see `client.options.ContextOptions`; and
+            `parity` ("E"), `data_bits` (8), `stop_bits` (1), `rs485`, `rts_delay`, `echo` and
+            `silence`, see `ports.serial.SerialPort`. Let `timeout` be more than the
+            slowest unit needs, for a late answer cannot be told from the next one.
 
     Raises:
         TypeError, ValueError: an argument of the wrong type or range.
     """
 
-    def __init__(
-        self,
-        device: str,
-        baudrate: int = 19200,
-        *,
-        parity: Literal["N", "E", "O"] = "E",
-        data_bits: int = 8,
-        stop_bits: int = 1,
-        unit: int = 1,
-        timeout: float = 1.0,
-        native: bool | None = None,
-        rs485: Literal["kernel", "rts-up", "rts-down"] | None = None,
-        rts_delay: float | None = None,
-        echo: bool = False,
-        silence: float | None = None,
-        turnaround: float = 0.1,
-        busy_retries: int = 0,
-    ) -> None:
-        link = SerialLink(
-            device,
-            baudrate,
-            parity=parity,
-            data_bits=data_bits,
-            stop_bits=stop_bits,
-            rs485=rs485,
-            rts_delay=rts_delay,
-            echo=echo,
-            silence=silence,
-        )
-        line = _line(link, "rtu", timeout, turnaround, native, not echo)
-        super().__init__(line, unit, busy_retries)
+    def __init__(self, device: str, baudrate: int = 19200, **options: Unpack[RtuOptions]) -> None:
+        super().__init__(*_on_line("rtu", device, baudrate, options))
 
 
 class AsciiContext(Context):
@@ -634,60 +349,29 @@ class AsciiContext(Context):
     A client on a serial line in ASCII mode, which libmodbus lacks.
 
     libmodbus opens and configures the port; this package does the talking.
-    Arguments as for `RtuContext`, without `silence`; `data_bits` is 7 in ASCII mode, and
-    `native` changes nothing, for libmodbus carries none of its requests.
+    Arguments as for `RtuContext`, but `data_bits` is 7 and `silence` 0 by default: ASCII
+    frames have marks of their own.
     """
 
-    def __init__(
-        self,
-        device: str,
-        baudrate: int = 19200,
-        *,
-        parity: Literal["N", "E", "O"] = "E",
-        data_bits: int = 7,
-        stop_bits: int = 1,
-        unit: int = 1,
-        timeout: float = 1.0,
-        native: bool | None = None,
-        rs485: Literal["kernel", "rts-up", "rts-down"] | None = None,
-        rts_delay: float | None = None,
-        echo: bool = False,
-        turnaround: float = 0.1,
-        busy_retries: int = 0,
-    ) -> None:
-        link = SerialLink(
-            device,
-            baudrate,
-            parity=parity,
-            data_bits=data_bits,
-            stop_bits=stop_bits,
-            rs485=rs485,
-            rts_delay=rts_delay,
-            echo=echo,
-            silence=0,  # ASCII frames have marks of their own
-        )
-        line = _line(link, "ascii", timeout, turnaround, native, False)
-        super().__init__(line, unit, busy_retries)
+    def __init__(self, device: str, baudrate: int = 19200, **options: Unpack[RtuOptions]) -> None:
+        super().__init__(*_on_line("ascii", device, baudrate, options))
 
 
-def _pauses(count: int) -> Iterator[float]:
-    return (min(1.0, 0.1 * 2**number) for number in range(count))
+def _on_line(
+    scheme: Literal["rtu", "ascii"], device: str, baudrate: int, options: RtuOptions
+) -> tuple[Endpoint, Mapping[str, Any]]:
+    settings: dict[str, Any] = {"baudrate": baudrate}
+    others: dict[str, Any] = {}
+    for name, value in options.items():
+        (settings if name in SerialSettings.__annotations__ else others)[name] = value
+    return Endpoint(scheme, device=device, options=settings), others
 
 
-def _line(
-    link: Link,
-    framing: str,
-    timeout: float,
-    turnaround: float,
-    native: bool | None,
-    speaks: bool,
-) -> Line:
-    make_framer: Any = FRAMERS[framing]
-    return Line(
-        link,
-        make_framer,
-        timeout=seconds("timeout", timeout),
-        turnaround=seconds("turnaround", turnaround, low=0),
-        native=native,
-        speaks=speaks,
-    )
+_KINDS: dict[tuple[str, str], type[Context]] = {
+    ("tcp", "tcp"): TcpContext,
+    ("tcp", "rtu"): TcpContext,
+    ("tcp", "ascii"): TcpContext,
+    ("udp", "udp"): UdpContext,
+    ("serial", "rtu"): RtuContext,
+    ("serial", "ascii"): AsciiContext,
+}

@@ -7,28 +7,19 @@ of their own sends ``plan.requests`` and gives the answers to ``plan.results``.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from heapq import heapify, heappop, heappush
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypedDict, TypeVar
 
 from ..protocol import pdu
 from ..protocol.checks import integer
 from ..protocol.errors import ModbusError
-from ..protocol.pdu.fields import TABLE_SIZE, checked_span, store
-from ..protocol.values import ValueType, value_type
+from ..protocol.pdu.fields import checked_span, store
+from ..protocol.tables import TABLE_SIZE, TABLES, Table
+from ..protocol.values import Order, TypeName, ValueType, value_type
 
-__all__ = ["Forbidden", "Items", "Plan", "Read", "plan_of"]
-
-TABLES: dict[str, Callable[[int, int], pdu.Request[list[Any]]]] = {
-    "coils": pdu.ReadCoils,
-    "discrete_inputs": pdu.ReadDiscreteInputs,
-    "holding_registers": pdu.ReadHoldingRegisters,
-    "input_registers": pdu.ReadInputRegisters,
-}
-"""Table -> the request that reads it."""
-
-REGISTERS = ("holding_registers", "input_registers")
+__all__ = ["Forbidden", "Items", "Key", "Plan", "PlanOptions", "Read", "planned"]
 
 
 @dataclass(frozen=True)
@@ -48,11 +39,11 @@ class Read:
         TypeError, ValueError: an argument of the wrong type or range.
     """
 
-    table: str
+    table: Table
     address: int
     count: int = 1
-    type: str | None = None
-    order: str = "ABCD"
+    type: TypeName | None = None
+    order: Order = "ABCD"
     encoding: str = "ascii"
     padding: str = "\0"
     _kind: ValueType | None = field(init=False, repr=False, compare=False)
@@ -71,7 +62,7 @@ class Read:
             if (self.order, self.encoding, self.padding) != ("ABCD", "ascii", "\0"):
                 raise ValueError("type must be given with order, encoding or padding")
             return None
-        if self.table not in REGISTERS:
+        if TABLES[self.table].is_bits:
             raise ValueError(f"type must be None for {self.table}, not {self.type!r}")
         return value_type(self.type, order=self.order, encoding=self.encoding, padding=self.padding)
 
@@ -88,9 +79,19 @@ class Read:
         return cells if self._kind is None else self._kind.decode_many(cells)
 
 
+Key = TypeVar("Key")
 Item = Read | tuple[Any, ...]
 Items = Iterable[Item] | Mapping[Any, Item]
 Forbidden = Iterable[tuple[str, range]]
+
+
+class PlanOptions(TypedDict, total=False):
+    """How a `Plan` merges; see there."""
+
+    gap: int
+    forbidden: Forbidden
+    max_registers: int
+    max_bits: int
 
 
 class _Part(NamedTuple):
@@ -171,8 +172,8 @@ class Plan:
         self._parts: dict[Any, list[_Part]] = {name: [] for name in self._reads}
         self._requests: list[pdu.Request[list[Any]]] = []
         self._check_reads(registers)
-        for table in TABLES:
-            self._merge(table, registers if table in REGISTERS else bits)
+        for table, rules in TABLES.items():
+            self._merge(table, bits if rules.is_bits else registers)
         self.requests = tuple(self._requests)
 
     def results(self, answers: Iterable[Sequence[Any] | ModbusError]) -> Any:
@@ -255,7 +256,7 @@ class Plan:
             parts[place].append(_Part(number, start - window.start, reached - window.start))
             if reached < stop:
                 heappush(pieces, _Piece(reached, stop, place, step))
-        make = TABLES[table]
+        make = TABLES[table].read
         self._requests += [make(window.start, window.stop - window.start) for window in windows]
 
     def _spans(self, table: str) -> list[tuple[range, int]]:
@@ -273,18 +274,17 @@ class Plan:
         )
 
 
-def plan_of(items: Plan | Items, *, gap: int = 0, forbidden: Forbidden = ()) -> Plan:
+def planned(items: Plan | Items, options: PlanOptions) -> Plan:
     """
     Give the plan itself, or make one of items.
 
     Raises:
-        TypeError, ValueError: as of `Plan`; `gap` or `forbidden` beside a plan,
-            which has its own.
+        TypeError, ValueError: as of `Plan`; options beside a plan, which has its own.
     """
     if not isinstance(items, Plan):
-        return Plan(items, gap=gap, forbidden=forbidden)
-    if gap or tuple(forbidden):
-        raise ValueError("gap and forbidden must be given to the plan, not beside it")
+        return Plan(items, **options)
+    if options:
+        raise ValueError(f"{', '.join(options)} must be given to the plan, not beside it")
     return items
 
 

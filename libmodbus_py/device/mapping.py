@@ -360,7 +360,7 @@ def _span(addresses: range) -> str:
     return f"{addresses.start}..{addresses.stop - 1}"
 
 
-def _values(name: str, given: MappingABC[int, Iterable[int]]) -> dict[int, list[Any]]:
+def _values(name: str, given: MappingABC[Any, Any]) -> dict[int, list[Any]]:
     """The first address -> what is there, and behind it."""
     values: dict[int, list[Any]] = {}
     for key, items in given.items():
@@ -377,8 +377,11 @@ def _ranges(name: str, given: Any) -> list[range]:
         if not 0 <= given <= TABLE_SIZE:
             raise ValueError(f"{name} must be in 0..{TABLE_SIZE}, not {given}")
         return [range(given)]
-    several = isinstance(given, Iterable) and not isinstance(given, range)
-    found: list[Any] = list(given) if several else [given]
+    found: list[Any]
+    if isinstance(given, Iterable) and not isinstance(given, range):
+        found = list(given)
+    else:
+        found = [given]
     if all(isinstance(each, range) for each in found):
         return found
     wanted = "a count, ranges of addresses or {address: values}"

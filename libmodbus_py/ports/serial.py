@@ -8,26 +8,54 @@ import contextlib
 import errno
 import fcntl
 import os
+import select
 import struct
 import termios
-import time
 from collections.abc import Iterator
-from typing import ClassVar
+from typing import ClassVar, Literal, TypedDict, Unpack
 
 from ..binding.library import check, ffi, lib, make
 from ..protocol.checks import integer, seconds
 from ..protocol.errors import ModbusConnectionError
-from .link import Link
+from .port import Port, Silence, lost
+from .waiting import Steps
 
-__all__ = ["SerialLink"]
+__all__ = ["LineSettings", "SerialPort", "SerialSettings"]
+
+Parity = Literal["N", "E", "O"]
+Rs485 = Literal["kernel", "rts-up", "rts-down"]
+
+READ_SIZE = 4096
+
+# st_rdev of the ports that this process has open: the lock says only that somebody has.
+_open_here: set[int] = set()
 
 
-class SerialLink(Link):
+class LineSettings(TypedDict, total=False):
+    """The settings of a `SerialPort` but its speed, and of whatever is made on one."""
+
+    parity: Parity
+    data_bits: int
+    stop_bits: int
+    rs485: Rs485 | None
+    rts_delay: float | None
+    echo: bool
+    silence: float | None
+
+
+class SerialSettings(LineSettings, total=False):
+    """All of them."""
+
+    baudrate: int
+
+
+class SerialPort(Port):
     """
     A serial port.
 
     Args:
-        device: such as "/dev/ttyUSB0".
+        device: such as "/dev/ttyUSB0"; locked while open, so that no two
+            programs talk at once.
         baudrate: bits per second, 1..4000000; one that the port cannot do is
             refused when it is opened.
         parity: "N", "E" or "O".
@@ -35,21 +63,20 @@ class SerialLink(Link):
         stop_bits: 1 or 2.
         rs485: None; "kernel" (the driver turns the transceiver round); "rts-up"
             or "rts-down" (RTS is set or cleared while we send).
-        rts_delay: seconds between RTS and the first bit, and after the last;
+        rts_delay: seconds between RTS and the first bit, and after the last, 0..1;
             None for the length of one character.
         echo: whether all that is sent comes back, as from some two-wire
             transceivers; it is taken out of what is received.
-        silence: seconds without a byte before anything is sent; None for the 3.5
+        silence: seconds without a byte before anything is sent, 0..1; None for the 3.5
             characters of the specification (1.75 ms above 19200 bit/s).
 
     Raises:
         TypeError, ValueError: an argument of the wrong type or range.
 
-    Source: modbus_new_rtu, modbus_rtu_set_serial_mode, modbus_rtu_set_rts.
+    Source: modbus_new_rtu, modbus_rtu_set_serial_mode, modbus_rtu_set_rts; serial line, 2.5.1.1.
     """
 
     can_die_silently = False
-    gone = ("the port is gone", errno.EIO)
 
     # libmodbus 3.1.6..3.1.12 know these; any other they silently take for 9600.
     # fmt: off
@@ -64,76 +91,100 @@ class SerialLink(Link):
         "rts-down": lib.MODBUS_RTU_RTS_DOWN,
     }
 
-    def __init__(
-        self,
-        device: str,
-        baudrate: int = 19200,
-        *,
-        parity: str = "E",
-        data_bits: int = 8,
-        stop_bits: int = 1,
-        rs485: str | None = None,
-        rts_delay: float | None = None,
-        echo: bool = False,
-        silence: float | None = None,
-    ) -> None:
+    def __init__(self, device: str, **settings: Unpack[SerialSettings]) -> None:
         if not isinstance(device, str):
             raise TypeError(f"device must be a string, not {type(device).__name__}")
         if not device or "\0" in device:
             raise ValueError(f"device must be the path of a serial port, not {device!r}")
-        if parity not in ("N", "E", "O"):
-            raise ValueError(f'parity must be "N", "E" or "O", not {parity!r}')
-        if rs485 not in (None, "kernel", *self.rts_modes):
-            raise ValueError(f'rs485 must be "kernel", "rts-up" or "rts-down", not {rs485!r}')
+        unknown = settings.keys() - SerialSettings.__annotations__.keys()
+        if unknown:
+            raise TypeError(f"{min(unknown)!r} is no setting of a serial port")
         self.device = device
-        self.baudrate = integer("baudrate", baudrate, 1, 4_000_000)
-        self.parity = parity
-        self.data_bits = integer("data_bits", data_bits, 5, 8)
-        self.stop_bits = integer("stop_bits", stop_bits, 1, 2)
-        self.rs485 = rs485
-        character = (1 + self.data_bits + (parity != "N") + self.stop_bits) / self.baudrate
-        self.character = character
-        self.rts_delay = character if rts_delay is None else seconds("rts_delay", rts_delay, 0, 1)
-        if not isinstance(echo, bool):
-            raise TypeError(f"echo must be True or False, not {echo!r}")
-        self.echo = echo
-        # Serial line, 2.5.1.1: 3.5 characters of 11 bits, and no less than this.
-        specified = 3.5 * 11 / self.baudrate if self.baudrate <= 19200 else 0.00175
-        self.silence = specified if silence is None else seconds("silence", silence, 0, 1)
+        self._take(settings)
         self._awaited_echo = bytearray()
         self._held = bytearray()
-        self._last_byte = 0.0
+        self._sending: Iterator[float] = iter(())
+        self._guard = -1
+        self._process = 0
         self.context = make(
             lib.modbus_new_rtu(
                 os.fsencode(device),
                 self.baudrate if self.baudrate in self.baudrates else 9600,
-                parity.encode(),
+                self.parity.encode(),
                 self.data_bits,
                 self.stop_bits,
             )
         )
         # Without a unit 3.1.6 aborts the process on the first read or write.
         check(lib.modbus_set_slave(self.context, 1))
-        self._guard = -1
+
+    def _take(self, settings: SerialSettings) -> None:
+        self.parity = settings.get("parity", "E")
+        if self.parity not in ("N", "E", "O"):
+            raise ValueError(f'parity must be "N", "E" or "O", not {self.parity!r}')
+        self.rs485 = settings.get("rs485")
+        if self.rs485 not in (None, "kernel", *self.rts_modes):
+            raise ValueError(f'rs485 must be "kernel", "rts-up" or "rts-down", not {self.rs485!r}')
+        self.baudrate = integer("baudrate", settings.get("baudrate", 19200), 1, 4_000_000)
+        self.data_bits = integer("data_bits", settings.get("data_bits", 8), 5, 8)
+        self.stop_bits = integer("stop_bits", settings.get("stop_bits", 1), 1, 2)
+        self.echo = settings.get("echo", False)
+        if not isinstance(self.echo, bool):
+            raise TypeError(f"echo must be True or False, not {self.echo!r}")
+        bits = 1 + self.data_bits + (self.parity != "N") + self.stop_bits
+        delay, silence = settings.get("rts_delay"), settings.get("silence")
+        self.character = bits / self.baudrate
+        self.rts_delay = self.character if delay is None else seconds("rts_delay", delay, 0, 1)
+        # 3.5 characters of 11 bits, and no less than this.
+        specified = 3.5 * 11 / self.baudrate if self.baudrate <= 19200 else 0.00175
+        self.silence = Silence(
+            specified if silence is None else seconds("silence", silence, 0, 1),
+            self.character,
+            self.rts_delay if self.rs485 in self.rts_modes else 0.0,
+        )
 
     def __str__(self) -> str:
         return self.device
 
-    def open(self, deadline: float) -> None:
-        with self._errors():
+    # --- opening and closing --------------------------------------------------------------
+
+    def opening(self, deadline: float) -> Steps[None]:
+        self.open()
+        yield from ()
+
+    def open(self) -> None:
+        """
+        Open and configure it, which takes no time.
+
+        Raises:
+            ModbusConnectionError: with errno.
+        """
+        try:
             self._guard = self._take_port()
+            self._configure()
+        except OSError as error:
+            self.close()
+            raise ModbusConnectionError(
+                f"cannot open {self.device}: {error.strerror}", errno=error.errno
+            ) from error
+        except BaseException:
+            self.close()
+            raise
+
+    def _configure(self) -> None:
+        if not self._connect():
+            # glibc's tcsetattr reports EINVAL when it changed nothing and the
+            # port lacks a setting: a pseudo-terminal has no parity, and has
+            # the rest already where a program died without closing it.
+            self._change_something()
             if not self._connect():
-                # glibc's tcsetattr reports EINVAL when it changed nothing and the
-                # port lacks a setting: a pseudo-terminal has no parity, and has
-                # the rest already where a program died without closing it.
-                self._change_something()
-                if not self._connect():
-                    raise OSError(errno.EINVAL, "the port refuses these settings")
-            self._watch(lib.modbus_get_socket(self.context))
-            if self.baudrate not in self.baudrates:
-                _set_odd_baudrate(self.descriptor, self.baudrate)
-            self._set_direction_control()
-            self.discard_input()
+                raise OSError(errno.EINVAL, "the port refuses these settings")
+        self._process = os.getpid()
+        self._watch(lib.modbus_get_socket(self.context))
+        if self.baudrate not in self.baudrates:
+            _set_odd_baudrate(self.descriptor, self.baudrate)
+        self._set_direction_control()
+        self.discard_input()
 
     def _connect(self) -> bool:
         ffi.errno = 0
@@ -151,18 +202,33 @@ class SerialLink(Link):
 
     def _take_port(self) -> int:
         """Lock the port: libmodbus would share it, and change the settings under the other."""
-        guard = os.open(self.device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC)
+        try:
+            guard = os.open(self.device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC)
+        except PermissionError as error:
+            raise OSError(
+                error.errno, f"{error.strerror}; is this user in the group dialout?"
+            ) from None
         try:
             termios.tcgetattr(guard)  # before libmodbus may touch what is no port
             fcntl.flock(guard, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except (OSError, termios.error) as error:
-            os.close(guard)
-            if isinstance(error, BlockingIOError):
-                raise OSError(errno.EBUSY, "in use by another program") from None
-            if isinstance(error, termios.error):
-                raise OSError(error.args[0], "not a serial port") from None
-            raise
+            raise self._not_to_be_had(guard, error) from None
+        _open_here.add(os.fstat(guard).st_rdev)
         return guard
+
+    def _not_to_be_had(self, guard: int, error: OSError | termios.error) -> OSError:
+        number = os.fstat(guard).st_rdev
+        os.close(guard)
+        if isinstance(error, termios.error):
+            return OSError(error.args[0], "not a serial port")
+        if not isinstance(error, BlockingIOError):
+            return error
+        if number in _open_here:
+            return OSError(
+                errno.EBUSY,
+                "in use by this program itself; for_unit() gives another unit on the same line",
+            )
+        return OSError(errno.EBUSY, "in use by another program")
 
     def _set_direction_control(self) -> None:
         if self.rs485 == "kernel":
@@ -172,21 +238,13 @@ class SerialLink(Link):
             lib.modbus_rtu_set_rts(self.context, self.rts_modes[self.rs485])
             lib.modbus_rtu_set_rts_delay(self.context, round(self.rts_delay * 1_000_000))
 
-    @contextlib.contextmanager
-    def _errors(self) -> Iterator[None]:
-        try:
-            yield
-        except OSError as error:
-            self.close()
-            raise ModbusConnectionError(
-                f"cannot open {self.device}: {error.strerror}", errno=error.errno
-            ) from error
-
-    def interrupt(self) -> None:
-        """Nothing ends a read of a serial port but its deadline."""
-
     def close(self) -> None:
-        if self.descriptor >= 0:
+        """Also what a process does that inherited the port: it leaves its parent's settings."""
+        self._sending = iter(())  # RTS goes back while the port is still open
+        self.resume_at = None
+        if self._process != os.getpid():
+            self.abandon()
+        elif self.descriptor >= 0:
             self.descriptor = -1
             lib.modbus_close(self.context)  # restores the settings, too
         self._release()
@@ -201,19 +259,28 @@ class SerialLink(Link):
     def _release(self) -> None:
         guard, self._guard = self._guard, -1
         if guard >= 0:
+            _open_here.discard(os.fstat(guard).st_rdev)
             os.close(guard)
 
-    def discard_input(self) -> None:
-        self._forget_echo()
-        # modbus_flush would throw away output, too.
-        with contextlib.suppress(termios.error):
-            termios.tcflush(self.descriptor, termios.TCIFLUSH)
+    # --- bytes --------------------------------------------------------------------------------
 
-    def receive(self, deadline: float) -> bytes:
-        data = super().receive(deadline)
-        if data:
-            self._last_byte = time.monotonic()
-        return self._without_echo(data) if self._awaited_echo else data
+    def receive(self) -> list[bytes]:
+        try:
+            data = os.read(self.descriptor, READ_SIZE)
+        except BlockingIOError:
+            return []
+        except OSError as error:
+            raise lost(error) from error
+        if not data and self._is_gone():
+            raise ModbusConnectionError("the port is gone", errno=errno.EIO)
+        if self._awaited_echo:
+            data = self._without_echo(data)
+        return [data] if data else []
+
+    def _is_gone(self) -> bool:
+        """A read of nothing may only mean that there was nothing: libmodbus sets VMIN to 0."""
+        events = dict(self._poll.poll(0)).get(self.descriptor, 0)
+        return bool(events & (select.POLLHUP | select.POLLERR))
 
     def _without_echo(self, data: bytes) -> bytes:
         """Hold bytes back until they are the whole echo, or no echo at all."""
@@ -230,50 +297,51 @@ class SerialLink(Link):
         self._awaited_echo.clear()
         self._held.clear()
 
-    def wait_for_silence(self) -> None:
-        """Wait until the line has been quiet for `silence`."""
-        time.sleep(self.time_to_silence())
+    def discard_input(self) -> None:
+        self._forget_echo()
+        # modbus_flush would throw away output, too.
+        with contextlib.suppress(termios.error):
+            termios.tcflush(self.descriptor, termios.TCIFLUSH)
 
-    def time_to_silence(self) -> float:
-        """Give the seconds that are left of it."""
-        return max(0.0, self._last_byte + self.silence - time.monotonic())
-
-    def note_traffic(self) -> None:
-        """Bytes went by that libmodbus sent or received."""
-        self._last_byte = time.monotonic()
-
-    def send(self, data: bytes, deadline: float) -> None:
-        for pause in self.sending(data, deadline):
-            time.sleep(pause)
-
-    def sending(self, data: bytes, deadline: float) -> Iterator[float]:
-        """As `send`, for whoever must not sleep: gives the seconds to wait before it goes on."""
+    def send(self, adus: list[bytes], now: float) -> None:
+        data = b"".join(adus)
         if self.echo:
+            self._forget_echo()
             self._awaited_echo += data
-        if self.rs485 in self.rts_modes:
-            yield from self._sending_with_rts(data, deadline)
-        else:
-            super().send(data, deadline)
-        # The driver takes the bytes at once; the last one leaves later.
-        self._last_byte = time.monotonic() + len(data) * self.character
+        self._sending = self._steps(data)
+        self.go_on(now)
 
-    def _sending_with_rts(self, data: bytes, deadline: float) -> Iterator[float]:
+    def go_on(self, now: float) -> None:
+        pause = next(self._sending, None)
+        self.resume_at = None if pause is None else now + pause
+
+    def _steps(self, data: bytes) -> Iterator[float]:
+        """Send, and give the seconds to wait before it goes on."""
+        if self.rs485 not in self.rts_modes:
+            self._write(data)
+            return
         self._set_rts(self.rs485 == "rts-up")
         try:
             yield self.rts_delay
-            super().send(data, deadline)
+            self._write(data)
             yield len(data) * self.character + self.rts_delay
         finally:
             self._set_rts(self.rs485 != "rts-up")
+
+    def _write(self, data: bytes) -> None:
+        """A port takes a whole frame, or nobody reads at its other end: the answer will tell."""
+        try:
+            os.write(self.descriptor, data)
+        except BlockingIOError:
+            pass
+        except OSError as error:
+            raise lost(error) from error
 
     def _set_rts(self, on: bool) -> None:
         """As libmodbus does it, errors included: a port without RTS has nothing to turn round."""
         request = termios.TIOCMBIS if on else termios.TIOCMBIC
         with contextlib.suppress(OSError):
             fcntl.ioctl(self.descriptor, request, struct.pack("i", termios.TIOCM_RTS))
-
-    def _write(self, data: bytes) -> int:
-        return os.write(self.descriptor, data)
 
 
 # struct termios2 and its ioctls of asm-generic/termbits.h; where they differ the

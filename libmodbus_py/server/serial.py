@@ -8,11 +8,10 @@ import asyncio
 import contextlib
 import logging
 import time
-from collections.abc import Iterator
 
 from ..ports.endpoint import Endpoint
-from ..ports.serial import SerialLink
-from ..protocol.errors import ModbusConnectionError, ModbusTimeoutError
+from ..ports.serial import SerialPort
+from ..protocol.errors import ModbusConnectionError
 from .by_frame import ByFrame
 from .limits import ServerStatistics
 from .units import SerialUnits, Units
@@ -35,7 +34,7 @@ class SerialServer:
     """
 
     def __init__(self, endpoint: Endpoint, units: Units, statistics: ServerStatistics) -> None:
-        self._link = SerialLink(endpoint.device, **endpoint.serial_settings)
+        self._port = SerialPort(endpoint.device, **endpoint.serial_settings)
         self._endpoint = endpoint
         self._units = SerialUnits(units)
         self._statistics = statistics
@@ -43,7 +42,6 @@ class SerialServer:
         self._retry: asyncio.TimerHandle | None = None
         self._unsent = bytearray()
         self._timer: asyncio.TimerHandle | None = None
-        self._sending: Iterator[float] = iter(())
 
     async def open(self) -> Endpoint:
         """Give the endpoint as it is."""
@@ -56,7 +54,7 @@ class SerialServer:
         self._close()
 
     def _open(self) -> None:
-        self._link.open(time.monotonic())
+        self._port.open()
         self._session = ByFrame(
             self._units,
             self._endpoint.framing,
@@ -64,22 +62,23 @@ class SerialServer:
             self._statistics,
             self._write,
         )
-        self._loop.add_reader(self._link.descriptor, self._read)
+        self._loop.add_reader(self._port.descriptor, self._read)
 
     def _close(self) -> None:
-        if self._link.is_open:
+        if self._port.descriptor >= 0:
             self._session.close()
-            self._loop.remove_reader(self._link.descriptor)
+            self._loop.remove_reader(self._port.descriptor)
             if self._timer is not None:
                 self._timer.cancel()
                 self._timer = None
             self._unsent.clear()
-            self._sending = iter(())  # RTS goes back while the port is still open
-            self._link.close()
+            self._port.close()
 
     def _read(self) -> None:
         try:
-            self._session.receive(self._link.receive(0))
+            for data in self._port.receive():
+                self._port.silence.heard(time.monotonic())
+                self._session.receive(data)
         except ModbusConnectionError as error:
             logger.warning("%s: %s; waiting for it to come back", self._endpoint, error)
             self._close()
@@ -96,7 +95,7 @@ class SerialServer:
         """Answer after the silence that ends the request (serial line, 2.5.1.1)."""
         self._unsent += data
         if self._timer is None:
-            wait = self._link.time_to_silence()
+            wait = self._port.silence.over_at - time.monotonic()
             if wait > 0:
                 self._timer = self._loop.call_later(wait, self._send_unsent)
             else:
@@ -104,18 +103,21 @@ class SerialServer:
 
     def _send_unsent(self) -> None:
         data, self._unsent = bytes(self._unsent), bytearray()
-        self._sending = self._link.sending(data, time.monotonic())
-        self._send_on()
+        # A port that is gone shows in the next read.
+        with contextlib.suppress(ModbusConnectionError):
+            self._port.send([data], time.monotonic())
+        self._follow_port()
 
-    def _send_on(self) -> None:
-        """Go on until the next pause: others are served while the line is turned round."""
+    def _go_on(self) -> None:
+        with contextlib.suppress(ModbusConnectionError):
+            self._port.go_on(time.monotonic())
+        self._follow_port()
+
+    def _follow_port(self) -> None:
+        """Go on after the port's pause: others are served while the line is turned round."""
         self._timer = None
-        # The port takes a whole answer at once, or nobody reads at the other
-        # end: then there is nothing to wait for. A port that is gone shows
-        # in the next read.
-        with contextlib.suppress(ModbusTimeoutError, ModbusConnectionError):
-            for pause in self._sending:
-                self._timer = self._loop.call_later(pause, self._send_on)
-                return
-        if self._unsent:
+        if self._port.resume_at is not None:
+            pause = self._port.resume_at - time.monotonic()
+            self._timer = self._loop.call_later(pause, self._go_on)
+        elif self._unsent:
             self._send_unsent()

@@ -89,27 +89,25 @@ def url(transport: str) -> Iterator[str]:
 # --- one vocabulary -------------------------------------------------------------------
 
 
-def vocabulary() -> list[str]:
-    return [
-        name
-        for name, member in vars(Context).items()
-        if inspect.isfunction(member)
-        and not name.startswith("_")
-        and name not in ("connect", "close", "for_unit")
-    ]
-
-
-def test_signatures_are_those_of_context() -> None:
-    assert {"read_coils", "execute_many", "read_many", "write_values"} <= set(vocabulary())
-    for name in [*vocabulary(), "connect", "close", "for_unit"]:
+def test_both_clients_have_the_same_methods_with_the_same_parameters() -> None:
+    public = {name for name in dir(AsyncClient) if not name.startswith("_")}
+    assert public == {name for name in dir(Context) if not name.startswith("_")} - {"from_url"}
+    assert {"read_coils", "execute_many", "read_many", "write_values", "for_unit"} <= public
+    for name in public:
         blocking, asynchronous = getattr(Context, name), getattr(AsyncClient, name)
-        assert inspect.signature(asynchronous) == inspect.signature(blocking), name
-        assert inspect.iscoroutinefunction(asynchronous) == (name != "for_unit"), name
-    public = {name for name in vars(AsyncClient) if not name.startswith("_")}
-    assert public == {
-        *(name for name in vars(Context) if not name.startswith("_") and name != "from_url"),
-        "state",
-    }
+        if not isinstance(blocking, property):
+            assert inspect.signature(asynchronous) == inspect.signature(blocking), name
+            assert inspect.getdoc(asynchronous), name
+
+
+def test_wrong_arguments_are_told_where_the_call_is_awaited() -> None:
+    async def main() -> None:
+        plc = AsyncClient("tcp://127.0.0.1:1")
+        for asking in (plc.read_coils(-1, 1), plc.read_values("coils", 0, "int16")):  # type: ignore[arg-type]
+            with pytest.raises(ValueError, match="must be"):
+                await asking
+
+    run(main())
 
 
 def test_every_method_on_every_transport(url: str) -> None:

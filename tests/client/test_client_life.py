@@ -33,7 +33,8 @@ from libmodbus_py import (
     framing,
     pdu,
 )
-from libmodbus_py.client.asynchronous import AsyncClient, State
+from libmodbus_py.client.asynchronous import AsyncClient
+from libmodbus_py.client.reconnecting import State
 from libmodbus_py.testing.wires import SerialWire
 
 REQUEST = pdu.ReadHoldingRegisters(5, 1)
@@ -563,7 +564,7 @@ def test_tcp_options_are_set() -> None:
         async with Scripted(echo).serving() as server:
             for keepalive in (45, None):
                 async with AsyncClient(server.url, keepalive=keepalive) as plc:
-                    descriptor = plc._channel._transport.descriptor
+                    descriptor = plc._driver._port.descriptor
                     with socket.socket(fileno=os.dup(descriptor)) as connection:
 
                         def get(level: int, option: int) -> int:

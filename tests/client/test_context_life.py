@@ -39,7 +39,7 @@ from libmodbus_py import (
 )
 from libmodbus_py.testing.wires import SerialWire
 
-NATIVE = pytest.mark.parametrize("native", [None, True, False])
+NATIVE = pytest.mark.parametrize("native", [True, False])
 
 
 @pytest.fixture
@@ -223,7 +223,7 @@ def test_baudrate_that_libmodbus_would_turn_into_9600_is_set(baudrate: int) -> N
 
 
 def test_unplugged_port_is_a_connection_error_at_once() -> None:
-    for native in (None, True, False):
+    for native in (True, False):
         with SerialWire() as wire, RtuContext(wire.client, timeout=5, native=native) as context:
             threading.Timer(0.1, wire.unplug).start()
             start = time.monotonic()
@@ -269,7 +269,7 @@ def test_broadcast_waits_for_no_answer_and_reads_are_refused() -> None:
 
 
 @NATIVE
-def test_threads_share_a_context(native: bool | None) -> None:
+def test_threads_share_a_context(native: bool) -> None:
     with (
         FakeServer(echo_address) as server,
         TcpContext("127.0.0.1", server.port, native=native) as context,
@@ -283,7 +283,7 @@ def test_threads_share_a_context(native: bool | None) -> None:
 
 
 @NATIVE
-def test_fork_leaves_the_parent_alone_and_the_child_connects_anew(native: bool | None) -> None:
+def test_fork_leaves_the_parent_alone_and_the_child_connects_anew(native: bool) -> None:
     with (
         FakeUnit() as unit,
         RtuContext(unit.path, 9600) as serial,
@@ -357,7 +357,7 @@ def test_descriptors_beyond_1024_do_not_abort_the_process() -> None:
 
 def test_no_descriptor_is_left_behind(port: int) -> None:
     def use() -> None:
-        for native in (None, True, False):
+        for native in (True, False):
             with TcpContext("127.0.0.1", port, native=native) as context:
                 context.read_coils(10, 1)
         with contextlib.suppress(ModbusError):
@@ -389,7 +389,7 @@ def test_close_is_idempotent_and_final(port: int) -> None:
 
 
 @NATIVE
-def test_close_ends_a_request_that_another_thread_waits_for(native: bool | None) -> None:
+def test_close_ends_a_request_that_another_thread_waits_for(native: bool) -> None:
     with (
         FakeServer(echo_address, lambda request: []) as server,
         ThreadPoolExecutor(1) as pool,

@@ -308,7 +308,7 @@ def test_request_without_an_answer_times_out_alone() -> None:
     with talking_to(play, timeout=0.3, unit=9) as (context, server):
         start = time.monotonic()
         found = context.execute_many(reads(40), return_exceptions=True)
-        assert 0.3 <= time.monotonic() - start < 2
+        assert 0.1 <= time.monotonic() - start < 1
         silent = [found[3], found[20]]
         found[3], found[20] = [3], [20]
         assert found == echoes(40)
@@ -349,8 +349,8 @@ def test_trickle_does_not_extend_the_timeout() -> None:
         assert time.monotonic() - start < 1
 
 
-@pytest.mark.parametrize("native", [None, True, False])
-def test_late_answers_reach_nobody(native: bool | None) -> None:
+@pytest.mark.parametrize("native", [True, False])
+def test_late_answers_reach_nobody(native: bool) -> None:
     def play(peer: Peer, number: int) -> None:
         late = []
         while True:
@@ -377,9 +377,9 @@ def test_late_answers_reach_nobody(native: bool | None) -> None:
         assert (context.late_answers, server.connections) == (2, 1)
 
 
-@pytest.mark.parametrize("native", [None, True, False])
+@pytest.mark.parametrize("native", [True, False])
 @pytest.mark.parametrize("again", ["one", "many"])
-def test_requests_left_behind_by_a_failure_poison_nothing(native: bool | None, again: str) -> None:
+def test_requests_left_behind_by_a_failure_poison_nothing(native: bool, again: str) -> None:
     """The first is refused; the other fifteen are answered when something else is asked."""
     left = 0
 
@@ -412,9 +412,9 @@ def test_requests_left_behind_by_a_failure_poison_nothing(native: bool | None, a
         assert (context.late_answers, server.connections) == (15, 1)
 
 
-@pytest.mark.parametrize("native", [None, True, False])
+@pytest.mark.parametrize("native", [True, False])
 @pytest.mark.parametrize("silent", [(3, 9), ()])
-def test_half_a_frame_poisons_nothing(native: bool | None, silent: tuple[int, ...]) -> None:
+def test_half_a_frame_poisons_nothing(native: bool, silent: tuple[int, ...]) -> None:
     """Half a late answer, or half a frame that nobody asked for; the rest comes with the next."""
 
     def play(peer: Peer, number: int) -> None:
@@ -483,7 +483,7 @@ def test_id_is_not_given_again_while_its_answer_may_come(timeout: float) -> None
             assert context.late_answers == 1
 
 
-def test_too_many_unanswered_requests_make_a_new_connection() -> None:
+def test_unanswered_requests_among_answered_ones_leave_the_connection() -> None:
     def play(peer: Peer, number: int) -> None:
         while True:
             request = peer.read()
@@ -494,7 +494,7 @@ def test_too_many_unanswered_requests_make_a_new_connection() -> None:
         for _ in range(7):
             found = context.execute_many(reads(256), max_in_flight=256, return_exceptions=True)
             assert sum(isinstance(each, ModbusTimeoutError) for each in found) == 192
-        assert server.connections == 2
+        assert server.connections == 1
 
 
 def test_three_timeouts_in_a_row_make_a_new_connection() -> None:
@@ -588,13 +588,12 @@ def test_wrong_answers_spoil_their_own_requests_only() -> None:
         assert (context.late_answers, server.connections) == (12, 1)
 
 
-@pytest.mark.parametrize("broken", [{"protocol": 1}, {"length": 999}])
-def test_bytes_that_are_no_frame_fail_all_in_flight(broken: dict[str, int]) -> None:
+def test_stream_that_cannot_be_understood_fails_all_in_flight() -> None:
     def play(peer: Peer, number: int) -> None:
         for _ in range(4 if number == 0 else 100):
             peer.send(echo(peer.read()))
         requests = peer.read_all()
-        peer.send(echo(requests[0]), echo(requests[1], **broken))
+        peer.send(echo(requests[0]), echo(requests[1], length=999))
         peer.read()
 
     with talking_to(play) as (context, server):
@@ -608,6 +607,24 @@ def test_bytes_that_are_no_frame_fail_all_in_flight(broken: dict[str, int]) -> N
             [at] for at in range(40) if at not in failed
         ]
         assert server.connections == 2
+
+
+def test_frame_of_another_protocol_is_skipped_and_costs_its_own_request_alone() -> None:
+    def play(peer: Peer, number: int) -> None:
+        while True:
+            request = peer.read()
+            address = address_of(request)
+            peer.send(echo(request, protocol=1)) if address in (5, 6) else None
+            peer.send(echo(request)) if address != 5 else None
+
+    with talking_to(play, timeout=0.3) as (context, server):
+        found = context.execute_many(reads(40), max_in_flight=4, return_exceptions=True)
+        assert isinstance(found[5], FrameError)
+        assert "protocol 1" in str(found[5])
+        assert [each for at, each in enumerate(found) if at != 5] == [
+            [at] for at in range(40) if at != 5
+        ]
+        assert server.connections == 1
 
 
 # --- connections that end --------------------------------------------------------------------
@@ -657,7 +674,7 @@ def test_host_that_drops_connections_is_not_asked_for_ever(max_in_flight: int) -
 
 
 @pytest.mark.parametrize("max_in_flight", [1, 16])
-def test_dead_host_costs_three_attempts(max_in_flight: int) -> None:
+def test_dead_host_costs_one_attempt(max_in_flight: int) -> None:
     """A full backlog drops every further connection, as a dead host does."""
     with socket.socket() as listener, contextlib.ExitStack() as stack:
         listener.bind(("127.0.0.1", 0))
@@ -671,12 +688,12 @@ def test_dead_host_costs_three_attempts(max_in_flight: int) -> None:
         found = context.execute_many(
             reads(800), max_in_flight=max_in_flight, return_exceptions=True
         )
-        assert 0.3 <= time.monotonic() - start < 2
+        assert 0.1 <= time.monotonic() - start < 1
         assert {each.errno for each in found} == {errno.ETIMEDOUT}
         assert all(isinstance(each.__cause__, TimeoutError) for each in found)
         with pytest.raises(ModbusConnectionError, match="address=0,"):
             context.execute_many(reads(800), max_in_flight=max_in_flight)
-        assert time.monotonic() - start < 4
+        assert time.monotonic() - start < 2
 
 
 def test_connection_closed_between_two_batches_is_made_anew() -> None:

@@ -23,7 +23,7 @@ from libmodbus_py import (
     pdu,
     values,
 )
-from libmodbus_py.client.plan import Plan, Read, plan_of
+from libmodbus_py.client.plan import Plan, Read, planned
 
 UNIT = 17
 REGISTERS = {
@@ -229,10 +229,10 @@ def test_registers_that_are_no_such_value_name_the_item() -> None:
 
 def test_options_beside_a_plan_are_refused() -> None:
     plan = Plan([])
-    assert plan_of(plan) is plan
+    assert planned(plan, {}) is plan
     for options in ({"gap": 1}, {"forbidden": [("coils", range(5))]}):
         with pytest.raises(ValueError, match="given to the plan"):
-            plan_of(plan, **options)  # type: ignore[arg-type]
+            planned(plan, options)  # type: ignore[arg-type]
 
 
 # --- any items ---------------------------------------------------------------------------

@@ -86,11 +86,11 @@ def counters(context: Context) -> dict[str, int]:
 
 
 def send(context: Context, data: bytes) -> None:
-    os.write(context._line._link.descriptor, data)
+    os.write(context._driver._port.descriptor, data)
 
 
 def frame(context: Context, unit: int, body: bytes) -> bytes:
-    return context._line._framer.encode(framing.Frame(unit, body))
+    return context._driver._conversation._framer.encode(framing.Frame(unit, body))
 
 
 def test_every_counter_counts_what_it_should(line: Context) -> None:
@@ -292,8 +292,11 @@ def test_ascii_delimiter_changes_after_the_echo_both_ways(wire: SerialWire) -> N
 
 
 def receive(context: Context) -> bytes:
-    data = context._line._link.receive(time.monotonic() + 2)
-    assert data, "no answer"
+    port = context._driver._port
+    until = time.monotonic() + 2
+    while not (data := b"".join(port.receive())):
+        assert time.monotonic() < until, "no answer"
+        time.sleep(0.001)
     return data
 
 

@@ -771,7 +771,7 @@ def pymodbus_server(transport: str, **options: Any) -> Iterator[Context]:
 # Framings that libmodbus does not speak, or not there, have one way only.
 WAYS: dict[str, dict[str, dict[str, Any]]] = {
     transport: (
-        {"either": {"native": None}, "python": {"native": False}}
+        {"native": {"native": True}, "python": {"native": False}}
         if transport in ("tcp", "rtu")
         else {"python": {}}
     )

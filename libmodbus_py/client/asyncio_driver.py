@@ -1,0 +1,273 @@
+"""
+One reader and one timer for a conversation: the asyncio client's side of it.
+
+No caller owns a task, a timer or the connection, only his batch and his future.
+Cancelling him takes these away, and that is all.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import math
+import warnings
+from functools import partial
+from time import monotonic
+
+from ..ports.waiting import resolve, run_async
+from ..protocol.errors import ModbusConnectionError
+from .batch import Batch, Patience
+from .options import Parts
+from .reconnecting import State
+
+__all__ = ["AsyncioDriver"]
+
+
+class AsyncioDriver:
+    """
+    Runs the batches of one connection in an event loop.
+
+    Args:
+        parts: of the client.
+        patience: whose timeout an attempt to connect has.
+    """
+
+    def __init__(self, parts: Parts, patience: Patience) -> None:
+        self._port = parts.port
+        self._conversation = parts.conversation
+        self._connection = parts.connection
+        self._endpoint = str(parts.endpoint)
+        self._patience = patience
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._attempt: asyncio.Task[None] | None = None
+        self._retry: asyncio.TimerHandle | None = None
+        self._timer: asyncio.TimerHandle | None = None
+        self._timer_at = math.inf
+        self._resume: asyncio.TimerHandle | None = None
+        self._is_writing = False
+        self._is_reading = False
+
+    async def run(self, batch: Batch) -> None:
+        """
+        Ask what a batch holds; returns when it is decided.
+
+        Raises:
+            RuntimeError: the client belongs to another event loop.
+        """
+        loop = self._bind()
+        self._conversation.add(batch, monotonic())
+        if not batch.is_done:
+            done = loop.create_future()
+            batch.on_done = partial(resolve, done)
+            self._turn()
+            try:
+                await done
+            finally:
+                if not batch.is_done:  # cancelled
+                    self._conversation.abandon(batch, monotonic())
+                    self._turn()
+
+    async def close(self) -> None:
+        """Raises RuntimeError."""
+        self._bind()
+        closed = ModbusConnectionError("this client is closed", errno=errno.EBADF)
+        self._close_port()
+        self._conversation.closed(closed, monotonic())
+        for handle in (self._timer, self._retry):
+            if handle is not None:
+                handle.cancel()
+        if self._attempt is not None:
+            self._attempt.cancel()
+            await asyncio.wait([self._attempt])
+
+    def forget(self) -> None:
+        """The last handle was forgotten: give the port back, as nobody else will."""
+        if self._connection.state is State.CLOSED or self._port.descriptor < 0:
+            return
+        warnings.warn(
+            f"AsyncClient({self._endpoint!r}) was not closed", ResourceWarning, stacklevel=2
+        )
+        if self._loop is not None and self._loop.is_running():
+            self._loop.call_soon_threadsafe(self._close_port)
+        else:
+            self._close_port()
+
+    def change_timeout(self) -> None:
+        """Some `Patience` has changed."""
+        self._conversation.change_timeout(monotonic())
+        if self._loop is not None:
+            self._set_timer()
+
+    def _bind(self) -> asyncio.AbstractEventLoop:
+        loop = asyncio.get_running_loop()
+        if self._loop is None:
+            self._loop = loop
+        elif self._loop is not loop:
+            raise RuntimeError("this client belongs to another event loop; make one for each loop")
+        return loop
+
+    # --- turns ------------------------------------------------------------------------------
+
+    def _turn(self) -> None:
+        """Send what may be sent now, and see to it that the rest has its turn."""
+        conversation = self._conversation
+        now = monotonic()
+        if not self._connection.is_open:
+            self._seek_connection(now)
+        else:
+            if conversation.is_idle and conversation.is_wanted and self._port.has_input():
+                self._read()
+            self._send(now)
+            self._send(now)
+        if conversation.broken is not None:
+            self._lose(conversation.broken, by_itself=False)
+        self._set_timer()
+
+    def _send(self, now: float) -> None:
+        adus = self._conversation.start(now)
+        if not adus:
+            return
+        try:
+            self._port.send(adus, now)
+        except ModbusConnectionError as error:
+            self._lose(error)
+            return
+        self._follow_port(now)
+        if not self._is_reading:
+            self._read_on()
+
+    def _set_timer(self) -> None:
+        """Only if it must ring sooner: one that rings too early does no harm."""
+        at = self._conversation.alarm
+        if at < self._timer_at:
+            assert self._loop is not None
+            if self._timer is not None:
+                self._timer.cancel()
+            self._timer_at = at
+            self._timer = self._loop.call_later(at - monotonic(), self._ring)
+
+    def _ring(self) -> None:
+        self._timer_at = math.inf
+        now = monotonic()
+        self._conversation.tick(now)
+        self._conversation.settle(now)
+        self._turn()
+
+    # --- reading and writing ------------------------------------------------------------------
+
+    def _readable(self) -> None:
+        self._read()
+        self._turn()
+
+    def _read(self) -> None:
+        conversation = self._conversation
+        now = monotonic()
+        try:
+            chunks = self._port.receive()
+        except ModbusConnectionError as error:
+            self._lose(error)
+            return
+        answered = False
+        for data in chunks:
+            answered = conversation.take(data, now) or answered
+        if not conversation.is_idle:
+            self._port.acknowledge()
+        elif conversation.is_flooded:
+            self._pause_reading()
+        # Half of the next go out before these are decoded, so that the server has work.
+        if answered and conversation.broken is None:
+            self._send(now)
+        conversation.settle(now)
+
+    def _pause_reading(self) -> None:
+        """Until somebody asks: an idle client must not be kept busy by whoever floods it."""
+        assert self._loop is not None
+        self._is_reading = False
+        self._loop.remove_reader(self._port.descriptor)
+        self._port.discard_input()
+
+    def _read_on(self) -> None:
+        assert self._loop is not None
+        self._is_reading = True
+        self._loop.add_reader(self._port.descriptor, self._readable)
+
+    def _follow_port(self, now: float) -> None:
+        """Go on when the port takes bytes again, or its pause is over."""
+        assert self._loop is not None
+        if self._port.has_unsent != self._is_writing:
+            self._is_writing = self._port.has_unsent
+            if self._is_writing:
+                self._loop.add_writer(self._port.descriptor, self._go_on)
+            else:
+                self._loop.remove_writer(self._port.descriptor)
+        if self._port.resume_at is not None:
+            self._resume = self._loop.call_later(self._port.resume_at - now, self._go_on)
+
+    def _go_on(self) -> None:
+        now = monotonic()
+        try:
+            self._port.go_on(now)
+            self._follow_port(now)
+        except ModbusConnectionError as error:
+            self._lose(error)
+            self._turn()
+
+    def _lose(self, error: ModbusConnectionError, *, by_itself: bool = True) -> None:
+        self._close_port()
+        self._conversation.lost(error, monotonic(), by_itself=by_itself)
+        self._turn()
+
+    def _close_port(self) -> None:
+        is_watched = self._loop is not None and not self._loop.is_closed()
+        if self._port.descriptor >= 0 and is_watched:
+            assert self._loop is not None
+            self._loop.remove_reader(self._port.descriptor)
+            self._loop.remove_writer(self._port.descriptor)
+        if self._resume is not None:
+            self._resume.cancel()
+        self._is_writing = self._is_reading = False
+        self._port.close()
+
+    # --- connecting ---------------------------------------------------------------------------
+
+    def _seek_connection(self, now: float) -> None:
+        """Have it opened, now or when the next attempt is due, if anybody waits for it."""
+        assert self._loop is not None
+        if not self._conversation.is_wanted or self._connection.state is not State.DISCONNECTED:
+            return
+        if self._retry is not None:
+            return
+        pause = self._connection.next_attempt - now
+        if pause > 0:
+            self._retry = self._loop.call_later(pause, self._start_attempt)
+        else:
+            self._start_attempt()
+
+    def _start_attempt(self) -> None:
+        assert self._loop is not None
+        self._retry = None
+        self._connection.connecting()
+        self._attempt = self._loop.create_task(self._open())
+
+    async def _open(self) -> None:
+        error: ModbusConnectionError | None = None
+        try:
+            await run_async(self._port.opening(monotonic() + self._patience.timeout))
+        except ModbusConnectionError as failure:
+            error = failure
+        except BaseException:
+            self._port.close()
+            if self._connection.state is State.CONNECTING:
+                self._connection.given_up()
+                self._conversation.refuse(ModbusConnectionError("connecting was cancelled"))
+            raise
+        finally:
+            self._attempt = None
+        if self._connection.state is State.CLOSED:
+            self._port.close()
+        elif error is not None:
+            self._conversation.failed(error, monotonic())
+        else:
+            self._read_on()
+            self._conversation.opened(monotonic())
+            self._turn()

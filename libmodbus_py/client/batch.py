@@ -1,0 +1,228 @@
+"""
+What one caller asks, and what became of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any, Final
+
+from ..protocol.errors import ModbusError
+from ..protocol.pdu import MAX_PDU, Request
+
+__all__ = ["MAX_IN_FLIGHT", "NOT_ASKED", "Asked", "Batch", "Patience", "Statistics", "raised"]
+
+NOT_ASKED: Final = object()
+"""The outcome of a request that has not been settled, or was never sent."""
+
+# As many requests and answers of full length as the buffers of two sockets hold: with
+# more, both sides might wait for the other to read before they go on.
+MAX_IN_FLIGHT = 256
+
+
+@dataclass(slots=True)
+class Statistics:
+    """
+    What happened on a connection since the client was made; read only.
+
+    Attributes:
+        requests: sent, repetitions included.
+        responses: answers that fit, refusals included.
+        exceptions: refusals among them.
+        timeouts: requests that got no answer in time.
+        retries: requests that were sent again.
+        late_answers: answers to requests that had been given up; dropped.
+        invalid: bytes that were no frame, and frames that were no answer.
+        connects: connections made.
+        failed_connects: attempts that failed.
+        lost: connections that ended by themselves, and those given up as dead.
+        last_success: when the last answer that fits came (time.monotonic), or None.
+    """
+
+    requests: int = 0
+    responses: int = 0
+    exceptions: int = 0
+    timeouts: int = 0
+    retries: int = 0
+    late_answers: int = 0
+    invalid: int = 0
+    connects: int = 0
+    failed_connects: int = 0
+    lost: int = 0
+    last_success: float | None = None
+
+
+@dataclass(slots=True)
+class Patience:
+    """
+    How long to wait, and how often to ask again.
+
+    Attributes:
+        timeout: seconds for one request.
+        retries: after no answer, a damaged one, or a connection lost meanwhile.
+        busy_retries: after a refusal because the device is busy.
+    """
+
+    timeout: float
+    retries: int
+    busy_retries: int
+
+
+class Asked:
+    """
+    One request that was sent.
+
+    Attributes:
+        index: of the request in its batch.
+        adu: what went out.
+        since: when.
+        used: seconds of its timeout that waiting for the connection took.
+        unit: who answered.
+        wrong: what came in place of its answer while the wait goes on.
+    """
+
+    __slots__ = ("adu", "batch", "index", "since", "unit", "used", "wrong")
+
+    def __init__(self, batch: Batch, index: int, adu: bytes, since: float) -> None:
+        self.batch = batch
+        self.index = index
+        self.adu = adu
+        self.since = since
+        self.used = batch.used
+        self.unit = batch.unit
+        self.wrong: ModbusError | None = None
+
+    @property
+    def deadline(self) -> float:
+        """Computed anew each time, for a client's timeout may change meanwhile."""
+        return self.since + self.batch.patience.timeout - self.used
+
+
+class Batch:
+    """
+    Requests of one caller to one unit, which start in their order; often a single one.
+
+    It is decided as soon as everything before its first failure is; with `go_on` when
+    every request has its outcome. One without requests asks for the connection alone.
+
+    Args:
+        name: of a request in messages; braces stand for its index.
+        is_broadcast: whether nobody answers.
+
+    Attributes:
+        silent: whether nobody answers, for each request; None where all are answered.
+        limit: how many may be in flight.
+        go_on: whether the others are asked after one failed.
+        outcomes: the result of each or its exception.
+        started: how many were sent.
+        repeated: how often each was, by index and whether the device was busy.
+        in_flight: how many are waited for, or will be repeated.
+        queued: whether it stands in the queue for its next request.
+        since: since when it waits for a connection; then `used`: for how long it did.
+        refusal: why there is no connection.
+        on_done: called once when it is decided.
+
+    Raises:
+        TypeError, ValueError: a request that cannot be sent, by its name.
+    """
+
+    # fmt: off
+    __slots__ = (
+        "_end", "_open", "go_on", "in_flight", "is_done", "limit", "on_done", "outcomes",
+        "patience", "pdus", "queued", "refusal", "repeated", "requests", "silent", "since",
+        "started", "unit", "used",
+    )
+    # fmt: on
+
+    def __init__(
+        self,
+        unit: int,
+        requests: list[Request[Any]],
+        patience: Patience,
+        *,
+        name: str = "request",
+        is_broadcast: bool = False,
+        limit: int = 1,
+        go_on: bool = False,
+    ) -> None:
+        self.unit = unit
+        self.requests = requests
+        self.patience = patience
+        self.pdus = [
+            encoded(request, name, index, is_broadcast) for index, request in enumerate(requests)
+        ]
+        silent = [is_broadcast or not request.expects_response for request in requests]
+        self.silent = silent if True in silent else None
+        # Who gets no answer cannot say in which order the others were carried out.
+        self.limit = 1 if self.silent else limit
+        self.go_on = go_on
+        self.outcomes: list[Any] = [NOT_ASKED] * len(requests)
+        self.started = 0
+        self.repeated: dict[tuple[int, bool], int] = {}
+        self.in_flight = 0
+        self.queued = False
+        self.since = 0.0
+        self.used = 0.0
+        self.refusal: ModbusError | None = None
+        self.on_done: Callable[[], object] | None = None
+        self.is_done = False
+        self._end = self._open = len(requests)
+
+    @property
+    def has_next(self) -> bool:
+        return self.started < self._end
+
+    def settle(self, index: int, outcome: Any) -> None:
+        """Note what became of a request; not of one that does not matter any more."""
+        if index >= self._end or self.is_done:
+            return
+        self.outcomes[index] = outcome
+        self._open -= 1
+        if isinstance(outcome, BaseException) and not (
+            self.go_on and isinstance(outcome, ModbusError)
+        ):
+            self._cut(index + 1)
+        if not self._open:
+            self.finish()
+
+    def _cut(self, end: int) -> None:
+        """What comes from here on does not matter any more."""
+        self._open -= self.outcomes[end : self._end].count(NOT_ASKED)
+        self._end = end
+
+    def finish(self) -> None:
+        """Decide it; nothing of it matters any more."""
+        if not self.is_done:
+            self.is_done = True
+            self._end = 0
+            if self.on_done is not None:
+                self.on_done()
+
+
+def encoded(request: object, name: str, index: int, is_broadcast: bool) -> bytes:
+    """
+    Check and encode a request.
+
+    Raises:
+        TypeError, ValueError: it cannot be sent.
+    """
+    if not isinstance(request, Request):
+        given = type(request).__name__
+        raise TypeError(f"{name.format(index)} must be one of pdu, not {given}")
+    if is_broadcast and not request.is_write:
+        raise ValueError(
+            f"{name.format(index)}: unit 0 is a broadcast, which nobody answers, "
+            f"and {request} is no write"
+        )
+    pdu = request.encode()
+    if not 1 <= len(pdu) <= MAX_PDU:
+        raise ValueError(f"{name.format(index)} must encode to 1..{MAX_PDU} bytes, not {len(pdu)}")
+    return pdu
+
+
+def raised(outcomes: Iterable[Any], tolerated: tuple[type[BaseException], ...] = ()) -> None:
+    """Raise the first failure, in the order of requests, that is not tolerated."""
+    for outcome in outcomes:
+        if isinstance(outcome, BaseException) and not isinstance(outcome, tolerated):
+            raise outcome

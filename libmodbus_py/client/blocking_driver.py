@@ -1,0 +1,302 @@
+"""
+Polls and sleeps for a conversation: the blocking client's side of it.
+
+Here are threads, forks, signals and the lock; what is asked and answered is decided in
+`conversation`, and the short way through C is `libmodbus`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import select
+import threading
+import time
+import weakref
+from collections.abc import Iterator
+from time import monotonic
+from typing import Any
+
+from ..ports.waiting import READ, WRITE, Waker, Woken, milliseconds, run
+from ..protocol.errors import ModbusConnectionError
+from ..protocol.pdu import Request
+from .batch import Batch, Patience, raised
+from .libmodbus import Shortcut
+from .options import Parts
+from .reconnecting import State
+
+__all__ = ["BlockingDriver"]
+
+# How long `close` waits for another thread to leave a connection that it was told to leave.
+LEAVING = 1.0
+
+# Silence on a line is shorter than the milliseconds that poll counts.
+SLEPT = 0.005
+
+
+class BlockingDriver:
+    """
+    Runs the batches of one connection, one at a time, for any thread.
+
+    Args:
+        parts: of the client.
+        shortcut: the short way, or None.
+    """
+
+    def __init__(self, parts: Parts, shortcut: Shortcut | None) -> None:
+        self._port = parts.port
+        self._conversation = parts.conversation
+        self._connection = parts.connection
+        self._shortcut = shortcut
+        self._closed = False
+        self._start_anew()
+        _drivers.add(self)
+        weakref.finalize(self, parts.port.close)
+
+    def _start_anew(self) -> None:
+        # Reentrant, so that a signal handler that interrupts a request is told, not stuck.
+        self._lock = threading.RLock()
+        self._is_busy = False
+        self._waker = Waker()
+
+    @property
+    def closed(self) -> bool:
+        """Whether `close` was called."""
+        return self._closed
+
+    def run(self, batch: Batch) -> None:
+        """
+        Ask what a batch holds; returns when it is decided.
+
+        Raises:
+            RuntimeError: from within a request of the same thread.
+        """
+        with self._turn():
+            self._run(batch)
+
+    def ask(self, unit: int, request: Request[Any], patience: Patience, broadcast: bool) -> Any:
+        """
+        Ask a single request, the short way if that may be.
+
+        Raises:
+            ModbusError: what became of it.
+            TypeError, ValueError, RuntimeError: nothing was sent.
+        """
+        with self._turn():
+            if self._shortcut is not None and not broadcast and self._conversation.is_plain:
+                batch, outcome = self._ask_shortly(unit, request, patience)
+                if batch is None:
+                    return outcome
+            else:
+                batch = Batch(unit, [request], patience, is_broadcast=broadcast)
+                self._conversation.add(batch, monotonic())
+            self._drive(batch)
+        raised(batch.outcomes)
+        return batch.outcomes[0]
+
+    def _ask_shortly(
+        self, unit: int, request: Request[Any], patience: Patience
+    ) -> tuple[Batch | None, Any]:
+        assert self._shortcut is not None
+        try:
+            return self._shortcut.ask(unit, request, patience, self._waker.descriptor)
+        except (TypeError, ValueError):  # nothing was sent
+            raise
+        except BaseException:
+            self._interrupt()
+            raise
+
+    def change_timeout(self) -> None:
+        """Some `Patience` has changed."""
+        self._conversation.change_timeout(monotonic())
+
+    def close(self) -> None:
+        """Close for good, from anywhere. Whoever waits fails at once."""
+        self._closed = True
+        self._waker.wake()
+        if self._lock.acquire(timeout=LEAVING):
+            try:
+                if not self._is_busy:
+                    self._shut()
+            finally:
+                self._lock.release()
+
+    def forget(self) -> None:
+        """After a fork, in the child: the connection is the parent's."""
+        self._waker.forget()
+        self._port.abandon()
+        if self._closed:
+            return
+        self._start_anew()
+        if self._connection.is_open:
+            gone = ModbusConnectionError("this process was forked off", errno=errno.EBADF)
+            self._conversation.lost(gone, monotonic(), by_itself=False)
+
+    @contextlib.contextmanager
+    def _turn(self) -> Iterator[None]:
+        with self._lock:
+            if self._is_busy:
+                raise RuntimeError(
+                    "a request of this thread is under way on the same connection: a signal "
+                    "handler or a callback must not ask here"
+                )
+            self._is_busy = True
+            try:
+                yield
+            finally:
+                self._is_busy = False
+                if self._closed:
+                    self._shut()
+
+    def _shut(self) -> None:
+        self._port.close()
+        closed = ModbusConnectionError("this client is closed", errno=errno.EBADF)
+        self._conversation.closed(closed, monotonic())
+        self._waker.close()
+
+    # --- one batch ------------------------------------------------------------------------
+
+    def _run(self, batch: Batch) -> None:
+        self._conversation.add(batch, monotonic())
+        self._drive(batch)
+
+    def _drive(self, batch: Batch) -> None:
+        try:
+            while not batch.is_done:
+                self._step(batch)
+            self._turn_line()
+        except Woken:
+            self._shut()
+        except BaseException:  # Ctrl-C: who knows what went out
+            self._conversation.abandon(batch, monotonic())
+            self._interrupt()
+            raise
+
+    def _interrupt(self) -> None:
+        self._port.close()
+        if self._connection.is_open:
+            interrupted = ModbusConnectionError("interrupted", errno=errno.EINTR)
+            self._conversation.lost(interrupted, monotonic(), by_itself=False)
+
+    def _step(self, batch: Batch) -> None:
+        """Connect; or send what may be sent, wait for what comes, and look at it."""
+        conversation = self._conversation
+        now = monotonic()
+        if not self._connection.is_open:
+            self._connect(batch, now)
+            return
+        try:
+            if conversation.is_idle and self._port.has_input():
+                self._look(now)
+            self._send(now)
+            self._send(now)
+            if not (batch.is_done or conversation.broken):
+                self._wait(now)
+        except ModbusConnectionError as error:
+            self._lose(error, by_itself=True)
+        if conversation.broken is not None:
+            self._lose(conversation.broken, by_itself=False)
+
+    def _turn_line(self) -> None:
+        """An answer may come while RTS is still set, as on a pseudo-terminal."""
+        while self._port.resume_at is not None:
+            now = monotonic()
+            time.sleep(max(0.0, self._port.resume_at - now))
+            self._port.go_on(monotonic())
+
+    def _send(self, now: float) -> None:
+        if adus := self._conversation.start(now):
+            self._port.send(adus, now)
+
+    def _look(self, now: float) -> None:
+        """Read what nobody asked for, or the end of the connection, before asking."""
+        conversation = self._conversation
+        while self._port.has_input() and not conversation.broken:
+            for data in self._port.receive():
+                conversation.take(data, now)
+            if conversation.is_flooded:
+                self._port.discard_input()
+                return
+
+    def _wait(self, now: float) -> None:
+        conversation, port = self._conversation, self._port
+        until = conversation.alarm
+        if port.resume_at is not None:
+            until = min(until, port.resume_at)
+        if conversation.is_idle and until - now < SLEPT:
+            time.sleep(max(0.0, until - now))
+        elif self._is_ready(until - now):
+            self._receive()
+        now = monotonic()
+        if port.has_unsent or (port.resume_at is not None and port.resume_at <= now):
+            port.go_on(now)
+        if conversation.alarm <= now:
+            conversation.tick(now)
+        conversation.settle(now)
+
+    def _is_ready(self, seconds: float) -> bool:
+        """Whether there is something to read. Raises Woken."""
+        descriptor = self._port.descriptor
+        if self._port.has_unsent:
+            self._waiting.modify(descriptor, READ | WRITE)
+        ready = dict(self._waiting.poll(milliseconds(seconds)))
+        if self._port.has_unsent:
+            self._waiting.modify(descriptor, READ)
+        if self._waker.descriptor in ready:
+            raise Woken
+        return ready.get(descriptor, WRITE) != WRITE
+
+    def _receive(self) -> None:
+        conversation = self._conversation
+        now = monotonic()
+        answered = False
+        for data in self._port.receive():
+            answered = conversation.take(data, now) or answered
+        if not conversation.is_idle:
+            self._port.acknowledge()
+        if answered and conversation.broken is None:
+            self._send(now)
+
+    def _lose(self, error: ModbusConnectionError, *, by_itself: bool) -> None:
+        self._port.close()
+        self._conversation.lost(error, monotonic(), by_itself=by_itself)
+
+    # --- connecting -------------------------------------------------------------------------
+
+    def _connect(self, batch: Batch, now: float) -> None:
+        deadline = batch.since + batch.patience.timeout
+        refusal = self._connection.refusal(now, deadline)
+        if refusal is not None:
+            self._conversation.refuse(refusal)
+            return
+        if self._connection.next_attempt > now:
+            self._waker.wait(-1, READ, self._connection.next_attempt)
+        self._connection.connecting()
+        try:
+            run(self._port.opening(deadline), self._waker)
+        except ModbusConnectionError as error:
+            self._conversation.failed(error, monotonic())
+        else:
+            self._watch()
+            self._conversation.opened(monotonic())
+        finally:
+            if self._connection.state is State.CONNECTING:
+                self._port.close()
+                self._connection.given_up()
+
+    def _watch(self) -> None:
+        self._waiting = select.poll()
+        self._waiting.register(self._port.descriptor, READ)
+        self._waiting.register(self._waker.descriptor, READ)
+
+
+_drivers: weakref.WeakSet[BlockingDriver] = weakref.WeakSet()
+
+
+def _forget_all() -> None:
+    for driver in _drivers:
+        driver.forget()
+
+
+os.register_at_fork(after_in_child=_forget_all)

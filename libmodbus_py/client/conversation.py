@@ -1,0 +1,549 @@
+"""
+What is asked over one connection, and what comes back. No socket, no clock, no event loop.
+
+`Conversation` decides who may send when and who is told what; which answer is whose,
+its two kinds know: `in_flight.InFlight` by transaction ids, `in_turn.InTurn` on lines without.
+The drivers wait and read for it, and call it with bytes and times (time.monotonic()).
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections import deque
+from dataclasses import dataclass
+from typing import Any
+
+from ..ports.endpoint import Endpoint
+from ..protocol.errors import (
+    Acknowledge,
+    ExceptionResponse,
+    FrameError,
+    InvalidResponse,
+    ModbusConnectionError,
+    ModbusError,
+    ModbusTimeoutError,
+    ServerDeviceBusy,
+    alike,
+)
+from ..protocol.framing import Framer, Framing
+from .batch import Asked, Batch, Statistics
+from .hints import explain, shown
+from .reconnecting import Reconnecting
+from .trace import Trace
+
+__all__ = ["MAX_UNASKED", "Conversation", "Pace", "no_answer"]
+
+BUSY = (Acknowledge, ServerDeviceBusy)
+
+# A host that drops connections unanswered will do so again: then all who wait fail.
+LOSSES_BEFORE_END = 3
+
+# So many bytes that nobody asked for, and whoever sends them floods.
+MAX_UNASKED = 1 << 16
+
+# The PDU that answers a request, or why there is none.
+Found = bytes | ModbusError
+
+
+@dataclass(frozen=True, slots=True)
+class Pace:
+    """
+    How fast requests follow each other; seconds.
+
+    Attributes:
+        turnaround: that a request takes which nobody answers.
+        request_spacing: between the starts of two requests, at least.
+        connect_delay: between connecting and the first request.
+        timeouts_before_reconnect: in a row, for a connection to count as dead; a serial
+            port never does.
+    """
+
+    turnaround: float
+    request_spacing: float
+    connect_delay: float
+    timeouts_before_reconnect: int
+
+
+class Conversation(ABC):
+    """
+    Sends requests as slots become free, in the order of their callers.
+
+    Attributes:
+        limit: how many requests may be in flight.
+        alarm: when `tick` should be called; may be too early, never too late.
+        broken: why the connection should be closed for a new one, or None.
+        is_flooded: whether more came that nobody asked for than can be an accident.
+    """
+
+    def __init__(
+        self,
+        endpoint: Endpoint,
+        limit: int,
+        pace: Pace,
+        statistics: Statistics,
+        connection: Reconnecting,
+        trace: Trace,
+    ) -> None:
+        self.limit = limit
+        self.alarm = math.inf
+        self.broken: ModbusConnectionError | None = None
+        self.is_flooded = False
+        self.connection = connection
+        self.statistics = statistics
+        self._place = str(endpoint)
+        self._scheme = endpoint.scheme
+        self._framing: Framing = endpoint.framing
+        self._is_socket = endpoint.transport != "serial"
+        self._pace = pace
+        self._trace = trace
+        self._framer = self._make_framer()
+        self._half = (limit + 1) // 2
+        self._room = limit
+        self._queue: deque[Batch] = deque()
+        self._repeats: list[tuple[float, Batch, int]] = []
+        self._silent: list[tuple[float, Asked]] = []
+        self._found: list[tuple[Asked, Found]] = []
+        self._unanswered = 0
+        self._answered_at = 0.0
+        self._unasked = 0
+        self._next_start = 0.0
+
+    # --- for callers ------------------------------------------------------------------
+
+    def add(self, batch: Batch, now: float) -> None:
+        """Take what a caller asks; it is told by `Batch.is_done`."""
+        batch.since = now
+        deadline = now + batch.patience.timeout
+        if not self.connection.is_open:
+            refusal = self.connection.refusal(now, deadline)
+            if refusal is not None:
+                self._refuse(batch, refusal)
+                return
+            self._wake(deadline)
+        elif not batch.pdus:
+            batch.finish()
+            return
+        batch.limit = min(batch.limit, self.limit)
+        batch.queued = True
+        self._queue.append(batch)
+
+    def abandon(self, batch: Batch, now: float) -> None:
+        """Nobody waits any more: late answers are dropped, and count as missing until they come."""
+        batch.on_done = None
+        batch.finish()
+        self._unanswered += self._let_go(batch, now) > 0
+
+    def change_timeout(self, now: float) -> None:
+        """Some `Patience` has changed."""
+        self._wake(now)
+
+    # --- what happened to the connection ------------------------------------------------
+
+    def opened(self, now: float) -> None:
+        """It stands."""
+        self.broken = None
+        self._restart(now)
+        self._framer = self._make_framer()
+        self._unanswered = self._unasked = 0
+        self.is_flooded = False
+        if self._pace.connect_delay:
+            self._next_start = now + self._pace.connect_delay
+        self.connection.opened()
+        waiting, self._queue = self._queue, deque()
+        for batch in waiting:
+            batch.used = now - batch.since
+            if batch.pdus:
+                self._queue.append(batch)
+            else:
+                batch.finish()
+
+    def failed(self, error: ModbusConnectionError, now: float) -> None:
+        """It could not be made: nobody who waits for it gets it."""
+        self.connection.failed(error, now)
+        self.refuse(error)
+
+    def lost(self, error: ModbusConnectionError, now: float, *, by_itself: bool = True) -> None:
+        """It ended: what is in flight fails, the queue waits for the next one."""
+        self.connection.lost(error, now, by_itself=by_itself)
+        self._fail_all(error, now)
+        if self.connection.fruitless >= LOSSES_BEFORE_END:
+            self.refuse(error)
+        waiting, self._queue = self._queue, deque()
+        for batch in waiting:
+            self.add(batch, now)
+
+    def closed(self, error: ModbusConnectionError, now: float) -> None:
+        """There will never be another one: all fails."""
+        self.connection.close()
+        self._fail_all(error, now)
+        self.refuse(error)
+
+    def _fail_all(self, error: ModbusConnectionError, now: float) -> None:
+        self.broken = None
+        for asked in self._restart(now):
+            self._found.append((asked, alike(error)))
+        self.settle(now)
+
+    def refuse(self, error: ModbusError) -> None:
+        """There will be none now: the queue fails."""
+        queue, self._queue = self._queue, deque()
+        repeats, self._repeats = self._repeats, []
+        for _, batch, index in repeats:
+            batch.settle(index, self._completed(alike(error), batch, index, b""))
+            self._refuse(batch, error)
+        for batch in queue:
+            self._refuse(batch, error)
+
+    def _refuse(self, batch: Batch, error: ModbusError) -> None:
+        batch.queued = False
+        if not batch.pdus:
+            batch.refusal = self._completed(alike(error), batch, None, b"")
+            batch.finish()
+        while batch.has_next:
+            self._fail_next(batch, error)
+
+    def _fail_next(self, batch: Batch, error: ModbusError) -> None:
+        index = batch.started
+        batch.started += 1
+        batch.settle(index, self._completed(alike(error), batch, index, b""))
+
+    # --- bytes ------------------------------------------------------------------------------
+
+    @property
+    def is_idle(self) -> bool:
+        """Whether nothing is in flight."""
+        return self._room == self.limit
+
+    @property
+    def is_wanted(self) -> bool:
+        """Whether anybody waits for the connection."""
+        return bool(self._queue or self._repeats)
+
+    def start(self, now: float) -> list[bytes]:
+        """Give what to send now: half of what may be in flight, for the rest may follow answers."""
+        is_ready = self.connection.is_open and self.broken is None
+        if not (is_ready and self._room > 0 and self.is_wanted):
+            return []
+        if self._found and self.limit == 1:
+            return []  # what came belongs to the request that it answers
+        if self._is_spent():
+            if self.is_idle:
+                self.broken = ModbusConnectionError("given up for a new connection")
+            return []
+        if now < self._next_start:
+            self._wake(self._next_start)
+            return []
+        adus = self._start_some(
+            1 if self._pace.request_spacing else min(self._room, self._half), now
+        )
+        if adus and self._pace.request_spacing:
+            self._next_start = now + self._pace.request_spacing
+            self._wake(self._next_start)
+        return adus
+
+    def _window(self) -> int:
+        """How many may start at once."""
+        if self._pace.request_spacing:
+            return 1
+        first = self._queue[0].limit if self._queue else 1
+        return min(self._room, self._half if first == 1 else (first + 1) // 2)
+
+    def _is_spent(self) -> bool:
+        """Whether no request should go over this connection any more."""
+        return self._is_socket and self._unanswered >= self._pace.timeouts_before_reconnect
+
+    def _start_some(self, room: int, now: float) -> list[bytes]:
+        adus: list[bytes] = []
+        while len(adus) < room and (next_one := self._next_repeat(now) or self._next(now)):
+            batch, index = next_one
+            asked = self._begin(batch, index, now)
+            adus.append(asked.adu)
+            self._note_start(asked, now)
+        return adus
+
+    def _note_start(self, asked: Asked, now: float) -> None:
+        batch = asked.batch
+        batch.used = 0.0
+        self._room -= 1
+        self._unasked = 0
+        self.is_flooded = False
+        self.statistics.requests += 1
+        if batch.silent and batch.silent[asked.index]:
+            self._silent.append((now + self._pace.turnaround, asked))
+            self._wake(now + self._pace.turnaround)
+        else:
+            self._wake(asked.deadline)
+        if self._trace.is_on:
+            self._trace.tell("sent", asked.adu, batch.unit, batch.pdus[asked.index][0])
+
+    def _next(self, now: float) -> tuple[Batch, int] | None:
+        """The next request of whose turn it is; the others of the queue come before its next."""
+        batch = self._pick(now)
+        if batch is None:
+            return None
+        index = batch.started
+        batch.started += 1
+        batch.in_flight += 1
+        batch.queued = batch.has_next and batch.in_flight < batch.limit
+        if batch.queued:
+            self._queue.append(batch)
+        return batch, index
+
+    def _pick(self, now: float) -> Batch | None:
+        """Take a batch with a request that may start out of the queue."""
+        while self._queue:
+            batch = self._queue.popleft()
+            if batch.has_next:
+                return batch
+            batch.queued = False
+        return None
+
+    def _next_repeat(self, now: float) -> tuple[Batch, int] | None:
+        for place, (due, batch, index) in enumerate(self._repeats):
+            if due > now:
+                self._wake(due)
+            elif self._may_ask(batch.unit, now):
+                del self._repeats[place]
+                self.statistics.retries += 1
+                return batch, index
+        return None
+
+    def _may_ask(self, unit: int, now: float) -> bool:
+        return True
+
+    def take(self, data: bytes, now: float) -> bool:
+        """Take received bytes; says whether they settle anything, and slots are free again."""
+        self._take(data, now)
+        return bool(self._found)
+
+    def settle(self, now: float) -> bool:
+        """Decode what came and tell the callers; says whether anybody was told."""
+        if not self._found:
+            return False
+        found, self._found = self._found, []
+        before = self.statistics.responses
+        for asked, what in found:
+            if asked.batch.limit == 1 or not _is_good(what):
+                self._release(asked.batch)
+            if not asked.batch.is_done:
+                self._conclude(asked, what, now)
+        if self.statistics.responses > before:
+            self.connection.prove()
+            self.statistics.last_success = now
+        return True
+
+    def _answer(self, asked: Asked, what: Found) -> None:
+        """A request has come to its end, and its slot is free."""
+        self._room += 1
+        self._found.append((asked, what))
+        # Not if the next request depends on what became of this one.
+        if asked.batch.limit > 1 and _is_good(what):
+            self._release(asked.batch)
+
+    def _release(self, batch: Batch) -> None:
+        """A request of the batch is no longer in flight: its next one may queue up."""
+        batch.in_flight -= 1
+        if not batch.queued and batch.has_next:
+            batch.queued = True
+            self._queue.append(batch)
+
+    def _conclude(self, asked: Asked, what: Found, now: float) -> None:
+        batch, index = asked.batch, asked.index
+        if isinstance(what, ModbusError):
+            self._fail(what, asked, now)
+        else:
+            try:
+                outcome = batch.requests[index].decode_response(what)
+            except ModbusError as error:
+                self.statistics.invalid += isinstance(error, InvalidResponse)
+                error.received = self._received_with(asked, what)
+                self._fail(error, asked, now)
+            except BaseException as error:  # a mistake in a request class is its caller's
+                batch.settle(index, error)
+            else:
+                self.statistics.responses += 1
+                self._follow(batch.requests[index])
+                batch.settle(index, outcome)
+        if batch.is_done and batch.in_flight:
+            self._let_go(batch, now)
+
+    def _fail(self, error: ModbusError, asked: Asked, now: float) -> None:
+        batch, index = asked.batch, asked.index
+        if isinstance(error, ExceptionResponse):
+            self.statistics.responses += 1
+            self.statistics.exceptions += 1
+        elif not isinstance(error, ModbusConnectionError):
+            self._doubt(batch, now)
+        if not self._repeat(error, asked, now):
+            batch.settle(index, self._completed(error, batch, index, asked.adu))
+
+    def _repeat(self, error: ModbusError, asked: Asked, now: float) -> bool:
+        """Have it asked again, if that may be; it keeps its place in its batch meanwhile."""
+        batch, index = asked.batch, asked.index
+        is_busy = isinstance(error, BUSY)
+        if not is_busy and (
+            isinstance(error, ExceptionResponse) or not batch.requests[index].repeatable
+        ):
+            return False
+        done = batch.repeated.get((index, is_busy), 0)
+        if done >= (batch.patience.busy_retries if is_busy else batch.patience.retries):
+            return False
+        batch.repeated[index, is_busy] = done + 1
+        batch.in_flight += 1
+        batch.since = now
+        due = now + (min(1.0, 0.1 * 2**done) if is_busy else 0.0)
+        self._repeats.append((due, batch, index))
+        self._wake(due)
+        return True
+
+    def _completed(
+        self, error: ModbusError, batch: Batch, index: int | None, sent: bytes
+    ) -> ModbusError:
+        """Tell the error what was asked, and say what it looks like."""
+        error.unit, error.endpoint, error.sent = batch.unit, self._place, sent
+        if index is not None:
+            request = batch.requests[index]
+            error.function, error.asked = request.function, str(request)
+        if error.received and sent and isinstance(error, FrameError | ModbusTimeoutError):
+            hint = explain(self._scheme, sent, error.received)
+            error.args = (f"{error.args[0]}; {hint}",) if hint else error.args
+        return error
+
+    # --- time ------------------------------------------------------------------------------
+
+    def tick(self, now: float) -> None:
+        """Give up what has been waited for too long; `settle` tells the callers."""
+        self.alarm = math.inf
+        self._end_silent(now)
+        if self.connection.is_open:
+            overdue = self._overdue(now)
+            self.statistics.timeouts += len(overdue)
+            for asked, error in overdue:
+                self._unanswered += asked.since >= self._answered_at
+                self._answer(asked, error)
+        else:
+            self._end_waits(now)
+
+    def _end_silent(self, now: float) -> None:
+        over = [asked for due, asked in self._silent if due <= now]
+        self._silent = [each for each in self._silent if each[0] > now]
+        for asked in over:
+            self._room += 1
+            self._release(asked.batch)
+            asked.batch.settle(asked.index, None)
+        for due, _ in self._silent:
+            self._wake(due)
+
+    def _end_waits(self, now: float) -> None:
+        """Of those who wait for the connection."""
+        waiting, self._queue = self._queue, deque()
+        for batch in waiting:
+            if not self._is_too_late(batch, now):
+                self._queue.append(batch)
+        repeats, self._repeats = self._repeats, []
+        for repeat in repeats:
+            _, batch, index = repeat
+            if not self._is_too_late(batch, now):
+                self._repeats.append(repeat)
+            elif not batch.is_done:
+                late = self.connection.not_in_time(batch.patience.timeout)
+                batch.settle(index, self._completed(late, batch, index, b""))
+
+    def _is_too_late(self, batch: Batch, now: float) -> bool:
+        until = batch.since + batch.patience.timeout
+        if until > now:
+            self._wake(until)
+            return False
+        self._refuse(batch, self.connection.not_in_time(batch.patience.timeout))
+        return True
+
+    def _note_life(self, now: float) -> None:
+        """Somebody is there."""
+        self._unanswered = 0
+        self._answered_at = now
+
+    def _wake(self, at: float) -> None:
+        if at < self.alarm:
+            self.alarm = at
+
+    def _note_unasked(self, size: int) -> None:
+        self._unasked += size
+        self.is_flooded = self._unasked > MAX_UNASKED
+        if self.is_flooded and self._is_socket:
+            self.broken = ModbusConnectionError("flooded with what nobody asked for")
+
+    def _restart(self, now: float) -> list[Asked]:
+        """Give what was in flight, and begin anew on another connection."""
+        asked = [*self._forget(now), *(each for _, each in self._silent)]
+        self._silent = []
+        self._room = self.limit
+        return asked
+
+    def _let_go(self, batch: Batch, now: float) -> int:
+        """Wait no more for a batch; says for how many answers it waited."""
+        self._repeats = [each for each in self._repeats if each[1] is not batch]
+        for due, asked in self._silent:
+            if asked.batch is batch:
+                self._wake(due)  # its slot is free only then: the line is still in use
+        count = self._give_up(batch, now)
+        self._room += count
+        return count
+
+    # --- which answer is whose -----------------------------------------------------------------
+
+    @property
+    @abstractmethod
+    def is_plain(self) -> bool:
+        """Whether the next answer can only be that to the next request: nothing else may come."""
+
+    @abstractmethod
+    def adopt(self, batch: Batch, adu: bytes, now: float) -> None:
+        """Wait for the answer to the first request of a batch, which was sent already."""
+
+    @abstractmethod
+    def next_adu(self, unit: int, pdu: bytes) -> bytes:
+        """Give the frame of a request that somebody else will send."""
+
+    @abstractmethod
+    def _make_framer(self) -> Framer: ...
+
+    @abstractmethod
+    def _begin(self, batch: Batch, index: int, now: float) -> Asked: ...
+
+    @abstractmethod
+    def _take(self, data: bytes, now: float) -> None: ...
+
+    @abstractmethod
+    def _received_with(self, asked: Asked, pdu: bytes) -> bytes:
+        """Give the bytes in which a PDU came."""
+
+    @abstractmethod
+    def _overdue(self, now: float) -> list[tuple[Asked, ModbusError]]:
+        """Give up what has been waited for too long, and wake for the rest."""
+
+    @abstractmethod
+    def _give_up(self, batch: Batch, now: float) -> int: ...
+
+    @abstractmethod
+    def _forget(self, now: float) -> list[Asked]: ...
+
+    def _doubt(self, batch: Batch, now: float) -> None:  # noqa: B027  # none with ids
+        """An answer is missing, or turned out to be none."""
+
+    def _follow(self, request: Any) -> None:  # noqa: B027  # most lines stay as they are
+        """A request was answered; some change the line."""
+
+
+def _is_good(what: Found) -> bool:
+    """Whether it is an answer, and no refusal, which may be the end."""
+    return isinstance(what, bytes) and not what[0] & 0x80
+
+
+def no_answer(timeout: float, received: bytes) -> ModbusTimeoutError:
+    """Say that a request got no answer, and what came instead."""
+    if received:
+        return ModbusTimeoutError(
+            f"no complete answer within {timeout:g} s, but {shown(received)}", received=received
+        )
+    return ModbusTimeoutError(f"no answer within {timeout:g} s")

@@ -1,0 +1,66 @@
+"""
+What bytes that answer nothing look like: the usual mistakes, told by their traces.
+"""
+
+from __future__ import annotations
+
+import re
+
+from ..protocol.framing import crc16
+
+__all__ = ["explain", "shown"]
+
+MAX_SHOWN = 32
+
+ASCII_FRAME = re.compile(rb":[0-9A-Fa-f]{6}")
+
+
+def shown(data: bytes) -> str:
+    """Write at most 32 bytes as hexadecimal digits."""
+    rest = f" ... ({len(data)} bytes)" if len(data) > MAX_SHOWN else ""
+    return data[:MAX_SHOWN].hex(" ") + rest
+
+
+def explain(scheme: str, sent: bytes, received: bytes) -> str:
+    """
+    Say what may be wrong, or nothing.
+
+    Args:
+        scheme: of the endpoint's URL.
+        sent: the request as it went out.
+        received: what came back and was no answer.
+    """
+    framing = scheme.removesuffix("+tcp")
+    if framing in ("rtu", "ascii") and received.startswith(sent):
+        return "the request itself came back; echo=True?"
+    for looks_so, other in _LOOKS.items():
+        if other != framing and framing != "udp" and looks_so(received):
+            is_on_tcp = scheme.endswith("tcp") and other != "tcp"
+            return f"this looks like {other}{'+tcp' * is_on_tcp}://"
+    if scheme == "rtu" and not _has_start(sent, received):
+        return "only noise; baud rate, parity, A and B swapped?"
+    return ""
+
+
+def _looks_ascii(data: bytes) -> bool:
+    return ASCII_FRAME.search(data) is not None
+
+
+def _looks_tcp(data: bytes) -> bool:
+    """A header whose length fits."""
+    length = int.from_bytes(data[4:6], "big")
+    return data[2:4] == b"\0\0" and 2 <= length <= 254 and len(data) == 6 + length
+
+
+def _looks_rtu(data: bytes) -> bool:
+    return any(crc16(data[:end]) == 0 for end in range(5, min(len(data), 256) + 1))
+
+
+_LOOKS = {_looks_ascii: "ascii", _looks_tcp: "tcp", _looks_rtu: "rtu"}
+
+
+def _has_start(sent: bytes, received: bytes) -> bool:
+    """Whether unit and function that were asked stand somewhere in it."""
+    unit, function = sent[0], sent[1]
+    starts = (bytes([unit, function]), bytes([unit, function | 0x80]))
+    return any(start in received for start in starts)

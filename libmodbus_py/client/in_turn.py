@@ -1,0 +1,305 @@
+"""
+One request at a time, on framings without transaction ids.
+
+Nothing tells a late answer of a unit from its next one there. So after a failure the line
+must have been quiet for one timeout before the same unit is asked again; an answer of
+another unit is told by its unit, and a collision by its check bytes.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ..ports.port import Silence
+from ..protocol.errors import FrameError, InvalidResponse, ModbusError
+from ..protocol.framing import AsciiFramer, Frame, Framer, make_framer
+from ..protocol.pdu import Diagnostics, SubFunction
+from .batch import Asked, Batch
+from .conversation import Conversation, no_answer
+
+__all__ = ["InTurn"]
+
+# What errors can carry, and more than a late answer has: the rest is more of the same.
+MAX_KEPT = 600
+
+
+class InTurn(Conversation):
+    """
+    See `Conversation`.
+
+    Args:
+        silence: of the port.
+        delimiter: the byte behind CR in ASCII frames.
+    """
+
+    def __init__(self, *args: Any, silence: Silence, delimiter: int = 0x0A, **options: Any) -> None:
+        self._silence = silence
+        self._delimiter = delimiter
+        self._asked: Asked | None = None
+        self._received = bytearray()
+        self._late = bytearray()
+        self._quiet_at: float | None = None
+        # Unit -> when it may be asked again, and the timeout that it had.
+        self._doubts: dict[int, tuple[float, float]] = {}
+        self._patience: dict[int, float] = {}
+        self._is_exact = False  # the last answer came with nothing before it or behind it
+        self._is_noisy = False  # something on this connection did not
+        super().__init__(*args, **options)
+
+    def _make_framer(self) -> Framer:
+        framer = make_framer(self._framing, "client")
+        if isinstance(framer, AsciiFramer):
+            framer.delimiter = self._delimiter
+        return framer
+
+    @property
+    def is_plain(self) -> bool:
+        return self._is_exact and not (
+            self._is_noisy
+            or self._trace.is_on
+            or self._asked
+            or self._doubts
+            or self._queue
+            or self._repeats
+            or self._silent
+        )
+
+    def next_adu(self, unit: int, pdu: bytes) -> bytes:
+        return self._framer.encode(Frame(unit, pdu))
+
+    def adopt(self, batch: Batch, adu: bytes, now: float) -> None:
+        batch.started = batch.in_flight = 1
+        self._note_start(self._ask(batch, 0, adu, now), now)
+
+    def opened(self, now: float) -> None:
+        self._is_exact = self._is_noisy = False
+        super().opened(now)
+
+    # --- asking --------------------------------------------------------------------------
+
+    def _pick(self, now: float) -> Batch | None:
+        if now < self._silence.over_at:
+            self._wake(self._silence.over_at)
+            return None
+        for batch in list(self._queue):
+            if not batch.has_next:
+                self._queue.remove(batch)
+                batch.queued = False
+            elif self._may_ask(batch.unit, now):
+                self._queue.remove(batch)
+                return batch
+            else:
+                self._wait_for_silence(batch, now)
+        return None
+
+    def _may_ask(self, unit: int, now: float) -> bool:
+        if now < self._silence.over_at:
+            self._wake(self._silence.over_at)
+            return False
+        ready_at = self._ready_at(unit)
+        if ready_at > now:
+            self._wake(ready_at)
+        return ready_at <= now
+
+    def _ready_at(self, unit: int) -> float:
+        """A broadcast is for all units, so it waits for all."""
+        doubts = self._doubts.values() if unit == 0 else [self._doubts.get(unit, (0.0, 0.0))]
+        return max((ready_at for ready_at, _ in doubts), default=0.0)
+
+    def _wait_for_silence(self, batch: Batch, now: float) -> None:
+        """Not for ever; from who sends more than a late answer, not longer than for an answer."""
+        timeout = batch.patience.timeout
+        since = self._patience.setdefault(batch.unit, now)
+        limit = since + timeout * (1 if len(self._late) >= MAX_KEPT else 2)
+        if limit > now:
+            self._wake(limit)
+        else:
+            del self._patience[batch.unit]
+            self._fail_next(
+                batch, FrameError("the line does not fall silent", received=bytes(self._late))
+            )
+
+    def _begin(self, batch: Batch, index: int, now: float) -> Asked:
+        if self._is_noisy or self._framer.pending:
+            self._framer = self._make_framer()
+        return self._ask(batch, index, self.next_adu(batch.unit, batch.pdus[index]), now)
+
+    def _ask(self, batch: Batch, index: int, adu: bytes, now: float) -> Asked:
+        self._end_doubt(batch.unit)
+        self._received.clear()
+        self._late.clear()
+        self._quiet_at = None
+        self._silence.sent(len(adu), now)
+        asked = Asked(batch, index, adu, now)
+        if not (batch.silent and batch.silent[index]):
+            self._asked = asked
+        return asked
+
+    def _end_doubt(self, unit: int) -> None:
+        if unit == 0:
+            self._doubts.clear()
+            self._patience.clear()
+        else:
+            self._doubts.pop(unit, None)
+            self._patience.pop(unit, None)
+
+    # --- bytes ----------------------------------------------------------------------------
+
+    def _take(self, data: bytes, now: float) -> None:
+        self._silence.heard(now)
+        if self._asked is None:
+            self._take_unasked(data, now)
+            return
+        self._received += data[: MAX_KEPT - len(self._received)]
+        self._judge(self._framer.scan(data), now)
+        if self._asked is not None:
+            if self._framer.pending or self._asked.wrong:
+                self._quiet_at = now + (self._framer.quiet or 0.0)
+                self._wake(self._quiet_at)
+            if not self._framer.pending:
+                self._end_if_damaged(now)
+
+    def _take_unasked(self, data: bytes, now: float) -> None:
+        """A late answer, or noise: whoever owes one must be quiet for as long again."""
+        self._is_noisy = True
+        if self._doubts:
+            self.statistics.late_answers += not self._late
+            self._late += data[: MAX_KEPT - len(self._late)]
+            for unit, (_, timeout) in self._doubts.items():
+                self._doubts[unit] = now + timeout, timeout
+        self._note_unasked(len(data))
+
+    def _judge(self, found: list[Frame | FrameError], now: float) -> None:
+        for each in found:
+            asked = self._asked
+            if isinstance(each, FrameError):
+                self._note_noise(each)
+            else:
+                if self._trace.is_on:
+                    adu = self._framer.encode(each)
+                    self._trace.tell("received", adu, each.unit, each.pdu[0])
+                if asked is None:
+                    self.statistics.late_answers += 1
+                    self._is_noisy = True
+                elif each.unit != asked.batch.unit:
+                    self._note_other(asked, each.unit, now)
+                elif self._is_echo(asked, each.pdu):
+                    self._is_noisy = True
+                    asked.wrong = InvalidResponse("the request itself came back; echo=True?")
+                else:
+                    self._end(asked, each.pdu, now)
+
+    def _note_noise(self, error: FrameError) -> None:
+        self.statistics.invalid += 1
+        self._is_noisy = True
+        if self._asked is not None:
+            self._asked.wrong = error
+        if self._trace.is_on:
+            self._trace.tell("received", error.received)
+
+    def _note_other(self, asked: Asked, unit: int, now: float) -> None:
+        """Another unit's answer does not end the wait (serial line, 2.4.1)."""
+        self._is_noisy = True
+        if unit in self._doubts:
+            self.statistics.late_answers += 1
+            timeout = self._doubts[unit][1]
+            self._doubts[unit] = now + timeout, timeout
+        else:
+            self.statistics.invalid += 1
+            asked.wrong = InvalidResponse(f"unit {unit} answered")
+
+    def _is_echo(self, asked: Asked, pdu: bytes) -> bool:
+        """Whether it is the request, and no answer that repeats it as some do."""
+        if pdu != asked.batch.pdus[asked.index]:
+            return False
+        try:
+            asked.batch.requests[asked.index].decode_response(pdu)
+        except ModbusError:
+            return True
+        return False
+
+    def _end_if_damaged(self, now: float) -> None:
+        """Noise does not end the wait, for an answer may follow; a damaged answer does."""
+        asked = self._asked
+        if asked is not None and isinstance(asked.wrong, FrameError) and self._is_damaged(asked):
+            self._end(asked, asked.wrong, now)
+
+    def _is_damaged(self, asked: Asked) -> bool:
+        rest = bytes(self._received)
+        if rest.startswith(asked.adu):
+            rest = rest[len(asked.adu) :]
+        unit, function = asked.batch.unit, asked.batch.pdus[asked.index][0]
+        starts = [bytes([unit, function]), bytes([unit, function | 0x80])]
+        if self._framing == "ascii":
+            starts = [b":%02X%02X" % (start[0], start[1]) for start in starts]
+            rest = rest.upper()
+        return any(start in rest for start in starts)
+
+    def _end(self, asked: Asked, what: bytes | ModbusError, now: float) -> None:
+        self._asked = None
+        self._quiet_at = None
+        if isinstance(what, ModbusError):
+            what.received = bytes(self._received)
+        else:
+            self._note_life(now)
+            self._is_exact = asked.wrong is None and not self._framer.pending
+        self._answer(asked, what)
+
+    # --- time ---------------------------------------------------------------------------------
+
+    def tick(self, now: float) -> None:
+        if self._quiet_at is not None and self._quiet_at <= now and self._asked is not None:
+            self._quiet_at = None
+            self._judge(self._framer.scan_silence(), now)
+            self._end_if_damaged(now)
+        super().tick(now)
+        if self._quiet_at is not None:
+            self._wake(self._quiet_at)
+
+    def _overdue(self, now: float) -> list[tuple[Asked, ModbusError]]:
+        asked = self._asked
+        if asked is None:
+            return []
+        if asked.deadline > now:
+            self._wake(asked.deadline)
+            return []
+        self._asked = None
+        received = bytes(self._received)
+        error = asked.wrong or no_answer(asked.batch.patience.timeout, received)
+        error.received = received
+        return [(asked, error)]
+
+    def _doubt(self, batch: Batch, now: float) -> None:
+        """Let the line fall silent before this unit is asked again: it may still answer."""
+        timeout = batch.patience.timeout
+        self._is_exact = False
+        self._doubts[batch.unit] = now + timeout, timeout
+
+    def _give_up(self, batch: Batch, now: float) -> int:
+        if self._asked is None or self._asked.batch is not batch:
+            return 0
+        self._asked = None
+        self._doubt(batch, now)
+        return 1
+
+    def _forget(self, now: float) -> list[Asked]:
+        self._is_exact = False
+        asked, self._asked = self._asked, None
+        if asked is None:
+            return []
+        self._doubt(asked.batch, now)  # the unit is not on this side of the connection
+        return [asked]
+
+    # --- what is left -------------------------------------------------------------------------
+
+    def _received_with(self, asked: Asked, pdu: bytes) -> bytes:
+        return bytes(self._received)
+
+    def _follow(self, request: Any) -> None:
+        """Functions 8/3 and 8/1: another ASCII delimiter, and the first one again."""
+        if isinstance(request, Diagnostics) and self._framing == "ascii":
+            if request.sub_function == SubFunction.CHANGE_ASCII_DELIMITER:
+                self._delimiter = request.data[0]
+            elif request.sub_function == SubFunction.RESTART_COMMUNICATIONS:
+                self._delimiter = 0x0A
+            self._framer = self._make_framer()

@@ -1,0 +1,226 @@
+"""
+What every client takes, checked once, and the parts made of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any, Literal, TypedDict
+
+from ..ports.endpoint import Endpoint
+from ..ports.port import Port
+from ..ports.serial import SerialPort
+from ..ports.sockets import TcpPort, UdpPort
+from ..protocol.checks import integer, seconds
+from ..protocol.framing import is_delimiter
+from .batch import MAX_IN_FLIGHT, Patience, Statistics
+from .conversation import Conversation, Pace
+from .in_flight import InFlight
+from .in_turn import InTurn
+from .reconnecting import OnState, Reconnecting
+from .trace import OnTraced, Trace
+
+__all__ = ["AsyncOptions", "ContextOptions", "Options", "Parts", "Settings", "assembled"]
+
+
+class Options(TypedDict, total=False):
+    """
+    The options that all clients have; times are in seconds.
+
+    Keys:
+        unit: 0..255, who is asked; 1 by default. 0 is a broadcast on serial lines:
+            writes only, which return after the turnaround.
+        timeout: 0.001..86400, for one request from the call to the end of its answer,
+            connecting included; waiting for others' requests does not count. 1 by default.
+        retries: how often a request is sent again after no answer, a damaged one, or a
+            connection lost meanwhile, 0..100; only what may be sent twice
+            (``pdu.Request.repeatable``). 0 by default.
+        busy_retries: how often a request is repeated that was refused with Acknowledge
+            or ServerDeviceBusy, 0..100, after 0.1, 0.2, 0.4, 0.8, 1, 1... s. 0 by default.
+        max_in_flight: 1..256 requests that wait for their answers together, at most; 16 by
+            default for `AsyncClient` (TCP guide, 4.3.3), as `execute_many` says for contexts,
+            and 1 where frames carry no transaction id.
+        turnaround: that a request takes which nobody answers (serial line, 2.4.1); 0.1.
+        request_spacing: between the starts of two requests, at least, for devices that
+            need a rest; 0.
+        connect_delay: between connecting and the first request, for devices that need to
+            get ready; 0. Neither counts within `timeout`.
+        timeouts_before_reconnect: after so many in a row, requests that were cancelled
+            included, a connection over a network counts as dead, 1..1000000: the next
+            request goes over a new one. 3 by default.
+        max_pause: the longest pause before the next attempt to connect, which begins at 0.1
+            and doubles; 0 for none. 30 for `AsyncClient`, 0 for contexts.
+        keepalive: of silence after which TCP probes whether the other side is there,
+            1..32767; None for never. 30 by default.
+        accept_unit: "any" takes answers from another unit than the one asked, as some
+            devices on TCP are unit 255 whoever was asked; "same" by default.
+        delimiter: the byte behind CR in ASCII frames, LF (10) unless the device was told
+            otherwise; `diagnostics(3, ...)` is followed.
+        trace: called with a `Traced` for every ADU sent and received; the logger
+            ``libmodbus_py.wire`` has the same at DEBUG.
+        on_state: called with each new `State`, and the ModbusError that led to it or
+            None. It must not block.
+    """
+
+    unit: int
+    timeout: float
+    retries: int
+    busy_retries: int
+    max_in_flight: int | None
+    turnaround: float
+    request_spacing: float
+    connect_delay: float
+    timeouts_before_reconnect: int
+    max_pause: float
+    keepalive: float | None
+    accept_unit: Literal["same", "any"]
+    delimiter: int
+    trace: OnTraced | None
+    on_state: OnState | None
+
+
+class ContextOptions(Options, total=False):
+    """
+    The options of contexts.
+
+    Keys:
+        native: True (the default) lets a request that may go the short way be carried in
+            one call of C; False has the framers of this package carry all. Both check
+            every answer in full.
+    """
+
+    native: bool
+
+
+class AsyncOptions(Options, total=False):
+    """The options of `AsyncClient`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """`ContextOptions`, checked."""
+
+    unit: int = 1
+    timeout: float = 1.0
+    retries: int = 0
+    busy_retries: int = 0
+    max_in_flight: int | None = None
+    turnaround: float = 0.1
+    request_spacing: float = 0.0
+    connect_delay: float = 0.0
+    timeouts_before_reconnect: int = 3
+    max_pause: float = 0.0
+    keepalive: float | None = 30.0
+    accept_unit: str = "same"
+    delimiter: int = 0x0A
+    trace: OnTraced | None = None
+    on_state: OnState | None = None
+    native: bool = True
+
+    def __post_init__(self) -> None:
+        integer("unit", self.unit, 0, 255)
+        seconds("timeout", self.timeout)
+        for name, low, high in (
+            ("retries", 0, 100),
+            ("busy_retries", 0, 100),
+            ("timeouts_before_reconnect", 1, 1_000_000),
+        ):
+            integer(name, getattr(self, name), low, high)
+        for name in ("turnaround", "request_spacing", "connect_delay", "max_pause"):
+            seconds(name, getattr(self, name), low=0)
+        if self.max_in_flight is not None:
+            integer("max_in_flight", self.max_in_flight, 1, MAX_IN_FLIGHT)
+        if self.keepalive is not None:
+            seconds("keepalive", self.keepalive, 1, 32_767)
+        if self.accept_unit not in ("same", "any"):
+            raise ValueError(f'accept_unit must be "same" or "any", not {self.accept_unit!r}')
+        if not is_delimiter(integer("delimiter", self.delimiter, 0, 0xFF)):
+            raise ValueError(
+                f"delimiter must be an ASCII code with no other use, not {self.delimiter}"
+            )
+        for name in ("trace", "on_state"):
+            hook = getattr(self, name)
+            if hook is not None and not callable(hook):
+                raise TypeError(f"{name} must be callable, not {type(hook).__name__}")
+        if not isinstance(self.native, bool):
+            raise TypeError(f"native must be True or False, not {self.native!r}")
+
+    @classmethod
+    def of(cls, endpoint: Endpoint, options: Mapping[str, Any], **usual: Any) -> Settings:
+        """
+        Take what an endpoint's URL says, and the options, which win.
+
+        Raises:
+            TypeError, ValueError: an option of the wrong name, type or range.
+        """
+        known = [field.name for field in fields(cls) if field.name != "native" or "native" in usual]
+        for name in options:
+            if name not in known:
+                raise TypeError(f"{name!r} must be one of {', '.join(known)}")
+        return cls(**{**usual, **endpoint.client_options, **options})
+
+    @property
+    def patience(self) -> Patience:
+        return Patience(float(self.timeout), self.retries, self.busy_retries)
+
+
+@dataclass(frozen=True, slots=True)
+class Parts:
+    """What a client is made of, beside its driver."""
+
+    endpoint: Endpoint
+    port: Port
+    conversation: Conversation
+    connection: Reconnecting
+    statistics: Statistics
+
+
+def assembled(endpoint: Endpoint, settings: Settings, most: int) -> Parts:
+    """
+    Make the parts.
+
+    Args:
+        most: in flight, where the settings leave it open.
+
+    Raises:
+        TypeError, ValueError: the endpoint, or an option that it cannot have.
+    """
+    port = _port(endpoint, settings)
+    statistics = Statistics()
+    connection = Reconnecting(str(port), settings.max_pause, statistics, settings.on_state)
+    pace = Pace(
+        settings.turnaround,
+        settings.request_spacing,
+        settings.connect_delay,
+        settings.timeouts_before_reconnect,
+    )
+    trace = Trace(str(endpoint), settings.trace)
+    common = (pace, statistics, connection, trace)
+    conversation: Conversation
+    if endpoint.framing in ("tcp", "udp"):
+        any_unit = settings.accept_unit == "any"
+        limit = settings.max_in_flight or most
+        conversation = InFlight(endpoint, limit, *common, any_unit=any_unit)
+    else:
+        _refuse_ids(endpoint, settings)
+        conversation = InTurn(
+            endpoint, 1, *common, silence=port.silence, delimiter=settings.delimiter
+        )
+    return Parts(endpoint, port, conversation, connection, statistics)
+
+
+def _refuse_ids(endpoint: Endpoint, settings: Settings) -> None:
+    where = f"on {endpoint.scheme}, whose answers carry no transaction id"
+    if settings.max_in_flight not in (None, 1):
+        raise ValueError(f"max_in_flight must be 1 {where}")
+    if settings.accept_unit != "same":
+        raise ValueError(f'accept_unit must be "same" {where}')
+
+
+def _port(endpoint: Endpoint, settings: Settings) -> Port:
+    if endpoint.transport == "serial":
+        return SerialPort(endpoint.device, **endpoint.serial_settings)
+    if endpoint.transport == "udp":
+        return UdpPort(endpoint.host, endpoint.port)
+    return TcpPort(endpoint.host, endpoint.port, settings.keepalive)

@@ -1,0 +1,141 @@
+"""
+When to connect again: the state of a connection, and the pause after a failure.
+
+No socket, no clock; times are seconds of any steady clock.
+"""
+
+from __future__ import annotations
+
+import enum
+import errno
+import logging
+import random
+from collections.abc import Callable
+
+from ..protocol.errors import ModbusConnectionError, ModbusError
+from .batch import Statistics
+
+__all__ = ["OnState", "Reconnecting", "State"]
+
+logger = logging.getLogger(__name__)
+
+FIRST_PAUSE = 0.1
+
+
+class State(enum.Enum):
+    """Where the connection of a client stands."""
+
+    DISCONNECTED = "disconnected"
+    CONNECTING = "connecting"
+    CONNECTED = "connected"
+    CLOSED = "closed"
+
+
+OnState = Callable[[State, ModbusError | None], object]
+
+
+class Reconnecting:
+    """
+    After an attempt that failed, or a connection that ended before it was any good,
+    the next attempt waits: 0.1 s, doubled each time up to `max_pause`, and up to a fifth
+    less at random, for a hundred clients should not come back at once.
+
+    Args:
+        place: where it leads, for messages.
+        max_pause: seconds; 0 for no pause at all.
+        on_state: told of every change of `state`.
+
+    Attributes:
+        fruitless: how many connections in a row were attempted and brought no answer.
+        next_attempt: when the next one may be.
+    """
+
+    def __init__(
+        self, place: str, max_pause: float, statistics: Statistics, on_state: OnState | None
+    ) -> None:
+        self.state = State.DISCONNECTED
+        self.is_open = False
+        self.next_attempt = 0.0
+        self._place = place
+        self._max_pause = max_pause
+        self._statistics = statistics
+        self._on_state = on_state
+        self.fruitless = 0
+        self._last_failure: ModbusConnectionError | None = None
+
+    def refusal(self, now: float, deadline: float) -> ModbusConnectionError | None:
+        """Say why there will be no connection before the deadline, if that is known."""
+        if self.state is State.CLOSED:
+            return ModbusConnectionError("this client is closed", errno=errno.EBADF)
+        last = self._last_failure
+        if self.state is not State.DISCONNECTED or last is None or self.next_attempt <= deadline:
+            return None
+        return _because_of(last, f"{last.args[0]}; next attempt in {self.next_attempt - now:.1f} s")
+
+    def not_in_time(self, timeout: float) -> ModbusConnectionError:
+        """Tell somebody who has waited for too long, with what is known of the reason."""
+        reason = f"no connection to {self._place} within {timeout:g} s"
+        last = self._last_failure
+        if last is None:
+            return ModbusConnectionError(reason, errno=errno.ETIMEDOUT)
+        return _because_of(last, f"{reason}; {last.args[0]}")
+
+    def connecting(self) -> None:
+        """An attempt begins."""
+        self.fruitless += 1
+        self._change(State.CONNECTING)
+
+    def opened(self) -> None:
+        """It succeeded."""
+        self._statistics.connects += 1
+        self._change(State.CONNECTED)
+
+    def failed(self, error: ModbusConnectionError, now: float) -> None:
+        """It failed."""
+        self._statistics.failed_connects += 1
+        self._back_off(error, now)
+        self._change(State.DISCONNECTED, error)
+
+    def given_up(self) -> None:
+        """It was cancelled or interrupted, which says nothing of the other side."""
+        self.fruitless -= 1
+        self._change(State.DISCONNECTED)
+
+    def prove(self) -> None:
+        """Something good came over the connection."""
+        self.fruitless = 0
+        self._last_failure = None
+
+    def lost(self, error: ModbusConnectionError, now: float, *, by_itself: bool) -> None:
+        """It ended; with a pause if it went away and was no good."""
+        self._statistics.lost += 1
+        if by_itself and self.fruitless:
+            self._back_off(error, now)
+        self._change(State.DISCONNECTED, error)
+
+    def close(self) -> None:
+        """Close it for good."""
+        if self.state is not State.CLOSED:
+            self._change(State.CLOSED)
+
+    def _back_off(self, error: ModbusConnectionError, now: float) -> None:
+        pause = min(self._max_pause, FIRST_PAUSE * 2 ** min(self.fruitless - 1, 20))
+        self.next_attempt = now + pause * random.uniform(0.8, 1.0)
+        self._last_failure = error
+
+    def _change(self, state: State, error: ModbusError | None = None) -> None:
+        if self.state is State.CLOSED:
+            return
+        self.state = state
+        self.is_open = state is State.CONNECTED
+        if self._on_state is not None:
+            try:
+                self._on_state(state, error)
+            except Exception:
+                logger.exception("on_state(%s) failed", state.name)
+
+
+def _because_of(cause: ModbusConnectionError, reason: str) -> ModbusConnectionError:
+    error = ModbusConnectionError(reason, errno=cause.errno)
+    error.__cause__ = cause.__cause__
+    return error

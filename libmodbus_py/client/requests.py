@@ -1,0 +1,327 @@
+"""
+Every method of both clients, once.
+
+A method makes a request (`asks`), or is a procedure that yields requests and is sent
+results (`follows`). A blocking client carries it out at once; an awaiting one gives a coroutine.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Coroutine, Generator, Iterable, Sequence
+from functools import update_wrapper
+from typing import TYPE_CHECKING, Any, Concatenate, Generic, ParamSpec, TypeVar, Unpack, overload
+
+from ..protocol import pdu
+from ..protocol.checks import integer
+from ..protocol.pdu.interface import identify
+from ..protocol.tables import TABLES, RegisterTable
+from ..protocol.values import Order, TextOptions, TypeName, value_type
+
+__all__ = ["Awaiting", "Blocking", "Requests", "Steps"]
+
+Arguments = ParamSpec("Arguments")
+Result = TypeVar("Result")
+
+Steps = Generator[pdu.Request[Any], Any, Result]
+
+REGISTER_TABLES = [name for name, rules in TABLES.items() if not rules.is_bits]
+
+if TYPE_CHECKING:
+
+    class _Method(Generic[Arguments, Result]):
+        """How type checkers see a method of both: it gives a result, or one to await."""
+
+        @overload
+        def __get__(self, client: Blocking, owner: object) -> Callable[Arguments, Result]: ...
+        @overload
+        def __get__(
+            self, client: Awaiting, owner: object
+        ) -> Callable[Arguments, Coroutine[Any, Any, Result]]: ...
+        @overload
+        def __get__(self, client: None, owner: object) -> Callable[..., Any]: ...
+        def __get__(self, client: Any, owner: object) -> Any: ...
+
+    def asks(
+        make: Callable[Concatenate[Any, Arguments], pdu.Request[Result]],
+    ) -> _Method[Arguments, Result]: ...
+
+    def follows(
+        make: Callable[Concatenate[Any, Arguments], Steps[Result]],
+    ) -> _Method[Arguments, Result]: ...
+
+else:
+    # Plain functions, so that help() and inspect.signature() work.
+
+    def asks(make):
+        def method(self, /, *arguments, **named):
+            try:
+                request = make(self, *arguments, **named)
+            except (TypeError, ValueError) as error:
+                return self._refuse(error)
+            return self.execute(request)
+
+        return _dressed(method, make)
+
+    def follows(make):
+        def method(self, /, *arguments, **named):
+            return self._follow(make, arguments, named)
+
+        return _dressed(method, make)
+
+    def _dressed(method, make):
+        """As the method is told of: with its result, not with what is made on the way."""
+        update_wrapper(method, make)
+        del method.__wrapped__
+        result = make.__annotations__["return"].partition("[")[2].removesuffix("]")
+        method.__annotations__ = {**make.__annotations__, "return": result}
+        method.__signature__ = inspect.signature(make).replace(return_annotation=result)
+        return method
+
+
+class Requests:
+    """One method for each function; addresses are 0-based, 0..65535."""
+
+    @asks
+    def read_coils(self, address: int, count: int) -> pdu.Request[list[bool]]:
+        """Read 1..2000 coils (function 1, modbus_read_bits)."""
+        return pdu.ReadCoils(address, count)
+
+    @asks
+    def read_discrete_inputs(self, address: int, count: int) -> pdu.Request[list[bool]]:
+        """Read 1..2000 discrete inputs (function 2, modbus_read_input_bits)."""
+        return pdu.ReadDiscreteInputs(address, count)
+
+    @asks
+    def read_holding_registers(self, address: int, count: int) -> pdu.Request[list[int]]:
+        """Read 1..125 holding registers (function 3, modbus_read_registers)."""
+        return pdu.ReadHoldingRegisters(address, count)
+
+    @asks
+    def read_input_registers(self, address: int, count: int) -> pdu.Request[list[int]]:
+        """Read 1..125 input registers (function 4, modbus_read_input_registers)."""
+        return pdu.ReadInputRegisters(address, count)
+
+    @asks
+    def write_coil(self, address: int, value: bool) -> pdu.Request[None]:
+        """Write one coil (function 5, modbus_write_bit)."""
+        return pdu.WriteCoil(address, value)
+
+    @asks
+    def write_register(self, address: int, value: int) -> pdu.Request[None]:
+        """Write one holding register, 0..65535 (function 6, modbus_write_register)."""
+        return pdu.WriteRegister(address, value)
+
+    @asks
+    def write_coils(self, address: int, values: Iterable[bool]) -> pdu.Request[None]:
+        """Write 1..1968 coils (function 15, modbus_write_bits)."""
+        return pdu.WriteCoils(address, values)  # type: ignore[arg-type]
+
+    @asks
+    def write_registers(self, address: int, values: Iterable[int]) -> pdu.Request[None]:
+        """Write 1..123 holding registers, each 0..65535 (function 16, modbus_write_registers)."""
+        return pdu.WriteRegisters(address, values)  # type: ignore[arg-type]
+
+    @asks
+    def mask_write_register(self, address: int, and_mask: int, or_mask: int) -> pdu.Request[None]:
+        """
+        Set a holding register to (current AND and_mask) OR (or_mask AND NOT and_mask).
+
+        Function 22, modbus_mask_write_register.
+        """
+        return pdu.MaskWriteRegister(address, and_mask, or_mask)
+
+    @asks
+    def read_write_registers(
+        self, read_address: int, read_count: int, write_address: int, values: Iterable[int]
+    ) -> pdu.Request[list[int]]:
+        """
+        Write 1..121 holding registers, then read 1..125.
+
+        Function 23, modbus_write_and_read_registers.
+        """
+        return pdu.ReadWriteRegisters(read_address, read_count, write_address, values)  # type: ignore[arg-type]
+
+    @asks
+    def read_exception_status(self) -> pdu.Request[int]:
+        """Read the eight exception status outputs, lowest in bit 0 (function 7)."""
+        return pdu.ReadExceptionStatus()
+
+    @follows
+    def diagnostics(self, sub_function: int, data: int = 0) -> Steps[int]:
+        """
+        Run a diagnostic sub-function (function 8).
+
+        Args:
+            sub_function: 0..65535; `pdu.SubFunction` names them.
+            data: 0..65535; FF00h makes a restart clear the event log, and a
+                new ASCII delimiter stands in the high byte.
+
+        Returns:
+            The data of the answer; `data` for "force listen only", which
+            nobody answers. `execute(pdu.Diagnostics(0, data))` echoes up to 250 bytes.
+        """
+        word = integer("data", data, 0, 0xFFFF).to_bytes(2, "big")
+        answer = yield pdu.Diagnostics(sub_function, word)
+        return data if answer is None else int.from_bytes(answer, "big")
+
+    @asks
+    def read_comm_event_counter(self) -> pdu.Request[pdu.CommEventCounter]:
+        """Read the status word and the event counter (function 11)."""
+        return pdu.ReadCommEventCounter()
+
+    @asks
+    def read_comm_event_log(self) -> pdu.Request[pdu.CommEventLog]:
+        """Read the counters and up to 64 events, newest first (function 12)."""
+        return pdu.ReadCommEventLog()
+
+    @asks
+    def report_server_id(self) -> pdu.Request[pdu.ServerId]:
+        """
+        Read what the device is and whether it runs (function 17, modbus_report_slave_id).
+
+        Returns:
+            With an identifier of one byte; ``pdu.ServerId.split(answer.data, length)``
+            for devices that have a longer one.
+        """
+        return pdu.ReportServerId()
+
+    @asks
+    def read_file_records(
+        self, records: Sequence[tuple[int, int, int]]
+    ) -> pdu.Request[list[list[int]]]:
+        """
+        Read pieces of files (function 20, by this package).
+
+        Args:
+            records: 1..35 tuples (file 1..65535, first record 0..9999, length).
+
+        Returns:
+            The registers of each piece.
+        """
+        return pdu.ReadFileRecords(records)  # type: ignore[arg-type]
+
+    @asks
+    def write_file_records(
+        self, records: Sequence[tuple[int, int, Iterable[int]]]
+    ) -> pdu.Request[None]:
+        """
+        Write pieces of files (function 21, by this package).
+
+        Args:
+            records: tuples (file 1..65535, first record 0..9999, values).
+        """
+        return pdu.WriteFileRecords(records)  # type: ignore[arg-type]
+
+    @asks
+    def read_fifo_queue(self, address: int) -> pdu.Request[list[int]]:
+        """Read the 0..31 registers of a queue, which keeps them (function 24)."""
+        return pdu.ReadFifoQueue(address)
+
+    @follows
+    def read_device_identification(
+        self, level: str | int = "basic"
+    ) -> Steps[pdu.DeviceIdentification]:
+        """
+        Read what a device says about itself (function 43/14), in as many requests as it takes.
+
+        Args:
+            level: "basic", "regular" or "extended"; or the id of a single object, 0..255.
+
+        Raises:
+            InvalidResponse: the device would never come to an end, and what was
+                asked for is not all there.
+        """
+        return (yield from identify(level))
+
+    @asks
+    def encapsulated_transport(self, mei_type: int, data: bytes) -> pdu.Request[bytes]:
+        """
+        Send up to 251 bytes to an encapsulated interface (function 43).
+
+        Args:
+            mei_type: 0..255; 13 is CANopen.
+            data: sent as it is.
+
+        Returns:
+            The data of the answer.
+        """
+        return pdu.EncapsulatedTransport(mei_type, data)
+
+    # --- values ----------------------------------------------------------------------
+
+    @follows
+    def read_values(
+        self,
+        /,
+        table: RegisterTable,
+        address: int,
+        type: TypeName,
+        count: int = 1,
+        *,
+        order: Order = "ABCD",
+        **text: Unpack[TextOptions],
+    ) -> Steps[list[Any]]:
+        """
+        Read numbers, text or bits out of registers, in one request.
+
+        Args:
+            table: "holding_registers" or "input_registers".
+            address: the first register.
+            type: such as "float32"; see `libmodbus_py.values`.
+            count: how many values, up to what 125 registers hold.
+            order: ABCD, CDAB, BADC or DCBA.
+            text: encoding and padding of strings.
+        """
+        if table not in REGISTER_TABLES:
+            raise ValueError(f"table must be one of {', '.join(REGISTER_TABLES)}, not {table!r}")
+        kind = value_type(type, order=order, **text)
+        registers = kind.registers * integer("count", count, 1, 125 // kind.registers)
+        cells = yield TABLES[table].read(address, registers)
+        return kind.decode_many(cells)
+
+    @follows
+    def write_values(
+        self,
+        /,
+        table: RegisterTable,
+        address: int,
+        values: Iterable[Any],
+        type: TypeName,
+        *,
+        order: Order = "ABCD",
+        **text: Unpack[TextOptions],
+    ) -> Steps[None]:
+        """
+        Write numbers, text or bits to registers, in one request.
+
+        Args:
+            table: "holding_registers"; others cannot be written.
+            address: the first register.
+            values: one or more, up to what 123 registers hold.
+            type, order, text: as for `read_values`.
+        """
+        if table != "holding_registers":
+            raise ValueError(f"table must be holding_registers, not {table!r}")
+        cells = value_type(type, order=order, **text).encode_many(values)
+        yield pdu.WriteRegisters(address, cells)  # type: ignore[arg-type]
+
+
+class Blocking(Requests):
+    """A client whose methods return results."""
+
+    def _refuse(self, error: Exception) -> Any:
+        raise error
+
+    def _follow(self, make: Any, arguments: Any, named: Any) -> Any:
+        raise NotImplementedError
+
+
+class Awaiting(Requests):
+    """A client whose methods give coroutines."""
+
+    async def _refuse(self, error: Exception) -> Any:
+        raise error
+
+    async def _follow(self, make: Any, arguments: Any, named: Any) -> Any:
+        raise NotImplementedError

@@ -1,0 +1,224 @@
+"""
+TCP connections and UDP sockets, made here.
+
+modbus_connect knows no host names, gives wrong errors, and aborts the process on
+descriptors of 1024 and above (3.1.6).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import math
+import os
+import socket
+import time
+from typing import Any, ClassVar
+
+from ..protocol.checks import integer
+from ..protocol.errors import ModbusConnectionError
+from .port import Port, Silence, lost
+from .waiting import WRITE, Ready, Resolve, Steps
+
+__all__ = ["SocketPort", "TcpPort", "UdpPort"]
+
+# The answers to all requests that are usually in flight, and little enough for one turn.
+READ_SIZE = 16_384
+
+# Datagrams taken in one turn.
+DATAGRAMS = 64
+
+
+class SocketPort(Port):
+    """
+    A socket that is connected to one host and port.
+
+    Args:
+        host: a name with all its addresses, an IPv4 or an IPv6 address.
+        port: 1..65535.
+
+    Raises:
+        TypeError, ValueError: an argument of the wrong type or range.
+    """
+
+    # A UDP port cannot die, but its name may move to another host.
+    can_die_silently = True
+    kind: ClassVar[socket.SocketKind]
+    _socket: socket.socket
+
+    def __init__(self, host: str, port: int) -> None:
+        if not isinstance(host, str):
+            raise TypeError(f"host must be a string, not {type(host).__name__}")
+        if not host.strip() or "\0" in host:
+            raise ValueError(f"host must be a name or an address, not {host!r}")
+        self.host = host
+        self.port = integer("port", port, 1, 65535)
+        self.silence = Silence()
+
+    def __str__(self) -> str:
+        return f"[{self.host}]:{self.port}" if ":" in self.host else f"{self.host}:{self.port}"
+
+    def opening(self, deadline: float) -> Steps[None]:
+        self._socket = yield from self._connected(deadline)
+        self._watch(self._socket.fileno())
+
+    def _connected(self, deadline: float) -> Steps[socket.socket]:
+        """Try one address after the other; each gets its share of the time."""
+        addresses = yield from self._addresses(deadline)
+        last: OSError | None = None
+        for number, (family, kind, protocol, _, address) in enumerate(addresses):
+            now = time.monotonic()
+            share = now + (deadline - now) / (len(addresses) - number)
+            made = socket.socket(family, kind, protocol)
+            try:
+                yield from _connecting(made, address, share)
+            except OSError as error:
+                made.close()
+                last = error
+            except BaseException:
+                made.close()
+                raise
+            else:
+                return made
+        assert last is not None  # getaddrinfo gives one address or raises
+        raise ModbusConnectionError(
+            f"cannot connect to {self}: {os.strerror(last.errno) if last.errno else last}",
+            errno=last.errno,
+        ) from last
+
+    def _addresses(self, deadline: float) -> Steps[list[Any]]:
+        try:
+            found: list[Any] = yield Resolve(self.host, self.port, self.kind, deadline)
+        except OSError as error:
+            late = isinstance(error, TimeoutError)
+            reason = "it takes too long" if late else error.strerror or error
+            raise ModbusConnectionError(
+                f"cannot resolve host {self.host!r}: {reason}",
+                errno=errno.ETIMEDOUT if late else error.errno,
+            ) from error
+        return found
+
+    def close(self) -> None:
+        """A process that only inherited the connection must leave its parent's alone."""
+        self.abandon()
+
+    def abandon(self) -> None:
+        if self.descriptor >= 0:
+            self.descriptor = -1
+            self._socket.close()
+
+
+def _connecting(made: socket.socket, address: Any, deadline: float) -> Steps[None]:
+    made.setblocking(False)
+    number = made.connect_ex(address)
+    if number == errno.EINPROGRESS:
+        if not (yield Ready(made.fileno(), WRITE, deadline)):
+            raise TimeoutError(errno.ETIMEDOUT, os.strerror(errno.ETIMEDOUT))
+        number = made.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
+    if number:
+        raise OSError(number, os.strerror(number))
+
+
+class TcpPort(SocketPort):
+    """
+    A TCP connection.
+
+    Args:
+        host, port: as for `SocketPort`.
+        keepalive: seconds of silence before the system probes the other side; None
+            for never.
+    """
+
+    kind = socket.SOCK_STREAM
+
+    def __init__(self, host: str, port: int, keepalive: float | None) -> None:
+        super().__init__(host, port)
+        self._keepalive = keepalive
+        self._unsent = bytearray()
+
+    def opening(self, deadline: float) -> Steps[None]:
+        yield from super().opening(deadline)
+        self._unsent.clear()
+        self.has_unsent = False
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        if self._keepalive is not None:
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+            for option, value in (
+                (socket.TCP_KEEPIDLE, math.ceil(self._keepalive)),
+                (socket.TCP_KEEPINTVL, math.ceil(self._keepalive / 3)),
+                (socket.TCP_KEEPCNT, 3),
+            ):
+                self._socket.setsockopt(socket.IPPROTO_TCP, option, value)
+
+    def receive(self) -> list[bytes]:
+        try:
+            data = self._socket.recv(READ_SIZE)
+        except BlockingIOError:
+            return []
+        except OSError as error:
+            raise lost(error) from error
+        if not data:
+            raise ModbusConnectionError("closed by the other side", errno=errno.ECONNRESET)
+        return [data]
+
+    def acknowledge(self) -> None:
+        # A server that leaves Nagle's algorithm on, as libmodbus's own does, sends its next
+        # answer only when this one is acknowledged: after 40 ms, unless told to do it at once.
+        # The system forgets this setting, so it is made each time.
+        with contextlib.suppress(OSError):
+            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_QUICKACK, 1)
+
+    def send(self, adus: list[bytes], now: float) -> None:
+        data = adus[0] if len(adus) == 1 else b"".join(adus)
+        if self.has_unsent:
+            self._unsent += data
+            return
+        sent = self._send_now(data)
+        if sent < len(data):
+            self._unsent += data[sent:]
+            self.has_unsent = True
+
+    def go_on(self, now: float) -> None:
+        del self._unsent[: self._send_now(self._unsent)]
+        self.has_unsent = bool(self._unsent)
+
+    def _send_now(self, data: bytes | bytearray) -> int:
+        try:
+            return self._socket.send(data)
+        except BlockingIOError:
+            return 0
+        except OSError as error:
+            raise lost(error) from error
+
+
+class UdpPort(SocketPort):
+    """
+    A UDP socket that hears one host only; one ADU in each datagram.
+
+    A port where nobody listens is a ModbusConnectionError as soon as its host says
+    so (ICMP).
+    """
+
+    kind = socket.SOCK_DGRAM
+
+    def receive(self) -> list[bytes]:
+        datagrams: list[bytes] = []
+        try:
+            while len(datagrams) < DATAGRAMS:
+                datagrams.append(self._socket.recv(READ_SIZE))
+        except BlockingIOError:
+            pass
+        except OSError as error:
+            # What was received is worth more than the news that the port is closed now.
+            if not datagrams:
+                raise lost(error) from error
+        return datagrams
+
+    def send(self, adus: list[bytes], now: float) -> None:
+        for adu in adus:
+            try:
+                self._socket.send(adu)
+            except BlockingIOError:
+                return  # lost, as any datagram may be
+            except OSError as error:
+                raise lost(error) from error

@@ -1,0 +1,235 @@
+"""
+Steps that wait: a generator yields what it waits for, and whoever runs it decides how.
+
+`run` polls, for blocking clients; `run_async` uses the event loop. What the steps do
+is so written once: connecting, and whatever else takes turns with the other side.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import select
+import socket
+import threading
+import time
+from collections.abc import Generator
+from typing import Any, NamedTuple, TypeVar
+
+__all__ = [
+    "READ",
+    "WRITE",
+    "Ready",
+    "Resolve",
+    "Steps",
+    "Waker",
+    "Woken",
+    "milliseconds",
+    "resolve",
+    "run",
+    "run_async",
+]
+
+READ, WRITE = select.POLLIN, select.POLLOUT
+
+Result = TypeVar("Result")
+
+
+class Ready(NamedTuple):
+    """Wait until a descriptor is ready; False if the deadline (time.monotonic) comes first."""
+
+    descriptor: int
+    events: int
+    deadline: float
+
+
+class Resolve(NamedTuple):
+    """Look up a name; gives what getaddrinfo gives, or raises its OSError or TimeoutError."""
+
+    host: str
+    port: int
+    kind: socket.SocketKind
+    deadline: float
+
+
+Steps = Generator[Ready | Resolve, Any, Result]
+
+
+class Woken(Exception):
+    """Somebody wants the wait to end."""
+
+
+class Waker:
+    """
+    Ends the waits of another thread, or of the one that a signal handler interrupts.
+
+    Attributes:
+        descriptor: readable once `wake` was called; -1 when closed.
+    """
+
+    def __init__(self) -> None:
+        self.descriptor = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+        # Reentrant, for a signal handler may wake while its own thread does.
+        self._lock = threading.RLock()
+
+    def wake(self) -> None:
+        with self._lock:
+            if self.descriptor >= 0:
+                os.eventfd_write(self.descriptor, 1)
+
+    def close(self) -> None:
+        """Any number of times."""
+        with self._lock:
+            descriptor, self.descriptor = self.descriptor, -1
+            if descriptor >= 0:
+                os.close(descriptor)
+
+    __del__ = close
+
+    def forget(self) -> None:
+        """As `close`, in a forked child, where another thread may have held the lock."""
+        self._lock = threading.RLock()
+        self.close()
+
+    def wait(self, descriptor: int, events: int, deadline: float) -> bool:
+        """
+        Wait until a descriptor (-1 for none) is ready; False when the deadline comes first.
+
+        Raises:
+            Woken: by `wake`.
+        """
+        poll = select.poll()
+        poll.register(self.descriptor, READ)
+        if descriptor >= 0:
+            poll.register(descriptor, events)
+        ready = dict(poll.poll(milliseconds(deadline - time.monotonic())))
+        if self.descriptor in ready:
+            raise Woken
+        return descriptor in ready
+
+
+def milliseconds(seconds: float) -> int:
+    """Round up, for poll would spin on 0 until the deadline; a day is as good as for ever."""
+    return -int(-min(max(0.0, seconds), 86_400.0) * 1000 // 1)
+
+
+def run(steps: Steps[Result], waker: Waker) -> Result:
+    """
+    Run steps to their end.
+
+    Raises:
+        Woken: by the waker.
+    """
+    try:
+        wanted = next(steps)
+        while True:
+            try:
+                found = _wait(wanted, waker)
+            except OSError as error:
+                wanted = steps.throw(error)
+            else:
+                wanted = steps.send(found)
+    except StopIteration as done:
+        result: Result = done.value
+        return result
+    finally:
+        steps.close()
+
+
+def _wait(wanted: Ready | Resolve, waker: Waker) -> Any:
+    if isinstance(wanted, Resolve):
+        return _numeric(wanted) or _look_up(wanted, waker)
+    return waker.wait(*wanted)
+
+
+def _numeric(wanted: Resolve) -> list[Any]:
+    """An address needs no look-up, and so no thread."""
+    try:
+        return socket.getaddrinfo(
+            wanted.host, wanted.port, type=wanted.kind, flags=socket.AI_NUMERICHOST
+        )
+    except (OSError, UnicodeError):
+        return []
+
+
+def _look_up(wanted: Resolve, waker: Waker) -> list[Any]:
+    """In a thread of its own: nothing else ends a look-up before the system gives up."""
+    done = Waker()
+    found: list[Any] = []
+
+    def look_up() -> None:
+        try:
+            found.append(socket.getaddrinfo(wanted.host, wanted.port, type=wanted.kind))
+        except (OSError, UnicodeError) as error:
+            found.append(error)
+        done.wake()
+
+    threading.Thread(target=look_up, name="look-up", daemon=True).start()
+    if not waker.wait(done.descriptor, READ, wanted.deadline):
+        raise TimeoutError
+    if isinstance(found[0], Exception):
+        raise _as_os_error(found[0])
+    addresses: list[Any] = found[0]
+    return addresses
+
+
+def _as_os_error(error: Exception) -> OSError:
+    return error if isinstance(error, OSError) else OSError(None, str(error))
+
+
+async def run_async(steps: Steps[Result]) -> Result:
+    """Run steps to their end in the event loop; cancelling closes them."""
+    try:
+        wanted = next(steps)
+        while True:
+            try:
+                found = await _wait_async(wanted)
+            except OSError as error:
+                wanted = steps.throw(error)
+            else:
+                wanted = steps.send(found)
+    except StopIteration as done:
+        result: Result = done.value
+        return result
+    finally:
+        steps.close()
+
+
+async def _wait_async(wanted: Ready | Resolve) -> Any:
+    if isinstance(wanted, Resolve):
+        return _numeric(wanted) or await _look_up_async(wanted)
+    return await _ready(wanted)
+
+
+async def _look_up_async(wanted: Resolve) -> list[Any]:
+    loop = asyncio.get_running_loop()
+    try:
+        async with asyncio.timeout(wanted.deadline - time.monotonic()):
+            return await loop.getaddrinfo(wanted.host, wanted.port, type=wanted.kind)
+    except UnicodeError as error:
+        raise _as_os_error(error) from error
+
+
+def resolve(future: asyncio.Future[None]) -> None:
+    """Let whoever awaits it go on, if he still does."""
+    if not future.done():
+        future.set_result(None)
+
+
+async def _ready(wanted: Ready) -> bool:
+    loop = asyncio.get_running_loop()
+    ready = loop.create_future()
+    add, remove = (
+        (loop.add_reader, loop.remove_reader)
+        if wanted.events == READ
+        else (loop.add_writer, loop.remove_writer)
+    )
+    add(wanted.descriptor, resolve, ready)
+    try:
+        async with asyncio.timeout(wanted.deadline - time.monotonic()):
+            await ready
+    except TimeoutError:
+        return False
+    finally:
+        remove(wanted.descriptor)
+    return True
