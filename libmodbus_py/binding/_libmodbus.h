@@ -218,5 +218,12 @@ int answer_chunk(replier_t *replier, mapping_t *mapping, tally_t *tally, int uni
                  const uint8_t *data, int start, int end);
 
 /* Ours: exchange.c. */
-int exchange(modbus_t *context, int descriptor, int waker, const uint8_t *request, int size,
-             int milliseconds, uint8_t *answer, int room);
+typedef struct {
+    modbus_t *context;
+    uint8_t answer[...];
+    int got;
+    int error;
+} exchange_t;
+
+int exchange(exchange_t *exchange, int descriptor, int waker, int unit, int number,
+             const uint8_t *pdu, int size, double timeout);

@@ -26,11 +26,8 @@ except ImportError as error:
         ) from error
     raise ImportError(f"{NOT_BUILT} ({error})") from error
 
-__all__ = ["check", "exchange", "ffi", "lib", "loaded_version", "make"]
+__all__ = ["check", "ffi", "lib", "loaded_version", "make"]
 
-
-# More than a frame, so that what follows an answer shows.
-ANSWER_SIZE = 512
 
 _LIBRARY_ERRORS: dict[int, type[ModbusError]] = {
     lib.EMBBADCRC: FrameError,
@@ -67,35 +64,6 @@ def make(context: Any) -> Any:
     if context == ffi.NULL:
         check(-1)
     return ffi.gc(context, lib.modbus_free)
-
-
-def exchange(
-    context: Any, descriptor: int, waker: int, request: bytes, milliseconds: int
-) -> bytes | None:
-    """
-    Send a request and give the first bytes that come back, without the GIL.
-
-    Args:
-        context: the modbus_t of a serial port, or None for a socket.
-        waker: a descriptor that ends the wait when it is readable.
-        request: the whole frame; unit and PDU for a serial port.
-
-    Returns:
-        Nothing (b"") if the wait ended first; None if nothing was sent, for there was
-        something to read already.
-    """
-    answer = ffi.new("uint8_t[]", ANSWER_SIZE)
-    got = lib.exchange(
-        ffi.NULL if context is None else context,
-        descriptor,
-        waker,
-        request,
-        len(request),
-        milliseconds,
-        answer,
-        ANSWER_SIZE,
-    )
-    return None if got < 0 else bytes(ffi.buffer(answer, got))
 
 
 def loaded_version() -> tuple[int, int, int]:

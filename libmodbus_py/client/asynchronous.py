@@ -126,7 +126,9 @@ class AsyncClient(Handle[AsyncioDriver], Awaiting):
         Returns:
             What the method of the same name returns.
         """
-        patience = self._patience_for(timeout, retries)
+        patience = self._patience
+        if timeout is not None or retries is not None:
+            patience = self._patience_for(timeout, retries)
         batch = Batch(self.unit, [request], patience, is_broadcast=self._is_broadcast)
         await self._driver.run(batch)
         result: Result = batch.outcomes[0]

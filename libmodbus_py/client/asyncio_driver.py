@@ -46,6 +46,7 @@ class AsyncioDriver:
         self._resume: asyncio.TimerHandle | None = None
         self._is_writing = False
         self._is_reading = False
+        self._is_due = False
 
     async def run(self, batch: Batch) -> None:
         """
@@ -59,7 +60,11 @@ class AsyncioDriver:
         if not batch.is_done:
             done = loop.create_future()
             batch.on_done = partial(resolve, done)
-            self._turn()
+            if self._conversation.is_idle:
+                self._turn()
+            elif not self._is_due:  # all who ask in this turn of the loop go out together
+                self._is_due = True
+                loop.call_soon(self._turn)
             try:
                 await done
             finally:
@@ -110,6 +115,7 @@ class AsyncioDriver:
 
     def _turn(self) -> None:
         """Send what may be sent now, and see to it that the rest has its turn."""
+        self._is_due = False
         conversation = self._conversation
         now = monotonic()
         if not self._connection.is_open:
@@ -157,7 +163,10 @@ class AsyncioDriver:
 
     def _readable(self) -> None:
         self._read()
-        self._turn()
+        if self._conversation.is_wanted or self._conversation.broken is not None:
+            self._turn()
+        else:
+            self._set_timer()
 
     def _read(self) -> None:
         conversation = self._conversation

@@ -76,27 +76,21 @@ class Asked:
     Attributes:
         index: of the request in its batch.
         adu: what went out.
-        since: when.
-        used: seconds of its timeout that waiting for the connection took.
-        unit: who answered.
-        wrong: what came in place of its answer while the wait goes on.
+        since: when; earlier by what waiting for the connection took of its timeout.
     """
 
-    __slots__ = ("adu", "batch", "index", "since", "unit", "used", "wrong")
+    __slots__ = ("adu", "batch", "index", "since")
 
     def __init__(self, batch: Batch, index: int, adu: bytes, since: float) -> None:
         self.batch = batch
         self.index = index
         self.adu = adu
         self.since = since
-        self.used = batch.used
-        self.unit = batch.unit
-        self.wrong: ModbusError | None = None
 
     @property
     def deadline(self) -> float:
         """Computed anew each time, for a client's timeout may change meanwhile."""
-        return self.since + self.batch.patience.timeout - self.used
+        return self.since + self.batch.patience.timeout
 
 
 class Batch:
@@ -116,6 +110,7 @@ class Batch:
         go_on: whether the others are asked after one failed.
         outcomes: the result of each or its exception.
         started: how many were sent.
+        end: what comes from here on does not matter any more.
         repeated: how often each was, by index and whether the device was busy.
         in_flight: how many are waited for, or will be repeated.
         queued: whether it stands in the queue for its next request.
@@ -129,7 +124,7 @@ class Batch:
 
     # fmt: off
     __slots__ = (
-        "_end", "_open", "go_on", "in_flight", "is_done", "limit", "on_done", "outcomes",
+        "_open", "end", "go_on", "in_flight", "is_done", "limit", "on_done", "outcomes",
         "patience", "pdus", "queued", "refusal", "repeated", "requests", "silent", "since",
         "started", "unit", "used",
     )
@@ -167,15 +162,11 @@ class Batch:
         self.refusal: ModbusError | None = None
         self.on_done: Callable[[], object] | None = None
         self.is_done = False
-        self._end = self._open = len(requests)
-
-    @property
-    def has_next(self) -> bool:
-        return self.started < self._end
+        self.end = self._open = len(requests)
 
     def settle(self, index: int, outcome: Any) -> None:
         """Note what became of a request; not of one that does not matter any more."""
-        if index >= self._end or self.is_done:
+        if index >= self.end or self.is_done:
             return
         self.outcomes[index] = outcome
         self._open -= 1
@@ -188,14 +179,14 @@ class Batch:
 
     def _cut(self, end: int) -> None:
         """What comes from here on does not matter any more."""
-        self._open -= self.outcomes[end : self._end].count(NOT_ASKED)
-        self._end = end
+        self._open -= self.outcomes[end : self.end].count(NOT_ASKED)
+        self.end = end
 
     def finish(self) -> None:
         """Decide it; nothing of it matters any more."""
         if not self.is_done:
             self.is_done = True
-            self._end = 0
+            self.end = 0
             if self.on_done is not None:
                 self.on_done()
 

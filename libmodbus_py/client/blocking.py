@@ -15,7 +15,6 @@ from ..protocol.errors import InvalidResponse
 from .batch import MAX_IN_FLIGHT, Batch, raised
 from .blocking_driver import BlockingDriver
 from .handle import Handle
-from .libmodbus import Shortcut
 from .options import ContextOptions, Settings, assembled
 from .plan import Items, Key, Plan, PlanOptions, planned
 from .requests import Blocking
@@ -69,10 +68,10 @@ class Context(Handle[BlockingDriver], Blocking):
     def __init__(self, endpoint: Endpoint, options: Mapping[str, Any]) -> None:
         settings = Settings.of(endpoint, options, native=True)
         parts = assembled(endpoint, settings, MAX_IN_FLIGHT)
-        knows_framing = endpoint.scheme in ("tcp", "rtu") and not endpoint.options.get("echo")
+        # ASCII, echoes and pauses are for the conversation.
         is_paced = settings.request_spacing or settings.connect_delay
-        may_be_short = settings.native and knows_framing and not is_paced
-        driver = BlockingDriver(parts, Shortcut(parts) if may_be_short else None)
+        is_plain = endpoint.framing != "ascii" and not endpoint.options.get("echo")
+        driver = BlockingDriver(parts, settings.native, is_plain and not is_paced)
         super().__init__(parts, settings, driver)
 
     @staticmethod
@@ -145,8 +144,11 @@ class Context(Handle[BlockingDriver], Blocking):
         Returns:
             What the method of the same name returns.
         """
-        patience = self._patience_for(timeout, retries)
-        result: Result = self._driver.ask(self.unit, request, patience, self._is_broadcast)
+        patience = self._patience
+        if timeout is not None or retries is not None:
+            patience = self._patience_for(timeout, retries)
+        is_broadcast = self._has_broadcast and self.unit == 0
+        result: Result = self._driver.ask(self.unit, request, patience, is_broadcast)
         return result
 
     def execute_many(

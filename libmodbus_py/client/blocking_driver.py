@@ -7,14 +7,12 @@ Here are threads, forks, signals and the lock; what is asked and answered is dec
 
 from __future__ import annotations
 
-import contextlib
 import errno
 import os
 import select
 import threading
 import time
 import weakref
-from collections.abc import Iterator
 from time import monotonic
 from typing import Any
 
@@ -41,14 +39,15 @@ class BlockingDriver:
 
     Args:
         parts: of the client.
-        shortcut: the short way, or None.
+        native: whether C carries what may go the short way.
+        is_short: whether anything may.
     """
 
-    def __init__(self, parts: Parts, shortcut: Shortcut | None) -> None:
+    def __init__(self, parts: Parts, native: bool, is_short: bool) -> None:
         self._port = parts.port
         self._conversation = parts.conversation
         self._connection = parts.connection
-        self._shortcut = shortcut
+        self._shortcut = Shortcut(parts, native) if is_short else None
         self._closed = False
         self._start_anew()
         _drivers.add(self)
@@ -72,8 +71,13 @@ class BlockingDriver:
         Raises:
             RuntimeError: from within a request of the same thread.
         """
-        with self._turn():
-            self._run(batch)
+        with self._lock:
+            self._begin()
+            try:
+                self._conversation.add(batch, monotonic())
+                self._drive(batch)
+            finally:
+                self._end()
 
     def ask(self, unit: int, request: Request[Any], patience: Patience, broadcast: bool) -> Any:
         """
@@ -83,29 +87,43 @@ class BlockingDriver:
             ModbusError: what became of it.
             TypeError, ValueError, RuntimeError: nothing was sent.
         """
-        with self._turn():
-            if self._shortcut is not None and not broadcast and self._conversation.is_plain:
-                batch, outcome = self._ask_shortly(unit, request, patience)
-                if batch is None:
-                    return outcome
-            else:
-                batch = Batch(unit, [request], patience, is_broadcast=broadcast)
-                self._conversation.add(batch, monotonic())
-            self._drive(batch)
+        with self._lock:
+            self._begin()
+            try:
+                if self._shortcut is not None and not broadcast and self._conversation.is_plain:
+                    batch, outcome = self._shortcut.ask(
+                        unit, request, patience, self._waker.descriptor, self._is_ready
+                    )
+                    if batch is None:
+                        return outcome
+                    if outcome is not None:
+                        self._lose(outcome, by_itself=True)
+                else:
+                    batch = Batch(unit, [request], patience, is_broadcast=broadcast)
+                    self._conversation.add(batch, monotonic())
+                self._drive(batch)
+            except Exception:
+                raise
+            except BaseException:  # Ctrl-C: who knows what went out
+                self._interrupt()
+                raise
+            finally:
+                self._end()
         raised(batch.outcomes)
         return batch.outcomes[0]
 
-    def _ask_shortly(
-        self, unit: int, request: Request[Any], patience: Patience
-    ) -> tuple[Batch | None, Any]:
-        assert self._shortcut is not None
-        try:
-            return self._shortcut.ask(unit, request, patience, self._waker.descriptor)
-        except (TypeError, ValueError):  # nothing was sent
-            raise
-        except BaseException:
-            self._interrupt()
-            raise
+    def _begin(self) -> None:
+        if self._is_busy:
+            raise RuntimeError(
+                "a request of this thread is under way on the same connection: a signal "
+                "handler or a callback must not ask here"
+            )
+        self._is_busy = True
+
+    def _end(self) -> None:
+        self._is_busy = False
+        if self._closed:
+            self._shut()
 
     def change_timeout(self) -> None:
         """Some `Patience` has changed."""
@@ -133,22 +151,6 @@ class BlockingDriver:
             gone = ModbusConnectionError("this process was forked off", errno=errno.EBADF)
             self._conversation.lost(gone, monotonic(), by_itself=False)
 
-    @contextlib.contextmanager
-    def _turn(self) -> Iterator[None]:
-        with self._lock:
-            if self._is_busy:
-                raise RuntimeError(
-                    "a request of this thread is under way on the same connection: a signal "
-                    "handler or a callback must not ask here"
-                )
-            self._is_busy = True
-            try:
-                yield
-            finally:
-                self._is_busy = False
-                if self._closed:
-                    self._shut()
-
     def _shut(self) -> None:
         self._port.close()
         closed = ModbusConnectionError("this client is closed", errno=errno.EBADF)
@@ -156,10 +158,6 @@ class BlockingDriver:
         self._waker.close()
 
     # --- one batch ------------------------------------------------------------------------
-
-    def _run(self, batch: Batch) -> None:
-        self._conversation.add(batch, monotonic())
-        self._drive(batch)
 
     def _drive(self, batch: Batch) -> None:
         try:

@@ -32,7 +32,7 @@ from .hints import explain, shown
 from .reconnecting import Reconnecting
 from .trace import Trace
 
-__all__ = ["MAX_UNASKED", "Conversation", "Pace", "no_answer"]
+__all__ = ["MAX_UNASKED", "Conversation", "Found", "Pace", "no_answer"]
 
 BUSY = (Acknowledge, ServerDeviceBusy)
 
@@ -97,6 +97,7 @@ class Conversation(ABC):
         self._is_socket = endpoint.transport != "serial"
         self._pace = pace
         self._trace = trace
+        self._is_traced = False
         self._framer = self._make_framer()
         self._half = (limit + 1) // 2
         self._room = limit
@@ -127,6 +128,14 @@ class Conversation(ABC):
         batch.limit = min(batch.limit, self.limit)
         batch.queued = True
         self._queue.append(batch)
+
+    def adopt(self, batch: Batch, adu: bytes, now: float) -> None:
+        """Wait for the answer to the only request of a batch, which was sent already."""
+        batch.started = batch.in_flight = 1
+        self._room -= 1
+        self._wake(now + batch.patience.timeout)
+        self._note_starts(1, now)
+        self._register(batch, adu, now)
 
     def abandon(self, batch: Batch, now: float) -> None:
         """Nobody waits any more: late answers are dropped, and count as missing until they come."""
@@ -200,7 +209,7 @@ class Conversation(ABC):
         if not batch.pdus:
             batch.refusal = self._completed(alike(error), batch, None, b"")
             batch.finish()
-        while batch.has_next:
+        while batch.started < batch.end:
             self._fail_next(batch, error)
 
     def _fail_next(self, batch: Batch, error: ModbusError) -> None:
@@ -222,11 +231,10 @@ class Conversation(ABC):
 
     def start(self, now: float) -> list[bytes]:
         """Give what to send now: half of what may be in flight, for the rest may follow answers."""
-        is_ready = self.connection.is_open and self.broken is None
-        if not (is_ready and self._room > 0 and self.is_wanted):
+        if not (self._queue or self._repeats) or self._room <= 0 or self.broken is not None:
             return []
-        if self._found and self.limit == 1:
-            return []  # what came belongs to the request that it answers
+        if not self.connection.is_open or (self._found and self.limit == 1):
+            return []  # what came on a line belongs to the request that it answers
         if self._is_spent():
             if self.is_idle:
                 self.broken = ModbusConnectionError("given up for a new connection")
@@ -234,13 +242,40 @@ class Conversation(ABC):
         if now < self._next_start:
             self._wake(self._next_start)
             return []
-        adus = self._start_some(
-            1 if self._pace.request_spacing else min(self._room, self._half), now
-        )
-        if adus and self._pace.request_spacing:
+        self._is_traced = self._trace.is_on
+        adus: list[bytes] = []
+        if self._repeats:
+            self._start_repeats(adus, now)
+        self._start_queue(adus, now)
+        if adus:
+            self._note_starts(len(adus), now)
+        return adus
+
+    def _is_spent(self) -> bool:
+        """Whether no request should go over this connection any more."""
+        return self._is_socket and self._unanswered >= self._pace.timeouts_before_reconnect
+
+    def _note_starts(self, count: int, now: float) -> None:
+        self.statistics.requests += count
+        self._unasked = 0
+        self.is_flooded = False
+        if self._pace.request_spacing:
             self._next_start = now + self._pace.request_spacing
             self._wake(self._next_start)
-        return adus
+
+    def _start_queue(self, adus: list[bytes], now: float) -> None:
+        room = self._window()
+        while room > 0 and (batch := self._pick(now)) is not None:
+            # The others of the queue have their turn before the next one of this batch.
+            most = 1 if self._queue else room
+            count = min(most, batch.limit - batch.in_flight, batch.end - batch.started)
+            self._wake(now + batch.patience.timeout - batch.used)
+            for index in range(batch.started, batch.started + count):
+                adus.append(self._start(batch, index, now))
+            batch.started += count
+            batch.in_flight += count
+            room -= count
+            self._enqueue(batch)
 
     def _window(self) -> int:
         """How many may start at once."""
@@ -249,104 +284,80 @@ class Conversation(ABC):
         first = self._queue[0].limit if self._queue else 1
         return min(self._room, self._half if first == 1 else (first + 1) // 2)
 
-    def _is_spent(self) -> bool:
-        """Whether no request should go over this connection any more."""
-        return self._is_socket and self._unanswered >= self._pace.timeouts_before_reconnect
-
-    def _start_some(self, room: int, now: float) -> list[bytes]:
-        adus: list[bytes] = []
-        while len(adus) < room and (next_one := self._next_repeat(now) or self._next(now)):
-            batch, index = next_one
-            asked = self._begin(batch, index, now)
-            adus.append(asked.adu)
-            self._note_start(asked, now)
-        return adus
-
-    def _note_start(self, asked: Asked, now: float) -> None:
-        batch = asked.batch
-        batch.used = 0.0
-        self._room -= 1
-        self._unasked = 0
-        self.is_flooded = False
-        self.statistics.requests += 1
-        if batch.silent and batch.silent[asked.index]:
-            self._silent.append((now + self._pace.turnaround, asked))
-            self._wake(now + self._pace.turnaround)
-        else:
-            self._wake(asked.deadline)
-        if self._trace.is_on:
-            self._trace.tell("sent", asked.adu, batch.unit, batch.pdus[asked.index][0])
-
-    def _next(self, now: float) -> tuple[Batch, int] | None:
-        """The next request of whose turn it is; the others of the queue come before its next."""
-        batch = self._pick(now)
-        if batch is None:
-            return None
-        index = batch.started
-        batch.started += 1
-        batch.in_flight += 1
-        batch.queued = batch.has_next and batch.in_flight < batch.limit
+    def _enqueue(self, batch: Batch) -> None:
+        batch.queued = batch.in_flight < batch.limit and batch.started < batch.end
         if batch.queued:
             self._queue.append(batch)
-        return batch, index
+
+    def _start(self, batch: Batch, index: int, now: float) -> bytes:
+        asked = self._begin(batch, index, now)
+        batch.used = 0.0
+        self._room -= 1
+        if batch.silent and batch.silent[index]:
+            self._silent.append((now + self._pace.turnaround, asked))
+            self._wake(now + self._pace.turnaround)
+        if self._is_traced:
+            self._trace.tell("sent", asked.adu, batch.unit, batch.pdus[index][0])
+        return asked.adu
 
     def _pick(self, now: float) -> Batch | None:
         """Take a batch with a request that may start out of the queue."""
         while self._queue:
             batch = self._queue.popleft()
-            if batch.has_next:
+            if batch.started < batch.end:
                 return batch
             batch.queued = False
         return None
 
-    def _next_repeat(self, now: float) -> tuple[Batch, int] | None:
-        for place, (due, batch, index) in enumerate(self._repeats):
-            if due > now:
-                self._wake(due)
-            elif self._may_ask(batch.unit, now):
-                del self._repeats[place]
-                self.statistics.retries += 1
-                return batch, index
-        return None
+    def _start_repeats(self, adus: list[bytes], now: float) -> None:
+        waiting, self._repeats = self._repeats, []
+        for repeat in waiting:
+            due, batch, index = repeat
+            if due > now or self._room <= 0 or not self._may_ask(batch.unit, now):
+                self._repeats.append(repeat)
+                self._wake(due if due > now else self.alarm)
+                continue
+            self.statistics.retries += 1
+            self._wake(now + batch.patience.timeout - batch.used)
+            adus.append(self._start(batch, index, now))
 
     def _may_ask(self, unit: int, now: float) -> bool:
         return True
 
     def take(self, data: bytes, now: float) -> bool:
         """Take received bytes; says whether they settle anything, and slots are free again."""
+        before = len(self._found)
         self._take(data, now)
-        return bool(self._found)
+        for asked, what in self._found[before:]:
+            self._free(asked, what)
+        return len(self._found) > 0
 
-    def settle(self, now: float) -> bool:
-        """Decode what came and tell the callers; says whether anybody was told."""
+    def _free(self, asked: Asked, what: Found) -> None:
+        """Give back the slot, and the place in its batch, unless its next one depends on it."""
+        self._room += 1
+        batch = asked.batch
+        if batch.limit > 1 and isinstance(what, bytes) and what[0] < 0x80:
+            batch.in_flight -= 1
+            if not batch.queued:
+                self._enqueue(batch)
+
+    def settle(self, now: float) -> None:
+        """Decode what came and tell the callers."""
         if not self._found:
-            return False
+            return
         found, self._found = self._found, []
         before = self.statistics.responses
         for asked, what in found:
-            if asked.batch.limit == 1 or not _is_good(what):
-                self._release(asked.batch)
-            if not asked.batch.is_done:
+            batch = asked.batch
+            if batch.limit == 1 or not isinstance(what, bytes) or what[0] >= 0x80:
+                batch.in_flight -= 1
+                if not batch.queued:
+                    self._enqueue(batch)
+            if not batch.is_done:
                 self._conclude(asked, what, now)
         if self.statistics.responses > before:
             self.connection.prove()
             self.statistics.last_success = now
-        return True
-
-    def _answer(self, asked: Asked, what: Found) -> None:
-        """A request has come to its end, and its slot is free."""
-        self._room += 1
-        self._found.append((asked, what))
-        # Not if the next request depends on what became of this one.
-        if asked.batch.limit > 1 and _is_good(what):
-            self._release(asked.batch)
-
-    def _release(self, batch: Batch) -> None:
-        """A request of the batch is no longer in flight: its next one may queue up."""
-        batch.in_flight -= 1
-        if not batch.queued and batch.has_next:
-            batch.queued = True
-            self._queue.append(batch)
 
     def _conclude(self, asked: Asked, what: Found, now: float) -> None:
         batch, index = asked.batch, asked.index
@@ -363,8 +374,9 @@ class Conversation(ABC):
                 batch.settle(index, error)
             else:
                 self.statistics.responses += 1
-                self._follow(batch.requests[index])
                 batch.settle(index, outcome)
+                if self.limit == 1:
+                    self._follow(batch.requests[index])
         if batch.is_done and batch.in_flight:
             self._let_go(batch, now)
 
@@ -415,23 +427,28 @@ class Conversation(ABC):
     def tick(self, now: float) -> None:
         """Give up what has been waited for too long; `settle` tells the callers."""
         self.alarm = math.inf
+        before = len(self._found)
+        self._note_quiet(now)
         self._end_silent(now)
         if self.connection.is_open:
             overdue = self._overdue(now)
             self.statistics.timeouts += len(overdue)
-            for asked, error in overdue:
-                self._unanswered += asked.since >= self._answered_at
-                self._answer(asked, error)
+            self._unanswered += sum(asked.since >= self._answered_at for asked, _ in overdue)
+            self._found += overdue
         else:
             self._end_waits(now)
+        for asked, what in self._found[before:]:
+            self._free(asked, what)
 
     def _end_silent(self, now: float) -> None:
         over = [asked for due, asked in self._silent if due <= now]
         self._silent = [each for each in self._silent if each[0] > now]
         for asked in over:
             self._room += 1
-            self._release(asked.batch)
+            asked.batch.in_flight -= 1
             asked.batch.settle(asked.index, None)
+            if not asked.batch.queued:
+                self._enqueue(asked.batch)
         for due, _ in self._silent:
             self._wake(due)
 
@@ -498,12 +515,11 @@ class Conversation(ABC):
         """Whether the next answer can only be that to the next request: nothing else may come."""
 
     @abstractmethod
-    def adopt(self, batch: Batch, adu: bytes, now: float) -> None:
-        """Wait for the answer to the first request of a batch, which was sent already."""
+    def next_number(self) -> int:
+        """Give the id of a request that somebody else will send; 0 where there are none."""
 
     @abstractmethod
-    def next_adu(self, unit: int, pdu: bytes) -> bytes:
-        """Give the frame of a request that somebody else will send."""
+    def _register(self, batch: Batch, adu: bytes, now: float) -> None: ...
 
     @abstractmethod
     def _make_framer(self) -> Framer: ...
@@ -519,7 +535,7 @@ class Conversation(ABC):
         """Give the bytes in which a PDU came."""
 
     @abstractmethod
-    def _overdue(self, now: float) -> list[tuple[Asked, ModbusError]]:
+    def _overdue(self, now: float) -> list[tuple[Asked, Found]]:
         """Give up what has been waited for too long, and wake for the rest."""
 
     @abstractmethod
@@ -528,16 +544,14 @@ class Conversation(ABC):
     @abstractmethod
     def _forget(self, now: float) -> list[Asked]: ...
 
+    def _note_quiet(self, now: float) -> None:  # noqa: B027  # silence means nothing with ids
+        """Look at what silence has ended, and wake for it."""
+
     def _doubt(self, batch: Batch, now: float) -> None:  # noqa: B027  # none with ids
         """An answer is missing, or turned out to be none."""
 
     def _follow(self, request: Any) -> None:  # noqa: B027  # most lines stay as they are
         """A request was answered; some change the line."""
-
-
-def _is_good(what: Found) -> bool:
-    """Whether it is an answer, and no refusal, which may be the end."""
-    return isinstance(what, bytes) and not what[0] & 0x80
 
 
 def no_answer(timeout: float, received: bytes) -> ModbusTimeoutError:

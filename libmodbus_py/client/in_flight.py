@@ -8,9 +8,9 @@ import copy
 from typing import Any
 
 from ..protocol.errors import FrameError, InvalidResponse, ModbusConnectionError, ModbusError
-from ..protocol.framing import Frame, Framer, make_framer
+from ..protocol.framing import Frame, Framer, make_framer, mbap
 from .batch import Asked, Batch
-from .conversation import Conversation, no_answer
+from .conversation import Conversation, Found, no_answer
 
 __all__ = ["InFlight"]
 
@@ -38,6 +38,10 @@ class InFlight(Conversation):
         self._abandoned: dict[int, None] = {}
         self._rest = b""
         self._strays = b""
+        # Id -> what came in place of its answer while the wait goes on.
+        self._wrong: dict[int, FrameError] = {}
+        # Id -> who answered, where that may be anybody.
+        self._units: dict[int, int] = {}
         super().__init__(*args, **options)
 
     def _make_framer(self) -> Framer:
@@ -60,45 +64,52 @@ class InFlight(Conversation):
         """Also when half a frame was left, which the next answer would be taken into."""
         return super()._is_spent() or (self._rest != b"" and not self._asked)
 
-    def next_adu(self, unit: int, pdu: bytes) -> bytes:
+    def next_number(self) -> int:
+        """Give an id that no request in flight has, and no answer that may still come."""
         number = self._last + 1 & 0xFFFF
         while number in self._asked or number in self._abandoned:
             number = number + 1 & 0xFFFF
         self._last = number
-        return self._framer.encode(Frame(unit, pdu, number))
+        return number
 
-    def adopt(self, batch: Batch, adu: bytes, now: float) -> None:
-        batch.started = batch.in_flight = 1
-        asked = Asked(batch, 0, adu, now)
-        self._asked[int.from_bytes(adu[:2], "big")] = asked
+    def _register(self, batch: Batch, adu: bytes, now: float) -> None:
         self._strays = b""
-        self._note_start(asked, now)
+        self._asked[int.from_bytes(adu[:2], "big")] = Asked(batch, 0, adu, now)
 
     def _begin(self, batch: Batch, index: int, now: float) -> Asked:
         if not self._asked:
             self._strays = b""
-        asked = Asked(batch, index, self.next_adu(batch.unit, batch.pdus[index]), now)
+            self._wrong.clear()
+            self._units.clear()
+        number = self.next_number()
+        adu = mbap(number, batch.unit, batch.pdus[index])
+        asked = Asked(batch, index, adu, now - batch.used)
         if not (batch.silent and batch.silent[index]):
-            self._asked[self._last] = asked
+            self._asked[number] = asked
         return asked
 
     def _take(self, data: bytes, now: float) -> None:
         is_on = self._trace.is_on
+        answers = 0
         for each in self._framer.scan(data):
             if isinstance(each, FrameError):
                 self._blame(each)
                 continue
+            unit, pdu, number = each
             if is_on:
-                self._trace.tell("received", self._framer.encode(each), each.unit, each.pdu[0])
-            asked = self._asked.pop(each.transaction, None)
+                self._trace.tell("received", self._framer.encode(each), unit, pdu[0])
+            asked = self._asked.pop(number, None)
             if asked is None:
                 self._drop(each, now)
-            elif asked.batch.unit == each.unit or self._any_unit:
-                self._note_life(now)
-                asked.unit = each.unit
-                self._answer(asked, each.pdu)
+            elif asked.batch.unit == unit or self._any_unit:
+                answers += 1
+                if self._any_unit:
+                    self._units[number] = unit
+                self._found.append((asked, pdu))
             else:
-                self._answer(asked, self._other_unit(each))
+                self._found.append((asked, self._other_unit(each)))
+        if answers:
+            self._note_life(now)
         pending = self._framer.pending
         self._rest = (self._rest + data)[-pending:] if pending else b""
 
@@ -133,22 +144,22 @@ class InFlight(Conversation):
                 self.broken = ModbusConnectionError("closed, for what came cannot be understood")
             asked, self._asked = self._asked, {}
             for each in asked.values():
-                self._answer(each, copy.copy(error))
+                self._found.append((each, copy.copy(error)))
         elif self._framing == "udp":
             self._keep_stray(error.received)  # the next datagram may be the right one
-        elif (one := self._asked.get(int.from_bytes(error.received[:2], "big"))) is not None:
-            one.wrong = error  # a better one may follow
+        else:  # a better one may follow
+            self._wrong[int.from_bytes(error.received[:2], "big")] = error
         if not self._asked:
             self._note_unasked(len(error.received))
 
-    def _overdue(self, now: float) -> list[tuple[Asked, ModbusError]]:
-        overdue: list[tuple[Asked, ModbusError]] = []
+    def _overdue(self, now: float) -> list[tuple[Asked, Found]]:
+        overdue: list[tuple[Asked, Found]] = []
         for number, asked in list(self._asked.items()):
             if asked.deadline > now:
                 self._wake(asked.deadline)
                 continue
             self._abandon(number)
-            overdue.append((asked, asked.wrong or self._no_answer(asked)))
+            overdue.append((asked, self._wrong.get(number) or self._no_answer(asked)))
         return overdue
 
     def _no_answer(self, asked: Asked) -> ModbusError:
@@ -170,7 +181,7 @@ class InFlight(Conversation):
 
     def _received_with(self, asked: Asked, pdu: bytes) -> bytes:
         number = int.from_bytes(asked.adu[:2], "big")
-        frame = self._framer.encode(Frame(asked.unit, pdu, number))
+        frame = mbap(number, self._units.get(number, asked.batch.unit), pdu)
         return frame if self._asked else frame + self._rest
 
     def _give_up(self, batch: Batch, now: float) -> int:

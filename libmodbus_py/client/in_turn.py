@@ -15,7 +15,7 @@ from ..protocol.errors import FrameError, InvalidResponse, ModbusError
 from ..protocol.framing import AsciiFramer, Frame, Framer, make_framer
 from ..protocol.pdu import Diagnostics, SubFunction
 from .batch import Asked, Batch
-from .conversation import Conversation, no_answer
+from .conversation import Conversation, Found, no_answer
 
 __all__ = ["InTurn"]
 
@@ -36,6 +36,7 @@ class InTurn(Conversation):
         self._silence = silence
         self._delimiter = delimiter
         self._asked: Asked | None = None
+        self._wrong: ModbusError | None = None  # what came in place of its answer so far
         self._received = bytearray()
         self._late = bytearray()
         self._quiet_at: float | None = None
@@ -64,12 +65,11 @@ class InTurn(Conversation):
             or self._silent
         )
 
-    def next_adu(self, unit: int, pdu: bytes) -> bytes:
-        return self._framer.encode(Frame(unit, pdu))
+    def next_number(self) -> int:
+        return 0
 
-    def adopt(self, batch: Batch, adu: bytes, now: float) -> None:
-        batch.started = batch.in_flight = 1
-        self._note_start(self._ask(batch, 0, adu, now), now)
+    def _register(self, batch: Batch, adu: bytes, now: float) -> None:
+        self._ask(batch, 0, adu, now)
 
     def opened(self, now: float) -> None:
         self._is_exact = self._is_noisy = False
@@ -82,7 +82,7 @@ class InTurn(Conversation):
             self._wake(self._silence.over_at)
             return None
         for batch in list(self._queue):
-            if not batch.has_next:
+            if batch.started == batch.end:
                 self._queue.remove(batch)
                 batch.queued = False
             elif self._may_ask(batch.unit, now):
@@ -122,7 +122,8 @@ class InTurn(Conversation):
     def _begin(self, batch: Batch, index: int, now: float) -> Asked:
         if self._is_noisy or self._framer.pending:
             self._framer = self._make_framer()
-        return self._ask(batch, index, self.next_adu(batch.unit, batch.pdus[index]), now)
+        adu = self._framer.encode(Frame(batch.unit, batch.pdus[index]))
+        return self._ask(batch, index, adu, now)
 
     def _ask(self, batch: Batch, index: int, adu: bytes, now: float) -> Asked:
         self._end_doubt(batch.unit)
@@ -130,7 +131,8 @@ class InTurn(Conversation):
         self._late.clear()
         self._quiet_at = None
         self._silence.sent(len(adu), now)
-        asked = Asked(batch, index, adu, now)
+        self._wrong = None
+        asked = Asked(batch, index, adu, now - batch.used)
         if not (batch.silent and batch.silent[index]):
             self._asked = asked
         return asked
@@ -153,7 +155,7 @@ class InTurn(Conversation):
         self._received += data[: MAX_KEPT - len(self._received)]
         self._judge(self._framer.scan(data), now)
         if self._asked is not None:
-            if self._framer.pending or self._asked.wrong:
+            if self._framer.pending or self._wrong:
                 self._quiet_at = now + (self._framer.quiet or 0.0)
                 self._wake(self._quiet_at)
             if not self._framer.pending:
@@ -185,7 +187,7 @@ class InTurn(Conversation):
                     self._note_other(asked, each.unit, now)
                 elif self._is_echo(asked, each.pdu):
                     self._is_noisy = True
-                    asked.wrong = InvalidResponse("the request itself came back; echo=True?")
+                    self._wrong = InvalidResponse("the request itself came back; echo=True?")
                 else:
                     self._end(asked, each.pdu, now)
 
@@ -193,7 +195,7 @@ class InTurn(Conversation):
         self.statistics.invalid += 1
         self._is_noisy = True
         if self._asked is not None:
-            self._asked.wrong = error
+            self._wrong = error
         if self._trace.is_on:
             self._trace.tell("received", error.received)
 
@@ -206,7 +208,7 @@ class InTurn(Conversation):
             self._doubts[unit] = now + timeout, timeout
         else:
             self.statistics.invalid += 1
-            asked.wrong = InvalidResponse(f"unit {unit} answered")
+            self._wrong = InvalidResponse(f"unit {unit} answered")
 
     def _is_echo(self, asked: Asked, pdu: bytes) -> bool:
         """Whether it is the request, and no answer that repeats it as some do."""
@@ -221,8 +223,8 @@ class InTurn(Conversation):
     def _end_if_damaged(self, now: float) -> None:
         """Noise does not end the wait, for an answer may follow; a damaged answer does."""
         asked = self._asked
-        if asked is not None and isinstance(asked.wrong, FrameError) and self._is_damaged(asked):
-            self._end(asked, asked.wrong, now)
+        if asked is not None and isinstance(self._wrong, FrameError) and self._is_damaged(asked):
+            self._end(asked, self._wrong, now)
 
     def _is_damaged(self, asked: Asked) -> bool:
         rest = bytes(self._received)
@@ -242,21 +244,22 @@ class InTurn(Conversation):
             what.received = bytes(self._received)
         else:
             self._note_life(now)
-            self._is_exact = asked.wrong is None and not self._framer.pending
-        self._answer(asked, what)
+            self._is_exact = self._wrong is None and not self._framer.pending
+        self._found.append((asked, what))
 
     # --- time ---------------------------------------------------------------------------------
 
-    def tick(self, now: float) -> None:
-        if self._quiet_at is not None and self._quiet_at <= now and self._asked is not None:
-            self._quiet_at = None
-            self._judge(self._framer.scan_silence(), now)
-            self._end_if_damaged(now)
-        super().tick(now)
-        if self._quiet_at is not None:
+    def _note_quiet(self, now: float) -> None:
+        if self._quiet_at is None or self._asked is None:
+            return
+        if self._quiet_at > now:
             self._wake(self._quiet_at)
+            return
+        self._quiet_at = None
+        self._judge(self._framer.scan_silence(), now)
+        self._end_if_damaged(now)
 
-    def _overdue(self, now: float) -> list[tuple[Asked, ModbusError]]:
+    def _overdue(self, now: float) -> list[tuple[Asked, Found]]:
         asked = self._asked
         if asked is None:
             return []
@@ -265,7 +268,7 @@ class InTurn(Conversation):
             return []
         self._asked = None
         received = bytes(self._received)
-        error = asked.wrong or no_answer(asked.batch.patience.timeout, received)
+        error = self._wrong or no_answer(asked.batch.patience.timeout, received)
         error.received = received
         return [(asked, error)]
 

@@ -377,11 +377,8 @@ def _ranges(name: str, given: Any) -> list[range]:
         if not 0 <= given <= TABLE_SIZE:
             raise ValueError(f"{name} must be in 0..{TABLE_SIZE}, not {given}")
         return [range(given)]
-    found: list[Any]
-    if isinstance(given, Iterable) and not isinstance(given, range):
-        found = list(given)
-    else:
-        found = [given]
+    several = isinstance(given, Iterable) and not isinstance(given, range)
+    found: list[Any] = list(given) if several else [given]  # pyright: ignore[reportArgumentType]
     if all(isinstance(each, range) for each in found):
         return found
     wanted = "a count, ranges of addresses or {address: values}"

@@ -169,6 +169,12 @@ class Framer(ABC):
 
 
 _HEADER = struct.Struct(">HHH")
+_PREFIX = struct.Struct(">HHHB")
+
+
+def mbap(transaction: int, unit: int, pdu: bytes) -> bytes:
+    """Put a header before a PDU, unchecked."""
+    return _PREFIX.pack(transaction, 0, 1 + len(pdu), unit) + pdu
 
 
 class TcpFramer(Framer):
@@ -190,10 +196,10 @@ class TcpFramer(Framer):
             ValueError: unit, transaction or length out of range.
         """
         unit, pdu, transaction = _check(frame)
-        return struct.pack(">HHHB", transaction, 0, 1 + len(pdu), unit) + pdu
+        return mbap(transaction, unit, pdu)
 
     def _scan(self) -> None:
-        buffer, start = self._buffer, 0
+        buffer, start, found = self._buffer, 0, self._found
         while self.in_step and len(buffer) - start >= 6:
             transaction, protocol, length = _HEADER.unpack_from(buffer, start)
             end = start + 6 + length
@@ -206,11 +212,12 @@ class TcpFramer(Framer):
             elif protocol != 0:
                 self._report(f"header with protocol {protocol}, not 0", buffer[start:end])
             else:
-                pdu = bytes(buffer[start + 7 : end])
-                self._found.append(Frame(buffer[start + 6], pdu, transaction))
+                unit, pdu = buffer[start + 6], bytes(buffer[start + 7 : end])
+                # As Frame(unit, pdu, transaction), in half the time: bulk reads do little else.
+                found.append(tuple.__new__(Frame, (unit, pdu, transaction)))
             start = end
         del buffer[:start]
-        if not self.in_step and not self._found:
+        if not self.in_step and not found:
             self._reject("stream out of step", len(buffer))
 
     def _scan_silence(self) -> None:

@@ -45,7 +45,7 @@ from libmodbus_py import (
     TcpContext,
     pdu,
 )
-from libmodbus_py.binding.low_level import loaded_version
+from libmodbus_py.binding.low_level import lib, loaded_version
 from libmodbus_py.client import libmodbus as shortcut
 from libmodbus_py.testing.wires import SerialWire
 
@@ -376,12 +376,13 @@ def test_native_context_takes_the_short_way_with_what_libmodbus_has(
 ) -> None:
     ways: list[int] = []
 
-    def counted(*arguments: Any) -> bytes | None:
-        ways.append(arguments[3][0])
-        return exchange(*arguments)
+    class Counting:
+        @staticmethod
+        def exchange(*arguments: Any) -> int:
+            ways.append(arguments[5][0])
+            return lib.exchange(*arguments)
 
-    exchange = shortcut.exchange
-    monkeypatch.setattr(shortcut, "exchange", counted)
+    monkeypatch.setattr(shortcut, "lib", Counting)
     options: dict[str, Any] = {"unit": UNIT, "timeout": TIMEOUT}
     with our_server(transport, {UNIT: make_device()}) as place:
         for native in (True, False):
