@@ -17,7 +17,7 @@ from typing import Any
 
 from ..binding.low_level import loaded_version
 from ..client.blocking import AsciiContext, Context, RtuContext, TcpContext
-from ..client.libmodbus import KNOWN
+from ..client.shortcut import KNOWN
 from ..device.device import Device
 from ..device.mapping import Mapping
 from ..protocol import pdu
@@ -143,7 +143,8 @@ def _show(line: str, example: Example, context: Context, wire: Any) -> bool:
         answer = example.show(context.execute(example.request))
     except ExceptionResponse as refusal:
         answer = f"refused: {refusal.args[0]}"
-    carrier = "libmodbus" if line != "ASCII" and example.request.function in KNOWN else "Python"
+    is_known = bytes([example.request.function]) in KNOWN
+    carrier = "C" if line != "ASCII" and is_known else "Python"
     print(f"\n  {_bold(example.title)}")
     _row("function", f"{example.request.function}, carried by {carrier}")
     _row("request", _wire_text(line, wire.sent_by("client")))

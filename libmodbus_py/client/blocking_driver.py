@@ -9,20 +9,19 @@ from __future__ import annotations
 
 import errno
 import os
-import select
 import threading
 import time
 import weakref
 from time import monotonic
 from typing import Any
 
-from ..ports.waiting import READ, WRITE, Waker, Woken, milliseconds, run
+from ..ports.waiting import READ, WRITE, Waker, Woken, run
 from ..protocol.errors import ModbusConnectionError
 from ..protocol.pdu import Request
 from .batch import Batch, Patience, raised
-from .libmodbus import Shortcut
 from .options import Parts
 from .reconnecting import State
+from .shortcut import Shortcut
 
 __all__ = ["BlockingDriver"]
 
@@ -47,7 +46,8 @@ class BlockingDriver:
         self._port = parts.port
         self._conversation = parts.conversation
         self._connection = parts.connection
-        self._shortcut = Shortcut(parts, native) if is_short else None
+        self._waker = Waker()
+        self._shortcut = Shortcut(parts, native, self._waker.is_ready) if is_short else None
         self._closed = False
         self._start_anew()
         _drivers.add(self)
@@ -57,7 +57,6 @@ class BlockingDriver:
         # Reentrant, so that a signal handler that interrupts a request is told, not stuck.
         self._lock = threading.RLock()
         self._is_busy = False
-        self._waker = Waker()
 
     @property
     def closed(self) -> bool:
@@ -92,7 +91,7 @@ class BlockingDriver:
             try:
                 if self._shortcut is not None and not broadcast and self._conversation.is_plain:
                     batch, outcome = self._shortcut.ask(
-                        unit, request, patience, self._waker.descriptor, self._is_ready
+                        unit, request, patience, self._waker.descriptor
                     )
                     if batch is None:
                         return outcome
@@ -142,10 +141,8 @@ class BlockingDriver:
 
     def forget(self) -> None:
         """After a fork, in the child: the connection is the parent's."""
-        self._waker.forget()
         self._port.abandon()
-        if self._closed:
-            return
+        self._waker.renew()
         self._start_anew()
         if self._connection.is_open:
             gone = ModbusConnectionError("this process was forked off", errno=errno.EBADF)
@@ -224,7 +221,11 @@ class BlockingDriver:
             until = min(until, port.resume_at)
         if conversation.is_idle and until - now < SLEPT:
             time.sleep(max(0.0, until - now))
-        elif self._is_ready(until - now):
+        elif port.has_unsent:
+            self._waker.wait(port.descriptor, READ | WRITE, until)
+            if port.has_input():
+                self._receive()
+        elif self._waker.is_ready(until - now):
             self._receive()
         now = monotonic()
         if port.has_unsent or (port.resume_at is not None and port.resume_at <= now):
@@ -232,18 +233,6 @@ class BlockingDriver:
         if conversation.alarm <= now:
             conversation.tick(now)
         conversation.settle(now)
-
-    def _is_ready(self, seconds: float) -> bool:
-        """Whether there is something to read. Raises Woken."""
-        descriptor = self._port.descriptor
-        if self._port.has_unsent:
-            self._waiting.modify(descriptor, READ | WRITE)
-        ready = dict(self._waiting.poll(milliseconds(seconds)))
-        if self._port.has_unsent:
-            self._waiting.modify(descriptor, READ)
-        if self._waker.descriptor in ready:
-            raise Woken
-        return ready.get(descriptor, WRITE) != WRITE
 
     def _receive(self) -> None:
         conversation = self._conversation
@@ -276,17 +265,12 @@ class BlockingDriver:
         except ModbusConnectionError as error:
             self._conversation.failed(error, monotonic())
         else:
-            self._watch()
+            self._waker.watch(self._port.descriptor)
             self._conversation.opened(monotonic())
         finally:
             if self._connection.state is State.CONNECTING:
                 self._port.close()
                 self._connection.given_up()
-
-    def _watch(self) -> None:
-        self._waiting = select.poll()
-        self._waiting.register(self._port.descriptor, READ)
-        self._waiting.register(self._waker.descriptor, READ)
 
 
 _drivers: weakref.WeakSet[BlockingDriver] = weakref.WeakSet()

@@ -49,15 +49,11 @@ class InFlight(Conversation):
 
     @property
     def is_plain(self) -> bool:
-        return self.connection.is_open and not (
-            self._asked
-            or self._trace.is_on
-            or self._abandoned
-            or self._unanswered
-            or self._queue
-            or self._repeats
-            or self._silent
-            or self._rest
+        return (
+            self._room == self.limit
+            and self.connection.is_open
+            and not (self._abandoned or self._unanswered or self._rest or self._repeats)
+            and not self._trace.is_on
         )
 
     def _is_spent(self) -> bool:

@@ -67,10 +67,17 @@ class Waker:
         descriptor: readable once `wake` was called; -1 when closed.
     """
 
+    descriptor = -1
+
     def __init__(self) -> None:
-        self.descriptor = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+        self.renew()
+
+    def renew(self) -> None:
+        """Begin anew, as in a forked child, where another thread may have held the lock."""
         # Reentrant, for a signal handler may wake while its own thread does.
         self._lock = threading.RLock()
+        self.close()
+        self.descriptor = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
 
     def wake(self) -> None:
         with self._lock:
@@ -86,18 +93,27 @@ class Waker:
 
     __del__ = close
 
-    def forget(self) -> None:
-        """As `close`, in a forked child, where another thread may have held the lock."""
-        self._lock = threading.RLock()
-        self.close()
+    def watch(self, descriptor: int) -> None:
+        """Say what `is_ready` waits for."""
+        self._watched = descriptor
+        self._poll = select.poll()
+        self._poll.register(self.descriptor, READ)
+        self._poll.register(descriptor, READ)
 
-    def wait(self, descriptor: int, events: int, deadline: float) -> bool:
+    def is_ready(self, seconds: float) -> bool:
         """
-        Wait until a descriptor (-1 for none) is ready; False when the deadline comes first.
+        Wait until there is something to read; False if there is not in time.
 
         Raises:
             Woken: by `wake`.
         """
+        ready = dict(self._poll.poll(milliseconds(seconds)))
+        if self.descriptor in ready:
+            raise Woken
+        return self._watched in ready
+
+    def wait(self, descriptor: int, events: int, deadline: float) -> bool:
+        """As `is_ready`, for any descriptor (-1 for none), until a time (time.monotonic)."""
         poll = select.poll()
         poll.register(self.descriptor, READ)
         if descriptor >= 0:

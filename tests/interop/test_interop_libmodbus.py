@@ -46,7 +46,7 @@ from libmodbus_py import (
     pdu,
 )
 from libmodbus_py.binding.low_level import lib, loaded_version
-from libmodbus_py.client import libmodbus as shortcut
+from libmodbus_py.client import libmodbus as carrier
 from libmodbus_py.testing.wires import SerialWire
 
 EXAMPLES = Path("/usr/share/doc/libmodbus-dev/examples")
@@ -382,7 +382,7 @@ def test_native_context_takes_the_short_way_with_what_libmodbus_has(
             ways.append(arguments[5][0])
             return lib.exchange(*arguments)
 
-    monkeypatch.setattr(shortcut, "lib", Counting)
+    monkeypatch.setattr(carrier, "lib", Counting)
     options: dict[str, Any] = {"unit": UNIT, "timeout": TIMEOUT}
     with our_server(transport, {UNIT: make_device()}) as place:
         for native in (True, False):

@@ -1,0 +1,178 @@
+"""
+The short way for a single request whose answer can only be its own, through C or without.
+
+A way around the conversation while that has nothing to say: nothing in flight, nothing
+half received, no late answer that may still come. What is not plainly the answer is handed
+over to the conversation, bytes and all, which goes on waiting and says what it was.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from time import monotonic
+from typing import Any, Protocol
+
+from ..ports.port import Port
+from ..ports.serial import SerialPort
+from ..ports.waiting import Woken
+from ..protocol.errors import ModbusConnectionError, ModbusError
+from ..protocol.framing import Frame, Framer, make_framer, mbap
+from ..protocol.pdu import Request
+from .batch import Batch, Patience
+from .libmodbus import NativeCarrier, pdu_on_line
+from .options import Parts
+
+__all__ = ["KNOWN", "Carrier", "IsReady", "Shortcut"]
+
+IsReady = Callable[[float], bool]
+"""Waits so many seconds for something to read; raises Woken if that must end."""
+
+KNOWN = frozenset(bytes([code]) for code in (1, 2, 3, 4, 5, 6, 15, 16, 17, 22, 23))
+"""The functions that libmodbus has, as their codes stand in a PDU."""
+
+
+class Carrier(Protocol):
+    """
+    Looks for bytes that nobody asked for, sends a request, waits, and reads once.
+
+    Attributes:
+        received: all that came.
+        error: why the connection is lost, or None.
+    """
+
+    @property
+    def received(self) -> bytes: ...
+
+    @property
+    def error(self) -> ModbusConnectionError | None: ...
+
+    def carry(self, unit: int, number: int, pdu: bytes, timeout: float, waker: int) -> bytes | None:
+        """
+        Give the PDU that plainly answers; nothing if what came must be looked at, or
+        nothing did; None if nothing was sent.
+
+        Args:
+            waker: a descriptor that is readable when the wait must end.
+        """
+
+
+class PythonCarrier:
+    """See `Carrier`."""
+
+    def __init__(self, port: Port, framer: Framer, is_ready: IsReady) -> None:
+        self.received = b""
+        self.error: ModbusConnectionError | None = None
+        self._port = port
+        self._encode = framer.encode
+        self._has_header = not framer.has_broadcast
+        self._is_ready = is_ready
+
+    def carry(self, unit: int, number: int, pdu: bytes, timeout: float, waker: int) -> bytes | None:
+        self.received, self.error = b"", None
+        if self._port.has_input():
+            return None
+        try:
+            self._port.send([self._encode(Frame(unit, pdu, number))], monotonic())
+            if self._port.resume_at is None and self._is_ready(timeout):
+                self.received = b"".join(self._port.receive())
+        except ModbusConnectionError as error:
+            self.error = error
+        except Woken:  # once more, when the conversation waits
+            pass
+        data = self.received
+        if not self._has_header:
+            return pdu_on_line(data, unit)
+        return data[7:] if len(data) > 7 and data == mbap(number, unit, data[7:]) else b""
+
+
+class Shortcut:
+    """
+    Carries single requests where frames show by themselves that they are whole.
+
+    Args:
+        parts: of the client.
+        native: whether C does it, where it can.
+        is_ready: for the other way.
+    """
+
+    def __init__(self, parts: Parts, native: bool, is_ready: IsReady) -> None:
+        framer = make_framer(parts.endpoint.framing, "client")
+        self._port = parts.port
+        self._conversation = parts.conversation
+        self._connection = parts.connection
+        self._statistics = parts.statistics
+        self._encode = framer.encode
+        self._is_line = framer.has_broadcast
+        self._carrier: Carrier
+        if native and (not self._is_line or isinstance(parts.port, SerialPort)):
+            self._carrier = NativeCarrier(parts.port)
+        else:
+            self._carrier = PythonCarrier(parts.port, framer, is_ready)
+
+    def ask(
+        self, unit: int, request: Request[Any], patience: Patience, waker: int
+    ) -> tuple[Batch | None, Any]:
+        """
+        Send a request and take its answer.
+
+        Args:
+            waker: a descriptor that is readable when the wait must end.
+
+        Returns:
+            None and the result; or what the conversation must go on with, and why the
+            connection is lost, if it is.
+
+        Raises:
+            TypeError, ValueError: the request cannot be sent.
+        """
+        pdu = request.encode() if isinstance(request, Request) else b""
+        if pdu[:1] not in KNOWN:
+            return self._hand_over(unit, request, patience), None
+        number = self._conversation.next_number()
+        if self._is_line and (left := self._port.silence.over_at - monotonic()) > 0:
+            time.sleep(left)
+        since = monotonic()
+        try:
+            answer = self._carrier.carry(unit, number, pdu, patience.timeout, waker)
+            if answer is None:
+                return self._hand_over(unit, request, patience), None
+            if answer:
+                outcome = request.decode_response(answer)
+                self._note_success()
+                return None, outcome
+        except ModbusError:
+            pass  # the conversation tells it all that was asked
+        except BaseException:  # Ctrl-C: it was sent, and nobody waits any more
+            batch = self._adopted(unit, number, request, patience, since)
+            self._conversation.abandon(batch, since)
+            raise
+        batch = self._adopted(unit, number, request, patience, since)
+        if self._carrier.error is None and self._carrier.received:
+            self._conversation.take(self._carrier.received, monotonic())
+            self._conversation.settle(monotonic())
+        return batch, self._carrier.error
+
+    def _hand_over(self, unit: int, request: Request[Any], patience: Patience) -> Batch:
+        batch = Batch(unit, [request], patience)
+        self._conversation.add(batch, monotonic())
+        return batch
+
+    def _adopted(
+        self, unit: int, number: int, request: Request[Any], patience: Patience, since: float
+    ) -> Batch:
+        batch = Batch(unit, [request], patience)
+        adu = self._encode(Frame(unit, batch.pdus[0], number))
+        self._conversation.adopt(batch, adu, since)
+        return batch
+
+    def _note_success(self) -> None:
+        now = monotonic()
+        statistics = self._statistics
+        statistics.requests += 1
+        statistics.responses += 1
+        statistics.last_success = now
+        if self._connection.fruitless:
+            self._connection.prove()
+        if self._is_line:
+            self._port.silence.heard(now)
