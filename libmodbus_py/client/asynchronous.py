@@ -4,17 +4,17 @@ The asyncio client.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from typing import Any, Self, TypeVar, Unpack, overload
 
 from ..ports.endpoint import parse
 from ..protocol import pdu
-from ..protocol.errors import InvalidResponse
+from ..protocol.errors import InvalidResponse, ModbusError
 from .asyncio_driver import AsyncioDriver
 from .batch import Batch, raised
 from .handle import Handle
 from .options import AsyncOptions, Settings, assembled
-from .plan import Items, Key, Plan, PlanOptions, planned
+from .plan import Item, Items, Key, Named, Plan, PlanOptions, Strict, Tolerant, Values, planned
 from .requests import Awaiting
 
 __all__ = ["AsyncClient"]
@@ -183,31 +183,22 @@ class AsyncClient(Handle[AsyncioDriver], Awaiting):
 
     @overload
     async def read_many(  # type: ignore[overload-overlap]  # mappings first
-        self,
-        items: Mapping[Key, Any],
-        *,
-        max_in_flight: int = 16,
-        return_exceptions: bool = False,
-        **options: Unpack[PlanOptions],
-    ) -> dict[Key, Any]: ...
+        self, items: Named[Key], **options: Unpack[Strict]
+    ) -> dict[Key, Values]: ...
+    @overload
+    async def read_many(  # type: ignore[overload-overlap]
+        self, items: Named[Key], **options: Unpack[Tolerant]
+    ) -> dict[Key, Values | ModbusError]: ...
+    @overload
+    async def read_many(self, items: Iterable[Item], **options: Unpack[Strict]) -> list[Values]: ...
     @overload
     async def read_many(
-        self,
-        items: Plan,
-        *,
-        max_in_flight: int = 16,
-        return_exceptions: bool = False,
-        **options: Unpack[PlanOptions],
+        self, items: Iterable[Item], **options: Unpack[Tolerant]
+    ) -> list[Values | ModbusError]: ...
+    @overload
+    async def read_many(
+        self, items: Plan, *, max_in_flight: int = 16, return_exceptions: bool = False
     ) -> Any: ...
-    @overload
-    async def read_many(
-        self,
-        items: Iterable[Any],
-        *,
-        max_in_flight: int = 16,
-        return_exceptions: bool = False,
-        **options: Unpack[PlanOptions],
-    ) -> list[Any]: ...
     async def read_many(
         self,
         items: Plan | Items,

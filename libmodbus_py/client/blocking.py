@@ -11,12 +11,12 @@ from typing import Any, Literal, Self, TypeVar, Unpack, overload
 from ..ports.endpoint import DEFAULT_PORT, Endpoint, parse
 from ..ports.serial import LineSettings, SerialSettings
 from ..protocol import pdu
-from ..protocol.errors import InvalidResponse
+from ..protocol.errors import InvalidResponse, ModbusError
 from .batch import MAX_IN_FLIGHT, Batch, raised
 from .blocking_driver import BlockingDriver
 from .handle import Handle
 from .options import ContextOptions, Settings, assembled
-from .plan import Items, Key, Plan, PlanOptions, planned
+from .plan import Item, Items, Key, Named, Plan, PlanOptions, Strict, Tolerant, Values, planned
 from .requests import Blocking
 
 __all__ = ["AsciiContext", "Context", "RtuContext", "TcpContext", "UdpContext"]
@@ -199,31 +199,22 @@ class Context(Handle[BlockingDriver], Blocking):
 
     @overload
     def read_many(  # type: ignore[overload-overlap]  # mappings first
-        self,
-        items: Mapping[Key, Any],
-        *,
-        max_in_flight: int = 16,
-        return_exceptions: bool = False,
-        **options: Unpack[PlanOptions],
-    ) -> dict[Key, Any]: ...
+        self, items: Named[Key], **options: Unpack[Strict]
+    ) -> dict[Key, Values]: ...
+    @overload
+    def read_many(  # type: ignore[overload-overlap]
+        self, items: Named[Key], **options: Unpack[Tolerant]
+    ) -> dict[Key, Values | ModbusError]: ...
+    @overload
+    def read_many(self, items: Iterable[Item], **options: Unpack[Strict]) -> list[Values]: ...
     @overload
     def read_many(
-        self,
-        items: Plan,
-        *,
-        max_in_flight: int = 16,
-        return_exceptions: bool = False,
-        **options: Unpack[PlanOptions],
+        self, items: Iterable[Item], **options: Unpack[Tolerant]
+    ) -> list[Values | ModbusError]: ...
+    @overload
+    def read_many(
+        self, items: Plan, *, max_in_flight: int = 16, return_exceptions: bool = False
     ) -> Any: ...
-    @overload
-    def read_many(
-        self,
-        items: Iterable[Any],
-        *,
-        max_in_flight: int = 16,
-        return_exceptions: bool = False,
-        **options: Unpack[PlanOptions],
-    ) -> list[Any]: ...
     def read_many(
         self,
         items: Plan | Items,

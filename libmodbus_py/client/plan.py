@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from heapq import heapify, heappop, heappush
-from typing import Any, NamedTuple, TypedDict, TypeVar
+from typing import Any, Literal, NamedTuple, Required, TypedDict, TypeVar
 
 from ..protocol import pdu
 from ..protocol.checks import integer
@@ -19,7 +19,12 @@ from ..protocol.pdu.fields import checked_span, store
 from ..protocol.tables import TABLE_SIZE, TABLES, Table
 from ..protocol.values import Order, TypeName, ValueType, value_type
 
-__all__ = ["Forbidden", "Items", "Key", "Plan", "PlanOptions", "Read", "planned"]
+# fmt: off
+__all__ = [
+    "Forbidden", "Item", "Items", "Key", "Named", "Plan", "PlanOptions", "Read", "Strict",
+    "Tolerant", "Values", "planned",
+]
+# fmt: on
 
 
 @dataclass(frozen=True)
@@ -80,9 +85,21 @@ class Read:
 
 
 Key = TypeVar("Key")
-Item = Read | tuple[Any, ...]
+Item = (
+    Read
+    | tuple[Table, int]
+    | tuple[Table, int, int]
+    | tuple[Table, int, int, TypeName | None]
+    | tuple[Table, int, int, TypeName, Order]
+    | tuple[Table, int, int, TypeName, Order, str]
+    | tuple[Table, int, int, TypeName, Order, str, str]
+)
+"""A `Read`, or its arguments."""
+
+Named = Mapping[Key, Item]
 Items = Iterable[Item] | Mapping[Any, Item]
-Forbidden = Iterable[tuple[str, range]]
+Forbidden = Iterable[tuple[Table, range]]
+Values = list[Any]
 
 
 class PlanOptions(TypedDict, total=False):
@@ -92,6 +109,20 @@ class PlanOptions(TypedDict, total=False):
     forbidden: Forbidden
     max_registers: int
     max_bits: int
+
+
+class Strict(PlanOptions, total=False):
+    """What `read_many` takes where each failure is raised."""
+
+    max_in_flight: int
+    return_exceptions: Literal[False]
+
+
+class Tolerant(PlanOptions, total=False):
+    """And where it gives a ModbusError in place."""
+
+    max_in_flight: int
+    return_exceptions: Required[Literal[True]]
 
 
 class _Part(NamedTuple):

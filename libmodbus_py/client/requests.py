@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Concatenate, Generic, ParamSpec, TypeVar,
 from ..protocol import pdu
 from ..protocol.checks import integer
 from ..protocol.pdu.interface import identify
-from ..protocol.tables import TABLES, RegisterTable
+from ..protocol.tables import TABLES, RegisterTable, WritableTable
 from ..protocol.values import Order, TextOptions, TypeName, value_type
 
 __all__ = ["Awaiting", "Blocking", "Requests", "Steps"]
@@ -284,7 +284,7 @@ class Requests:
     def write_values(
         self,
         /,
-        table: RegisterTable,
+        table: WritableTable,
         address: int,
         values: Iterable[Any],
         type: TypeName,

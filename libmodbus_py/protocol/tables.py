@@ -10,9 +10,10 @@ from typing import Any, Literal, NamedTuple
 from . import pdu
 from .pdu.fields import TABLE_SIZE
 
-__all__ = ["TABLES", "TABLE_SIZE", "RegisterTable", "Table", "TableRules"]
+__all__ = ["TABLES", "TABLE_SIZE", "RegisterTable", "Table", "TableRules", "WritableTable"]
 
-RegisterTable = Literal["holding_registers", "input_registers"]
+WritableTable = Literal["holding_registers"]
+RegisterTable = Literal[WritableTable, "input_registers"]
 Table = Literal["coils", "discrete_inputs", RegisterTable]
 
 

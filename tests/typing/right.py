@@ -27,12 +27,12 @@ ALL = [
     RtuContext("/dev/ttyUSB0", 19200, parity="E", stop_bits=1, rs485="kernel", silence=0.01),
     AsciiContext("/dev/ttyUSB0", 9600, parity="N", data_bits=7),
 ]
-TcpContext("192.0.2.10", retries=2, trace=print)  # later
-TcpContext("192.0.2.10", request_spacing=0.01, connect_delay=0.5, keepalive=None)  # later
-AsciiContext("/dev/ttyUSB0", delimiter=0x0A)  # later
+TcpContext("192.0.2.10", retries=2, trace=print)
+TcpContext("192.0.2.10", request_spacing=0.01, connect_delay=0.5, keepalive=None)
+AsciiContext("/dev/ttyUSB0", delimiter=0x0A)
 Context.from_url("tcp://192.0.2.10?unit=17", timeout=0.5, retries=1)
 AsyncClient("tcp://192.0.2.10", unit=17, max_in_flight=4, on_state=print)
-AsyncClient("tcp://192.0.2.10", retries=2, trace=print)  # later
+AsyncClient("tcp://192.0.2.10", retries=2, trace=print)
 
 
 def blocking(plc: TcpContext) -> None:
@@ -49,10 +49,10 @@ def blocking(plc: TcpContext) -> None:
 
 def handles(plc: TcpContext) -> None:
     assert_type(plc.for_unit(3), TcpContext)
-    plc.for_unit(3, timeout=0.3, retries=1)  # later
-    plc.execute(pdu.ReadCoils(0, 8), timeout=0.1)  # later
-    assert_type(plc.statistics.late_answers, int)  # later
-    print(plc.state)  # later
+    plc.for_unit(3, timeout=0.3, retries=1)
+    plc.execute(pdu.ReadCoils(0, 8), timeout=0.1)
+    assert_type(plc.statistics.late_answers, int)
+    print(plc.state)
 
 
 def values(plc: TcpContext) -> None:
@@ -63,11 +63,11 @@ def values(plc: TcpContext) -> None:
 
 def many(plc: TcpContext) -> None:
     for key, read in plc.read_many({"level": ("coils", 0, 8)}).items():
-        assert_type(key, str)  # later
-        assert_type(read, list[Any])  # later
+        assert_type(key, str)
+        assert_type(read, list[Any])
     for number in plc.read_many({7: ("coils", 0, 8)}):
-        assert_type(number, int)  # later
-    assert_type(plc.read_many([("coils", 0, 8)]), list[list[Any]])  # later
+        assert_type(number, int)
+    assert_type(plc.read_many([("coils", 0, 8)]), list[list[Any]])
 
 
 async def asking(plc: AsyncClient) -> None:
@@ -77,16 +77,16 @@ async def asking(plc: AsyncClient) -> None:
     assert_type(await plc.execute(pdu.ReportServerId()), pdu.ServerId)
     assert_type(plc.for_unit(3), AsyncClient)
     await plc.write_coil(0, True)
-    await plc.for_unit(3, timeout=0.3).read_coils(0, 8)  # later
+    await plc.for_unit(3, timeout=0.3).read_coils(0, 8)
     for key in await plc.read_many({"level": ("coils", 0, 8)}):
-        assert_type(key, str)  # later
+        assert_type(key, str)
 
 
 def serving() -> None:
     mapping = Mapping(coils=64, discrete_inputs=range(10, 20))
     mapping.holding_registers[100:104] = [1, 2, 3, 4]
     assert_type(mapping.holding_registers[100], int)
-    Mapping(holding_registers=[range(10), range(100, 110)])  # later
-    Mapping(holding_registers={100: [555, 0, 100]}, coils={0: [True]})  # later
+    Mapping(holding_registers=[range(10), range(100, 110)])
+    Mapping(holding_registers={100: [555, 0, 100]}, coils={0: [True]})
     Server({1: Device(mapping), 2: Device(Mapping(coils=8))})
-    Server(Device(mapping)).serve_forever("tcp://127.0.0.1:1502")  # later
+    Server(Device(mapping)).serve_forever("tcp://127.0.0.1:1502")
