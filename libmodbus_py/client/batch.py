@@ -82,10 +82,10 @@ class Asked:
     __slots__ = ("adu", "batch", "index", "since")
 
     def __init__(self, batch: Batch, index: int, adu: bytes, since: float) -> None:
-        self.batch = batch
-        self.index = index
-        self.adu = adu
-        self.since = since
+        self.batch: Batch = batch
+        self.index: int = index
+        self.adu: bytes = adu
+        self.since: float = since
 
     @property
     def deadline(self) -> float:
@@ -141,28 +141,29 @@ class Batch:
         limit: int = 1,
         go_on: bool = False,
     ) -> None:
-        self.unit = unit
-        self.requests = requests
-        self.patience = patience
-        self.pdus = [
+        self.unit: int = unit
+        self.requests: list[Request[Any]] = requests
+        self.patience: Patience = patience
+        self.pdus: list[bytes] = [
             encoded(request, name, index, is_broadcast) for index, request in enumerate(requests)
         ]
         silent = [is_broadcast or not request.expects_response for request in requests]
-        self.silent = silent if True in silent else None
+        self.silent: list[bool] | None = silent if True in silent else None
         # Who gets no answer cannot say in which order the others were carried out.
-        self.limit = 1 if self.silent else limit
-        self.go_on = go_on
+        self.limit: int = 1 if self.silent else limit
+        self.go_on: bool = go_on
         self.outcomes: list[Any] = [NOT_ASKED] * len(requests)
-        self.started = 0
+        self.started: int = 0
         self.repeated: dict[tuple[int, bool], int] = {}
-        self.in_flight = 0
-        self.queued = False
-        self.since = 0.0
-        self.used = 0.0
+        self.in_flight: int = 0
+        self.queued: bool = False
+        self.since: float = 0.0
+        self.used: float = 0.0
         self.refusal: ModbusError | None = None
         self.on_done: Callable[[], object] | None = None
-        self.is_done = False
-        self.end = self._open = len(requests)
+        self.is_done: bool = False
+        self.end: int = len(requests)
+        self._open = self.end
 
     def settle(self, index: int, outcome: Any) -> None:
         """Note what became of a request; not of one that does not matter any more."""

@@ -86,9 +86,9 @@ class Conversation(ABC):
         trace: Trace,
     ) -> None:
         self.limit = limit
-        self.alarm = math.inf
+        self.alarm: float = math.inf
         self.broken: ModbusConnectionError | None = None
-        self.is_flooded = False
+        self.is_flooded: bool = False
         self.connection = connection
         self.statistics = statistics
         self._place = str(endpoint)

@@ -90,9 +90,7 @@ Item = (
     | tuple[Table, int]
     | tuple[Table, int, int]
     | tuple[Table, int, int, TypeName | None]
-    | tuple[Table, int, int, TypeName, Order]
-    | tuple[Table, int, int, TypeName, Order, str]
-    | tuple[Table, int, int, TypeName, Order, str, str]
+    | tuple[Table, int, int, TypeName, Order, *tuple[str, ...]]
 )
 """A `Read`, or its arguments."""
 

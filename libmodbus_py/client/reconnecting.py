@@ -17,7 +17,7 @@ from .batch import Statistics
 
 __all__ = ["OnState", "Reconnecting", "State"]
 
-logger = logging.getLogger(__name__)
+logger: logging.Logger = logging.getLogger(__name__)
 
 FIRST_PAUSE = 0.1
 
@@ -53,14 +53,14 @@ class Reconnecting:
     def __init__(
         self, place: str, max_pause: float, statistics: Statistics, on_state: OnState | None
     ) -> None:
-        self.state = State.DISCONNECTED
-        self.is_open = False
-        self.next_attempt = 0.0
+        self.state: State = State.DISCONNECTED
+        self.is_open: bool = False
+        self.next_attempt: float = 0.0
         self._place = place
         self._max_pause = max_pause
         self._statistics = statistics
         self._on_state = on_state
-        self.fruitless = 0
+        self.fruitless: int = 0
         self._last_failure: ModbusConnectionError | None = None
 
     def refusal(self, now: float, deadline: float) -> ModbusConnectionError | None:

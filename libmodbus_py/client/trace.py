@@ -11,8 +11,8 @@ from typing import Literal, NamedTuple
 
 __all__ = ["OnTraced", "Trace", "Traced"]
 
-logger = logging.getLogger(__name__)
-wire = logging.getLogger("libmodbus_py.wire")
+logger: logging.Logger = logging.getLogger(__name__)
+wire: logging.Logger = logging.getLogger("libmodbus_py.wire")
 
 
 class Traced(NamedTuple):

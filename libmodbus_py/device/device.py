@@ -51,7 +51,7 @@ from .reply import Answered, make_tally, replier
 
 __all__ = ["Caller", "Device"]
 
-logger = logging.getLogger(__name__)
+logger: logging.Logger = logging.getLogger(__name__)
 
 Hook = Callable[[Access], object]
 
@@ -147,15 +147,15 @@ class Device:
             for address, queue in (fifos or {}).items()
         }
         self.server_id = server_id
-        self.exception_status = integer("exception_status", exception_status, 0, 0xFF)
-        self.diagnostic_register = 0
+        self.exception_status: int = integer("exception_status", exception_status, 0, 0xFF)
+        self.diagnostic_register: int = 0
         self._identification = _checked_identification(identification or {})
         self._canopen = canopen
         self._handlers = {**self._own, **_bound(handlers or {})}
         self._hooks = (before_write, after_write, before_read)
         self._is_hooked = any(self._hooks)
         replied = ACCESSES.keys() - self._own.keys()
-        self.is_plain = not self._is_hooked and self._handlers.keys().isdisjoint(replied)
+        self.is_plain: bool = not self._is_hooked and self._handlers.keys().isdisjoint(replied)
         self._log = EventLog(is_serial=False)
         self._tally = make_tally()
         self._failed: set[int] = set()

@@ -92,9 +92,9 @@ class EventLog:
 
     def __init__(self, *, is_serial: bool) -> None:
         self.is_serial = is_serial
-        self.delimiter = LINE_FEED
-        self.listen_only = False
-        self.event_count = 0
+        self.delimiter: int = LINE_FEED
+        self.listen_only: bool = False
+        self.event_count: int = 0
         self._events: deque[int] = deque(maxlen=ReadCommEventLog.max_events)
         self.clear_counters()
 

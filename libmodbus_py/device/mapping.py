@@ -16,12 +16,12 @@ from bisect import bisect_right
 from collections.abc import Iterable, Iterator
 from collections.abc import Mapping as MappingABC
 from operator import index
-from typing import Any, ClassVar, Generic, Literal, Self, TypeVar, overload
+from typing import Any, ClassVar, Generic, Literal, Self, TypeVar, Unpack, overload
 
 from ..binding.library import ffi
 from ..protocol.checks import integer
 from ..protocol.tables import TABLE_SIZE
-from ..protocol.values import value_type
+from ..protocol.values import Layout, TypeName, value_type
 
 __all__ = ["BitTable", "Mapping", "RegisterTable", "Table"]
 
@@ -60,8 +60,8 @@ class Table(ABC, Generic[Cell]):
         given = _values(name, contents) if isinstance(contents, MappingABC) else {}
         if isinstance(contents, MappingABC):
             contents = [range(at, at + len(values)) for at, values in given.items()]
-        self.ranges = _joined(name, _ranges(name, contents))
-        self.addresses = range(0)
+        self.ranges: tuple[range, ...] = _joined(name, _ranges(name, contents))
+        self.addresses: range = range(0)
         if self.ranges:
             self.addresses = range(self.ranges[0].start, self.ranges[-1].stop)
         self._starts = [each.start for each in self.ranges]
@@ -172,7 +172,7 @@ class BitTable(Table[bool]):
     without looking, and any other value would spill into its neighbours.
     """
 
-    typecode = "B"
+    typecode: ClassVar[Literal["B", "H"]] = "B"
 
     @property
     def view(self) -> memoryview:
@@ -199,14 +199,14 @@ class RegisterTable(Table[int]):
     no request sees half of it, and an error changes nothing.
     """
 
-    typecode = "H"
+    typecode: ClassVar[Literal["B", "H"]] = "H"
 
     @property
     def view(self) -> memoryview:
         """As `Table.view`; writable, in the machine's own byte order."""
         return self._cells
 
-    def read(self, address: int, type: str, *, order: str = "ABCD", **text: str) -> Any:
+    def read(self, address: int, type: TypeName, **layout: Unpack[Layout]) -> Any:
         """
         Read one value, such as ``read(100, "float32", order="CDAB")``.
 
@@ -218,11 +218,11 @@ class RegisterTable(Table[int]):
             IndexError: the table does not have all its registers.
             TypeError, ValueError: as of `values.ValueType.decode`.
         """
-        kind = value_type(type, order=order, **text)
+        kind = value_type(type, **layout)
         return kind.decode(self[self._run(address, kind.registers)])
 
     def read_values(
-        self, address: int, type: str, count: int = 1, *, order: str = "ABCD", **text: str
+        self, address: int, type: TypeName, count: int = 1, **layout: Unpack[Layout]
     ) -> list[Any]:
         """
         Read `count` (1..65536) values of one type, one after the other.
@@ -231,29 +231,27 @@ class RegisterTable(Table[int]):
             IndexError: the table does not have all their registers.
             TypeError, ValueError: as of `values.ValueType.decode_many`, or no such count.
         """
-        kind = value_type(type, order=order, **text)
+        kind = value_type(type, **layout)
         values = integer("count", count, 1, TABLE_SIZE)
         return kind.decode_many(self[self._run(address, values * kind.registers)])
 
-    def write(
-        self, address: int, value: Any, type: str, *, order: str = "ABCD", **text: str
-    ) -> None:
+    def write(self, address: int, value: Any, type: TypeName, **layout: Unpack[Layout]) -> None:
         """
         Write one value, such as ``write(100, 3.14, "float32", order="CDAB")``.
 
         Args:
             address: 0-based, of the first register.
-            value, type, order, text: as of `values.value_type`.
+            value, type, layout (`order`, `encoding`, `padding`): as of `values.value_type`.
 
         Raises:
             IndexError: the table does not have all its registers.
             TypeError, ValueError: as of `values.ValueType.encode`.
         """
-        registers = value_type(type, order=order, **text).encode(value)
+        registers = value_type(type, **layout).encode(value)
         self[self._run(address, len(registers))] = registers
 
     def write_values(
-        self, address: int, values: Iterable[Any], type: str, *, order: str = "ABCD", **text: str
+        self, address: int, values: Iterable[Any], type: TypeName, **layout: Unpack[Layout]
     ) -> None:
         """
         Write values of one type, one after the other; none change nothing.
@@ -262,7 +260,7 @@ class RegisterTable(Table[int]):
             IndexError: the table does not have all their registers.
             TypeError, ValueError: as of `values.ValueType.encode_many`.
         """
-        registers = value_type(type, order=order, **text).encode_many(values)
+        registers = value_type(type, **layout).encode_many(values)
         self[self._run(address, len(registers))] = registers
 
     def _run(self, address: object, registers: int) -> slice:
@@ -306,6 +304,11 @@ class Mapping:
     Source: modbus_mapping_new_start_address, with memory of our own.
     """
 
+    coils: BitTable
+    discrete_inputs: BitTable
+    holding_registers: RegisterTable
+    input_registers: RegisterTable
+
     def __init__(
         self,
         coils: Contents = 0,
@@ -313,7 +316,7 @@ class Mapping:
         holding_registers: Contents = 0,
         input_registers: Contents = 0,
     ) -> None:
-        self.lock = threading.RLock()
+        self.lock: threading.RLock = threading.RLock()
         self.coils = BitTable("coils", coils, self.lock)
         self.discrete_inputs = BitTable("discrete_inputs", discrete_inputs, self.lock)
         self.holding_registers = RegisterTable("holding_registers", holding_registers, self.lock)

@@ -30,7 +30,7 @@ class Silence:
     def __init__(self, seconds: float = 0.0, character: float = 0.0, turn: float = 0.0) -> None:
         self.seconds = seconds
         self.character = character
-        self.over_at = 0.0
+        self.over_at: float = 0.0
         self._turn = turn
         self._turned_at = 0.0
 
@@ -58,7 +58,7 @@ class Port(ABC):
     """
 
     can_die_silently: ClassVar[bool]
-    descriptor = -1
+    descriptor: int = -1
     silence: Silence
     resume_at: float | None = None
     has_unsent = False

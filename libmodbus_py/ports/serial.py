@@ -12,7 +12,7 @@ import select
 import struct
 import termios
 from collections.abc import Iterator
-from typing import ClassVar, Literal, TypedDict, Unpack
+from typing import Any, ClassVar, Literal, TypedDict, Unpack
 
 from ..binding.library import check, ffi, lib, make
 from ..protocol.checks import integer, seconds
@@ -106,7 +106,7 @@ class SerialPort(Port):
         self._sending: Iterator[float] = iter(())
         self._guard = -1
         self._process = 0
-        self.context = make(
+        self.context: Any = make(
             lib.modbus_new_rtu(
                 os.fsencode(device),
                 self.baudrate if self.baudrate in self.baudrates else 9600,
@@ -125,19 +125,19 @@ class SerialPort(Port):
         self.rs485 = settings.get("rs485")
         if self.rs485 not in (None, "kernel", *self.rts_modes):
             raise ValueError(f'rs485 must be "kernel", "rts-up" or "rts-down", not {self.rs485!r}')
-        self.baudrate = integer("baudrate", settings.get("baudrate", 19200), 1, 4_000_000)
-        self.data_bits = integer("data_bits", settings.get("data_bits", 8), 5, 8)
-        self.stop_bits = integer("stop_bits", settings.get("stop_bits", 1), 1, 2)
-        self.echo = settings.get("echo", False)
+        self.baudrate: int = integer("baudrate", settings.get("baudrate", 19200), 1, 4_000_000)
+        self.data_bits: int = integer("data_bits", settings.get("data_bits", 8), 5, 8)
+        self.stop_bits: int = integer("stop_bits", settings.get("stop_bits", 1), 1, 2)
+        self.echo: bool = settings.get("echo", False)
         if not isinstance(self.echo, bool):
             raise TypeError(f"echo must be True or False, not {self.echo!r}")
         bits = 1 + self.data_bits + (self.parity != "N") + self.stop_bits
-        delay, silence = settings.get("rts_delay"), settings.get("silence")
-        self.character = bits / self.baudrate
-        self.rts_delay = self.character if delay is None else seconds("rts_delay", delay, 0, 1)
+        wait, silence = settings.get("rts_delay"), settings.get("silence")
+        self.character: float = bits / self.baudrate
+        self.rts_delay: float = self.character if wait is None else seconds("rts_delay", wait, 0, 1)
         # 3.5 characters of 11 bits, and no less than this.
         specified = 3.5 * 11 / self.baudrate if self.baudrate <= 19200 else 0.00175
-        self.silence = Silence(
+        self.silence: Silence = Silence(
             specified if silence is None else seconds("silence", silence, 0, 1),
             self.character,
             self.rts_delay if self.rs485 in self.rts_modes else 0.0,

@@ -52,8 +52,8 @@ class SocketPort(Port):
         if not host.strip() or "\0" in host:
             raise ValueError(f"host must be a name or an address, not {host!r}")
         self.host = host
-        self.port = integer("port", port, 1, 65535)
-        self.silence = Silence()
+        self.port: int = integer("port", port, 1, 65535)
+        self.silence: Silence = Silence()
 
     def __str__(self) -> str:
         return f"[{self.host}]:{self.port}" if ":" in self.host else f"{self.host}:{self.port}"
@@ -139,7 +139,7 @@ class TcpPort(SocketPort):
     def opening(self, deadline: float) -> Steps[None]:
         yield from super().opening(deadline)
         self._unsent.clear()
-        self.has_unsent = False
+        self.has_unsent: bool = False
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         if self._keepalive is not None:
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)

@@ -67,7 +67,7 @@ class Waker:
         descriptor: readable once `wake` was called; -1 when closed.
     """
 
-    descriptor = -1
+    descriptor: int = -1
 
     def __init__(self) -> None:
         self.renew()

@@ -81,11 +81,11 @@ class ModbusError(Exception):
 
     def __init__(self, reason: str = "", **transaction: Unpack[_Transaction]) -> None:
         super().__init__(reason)
-        self.unit = transaction.get("unit")
-        self.function = transaction.get("function")
-        self.asked = transaction.get("asked", "")
-        self.endpoint = transaction.get("endpoint", "")
-        self.sent = transaction.get("sent", b"")
+        self.unit: int | None = transaction.get("unit")
+        self.function: int | None = transaction.get("function")
+        self.asked: str = transaction.get("asked", "")
+        self.endpoint: str = transaction.get("endpoint", "")
+        self.sent: bytes = transaction.get("sent", b"")
         self.received = transaction.get("received", b"")
 
     @property

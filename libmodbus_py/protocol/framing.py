@@ -20,7 +20,7 @@ import re
 import struct
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Any, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 from .errors import MAX_RECEIVED, FrameError
 from .pdu import MAX_PDU, REQUESTS, Request, request_length, response_length
@@ -88,7 +88,7 @@ class Framer(ABC):
     # Whether unit 0 addresses every unit, as on a serial line.
     has_broadcast = True
     # Seconds without a byte after which `silence` should be called; None for never.
-    quiet: float | None = None
+    quiet: ClassVar[float | None] = None
     # False once the stream cannot be understood any more and must be closed.
     in_step = True
 
@@ -262,7 +262,7 @@ class RtuFramer(Framer):
     # Longer than USB adapters keep bytes back (16 ms), which is longer than 3.5
     # characters from 2400 bit/s on. Below that it may fall inside a frame; that
     # does harm only where what came so far ends with a whole frame.
-    quiet = 0.02
+    quiet: ClassVar[float] = 0.02
     max_size = MAX_PDU + 3
 
     def __init__(self, role: Role) -> None:
@@ -357,7 +357,7 @@ class AsciiFramer(Framer):
             sub-function 3); it counts for frames sent and received from then on.
     """
 
-    quiet = 1.0
+    quiet: ClassVar[float] = 1.0
     max_size = 513
 
     def __init__(self, *, strict: bool = False) -> None:

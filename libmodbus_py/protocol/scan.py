@@ -56,7 +56,8 @@ class Scan:
     ) -> None:
         self._scan: Any = ffi.new("struct scan *", {"is_client": is_client, "asked": -1})
         self._ask = ask
-        self.start = self.fresh = 0
+        self.start: int = 0
+        self.fresh: int = 0
         for code, (told, base, at) in rules.items():
             self._scan.rules[code] = (True, told, base, at)
 

@@ -45,6 +45,7 @@ from .checks import integer
 __all__ = [
     "ORDERS",
     "BitsType",
+    "Layout",
     "NumberType",
     "Order",
     "Reading",
@@ -118,6 +119,12 @@ class TextOptions(TypedDict, total=False):
 
     encoding: str
     padding: str
+
+
+class Layout(TextOptions, total=False):
+    """How any value lies in registers."""
+
+    order: Order
 
 
 # --- orders ------------------------------------------------------------------------

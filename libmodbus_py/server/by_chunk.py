@@ -18,11 +18,11 @@ from .units import TcpUnits
 
 __all__ = ["ByChunk", "Singles"]
 
-logger = logging.getLogger(__name__)
+logger: logging.Logger = logging.getLogger(__name__)
 
 HEADER = struct.Struct(">HHHB")
 
-encode = TcpFramer().encode
+encode: Callable[[Frame], bytes] = TcpFramer().encode
 
 
 class Singles:
@@ -115,9 +115,9 @@ class ByChunk:
         self._peer = peer
         self._statistics = statistics
         self._singles = singles
-        self.write = write
+        self.write: Callable[[bytes], None] = write
         self._pending = b""  # the beginning of a frame
-        self.is_unfinished = False
+        self.is_unfinished: bool = False
 
     def receive(self, data: bytes) -> int:
         if not self._pending and _is_one_frame(data):

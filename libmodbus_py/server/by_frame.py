@@ -17,7 +17,7 @@ from .units import SerialUnits, TcpUnits
 
 __all__ = ["ByFrame", "Session"]
 
-logger = logging.getLogger(__name__)
+logger: logging.Logger = logging.getLogger(__name__)
 
 
 class Session(Protocol):

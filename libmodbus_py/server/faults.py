@@ -263,7 +263,7 @@ class Delivery:
     """
 
     def __init__(self, write: Callable[[bytes], None], follow: Callable[[], None]) -> None:
-        self.is_waiting = False
+        self.is_waiting: bool = False
         self._write = write
         self._follow = follow
         self._loop = asyncio.get_running_loop()

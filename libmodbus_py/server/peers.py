@@ -26,7 +26,7 @@ from .limits import SPARE_DESCRIPTORS, Allowance, Limits, ServerStatistics
 
 __all__ = ["MakeSession", "Peer", "Peers"]
 
-logger = logging.getLogger(__name__)
+logger: logging.Logger = logging.getLogger(__name__)
 
 # How much of one client is read in a turn: the others wait while it is answered. One that
 # sends more than the first is read only when all others are answered, and then more of it.
@@ -56,7 +56,7 @@ class Peers:
     def __init__(self, limits: Limits, statistics: ServerStatistics) -> None:
         self.limits = limits
         self.statistics = statistics
-        self.loop = asyncio.get_running_loop()
+        self.loop: asyncio.AbstractEventLoop = asyncio.get_running_loop()
         self._most = limits.connections()
         # Both from the longest idle to the latest: those that never sent a request, and
         # the others.
@@ -264,15 +264,15 @@ class Peer:
     def __init__(
         self, peers: Peers, client: socket.socket, address: str, make: MakeSession
     ) -> None:
-        self.address = address
+        self.address: str = address
         self._peers = peers
         self._loop = peers.loop
         self._socket = client
         self._descriptor = client.fileno()
         # bytes as long as the client takes them at once: mostly one answer, never copied.
         self._unsent: bytes | bytearray = b""
-        self.is_greedy = False  # whether there was more than was read
-        self.latest_turn = 0
+        self.is_greedy: bool = False  # whether there was more than was read
+        self.latest_turn: int = 0
         self._is_sending = self._is_full = self._is_throttled = self._is_closing = False
         self._is_reading = True
         self._release_timer: asyncio.TimerHandle | None = None

@@ -18,7 +18,7 @@ from .units import SerialUnits, Units
 
 __all__ = ["SerialServer"]
 
-logger = logging.getLogger(__name__)
+logger: logging.Logger = logging.getLogger(__name__)
 
 # How long an unplugged serial port is left alone before the next attempt.
 REOPEN_AFTER = 1.0

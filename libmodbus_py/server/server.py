@@ -32,7 +32,7 @@ from .units import Units, UnknownUnit
 
 __all__ = ["Running", "Server"]
 
-logger = logging.getLogger(__name__)
+logger: logging.Logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ class Server:
         if not isinstance(limits, Limits | None):
             raise TypeError(f"limits must be Limits, not {type(limits).__name__}")
         self._limits = limits or Limits()
-        self.statistics = ServerStatistics()
+        self.statistics: ServerStatistics = ServerStatistics()
 
     @contextlib.asynccontextmanager
     async def serving(self, *urls: str) -> AsyncIterator[Running]:

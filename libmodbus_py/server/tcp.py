@@ -19,7 +19,7 @@ from .units import SerialUnits, TcpUnits, Units
 
 __all__ = ["TcpServer"]
 
-logger = logging.getLogger(__name__)
+logger: logging.Logger = logging.getLogger(__name__)
 
 # As many as the system lets wait; and how many of them become clients in a turn
 # of the loop, for the others want theirs.

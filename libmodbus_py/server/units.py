@@ -33,12 +33,12 @@ class Units:
         faults: Faults,
         unknown: UnknownUnit = "refuse",
     ) -> None:
-        self.faults = faults or None
+        self.faults: Faults | None = faults or None
         if unknown not in UNKNOWN_UNIT_POLICIES:
             allowed = ", ".join(UNKNOWN_UNIT_POLICIES)
             raise ValueError(f"unknown_unit must be one of {allowed}, not {unknown!r}")
         self.unknown = unknown
-        self.any = devices if isinstance(devices, Device) else None
+        self.any: Device | None = devices if isinstance(devices, Device) else None
         self.devices: dict[int, Device] = {}
         if self.any is not None:
             return
@@ -57,7 +57,7 @@ class TcpUnits:
     delimiter = None
 
     def __init__(self, units: Units) -> None:
-        self.faults = units.faults
+        self.faults: Faults | None = units.faults
         self._units = units.devices
         self._any = units.any
         self._refuses = units.unknown == "refuse"
@@ -97,7 +97,7 @@ class SerialUnits:
     """
 
     def __init__(self, units: Units) -> None:
-        self.faults = units.faults
+        self.faults: Faults | None = units.faults
         self._any = units.any and (units.any, EventLog(is_serial=True))
         self._stations = {
             unit: (device, EventLog(is_serial=True)) for unit, device in units.devices.items()

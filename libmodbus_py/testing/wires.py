@@ -94,8 +94,8 @@ class SerialWire(_Wire):
         super().__init__()
         self._client = _RawPort()
         self._server = _RawPort()
-        self.client = self._client.path
-        self.server = self._server.path
+        self.client: str = self._client.path
+        self.server: str = self._server.path
         self._join(self._client, self._server, "client")
         self._join(self._server, self._client, "server")
 

@@ -1,7 +1,7 @@
 """
 Right uses of the public face, which type checkers must take as they are.
 
-Nothing here runs. A line that ends in ``# later`` waits for what is not built yet.
+Nothing here runs.
 """
 
 from __future__ import annotations
@@ -14,9 +14,14 @@ from libmodbus_py import (
     Context,
     Device,
     Mapping,
+    ModbusError,
+    Plan,
+    Read,
     RtuContext,
     Server,
+    State,
     TcpContext,
+    Traced,
     UdpContext,
     pdu,
 )
@@ -29,10 +34,25 @@ ALL = [
 ]
 TcpContext("192.0.2.10", retries=2, trace=print)
 TcpContext("192.0.2.10", request_spacing=0.01, connect_delay=0.5, keepalive=None)
+TcpContext("192.0.2.10", accept_unit="any", max_pause=5, timeouts_before_reconnect=1)
 AsciiContext("/dev/ttyUSB0", delimiter=0x0A)
+RtuContext("/dev/ttyUSB0", rs485=None, rts_delay=None, echo=True, busy_retries=3, turnaround=0.2)
 Context.from_url("tcp://192.0.2.10?unit=17", timeout=0.5, retries=1)
+Context.from_url("rtu:///dev/ttyUSB0", baudrate=9600, parity="N", native=False)
 AsyncClient("tcp://192.0.2.10", unit=17, max_in_flight=4, on_state=print)
 AsyncClient("tcp://192.0.2.10", retries=2, trace=print)
+
+
+def told(state: State, error: ModbusError | None) -> None:
+    assert_type(error.endpoint if error else "", str)
+
+
+def traced(each: Traced) -> None:
+    assert_type(each.adu, bytes)
+    assert_type(each.unit, int | None)
+
+
+UdpContext("192.0.2.10", on_state=told, trace=traced)
 
 
 def blocking(plc: TcpContext) -> None:
@@ -49,10 +69,14 @@ def blocking(plc: TcpContext) -> None:
 
 def handles(plc: TcpContext) -> None:
     assert_type(plc.for_unit(3), TcpContext)
-    plc.for_unit(3, timeout=0.3, retries=1)
-    plc.execute(pdu.ReadCoils(0, 8), timeout=0.1)
+    assert_type(plc.for_unit(3, timeout=0.3, retries=1).read_coils(0, 8), list[bool])
+    assert_type(plc.execute(pdu.ReadCoils(0, 8), timeout=0.1, retries=2), list[bool])
     assert_type(plc.statistics.late_answers, int)
-    print(plc.state)
+    assert_type(plc.statistics.last_success, float | None)
+    assert_type(plc.state, State)
+    with plc as same:
+        assert_type(same, TcpContext)
+    plc.timeout = 0.5
 
 
 def values(plc: TcpContext) -> None:
@@ -65,28 +89,40 @@ def many(plc: TcpContext) -> None:
     for key, read in plc.read_many({"level": ("coils", 0, 8)}).items():
         assert_type(key, str)
         assert_type(read, list[Any])
-    for number in plc.read_many({7: ("coils", 0, 8)}):
+    for number in plc.read_many({7: ("coils", 0, 8)}, gap=4):
         assert_type(number, int)
-    assert_type(plc.read_many([("coils", 0, 8)]), list[list[Any]])
+    level = Read("holding_registers", 0, 1, "float32", "CDAB")
+    assert_type(plc.read_many([("coils", 0), level]), list[list[Any]])
+    text = plc.read_many([("input_registers", 0, 1, "string:8", "ABCD", "latin-1", " ")])
+    assert_type(text, list[list[Any]])
+    plc.read_many([("holding_registers", 0, 2, "int32", "CDAB")], max_in_flight=1)
+    found = plc.read_many([("coils", 0, 8)], return_exceptions=True)
+    assert_type(found, list[list[Any] | ModbusError])
+    plc.read_many(Plan({"level": ("coils", 0, 8)}, forbidden=[("coils", range(4))]))
+    assert_type(plc.execute_many([pdu.ReadCoils(0, 8), pdu.ReportServerId()]), list[Any])
 
 
 async def asking(plc: AsyncClient) -> None:
     assert_type(await plc.read_coils(0, 8), list[bool])
     assert_type(await plc.read_holding_registers(address=0, count=8), list[int])
     assert_type(await plc.read_device_identification("regular"), pdu.DeviceIdentification)
-    assert_type(await plc.execute(pdu.ReportServerId()), pdu.ServerId)
+    assert_type(await plc.execute(pdu.ReportServerId(), timeout=0.1), pdu.ServerId)
     assert_type(plc.for_unit(3), AsyncClient)
     await plc.write_coil(0, True)
-    await plc.for_unit(3, timeout=0.3).read_coils(0, 8)
-    for key in await plc.read_many({"level": ("coils", 0, 8)}):
+    assert_type(await plc.for_unit(3, timeout=0.3).read_coils(0, 8), list[bool])
+    for key, read in (await plc.read_many({"level": ("coils", 0, 8)})).items():
         assert_type(key, str)
+        assert_type(read, list[Any])
+    async with plc as same:
+        assert_type(same, AsyncClient)
 
 
 def serving() -> None:
     mapping = Mapping(coils=64, discrete_inputs=range(10, 20))
     mapping.holding_registers[100:104] = [1, 2, 3, 4]
     assert_type(mapping.holding_registers[100], int)
+    mapping.holding_registers.write(100, 3.14, "float32", order="CDAB")
     Mapping(holding_registers=[range(10), range(100, 110)])
     Mapping(holding_registers={100: [555, 0, 100]}, coils={0: [True]})
-    Server({1: Device(mapping), 2: Device(Mapping(coils=8))})
+    Server({1: Device(mapping), 2: Device(Mapping(coils=8))}, unknown_unit="silent")
     Server(Device(mapping)).serve_forever("tcp://127.0.0.1:1502")

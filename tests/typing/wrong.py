@@ -1,24 +1,40 @@
 """
 Wrong uses of the public face: type checkers must complain of every line marked
-``# wrong``, and of no other. ``# later`` marks those that they do not see yet.
+``# wrong``, and of no other.
 
 Nothing here runs.
 """
 
 from __future__ import annotations
 
-from libmodbus_py import AsyncClient, Context, RtuContext, Server, TcpContext
+from libmodbus_py import (
+    AsciiContext,
+    AsyncClient,
+    Context,
+    Mapping,
+    Read,
+    RtuContext,
+    Server,
+    TcpContext,
+    pdu,
+)
 
 TcpContext("192.0.2.10", timout=1.0)  # wrong
 TcpContext("192.0.2.10", framing="tpc")  # wrong
 TcpContext("192.0.2.10", unit="17")  # wrong
 TcpContext("192.0.2.10", native=None)  # wrong
+TcpContext("192.0.2.10", accept_unit="all")  # wrong
+TcpContext("192.0.2.10", baudrate=9600)  # wrong
+TcpContext("192.0.2.10", trace="wire.log")  # wrong
 RtuContext("/dev/ttyUSB0", parity="even")  # wrong
 RtuContext("/dev/ttyUSB0", rs485="rts")  # wrong
+AsciiContext("/dev/ttyUSB0", delimiter="\n")  # wrong
 Context.from_url("tcp://192.0.2.10", unti=3)  # wrong
 Context.from_url("tcp://192.0.2.10", timeout="1")  # wrong
 AsyncClient("tcp://192.0.2.10", retires=2)  # wrong
 AsyncClient("tcp://192.0.2.10", unti=2)  # wrong
+AsyncClient("tcp://192.0.2.10", native=False)  # wrong
+Read("coil", 0)  # wrong
 
 
 def blocking(plc: TcpContext) -> None:
@@ -33,6 +49,11 @@ def blocking(plc: TcpContext) -> None:
     plc.write_registers(0, 555)  # wrong
     plc.read_many({"level": ("coil", 0, 8)})  # wrong
     plc.read_many([("holding_registers", 0, 1, "flaot32")])  # wrong
+    plc.read_many([("holding_registers", 0, 1, "float32", "ABDC")])  # wrong
+    plc.read_many([("coils", 0, 8)], gpa=4)  # wrong
+    plc.for_unit(3, timeuot=0.3)  # wrong
+    plc.execute(pdu.ReadCoils(0, 8), timeout="0.1")  # wrong
+    print(plc.statistics.late_answer)  # wrong
 
 
 def confused(plc: TcpContext) -> list[bool]:
@@ -43,11 +64,15 @@ async def asking(plc: AsyncClient) -> None:
     plc.read_coils(0, 8)  # wrong
     await plc.read_values("holding_regs", 0, "float32")  # wrong
     await plc.read_coils("0", 8)  # wrong
+    await plc.read_many({"level": ("coil", 0, 8)})  # wrong
 
 
 def forgotten_await(plc: AsyncClient) -> list[bool]:
     return plc.read_coils(0, 8)  # wrong
 
 
-def serving(server: Server) -> None:
+def serving(server: Server, mapping: Mapping) -> None:
     server.background(1502)  # wrong
+    mapping.holding_registers.write(0, 1.5, "flaot32")  # wrong
+    Mapping(holding_registers="100")  # wrong
+    Server(mapping)  # wrong

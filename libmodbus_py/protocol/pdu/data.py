@@ -13,6 +13,7 @@ from ..checks import integer
 from ..scan import lib
 from .fields import (
     TABLE_SIZE,
+    LengthRule,
     checked_bit,
     checked_bits,
     checked_register,
@@ -41,8 +42,8 @@ class _Read(Request[Values]):
 
     limit: ClassVar[int]
     repeatable = True
-    request_length = fixed(5)
-    response_length = counted(2, at=1)
+    request_length: ClassVar[LengthRule] = fixed(5)
+    response_length: ClassVar[LengthRule] = counted(2, at=1)
 
     def __post_init__(self) -> None:
         address, number = self.address, self.count
@@ -138,7 +139,8 @@ class WriteCoil(Echoed):
     value: bool
 
     function = 0x05
-    request_length = response_length = fixed(5)
+    request_length: ClassVar[LengthRule] = fixed(5)
+    response_length: ClassVar[LengthRule] = fixed(5)
     echoed = 5
     wire_values: ClassVar[dict[int, bool]] = {0x0000: False, 0xFF00: True}
 
@@ -168,7 +170,8 @@ class WriteRegister(Echoed):
     value: int
 
     function = 0x06
-    request_length = response_length = fixed(5)
+    request_length: ClassVar[LengthRule] = fixed(5)
+    response_length: ClassVar[LengthRule] = fixed(5)
     echoed = 5
 
     def __post_init__(self) -> None:
@@ -195,8 +198,8 @@ class WriteCoils(Echoed):
 
     limit: ClassVar[int] = 1968
     function = 0x0F
-    request_length = counted(6, at=5)
-    response_length = fixed(5)
+    request_length: ClassVar[LengthRule] = counted(6, at=5)
+    response_length: ClassVar[LengthRule] = fixed(5)
     echoed = 5
 
     def __post_init__(self) -> None:
@@ -229,8 +232,8 @@ class WriteRegisters(Echoed):
 
     limit: ClassVar[int] = 123
     function = 0x10
-    request_length = counted(6, at=5)
-    response_length = fixed(5)
+    request_length: ClassVar[LengthRule] = counted(6, at=5)
+    response_length: ClassVar[LengthRule] = fixed(5)
     echoed = 5
 
     def __post_init__(self) -> None:
@@ -266,7 +269,8 @@ class MaskWriteRegister(Echoed):
     or_mask: int
 
     function = 0x16
-    request_length = response_length = fixed(7)
+    request_length: ClassVar[LengthRule] = fixed(7)
+    response_length: ClassVar[LengthRule] = fixed(7)
     echoed = 7
 
     def __post_init__(self) -> None:
@@ -300,8 +304,8 @@ class ReadWriteRegisters(Request[list[int]]):
 
     function = 0x17
     repeatable = True
-    request_length = counted(10, at=9)
-    response_length = counted(2, at=1)
+    request_length: ClassVar[LengthRule] = counted(10, at=9)
+    response_length: ClassVar[LengthRule] = counted(2, at=1)
 
     def __post_init__(self) -> None:
         count = integer("read_count", self.read_count, 1, 125)
@@ -359,8 +363,8 @@ class ReadFifoQueue(Request[list[int]]):
 
     function = 0x18
     repeatable = True
-    request_length = fixed(3)
-    response_length = in_c(_counted_wide, lib.COUNTED_WIDE, 3, 1)
+    request_length: ClassVar[LengthRule] = fixed(3)
+    response_length: ClassVar[LengthRule] = in_c(_counted_wide, lib.COUNTED_WIDE, 3, 1)
     max_count: ClassVar[int] = 31
 
     def __post_init__(self) -> None:

@@ -15,6 +15,7 @@ from ..errors import in_hex
 from .fields import (
     MAX_PDU,
     AddressError,
+    LengthRule,
     checked_registers,
     checked_sequence,
     counted,
@@ -64,8 +65,8 @@ class ReadFileRecords(Request[list[list[int]]]):
 
     function = 0x14
     repeatable = True
-    request_length = counted(2, at=1)
-    response_length = counted(2, at=1)
+    request_length: ClassVar[LengthRule] = counted(2, at=1)
+    response_length: ClassVar[LengthRule] = counted(2, at=1)
     max_response: ClassVar[int] = MAX_PDU - 2
     max_served: ClassVar[int] = 0xF5  # the table of section 6.14
 
@@ -142,8 +143,8 @@ class WriteFileRecords(Echoed):
     records: tuple[tuple[int, int, tuple[int, ...]], ...]
 
     function = 0x15
-    request_length = counted(2, at=1)
-    response_length = counted(2, at=1)
+    request_length: ClassVar[LengthRule] = counted(2, at=1)
+    response_length: ClassVar[LengthRule] = counted(2, at=1)
     echoed = MAX_PDU
 
     def __post_init__(self) -> None:

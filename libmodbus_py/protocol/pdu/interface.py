@@ -12,7 +12,7 @@ from typing import ClassVar, NamedTuple, Self
 from ..checks import integer
 from ..errors import ExceptionResponse, IllegalFunction, InvalidResponse
 from ..scan import lib
-from .fields import MAX_PDU, checked_data, in_c, store
+from .fields import MAX_PDU, LengthRule, checked_data, in_c, store
 from .request import Request, Result
 
 __all__ = [
@@ -112,8 +112,8 @@ class _Encapsulated(Request[Result]):
     __slots__ = ()
     function = 0x2B
 
-    request_length = in_c(_request_length, lib.ENCAPSULATED_REQUEST)
-    response_length = in_c(_response_length, lib.ENCAPSULATED_RESPONSE)
+    request_length: ClassVar[LengthRule] = in_c(_request_length, lib.ENCAPSULATED_REQUEST)
+    response_length: ClassVar[LengthRule] = in_c(_response_length, lib.ENCAPSULATED_RESPONSE)
 
     def _refusal(self, pdu: bytes) -> ExceptionResponse | InvalidResponse:
         """Some devices put the MEI type into their exceptions, before the code or behind it."""

@@ -131,7 +131,7 @@ class Bare(Request[Result]):
 
     __slots__ = ()
     repeatable = True
-    request_length = fixed(1)
+    request_length: ClassVar[LengthRule] = fixed(1)
 
     def encode(self) -> bytes:
         return bytes([self.function])

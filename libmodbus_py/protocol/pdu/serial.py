@@ -11,7 +11,7 @@ from typing import ClassVar, NamedTuple, Self
 
 from ..checks import integer
 from ..scan import lib
-from .fields import MAX_PDU, checked_data, checked_register, counted, fixed, in_c, store
+from .fields import MAX_PDU, LengthRule, checked_data, checked_register, counted, fixed, in_c, store
 from .request import Bare, Request
 
 __all__ = [
@@ -32,7 +32,7 @@ class ReadExceptionStatus(Bare[int]):
     """Function 7, section 6.7: eight outputs of the device as a byte, the lowest in bit 0."""
 
     function = 0x07
-    response_length = fixed(2)
+    response_length: ClassVar[LengthRule] = fixed(2)
 
     def encode_response(self, result: int) -> bytes:
         return bytes([self.function, integer("result", result, 0, 0xFF)])
@@ -96,7 +96,8 @@ class Diagnostics(Request[bytes]):
     def expects_response(self) -> bool:
         return self.sub_function != SubFunction.FORCE_LISTEN_ONLY
 
-    request_length = response_length = in_c(_diagnostics_length, lib.DIAGNOSTICS)
+    request_length: ClassVar[LengthRule] = in_c(_diagnostics_length, lib.DIAGNOSTICS)
+    response_length: ClassVar[LengthRule] = request_length
 
     def encode(self) -> bytes:
         return struct.pack(">BH", self.function, self.sub_function) + self.data
@@ -136,7 +137,7 @@ class ReadCommEventCounter(Bare[CommEventCounter]):
     """Function 11, section 6.9: status word and event counter."""
 
     function = 0x0B
-    response_length = fixed(5)
+    response_length: ClassVar[LengthRule] = fixed(5)
 
     def encode_response(self, result: CommEventCounter) -> bytes:
         status, event_count = (checked_register("result", value) for value in result)
@@ -167,7 +168,7 @@ class ReadCommEventLog(Bare[CommEventLog]):
     """Function 12, section 6.10: the counters, and the last events."""
 
     function = 0x0C
-    response_length = counted(2, at=1)
+    response_length: ClassVar[LengthRule] = counted(2, at=1)
     max_events: ClassVar[int] = 64
 
     def encode_response(self, result: CommEventLog) -> bytes:
@@ -222,7 +223,7 @@ class ReportServerId(Bare[ServerId]):
     """Function 17, section 6.13: what the device is, and whether it runs."""
 
     function = 0x11
-    response_length = counted(2, at=1)
+    response_length: ClassVar[LengthRule] = counted(2, at=1)
 
     def encode_response(self, result: ServerId) -> bytes:
         data = result.data
