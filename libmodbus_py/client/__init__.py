@@ -4,18 +4,20 @@ Asks. What is decided is decided once, and two drivers wait and read for it.
 From the caller to the wire:
 
     requests           every method, once for both clients
+    handle             a unit, its patience, and the connection that it shares
     blocking           Context, TcpContext, UdpContext, RtuContext, AsciiContext
     asynchronous       AsyncClient
-    options            what both take, and its types
+    options            what both take, and the parts made of it
     batch              what one caller asks, and what became of it; Statistics
+    blocking_driver    waits by polling, for any thread; forks, Ctrl-C
+    asyncio_driver     waits in an event loop, with one reader and one timer
+    libmodbus          the short way, in one call of C, when nothing needs deciding
     conversation       who may send when, who is told what; no socket, no clock
       in_flight        ... whose answer it is, by transaction ids
       in_turn          ... and on lines without them
-    reconnecting       when to connect again
-    blocking_driver    waits for a conversation by polling; threads, forks, Ctrl-C
-    asyncio_driver     waits for it in an event loop, with one reader and one timer
-    libmodbus          the short way around the conversation, in one call of C
+      hints            what bytes that answer nothing look like
+    reconnecting       when to connect again; State
+    trace              what goes over the wire, for whoever wants to see it
 
-Beside it: plan (many reads in few requests), trace (what goes over the wire), hints (what
-bytes that answer nothing look like).
+Beside it: plan, which makes few requests of many reads.
 """

@@ -2,8 +2,8 @@
 What carries bytes, and how to wait for it.
 
     endpoint    URLs: which port, which framing, which options
-    port        what all ports have in common
-    sockets     TCP connections and UDP sockets
-    serial      serial ports, which libmodbus opens and configures; RS-485, silence, locks
+    port        what all ports have in common; the silence of a line
     waiting     steps that yield what they wait for; run by polling or by an event loop
+    sockets     TCP connections and UDP sockets
+    serial      serial ports, which libmodbus opens and configures; RS-485, echo, locks
 """
