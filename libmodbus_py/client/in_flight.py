@@ -87,6 +87,8 @@ class InFlight(Conversation):
     def _take(self, data: bytes, now: float) -> None:
         is_on = self._trace.is_on
         answers = 0
+        if not self._asked:
+            self._note_unasked(len(data))
         for each in self._framer.scan(data):
             if isinstance(each, FrameError):
                 self._blame(each)
@@ -117,8 +119,6 @@ class InFlight(Conversation):
             self._note_life(now)
         else:
             self._keep_stray(self._framer.encode(frame))
-        if not self._asked:
-            self._note_unasked(len(frame.pdu) + 7)
 
     def _keep_stray(self, data: bytes) -> None:
         self._strays += data[: MAX_KEPT - len(self._strays)]
@@ -143,10 +143,8 @@ class InFlight(Conversation):
                 self._found.append((each, copy.copy(error)))
         elif self._framing == "udp":
             self._keep_stray(error.received)  # the next datagram may be the right one
-        else:  # a better one may follow
-            self._wrong[int.from_bytes(error.received[:2], "big")] = error
-        if not self._asked:
-            self._note_unasked(len(error.received))
+        elif (number := int.from_bytes(error.received[:2], "big")) in self._asked:
+            self._wrong[number] = error  # a better one may follow
 
     def _overdue(self, now: float) -> list[tuple[Asked, Found]]:
         overdue: list[tuple[Asked, Found]] = []

@@ -227,9 +227,7 @@ class InTurn(Conversation):
             self._end(asked, self._wrong, now)
 
     def _is_damaged(self, asked: Asked) -> bool:
-        rest = bytes(self._received)
-        if rest.startswith(asked.adu):
-            rest = rest[len(asked.adu) :]
+        rest = bytes(self._received).replace(asked.adu, b"", 1)  # its echo
         unit, function = asked.batch.unit, asked.batch.pdus[asked.index][0]
         starts = [bytes([unit, function]), bytes([unit, function | 0x80])]
         if self._framing == "ascii":
