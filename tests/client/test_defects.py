@@ -1,0 +1,258 @@
+"""
+Faults that were found by attacking the clients, each by what it looked like to a caller.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import gc
+import os
+import resource
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+import tracemalloc
+import warnings
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+from asking import ALL, BLOCKING, CLIENTS, NATIVE, answer, asking
+from fake import FakeServer, FakeUnit, mbap
+from scripted import Scripted, echo, ignore
+from scripted import run as run_watched
+
+from libmodbus_py import (
+    AsciiContext,
+    AsyncClient,
+    Context,
+    Device,
+    FrameError,
+    Mapping,
+    ModbusConnectionError,
+    ModbusError,
+    ModbusTimeoutError,
+    RtuContext,
+    Server,
+    State,
+    TcpContext,
+    framing,
+    pdu,
+)
+from libmodbus_py.testing.wires import SerialWire
+
+# Of a machine that is busy with other tests; what is measured on one that is not, is below 0.05.
+LATE = 0.25
+
+
+def rtu(request: bytes) -> bytes:
+    return answer(request, "rtu")
+
+
+# --- answers that come twice, late, or after something else ---------------------------------
+
+
+@ALL
+def test_a_unit_that_answers_twice_gives_no_wrong_values(kind: str) -> None:
+    def twice(request: bytes) -> Iterator[bytes]:
+        yield rtu(request)
+        time.sleep(0.001)
+        yield rtu(request)
+
+    with FakeUnit(twice) as unit, asking(kind, f"rtu://{unit.path}?baudrate=19200") as client:
+        assert [client.read(address) for address in range(50)] == list(range(50))
+
+
+STRAYS: dict[str, Callable[[bytes], bytes]] = {
+    "00": lambda request: b"\x00",
+    "FF": lambda request: b"\xff",
+    "FE 00": lambda request: b"\xfe\x00",
+    "unit": lambda request: answer(request, "rtu", unit=9),
+    "echo": lambda request: request,
+    "00 and echo": lambda request: b"\x00" + request,
+}
+
+
+@ALL
+@pytest.mark.parametrize("pause", [0, 0.03])
+@pytest.mark.parametrize("stray", STRAYS)
+def test_what_stands_before_each_answer_on_a_line_harms_none(
+    stray: str, pause: float, kind: str
+) -> None:
+    """A transceiver that turns round makes bytes; a pause is longer than the framer's silence."""
+
+    def strayed(request: bytes) -> Iterator[bytes]:
+        yield STRAYS[stray](request) + (b"" if pause else rtu(request))
+        if pause:
+            time.sleep(pause)
+            yield rtu(request)
+
+    with FakeUnit(strayed) as unit, asking(kind, f"rtu://{unit.path}?baudrate=115200") as client:
+        assert [client.read(address) for address in range(40)] == list(range(40))
+
+
+@ALL
+def test_echoes_of_writes_are_their_answers_or_harm_none(kind: str) -> None:
+    def echoed(request: bytes) -> list[bytes]:
+        return [request, request[:6] + framing.crc16(request[:6]).to_bytes(2, "little")]
+
+    with FakeUnit(echoed) as unit, asking(kind, f"rtu://{unit.path}?baudrate=115200") as client:
+        for address in range(20):
+            client.write_register(address, 1)
+            client.write_registers(address, [1, 2])
+
+
+@ALL
+def test_an_answer_with_another_id_before_each_answer_harms_none(kind: str) -> None:
+    def with_other(request: bytes) -> list[bytes]:
+        other = mbap(request, b"\x03\x02\xff\xff", transaction=int.from_bytes(request[:2], "big") ^ 0x5555)
+        return [other + answer(request, "tcp")]
+
+    with FakeServer(with_other) as server, asking(kind, f"tcp://127.0.0.1:{server.port}") as client:
+        assert [client.read(address) for address in range(40)] == list(range(40))
+        assert server.connections == 1
+
+
+@ALL
+def test_a_late_answer_during_a_request_does_not_fail_it(kind: str) -> None:
+    """The answer to a request that was given up comes while the next one waits."""
+
+    class Late:
+        owed = b""
+
+        def __call__(self, request: bytes) -> Iterator[bytes]:
+            owed, self.owed = self.owed, b""
+            address = int.from_bytes(request[8:10], "big")
+            if address == 7:
+                self.owed = answer(request, "tcp")
+                return
+            time.sleep(0.02)
+            yield owed
+            time.sleep(0.02)
+            yield answer(request, "tcp")
+
+    url = "tcp://127.0.0.1:{}"
+    with FakeServer(Late()) as server, asking(kind, url.format(server.port)) as client:
+        for _ in range(3):
+            assert client.read(1) == 1
+            client.client.timeout = 0.05
+            with pytest.raises(ModbusTimeoutError):
+                client.read(7)
+            client.client.timeout = 1
+            assert client.read(2) == 2
+        assert client.client.late_answers == 3
+        assert server.connections == 1
+
+
+# --- floods --------------------------------------------------------------------------------
+
+
+class Flood:
+    """A server that sends without end, from the first request on."""
+
+    def __init__(self, data: bytes, udp: bool = False) -> None:
+        self._data = data
+        self._udp = udp
+
+    def __enter__(self) -> Flood:
+        kind = socket.SOCK_DGRAM if self._udp else socket.SOCK_STREAM
+        self._socket = socket.socket(socket.AF_INET, kind)
+        self._socket.bind(("127.0.0.1", 0))
+        self._socket.settimeout(0.05)
+        self.port = self._socket.getsockname()[1]
+        if not self._udp:
+            self._socket.listen()
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._serve, daemon=True)
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._over.set()
+        self._thread.join()
+        self._socket.close()
+
+    def _serve(self) -> None:
+        while not self._over.is_set():
+            with contextlib.suppress(OSError):
+                if self._udp:
+                    _, peer = self._socket.recvfrom(300)
+                    while not self._over.is_set():
+                        self._socket.sendto(self._data, peer)
+                else:
+                    peer, _ = self._socket.accept()
+                    with peer:
+                        peer.settimeout(5)
+                        peer.recv(300)
+                        while not self._over.is_set():
+                            peer.sendall(self._data)
+
+
+FLOODS: dict[str, tuple[str, bytes]] = {
+    "digits": ("ascii+tcp", b"0123456789ABCDEF" * 4096),
+    "colons and digits": ("ascii+tcp", (b":" + b"0123456789ABCDEF" * 100) * 40),
+    "frames with other ids": ("tcp", bytes.fromhex("FFFF0000000501030200AA") * 4096),
+    "headers of another protocol": ("tcp", bytes.fromhex("800100070005010302000A") * 4096),
+    "datagrams": ("udp", bytes.fromhex("FFFF0000000501030200AA")),
+    "large datagrams": ("udp", bytes(60_000)),
+    "noise": ("rtu+tcp", os.urandom(65536)),
+    "starts of frames": ("rtu+tcp", b"\x01\x03\xfa" * 20_000),
+    "frames of another unit": ("rtu+tcp", bytes.fromhex("09030200AAD9FB") * 8192),
+}
+
+
+@ALL
+@pytest.mark.parametrize("flood", FLOODS)
+def test_a_flood_costs_neither_time_nor_memory(flood: str, kind: str) -> None:
+    scheme, data = FLOODS[flood]
+    with Flood(data, scheme == "udp") as server:
+        url = f"{scheme}://127.0.0.1:{server.port}"
+        with asking(kind, url, timeout=0.3) as client:
+            tracemalloc.start()
+            try:
+                for silence in (0.0, 0.0 if scheme in ("tcp", "udp") else 0.3):
+                    start = time.monotonic()
+                    with pytest.raises(ModbusError) as caught:
+                        client.read(1)
+                    assert time.monotonic() - start < silence + 0.3 + LATE
+                    assert len(caught.value.received) <= 600
+                    assert len(str(caught.value)) < 300
+                kept, most = tracemalloc.get_traced_memory()
+            finally:
+                tracemalloc.stop()
+    # What is looked at in one turn, and more than that is not kept; datagrams come by dozens.
+    assert kept < 256 * 1024
+    assert most < (8 << 20 if scheme == "udp" else 512 * 1024)
+
+
+@ALL
+@pytest.mark.parametrize("scheme", ["rtu", "ascii"])
+def test_a_line_that_is_never_quiet_costs_neither_time_nor_memory(scheme: str, kind: str) -> None:
+    noise = b"0123456789ABCDEF" * 16 if scheme == "ascii" else bytes(range(1, 256))
+    over = threading.Event()
+    with FakeUnit(lambda request: []) as unit:
+        os.set_blocking(unit._master, False)
+
+        def flood() -> None:
+            while not over.is_set():
+                with contextlib.suppress(BlockingIOError):
+                    unit.write(noise)
+
+        thread = threading.Thread(target=flood, daemon=True)
+        thread.start()
+        try:
+            url = f"{scheme}://{unit.path}?baudrate=115200"
+            with asking(kind, url, timeout=0.2) as client:
+                for _ in range(3):
+                    start = time.monotonic()
+                    with pytest.raises(ModbusError) as caught:
+                        client.read(1)
+                    assert time.monotonic() - start < 2 * 0.2 + LATE
+                    assert len(caught.value.received) <= 600
+        finally:
+            over.set()
+            thread.join()
