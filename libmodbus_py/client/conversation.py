@@ -313,16 +313,27 @@ class Conversation(ABC):
         waiting, self._repeats = self._repeats, []
         for repeat in waiting:
             due, batch, index = repeat
-            if due > now or self._room <= 0 or not self._may_ask(batch.unit, now):
+            if due > now or self._room <= 0:
                 self._repeats.append(repeat)
                 self._wake(due if due > now else self.alarm)
-                continue
-            self.statistics.retries += 1
-            self._wake(now + batch.patience.timeout - batch.used)
-            adus.append(self._start(batch, index, now))
+            elif self._may_ask(batch.unit, now):
+                self.statistics.retries += 1
+                self._wake(now + batch.patience.timeout - batch.used)
+                adus.append(self._start(batch, index, now))
+            elif (error := self._impatience(batch, now)) is not None:
+                batch.in_flight -= 1
+                batch.settle(index, self._completed(error, batch, index, b""))
+                if not batch.queued:
+                    self._enqueue(batch)
+            else:
+                self._repeats.append(repeat)
 
     def _may_ask(self, unit: int, now: float) -> bool:
         return True
+
+    def _impatience(self, batch: Batch, now: float) -> ModbusError | None:
+        """Say that a batch which may not ask yet has waited for too long."""
+        return None
 
     def take(self, data: bytes, now: float) -> bool:
         """Take received bytes; says whether they settle anything, and slots are free again."""

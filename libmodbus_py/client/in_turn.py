@@ -42,7 +42,8 @@ class InTurn(Conversation):
         self._quiet_at: float | None = None
         # Unit -> when it may be asked again, and the timeout that it had.
         self._doubts: dict[int, tuple[float, float]] = {}
-        self._patience: dict[int, float] = {}
+        # Since when a batch waits for silence.
+        self._waiting: dict[Batch, float] = {}
         self._is_exact = False  # the last answer came with nothing before it or behind it
         self._is_noisy = False  # something on this connection did not
         super().__init__(*args, **options)
@@ -88,8 +89,8 @@ class InTurn(Conversation):
             elif self._may_ask(batch.unit, now):
                 self._queue.remove(batch)
                 return batch
-            else:
-                self._wait_for_silence(batch, now)
+            elif (error := self._impatience(batch, now)) is not None:
+                self._fail_next(batch, error)
         return None
 
     def _may_ask(self, unit: int, now: float) -> bool:
@@ -106,18 +107,16 @@ class InTurn(Conversation):
         doubts = self._doubts.values() if unit == 0 else [self._doubts.get(unit, (0.0, 0.0))]
         return max((ready_at for ready_at, _ in doubts), default=0.0)
 
-    def _wait_for_silence(self, batch: Batch, now: float) -> None:
+    def _impatience(self, batch: Batch, now: float) -> ModbusError | None:
         """Not for ever; from who sends more than a late answer, not longer than for an answer."""
         timeout = batch.patience.timeout
-        since = self._patience.setdefault(batch.unit, now)
+        since = self._waiting.setdefault(batch, now)
         limit = since + timeout * (1 if len(self._late) >= MAX_KEPT else 2)
         if limit > now:
             self._wake(limit)
-        else:
-            del self._patience[batch.unit]
-            self._fail_next(
-                batch, FrameError("the line does not fall silent", received=bytes(self._late))
-            )
+            return None
+        del self._waiting[batch]
+        return FrameError("the line does not fall silent", received=bytes(self._late))
 
     def _begin(self, batch: Batch, index: int, now: float) -> Asked:
         if self._is_noisy or self._framer.pending:
@@ -127,6 +126,7 @@ class InTurn(Conversation):
 
     def _ask(self, batch: Batch, index: int, adu: bytes, now: float) -> Asked:
         self._end_doubt(batch.unit)
+        self._waiting.pop(batch, None)
         self._received.clear()
         self._late.clear()
         self._quiet_at = None
@@ -140,10 +140,8 @@ class InTurn(Conversation):
     def _end_doubt(self, unit: int) -> None:
         if unit == 0:
             self._doubts.clear()
-            self._patience.clear()
         else:
             self._doubts.pop(unit, None)
-            self._patience.pop(unit, None)
 
     # --- bytes ----------------------------------------------------------------------------
 
@@ -277,6 +275,7 @@ class InTurn(Conversation):
         self._doubts[batch.unit] = now + timeout, timeout
 
     def _give_up(self, batch: Batch, now: float) -> int:
+        self._waiting.pop(batch, None)
         if self._asked is None or self._asked.batch is not batch:
             return 0
         self._asked = None
@@ -285,6 +284,7 @@ class InTurn(Conversation):
 
     def _forget(self, now: float) -> list[Asked]:
         self._is_exact = False
+        self._waiting.clear()
         asked, self._asked = self._asked, None
         if asked is None:
             return []

@@ -1,0 +1,266 @@
+"""
+Which answer is whose where frames carry transaction ids, told in bytes and times.
+"""
+
+from __future__ import annotations
+
+import random
+
+import pytest
+from talk import TCP, Talk, kinds, tcp
+
+from libmodbus_py import FrameError, InvalidResponse, ModbusConnectionError, ModbusTimeoutError, pdu
+
+UDP = TCP.replace("tcp", "udp")
+
+
+def test_a_request_has_the_header_of_the_specification() -> None:
+    talk = Talk()
+    talk.ask(0x6B, unit=0x11)
+    assert talk.sent == [bytes.fromhex("0001 0000 0006 11 03 006B 0001")]
+
+
+@pytest.mark.parametrize("order", [[0, 1, 2, 3], [3, 2, 1, 0], [2, 0, 3, 1]])
+def test_answers_find_their_requests_in_any_order(order: list[int]) -> None:
+    talk = Talk()
+    batches = [talk.ask(address) for address in range(4)]
+    talk.come(*(tcp(talk.sent[at]) for at in order))
+    assert [batch.outcomes for batch in batches] == [[[0]], [[1]], [[2]], [[3]]]
+    assert talk.is_at_rest
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_answers_may_come_in_any_pieces(seed: int) -> None:
+    chance = random.Random(seed)
+    talk = Talk()
+    batch = talk.ask(*range(10), limit=16)
+    data = b"".join(tcp(each) for each in talk.sent)
+    while data:
+        size = chance.randrange(1, 20)
+        talk.come(data[:size])
+        data = data[size:]
+    assert batch.outcomes == [[address] for address in range(10)]
+
+
+def test_half_of_what_may_be_in_flight_goes_at_a_time() -> None:
+    talk = Talk(max_in_flight=8)
+    batch = talk.batch(*range(20), limit=8)
+    talk.conversation.add(batch, 0)
+    assert [len(talk.conversation.start(0)) for _ in range(3)] == [4, 4, 0]
+
+
+def test_a_batch_has_no_more_in_flight_than_its_limit() -> None:
+    talk = Talk()
+    batch = talk.ask(*range(10), limit=3)
+    assert len(talk.sent) == 3
+    talk.come(tcp(talk.sent[1]))
+    assert len(talk.sent) == 4
+    while not batch.is_done:
+        talk.come(tcp(talk.sent[-1]), *(tcp(each) for each in talk.sent[:-1]))
+    assert batch.outcomes == [[address] for address in range(10)]
+
+
+def test_callers_take_turns() -> None:
+    talk = Talk(max_in_flight=2)
+    talk.ask(*range(10), limit=16)
+    talk.ask(100)
+    talk.ask(200)
+    for at in range(4):
+        talk.come(tcp(talk.sent[at]))
+    assert [int.from_bytes(each[8:10], "big") for each in talk.sent] == [0, 1, 100, 200, 2, 3]
+
+
+# --- answers that nobody waits for -----------------------------------------------------------
+
+
+def test_late_answers_are_dropped_and_counted() -> None:
+    talk = Talk(timeout=1)
+    late = talk.ask(1)
+    talk.wait(1)
+    assert kinds(late) == [ModbusTimeoutError]
+    second = talk.ask(2)
+    talk.come(tcp(talk.sent[0]), tcp(talk.sent[1]))
+    assert second.outcomes == [[2]]
+    assert talk.statistics.late_answers == 1
+
+
+def test_the_id_of_a_request_that_may_still_be_answered_is_not_used_again() -> None:
+    talk = Talk(timeout=1, timeouts_before_reconnect=10)
+    talk.ask(7)
+    talk.wait(1)
+    for _ in range(0xFFFF):
+        talk.ask(1)
+        talk.come(tcp(talk.sent[-1]))
+    assert len({each[:2] for each in talk.sent}) == 0x10000
+    talk.ask(1)
+    assert talk.sent[-1][:2] == talk.sent[1][:2]
+    assert talk.statistics.responses == 0xFFFF
+
+
+def test_an_id_that_nobody_had_answers_nobody_and_is_shown_at_the_end() -> None:
+    talk = Talk(timeout=1)
+    batch = talk.ask(1)
+    stranger = tcp(talk.sent[0], number=999)
+    talk.come(stranger)
+    assert not batch.is_done
+    talk.wait(1)
+    assert kinds(batch) == [ModbusTimeoutError]
+    assert "id 999, not 1" in str(batch.outcomes[0])
+    assert batch.outcomes[0].received == stranger
+    assert talk.statistics.late_answers == 1
+
+
+def test_a_stranger_before_the_right_answer_does_no_harm() -> None:
+    talk = Talk()
+    for address in range(40):
+        batch = talk.ask(address)
+        talk.come(tcp(talk.sent[-1], number=999) + tcp(talk.sent[-1]))
+        assert batch.outcomes == [[address]]
+
+
+# --- answers that do not fit -------------------------------------------------------------------
+
+
+def test_another_unit_is_no_answer() -> None:
+    talk = Talk()
+    batch = talk.ask(1)
+    wrong = tcp(talk.sent[0], unit=255)
+    talk.come(wrong)
+    assert kinds(batch) == [InvalidResponse]
+    assert 'unit 255 answered; accept_unit="any"' in str(batch.outcomes[0])
+    assert batch.outcomes[0].received == wrong
+    assert talk.statistics.invalid == 1
+
+
+def test_any_unit_is_taken_where_that_is_wanted() -> None:
+    talk = Talk(accept_unit="any")
+    batch, refused = talk.ask(1), talk.ask(2)
+    talk.come(tcp(talk.sent[0], unit=255), tcp(talk.sent[1], "83 09", unit=255))
+    assert batch.outcomes == [[1]]
+    assert refused.outcomes[0].received == tcp(talk.sent[1], "83 09", unit=255)
+
+
+def test_a_frame_of_another_protocol_is_skipped() -> None:
+    talk = Talk()
+    batch = talk.ask(1)
+    talk.come(tcp(talk.sent[0], protocol=7), tcp(talk.sent[0]))
+    assert batch.outcomes == [[1]]
+
+
+def test_a_frame_of_another_protocol_alone_is_a_frame_error_at_the_end() -> None:
+    talk = Talk(timeout=1)
+    batch = talk.ask(1)
+    wrong = tcp(talk.sent[0], protocol=7)
+    talk.come(wrong)
+    talk.wait(0.9)
+    assert not batch.is_done
+    talk.wait(0.1)
+    assert kinds(batch) == [FrameError]
+    assert batch.outcomes[0].received == wrong
+
+
+@pytest.mark.parametrize("length", [0, 1, 255, 0xFFFF])
+def test_a_length_that_cannot_be_fails_all_and_breaks_the_connection(length: int) -> None:
+    talk = Talk()
+    batches = [talk.ask(1), talk.ask(2)]
+    talk.come(b"\0\1\0\0" + length.to_bytes(2, "big") + b"\1\3")
+    assert [kinds(batch) for batch in batches] == [[FrameError]] * 2
+    assert batches[0].outcomes[0] is not batches[1].outcomes[0]
+    assert batches[1].outcomes[0].asked == "ReadHoldingRegisters(address=2, count=1)"
+    waiting = talk.ask(3)
+    assert len(talk.sent) == 2
+    talk.leave_broken()
+    talk.open()
+    talk.come(tcp(talk.sent[2]))
+    assert waiting.outcomes == [[3]]
+
+
+def test_half_an_answer_is_shown_and_the_next_request_goes_over_a_new_connection() -> None:
+    talk = Talk(timeout=1)
+    batch = talk.ask(1)
+    half = tcp(talk.sent[0])[:8]
+    talk.come(half)
+    talk.wait(1)
+    assert kinds(batch) == [ModbusTimeoutError]
+    assert batch.outcomes[0].received == half
+    second = talk.ask(2)
+    assert talk.conversation.broken is not None
+    talk.leave_broken()
+    talk.open()
+    talk.come(tcp(talk.sent[1]))
+    assert second.outcomes == [[2]]
+
+
+def test_a_datagram_that_is_no_frame_does_not_end_the_wait() -> None:
+    talk = Talk(UDP)
+    batch = talk.ask(1)
+    right = tcp(talk.sent[0])
+    talk.come(b"", b"\0", right[:-1], right + b"\0", right + right, right)
+    assert batch.outcomes == [[1]]
+    assert talk.statistics.invalid == 4
+
+
+# --- floods --------------------------------------------------------------------------------------
+
+
+def test_what_nobody_asked_for_breaks_the_connection_after_64_kib() -> None:
+    talk = Talk()
+    frame = bytes.fromhex("7777 0000 00FE 01 03 FA") + bytes(251)
+    for _ in range(0x10000 // 260):
+        talk.come(frame)
+        assert not talk.conversation.is_flooded
+    talk.come(frame * 2)
+    assert talk.conversation.is_flooded
+    assert isinstance(talk.conversation.broken, ModbusConnectionError)
+    talk.leave_broken()
+    talk.open()
+    assert not talk.conversation.is_flooded
+    talk.ask(1)
+    assert len(talk.sent) == 1
+
+
+def test_a_flood_while_somebody_waits_extends_no_timeout_and_is_not_kept() -> None:
+    talk = Talk(timeout=1)
+    batch = talk.ask(1)
+    frame = bytes.fromhex("7777 0000 00FE 01 03 FA") + bytes(251)
+    for _ in range(10):
+        talk.come(frame * 100)
+        talk.wait(0.1)
+    assert kinds(batch) == [ModbusTimeoutError]
+    assert len(batch.outcomes[0].received) <= 600
+    assert len(str(batch.outcomes[0])) < 300
+
+
+# --- requests that nobody answers ------------------------------------------------------------------
+
+
+def test_a_request_that_nobody_answers_takes_the_turnaround_and_holds_up_nobody() -> None:
+    talk = Talk(turnaround=0.1)
+    silent = talk.ask(pdu.Diagnostics(pdu.SubFunction.FORCE_LISTEN_ONLY, b"\0\0"))
+    other = talk.ask(5)
+    talk.come(tcp(talk.sent[1]))
+    assert other.outcomes == [[5]]
+    talk.wait(0.09)
+    assert not silent.is_done
+    talk.wait(0.01)
+    assert silent.outcomes == [None]
+    assert talk.statistics.timeouts == 0
+    assert talk.is_at_rest
+
+
+# --- the short way ---------------------------------------------------------------------------------
+
+
+def test_the_short_way_is_closed_while_anything_else_may_come() -> None:
+    talk = Talk(timeout=1)
+    assert talk.conversation.is_plain
+    batch = talk.ask(1)
+    assert not talk.conversation.is_plain
+    talk.wait(1)
+    assert batch.is_done
+    assert not talk.conversation.is_plain  # a late answer may come
+    talk.come(tcp(talk.sent[0]))
+    assert talk.conversation.is_plain
+    talk.come(b"\0")
+    assert not talk.conversation.is_plain
+    assert not Talk(trace=print).conversation.is_plain

@@ -1,0 +1,472 @@
+"""
+One request at a time on lines without ids, told in bytes and times.
+"""
+
+from __future__ import annotations
+
+import pytest
+from talk import ASCII, LINE, Talk, ascii_frame, is_quiet, kinds, rtu, value
+
+from libmodbus_py import FrameError, IllegalDataAddress, InvalidResponse, ModbusTimeoutError, pdu
+
+WRITE = pdu.WriteRegister(1, 2)
+
+
+def units(talk: Talk) -> list[int]:
+    """Who was asked."""
+    return [adu[0] for adu in talk.sent]
+
+
+# --- one after the other -------------------------------------------------------------------------
+
+
+def test_a_request_is_the_frame_of_the_specification() -> None:
+    talk = Talk(LINE)
+    talk.ask(pdu.ReadHoldingRegisters(0x6B, 3), unit=0x11)
+    assert talk.sent == [bytes.fromhex("11 03 006B 0003 7687")]
+
+
+def test_the_next_request_waits_for_the_answer_to_the_last() -> None:
+    talk = Talk(LINE)
+    first, second = talk.ask(1), talk.ask(2)
+    assert len(talk.sent) == 1
+    talk.come(value(1))
+    talk.come(value(2))
+    assert (first.outcomes, second.outcomes) == ([[1]], [[2]])
+    assert talk.is_at_rest
+
+
+@pytest.mark.parametrize("size", range(1, 8))
+def test_an_answer_may_come_in_any_pieces(size: int) -> None:
+    talk = Talk(LINE)
+    batch = talk.ask(1)
+    data = value(1)
+    talk.come(*(data[at : at + size] for at in range(0, len(data), size)))
+    assert batch.outcomes == [[1]]
+
+
+def test_a_pause_within_an_answer_does_no_harm() -> None:
+    talk = Talk(LINE)
+    batch = talk.ask(1)
+    talk.come(value(1)[:4])
+    talk.wait(0.5)
+    talk.come(value(1)[4:])
+    assert batch.outcomes == [[1]]
+
+
+def test_3_5_characters_of_silence_are_kept_before_each_request() -> None:
+    """Of 11 bits each: 4.01 ms at 9600 bit/s; and the request itself takes 9.17 ms."""
+    talk = Talk("rtu:///dev/nowhere?baudrate=9600")
+    for number in range(3):
+        talk.ask(number)
+    talk.wait(0.02)
+    talk.come(value(0))
+    assert len(talk.sent) == 1
+    talk.wait(38.5 / 9600)
+    talk.wait(0.02)
+    talk.come(value(1))
+    talk.wait(0.02)
+    gap = talk.times[1] - 0.02
+    assert gap == pytest.approx(38.5 / 9600)
+    assert len(talk.sent) == 3
+
+
+def test_a_broadcast_leaves_the_line_before_the_next_request() -> None:
+    """8 bytes of 11 bits at 300 bit/s are on the line for 293 ms, and then come 3.5 more."""
+    talk = Talk("rtu:///dev/nowhere?baudrate=300", turnaround=0)
+    talk.ask(WRITE, unit=0, is_broadcast=True)
+    talk.ask(1)
+    talk.wait(1)
+    assert talk.times[1] == pytest.approx((88 + 38.5) / 300)
+
+
+def test_turning_the_line_counts_as_sending() -> None:
+    """8 bytes and twice the delay, though the answer came before that on a line without delay."""
+    talk = Talk("rtu:///dev/nowhere?baudrate=9600&rs485=rts-up&rts_delay=0.1&silence=0.001")
+    talk.ask(1)
+    talk.ask(2)
+    talk.wait(0.05)
+    talk.come(value(1))
+    talk.wait(1)
+    assert talk.times[1] == pytest.approx(88 / 9600 + 0.2)
+
+
+# --- what does not end the wait --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("noise", ["00", "FF", "FE 00", "00 FF 55", "01", "01 03"])
+def test_noise_before_the_answer_does_not_end_the_wait(noise: str) -> None:
+    talk = Talk(LINE)
+    for number in range(40):
+        batch = talk.ask(number)
+        talk.come(bytes.fromhex(noise))
+        talk.wait(0.03)
+        talk.come(value(number))
+        talk.wait(0.03)
+        assert batch.outcomes == [[number]]
+
+
+def test_noise_alone_is_a_frame_error_at_the_end_that_says_so() -> None:
+    talk = Talk(LINE, timeout=1)
+    batch = talk.ask(1)
+    talk.come(bytes.fromhex("AA FE 55 AA FE 55 AA"))
+    talk.wait(0.9)
+    assert not batch.is_done
+    talk.wait(0.1)
+    assert "baud rate, parity, A and B swapped?" in str(batch.outcomes[0])
+
+
+def test_another_unit_does_not_end_the_wait() -> None:
+    talk = Talk(LINE, timeout=1)
+    batch = talk.ask(5)
+    talk.come(value(9, unit=9), value(5))
+    assert batch.outcomes == [[5]]
+    batch = talk.ask(5)
+    talk.come(value(9, unit=9))
+    talk.wait(1)
+    assert kinds(batch) == [InvalidResponse]
+    assert "unit 9 answered" in str(batch.outcomes[0])
+
+
+def test_the_request_that_comes_back_does_not_end_the_wait() -> None:
+    talk = Talk(LINE, timeout=1)
+    batch = talk.ask(5)
+    talk.come(talk.sent[0], value(5))
+    talk.wait(0.03)  # for the echo may be the start of a longer answer
+    assert batch.outcomes == [[5]]
+    batch = talk.ask(5)
+    talk.come(talk.sent[0])
+    talk.wait(1)
+    assert kinds(batch) == [FrameError]  # it is no answer of function 3, so its CRC does not fit
+    assert "echo=True?" in str(batch.outcomes[0])
+
+
+def test_an_answer_that_repeats_its_request_is_one() -> None:
+    """Functions 5 and 6 are answered so (application protocol, 6.5 and 6.6)."""
+    talk = Talk(LINE)
+    batch = talk.ask(WRITE)
+    talk.come(rtu("01 06 0001 0002"))
+    assert batch.outcomes == [None]
+
+
+# --- what does ---------------------------------------------------------------------------------------
+
+
+def test_a_damaged_answer_is_a_frame_error_as_soon_as_the_line_is_quiet() -> None:
+    talk = Talk(LINE, timeout=1)
+    batch = talk.ask(5)
+    damaged = value(5)[:-1] + b"\0"
+    talk.come(damaged)
+    talk.wait(0.1)
+    assert kinds(batch) == [FrameError]
+    assert batch.outcomes[0].received == damaged
+    assert talk.statistics.invalid == 1
+
+
+def test_a_refusal_ends_the_wait_and_raises_no_doubt() -> None:
+    talk = Talk(LINE)
+    batch = talk.ask(5)
+    talk.come(rtu("01 83 02"))
+    assert kinds(batch) == [IllegalDataAddress]
+    talk.ask(6)
+    assert len(talk.sent) == 2
+
+
+def test_another_function_is_no_answer() -> None:
+    talk = Talk(LINE)
+    batch = talk.ask(5)
+    talk.come(rtu("01 04 02 0005"))
+    assert kinds(batch) == [InvalidResponse]
+
+
+# --- silence after a failure -----------------------------------------------------------------------
+
+
+def failed(talk: Talk, unit: int = 1) -> None:
+    """A request that got no answer within its second."""
+    assert kinds(failing := talk.ask(0, unit=unit)) != [[0]]
+    talk.wait(1)
+    assert kinds(failing) == [ModbusTimeoutError]
+
+
+def test_the_same_unit_is_asked_again_after_a_timeout_of_silence() -> None:
+    talk = Talk(LINE, timeout=1)
+    failed(talk)
+    batch = talk.ask(6)
+    talk.wait(0.99)
+    assert len(talk.sent) == 1
+    talk.wait(0.01)
+    talk.come(value(6))
+    assert batch.outcomes == [[6]]
+
+
+def test_other_units_are_asked_at_once() -> None:
+    talk = Talk(LINE, timeout=1)
+    failed(talk, unit=1)
+    again, other = talk.ask(5, unit=1), talk.ask(6, unit=2)
+    assert units(talk) == [1, 2]
+    talk.come(value(6, unit=2))
+    assert other.outcomes == [[6]]
+    talk.wait(1)
+    talk.come(value(5))
+    assert again.outcomes == [[5]]
+
+
+def test_a_dead_unit_costs_its_timeout_once() -> None:
+    """Two living units, each asked ten times, and a dead one asked once between them."""
+    talk = Talk(LINE, timeout=1)
+    failed(talk, unit=9)
+    for number in range(10):
+        for unit in (1, 2):
+            talk.ask(number, unit=unit)
+            talk.come(value(number, unit=unit))
+    assert talk.now == 1
+    assert talk.statistics.responses == 20
+
+
+def test_a_late_answer_is_dropped_and_starts_the_silence_anew() -> None:
+    talk = Talk(LINE, timeout=1)
+    failed(talk)
+    batch = talk.ask(6)
+    talk.wait_until(1.7)
+    talk.come(value(0))
+    talk.wait_until(2.6)
+    assert len(talk.sent) == 1
+    talk.wait_until(2.7)
+    talk.come(value(6))
+    assert batch.outcomes == [[6]]
+    assert talk.statistics.late_answers == 1
+
+
+def test_a_late_answer_in_another_units_turn_is_dropped_and_starts_the_silence_anew() -> None:
+    talk = Talk(LINE, timeout=1)
+    failed(talk, unit=1)
+    other = talk.ask(6, unit=2)
+    talk.wait_until(1.5)
+    talk.come(value(0, unit=1))
+    talk.come(value(6, unit=2))
+    assert other.outcomes == [[6]]
+    again = talk.ask(7, unit=1)
+    talk.wait_until(2.4)
+    assert units(talk) == [1, 2]
+    talk.wait_until(2.5)
+    talk.come(value(7, unit=1))
+    assert again.outcomes == [[7]]
+    assert talk.statistics.late_answers == 1
+
+
+def test_a_broadcast_waits_for_all_units() -> None:
+    talk = Talk(LINE, timeout=1)
+    failed(talk, unit=1)
+    everyone = talk.ask(WRITE, unit=0, is_broadcast=True)
+    talk.wait(0.5)
+    assert units(talk) == [1]
+    talk.wait(0.5)
+    assert units(talk) == [1, 0]
+    talk.wait(0.1)
+    assert everyone.outcomes == [None]
+
+
+def test_after_a_cancelled_request_the_line_must_fall_silent_too() -> None:
+    talk = Talk(LINE, timeout=1)
+    talk.cancel(talk.ask(5))
+    batch = talk.ask(6)
+    talk.wait(0.1)
+    talk.come(value(5))
+    talk.wait(0.99)
+    assert len(talk.sent) == 1
+    talk.wait(0.01)
+    talk.come(value(6))
+    assert batch.outcomes == [[6]]
+
+
+def test_the_silence_is_as_long_as_the_timeout_of_the_request_that_failed() -> None:
+    talk = Talk(LINE, timeout=5)
+    talk.ask(5, timeout=0.3)
+    talk.wait(0.3)
+    talk.ask(6)
+    talk.wait(0.3)
+    assert talk.times == pytest.approx([0, 0.6])
+
+
+def trickled(talk: Talk, data: bytes, seconds: float) -> None:
+    """Bytes every 100 ms."""
+    for _ in range(round(seconds * 10)):
+        talk.come(data)
+        talk.wait(0.1)
+
+
+@pytest.mark.parametrize(("data", "seconds"), [(b"\x55", 2), (b"\x55" * 100, 1)])
+def test_a_line_that_does_not_fall_silent_is_waited_for_twice_as_long_and_a_flood_once(
+    data: bytes, seconds: float
+) -> None:
+    talk = Talk(LINE, timeout=1)
+    failed(talk)
+    batch = talk.ask(6)
+    trickled(talk, data, seconds - 0.1)
+    assert not batch.is_done
+    trickled(talk, data, 0.2)
+    assert kinds(batch) == [FrameError]
+    assert "does not fall silent" in str(batch.outcomes[0])
+    assert set(batch.outcomes[0].received) == {0x55}
+    assert len(batch.outcomes[0].received) <= 600
+    assert len(talk.sent) == 1
+
+
+def test_a_repetition_does_not_wait_for_ever_for_silence() -> None:
+    talk = Talk(LINE, timeout=1, retries=1)
+    batch = talk.ask(6)
+    talk.wait(1)
+    trickled(talk, b"\x55", 2.1)
+    assert kinds(batch) == [FrameError]
+    assert "does not fall silent" in str(batch.outcomes[0])
+    assert talk.is_at_rest
+
+
+def test_a_caller_that_left_does_not_shorten_the_patience_of_the_next() -> None:
+    talk = Talk(LINE, timeout=1)
+    failed(talk)
+    leaving = talk.ask(6)
+    trickled(talk, b"\x55", 1.5)
+    talk.cancel(leaving)
+    batch = talk.ask(7)
+    trickled(talk, b"\x55", 0.9)
+    assert not batch.is_done
+    talk.wait(1)
+    talk.come(value(7))
+    assert batch.outcomes == [[7]]
+
+
+# --- the clock ---------------------------------------------------------------------------------------
+
+
+def test_the_clock_rests_after_half_an_answer() -> None:
+    """An alarm that lay in the past would have an event loop spin."""
+    for end in ("timeout", "cancelled", "lost"):
+        talk = Talk("rtu+tcp://192.0.2.1", timeout=1)
+        batch = talk.ask(1)
+        talk.wait(0.99)
+        talk.come(value(1)[:4])
+        if end == "timeout":
+            talk.wait(0.01)
+        elif end == "cancelled":
+            talk.cancel(batch)
+        else:
+            talk.lose()
+        talk.wait(5)
+        assert batch.is_done
+        assert is_quiet(talk), end
+
+
+# --- floods --------------------------------------------------------------------------------------------
+
+
+def test_a_flood_extends_no_timeout_and_is_not_kept() -> None:
+    for url in (LINE, ASCII):
+        talk = Talk(url, timeout=1)
+        batch = talk.ask(1)
+        for _ in range(10):
+            talk.come(b":0" * 5000)
+            talk.wait(0.1)
+        assert batch.is_done, url
+        assert len(batch.outcomes[0].received) <= 600
+        assert len(str(batch.outcomes[0])) < 300
+
+
+def test_a_flood_on_an_idle_line_is_noted_and_forgotten_when_somebody_asks() -> None:
+    talk = Talk(LINE)
+    talk.come(bytes(0x10000))
+    assert not talk.conversation.is_flooded
+    talk.come(b"\0")
+    assert talk.conversation.is_flooded
+    assert talk.conversation.broken is None  # a port is not opened anew for that
+    batch = talk.ask(1)
+    assert not talk.conversation.is_flooded
+    talk.come(value(1))
+    assert batch.outcomes == [[1]]
+
+
+# --- delimiters ----------------------------------------------------------------------------------------
+
+
+def test_an_accepted_delimiter_is_used_from_then_on_and_given_back_at_a_restart() -> None:
+    talk = Talk(ASCII)
+    talk.ask(pdu.Diagnostics(3, b"#\0"))
+    assert talk.sent[-1] == b":010800032300D1\r\n"
+    talk.come(b":010800032300D1\r\n")
+    batch = talk.ask(1)
+    assert talk.sent[-1].endswith(b"\r#")
+    talk.come(ascii_frame("01 03 02 0001", b"\r#"))
+    assert batch.outcomes == [[1]]
+    talk.ask(pdu.Diagnostics(1, b"\0\0"))
+    talk.come(ascii_frame("01 08 0001 0000", b"\r#"))
+    talk.ask(1)
+    assert talk.sent[-1].endswith(b"\r\n")
+
+
+def test_a_refused_delimiter_is_not_used() -> None:
+    talk = Talk(ASCII, delimiter=0x24)
+    talk.ask(pdu.Diagnostics(3, b":\0"))
+    talk.come(ascii_frame("01 88 03", b"\r$"))
+    talk.ask(1)
+    assert talk.sent[-1].endswith(b"\r$")
+
+
+def test_an_rtu_line_has_no_delimiter() -> None:
+    talk = Talk(LINE)
+    talk.ask(pdu.Diagnostics(3, b"#\0"))
+    talk.come(rtu("01 08 0003 2300"))
+    batch = talk.ask(1)
+    talk.come(value(1))
+    assert batch.outcomes == [[1]]
+
+
+# --- the short way ---------------------------------------------------------------------------------------
+
+
+def answered(talk: Talk, *pieces: bytes) -> bool:
+    talk.ask(1)
+    talk.come(*pieces)
+    talk.wait(0.03)
+    return talk.conversation.is_plain
+
+
+def test_the_short_way_needs_an_exact_answer_on_this_connection() -> None:
+    talk = Talk(LINE)
+    assert not talk.conversation.is_plain
+    assert answered(talk, value(1))
+    talk.lose()
+    talk.open()
+    assert not talk.conversation.is_plain
+
+
+@pytest.mark.parametrize(
+    "pieces",
+    [
+        [b"\0" + value(1)],
+        [b"\0", value(1)],
+        [value(9, unit=9), value(1)],
+        [rtu("01 03 0001 0001"), value(1)],
+        [value(1) + b"\0"],
+        [value(1), b"\0"],
+        [value(1) + value(1)],
+    ],
+)
+def test_noise_closes_the_short_way_until_the_next_connection(pieces: list[bytes]) -> None:
+    talk = Talk(LINE)
+    assert not answered(talk, *pieces)
+    if pieces != [value(1) + b"\0"]:  # the start of what may yet be a frame
+        assert not answered(talk, value(1))
+    talk.lose()
+    talk.open()
+    assert answered(talk, value(1))
+
+
+def test_a_failure_closes_the_short_way_for_a_while() -> None:
+    talk = Talk(LINE, timeout=1)
+    assert answered(talk, value(1))
+    failed(talk)
+    assert not talk.conversation.is_plain
+    talk.wait(1.1)
+    assert answered(talk, value(1))
+    assert not Talk(LINE, trace=print).conversation.is_plain

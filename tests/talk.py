@@ -1,0 +1,180 @@
+"""
+A conversation driven by a list of times and bytes: no socket, no port, no sleep.
+
+The check bytes of answers are computed here, from the specification, and not by the package.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from libmodbus_py import ModbusConnectionError, pdu
+from libmodbus_py.client.batch import Batch, Patience
+from libmodbus_py.client.options import Settings, assembled
+from libmodbus_py.ports.endpoint import parse
+
+TCP = "tcp://192.0.2.1"
+LINE = "rtu:///dev/nowhere?silence=0"
+ASCII = "ascii:///dev/nowhere"
+
+LOST = ModbusConnectionError("closed by the other side", errno=104)
+
+
+class Talk:
+    """
+    What a driver does, with a clock that the test moves.
+
+    Args:
+        url: whose conversation; nothing is opened.
+        options: of the client.
+
+    Attributes:
+        now: seconds since the connection stood.
+        sent: all ADUs that went out, oldest first, and `times` when.
+    """
+
+    def __init__(self, url: str = TCP, *, is_open: bool = True, **options: Any) -> None:
+        endpoint = parse(url)
+        self.settings = Settings.of(endpoint, options)
+        parts = assembled(endpoint, self.settings, 16)
+        self.conversation = parts.conversation
+        self.connection = parts.connection
+        self.statistics = parts.statistics
+        self.patience = self.settings.patience
+        self.now = 0.0
+        self.sent: list[bytes] = []
+        self.times: list[float] = []
+        if is_open:
+            self.open()
+
+    def open(self) -> None:
+        self.connection.connecting()
+        self.conversation.opened(self.now)
+        self.start()
+
+    def fail(self) -> None:
+        """An attempt to connect."""
+        self.connection.connecting()
+        self.conversation.failed(ModbusConnectionError("refused", errno=111), self.now)
+
+    def lose(self, error: ModbusConnectionError = LOST, *, by_itself: bool = True) -> None:
+        self.conversation.lost(error, self.now, by_itself=by_itself)
+
+    def leave_broken(self) -> None:
+        """As the drivers do when the conversation wants another connection."""
+        assert self.conversation.broken is not None
+        self.lose(self.conversation.broken, by_itself=False)
+
+    def ask(self, *requests: Any, unit: int = 1, limit: int = 1, **options: Any) -> Batch:
+        """Have requests sent; a number stands for a read of the register there."""
+        batch = self.batch(*requests, unit=unit, limit=limit, **options)
+        self.conversation.add(batch, self.now)
+        self.start()
+        return batch
+
+    def batch(
+        self,
+        *requests: Any,
+        unit: int = 1,
+        limit: int = 1,
+        go_on: bool = False,
+        is_broadcast: bool = False,
+        **patience: Any,
+    ) -> Batch:
+        settings = self.settings
+        usual = {
+            "timeout": settings.timeout,
+            "retries": settings.retries,
+            "busy_retries": settings.busy_retries,
+        }
+        return Batch(
+            unit,
+            [read(each) if isinstance(each, int) else each for each in requests],
+            Patience(**{**usual, **patience}) if patience else self.patience,
+            limit=limit,
+            go_on=go_on,
+            is_broadcast=is_broadcast,
+        )
+
+    def cancel(self, batch: Batch) -> None:
+        self.conversation.abandon(batch, self.now)
+        self.start()
+
+    def start(self) -> None:
+        while adus := self.conversation.start(self.now):
+            self.sent += adus
+            self.times += [self.now] * len(adus)
+
+    def come(self, *pieces: bytes) -> None:
+        for piece in pieces:
+            self.conversation.take(piece, self.now)
+            self.start()
+            self.conversation.settle(self.now)
+            self.start()
+
+    def wait(self, seconds: float) -> None:
+        """Let time pass, and ring at every alarm on the way; one that never stops is a fault."""
+        end, rung = round(self.now + seconds, 9), 0
+        while (at := self.conversation.alarm) <= end + 1e-9:
+            rung = rung + 1 if at <= self.now else 0
+            assert rung < 10, "the alarm rings for ever"
+            self.now = max(self.now, at)
+            self.conversation.tick(self.now)
+            self.conversation.settle(self.now)
+            self.start()
+        self.now = max(self.now, end)
+
+    def wait_until(self, at: float) -> None:
+        self.wait(at - self.now)
+
+    @property
+    def is_at_rest(self) -> bool:
+        """Whether nothing is left of all that was asked."""
+        conversation = self.conversation
+        return conversation.is_idle and not conversation.is_wanted
+
+
+def read(address: int) -> pdu.ReadHoldingRegisters:
+    return pdu.ReadHoldingRegisters(address, 1)
+
+
+def tcp(request: bytes, body: str | None = None, *, unit: int | None = None, **id: int) -> bytes:
+    """Answer a request; a read of a register with its address."""
+    data = b"\x03\x02" + request[8:10] if body is None else bytes.fromhex(body)
+    number = id.get("number", int.from_bytes(request[:2], "big"))
+    size = (1 + len(data)).to_bytes(2, "big")
+    head = number.to_bytes(2, "big") + id.get("protocol", 0).to_bytes(2, "big") + size
+    return head + bytes([request[6] if unit is None else unit]) + data
+
+
+def rtu(body: str) -> bytes:
+    """Append the CRC (serial line, 6.2.2)."""
+    data = bytes.fromhex(body)
+    crc = 0xFFFF
+    for byte in data:
+        crc ^= byte
+        for _ in range(8):
+            crc = crc >> 1 ^ (0xA001 if crc & 1 else 0)
+    return data + crc.to_bytes(2, "little")
+
+
+def value(number: int, unit: int = 1) -> bytes:
+    """The answer to a read of one register, in RTU."""
+    return rtu(f"{unit:02X} 03 02 {number:04X}")
+
+
+def ascii_frame(body: str, end: bytes = b"\r\n") -> bytes:
+    """Write digits and their LRC (serial line, 6.2.1)."""
+    data = bytes.fromhex(body)
+    return b":" + (data + bytes([-sum(data) % 256])).hex().upper().encode() + end
+
+
+def kinds(batch: Batch) -> list[Any]:
+    """Results, and of failures their types."""
+    return [type(each) if isinstance(each, Exception) else each for each in batch.outcomes]
+
+
+def is_quiet(talk: Talk) -> bool:
+    """Whether the clock need not ring any more."""
+    return talk.conversation.alarm == math.inf
