@@ -11,6 +11,7 @@ from typing import Any
 
 from libmodbus_py import ModbusConnectionError, pdu
 from libmodbus_py.client.batch import Batch, Patience
+from libmodbus_py.client.in_flight import InFlight
 from libmodbus_py.client.options import Settings, assembled
 from libmodbus_py.ports.endpoint import parse
 
@@ -127,6 +128,16 @@ class Talk:
 
     def wait_until(self, at: float) -> None:
         self.wait(at - self.now)
+
+    def wait_for(self, count: int) -> None:
+        """Until so many requests were sent."""
+        while len(self.sent) < count:
+            self.wait(0.01)
+            assert self.now < 1000, f"{len(self.sent)} of {count} requests were sent"
+
+    @property
+    def has_ids(self) -> bool:
+        return isinstance(self.conversation, InFlight)
 
     @property
     def is_at_rest(self) -> bool:

@@ -255,6 +255,8 @@ class AsyncioDriver:
     def _start_attempt(self) -> None:
         assert self._loop is not None
         self._retry = None
+        if not self._conversation.is_wanted:  # who waited has left
+            return
         self._connection.connecting()
         self._attempt = self._loop.create_task(self._open())
 

@@ -180,7 +180,7 @@ class Batch:
 
     def _cut(self, end: int) -> None:
         """What comes from here on does not matter any more."""
-        self._open -= self.outcomes[end : self.end].count(NOT_ASKED)
+        self._open -= sum(each is NOT_ASKED for each in self.outcomes[end : self.end])
         self.end = end
 
     def finish(self) -> None:

@@ -141,6 +141,7 @@ class Conversation(ABC):
         """Nobody waits any more: late answers are dropped, and count as missing until they come."""
         batch.on_done = None
         batch.finish()
+        self._leave_queue(batch)
         self._unanswered += self._let_go(batch, now) > 0
 
     def change_timeout(self, now: float) -> None:
@@ -176,11 +177,13 @@ class Conversation(ABC):
         """It ended: what is in flight fails, the queue waits for the next one."""
         self.connection.lost(error, now, by_itself=by_itself)
         self._fail_all(error, now)
-        if self.connection.fruitless >= LOSSES_BEFORE_END:
+        # Each that was given up as dead took its time, and the next one may be alive.
+        if self.connection.fruitless >= LOSSES_BEFORE_END and not self._is_spent():
             self.refuse(error)
         waiting, self._queue = self._queue, deque()
         for batch in waiting:
-            self.add(batch, now)
+            if not batch.is_done:
+                self.add(batch, now)
 
     def closed(self, error: ModbusConnectionError, now: float) -> None:
         """There will never be another one: all fails."""
@@ -370,6 +373,11 @@ class Conversation(ABC):
             self.connection.prove()
             self.statistics.last_success = now
 
+    def _leave_queue(self, batch: Batch) -> None:
+        if batch.queued:
+            batch.queued = False
+            self._queue.remove(batch)
+
     def _conclude(self, asked: Asked, what: Found, now: float) -> None:
         batch, index = asked.batch, asked.index
         if isinstance(what, ModbusError):
@@ -414,6 +422,8 @@ class Conversation(ABC):
             return False
         batch.repeated[index, is_busy] = done + 1
         batch.in_flight += 1
+        if batch.in_flight >= batch.limit:
+            self._leave_queue(batch)
         batch.since = now
         due = now + (min(1.0, 0.1 * 2**done) if is_busy else 0.0)
         self._repeats.append((due, batch, index))

@@ -70,7 +70,7 @@ def test_callers_take_turns() -> None:
     assert [int.from_bytes(each[8:10], "big") for each in talk.sent] == [0, 1, 100, 200, 2, 3]
 
 
-# --- answers that nobody waits for -----------------------------------------------------------
+# --- answers that nobody waits for -----------------------------------------------------
 
 
 def test_late_answers_are_dropped_and_counted() -> None:
@@ -118,7 +118,7 @@ def test_a_stranger_before_the_right_answer_does_no_harm() -> None:
         assert batch.outcomes == [[address]]
 
 
-# --- answers that do not fit -------------------------------------------------------------------
+# --- answers that do not fit -----------------------------------------------------------
 
 
 def test_another_unit_is_no_answer() -> None:
@@ -200,7 +200,7 @@ def test_a_datagram_that_is_no_frame_does_not_end_the_wait() -> None:
     assert talk.statistics.invalid == 4
 
 
-# --- floods --------------------------------------------------------------------------------------
+# --- floods ----------------------------------------------------------------------------
 
 
 def test_what_nobody_asked_for_breaks_the_connection_after_64_kib() -> None:
@@ -231,7 +231,7 @@ def test_a_flood_while_somebody_waits_extends_no_timeout_and_is_not_kept() -> No
     assert len(str(batch.outcomes[0])) < 300
 
 
-# --- requests that nobody answers ------------------------------------------------------------------
+# --- requests that nobody answers ------------------------------------------------------
 
 
 def test_a_request_that_nobody_answers_takes_the_turnaround_and_holds_up_nobody() -> None:
@@ -248,7 +248,7 @@ def test_a_request_that_nobody_answers_takes_the_turnaround_and_holds_up_nobody(
     assert talk.is_at_rest
 
 
-# --- the short way ---------------------------------------------------------------------------------
+# --- the short way ---------------------------------------------------------------------
 
 
 def test_the_short_way_is_closed_while_anything_else_may_come() -> None:

@@ -17,7 +17,7 @@ def units(talk: Talk) -> list[int]:
     return [adu[0] for adu in talk.sent]
 
 
-# --- one after the other -------------------------------------------------------------------------
+# --- one after the other ---------------------------------------------------------------
 
 
 def test_a_request_is_the_frame_of_the_specification() -> None:
@@ -91,7 +91,7 @@ def test_turning_the_line_counts_as_sending() -> None:
     assert talk.times[1] == pytest.approx(88 / 9600 + 0.2)
 
 
-# --- what does not end the wait --------------------------------------------------------------------
+# --- what does not end the wait --------------------------------------------------------
 
 
 @pytest.mark.parametrize("noise", ["00", "FF", "FE 00", "00 FF 55", "01", "01 03"])
@@ -149,7 +149,7 @@ def test_an_answer_that_repeats_its_request_is_one() -> None:
     assert batch.outcomes == [None]
 
 
-# --- what does ---------------------------------------------------------------------------------------
+# --- what does -------------------------------------------------------------------------
 
 
 def test_a_damaged_answer_is_a_frame_error_as_soon_as_the_line_is_quiet() -> None:
@@ -179,7 +179,7 @@ def test_another_function_is_no_answer() -> None:
     assert kinds(batch) == [InvalidResponse]
 
 
-# --- silence after a failure -----------------------------------------------------------------------
+# --- silence after a failure -----------------------------------------------------------
 
 
 def failed(talk: Talk, unit: int = 1) -> None:
@@ -337,7 +337,7 @@ def test_a_caller_that_left_does_not_shorten_the_patience_of_the_next() -> None:
     assert batch.outcomes == [[7]]
 
 
-# --- the clock ---------------------------------------------------------------------------------------
+# --- the clock -------------------------------------------------------------------------
 
 
 def test_the_clock_rests_after_half_an_answer() -> None:
@@ -358,7 +358,7 @@ def test_the_clock_rests_after_half_an_answer() -> None:
         assert is_quiet(talk), end
 
 
-# --- floods --------------------------------------------------------------------------------------------
+# --- floods ----------------------------------------------------------------------------
 
 
 def test_a_flood_extends_no_timeout_and_is_not_kept() -> None:
@@ -386,7 +386,7 @@ def test_a_flood_on_an_idle_line_is_noted_and_forgotten_when_somebody_asks() -> 
     assert batch.outcomes == [[1]]
 
 
-# --- delimiters ----------------------------------------------------------------------------------------
+# --- delimiters ------------------------------------------------------------------------
 
 
 def test_an_accepted_delimiter_is_used_from_then_on_and_given_back_at_a_restart() -> None:
@@ -421,7 +421,7 @@ def test_an_rtu_line_has_no_delimiter() -> None:
     assert batch.outcomes == [[1]]
 
 
-# --- the short way ---------------------------------------------------------------------------------------
+# --- the short way ---------------------------------------------------------------------
 
 
 def answered(talk: Talk, *pieces: bytes) -> bool:
