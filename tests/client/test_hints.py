@@ -1,0 +1,69 @@
+"""
+What bytes that answer nothing look like. The frames are those of the specifications.
+"""
+
+from __future__ import annotations
+
+import pytest
+from talk import ascii_frame, rtu
+
+from libmodbus_py.client.hints import explain, shown
+
+# Read register 6Bh, three of them, and what is answered (application protocol, 6.3).
+PDU = "03 006B 0003"
+ANSWER = "03 06 022B 0000 0064"
+SENT = {
+    "rtu": bytes.fromhex("11 03 006B 0003 7687"),
+    "ascii": b":1103006B00037E\r\n",
+    "tcp": bytes.fromhex("0001 0000 0006 11 03 006B 0003"),
+}
+RECEIVED = {
+    "rtu": rtu(f"11 {ANSWER}"),
+    "ascii": ascii_frame(f"11 {ANSWER}"),
+    "tcp": bytes.fromhex(f"0001 0000 0009 11 {ANSWER}"),
+}
+
+
+@pytest.mark.parametrize(
+    ("scheme", "received", "hint"),
+    [
+        ("rtu", "ascii", "this looks like ascii://"),
+        ("ascii", "rtu", "this looks like rtu://"),
+        ("rtu+tcp", "tcp", "this looks like tcp://"),
+        ("ascii+tcp", "tcp", "this looks like tcp://"),
+        ("tcp", "rtu", "this looks like rtu+tcp://"),
+        ("tcp", "ascii", "this looks like ascii+tcp://"),
+        ("rtu+tcp", "ascii", "this looks like ascii+tcp://"),
+        ("udp", "rtu", ""),
+        ("rtu", "rtu", ""),
+        ("tcp", "tcp", ""),
+        ("ascii", "ascii", ""),
+    ],
+)
+def test_another_framing_is_recognised(scheme: str, received: str, hint: str) -> None:
+    framing = scheme.removesuffix("+tcp").replace("udp", "tcp")
+    assert explain(scheme, SENT[framing], RECEIVED[received]) == hint
+
+
+@pytest.mark.parametrize("scheme", ["rtu", "ascii", "rtu+tcp", "ascii+tcp"])
+def test_the_request_that_came_back_is_recognised(scheme: str) -> None:
+    sent = SENT[scheme.removesuffix("+tcp")]
+    assert explain(scheme, sent, sent) == "the request itself came back; echo=True?"
+
+
+@pytest.mark.parametrize("noise", ["FE", "00 FF 00 FF", "9A C4 F0 70" * 10])
+def test_noise_on_a_serial_line_is_recognised(noise: str) -> None:
+    hint = explain("rtu", SENT["rtu"], bytes.fromhex(noise))
+    assert hint == "only noise; baud rate, parity, A and B swapped?"
+    assert explain("rtu+tcp", SENT["rtu"], bytes.fromhex(noise)) == ""
+
+
+def test_the_start_of_an_answer_is_no_noise() -> None:
+    assert explain("rtu", SENT["rtu"], RECEIVED["rtu"][:-1]) == ""
+    assert explain("rtu", SENT["rtu"], bytes.fromhex("FF 11 83")) == ""
+
+
+def test_at_most_32_bytes_are_shown() -> None:
+    assert shown(bytes(32)) == " ".join(["00"] * 32)
+    assert shown(bytes(33)) == " ".join(["00"] * 32) + " ... (33 bytes)"
+    assert len(shown(bytes(600))) < 120
