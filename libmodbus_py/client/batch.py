@@ -165,6 +165,10 @@ class Batch:
         self.end: int = len(requests)
         self._open = self.end
 
+    @property
+    def has_next(self) -> bool:
+        return self.started < self.end
+
     def settle(self, index: int, outcome: Any) -> None:
         """Note what became of a request; not of one that does not matter any more."""
         if index >= self.end or self.is_done:

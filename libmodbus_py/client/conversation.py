@@ -249,7 +249,8 @@ class Conversation(ABC):
         adus: list[bytes] = []
         if self._repeats:
             self._start_repeats(adus, now)
-        self._start_queue(adus, now)
+        if not (adus and self._pace.request_spacing):
+            self._start_queue(adus, now)
         if adus:
             self._note_starts(len(adus), now)
         return adus
@@ -283,7 +284,7 @@ class Conversation(ABC):
     def _window(self) -> int:
         """How many may start at once."""
         if self._pace.request_spacing:
-            return 1
+            return min(self._room, 1)
         first = self._queue[0].limit if self._queue else 1
         return min(self._room, self._half if first == 1 else (first + 1) // 2)
 
@@ -316,7 +317,8 @@ class Conversation(ABC):
         waiting, self._repeats = self._repeats, []
         for repeat in waiting:
             due, batch, index = repeat
-            if due > now or self._room <= 0:
+            is_full = self._room <= 0 or (adus and self._pace.request_spacing)
+            if due > now or is_full:
                 self._repeats.append(repeat)
                 self._wake(due if due > now else self.alarm)
             elif self._may_ask(batch.unit, now):

@@ -83,7 +83,7 @@ class InTurn(Conversation):
             self._wake(self._silence.over_at)
             return None
         for batch in list(self._queue):
-            if batch.started == batch.end:
+            if not batch.has_next:
                 self._queue.remove(batch)
                 batch.queued = False
             elif self._may_ask(batch.unit, now):
