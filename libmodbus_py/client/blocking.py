@@ -135,15 +135,6 @@ class Context(Handle[BlockingDriver], Blocking):
         timeout: float | None = None,
         retries: int | None = None,
     ) -> Result:
-        """
-        Send any request object of `libmodbus_py.pdu`.
-
-        Args:
-            timeout, retries: of this request; None for those of the handle.
-
-        Returns:
-            What the method of the same name returns.
-        """
         patience = self._patience
         if timeout is not None or retries is not None:
             patience = self._patience_for(timeout, retries)
@@ -158,39 +149,6 @@ class Context(Handle[BlockingDriver], Blocking):
         max_in_flight: int = 16,
         return_exceptions: bool = False,
     ) -> list[Any]:
-        """
-        Send many request objects, several at a time where answers can be told apart.
-
-        On "tcp" and "udp" up to `max_in_flight` requests wait for their answers
-        together, and no more than the client's own; `timeout` counts for each from when it
-        is sent, and other threads wait until all are done. A server may carry them out in
-        any order: writes that depend on each other need ``max_in_flight=1``. Then, on the
-        other framings, and with a request that nobody answers among them, they go one
-        after the other.
-
-        With `return_exceptions` the rest goes on whatever fails. A lost connection fails
-        all that was in flight on it, and a new one carries the rest; an attempt to connect
-        that fails fails the rest.
-
-        A request that is repeated (`retries`, `busy_retries`) keeps its place among
-        those in flight meanwhile, and no other one overtakes it with ``max_in_flight=1``.
-
-        Args:
-            requests: request objects of `libmodbus_py.pdu`; all are checked before the
-                first is sent.
-            max_in_flight: 1..256; servers need not take more than 16 (TCP guide,
-                section 4.3).
-            return_exceptions: whether a ModbusError is given in the place of its
-                result; else the first in the order of requests is raised, nothing more is
-                sent, and answers that are still to come are dropped when they do.
-
-        Returns:
-            The results in the order of the requests.
-
-        Raises:
-            TypeError, ValueError: `max_in_flight`, or a request, which is named
-                by its index (``requests[3]``).
-        """
         batch = self._batch(requests, max_in_flight, return_exceptions)
         if batch.pdus:
             self._driver.run(batch)
@@ -223,27 +181,6 @@ class Context(Handle[BlockingDriver], Blocking):
         return_exceptions: bool = False,
         **options: Unpack[PlanOptions],
     ) -> Any:
-        """
-        Read many things in few requests.
-
-        Args:
-            items: a `Plan`; or what makes one, such as
-                ``{"level": ("holding_registers", 100, 1, "float32"), "valves": ("coils", 0, 8)}``.
-            max_in_flight: as for `execute_many`.
-            return_exceptions: whether a ModbusError is given in the place of what
-                was to come with a failed request; else it is raised.
-            options: of the plan, where `items` is none: `gap`, `forbidden`,
-                `max_registers`, `max_bits`.
-
-        Returns:
-            A list of values for each item, in their order; a dict where `items`
-            was a mapping.
-
-        Raises:
-            TypeError, ValueError: as of `Plan`; registers that hold no such value.
-            IllegalDataAddress: a merged request covers cells that the device
-                lacks: see `Plan`.
-        """
         plan = planned(items, options)
         return plan.results(
             self.execute_many(

@@ -106,6 +106,79 @@ class Handle(Generic[Driving]):
         name = type(self).__name__
         return f"<{name} {self._endpoint}, unit {self.unit}, {self.state.value}>"
 
+    # --- what each client does in its own way; here are the texts ---------------------------
+
+    def execute(self, *args: Any, **kwargs: Any) -> Any:
+        """
+        Send any request object of `libmodbus_py.pdu`.
+
+        Args:
+            timeout, retries: of this request; None for those of the handle.
+
+        Returns:
+            What the method of the same name returns.
+        """
+        raise NotImplementedError
+
+    def execute_many(self, *args: Any, **kwargs: Any) -> Any:
+        """
+        Send many request objects, several at a time where answers can be told apart.
+
+        On "tcp" and "udp" up to `max_in_flight` of these requests wait for their
+        answers together, and of all requests no more than the client's own; `timeout` counts
+        for each from when it is sent. Other threads wait until all are done, other tasks have
+        their turns. A server may carry them out in any order: writes that depend on each other
+        need ``max_in_flight=1``. Then, on the other framings, and with a request that nobody
+        answers among them, they go one after the other.
+
+        With `return_exceptions` the rest goes on whatever fails. A lost connection fails
+        all that was in flight on it, and a new one carries the rest; an attempt to connect
+        that fails fails the rest.
+
+        A request that is repeated (`retries`, `busy_retries`) keeps its place among
+        those in flight meanwhile, and no other one overtakes it with ``max_in_flight=1``.
+
+        Args:
+            requests: request objects of `libmodbus_py.pdu`; all are checked before the
+                first is sent.
+            max_in_flight: 1..256; servers need not take more than 16 (TCP guide,
+                section 4.3).
+            return_exceptions: whether a ModbusError is given in the place of its
+                result; else the first in the order of requests is raised, nothing more is
+                sent, and answers that are still to come are dropped when they do.
+
+        Returns:
+            The results in the order of the requests.
+
+        Raises:
+            TypeError, ValueError: `max_in_flight`, or a request, which is named
+                by its index (``requests[3]``).
+        """
+        raise NotImplementedError
+
+    def read_many(self, *args: Any, **kwargs: Any) -> Any:
+        """
+        Read many things in few requests.
+
+        Args:
+            items: a `Plan`; or what makes one, such as
+                ``{"level": ("holding_registers", 100, 1, "float32"), "valves": ("coils", 0, 8)}``.
+            max_in_flight, return_exceptions: as for `execute_many`; a ModbusError stands in
+                the place of what was to come with a failed request.
+            options: of the plan, where `items` is none: `gap`, `forbidden`,
+                `max_registers`, `max_bits`.
+
+        Returns:
+            A list of values for each item, in their order; a dict where `items`
+            was a mapping.
+
+        Raises:
+            TypeError, ValueError: as of `Plan`; registers that hold no such value.
+            IllegalDataAddress: a merged request covers cells that the device
+                lacks: see `Plan`.
+        """
+        raise NotImplementedError
+
     # --- for the clients ----------------------------------------------------------------
 
     @property
