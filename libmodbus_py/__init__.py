@@ -55,49 +55,18 @@ from .server.limits import Limits
 from .server.server import Running, Server
 from .simulator import device_file
 
+# fmt: off
 __all__ = [
-    "Access",
-    "Acknowledge",
-    "AsciiContext",
-    "AsyncClient",
-    "Caller",
-    "Context",
-    "Device",
-    "ExceptionResponse",
-    "Fault",
-    "FrameError",
-    "GatewayPathUnavailable",
-    "GatewayTargetFailedToRespond",
-    "IllegalDataAddress",
-    "IllegalDataValue",
-    "IllegalFunction",
-    "InvalidResponse",
-    "Limits",
-    "Mapping",
-    "MemoryParityError",
-    "ModbusConnectionError",
-    "ModbusError",
-    "ModbusTimeoutError",
-    "NegativeAcknowledge",
-    "Plan",
-    "Read",
-    "RecordFile",
-    "RtuContext",
-    "Running",
-    "Server",
-    "ServerDeviceBusy",
-    "ServerDeviceFailure",
-    "State",
-    "TcpContext",
-    "Traced",
-    "UdpContext",
-    "device_file",
-    "errors",
-    "framing",
-    "low_level",
-    "pdu",
+    "Access", "Acknowledge", "AsciiContext", "AsyncClient", "Caller", "Context", "Device",
+    "ExceptionResponse", "Fault", "FrameError", "GatewayPathUnavailable",
+    "GatewayTargetFailedToRespond", "IllegalDataAddress", "IllegalDataValue", "IllegalFunction",
+    "InvalidResponse", "Limits", "Mapping", "MemoryParityError", "ModbusConnectionError",
+    "ModbusError", "ModbusTimeoutError", "NegativeAcknowledge", "Plan", "Read", "RecordFile",
+    "RtuContext", "Running", "Server", "ServerDeviceBusy", "ServerDeviceFailure", "State",
+    "TcpContext", "Traced", "UdpContext", "device_file", "errors", "framing", "low_level", "pdu",
     "values",
 ]
+# fmt: on
 
 __version__ = "0.1.0"
 

@@ -11,7 +11,8 @@ From the caller to the wire:
     batch              what one caller asks, and what became of it; Statistics
     blocking_driver    waits by polling, for any thread; forks, Ctrl-C
     asyncio_driver     waits in an event loop, with one reader and one timer
-    libmodbus          the short way, when nothing needs deciding; in one call of C
+    shortcut           the short way, when nothing needs deciding
+      libmodbus        ... in one call of C
     conversation       who may send when, who is told what; no socket, no clock
       in_flight        ... whose answer it is, by transaction ids
       in_turn          ... and on lines without them

@@ -16,19 +16,12 @@ import time
 from collections.abc import Generator
 from typing import Any, NamedTuple, TypeVar
 
+# fmt: off
 __all__ = [
-    "READ",
-    "WRITE",
-    "Ready",
-    "Resolve",
-    "Steps",
-    "Waker",
-    "Woken",
-    "milliseconds",
-    "resolve",
-    "run",
-    "run_async",
+    "READ", "WRITE", "Ready", "Resolve", "Steps", "Waker", "Woken", "milliseconds", "resolve",
+    "run", "run_async",
 ]
+# fmt: on
 
 READ, WRITE = select.POLLIN, select.POLLOUT
 

@@ -22,24 +22,14 @@ from __future__ import annotations
 import copy
 from typing import Any, ClassVar, TypedDict, TypeVar, Unpack
 
+# fmt: off
 __all__ = [
-    "Acknowledge",
-    "ExceptionResponse",
-    "FrameError",
-    "GatewayPathUnavailable",
-    "GatewayTargetFailedToRespond",
-    "IllegalDataAddress",
-    "IllegalDataValue",
-    "IllegalFunction",
-    "InvalidResponse",
-    "MemoryParityError",
-    "ModbusConnectionError",
-    "ModbusError",
-    "ModbusTimeoutError",
-    "NegativeAcknowledge",
-    "ServerDeviceBusy",
-    "ServerDeviceFailure",
+    "Acknowledge", "ExceptionResponse", "FrameError", "GatewayPathUnavailable",
+    "GatewayTargetFailedToRespond", "IllegalDataAddress", "IllegalDataValue", "IllegalFunction",
+    "InvalidResponse", "MemoryParityError", "ModbusConnectionError", "ModbusError",
+    "ModbusTimeoutError", "NegativeAcknowledge", "ServerDeviceBusy", "ServerDeviceFailure",
 ]
+# fmt: on
 
 
 class _Transaction(TypedDict, total=False):
@@ -70,11 +60,8 @@ class ModbusError(Exception):
         function: the function code that was asked, 1..127, or None.
         asked: the request in words, or empty.
         endpoint: URL of the connection, such as "tcp://192.0.2.10:502", or empty.
-        sent: the request as it went out, header and check bytes included, or
-            empty. Where libmodbus sent it: what it builds for this request.
-        received: what came back until the error, its first 600 bytes, or empty. Where libmodbus
-            received it, exception responses only: it hands out no other bytes
-            (``native=False`` gives them all).
+        sent: the request as it went out, header and check bytes included, or empty.
+        received: what came back until the error, its first 600 bytes, or empty.
 
     ``str()`` is one line for messages; ``repr()`` says all of the above.
     """

@@ -27,19 +27,12 @@ from .pdu import MAX_PDU, REQUESTS, Request, request_length, response_length
 from .pdu.fields import IN_C
 from .scan import Scan, crc16, lib
 
+# fmt: off
 __all__ = [
-    "AsciiFramer",
-    "Frame",
-    "Framer",
-    "Framing",
-    "RtuFramer",
-    "TcpFramer",
-    "UdpFramer",
-    "crc16",
-    "is_delimiter",
-    "lrc",
-    "make_framer",
+    "AsciiFramer", "Frame", "Framer", "Framing", "RtuFramer", "TcpFramer", "UdpFramer", "crc16",
+    "is_delimiter", "lrc", "make_framer",
 ]
+# fmt: on
 
 Role = Literal["client", "server"]
 Framing = Literal["tcp", "rtu", "ascii", "udp"]

@@ -42,22 +42,12 @@ from typing import Any, Literal, NamedTuple, SupportsFloat, SupportsIndex, Typed
 
 from .checks import integer
 
+# fmt: off
 __all__ = [
-    "ORDERS",
-    "BitsType",
-    "Layout",
-    "NumberType",
-    "Order",
-    "Reading",
-    "Reference",
-    "TextOptions",
-    "TextType",
-    "TypeName",
-    "ValueType",
-    "parse_reference",
-    "readings",
-    "value_type",
+    "ORDERS", "BitsType", "Layout", "NumberType", "Order", "Reading", "Reference", "TextOptions",
+    "TextType", "TypeName", "ValueType", "parse_reference", "readings", "value_type",
 ]
+# fmt: on
 
 # --- names, for type checkers ------------------------------------------------------
 

@@ -93,15 +93,11 @@ class ByChunk:
 
     is_waiting = False
 
+    # fmt: off
     __slots__ = (
-        "_peer",
-        "_pending",
-        "_singles",
-        "_statistics",
-        "_units",
-        "is_unfinished",
-        "write",
+        "_peer", "_pending", "_singles", "_statistics", "_units", "is_unfinished", "write",
     )
+    # fmt: on
 
     def __init__(
         self,

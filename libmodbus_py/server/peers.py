@@ -242,24 +242,13 @@ def _due(times: dict[Peer, float], until: float) -> list[Peer]:
 class Peer:
     """One client. It is read only while it takes its answers and is not throttled."""
 
+    # fmt: off
     __slots__ = (
-        "_allowance",
-        "_descriptor",
-        "_is_closing",
-        "_is_full",
-        "_is_reading",
-        "_is_sending",
-        "_is_throttled",
-        "_loop",
-        "_peers",
-        "_release_timer",
-        "_session",
-        "_socket",
-        "_unsent",
-        "address",
-        "is_greedy",
-        "latest_turn",
+        "_allowance", "_descriptor", "_is_closing", "_is_full", "_is_reading", "_is_sending",
+        "_is_throttled", "_loop", "_peers", "_release_timer", "_session", "_socket", "_unsent",
+        "address", "is_greedy", "latest_turn",
     )
+    # fmt: on
 
     def __init__(
         self, peers: Peers, client: socket.socket, address: str, make: MakeSession

@@ -15,17 +15,13 @@ from ..scan import lib
 from .fields import MAX_PDU, LengthRule, checked_data, in_c, store
 from .request import Request, Result
 
+# fmt: off
 __all__ = [
-    "DEVICE_IDENTIFICATION",
-    "LEVELS",
-    "OBJECT_NAMES",
-    "DeviceIdentification",
-    "EncapsulatedTransport",
-    "IdentificationPage",
-    "ReadDeviceIdCode",
-    "ReadDeviceIdentification",
+    "DEVICE_IDENTIFICATION", "LEVELS", "OBJECT_NAMES", "DeviceIdentification",
+    "EncapsulatedTransport", "IdentificationPage", "ReadDeviceIdCode", "ReadDeviceIdentification",
     "pages",
 ]
+# fmt: on
 
 CANOPEN = 0x0D
 DEVICE_IDENTIFICATION = 0x0E

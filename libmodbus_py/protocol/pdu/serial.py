@@ -14,17 +14,12 @@ from ..scan import lib
 from .fields import MAX_PDU, LengthRule, checked_data, checked_register, counted, fixed, in_c, store
 from .request import Bare, Request
 
+# fmt: off
 __all__ = [
-    "CommEventCounter",
-    "CommEventLog",
-    "Diagnostics",
-    "ReadCommEventCounter",
-    "ReadCommEventLog",
-    "ReadExceptionStatus",
-    "ReportServerId",
-    "ServerId",
-    "SubFunction",
+    "CommEventCounter", "CommEventLog", "Diagnostics", "ReadCommEventCounter", "ReadCommEventLog",
+    "ReadExceptionStatus", "ReportServerId", "ServerId", "SubFunction",
 ]
+# fmt: on
 
 
 @dataclass(frozen=True, slots=True)
