@@ -46,7 +46,8 @@ class Context(Handle[BlockingDriver], Blocking):
 
     Every request raises, apart from what its method names:
 
-    * TypeError, ValueError: an argument, named with its range; nothing was sent.
+    * TypeError, ValueError: an argument, named with its range; nothing was sent. Contexts
+      raise them, too, when they are made.
     * ExceptionResponse: the server refused; the subclass says why.
     * ModbusTimeoutError: no complete answer within `timeout`.
     * ModbusConnectionError: no connection, or it was lost meanwhile, with errno.
@@ -211,9 +212,6 @@ class TcpContext(Context):
         framing: "tcp" (MBAP); "rtu" or "ascii" for such a line behind a
             serial device server.
         options: `unit`, `timeout` and others; see `client.options.ContextOptions`.
-
-    Raises:
-        TypeError, ValueError: an argument of the wrong type or range.
     """
 
     def __init__(
@@ -242,9 +240,6 @@ class UdpContext(Context):
         host: a name, an IPv4 or an IPv6 address.
         port: 1..65535.
         options: `unit`, `timeout` and others; see `client.options.ContextOptions`.
-
-    Raises:
-        TypeError, ValueError: an argument of the wrong type or range.
     """
 
     def __init__(
@@ -265,9 +260,6 @@ class RtuContext(Context):
             `parity` ("E"), `data_bits` (8), `stop_bits` (1), `rs485`, `rts_delay`, `echo` and
             `silence`, see `ports.serial.SerialPort`. Let `timeout` be more than the
             slowest unit needs, for a late answer cannot be told from the next one.
-
-    Raises:
-        TypeError, ValueError: an argument of the wrong type or range.
     """
 
     def __init__(self, device: str, baudrate: int = 19200, **options: Unpack[RtuOptions]) -> None:

@@ -196,7 +196,12 @@ class RegisterTable(Table[int]):
 
     `read` and `write` take one value of any type (`values`), `read_values` and
     `write_values` a list of them at consecutive addresses. Each is one access:
-    no request sees half of it, and an error changes nothing.
+    no request sees half of it, and an error changes nothing. The layout is `order`,
+    `encoding` and `padding`, as of `values.value_type`.
+
+    Raises, apart from what every table does:
+        IndexError: the table does not have all the registers.
+        TypeError, ValueError: no such type or layout; as of `values.ValueType`.
     """
 
     typecode: ClassVar[Literal["B", "H"]] = "H"
@@ -207,59 +212,27 @@ class RegisterTable(Table[int]):
         return self._cells
 
     def read(self, address: int, type: TypeName, **layout: Unpack[Layout]) -> Any:
-        """
-        Read one value, such as ``read(100, "float32", order="CDAB")``.
-
-        Args:
-            address: 0-based, of the first register.
-            type, order, text: as of `values.value_type`.
-
-        Raises:
-            IndexError: the table does not have all its registers.
-            TypeError, ValueError: as of `values.ValueType.decode`.
-        """
+        """Read one value, such as ``read(100, "float32", order="CDAB")``."""
         kind = value_type(type, **layout)
         return kind.decode(self[self._run(address, kind.registers)])
 
     def read_values(
         self, address: int, type: TypeName, count: int = 1, **layout: Unpack[Layout]
     ) -> list[Any]:
-        """
-        Read `count` (1..65536) values of one type, one after the other.
-
-        Raises:
-            IndexError: the table does not have all their registers.
-            TypeError, ValueError: as of `values.ValueType.decode_many`, or no such count.
-        """
+        """Read `count` (1..65536) values of one type, one after the other."""
         kind = value_type(type, **layout)
         values = integer("count", count, 1, TABLE_SIZE)
         return kind.decode_many(self[self._run(address, values * kind.registers)])
 
     def write(self, address: int, value: Any, type: TypeName, **layout: Unpack[Layout]) -> None:
-        """
-        Write one value, such as ``write(100, 3.14, "float32", order="CDAB")``.
-
-        Args:
-            address: 0-based, of the first register.
-            value, type, layout (`order`, `encoding`, `padding`): as of `values.value_type`.
-
-        Raises:
-            IndexError: the table does not have all its registers.
-            TypeError, ValueError: as of `values.ValueType.encode`.
-        """
+        """Write one value, such as ``write(100, 3.14, "float32", order="CDAB")``."""
         registers = value_type(type, **layout).encode(value)
         self[self._run(address, len(registers))] = registers
 
     def write_values(
         self, address: int, values: Iterable[Any], type: TypeName, **layout: Unpack[Layout]
     ) -> None:
-        """
-        Write values of one type, one after the other; none change nothing.
-
-        Raises:
-            IndexError: the table does not have all their registers.
-            TypeError, ValueError: as of `values.ValueType.encode_many`.
-        """
+        """Write values of one type, one after the other; none change nothing."""
         registers = value_type(type, **layout).encode_many(values)
         self[self._run(address, len(registers))] = registers
 

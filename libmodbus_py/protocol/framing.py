@@ -125,7 +125,13 @@ class Framer(ABC):
         return self._give()
 
     @abstractmethod
-    def encode(self, frame: Frame) -> bytes: ...
+    def encode(self, frame: Frame) -> bytes:
+        """
+        Put around the PDU what the framing wants.
+
+        Raises:
+            ValueError: unit, transaction or length out of range.
+        """
 
     @abstractmethod
     def _scan(self) -> None: ...
@@ -182,12 +188,6 @@ class TcpFramer(Framer):
     has_broadcast = False
 
     def encode(self, frame: Frame) -> bytes:
-        """
-        Put a header before the PDU.
-
-        Raises:
-            ValueError: unit, transaction or length out of range.
-        """
         unit, pdu, transaction = _check(frame)
         return mbap(transaction, unit, pdu)
 
@@ -271,12 +271,6 @@ class RtuFramer(Framer):
         self._in_run = False  # whether the bytes before the buffer were no frame
 
     def encode(self, frame: Frame) -> bytes:
-        """
-        Put unit and CRC around the PDU.
-
-        Raises:
-            ValueError: unit or length out of range.
-        """
         unit, pdu, _ = _check(frame)
         body = bytes([unit]) + pdu
         return body + struct.pack("<H", crc16(body))
@@ -337,7 +331,7 @@ def is_delimiter(value: int) -> bool:
 
 class AsciiFramer(Framer):
     """
-    A colon, hexadecimal digits of unit, PDU and LRC, CR and a delimiter.
+    A colon, hexadecimal digits (sent in upper case) of unit, PDU and LRC, CR and a delimiter.
 
     Everything before a colon is skipped, and a colon inside a frame starts a
     new one. Lower-case digits are taken unless `strict`.
@@ -369,12 +363,6 @@ class AsciiFramer(Framer):
         self._delimiter = value
 
     def encode(self, frame: Frame) -> bytes:
-        """
-        Write unit, PDU and LRC as upper-case digits.
-
-        Raises:
-            ValueError: unit or length out of range.
-        """
         unit, pdu, _ = _check(frame)
         body = bytes([unit]) + pdu
         digits = (body + bytes([lrc(body)])).hex().upper()

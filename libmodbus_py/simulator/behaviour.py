@@ -97,7 +97,7 @@ class Run:
 
 
 class Behaviour(Protocol):
-    """How the values of a run move."""
+    """How the values of a run move. TypeError, ValueError: an attribute that cannot be."""
 
     def begin(self, run: Run, clockwork: Clockwork) -> Compute:
         """
@@ -146,9 +146,6 @@ class Counter:
         wrap: where it begins again at `start`, which it never reaches; what
             the last step goes beyond it is kept. None is the end of the type;
             a float then stays at its end.
-
-    Raises:
-        TypeError, ValueError: an attribute that cannot be.
     """
 
     step: Number = 1
@@ -193,9 +190,6 @@ class Sine:
     Attributes:
         low, high: the lowest and the highest value.
         period: seconds from one top to the next, 0.001..86400.
-
-    Raises:
-        TypeError, ValueError: an attribute that cannot be.
     """
 
     low: Number
@@ -227,9 +221,6 @@ class RandomWalk:
         interval: seconds from one move to the next, 0.001..86400. When nobody
             read for more than 1000 of them, 1000 moves are made.
         seed: makes every start walk the same way; each value of a run its own.
-
-    Raises:
-        TypeError, ValueError: an attribute that cannot be.
     """
 
     low: Number
@@ -300,9 +291,6 @@ class Copy:
         table: where it is: "coils", "discrete_inputs", "holding_registers",
             "input_registers".
         scale: what the other value is multiplied with.
-
-    Raises:
-        TypeError, ValueError: an attribute that cannot be.
     """
 
     address: int
