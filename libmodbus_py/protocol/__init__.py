@@ -10,4 +10,5 @@ Bottom up:
     framing    unit and PDU as bytes on TCP, UDP, RTU and ASCII lines, and back
     tables     the four tables: what they hold, and how much of it a request may carry
     values     numbers, text and bits in registers; references such as 40123
+               (type_names: what type checkers know of them)
 """
