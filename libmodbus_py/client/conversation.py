@@ -178,7 +178,7 @@ class Conversation(ABC):
         self.connection.lost(error, now, by_itself=by_itself)
         self._fail_all(error, now)
         # Each that was given up as dead took its time, and the next one may be alive.
-        if self.connection.fruitless >= LOSSES_BEFORE_END and not self._is_spent():
+        if by_itself and self.connection.fruitless >= LOSSES_BEFORE_END:
             self.refuse(error)
         waiting, self._queue = self._queue, deque()
         for batch in waiting:
