@@ -145,6 +145,8 @@ class InFlight(Conversation):
             self._keep_stray(error.received)  # the next datagram may be the right one
         elif (number := int.from_bytes(error.received[:2], "big")) in self._asked:
             self._wrong[number] = error  # a better one may follow
+            if len(self._wrong) > self.limit:
+                self._wrong = {each: self._wrong[each] for each in self._wrong.keys() & self._asked}
 
     def _overdue(self, now: float) -> list[tuple[Asked, Found]]:
         overdue: list[tuple[Asked, Found]] = []

@@ -79,7 +79,7 @@ class InTurn(Conversation):
     # --- asking --------------------------------------------------------------------------
 
     def _pick(self, now: float) -> Batch | None:
-        if now < self._silence.over_at:
+        if now < self._silence.over_at and not self._late:
             self._wake(self._silence.over_at)
             return None
         for batch in list(self._queue):
@@ -164,9 +164,9 @@ class InTurn(Conversation):
         self._is_noisy = True
         if self._doubts:
             self.statistics.late_answers += not self._late
-            self._late += data[: MAX_KEPT - len(self._late)]
             for unit, (_, timeout) in self._doubts.items():
                 self._doubts[unit] = now + timeout, timeout
+        self._late += data[: MAX_KEPT - len(self._late)]
         self._note_unasked(len(data))
 
     def _judge(self, found: list[Frame | FrameError], now: float) -> None:
