@@ -208,30 +208,104 @@ def test_a_flood_costs_neither_time_nor_memory(flood: str, kind: str) -> None:
     assert most < (8 << 20 if scheme == "udp" else 512 * 1024)
 
 
+FLOODER = """
+import os, sys, time
+while True:
+    os.write(int(sys.argv[1]), bytes.fromhex(sys.argv[2]))
+    time.sleep(float(sys.argv[3]))
+"""
+
+
+@contextlib.contextmanager
+def noisy_line(noise: bytes, pause: float) -> Iterator[str]:
+    """A serial line on which another process writes without end."""
+    with FakeUnit(lambda request: []) as unit:
+        fd = unit._master
+        command = [sys.executable, "-c", FLOODER, str(fd), noise.hex(), str(pause)]
+        with subprocess.Popen(command, pass_fds=[fd]) as process:
+            try:
+                yield unit.path
+            finally:
+                process.kill()
+
+
 @ALL
 @pytest.mark.parametrize("scheme", ["rtu", "ascii"])
-def test_a_line_that_is_never_quiet_costs_neither_time_nor_memory(scheme: str, kind: str) -> None:
-    noise = b"0123456789ABCDEF" * 16 if scheme == "ascii" else bytes(range(1, 256))
-    over = threading.Event()
-    with FakeUnit(lambda request: []) as unit:
-        os.set_blocking(unit._master, False)
+@pytest.mark.parametrize("pause", [0, 0.001, 0.02])
+def test_a_line_that_is_never_quiet_ends_the_wait(pause: float, scheme: str, kind: str) -> None:
+    """From the first request on, and while it waits for the silence that must come before."""
+    noise = b"0123456789ABCDEF" if scheme == "ascii" else bytes(range(0x80, 0x90))
+    with (
+        noisy_line(noise, pause) as path,
+        asking(kind, f"{scheme}://{path}?baudrate=115200", timeout=0.2) as client,
+    ):
+        for _ in range(3):
+            start = time.monotonic()
+            with pytest.raises(ModbusError) as caught:
+                client.read(1)
+            assert time.monotonic() - start < 2 * 0.2 + LATE
+            assert len(caught.value.received) <= 600
+            assert len(str(caught.value)) < 300
 
-        def flood() -> None:
-            while not over.is_set():
-                with contextlib.suppress(BlockingIOError):
-                    unit.write(noise)
 
-        thread = threading.Thread(target=flood, daemon=True)
+# --- connections that died, and are being made -----------------------------------------------
+
+
+@contextlib.contextmanager
+def dumb_after(first: int) -> Iterator[int]:
+    """A server whose first connection goes dumb after so many answers; the others are good."""
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        over = threading.Event()
+        numbers = iter(range(100))
+
+        def serve(peer: socket.socket, most: float) -> None:
+            with peer, contextlib.suppress(OSError):
+                while request := peer.recv(12):
+                    if most > 0:
+                        peer.sendall(answer(request, "tcp"))
+                    most -= 1
+
+        def accept() -> None:
+            with contextlib.suppress(OSError):
+                while not over.is_set():
+                    peer, _ = listener.accept()
+                    most = first if next(numbers) == 0 else 1e9
+                    threading.Thread(target=serve, args=(peer, most), daemon=True).start()
+
+        thread = threading.Thread(target=accept, daemon=True)
         thread.start()
-        try:
-            url = f"{scheme}://{unit.path}?baudrate=115200"
-            with asking(kind, url, timeout=0.2) as client:
-                for _ in range(3):
-                    start = time.monotonic()
-                    with pytest.raises(ModbusError) as caught:
-                        client.read(1)
-                    assert time.monotonic() - start < 2 * 0.2 + LATE
-                    assert len(caught.value.received) <= 600
-        finally:
-            over.set()
-            thread.join()
+        yield listener.getsockname()[1]
+        over.set()
+        listener.shutdown(socket.SHUT_RDWR)
+        thread.join()
+
+
+def test_a_dead_connection_is_left_though_the_caller_has_less_patience() -> None:
+    async def main(port: int) -> None:
+        async with AsyncClient(f"tcp://127.0.0.1:{port}", timeout=1) as client:
+            assert await client.read_holding_registers(1, 1) == [1]
+            failed = 0
+            for address in range(20):
+                try:
+                    async with asyncio.timeout(0.2):
+                        assert await client.read_holding_registers(address, 1) == [address]
+                except TimeoutError:
+                    failed += 1
+            assert failed == 3
+            assert client.statistics.connects == 2
+
+    with dumb_after(1) as port:
+        run_watched(main(port))
+
+
+@BLOCKING
+def test_a_dead_connection_is_left_by_a_context(kind: str) -> None:
+    with (
+        dumb_after(1) as port,
+        asking(kind, f"tcp://127.0.0.1:{port}", timeout=0.1) as client,
+    ):
+        assert client.read(1) == 1
+        for _ in range(3):
+            with pytest.raises(ModbusTimeoutError):
+                client.read(2)
+        assert client.read(3) == 3
