@@ -104,7 +104,8 @@ class SerialPort(Port):
         self._awaited_echo = bytearray()
         self._held = bytearray()
         self._sending: Iterator[float] = iter(())
-        self._guard = -1
+        self._guards: list[int] = []
+        self._number = 0
         self._process = 0
         self.context: Any = make(
             lib.modbus_new_rtu(
@@ -160,7 +161,7 @@ class SerialPort(Port):
             ModbusConnectionError: with errno.
         """
         try:
-            self._guard = self._take_port()
+            self._take_port()
             self._configure()
         except OSError as error:
             self.close()
@@ -172,6 +173,7 @@ class SerialPort(Port):
             raise
 
     def _configure(self) -> None:
+        self._process = os.getpid()
         if not self._connect():
             # glibc's tcsetattr reports EINVAL when it changed nothing and the
             # port lacks a setting: a pseudo-terminal has no parity, and has
@@ -179,7 +181,6 @@ class SerialPort(Port):
             self._change_something()
             if not self._connect():
                 raise OSError(errno.EINVAL, "the port refuses these settings")
-        self._process = os.getpid()
         self._watch(lib.modbus_get_socket(self.context))
         if self.baudrate not in self.baudrates:
             _set_odd_baudrate(self.descriptor, self.baudrate)
@@ -195,35 +196,38 @@ class SerialPort(Port):
         raise OSError(number, os.strerror(number))
 
     def _change_something(self) -> None:
-        settings = termios.tcgetattr(self._guard)
-        minimum = settings[6][termios.VMIN]
-        settings[6][termios.VMIN] = 0 if minimum in (1, b"\x01") else 1
-        termios.tcsetattr(self._guard, termios.TCSANOW, settings)
+        settings = termios.tcgetattr(self._guards[0])
+        settings[0] ^= termios.IGNBRK  # which libmodbus clears
+        termios.tcsetattr(self._guards[0], termios.TCSANOW, settings)
 
-    def _take_port(self) -> int:
+    def _take_port(self) -> None:
         """Lock the port: libmodbus would share it, and change the settings under the other."""
+        flags = os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC
+        self._release()
         try:
-            guard = os.open(self.device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC)
+            # In one call, for a Ctrl-C behind os.open would leave the port locked for ever.
+            self._guards.extend(map(os.open, [self.device], [flags]))
         except PermissionError as error:
             raise OSError(
                 error.errno, f"{error.strerror}; is this user in the group dialout?"
             ) from None
+        (guard,) = self._guards
+        self._number = os.fstat(guard).st_rdev
         try:
             termios.tcgetattr(guard)  # before libmodbus may touch what is no port
             fcntl.flock(guard, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except (OSError, termios.error) as error:
-            raise self._not_to_be_had(guard, error) from None
-        _open_here.add(os.fstat(guard).st_rdev)
-        return guard
+            refusal = self._refusal(error)
+            self._number = 0
+            raise refusal from None
+        _open_here.add(self._number)
 
-    def _not_to_be_had(self, guard: int, error: OSError | termios.error) -> OSError:
-        number = os.fstat(guard).st_rdev
-        os.close(guard)
+    def _refusal(self, error: OSError | termios.error) -> OSError:
         if isinstance(error, termios.error):
             return OSError(error.args[0], "not a serial port")
         if not isinstance(error, BlockingIOError):
             return error
-        if number in _open_here:
+        if self._number in _open_here:
             return OSError(
                 errno.EBUSY,
                 "in use by this program itself; for_unit() gives another unit on the same line",
@@ -244,23 +248,25 @@ class SerialPort(Port):
         self.resume_at = None
         if self._process != os.getpid():
             self.abandon()
-        elif self.descriptor >= 0:
+        else:
             self.descriptor = -1
             lib.modbus_close(self.context)  # restores the settings, too
-        self._release()
+            self._release()
 
     def abandon(self) -> None:
-        descriptor, self.descriptor = self.descriptor, -1
+        self.descriptor = -1
+        descriptor = lib.modbus_get_socket(self.context)
         if descriptor >= 0:
             lib.modbus_set_socket(self.context, -1)
             os.close(descriptor)
         self._release()
 
     def _release(self) -> None:
-        guard, self._guard = self._guard, -1
-        if guard >= 0:
-            _open_here.discard(os.fstat(guard).st_rdev)
+        # No call between these and os.close, for a signal handler may raise behind any.
+        guards, self._guards = self._guards, []
+        for guard in guards:
             os.close(guard)
+            _open_here.discard(self._number)
 
     # --- bytes --------------------------------------------------------------------------------
 
