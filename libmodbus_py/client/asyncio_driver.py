@@ -87,15 +87,23 @@ class AsyncioDriver:
 
     def forget(self) -> None:
         """The last handle was forgotten: give the port back, as nobody else will."""
-        if self._connection.state is State.CLOSED or self._port.descriptor < 0:
+        if self._connection.state not in (State.CONNECTING, State.CONNECTED):
             return
-        warnings.warn(
-            f"AsyncClient({self._endpoint!r}) was not closed", ResourceWarning, stacklevel=2
-        )
-        if self._loop is not None and self._loop.is_running():
-            self._loop.call_soon_threadsafe(self._close_port)
-        else:
-            self._close_port()
+        try:
+            warnings.warn(
+                f"AsyncClient({self._endpoint!r}) was not closed", ResourceWarning, stacklevel=2
+            )
+        finally:
+            if self._loop is not None and self._loop.is_running():
+                self._loop.call_soon_threadsafe(self._abandon)
+            else:
+                self._abandon()
+
+    def _abandon(self) -> None:
+        if self._attempt is not None and self._loop is not None and not self._loop.is_closed():
+            self._attempt.cancel()
+        self._close_port()
+        self._connection.close()
 
     def change_timeout(self) -> None:
         """Some `Patience` has changed."""
@@ -255,30 +263,32 @@ class AsyncioDriver:
     def _start_attempt(self) -> None:
         assert self._loop is not None
         self._retry = None
-        if not self._conversation.is_wanted:  # who waited has left
+        if not self._conversation.is_wanted:
             return
         self._connection.connecting()
-        self._attempt = self._loop.create_task(self._open())
+        opening = self._port.opening(monotonic() + self._patience.timeout)
+        self._attempt = self._loop.create_task(run_async(opening))
+        # Not in the task itself, for one that is cancelled early never begins.
+        self._attempt.add_done_callback(self._end_attempt)
 
-    async def _open(self) -> None:
-        error: ModbusConnectionError | None = None
-        try:
-            await run_async(self._port.opening(monotonic() + self._patience.timeout))
-        except ModbusConnectionError as failure:
-            error = failure
-        except BaseException:
-            self._port.close()
-            if self._connection.state is State.CONNECTING:
-                self._connection.given_up()
-                self._conversation.refuse(ModbusConnectionError("connecting was cancelled"))
-            raise
-        finally:
-            self._attempt = None
-        if self._connection.state is State.CLOSED:
-            self._port.close()
-        elif error is not None:
-            self._conversation.failed(error, monotonic())
-        else:
+    def _end_attempt(self, attempt: asyncio.Task[None]) -> None:
+        self._attempt = None
+        failure = None if attempt.cancelled() else attempt.exception()
+        if attempt.cancelled() or self._connection.state is State.CLOSED:
+            self._give_up(ModbusConnectionError("connecting was cancelled"))
+        elif failure is None:
             self._read_on()
             self._conversation.opened(monotonic())
             self._turn()
+        elif isinstance(failure, ModbusConnectionError):
+            self._conversation.failed(failure, monotonic())
+        else:
+            error = ModbusConnectionError(f"connecting was interrupted: {failure!r}")
+            error.__cause__ = failure
+            self._give_up(error)
+
+    def _give_up(self, error: ModbusConnectionError) -> None:
+        self._port.close()
+        if self._connection.state is State.CONNECTING:
+            self._connection.given_up()
+            self._conversation.refuse(error)
