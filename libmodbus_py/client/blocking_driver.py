@@ -71,12 +71,21 @@ class BlockingDriver:
             RuntimeError: from within a request of the same thread.
         """
         with self._lock:
-            self._begin()
+            self._check_turn()
+            # Nothing may come between here and the end that a Ctrl-C could skip.
             try:
+                self._is_busy = True
                 self._conversation.add(batch, monotonic())
                 self._drive(batch)
+            except Exception:
+                raise
+            except BaseException:  # Ctrl-C: who knows what went out
+                self._interrupt()
+                raise
             finally:
-                self._end()
+                self._is_busy = False
+                if self._closed:
+                    self._shut()
 
     def ask(self, unit: int, request: Request[Any], patience: Patience, broadcast: bool) -> Any:
         """
@@ -87,8 +96,9 @@ class BlockingDriver:
             TypeError, ValueError, RuntimeError: nothing was sent.
         """
         with self._lock:
-            self._begin()
+            self._check_turn()
             try:
+                self._is_busy = True
                 if self._shortcut is not None and not broadcast and self._conversation.is_plain:
                     batch, outcome = self._shortcut.ask(
                         unit, request, patience, self._waker.descriptor
@@ -103,26 +113,22 @@ class BlockingDriver:
                 self._drive(batch)
             except Exception:
                 raise
-            except BaseException:  # Ctrl-C: who knows what went out
+            except BaseException:
                 self._interrupt()
                 raise
             finally:
-                self._end()
+                self._is_busy = False
+                if self._closed:
+                    self._shut()
         raised(batch.outcomes)
         return batch.outcomes[0]
 
-    def _begin(self) -> None:
+    def _check_turn(self) -> None:
         if self._is_busy:
             raise RuntimeError(
                 "a request of this thread is under way on the same connection: a signal "
                 "handler or a callback must not ask here"
             )
-        self._is_busy = True
-
-    def _end(self) -> None:
-        self._is_busy = False
-        if self._closed:
-            self._shut()
 
     def change_timeout(self) -> None:
         """Some `Patience` has changed."""
@@ -144,9 +150,8 @@ class BlockingDriver:
         self._port.abandon()
         self._waker.renew()
         self._start_anew()
-        if self._connection.is_open:
-            gone = ModbusConnectionError("this process was forked off", errno=errno.EBADF)
-            self._conversation.lost(gone, monotonic(), by_itself=False)
+        gone = ModbusConnectionError("this process was forked off", errno=errno.EBADF)
+        self._conversation.interrupted(gone, monotonic())
 
     def _shut(self) -> None:
         self._port.close()
@@ -163,16 +168,11 @@ class BlockingDriver:
             self._turn_line()
         except Woken:
             self._shut()
-        except BaseException:  # Ctrl-C: who knows what went out
-            self._conversation.abandon(batch, monotonic())
-            self._interrupt()
-            raise
 
     def _interrupt(self) -> None:
         self._port.close()
-        if self._connection.is_open:
-            interrupted = ModbusConnectionError("interrupted", errno=errno.EINTR)
-            self._conversation.lost(interrupted, monotonic(), by_itself=False)
+        interrupted = ModbusConnectionError("interrupted", errno=errno.EINTR)
+        self._conversation.interrupted(interrupted, monotonic())
 
     def _step(self, batch: Batch) -> None:
         """Connect; or send what may be sent, wait for what comes, and look at it."""

@@ -29,7 +29,7 @@ from ..protocol.errors import (
 from ..protocol.framing import Framer, Framing
 from .batch import Asked, Batch, Statistics
 from .hints import explain, shown
-from .reconnecting import Reconnecting
+from .reconnecting import Reconnecting, State
 from .trace import Trace
 
 __all__ = ["MAX_UNASKED", "Conversation", "Found", "Pace", "no_answer"]
@@ -190,6 +190,16 @@ class Conversation(ABC):
         self.connection.close()
         self._fail_all(error, now)
         self.refuse(error)
+
+    def interrupted(self, error: ModbusConnectionError, now: float) -> None:
+        """Whoever asked is gone, in the midst of anything: nothing of it must be sent later."""
+        self._queue, self._repeats, self._found = deque(), [], []
+        self._restart(now)
+        self.broken = None
+        if self.connection.is_open:
+            self.connection.lost(error, now, by_itself=False)
+        elif self.connection.state is State.CONNECTING:
+            self.connection.given_up()
 
     def _fail_all(self, error: ModbusConnectionError, now: float) -> None:
         self.broken = None

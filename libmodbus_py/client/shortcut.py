@@ -16,7 +16,7 @@ from typing import Any, Protocol
 from ..ports.port import Port
 from ..ports.serial import SerialPort
 from ..ports.waiting import Woken
-from ..protocol.errors import ModbusConnectionError, ModbusError
+from ..protocol.errors import ModbusConnectionError
 from ..protocol.framing import Frame, Framer, make_framer, mbap
 from ..protocol.pdu import Request
 from .batch import Batch, Patience
@@ -141,8 +141,8 @@ class Shortcut:
                 outcome = request.decode_response(answer)
                 self._note_success()
                 return None, outcome
-        except ModbusError:
-            pass  # the conversation tells it all that was asked
+        except Exception:
+            pass  # the conversation meets it again, and tells it all that was asked
         except BaseException:  # Ctrl-C: it was sent, and nobody waits any more
             batch = self._adopted(unit, number, request, patience, since)
             self._conversation.abandon(batch, since)
