@@ -11,8 +11,9 @@ import select
 import socket
 import struct
 import threading
+import time
 import tty
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Self
 
 # A request as it came in -> the bytes to answer, in pieces.
@@ -32,6 +33,7 @@ class FakeServer:
         self._answers = list(answers)
         self._listener = socket.create_server(("127.0.0.1", 0))
         self.port: int = self._listener.getsockname()[1]
+        self.url = f"tcp://127.0.0.1:{self.port}"
         self.connections = 0
         self.requests: list[bytes] = []
         self._thread = threading.Thread(target=self._serve, daemon=True)
@@ -120,3 +122,41 @@ def mbap(request: bytes, pdu: bytes, **changed: int) -> bytes:
     header = {"transaction": transaction, "protocol": 0, "length": 1 + len(pdu), "unit": unit}
     header |= changed
     return struct.pack(">HHHB", *header.values()) + pdu
+
+
+def echo(request: bytes, **changed: int) -> bytes:
+    """Answer a read of one register over TCP with its address."""
+    return mbap(request, b"\x03\x02" + request[8:10], **changed)
+
+
+@contextlib.contextmanager
+def dead() -> Iterator[int]:
+    """A port that answers nothing at all, as a dead host: its backlog is full."""
+    with socket.socket() as listener, contextlib.ExitStack() as stack:
+        listener.bind(("127.0.0.1", 0))
+        listener.listen(0)
+        for _ in range(3):
+            filler = stack.enter_context(socket.socket())
+            filler.setblocking(False)
+            filler.connect_ex(listener.getsockname())
+        yield listener.getsockname()[1]
+
+
+@contextlib.contextmanager
+def refusing() -> Iterator[socket.socket]:
+    """A port that refuses connections until it listens, and that nobody else can take."""
+    with socket.socket() as bound:
+        bound.bind(("127.0.0.1", 0))
+        yield bound
+
+
+def url_of(bound: socket.socket) -> str:
+    return f"tcp://127.0.0.1:{bound.getsockname()[1]}"
+
+
+def until(condition: Callable[[], object]) -> None:
+    """Wait for another thread."""
+    end = time.monotonic() + 5
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.001)

@@ -21,7 +21,8 @@ from typing import Any, Self
 
 import pytest
 from c_programs import SOURCES, compile_c
-from fake import FakeServer, FakeUnit, mbap
+from clients import Connect
+from fake import FakeServer, FakeUnit, dead, echo, mbap
 from interop import program
 
 from libmodbus_py import (
@@ -33,7 +34,6 @@ from libmodbus_py import (
     ModbusConnectionError,
     ModbusError,
     ModbusTimeoutError,
-    RtuContext,
     ServerDeviceBusy,
     TcpContext,
     pdu,
@@ -117,11 +117,6 @@ def address_of(request: bytes) -> int:
     return int.from_bytes(request[8:10], "big")
 
 
-def echo(request: bytes, **changed: int) -> bytes:
-    """Answer a read of one register with its address."""
-    return mbap(request, b"\x03\x02" + request[8:10], **changed)
-
-
 def refusal(request: bytes, code: int) -> bytes:
     return mbap(request, bytes([0x83, code]))
 
@@ -139,12 +134,22 @@ def echoes(count: int, first: int = 0) -> list[list[int]]:
     return [[address] for address in range(first, first + count)]
 
 
-@contextlib.contextmanager
-def talking_to(
-    play: Callable[[Peer, int], object], **options: Any
-) -> Iterator[tuple[TcpContext, Played]]:
-    with Played(play) as server, TcpContext("127.0.0.1", server.port, **options) as context:
-        yield context, server
+Talking = Callable[..., contextlib.AbstractContextManager[tuple[Any, "Played"]]]
+
+
+@pytest.fixture
+def talking_to(connect: Connect) -> Talking:
+    """A client of each kind, and the server it talks to."""
+
+    @contextlib.contextmanager
+    def made(play: Callable[[Peer, int], object], **options: Any) -> Iterator[tuple[Any, Played]]:
+        with (
+            Played(play) as server,
+            connect(f"tcp://127.0.0.1:{server.port}", **options) as client,
+        ):
+            yield client, server
+
+    return made
 
 
 # --- what is asked for comes back ----------------------------------------------------------
@@ -152,7 +157,7 @@ def talking_to(
 
 @pytest.mark.parametrize("max_in_flight", [1, 2, 16])
 def test_results_have_the_order_of_requests_on_every_transport(
-    url: str, mapping: Mapping, max_in_flight: int
+    connect: Connect, url: str, mapping: Mapping, max_in_flight: int
 ) -> None:
     asked = [
         pdu.WriteRegisters(150, (7, 8, 9)),
@@ -162,16 +167,16 @@ def test_results_have_the_order_of_requests_on_every_transport(
         pdu.ReadInputRegisters(200, 2),
     ]
     expected = [None, [True, False, True], *echoes(10, 1000), [[1, 2]], [2000, 2001]]
-    with Context.from_url(url, unit=UNIT) as context:
+    with connect(url, unit=UNIT) as context:
         for _ in range(2):
             assert context.execute_many(asked, max_in_flight=max_in_flight) == expected
             assert context.read_holding_registers(150, 3) == [7, 8, 9]
     assert mapping.holding_registers[150:153] == [7, 8, 9]
 
 
-def test_refusals_stand_in_their_places_on_every_transport(url: str) -> None:
+def test_refusals_stand_in_their_places_on_every_transport(connect: Connect, url: str) -> None:
     asked = [pdu.ReadCoils(10, 1), pdu.ReadHoldingRegisters(0, 1), pdu.ReadCoils(11, 1)]
-    with Context.from_url(url, unit=UNIT) as context:
+    with connect(url, unit=UNIT) as context:
         first, refused, last = context.execute_many(asked, return_exceptions=True)
         assert (first, last) == ([True], [False])
         assert isinstance(refused, IllegalDataAddress)
@@ -183,19 +188,19 @@ def test_refusals_stand_in_their_places_on_every_transport(url: str) -> None:
             context.execute_many(asked)
 
 
-def test_libmodbus_server_in_c(tmp_path: Path) -> None:
+def test_libmodbus_server_in_c(connect: Connect, tmp_path: Path) -> None:
     server = compile_c(SOURCES / "server.c", tmp_path / "server")
     asked = [pdu.ReadHoldingRegisters(100 + at % 100, 125) for at in range(800)]
     with program(server, "tcp", 0) as process:
         assert process.stdout is not None
         port = int(process.stdout.readline().split()[1])
-        with TcpContext("127.0.0.1", port, unit=UNIT, timeout=10) as context:
+        with connect(f"tcp://127.0.0.1:{port}", unit=UNIT, timeout=10) as context:
             found = context.execute_many(asked)
     assert found == [list(range(1100 + at % 100, 1225 + at % 100)) for at in range(800)]
 
 
 @pytest.mark.parametrize("size", [1, 2, 5, 300])
-def test_answers_may_come_in_any_pieces(size: int) -> None:
+def test_answers_may_come_in_any_pieces(talking_to: Talking, size: int) -> None:
     def play(peer: Peer, number: int) -> None:
         while True:
             answers = b"".join(echo(each) for each in peer.read_all(0.01))
@@ -206,7 +211,7 @@ def test_answers_may_come_in_any_pieces(size: int) -> None:
         assert context.execute_many(reads(40)) == echoes(40)
 
 
-def test_answers_may_come_in_any_order() -> None:
+def test_answers_may_come_in_any_order(talking_to: Talking) -> None:
     def play(peer: Peer, number: int) -> None:
         while True:
             peer.send(*(echo(each) for each in reversed(peer.read_all())))
@@ -216,8 +221,8 @@ def test_answers_may_come_in_any_order() -> None:
         assert (context.late_answers, server.connections) == (0, 1)
 
 
-def test_nothing_to_ask_needs_no_connection() -> None:
-    context = TcpContext("127.0.0.1", 1)
+def test_nothing_to_ask_needs_no_connection(connect: Connect) -> None:
+    context = connect("tcp://127.0.0.1:1")
     assert context.execute_many([]) == []
     assert context.read_many({}) == {}
 
@@ -226,7 +231,7 @@ def test_nothing_to_ask_needs_no_connection() -> None:
 
 
 @pytest.mark.parametrize("limit", [1, 2, 3, 16, 100, 256])
-def test_as_many_are_in_flight_as_allowed_and_no_more(limit: int) -> None:
+def test_as_many_are_in_flight_as_allowed_and_no_more(talking_to: Talking, limit: int) -> None:
     waiting: list[int] = []
 
     def play(peer: Peer, number: int) -> None:
@@ -239,13 +244,13 @@ def test_as_many_are_in_flight_as_allowed_and_no_more(limit: int) -> None:
                 peer.send(*map(echo, held))
                 good(peer)
 
-    with talking_to(play, timeout=5) as (context, _):
+    with talking_to(play, timeout=5, max_in_flight=256) as (context, _):
         count = 2 * limit + 10
         assert context.execute_many(reads(count), max_in_flight=limit) == echoes(count)
     assert waiting == [limit] * 3
 
 
-def test_a_request_that_nobody_answers_makes_them_go_one_by_one() -> None:
+def test_a_request_that_nobody_answers_makes_them_go_one_by_one(talking_to: Talking) -> None:
     most = 0
 
     def play(peer: Peer, number: int) -> None:
@@ -278,18 +283,18 @@ def test_a_request_that_nobody_answers_makes_them_go_one_by_one() -> None:
     ],
 )
 def test_nothing_is_sent_for_bad_arguments(
-    requests: Any, options: Any, kind: type[Exception], named: str
+    connect: Connect, requests: Any, options: Any, kind: type[Exception], named: str
 ) -> None:
     with FakeServer(lambda each: [echo(each)]) as server:
-        with TcpContext("127.0.0.1", server.port) as context:
+        with connect(server.url) as context:
             with pytest.raises(kind, match=named):
                 context.execute_many(requests, **options)
             assert context.read_holding_registers(5, 1) == [5]
         assert len(server.requests) == 1
 
 
-def test_broadcast_of_a_read_is_refused_before_the_writes_go_out() -> None:
-    with FakeUnit() as unit, RtuContext(unit.path, unit=0, turnaround=0) as everyone:
+def test_broadcast_of_a_read_is_refused_before_the_writes_go_out(connect: Connect) -> None:
+    with FakeUnit() as unit, connect(f"rtu://{unit.path}", unit=0, turnaround=0) as everyone:
         with pytest.raises(ValueError, match=r"requests\[1\]: unit 0 is a broadcast"):
             everyone.execute_many([pdu.WriteRegister(1, 2), pdu.ReadCoils(0, 1)])
         assert unit.requests == []
@@ -298,7 +303,7 @@ def test_broadcast_of_a_read_is_refused_before_the_writes_go_out() -> None:
 # --- no answer, and answers that come late ---------------------------------------------------
 
 
-def test_request_without_an_answer_times_out_alone() -> None:
+def test_request_without_an_answer_times_out_alone(talking_to: Talking) -> None:
     def play(peer: Peer, number: int) -> None:
         while True:
             request = peer.read()
@@ -322,7 +327,7 @@ def test_request_without_an_answer_times_out_alone() -> None:
             context.execute_many(reads(40))
 
 
-def test_timeout_counts_from_when_a_request_is_sent() -> None:
+def test_timeout_counts_from_when_a_request_is_sent(talking_to: Talking) -> None:
     """All of them take many times as long as one may."""
 
     def play(peer: Peer, number: int) -> None:
@@ -335,7 +340,7 @@ def test_timeout_counts_from_when_a_request_is_sent() -> None:
         assert context.execute_many(reads(50), max_in_flight=4) == echoes(50)
 
 
-def test_trickle_does_not_extend_the_timeout() -> None:
+def test_trickle_does_not_extend_the_timeout(talking_to: Talking) -> None:
     def play(peer: Peer, number: int) -> None:
         answer = echo(peer.read())
         for byte in answer:
@@ -349,8 +354,7 @@ def test_trickle_does_not_extend_the_timeout() -> None:
         assert time.monotonic() - start < 1
 
 
-@pytest.mark.parametrize("native", [True, False])
-def test_late_answers_reach_nobody(native: bool) -> None:
+def test_late_answers_reach_nobody(talking_to: Talking) -> None:
     def play(peer: Peer, number: int) -> None:
         late = []
         while True:
@@ -363,7 +367,7 @@ def test_late_answers_reach_nobody(native: bool) -> None:
             else:
                 peer.send(echo(request))
 
-    with talking_to(play, timeout=0.3, native=native) as (context, server):
+    with talking_to(play, timeout=0.3) as (context, server):
         assert context.read_holding_registers(1, 1) == [1]
         found = context.execute_many(reads(20), return_exceptions=True)
         assert [at for at, each in enumerate(found) if isinstance(each, ModbusError)] == [5, 6]
@@ -377,9 +381,8 @@ def test_late_answers_reach_nobody(native: bool) -> None:
         assert (context.late_answers, server.connections) == (2, 1)
 
 
-@pytest.mark.parametrize("native", [True, False])
 @pytest.mark.parametrize("again", ["one", "many"])
-def test_requests_left_behind_by_a_failure_poison_nothing(native: bool, again: str) -> None:
+def test_requests_left_behind_by_a_failure_poison_nothing(talking_to: Talking, again: str) -> None:
     """The first is refused; the other fifteen are answered when something else is asked."""
     left = 0
 
@@ -397,7 +400,7 @@ def test_requests_left_behind_by_a_failure_poison_nothing(native: bool, again: s
         for _ in range(2):
             peer.send(echo(peer.read()))
 
-    with talking_to(play, native=native) as (context, server):
+    with talking_to(play) as (context, server):
         for _ in range(2):
             assert context.read_holding_registers(1, 1) == [1]
         with pytest.raises(IllegalDataAddress):
@@ -412,9 +415,8 @@ def test_requests_left_behind_by_a_failure_poison_nothing(native: bool, again: s
         assert (context.late_answers, server.connections) == (15, 1)
 
 
-@pytest.mark.parametrize("native", [True, False])
 @pytest.mark.parametrize("silent", [(3, 9), ()])
-def test_half_a_frame_poisons_nothing(native: bool, silent: tuple[int, ...]) -> None:
+def test_half_a_frame_poisons_nothing(talking_to: Talking, silent: tuple[int, ...]) -> None:
     """Half a late answer, or half a frame that nobody asked for; the rest comes with the next."""
 
     def play(peer: Peer, number: int) -> None:
@@ -430,7 +432,7 @@ def test_half_a_frame_poisons_nothing(native: bool, silent: tuple[int, ...]) -> 
                 answer, rest = answer + held[:8], held[8:]
             peer.send(answer)
 
-    with talking_to(play, timeout=0.2, native=native) as (context, _):
+    with talking_to(play, timeout=0.2) as (context, _):
         for _ in range(2):
             assert context.read_holding_registers(1, 1) == [1]
         found = context.execute_many(reads(10), max_in_flight=2, return_exceptions=True)
@@ -439,7 +441,7 @@ def test_half_a_frame_poisons_nothing(native: bool, silent: tuple[int, ...]) -> 
             assert context.read_holding_registers(address, 1) == [address]
 
 
-def test_flood_of_answers_does_not_hold_up_the_next_batch() -> None:
+def test_flood_of_answers_does_not_hold_up_the_next_batch(talking_to: Talking) -> None:
     def play(peer: Peer, number: int) -> None:
         while number:
             peer.send(echo(peer.read()))
@@ -456,7 +458,9 @@ def test_flood_of_answers_does_not_hold_up_the_next_batch() -> None:
 
 
 @pytest.mark.parametrize("timeout", [20, 0.3])
-def test_id_is_not_given_again_while_its_answer_may_come(timeout: float) -> None:
+def test_id_is_not_given_again_while_its_answer_may_come(
+    talking_to: Talking, timeout: float
+) -> None:
     """There are 16384 ids, and the first answer comes after 17000 others."""
     same: list[int] = []
 
@@ -483,21 +487,21 @@ def test_id_is_not_given_again_while_its_answer_may_come(timeout: float) -> None
             assert context.late_answers == 1
 
 
-def test_unanswered_requests_among_answered_ones_leave_the_connection() -> None:
+def test_unanswered_requests_among_answered_ones_leave_the_connection(talking_to: Talking) -> None:
     def play(peer: Peer, number: int) -> None:
         while True:
             request = peer.read()
             if address_of(request) % 4 == 0:
                 peer.send(echo(request))
 
-    with talking_to(play, timeout=0.2) as (context, server):
+    with talking_to(play, timeout=0.2, max_in_flight=256) as (context, server):
         for _ in range(7):
             found = context.execute_many(reads(256), max_in_flight=256, return_exceptions=True)
             assert sum(isinstance(each, ModbusTimeoutError) for each in found) == 192
         assert server.connections == 1
 
 
-def test_three_timeouts_in_a_row_make_a_new_connection() -> None:
+def test_three_timeouts_in_a_row_make_a_new_connection(talking_to: Talking) -> None:
     def play(peer: Peer, number: int) -> None:
         if number < 2:
             while True:
@@ -513,7 +517,7 @@ def test_three_timeouts_in_a_row_make_a_new_connection() -> None:
 # --- bad answers ---------------------------------------------------------------------------
 
 
-def test_first_failure_in_the_order_of_requests_is_raised() -> None:
+def test_first_failure_in_the_order_of_requests_is_raised(talking_to: Talking) -> None:
     def play(peer: Peer, number: int) -> None:
         requests = peer.read_all()
         peer.send(refusal(requests[5], 4), *(echo(each) for each in requests[6:]))
@@ -529,7 +533,7 @@ def test_first_failure_in_the_order_of_requests_is_raised() -> None:
         assert context.execute_many(reads(30)) == echoes(30)
 
 
-def test_failure_is_raised_without_waiting_for_what_comes_after_it() -> None:
+def test_failure_is_raised_without_waiting_for_what_comes_after_it(talking_to: Talking) -> None:
     def play(peer: Peer, number: int) -> None:
         requests = peer.read_all()
         peer.send(echo(requests[0]), *(refusal(requests[at], 2) for at in (1, 5)))
@@ -543,7 +547,7 @@ def test_failure_is_raised_without_waiting_for_what_comes_after_it() -> None:
         assert context.execute_many(reads(30)) == echoes(30)
 
 
-def test_after_a_wrong_unit_the_next_answer_is_looked_at() -> None:
+def test_after_a_wrong_unit_the_next_answer_is_looked_at(talking_to: Talking) -> None:
     """libmodbus, which carries requests otherwise, does not check the unit."""
     wrong = False
 
@@ -562,7 +566,7 @@ def test_after_a_wrong_unit_the_next_answer_is_looked_at() -> None:
             context.read_holding_registers(1, 1)
 
 
-def test_wrong_answers_spoil_their_own_requests_only() -> None:
+def test_wrong_answers_spoil_their_own_requests_only(talking_to: Talking) -> None:
     def play(peer: Peer, number: int) -> None:
         while True:
             request = peer.read()
@@ -588,7 +592,7 @@ def test_wrong_answers_spoil_their_own_requests_only() -> None:
         assert (context.late_answers, server.connections) == (12, 1)
 
 
-def test_stream_that_cannot_be_understood_fails_all_in_flight() -> None:
+def test_stream_that_cannot_be_understood_fails_all_in_flight(talking_to: Talking) -> None:
     def play(peer: Peer, number: int) -> None:
         for _ in range(4 if number == 0 else 100):
             peer.send(echo(peer.read()))
@@ -609,7 +613,9 @@ def test_stream_that_cannot_be_understood_fails_all_in_flight() -> None:
         assert server.connections == 2
 
 
-def test_frame_of_another_protocol_is_skipped_and_costs_its_own_request_alone() -> None:
+def test_frame_of_another_protocol_is_skipped_and_costs_its_own_request_alone(
+    talking_to: Talking,
+) -> None:
     def play(peer: Peer, number: int) -> None:
         while True:
             request = peer.read()
@@ -639,7 +645,7 @@ def closing_after(count: int) -> Callable[[Peer, int], None]:
     return play
 
 
-def test_lost_connection_raises_for_the_first_without_an_answer() -> None:
+def test_lost_connection_raises_for_the_first_without_an_answer(talking_to: Talking) -> None:
     with talking_to(closing_after(7)) as (context, server):
         with pytest.raises(ModbusConnectionError, match="address=7,") as caught:
             context.execute_many(reads(30))
@@ -649,7 +655,7 @@ def test_lost_connection_raises_for_the_first_without_an_answer() -> None:
         assert server.connections == 2
 
 
-def test_lost_connection_fails_what_was_in_flight_and_the_rest_goes_on() -> None:
+def test_lost_connection_fails_what_was_in_flight_and_the_rest_goes_on(talking_to: Talking) -> None:
     with talking_to(closing_after(10)) as (context, server):
         found = context.execute_many(reads(40), max_in_flight=4, return_exceptions=True)
         lost = [at for at, each in enumerate(found) if isinstance(each, ModbusConnectionError)]
@@ -662,7 +668,9 @@ def test_lost_connection_fails_what_was_in_flight_and_the_rest_goes_on() -> None
 
 
 @pytest.mark.parametrize("max_in_flight", [1, 2, 16])
-def test_host_that_drops_connections_is_not_asked_for_ever(max_in_flight: int) -> None:
+def test_host_that_drops_connections_is_not_asked_for_ever(
+    talking_to: Talking, max_in_flight: int
+) -> None:
     with talking_to(lambda peer, number: peer.read()) as (context, server):
         found = context.execute_many(
             reads(800), max_in_flight=max_in_flight, return_exceptions=True
@@ -674,16 +682,9 @@ def test_host_that_drops_connections_is_not_asked_for_ever(max_in_flight: int) -
 
 
 @pytest.mark.parametrize("max_in_flight", [1, 16])
-def test_dead_host_costs_one_attempt(max_in_flight: int) -> None:
-    """A full backlog drops every further connection, as a dead host does."""
-    with socket.socket() as listener, contextlib.ExitStack() as stack:
-        listener.bind(("127.0.0.1", 0))
-        listener.listen(0)
-        for _ in range(3):
-            filler = stack.enter_context(socket.socket())
-            filler.setblocking(False)
-            filler.connect_ex(listener.getsockname())
-        context = TcpContext("127.0.0.1", listener.getsockname()[1], timeout=0.1)
+def test_dead_host_costs_one_attempt(connect: Connect, max_in_flight: int) -> None:
+    with dead() as port:
+        context = connect(f"tcp://127.0.0.1:{port}", timeout=0.1)
         start = time.monotonic()
         found = context.execute_many(
             reads(800), max_in_flight=max_in_flight, return_exceptions=True
@@ -696,7 +697,7 @@ def test_dead_host_costs_one_attempt(max_in_flight: int) -> None:
         assert time.monotonic() - start < 2
 
 
-def test_connection_closed_between_two_batches_is_made_anew() -> None:
+def test_connection_closed_between_two_batches_is_made_anew(talking_to: Talking) -> None:
     def play(peer: Peer, number: int) -> None:
         for _ in range(20):
             peer.send(echo(peer.read()))
@@ -726,7 +727,7 @@ def busy_at_first(busy: dict[int, int]) -> Callable[[Peer, int], None]:
 
 
 @pytest.mark.parametrize("max_in_flight", [1, 16])
-def test_busy_requests_are_asked_again(max_in_flight: int) -> None:
+def test_busy_requests_are_asked_again(talking_to: Talking, max_in_flight: int) -> None:
     busy = {3: 2, 7: 1}
     with talking_to(busy_at_first(busy), busy_retries=2) as (context, _):
         assert context.execute_many(reads(50), max_in_flight=max_in_flight) == echoes(50)
@@ -739,7 +740,7 @@ def test_busy_requests_are_asked_again(max_in_flight: int) -> None:
             context.execute_many(reads(50), max_in_flight=max_in_flight)
 
 
-def test_busy_is_a_failure_without_retries() -> None:
+def test_busy_is_a_failure_without_retries(talking_to: Talking) -> None:
     with (
         talking_to(busy_at_first({3: 1})) as (context, _),
         pytest.raises(ServerDeviceBusy, match="address=3,"),
@@ -750,7 +751,7 @@ def test_busy_is_a_failure_without_retries() -> None:
 # --- threads, signals, closing ---------------------------------------------------------------
 
 
-def test_threads_share_a_context_and_batches() -> None:
+def test_threads_share_a_context_and_batches(talking_to: Talking) -> None:
     with talking_to(good) as (context, _), ThreadPoolExecutor(3) as pool:
 
         def many(first: int) -> bool:
@@ -764,7 +765,7 @@ def test_threads_share_a_context_and_batches() -> None:
         assert all(each.result() for each in batches + singles)
 
 
-def test_handles_of_several_units() -> None:
+def test_handles_of_several_units(talking_to: Talking) -> None:
     def play(peer: Peer, number: int) -> None:
         while True:
             request = peer.read()
@@ -775,7 +776,7 @@ def test_handles_of_several_units() -> None:
         assert context.execute_many(reads(20)) == [[1]] * 20
 
 
-def test_close_ends_a_batch_that_another_thread_waits_for() -> None:
+def test_close_ends_a_batch_that_another_thread_waits_for(talking_to: Talking) -> None:
     asked = threading.Event()
 
     def play(peer: Peer, number: int) -> None:
@@ -805,7 +806,7 @@ def ctrl_c() -> Iterator[None]:
 
 
 @pytest.mark.usefixtures("ctrl_c")
-def test_ctrl_c_in_a_batch_leaves_a_usable_context() -> None:
+def test_ctrl_c_in_a_batch_leaves_a_usable_context(talking_to: Talking) -> None:
     def play(peer: Peer, number: int) -> None:
         if number == 0:
             peer.read_all()
