@@ -695,6 +695,7 @@ def test_dead_host_costs_one_attempt(connect: Connect, max_in_flight: int) -> No
         with pytest.raises(ModbusConnectionError, match="address=0,"):
             context.execute_many(reads(800), max_in_flight=max_in_flight)
         assert time.monotonic() - start < 2
+        context.close()
 
 
 def test_connection_closed_between_two_batches_is_made_anew(talking_to: Talking) -> None:
