@@ -1,0 +1,306 @@
+"""
+Serial ports: silence, settings, who may have them, and what a read of nothing means.
+"""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import os
+import pty
+import subprocess
+import sys
+import termios
+import time
+import tty
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from fake import FakeUnit, until
+
+from libmodbus_py import ModbusConnectionError
+from libmodbus_py.ports.port import Silence
+from libmodbus_py.ports.serial import SerialPort
+from libmodbus_py.testing.wires import SerialWire
+
+
+@pytest.fixture
+def wire() -> Iterator[SerialWire]:
+    with SerialWire() as made:
+        yield made
+
+
+@pytest.fixture
+def port(wire: SerialWire) -> Iterator[SerialPort]:
+    made = SerialPort(wire.client, baudrate=115200)
+    made.open()
+    yield made
+    made.close()
+
+
+# --- silence ---------------------------------------------------------------------------
+
+
+def test_after_a_byte_the_line_must_be_quiet() -> None:
+    silence = Silence(0.004)
+    assert silence.over_at == 0
+    silence.heard(10)
+    assert silence.over_at == pytest.approx(10.004)
+
+
+def test_what_is_sent_takes_its_time_before_the_quiet_begins() -> None:
+    """8 characters of 1 ms."""
+    silence = Silence(0.004, character=0.001)
+    silence.sent(8, 10)
+    assert silence.over_at == pytest.approx(10.012)
+    silence.heard(10.009)  # an answer, so all has left
+    assert silence.over_at == pytest.approx(10.013)
+
+
+def test_a_line_that_is_turned_round_is_ours_until_it_is_back() -> None:
+    silence = Silence(0.004, character=0.001, turn=0.1)
+    silence.sent(8, 10)
+    assert silence.over_at == pytest.approx(10.212)
+    silence.heard(10.05)
+    assert silence.over_at == pytest.approx(10.208)
+
+
+@pytest.mark.parametrize(
+    ("settings", "silence", "character"),
+    [
+        ({"baudrate": 9600}, 38.5 / 9600, 11 / 9600),
+        ({"baudrate": 19200, "parity": "N"}, 38.5 / 19200, 10 / 19200),
+        ({"baudrate": 38400, "stop_bits": 2}, 0.00175, 12 / 38400),
+        ({"baudrate": 9600, "data_bits": 7, "silence": 0}, 0, 10 / 9600),
+        ({"silence": 0.5}, 0.5, 11 / 19200),
+    ],
+)
+def test_silence_and_characters_are_those_of_the_specification(
+    settings: Any, silence: float, character: float
+) -> None:
+    made = SerialPort("/dev/x", **settings)
+    assert made.silence.seconds == pytest.approx(silence)
+    assert made.silence.character == pytest.approx(character)
+
+
+# --- settings --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("settings", "named"),
+    [
+        ({"baudrate": 0}, "baudrate"),
+        ({"baudrate": 9600.5}, "baudrate"),
+        ({"parity": "e"}, "parity"),
+        ({"data_bits": 9}, "data_bits"),
+        ({"stop_bits": 3}, "stop_bits"),
+        ({"rs485": "yes"}, "rs485"),
+        ({"rts_delay": 2}, "rts_delay"),
+        ({"silence": -1}, "silence"),
+        ({"echo": 1}, "echo"),
+        ({"speed": 9600}, "speed"),
+    ],
+)
+def test_bad_setting_is_named(settings: Any, named: str) -> None:
+    with pytest.raises((TypeError, ValueError), match=named):
+        SerialPort("/dev/x", **settings)
+
+
+def test_settings_are_made_and_come_back_when_the_port_is_closed() -> None:
+    master, slave = pty.openpty()
+    try:
+        tty.setcbreak(slave)
+        before = termios.tcgetattr(slave)
+        made = SerialPort(os.ttyname(slave), baudrate=57600, stop_bits=2)
+        made.open()
+        during = termios.tcgetattr(slave)
+        assert during[4] == termios.B57600
+        assert during[2] & termios.CSTOPB
+        assert not during[3] & (termios.ICANON | termios.ECHO)
+        made.close()
+        made.close()
+        assert termios.tcgetattr(slave) == before
+    finally:
+        os.close(master)
+        os.close(slave)
+
+
+@pytest.mark.parametrize("baudrate", [50, 1800, 14400, 56000, 128000, 250000, 2000000])
+def test_baudrate_that_libmodbus_would_turn_into_9600_is_set(baudrate: int) -> None:
+    with FakeUnit() as unit:
+        made = SerialPort(unit.path, baudrate=baudrate)
+        made.open()
+        termios2 = fcntl.ioctl(unit._slave, 0x802C542A, bytes(44))
+        assert int.from_bytes(termios2[-4:], sys.byteorder) == baudrate
+        made.close()
+
+
+def test_kernel_rs485_on_a_port_without_it_is_refused(wire: SerialWire) -> None:
+    with pytest.raises(ModbusConnectionError, match="RS-485") as caught:
+        SerialPort(wire.client, rs485="kernel").open()
+    assert caught.value.errno == errno.ENOTTY
+    made = SerialPort(wire.client)  # and it was left
+    made.open()
+    made.close()
+
+
+# --- who may have it -------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("device", "number"),
+    [
+        ("/dev/no-such-port", errno.ENOENT),
+        ("/", errno.EISDIR),
+        ("/dev/null", errno.ENOTTY),
+        (__file__, errno.ENOTTY),
+    ],
+)
+def test_what_is_no_serial_port_is_refused(device: str, number: int) -> None:
+    with pytest.raises(ModbusConnectionError) as caught:
+        SerialPort(device).open()
+    assert caught.value.errno == number
+    assert device in str(caught.value)
+
+
+def test_a_port_that_this_user_may_not_open_names_the_group(
+    monkeypatch: pytest.MonkeyPatch, wire: SerialWire
+) -> None:
+    """Nothing is forbidden to root, who may run the tests."""
+
+    def forbidden(path: str, flags: int) -> int:
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), path)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "open", forbidden)
+        with pytest.raises(ModbusConnectionError, match=r"Permission denied.*dialout") as caught:
+            SerialPort(wire.client).open()
+    assert caught.value.errno == errno.EACCES
+
+
+def test_a_second_one_on_the_same_port_is_told_of_for_unit(
+    port: SerialPort, wire: SerialWire, tmp_path: Path
+) -> None:
+    link = tmp_path / "ttyPLC"
+    link.symlink_to(wire.client)
+    before = termios.tcgetattr(port.descriptor)
+    for name in (wire.client, str(link)):
+        with pytest.raises(ModbusConnectionError, match="this program itself; for_unit") as caught:
+            SerialPort(name, baudrate=9600).open()
+        assert caught.value.errno == errno.EBUSY
+        assert termios.tcgetattr(port.descriptor) == before
+    port.close()
+    port.open()
+
+
+HOLD = """
+import sys
+from libmodbus_py.ports.serial import SerialPort
+port = SerialPort(sys.argv[1])
+port.open()
+print("open", flush=True)
+sys.stdin.read()
+"""
+
+
+def test_a_port_of_another_program_says_so_and_is_free_when_that_ends(wire: SerialWire) -> None:
+    """That one dies without closing it, and leaves its settings."""
+    holding = [sys.executable, "-c", HOLD, wire.client]
+    with subprocess.Popen(holding, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:
+        assert other.stdout is not None
+        assert other.stdout.readline() == b"open\n"
+        with pytest.raises(ModbusConnectionError, match="in use by another program") as caught:
+            SerialPort(wire.client).open()
+        assert caught.value.errno == errno.EBUSY
+        other.kill()
+    for _ in range(2):
+        made = SerialPort(wire.client)
+        made.open()
+        made.close()
+
+
+def test_a_fork_leaves_the_port_alone(port: SerialPort, wire: SerialWire) -> None:
+    before = termios.tcgetattr(port.descriptor)
+    child = os.fork()
+    if child == 0:
+        port.close()
+        os._exit(port.descriptor != -1)
+    assert os.waitpid(child, 0)[1] == 0
+    assert termios.tcgetattr(port.descriptor) == before
+    port.send([b"still here"], time.monotonic())
+    until(lambda: wire.sent_by("client") == b"still here")
+    with pytest.raises(ModbusConnectionError, match="in use"):
+        SerialPort(wire.client).open()
+
+
+# --- bytes -----------------------------------------------------------------------------
+
+
+def heard(port: SerialPort, wire: SerialWire, data: bytes) -> None:
+    """Bytes have come, and wait to be read."""
+    other = os.open(wire.server, os.O_WRONLY | os.O_NOCTTY)
+    os.write(other, data)
+    until(port.has_input)
+    os.close(other)
+
+
+def test_what_was_thrown_away_between_poll_and_read_is_no_closed_port(
+    port: SerialPort, wire: SerialWire
+) -> None:
+    heard(port, wire, b"noise")
+    port.discard_input()
+    assert not port.has_input()
+    assert port.receive() == []
+    heard(port, wire, b"answer")
+    assert port.receive() == [b"answer"]
+
+
+def test_what_came_before_the_port_was_opened_is_thrown_away(wire: SerialWire) -> None:
+    first = SerialPort(wire.client)
+    first.open()
+    heard(first, wire, b"late")
+    first.close()
+    first.open()
+    assert first.receive() == []
+    first.close()
+
+
+def test_a_port_that_is_gone_is_a_connection_error(port: SerialPort, wire: SerialWire) -> None:
+    wire.unplug()
+    until(port.has_input)
+    with pytest.raises(ModbusConnectionError) as caught:
+        port.receive()
+    assert caught.value.errno == errno.EIO
+
+
+def test_an_echo_is_held_back_until_it_is_whole_or_none(wire: SerialWire) -> None:
+    made = SerialPort(wire.client, echo=True)
+    made.open()
+    made.send([b"request"], 0)
+    heard(made, wire, b"requ")
+    assert made.receive() == []
+    heard(made, wire, b"estanswer")
+    assert made.receive() == [b"answer"]
+    made.send([b"request"], 0)
+    heard(made, wire, b"re")
+    assert made.receive() == []
+    heard(made, wire, b"sponse")
+    assert made.receive() == [b"response"]
+    made.close()
+
+
+def test_rts_is_held_while_it_sends(wire: SerialWire) -> None:
+    """A character has 11 bits, and the delays are 20 ms each."""
+    made = SerialPort(wire.client, baudrate=1200, rs485="rts-up", rts_delay=0.02)
+    made.open()
+    made.send([b"12345678"], 100.0)
+    assert made.resume_at == pytest.approx(100.02)
+    assert wire.passed == []
+    made.go_on(100.02)
+    assert made.resume_at == pytest.approx(100.04 + 8 * 11 / 1200)
+    until(lambda: wire.sent_by("client") == b"12345678")
+    made.go_on(101.0)
+    assert made.resume_at is None
+    made.close()
