@@ -6,7 +6,10 @@ The check bytes of answers are computed here, from the specification, and not by
 
 from __future__ import annotations
 
+import contextlib
 import math
+import tracemalloc
+from collections.abc import Iterator
 from typing import Any
 
 from libmodbus_py import ModbusConnectionError, pdu
@@ -179,6 +182,17 @@ def ascii_frame(body: str, end: bytes = b"\r\n") -> bytes:
     """Write digits and their LRC (serial line, 6.2.1)."""
     data = bytes.fromhex(body)
     return b":" + (data + bytes([-sum(data) % 256])).hex().upper().encode() + end
+
+
+@contextlib.contextmanager
+def little_kept() -> Iterator[None]:
+    """What is within may keep 64 KiB at most."""
+    tracemalloc.start()
+    try:
+        yield
+        assert tracemalloc.get_traced_memory()[0] < 0x10000
+    finally:
+        tracemalloc.stop()
 
 
 def kinds(batch: Batch) -> list[Any]:

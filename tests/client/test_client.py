@@ -6,32 +6,26 @@ from __future__ import annotations
 
 import asyncio
 import inspect
-import time
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from functools import partial
 from typing import Any
 
 import pytest
+from clients import Awaited
 from interop import TIMEOUT, UNIT, Exchange, exchanges, make_device, program, refusals
 from pymodbus.server import ModbusSerialServer, ModbusTcpServer
-from scripted import Scripted, Write, answer, echo, ignore, run
+from scripted import Scripted, Write, answer, run
 from test_interop_pymodbus import FRAMERS, SERIAL_SETTINGS, in_background, simulated_device
 
 from libmodbus_py import (
-    Acknowledge,
     Context,
     Device,
     IllegalDataAddress,
     IllegalDataValue,
     IllegalFunction,
-    InvalidResponse,
     Mapping,
-    ModbusConnectionError,
-    ModbusError,
-    ModbusTimeoutError,
     Server,
-    ServerDeviceBusy,
     pdu,
 )
 from libmodbus_py.client.asynchronous import AsyncClient
@@ -199,64 +193,6 @@ def test_many_tasks_each_get_their_own_answer(url: str) -> None:
     run(main())
 
 
-# --- arguments ------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("make", "named"),
-    [
-        (lambda: AsyncClient(None), "url"),  # type: ignore[arg-type]
-        (lambda: AsyncClient("http://x"), "scheme"),
-        (lambda: AsyncClient("tcp://h:0"), "port"),
-        (lambda: AsyncClient("tcp://h", unit=256), "unit"),
-        (lambda: AsyncClient("tcp://h", timeout=0), "timeout"),
-        (lambda: AsyncClient("tcp://h", max_in_flight=0), "max_in_flight"),
-        (lambda: AsyncClient("tcp://h", max_in_flight=257), "max_in_flight"),
-        (lambda: AsyncClient("rtu+tcp://h", max_in_flight=2), "max_in_flight"),
-        (lambda: AsyncClient("rtu:///dev/x", max_in_flight=16), "max_in_flight"),
-        (lambda: AsyncClient("tcp://h", busy_retries=-1), "busy_retries"),
-        (lambda: AsyncClient("tcp://h", turnaround=-1), "turnaround"),
-        (lambda: AsyncClient("tcp://h", request_spacing=-1), "request_spacing"),
-        (lambda: AsyncClient("tcp://h", connect_delay="1"), "connect_delay"),  # type: ignore[arg-type]
-        (lambda: AsyncClient("tcp://h", timeouts_before_reconnect=0), "timeouts_before_reconnect"),
-        (lambda: AsyncClient("tcp://h", keepalive=0), "keepalive"),
-        (lambda: AsyncClient("tcp://h", on_state=1), "on_state"),  # type: ignore[arg-type]
-        (lambda: AsyncClient("rtu:///dev/x?parity=X"), "parity"),
-        (lambda: AsyncClient("tcp://h").for_unit(-1), "unit"),
-    ],
-)
-def test_bad_argument_is_named(make: Callable[[], object], named: str) -> None:
-    with pytest.raises((ValueError, TypeError), match=named):
-        make()
-
-
-@pytest.mark.parametrize(
-    ("ask", "named"),
-    [
-        (lambda plc: plc.read_coils(-1, 1), "address must be in 0..65535"),
-        (lambda plc: plc.write_register(0, 65536), "value must be in 0..65535"),
-        (lambda plc: plc.execute(3), "request must be one of pdu, not int"),
-        (lambda plc: plc.execute_many(3), "requests must be a list, not int"),
-        (lambda plc: plc.execute_many([pdu.ReadCoils(0, 1), 3]), r"requests\[1\] must be one of"),
-        (lambda plc: plc.execute_many([], max_in_flight=0), "max_in_flight must be in 1..256"),
-        (lambda plc: plc.execute_many([], max_in_flight=1.5), "max_in_flight must be an integer"),
-        (lambda plc: plc.read_values("coils", 0, "int16"), "table must be one of"),
-        (lambda plc: plc.write_values("coils", 0, [1], "int16"), "table must be holding"),
-    ],
-)
-def test_nothing_is_sent_for_bad_arguments(
-    ask: Callable[[AsyncClient], Awaitable[object]], named: str
-) -> None:
-    async def main() -> None:
-        async with Scripted(echo).serving() as server, AsyncClient(server.url) as plc:
-            with pytest.raises((ValueError, TypeError), match=named):
-                await ask(plc)
-            assert await plc.read_holding_registers(5, 1) == [5]
-            assert len(server.requests) == 1
-
-    run(main())
-
-
 # --- many in flight -------------------------------------------------------------------
 
 
@@ -303,22 +239,6 @@ def test_limit_of_the_client_is_used_and_honoured(limit: int) -> None:
     run(main())
 
 
-def test_limit_of_the_call_is_honoured_and_others_get_slots() -> None:
-    async def main() -> None:
-        counting = Counting(99)
-        async with (
-            Scripted(counting).serving() as server,
-            AsyncClient(server.url, max_in_flight=16) as plc,
-        ):
-            requests = [pdu.ReadHoldingRegisters(address, 1) for address in range(30)]
-            assert await plc.execute_many(requests, max_in_flight=3) == [[a] for a in range(30)]
-            assert counting.most == 3
-            assert await plc.execute_many(requests) == [[a] for a in range(30)]
-            assert counting.most == 16
-
-    run(main())
-
-
 def test_a_single_request_need_not_wait_for_a_long_batch() -> None:
     async def main() -> None:
         async with (
@@ -336,231 +256,7 @@ def test_a_single_request_need_not_wait_for_a_long_batch() -> None:
     run(main())
 
 
-def test_slots_are_given_in_the_order_of_asking() -> None:
-    async def main() -> None:
-        async with (
-            Scripted(Counting(2)).serving() as server,
-            AsyncClient(server.url, max_in_flight=2) as plc,
-        ):
-            await asyncio.gather(*(plc.read_holding_registers(a, 1) for a in range(50)))
-            asked = [int.from_bytes(request[8:10], "big") for request in server.requests]
-            assert asked == list(range(50))
-
-    run(main())
-
-
-def test_ids_walk_the_whole_circle() -> None:
-    async def main() -> None:
-        async with Scripted(echo).serving() as server, AsyncClient(server.url) as plc:
-            requests = [pdu.ReadHoldingRegisters(1, 1)] * 70_000
-            assert await plc.execute_many(requests) == [[1]] * 70_000
-            ids = [request[:2] for request in server.requests]
-            assert len(set(ids[:65536])) == 65536
-            assert ids[65536:] == ids[: 70_000 - 65536]
-
-    run(main())
-
-
-def test_an_id_whose_answer_may_still_come_is_not_used_again() -> None:
-    async def main() -> None:
-        def first_never(request: bytes, write: Write) -> None:
-            if len(server.requests) > 1:
-                write(answer(request))
-
-        async with (
-            Scripted(first_never).serving() as server,
-            AsyncClient(server.url, timeout=0.1) as plc,
-        ):
-            with pytest.raises(ModbusTimeoutError):
-                await plc.read_holding_registers(1, 1)
-            plc.timeout = 5
-            await plc.execute_many([pdu.ReadHoldingRegisters(1, 1)] * 65_600)
-            ids = [request[:2] for request in server.requests]
-            assert ids[0] not in ids[1:]
-
-    run(main())
-
-
-# --- execute_many that fails --------------------------------------------------------------
-
-
-def refuse_some(request: bytes, write: Write) -> None:
-    """Addresses 7 and 3 are refused, in this order; nothing is said about 5."""
-    address = int.from_bytes(request[8:10], "big")
-    loop = asyncio.get_running_loop()
-    if address in (3, 7):
-        refusal = request[:5] + b"\x03" + request[6:7] + b"\x83\x02"
-        loop.call_later(0.02 if address == 3 else 0, write, refusal)
-    elif address != 5:
-        write(answer(request))
-
-
-def test_results_and_errors_come_in_their_places() -> None:
-    async def main() -> None:
-        async with (
-            Scripted(refuse_some).serving() as server,
-            AsyncClient(server.url, timeout=0.1) as plc,
-        ):
-            requests = [pdu.ReadHoldingRegisters(address, 1) for address in range(40)]
-            results = await plc.execute_many(requests, return_exceptions=True)
-            kinds = {3: IllegalDataAddress, 5: ModbusTimeoutError, 7: IllegalDataAddress}
-            for address, result in enumerate(results):
-                if address in kinds:
-                    assert type(result) is kinds[address]
-                    assert result.asked == str(requests[address])
-                    assert result.sent[8:10] == bytes([0, address])
-                else:
-                    assert result == [address]
-            assert await plc.execute_many([], return_exceptions=True) == []
-
-    run(main())
-
-
-def test_the_first_failure_by_order_is_raised_and_no_more_is_sent() -> None:
-    async def main() -> None:
-        async with (
-            Scripted(refuse_some).serving() as server,
-            AsyncClient(server.url, timeout=0.3, max_in_flight=10) as plc,
-        ):
-            requests = [pdu.ReadHoldingRegisters(address, 1) for address in range(8)]
-            with pytest.raises(IllegalDataAddress) as caught:
-                await plc.execute_many([requests[0], *requests[6:], requests[3]])
-            assert "address=7" in str(caught.value)
-            with pytest.raises(IllegalDataAddress) as caught:
-                await plc.execute_many(requests + requests[:1] * 500)
-            assert "address=3" in str(caught.value)
-            assert len(server.requests) < 100
-            assert await plc.read_holding_registers(1, 1) == [1]
-
-    run(main())
-
-
-def test_busy_devices_are_asked_again_if_the_caller_wants() -> None:
-    async def main() -> None:
-        answers = iter([ServerDeviceBusy, Acknowledge, None] + [ServerDeviceBusy, None, None] * 2)
-
-        def busy(access: object) -> None:
-            if error := next(answers, None):
-                raise error
-
-        device = Device(Mapping(coils=8), before_read=busy)
-        async with Server(device).serving("tcp://127.0.0.1:0") as running:
-            async with AsyncClient(running.urls[0], busy_retries=2, max_in_flight=1) as plc:
-                start = time.monotonic()
-                assert await plc.read_coils(0, 1) == [False]
-                assert time.monotonic() - start >= 0.3
-                for go_on in (True, False):
-                    requests = [pdu.ReadCoils(0, 1), pdu.ReadCoils(1, 2)]
-                    results = await plc.execute_many(requests, return_exceptions=go_on)
-                    assert results == [[False], [False, False]]
-            answers = iter([ServerDeviceBusy])
-            async with AsyncClient(running.urls[0]) as plc:
-                with pytest.raises(ServerDeviceBusy):
-                    await plc.read_coils(0, 1)
-
-    run(main())
-
-
-def test_a_mistake_in_a_request_class_is_its_callers() -> None:
-    class Broken(pdu.ReadHoldingRegisters):
-        __slots__ = ()
-
-        def _decode_response(self, pdu: bytes) -> list[int]:
-            raise ZeroDivisionError
-
-    class TooLong(pdu.ReadHoldingRegisters):
-        __slots__ = ()
-
-        def encode(self) -> bytes:
-            return bytes(254)
-
-    async def main() -> None:
-        async with Scripted(echo).serving() as server, AsyncClient(server.url) as plc:
-            good = pdu.ReadHoldingRegisters(5, 1)
-            for go_on in (True, False):
-                with pytest.raises(ZeroDivisionError):
-                    await plc.execute_many([good, Broken(1, 1)], return_exceptions=go_on)
-            with pytest.raises(ValueError, match=r"requests\[1\] must encode to 1..253 bytes"):
-                await plc.execute_many([good, TooLong(1, 1)])
-            assert await plc.execute(good) == [5]
-
-    run(main())
-
-
-# --- answers that are none ------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("bad", "error", "reason"),
-    [
-        (lambda r: answer(r, unit=9), InvalidResponse, "unit 9 answered"),
-        (lambda r: answer(r)[:7] + b"\x04" + answer(r)[8:], InvalidResponse, "response 04"),
-        (
-            lambda r: answer(r)[:5] + b"\x04" + r[6:8] + b"\x01\x07",
-            InvalidResponse,
-            "1 bytes of data",
-        ),
-        (lambda r: answer(r, protocol=7), ModbusError, "protocol 7"),
-    ],
-)
-def test_a_bad_answer_fails_its_own_request_only(
-    bad: Callable[[bytes], bytes], error: type[ModbusError], reason: str
-) -> None:
-    def on_request(request: bytes, write: Write) -> None:
-        write(bad(request) if request[9] == 5 else answer(request))
-
-    async def main() -> None:
-        async with Scripted(on_request).serving() as server, AsyncClient(server.url) as plc:
-            requests = [pdu.ReadHoldingRegisters(address, 1) for address in range(10)]
-            results = await plc.execute_many(requests, return_exceptions=True)
-            caught = results.pop(5)
-            assert isinstance(caught, error)
-            assert reason in str(caught)
-            assert caught.received == bad(server.requests[5])
-            assert caught.sent == server.requests[5]
-            assert results == [[address] for address in range(10) if address != 5]
-            assert plc.statistics.invalid == 1
-            assert plc.statistics.connects == 1
-
-    run(main())
-
-
-def test_a_stream_out_of_step_fails_all_and_is_made_anew() -> None:
-    def on_request(request: bytes, write: Write) -> None:
-        write(b"HTTP/1.1 400\r\n\r\n" if len(server.requests) == 4 else b"")
-        if len(server.requests) > 4:
-            write(answer(request))
-
-    server = Scripted(on_request)
-
-    async def main() -> None:
-        async with server.serving(), AsyncClient(server.url) as plc:
-            requests = [pdu.ReadHoldingRegisters(address, 1) for address in range(4)]
-            results = await plc.execute_many(requests, return_exceptions=True)
-            assert all("header with" in str(error) for error in results)
-            assert len({id(error) for error in results}) == 4
-            assert await plc.read_holding_registers(5, 1) == [5]
-            assert server.connections == 2
-
-    run(main())
-
-
 # --- peers ----------------------------------------------------------------------------------
-
-
-class Asking:
-    """A context for the tables of interop.py, which an AsyncClient stands behind."""
-
-    def __init__(self, loop: asyncio.AbstractEventLoop, plc: AsyncClient) -> None:
-        self._loop = loop
-        self._plc = plc
-
-    def __getattr__(self, name: str) -> Callable[..., Any]:
-        def ask(*arguments: Any, **options: Any) -> Any:
-            asked = getattr(self._plc, name)(*arguments, **options)
-            return asyncio.run_coroutine_threadsafe(asked, self._loop).result(30)
-
-        return ask
 
 
 Ask = Callable[[Any], object]
@@ -571,7 +267,7 @@ def ask(url: str, what: Ask) -> None:
 
     async def main() -> None:
         async with AsyncClient(url, unit=UNIT, timeout=TIMEOUT) as plc:
-            await asyncio.to_thread(what, Asking(asyncio.get_running_loop(), plc))
+            await asyncio.to_thread(what, Awaited(asyncio.get_running_loop(), plc))
 
     run(main())
 
@@ -641,42 +337,3 @@ def test_against_our_server(transport: str) -> None:
     for what in agreements(range(1, 44)):
         with serving(transport, make_device()) as url:
             ask(url, what)
-
-
-# --- requests that nobody answers --------------------------------------------------------------
-
-
-def test_force_listen_only_is_not_waited_for() -> None:
-    async def main() -> None:
-        async with (
-            Scripted(ignore).serving() as server,
-            AsyncClient(server.url, timeout=5, turnaround=0.02) as plc,
-        ):
-            start = time.monotonic()
-            assert await plc.diagnostics(SubFunction.FORCE_LISTEN_ONLY) == 0
-            assert 0.02 <= time.monotonic() - start < 1
-            server.on_request = echo
-            assert await plc.read_holding_registers(5, 1) == [5]
-            assert plc.statistics.timeouts == 0
-
-    run(main())
-
-
-def test_unit_0_over_tcp_is_a_unit_like_others() -> None:
-    async def main() -> None:
-        async with Scripted(echo).serving() as server, AsyncClient(server.url, unit=0) as plc:
-            assert await plc.read_holding_registers(5, 1) == [5]
-            assert await plc.for_unit(9).read_holding_registers(6, 1) == [6]
-            assert [request[6] for request in server.requests] == [0, 9]
-
-    run(main())
-
-
-def test_requests_without_a_connection_are_refused_in_words() -> None:
-    async def main() -> None:
-        plc = AsyncClient("tcp://no-such-host.invalid", timeout=2)
-        with pytest.raises(ModbusConnectionError, match="no-such-host"):
-            await plc.read_coils(0, 1)
-        await plc.close()
-
-    run(main())

@@ -440,6 +440,17 @@ def test_a_repetition_keeps_its_place_among_those_in_flight() -> None:
     assert batch.outcomes == [[0], [1], [2], [3]]
 
 
+def test_what_comes_behind_a_failure_is_not_repeated() -> None:
+    talk = Talk(busy_retries=5)
+    batch = talk.ask(0, 1, 2, limit=16)
+    talk.come(refusal(talk, 6, 2), refusal(talk, 2, 1))
+    talk.wait(0.5)
+    assert addresses(talk) == [0, 1, 2]
+    talk.come(answer(talk, 0))
+    assert kinds(batch)[:2] == [[0], IllegalDataAddress]
+    assert talk.is_at_rest
+
+
 @BOTH
 def test_others_are_asked_during_a_pause(url: str) -> None:
     talk = Talk(url, busy_retries=1)

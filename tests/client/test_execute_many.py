@@ -691,7 +691,6 @@ def test_dead_host_costs_one_attempt(connect: Connect, max_in_flight: int) -> No
         )
         assert 0.1 <= time.monotonic() - start < 1
         assert {each.errno for each in found} == {errno.ETIMEDOUT}
-        assert all(isinstance(each.__cause__, TimeoutError) for each in found)
         with pytest.raises(ModbusConnectionError, match="address=0,"):
             context.execute_many(reads(800), max_in_flight=max_in_flight)
         assert time.monotonic() - start < 2

@@ -11,9 +11,10 @@ import time
 from pathlib import Path
 
 import pytest
+from clients import Connect
 from fake import FakeUnit
 
-from libmodbus_py import AsciiContext, Context, Device, ModbusError, RtuContext, Server, framing
+from libmodbus_py import Context, Device, ModbusError, RtuContext, Server, framing
 from libmodbus_py.testing.wires import SerialWire
 
 ANSWER = framing.RtuFramer("server").encode(framing.Frame(1, b"\x03\x02\x00\x07"))
@@ -32,26 +33,16 @@ class Recorder:
         return [ANSWER]
 
 
-@pytest.mark.parametrize("native", [True, False])
-def test_a_request_waits_for_the_line_to_have_been_silent(native: bool) -> None:
+def test_a_request_waits_for_the_line_to_have_been_silent(connect: Connect) -> None:
     unit = Recorder()
     with (
         FakeUnit(unit) as port,
-        RtuContext(port.path, 115200, silence=0.03, native=native) as context,
+        connect(f"rtu://{port.path}?baudrate=115200&silence=0.03") as context,
     ):
         for _ in range(5):
             assert context.read_holding_registers(0, 1) == [7]
     gaps = [came - went for came, went in zip(unit.came[1:], unit.went, strict=False)]
     assert min(gaps) >= 0.03
-
-
-@pytest.mark.parametrize(
-    ("baudrate", "silence"),
-    [(300, 38.5 / 300), (9600, 38.5 / 9600), (19200, 38.5 / 19200), (38400, 0.00175)],
-)
-def test_silence_is_that_of_the_specification(baudrate: int, silence: float) -> None:
-    context = RtuContext("/dev/x", baudrate)
-    assert context._driver._port.silence.seconds == pytest.approx(silence)
 
 
 def test_a_server_answers_after_the_silence(device: Device) -> None:
@@ -73,28 +64,29 @@ def with_echo(request: bytes) -> list[bytes]:
     return [request, ANSWER]
 
 
-@pytest.mark.parametrize("make", [RtuContext, AsciiContext])
-def test_echo_is_taken_out_of_what_is_received(
-    make: type[RtuContext] | type[AsciiContext],
-) -> None:
-    with FakeUnit(with_echo) as unit, make(unit.path, echo=True, timeout=0.5) as context:
+@pytest.mark.parametrize("kind", ["rtu", "ascii"])
+def test_echo_is_taken_out_of_what_is_received(connect: Connect, kind: str) -> None:
+    with (
+        FakeUnit(with_echo) as unit,
+        connect(f"{kind}://{unit.path}?echo=1&timeout=0.5") as context,
+    ):
         for _ in range(5):
             assert context.read_holding_registers(0, 1) == [7]
 
 
-def test_echo_in_one_piece_with_the_answer_is_taken_out() -> None:
+def test_echo_in_one_piece_with_the_answer_is_taken_out(connect: Connect) -> None:
     with (
         FakeUnit(lambda request: [request[:3], request[3:] + ANSWER[:2], ANSWER[2:]]) as unit,
-        RtuContext(unit.path, echo=True, timeout=0.5) as context,
+        connect(f"rtu://{unit.path}?echo=1&timeout=0.5") as context,
     ):
         for _ in range(3):
             assert context.read_holding_registers(0, 1) == [7]
 
 
-def test_no_echo_where_one_was_announced_does_no_harm() -> None:
+def test_no_echo_where_one_was_announced_does_no_harm(connect: Connect) -> None:
     with (
         FakeUnit(lambda request: [ANSWER]) as unit,
-        RtuContext(unit.path, echo=True, timeout=0.2) as context,
+        connect(f"rtu://{unit.path}?echo=1&timeout=0.2") as context,
     ):
         for _ in range(3):
             try:

@@ -11,11 +11,11 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Self
 
 import pytest
-from fake import mbap
+from clients import Connect
+from fake import echo, mbap
 
 from libmodbus_py import (
     Context,
@@ -49,6 +49,8 @@ class FakeUdpServer:
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         self._socket.bind(("::1" if family == socket.AF_INET6 else "127.0.0.1", 0))
         self.port: int = self._socket.getsockname()[1]
+        host = "[::1]" if family == socket.AF_INET6 else "127.0.0.1"
+        self.url = f"udp://{host}:{self.port}"
         self.requests: list[bytes] = []
         self.client: Any = None
         self._thread = threading.Thread(target=self._serve)
@@ -82,11 +84,6 @@ class FakeUdpServer:
                 self._socket.sendto(datagram, client)
 
 
-def echo(request: bytes, **changed: int) -> bytes:
-    """Answer a read of one register with its address."""
-    return mbap(request, b"\x03\x02" + request[8:10], **changed)
-
-
 def good(request: bytes) -> list[bytes]:
     return [echo(request)]
 
@@ -109,16 +106,15 @@ def unused_port() -> int:
 
 
 @pytest.fixture
-def context(device: Device) -> Iterator[Context]:
+def context(connect: Connect, device: Device) -> Iterator[Any]:
     with (
         Server({17: device}).background("udp://127.0.0.1:0") as running,
-        Context.from_url(running.urls[0], unit=17) as made,
+        connect(running.urls[0], unit=17) as made,
     ):
         yield made
 
 
-def test_tables_and_files_of_our_server(context: Context, mapping: Mapping) -> None:
-    assert isinstance(context, UdpContext)
+def test_tables_and_files_of_our_server(context: Any, mapping: Mapping) -> None:
     assert context.read_coils(10, 3) == [True, False, True]
     assert context.read_input_registers(200, 100)[:3] == [2000, 2001, 2002]
     context.write_registers(110, [1, 2, 65535])
@@ -130,7 +126,7 @@ def test_tables_and_files_of_our_server(context: Context, mapping: Mapping) -> N
     assert caught.value.received[6:] == bytes.fromhex("11 83 02")
 
 
-def test_many_requests_to_our_server(context: Context) -> None:
+def test_many_requests_to_our_server(context: Any) -> None:
     asked = [pdu.ReadHoldingRegisters(100 + at % 10, 1) for at in range(200)]
     assert context.execute_many(asked) == [[1000 + at % 10] for at in range(200)]
     assert context.read_many({"a": ("holding_registers", 100, 2), "b": ("coils", 10)}) == {
@@ -139,10 +135,10 @@ def test_many_requests_to_our_server(context: Context) -> None:
     }
 
 
-def test_url_with_an_ipv6_address() -> None:
+def test_url_with_an_ipv6_address(connect: Connect) -> None:
     with (
         FakeUdpServer(good, family=socket.AF_INET6) as server,
-        Context.from_url(f"udp://[::1]:{server.port}", unit=3) as context,
+        connect(server.url, unit=3) as context,
     ):
         assert context.read_holding_registers(5, 1) == [5]
         assert server.requests[0][2:] == bytes.fromhex("0000 0006 03 03 0005 0001")
@@ -167,7 +163,7 @@ def test_bad_argument_is_named(make: Callable[[], object], named: str) -> None:
 # --- datagrams that do not fit -------------------------------------------------------------
 
 
-def test_lost_request_times_out_and_its_late_answer_reaches_nobody() -> None:
+def test_lost_request_times_out_and_its_late_answer_reaches_nobody(connect: Connect) -> None:
     late: list[bytes] = []
 
     def held(request: bytes) -> list[bytes]:
@@ -179,7 +175,7 @@ def test_lost_request_times_out_and_its_late_answer_reaches_nobody() -> None:
 
     with (
         FakeUdpServer(good, held, all_at_once, good) as server,
-        UdpContext("127.0.0.1", server.port, timeout=0.2) as context,
+        connect(server.url, timeout=0.2) as context,
     ):
         assert context.read_holding_registers(1, 1) == [1]
         start = time.monotonic()
@@ -192,10 +188,10 @@ def test_lost_request_times_out_and_its_late_answer_reaches_nobody() -> None:
         assert context.late_answers == 1
 
 
-def test_doubled_answer_reaches_nobody() -> None:
+def test_doubled_answer_reaches_nobody(connect: Connect) -> None:
     with (
         FakeUdpServer(lambda request: good(request) * 3) as server,
-        UdpContext("127.0.0.1", server.port) as context,
+        connect(server.url) as context,
     ):
         for address in range(20):
             assert context.read_holding_registers(address, 1) == [address]
@@ -217,20 +213,20 @@ def damaged(request: bytes) -> list[bytes]:
     ]
 
 
-def test_damaged_datagrams_do_not_end_the_wait() -> None:
+def test_damaged_datagrams_do_not_end_the_wait(connect: Connect) -> None:
     with (
         FakeUdpServer(lambda request: [*damaged(request), echo(request)]) as server,
-        UdpContext("127.0.0.1", server.port) as context,
+        connect(server.url) as context,
     ):
         for address in range(10):
             assert context.read_holding_registers(address, 1) == [address]
         assert context.execute_many(reads(50)) == [[address] for address in range(50)]
 
 
-def test_damaged_datagrams_are_no_answer() -> None:
+def test_damaged_datagrams_are_no_answer(connect: Connect) -> None:
     with (
         FakeUdpServer(damaged) as server,
-        UdpContext("127.0.0.1", server.port, timeout=0.2) as context,
+        connect(server.url, timeout=0.2) as context,
     ):
         start = time.monotonic()
         with pytest.raises(ModbusTimeoutError, match="no complete answer") as caught:
@@ -241,7 +237,7 @@ def test_damaged_datagrams_are_no_answer() -> None:
             context.execute_many(reads(4))
 
 
-def test_flood_of_datagrams_does_not_extend_the_timeout() -> None:
+def test_flood_of_datagrams_does_not_extend_the_timeout(connect: Connect) -> None:
     stop = threading.Event()
 
     def flood(request: bytes) -> list[bytes]:
@@ -251,7 +247,7 @@ def test_flood_of_datagrams_does_not_extend_the_timeout() -> None:
 
     with (
         FakeUdpServer(flood) as server,
-        UdpContext("127.0.0.1", server.port, timeout=0.2) as context,
+        connect(server.url, timeout=0.2) as context,
     ):
         start = time.monotonic()
         with pytest.raises(ModbusTimeoutError):
@@ -265,7 +261,7 @@ def test_flood_of_datagrams_does_not_extend_the_timeout() -> None:
         stop.set()
 
 
-def test_datagram_of_another_host_is_never_seen() -> None:
+def test_datagram_of_another_host_is_never_seen(connect: Connect) -> None:
     def spoofed(request: bytes) -> list[bytes]:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
             stranger.sendto(echo(request)[:-1] + b"\xff", server.client)
@@ -273,7 +269,7 @@ def test_datagram_of_another_host_is_never_seen() -> None:
 
     with (
         FakeUdpServer(spoofed) as server,
-        UdpContext("127.0.0.1", server.port) as context,
+        connect(server.url) as context,
     ):
         for address in range(10):
             assert context.read_holding_registers(address, 1) == [address]
@@ -288,10 +284,10 @@ def test_datagram_of_another_host_is_never_seen() -> None:
         lambda request: [mbap(request, b"\x03\x04\0\0\0\0")],
     ],
 )
-def test_frame_that_does_not_answer_is_invalid(answer: Answer) -> None:
+def test_frame_that_does_not_answer_is_invalid(connect: Connect, answer: Answer) -> None:
     with (
         FakeUdpServer(answer, answer, good) as server,
-        UdpContext("127.0.0.1", server.port) as context,
+        connect(server.url) as context,
     ):
         with pytest.raises(InvalidResponse) as caught:
             context.read_holding_registers(1, 1)
@@ -304,7 +300,7 @@ def test_frame_that_does_not_answer_is_invalid(answer: Answer) -> None:
 # --- many in flight ------------------------------------------------------------------------
 
 
-def test_many_in_flight_lose_some_and_get_the_others_in_any_order() -> None:
+def test_many_in_flight_lose_some_and_get_the_others_in_any_order(connect: Connect) -> None:
     waiting: list[bytes] = []
 
     def four_at_a_time(request: bytes) -> list[bytes]:
@@ -317,7 +313,7 @@ def test_many_in_flight_lose_some_and_get_the_others_in_any_order() -> None:
 
     with (
         FakeUdpServer(four_at_a_time) as server,
-        UdpContext("127.0.0.1", server.port, timeout=0.5) as context,
+        connect(server.url, timeout=0.5) as context,
     ):
         found = context.execute_many(reads(40), return_exceptions=True)
         assert [at for at, each in enumerate(found) if isinstance(each, ModbusError)] == [5, 30]
@@ -326,7 +322,7 @@ def test_many_in_flight_lose_some_and_get_the_others_in_any_order() -> None:
         assert len(server.requests) == 40
 
 
-def test_answers_that_came_before_the_port_closed_are_kept() -> None:
+def test_answers_that_came_before_the_port_closed_are_kept(connect: Connect) -> None:
     def last_words(request: bytes) -> list[bytes] | None:
         if len(server.requests) < 16:
             return []
@@ -336,7 +332,7 @@ def test_answers_that_came_before_the_port_closed_are_kept() -> None:
 
     with (
         FakeUdpServer(last_words) as server,
-        UdpContext("127.0.0.1", server.port) as context,
+        connect(server.url) as context,
     ):
         found = context.execute_many(reads(60), return_exceptions=True)
         assert found[0] == [0]
@@ -349,8 +345,8 @@ def test_answers_that_came_before_the_port_closed_are_kept() -> None:
 # --- the port ------------------------------------------------------------------------------
 
 
-def test_port_where_nobody_listens_is_a_connection_error_at_once() -> None:
-    with UdpContext("127.0.0.1", unused_port(), timeout=5) as context:
+def test_port_where_nobody_listens_is_a_connection_error_at_once(connect: Connect) -> None:
+    with connect(f"udp://127.0.0.1:{unused_port()}", timeout=5) as context:
         start = time.monotonic()
         for _ in range(3):
             with pytest.raises(ModbusConnectionError) as caught:
@@ -361,8 +357,8 @@ def test_port_where_nobody_listens_is_a_connection_error_at_once() -> None:
         assert time.monotonic() - start < 2
 
 
-def test_port_that_comes_back_is_used_again() -> None:
-    with FakeUdpServer(good) as server, UdpContext("127.0.0.1", server.port) as context:
+def test_port_that_comes_back_is_used_again(connect: Connect) -> None:
+    with FakeUdpServer(good) as server, connect(server.url) as context:
         assert context.read_holding_registers(1, 1) == [1]
         port = server.port
         server.__exit__()
@@ -376,39 +372,19 @@ def test_port_that_comes_back_is_used_again() -> None:
 
 
 @pytest.mark.parametrize("host", ["no-such-host.invalid", "x" * 300])
-def test_name_that_does_not_resolve(host: str) -> None:
+def test_name_that_does_not_resolve(connect: Connect, host: str) -> None:
     with pytest.raises(ModbusConnectionError, match="cannot resolve host") as caught:
-        UdpContext(host).read_coils(0, 1)
+        connect(f"udp://{host}").read_coils(0, 1)
     assert caught.value.__cause__ is not None
 
 
-def test_close_ends_a_request_that_another_thread_waits_for() -> None:
-    with FakeUdpServer(silent) as server, ThreadPoolExecutor(1) as pool:
-        for ask in (
-            lambda context: context.read_coils(0, 1),
-            lambda context: context.execute_many(reads(40)),
-        ):
-            context = UdpContext("127.0.0.1", server.port, timeout=20)
-            before = len(server.requests)
-            waiting = pool.submit(ask, context)
-            while len(server.requests) == before:
-                time.sleep(0.001)
-            start = time.monotonic()
-            context.close()
-            with pytest.raises(ModbusConnectionError):
-                waiting.result()
-            assert time.monotonic() - start < 1
-            with pytest.raises(ModbusConnectionError, match="closed"):
-                ask(context)
-
-
-def test_no_descriptor_is_left_behind() -> None:
+def test_no_descriptor_is_left_behind(connect: Connect) -> None:
     def use(port: int) -> None:
-        with UdpContext("127.0.0.1", port) as context:
+        with connect(f"udp://127.0.0.1:{port}") as context:
             context.read_holding_registers(1, 1)
         UdpContext("127.0.0.1", port).read_holding_registers(1, 1)  # forgotten, not closed
         with pytest.raises(ModbusConnectionError):
-            UdpContext("127.0.0.1", unused_port()).read_coils(0, 1)
+            connect(f"udp://127.0.0.1:{unused_port()}").read_coils(0, 1)
         gc.collect()
 
     with FakeUdpServer(good) as server:

@@ -1,0 +1,334 @@
+"""
+The same steps, run by polling and by an event loop.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+from fake import dead, until
+
+from libmodbus_py import ModbusConnectionError
+from libmodbus_py.ports.sockets import TcpPort, UdpPort
+from libmodbus_py.ports.waiting import (
+    READ,
+    WRITE,
+    Ready,
+    Resolve,
+    Steps,
+    Waker,
+    Woken,
+    milliseconds,
+    run,
+    run_async,
+)
+
+Drive = Callable[[Steps[Any]], Any]
+
+
+@pytest.fixture
+def waker() -> Iterator[Waker]:
+    made = Waker()
+    yield made
+    made.close()
+
+
+@pytest.fixture(params=["polling", "event loop"])
+def drive(request: pytest.FixtureRequest, waker: Waker) -> Drive:
+    """Runs steps to their end."""
+    if request.param == "polling":
+        return lambda steps: run(steps, waker)
+    return lambda steps: asyncio.run(run_async(steps))
+
+
+@pytest.fixture
+def pair() -> Iterator[tuple[socket.socket, socket.socket]]:
+    one, other = socket.socketpair()
+    with one, other:
+        yield one, other
+
+
+def soon(seconds: float = 0.2) -> float:
+    return time.monotonic() + seconds
+
+
+# --- steps -----------------------------------------------------------------------------
+
+
+def test_what_is_ready_is_told(drive: Drive, pair: tuple[socket.socket, socket.socket]) -> None:
+    one, other = pair
+
+    def steps() -> Steps[list[bool]]:
+        empty = yield Ready(one.fileno(), READ, soon(0.05))
+        writable = yield Ready(one.fileno(), WRITE, soon())
+        other.send(b"x")
+        full = yield Ready(one.fileno(), READ, soon())
+        return [empty, writable, full]
+
+    start = time.monotonic()
+    assert drive(steps()) == [False, True, True]
+    assert 0.05 <= time.monotonic() - start < 0.2
+
+
+def test_a_deadline_that_has_passed_is_none_to_wait_for(
+    drive: Drive, pair: tuple[socket.socket, socket.socket]
+) -> None:
+    def steps() -> Steps[bool]:
+        return (yield Ready(pair[0].fileno(), READ, soon(-5)))
+
+    assert drive(steps()) is False
+
+
+def test_steps_need_not_wait_at_all(drive: Drive) -> None:
+    def steps() -> Steps[int]:
+        yield from ()
+        return 7
+
+    assert drive(steps()) == 7
+
+
+def test_what_steps_raise_comes_out(drive: Drive) -> None:
+    def steps() -> Steps[None]:
+        yield from ()
+        raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        drive(steps())
+
+
+# --- names -----------------------------------------------------------------------------
+
+
+def resolving(host: str, seconds: float = 5) -> Steps[Any]:
+    try:
+        return (yield Resolve(host, 502, socket.SOCK_STREAM, soon(seconds)))
+    except OSError as error:
+        return error
+
+
+def test_names_and_addresses_are_looked_up(drive: Drive) -> None:
+    assert [each[4] for each in drive(resolving("127.0.0.1"))] == [("127.0.0.1", 502)]
+    assert [each[4][:2] for each in drive(resolving("::1"))] == [("::1", 502)]
+    assert "127.0.0.1" in [each[4][0] for each in drive(resolving("localhost"))]
+
+
+@pytest.mark.parametrize("host", ["no-such-host.invalid", "x" * 300, "a..b"])
+def test_a_name_that_nobody_has_is_an_os_error(drive: Drive, host: str) -> None:
+    assert isinstance(drive(resolving(host)), OSError)
+
+
+@pytest.fixture
+def stuck(monkeypatch: pytest.MonkeyPatch) -> Iterator[threading.Event]:
+    """A resolver that gives no answer until it is told to; then that nobody has the name."""
+    release, asked = threading.Event(), threading.Event()
+
+    def getaddrinfo(*_: Any, flags: int = 0, **__: Any) -> Any:
+        if not flags & socket.AI_NUMERICHOST:
+            asked.set()
+            release.wait(10)
+        raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
+
+    monkeypatch.setattr(socket, "getaddrinfo", getaddrinfo)
+    release.asked = asked  # type: ignore[attr-defined]
+    yield release
+    release.set()
+
+
+def test_a_look_up_ends_at_its_deadline(drive: Drive, stuck: threading.Event) -> None:
+    def steps() -> Steps[float]:
+        start = time.monotonic()
+        found = yield from resolving("stuck.invalid", 0.1)
+        stuck.set()
+        assert isinstance(found, TimeoutError)
+        return time.monotonic() - start
+
+    assert 0.1 <= drive(steps()) < 0.5
+
+
+def test_a_look_up_that_takes_too_long_is_a_connection_error(
+    drive: Drive, stuck: threading.Event
+) -> None:
+    threading.Timer(0.3, stuck.set).start()  # an event loop waits for its threads at the end
+    with pytest.raises(ModbusConnectionError, match="it takes too long"):
+        drive(TcpPort("stuck.invalid", 502, None).opening(soon(0.1)))
+
+
+# --- connecting ------------------------------------------------------------------------
+
+
+def addresses(monkeypatch: pytest.MonkeyPatch, *ports: int) -> None:
+    """A name with an address for each port."""
+    found = [(socket.AF_INET, socket.SOCK_STREAM, 6, "", ("127.0.0.1", port)) for port in ports]
+    monkeypatch.setattr(socket, "getaddrinfo", lambda *_, **__: found)
+
+
+def test_a_dead_address_leaves_the_others_their_share_of_the_time(
+    drive: Drive, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with dead() as port, socket.create_server(("127.0.0.1", 0)) as listener:
+        addresses(monkeypatch, port, listener.getsockname()[1])
+        made = TcpPort("two-addresses.invalid", 502, None)
+        start = time.monotonic()
+        drive(made.opening(start + 0.4))
+        assert 0.2 <= time.monotonic() - start < 0.35
+        assert made.descriptor >= 0
+        made.close()
+
+
+def test_all_addresses_together_take_no_longer_than_the_deadline(
+    drive: Drive, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with dead() as port:
+        addresses(monkeypatch, port, port, port)
+        start = time.monotonic()
+        with pytest.raises(ModbusConnectionError, match="Connection timed out") as caught:
+            drive(TcpPort("dead.invalid", 502, None).opening(start + 0.3))
+        assert 0.3 <= time.monotonic() - start < 0.4
+        assert isinstance(caught.value.__cause__, TimeoutError)
+
+
+def test_a_refused_address_costs_no_time(drive: Drive, monkeypatch: pytest.MonkeyPatch) -> None:
+    with socket.socket() as refusing, socket.create_server(("127.0.0.1", 0)) as listener:
+        refusing.bind(("127.0.0.1", 0))
+        addresses(monkeypatch, refusing.getsockname()[1], listener.getsockname()[1])
+        made = TcpPort("two-addresses.invalid", 502, None)
+        start = time.monotonic()
+        drive(made.opening(start + 5))
+        assert time.monotonic() - start < 1
+        made.close()
+
+
+@pytest.mark.parametrize("host", ["localhost", "::1", "127.0.0.1"])
+def test_every_address_of_a_name_is_tried(drive: Drive, host: str) -> None:
+    family = socket.AF_INET6 if host == "::1" else socket.AF_INET
+    place = ("::1" if host == "::1" else "127.0.0.1", 0)
+    with socket.create_server(place, family=family) as listener:
+        made = TcpPort(host, listener.getsockname()[1], None)
+        drive(made.opening(soon(5)))
+        assert made.descriptor >= 0
+        made.close()
+        assert made.descriptor == -1
+
+
+def test_udp_is_connected_at_once(drive: Drive) -> None:
+    made = UdpPort("127.0.0.1", 502)
+    drive(made.opening(soon()))
+    assert made.receive() == []
+    made.close()
+
+
+# --- waking ----------------------------------------------------------------------------
+
+
+def descriptors() -> int:
+    return len(os.listdir("/proc/self/fd"))
+
+
+@contextlib.contextmanager
+def woken_after(waker: Waker, condition: Callable[[], object] = lambda: True) -> Iterator[None]:
+    """What is within must be woken, and at once."""
+
+    def wake() -> None:
+        until(condition)
+        time.sleep(0.02)  # until it waits, which nobody tells
+        waker.wake()
+
+    thread = threading.Thread(target=wake)
+    before, start = descriptors(), time.monotonic()
+    thread.start()
+    with pytest.raises(Woken):
+        yield
+    assert time.monotonic() - start < 1
+    thread.join()
+    assert descriptors() == before
+
+
+def test_woken_while_it_connects(waker: Waker) -> None:
+    with dead() as port, woken_after(waker):
+        run(TcpPort("127.0.0.1", port, None).opening(soon(10)), waker)
+
+
+def test_woken_while_it_looks_up_a_name(waker: Waker, stuck: threading.Event) -> None:
+    threading.Thread(target=lambda: (stuck.asked.wait(5), waker.wake())).start()  # type: ignore[attr-defined]
+    with pytest.raises(Woken):
+        run(TcpPort("stuck.invalid", 502, None).opening(soon(10)), waker)
+
+
+def test_woken_in_a_pause(waker: Waker) -> None:
+    with woken_after(waker):
+        waker.wait(-1, READ, soon(10))
+
+
+def test_what_was_woken_before_it_waits_does_not_wait(waker: Waker) -> None:
+    waker.wake()
+    waker.wake()
+    for _ in range(2):
+        with pytest.raises(Woken):
+            waker.wait(-1, READ, soon(10))
+
+
+def test_a_waker_may_be_closed_and_woken_any_number_of_times() -> None:
+    waker = Waker()
+    before = descriptors()
+    waker.close()
+    assert descriptors() == before - 1
+    waker.close()
+    waker.wake()
+    assert waker.descriptor == -1
+
+
+def test_a_pause_without_waking_ends_at_its_deadline(waker: Waker) -> None:
+    start = time.monotonic()
+    assert waker.wait(-1, READ, start + 0.05) is False
+    assert 0.05 <= time.monotonic() - start < 0.2
+
+
+# --- cancelling ------------------------------------------------------------------------
+
+
+def test_cancelling_closes_the_socket() -> None:
+    async def main(port: int) -> None:
+        before = descriptors()
+        opening = asyncio.create_task(run_async(TcpPort("127.0.0.1", port, None).opening(soon(10))))
+        await asyncio.sleep(0.02)
+        assert descriptors() == before + 1
+        opening.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await opening
+        assert descriptors() == before
+
+    with dead() as port:
+        asyncio.run(main(port))
+
+
+def test_cancelling_a_look_up_does_not_wait_for_it(stuck: threading.Event) -> None:
+    async def main() -> None:
+        opening = asyncio.create_task(
+            run_async(TcpPort("stuck.invalid", 502, None).opening(soon(10)))
+        )
+        await asyncio.to_thread(stuck.asked.wait, 5)  # type: ignore[attr-defined]
+        opening.cancel()
+        start = time.monotonic()
+        with pytest.raises(asyncio.CancelledError):
+            await opening
+        assert time.monotonic() - start < 0.5
+        stuck.set()
+
+    asyncio.run(main())
+
+
+@pytest.mark.parametrize(
+    ("seconds", "rounded"),
+    [(0, 0), (-1, 0), (0.0001, 1), (0.001, 1), (0.0011, 2), (1, 1000), (1e9, 86_400_000)],
+)
+def test_milliseconds_are_rounded_up_to_a_day_at_most(seconds: float, rounded: int) -> None:
+    assert milliseconds(seconds) == rounded
+    assert milliseconds(float("inf")) == 86_400_000
