@@ -169,6 +169,10 @@ class Batch:
     def has_next(self) -> bool:
         return self.started < self.end
 
+    def matters(self, index: int) -> bool:
+        """Whether it has not been decided without this request."""
+        return index < self._end
+
     def settle(self, index: int, outcome: Any) -> None:
         """Note what became of a request; not of one that does not matter any more."""
         if index >= self.end or self.is_done:

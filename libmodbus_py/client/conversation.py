@@ -163,7 +163,8 @@ class Conversation(ABC):
         waiting, self._queue = self._queue, deque()
         for batch in waiting:
             batch.used = now - batch.since
-            if batch.pdus:
+            batch.queued = bool(batch.pdus)
+            if batch.queued:
                 self._queue.append(batch)
             else:
                 batch.finish()
@@ -182,6 +183,7 @@ class Conversation(ABC):
             self.refuse(error)
         waiting, self._queue = self._queue, deque()
         for batch in waiting:
+            batch.queued = False
             if not batch.is_done:
                 self.add(batch, now)
 
@@ -328,7 +330,9 @@ class Conversation(ABC):
         for repeat in waiting:
             due, batch, index = repeat
             is_full = self._room <= 0 or (adus and self._pace.request_spacing)
-            if due > now or is_full:
+            if not batch.matters(index):
+                batch.in_flight -= 1
+            elif due > now or is_full:
                 self._repeats.append(repeat)
                 self._wake(due if due > now else self.alarm)
             elif self._may_ask(batch.unit, now):
