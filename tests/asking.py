@@ -92,5 +92,3 @@ def answer(request: bytes, scheme: str, unit: int | None = None) -> bytes:
         return b":%s\r\n" % (body + bytes([framing.lrc(body)])).hex().upper().encode()
     body = bytes([request[0] if unit is None else unit]) + pdu
     return body + framing.crc16(body).to_bytes(2, "little")
-
-

@@ -171,7 +171,7 @@ class Batch:
 
     def matters(self, index: int) -> bool:
         """Whether it has not been decided without this request."""
-        return index < self._end
+        return index < self.end
 
     def settle(self, index: int, outcome: Any) -> None:
         """Note what became of a request; not of one that does not matter any more."""

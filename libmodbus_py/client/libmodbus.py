@@ -39,12 +39,13 @@ class NativeCarrier:
             return answer
         if size < 0:
             return None
-        return pdu_on_line(self.received, unit) if self._exchange.context else b""
+        got: bytes = self._answer[: self._exchange.got]
+        return pdu_on_line(got, unit) if self._exchange.context else b""
 
     @property
-    def received(self) -> bytes:
-        data: bytes = self._answer[: self._exchange.got]
-        return data
+    def received(self) -> list[bytes]:
+        got: bytes = self._answer[: self._exchange.got]
+        return [got] if got else []
 
     @property
     def error(self) -> ModbusConnectionError | None:

@@ -37,12 +37,12 @@ class Carrier(Protocol):
     Looks for bytes that nobody asked for, sends a request, waits, and reads once.
 
     Attributes:
-        received: all that came.
+        received: all that came, datagram by datagram.
         error: why the connection is lost, or None.
     """
 
     @property
-    def received(self) -> bytes: ...
+    def received(self) -> list[bytes]: ...
 
     @property
     def error(self) -> ModbusConnectionError | None: ...
@@ -61,7 +61,7 @@ class PythonCarrier:
     """See `Carrier`."""
 
     def __init__(self, port: Port, framer: Framer, is_ready: IsReady) -> None:
-        self.received = b""
+        self.received: list[bytes] = []
         self.error: ModbusConnectionError | None = None
         self._port = port
         self._encode = framer.encode
@@ -69,18 +69,18 @@ class PythonCarrier:
         self._is_ready = is_ready
 
     def carry(self, unit: int, number: int, pdu: bytes, timeout: float, waker: int) -> bytes | None:
-        self.received, self.error = b"", None
+        self.received, self.error = [], None
         if self._port.has_input():
             return None
         try:
             self._port.send([self._encode(Frame(unit, pdu, number))], monotonic())
             if self._port.resume_at is None and self._is_ready(timeout):
-                self.received = b"".join(self._port.receive())
+                self.received = self._port.receive()
         except ModbusConnectionError as error:
             self.error = error
         except Woken:  # once more, when the conversation waits
             pass
-        data = self.received
+        data = self.received[0] if len(self.received) == 1 else b""
         if not self._has_header:
             return pdu_on_line(data, unit)
         return data[7:] if len(data) > 7 and data == mbap(number, unit, data[7:]) else b""
@@ -148,9 +148,11 @@ class Shortcut:
             self._conversation.abandon(batch, since)
             raise
         batch = self._adopted(unit, number, request, patience, since)
-        if self._carrier.error is None and self._carrier.received:
-            self._conversation.take(self._carrier.received, monotonic())
-            self._conversation.settle(monotonic())
+        if self._carrier.error is None:
+            now = monotonic()
+            for data in self._carrier.received:
+                self._conversation.take(data, now)
+            self._conversation.settle(now)
         return batch, self._carrier.error
 
     def _hand_over(self, unit: int, request: Request[Any], patience: Patience) -> Batch:

@@ -6,44 +6,26 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import gc
 import os
-import resource
-import signal
 import socket
 import subprocess
 import sys
 import threading
 import time
 import tracemalloc
-import warnings
 from collections.abc import Callable, Iterator
-from typing import Any
 
 import pytest
-from asking import ALL, BLOCKING, CLIENTS, NATIVE, answer, asking
+from asking import ALL, BLOCKING, answer, asking
 from fake import FakeServer, FakeUnit, mbap
-from scripted import Scripted, echo, ignore
 from scripted import run as run_watched
 
 from libmodbus_py import (
-    AsciiContext,
     AsyncClient,
-    Context,
-    Device,
-    FrameError,
-    Mapping,
-    ModbusConnectionError,
     ModbusError,
     ModbusTimeoutError,
-    RtuContext,
-    Server,
-    State,
-    TcpContext,
     framing,
-    pdu,
 )
-from libmodbus_py.testing.wires import SerialWire
 
 # Of a machine that is busy with other tests; what is measured on one that is not, is below 0.05.
 LATE = 0.25
@@ -109,7 +91,9 @@ def test_echoes_of_writes_are_their_answers_or_harm_none(kind: str) -> None:
 @ALL
 def test_an_answer_with_another_id_before_each_answer_harms_none(kind: str) -> None:
     def with_other(request: bytes) -> list[bytes]:
-        other = mbap(request, b"\x03\x02\xff\xff", transaction=int.from_bytes(request[:2], "big") ^ 0x5555)
+        other = mbap(
+            request, b"\x03\x02\xff\xff", transaction=int.from_bytes(request[:2], "big") ^ 0x5555
+        )
         return [other + answer(request, "tcp")]
 
     with FakeServer(with_other) as server, asking(kind, f"tcp://127.0.0.1:{server.port}") as client:
