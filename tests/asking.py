@@ -46,6 +46,9 @@ class Asking:
 
         return lambda *args, **options: run(call(*args, **options))
 
+    def for_unit(self, unit: int, **options: Any) -> Asking:
+        return Asking(self.client.for_unit(unit, **options), self._run)
+
     def read(self, address: int) -> int:
         """Give the value of one holding register."""
         (value,) = self.__getattr__("read_holding_registers")(address, 1)

@@ -6,26 +6,41 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import gc
 import os
+import signal
 import socket
 import subprocess
 import sys
 import threading
 import time
 import tracemalloc
+import warnings
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import pytest
-from asking import ALL, BLOCKING, answer, asking
+from asking import ALL, BLOCKING, NATIVE, answer, asking
 from fake import FakeServer, FakeUnit, mbap
+from scripted import Scripted, echo
 from scripted import run as run_watched
 
 from libmodbus_py import (
     AsyncClient,
+    Context,
+    Device,
+    FrameError,
+    Mapping,
+    ModbusConnectionError,
     ModbusError,
     ModbusTimeoutError,
+    RtuContext,
+    Server,
+    State,
+    TcpContext,
     framing,
 )
+from libmodbus_py.testing.wires import SerialWire
 
 # Of a machine that is busy with other tests; what is measured on one that is not, is below 0.05.
 LATE = 0.25
@@ -195,22 +210,29 @@ def test_a_flood_costs_neither_time_nor_memory(flood: str, kind: str) -> None:
     scheme, data = FLOODS[flood]
     with Flood(data, scheme == "udp") as server:
         url = f"{scheme}://127.0.0.1:{server.port}"
+        silence = 0.0 if scheme in ("tcp", "udp") else 0.3
         with asking(kind, url, timeout=0.3) as client:
+            for most in (0.3, silence + 0.3):
+                start = time.monotonic()
+                error = failure(client.read, 1)
+                assert time.monotonic() - start < most + LATE
+                assert len(error.received) <= 600
+                assert len(str(error)) < 300
             tracemalloc.start()
             try:
-                for silence in (0.0, 0.0 if scheme in ("tcp", "udp") else 0.3):
-                    start = time.monotonic()
-                    with pytest.raises(ModbusError) as caught:
-                        client.read(1)
-                    assert time.monotonic() - start < silence + 0.3 + LATE
-                    assert len(caught.value.received) <= 600
-                    assert len(str(caught.value)) < 300
+                failure(client.read, 1)
                 kept, most = tracemalloc.get_traced_memory()
             finally:
                 tracemalloc.stop()
     # What is looked at in one turn, and more than that is not kept; datagrams come by dozens.
     assert kept < 256 * 1024
     assert most < (8 << 20 if scheme == "udp" else 512 * 1024)
+
+
+def failure(act: Callable[..., object], *args: Any) -> ModbusError:
+    with pytest.raises(ModbusError) as caught:
+        act(*args)
+    return caught.value
 
 
 FLOODER = """
@@ -314,3 +336,665 @@ def test_a_dead_connection_is_left_by_a_context(kind: str) -> None:
             with pytest.raises(ModbusTimeoutError):
                 client.read(2)
         assert client.read(3) == 3
+
+
+def test_cancelled_while_it_connects_a_client_can_connect_again() -> None:
+    """At each step of the event loop, and whoever is cancelled: the caller, or all tasks."""
+
+    async def main() -> None:
+        async with Scripted(echo).serving() as server:
+            for steps in range(8):
+                for everybody in (False, True):
+                    client = AsyncClient(server.url, timeout=1)
+                    asked = asyncio.create_task(client.read_holding_registers(5, 1))
+                    for _ in range(steps):
+                        await asyncio.sleep(0)
+                    for task in asyncio.all_tasks() if everybody else ():
+                        if "libmodbus_py" in repr(task.get_coro()):
+                            task.cancel()
+                    asked.cancel()
+                    await asyncio.wait([asked])
+                    async with asyncio.timeout(1):
+                        assert await client.read_holding_registers(6, 1) == [6]
+                    await client.close()
+
+    run_watched(main())
+
+
+class Interruption(BaseException):
+    """What a signal handler may raise."""
+
+
+@ALL
+def test_anything_raised_while_it_connects_leaves_a_client_that_can(
+    kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with FakeServer(lambda request: [answer(request, "tcp")]) as server:
+        chosen: dict[str, Any] = {"native": {}, "framed": {"native": False}}.get(kind, {})
+        url = f"tcp://127.0.0.1:{server.port}"
+
+        def interrupt(*_: object) -> None:
+            raise Interruption
+
+        async def main() -> None:
+            async with AsyncClient(url) as client:
+                await client.read_holding_registers(4, 1)
+
+        if kind == "asyncio":
+            with asyncio.Runner() as runner:
+                client = AsyncClient(url)
+
+                async def read() -> list[int]:
+                    return await client.read_holding_registers(4, 1)
+
+                with monkeypatch.context() as patch:
+                    patch.setattr(socket.socket, "connect_ex", interrupt)
+                    with pytest.raises((Interruption, ModbusConnectionError)):
+                        runner.run(read())
+                assert runner.run(read()) == [4]
+                runner.run(client.close())
+            return
+        with Context.from_url(url, **chosen) as context:
+            context.close()
+        context = Context.from_url(url, **chosen)
+        with monkeypatch.context() as patch:
+            patch.setattr(socket.socket, "connect_ex", interrupt)
+            with pytest.raises(Interruption):
+                context.read_holding_registers(4, 1)
+        assert context.state is State.DISCONNECTED
+        assert context.read_holding_registers(4, 1) == [4]
+        context.close()
+
+
+def slow_look_up(monkeypatch: pytest.MonkeyPatch, seconds: float) -> None:
+    """As of a name server that does not answer; numbers need none."""
+    look_up = socket.getaddrinfo
+
+    def slow(
+        host: Any, port: Any, family: int = 0, type: int = 0, proto: int = 0, flags: int = 0
+    ) -> Any:
+        if not flags & socket.AI_NUMERICHOST and host == "slow.invalid":
+            time.sleep(seconds)
+        return look_up(host, port, family, type, proto, flags | socket.AI_NUMERICHOST)
+
+    monkeypatch.setattr(socket, "getaddrinfo", slow)
+
+
+@ALL
+def test_the_timeout_includes_the_look_up_of_the_name(
+    kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    slow_look_up(monkeypatch, 1)
+    start = time.monotonic()
+    with (
+        pytest.raises(ModbusConnectionError, match=r"slow\.invalid"),
+        asking(kind, "tcp://slow.invalid:502", timeout=0.2),
+    ):
+        pass
+    # An event loop ends only after its look-ups.
+    assert time.monotonic() - start < (1 if kind == "asyncio" else 0.2) + LATE
+
+
+@contextlib.contextmanager
+def full() -> Iterator[int]:
+    """A port that neither takes a connection nor refuses it."""
+    with socket.socket() as listener, contextlib.ExitStack() as stack:
+        listener.bind(("127.0.0.1", 0))
+        listener.listen(0)
+        for _ in range(4):
+            made = stack.enter_context(socket.socket())
+            made.setblocking(False)
+            made.connect_ex(listener.getsockname())
+        yield listener.getsockname()[1]
+
+
+@BLOCKING
+@pytest.mark.parametrize("named", [False, True])
+def test_close_does_not_wait_for_a_connection_that_is_being_made(
+    named: bool, kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    slow_look_up(monkeypatch, 1)
+    with full() as port:
+        host = "slow.invalid" if named else "127.0.0.1"
+        context = TcpContext(host, port, timeout=10, native=kind == "native")
+        failed: list[BaseException] = []
+
+        def connect() -> None:
+            try:
+                context.connect()
+            except BaseException as error:
+                failed.append(error)
+
+        thread = threading.Thread(target=connect)
+        thread.start()
+        time.sleep(0.1)
+        start = time.monotonic()
+        context.close()
+        assert time.monotonic() - start < LATE
+        thread.join()
+        assert time.monotonic() - start < LATE
+        assert isinstance(failed[0], ModbusConnectionError)
+
+
+@ALL
+def test_connecting_and_the_answer_have_one_timeout(kind: str) -> None:
+    """Half of it is spent on an address that is dead."""
+
+    with FakeServer(lambda request: []) as server, full() as dead:
+        both = [
+            (socket.AF_INET, socket.SOCK_STREAM, 6, "", ("127.0.0.1", port))
+            for port in (dead, server.port)
+        ]
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(socket, "getaddrinfo", lambda *_, **__: both)
+            context = None
+            start = time.monotonic()
+            if kind == "asyncio":
+
+                async def main() -> None:
+                    client = AsyncClient("tcp://two.invalid:502", timeout=0.4)
+                    try:
+                        with pytest.raises(ModbusTimeoutError):
+                            await client.read_holding_registers(1, 1)
+                    finally:
+                        await client.close()
+
+                run_watched(main())
+            else:
+                context = TcpContext("two.invalid", timeout=0.4, native=kind == "native")
+                with pytest.raises(ModbusTimeoutError):
+                    context.read_holding_registers(1, 1)
+                context.close()
+        assert 0.39 < time.monotonic() - start < 0.4 + LATE
+        assert server.connections == 1
+
+
+# --- close and requests from where they hurt --------------------------------------------------
+
+
+@contextlib.contextmanager
+def on_alarm(act: Callable[[], object], seconds: float) -> Iterator[list[BaseException]]:
+    """Let a signal handler do it; gives what it raised."""
+    raised: list[BaseException] = []
+
+    def handle(*_: object) -> None:
+        try:
+            act()
+        except Exception as error:
+            raised.append(error)
+
+    before = signal.signal(signal.SIGALRM, handle)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield raised
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+
+
+@contextlib.contextmanager
+def waiting_context(place: str, native: bool) -> Iterator[tuple[Context, Callable[[], object]]]:
+    """A context, and a request on it that waits for long."""
+    if place == "tcp":
+        good = lambda request: [answer(request, "tcp")]  # noqa: E731
+        with FakeServer(good, good, lambda request: []) as server:
+            context = TcpContext("127.0.0.1", server.port, timeout=3, native=native)
+            context.read_holding_registers(1, 1)
+            context.read_holding_registers(1, 1)
+            yield context, lambda: context.read_holding_registers(1, 1)
+    elif place == "rtu":
+        line = lambda request: [rtu(request)]  # noqa: E731
+        with FakeUnit(line, line, lambda request: []) as unit:
+            context = RtuContext(unit.path, 115200, timeout=3, native=native)
+            context.read_holding_registers(1, 1)
+            context.read_holding_registers(1, 1)
+            yield context, lambda: context.read_holding_registers(1, 1)
+    else:
+        with full() as port:
+            context = TcpContext("127.0.0.1", port, timeout=3, native=native)
+            yield context, context.connect
+    context.close()
+
+
+PLACES = pytest.mark.parametrize("place", ["tcp", "rtu", "connecting"])
+
+
+@NATIVE
+@PLACES
+def test_close_in_a_signal_handler_ends_the_request_that_it_interrupts(
+    place: str, native: bool
+) -> None:
+    with waiting_context(place, native) as (context, request):
+        start = time.monotonic()
+        with on_alarm(context.close, 0.1) as raised, pytest.raises(ModbusConnectionError):
+            request()
+        assert time.monotonic() - start < 0.1 + LATE
+        assert not raised
+        assert context.closed
+
+
+@NATIVE
+@PLACES
+def test_a_request_in_a_signal_handler_is_refused(place: str, native: bool) -> None:
+    with waiting_context(place, native) as (context, request):
+        context.timeout = 0.4
+        start = time.monotonic()
+        with (
+            on_alarm(lambda: context.read_coils(0, 1), 0.1) as raised,
+            pytest.raises(ModbusError),
+        ):
+            request()
+        assert 0.3 < time.monotonic() - start < 0.4 + LATE
+        assert isinstance(raised[0], RuntimeError)
+
+
+class Finalized:
+    """Does something when it is collected, which a circle leaves to the collector."""
+
+    def __init__(self, act: Callable[[], object]) -> None:
+        self._act = act
+        self._circle = self
+
+    def __del__(self) -> None:
+        self._act()
+
+
+@contextlib.contextmanager
+def other_process(scheme: str = "tcp") -> Iterator[str]:
+    """A server that no collector, signal or fork of this process reaches; gives its URL."""
+    command = [sys.executable, "-m", "libmodbus_py", "serve", f"{scheme}://127.0.0.1:0"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        try:
+            yield process.stdout.readline().split()[-1]
+        finally:
+            process.kill()
+
+
+@NATIVE
+def test_close_and_requests_in_a_finalizer_during_a_request(native: bool) -> None:
+    """The collector runs whenever something is made, as in the middle of a request."""
+    with other_process() as url, Context.from_url(url, native=native) as context:
+        context.write_registers(0, list(range(100)))
+        outcomes: list[object] = []
+
+        def ask() -> None:
+            try:
+                outcomes.append(context.read_holding_registers(9, 1))
+            except RuntimeError as error:
+                outcomes.append(error)
+
+        thresholds = gc.get_threshold()
+        gc.set_threshold(5)
+        try:
+            for address in range(100):
+                Finalized(ask)
+                assert context.read_holding_registers(address, 1) == [address]
+            gc.collect()
+            assert len(outcomes) == 100
+            assert all(each == [9] or isinstance(each, RuntimeError) for each in outcomes)
+            Finalized(context.close)
+            with contextlib.suppress(ModbusConnectionError):
+                for _ in range(100):
+                    context.read_holding_registers(1, 1)
+        finally:
+            gc.set_threshold(*thresholds)
+        assert context.closed
+
+
+@NATIVE
+@pytest.mark.parametrize("place", ["tcp", "rtu", "rtu+tcp"])
+# A socket that was just being made is closed when it is collected.
+@pytest.mark.filterwarnings("ignore:.*unclosed <socket.*")
+def test_ctrl_c_at_any_moment_fails_no_later_request(place: str, native: bool) -> None:
+    """Each request that is not interrupted is right; none meets what an interrupted one left."""
+    with contextlib.ExitStack() as stack:
+        context: Context
+        if place == "rtu":
+            unit = stack.enter_context(FakeUnit(lambda request: [rtu(request)]))
+            context = RtuContext(unit.path, 1_000_000, timeout=0.1, native=native)
+        else:
+            frame = lambda request: [answer(request, place)]  # noqa: E731
+            server = stack.enter_context(FakeServer(frame))
+            framed: Any = "rtu" if place == "rtu+tcp" else "tcp"
+            context = TcpContext(
+                "127.0.0.1", server.port, framing=framed, timeout=0.1, native=native
+            )
+        interrupted = 0
+        before = signal.signal(signal.SIGALRM, signal.default_int_handler)
+        try:
+            for number in range(200 if place == "tcp" else 40):
+                try:
+                    signal.setitimer(signal.ITIMER_REAL, 20e-6 + number % 100 * 6e-6)
+                    for address in range(10):
+                        assert context.read_holding_registers(address, 1) == [address]
+                    signal.setitimer(signal.ITIMER_REAL, 0)
+                except KeyboardInterrupt:
+                    interrupted += 1
+                if number % 2:
+                    assert context.read_holding_registers(number, 1) == [number]
+        finally:
+            signal.setitimer(signal.ITIMER_REAL, 0)
+            signal.signal(signal.SIGALRM, before)
+        assert interrupted > 10
+        context.close()
+
+
+# --- ASCII delimiters ---------------------------------------------------------------------------
+
+
+@ALL
+@pytest.mark.parametrize("scheme", ["ascii+tcp", "ascii"])
+def test_an_accepted_delimiter_is_followed_and_a_restart_ends_it(scheme: str, kind: str) -> None:
+    with contextlib.ExitStack() as stack:
+        server = Server(Device(Mapping(holding_registers={3: [42]})))
+        if scheme == "ascii":
+            wire = stack.enter_context(SerialWire())
+            stack.enter_context(server.background(f"ascii://{wire.server}?baudrate=115200"))
+            url = f"ascii://{wire.client}?baudrate=115200"
+        else:
+            url = stack.enter_context(server.background("ascii+tcp://127.0.0.1:0")).urls[0]
+        client = stack.enter_context(asking(kind, url))
+        assert client.read(3) == 42
+        client.diagnostics(3, 0x2100)
+        assert client.read(3) == 42
+        client.diagnostics(3, 0x2400)
+        assert client.read(3) == 42
+        with pytest.raises(ModbusError):  # a colon ends nothing
+            client.diagnostics(3, 0x3A00)
+        assert client.read(3) == 42
+        client.diagnostics(1)
+        assert client.read(3) == 42
+
+
+@ALL
+@pytest.mark.parametrize("in_url", [True, False])
+def test_a_delimiter_that_the_device_has_already_is_an_option(in_url: bool, kind: str) -> None:
+    def with_dollar(request: bytes) -> list[bytes]:
+        assert request.endswith(b"\r$")
+        return [answer(request, "ascii")[:-1] + b"$"]
+
+    query, options = ("&delimiter=0x24", {}) if in_url else ("", {"delimiter": 0x24})
+    with (
+        FakeUnit(with_dollar) as unit,
+        asking(kind, f"ascii://{unit.path}?baudrate=115200{query}", **options) as client,
+    ):
+        assert client.read(3) == 3
+
+
+# --- what is left behind ------------------------------------------------------------------------
+
+
+def forgotten(main: Any) -> None:
+    asyncio.run(main)
+    gc.collect()
+
+
+def test_a_forgotten_client_says_so_and_frees_its_port() -> None:
+    with FakeUnit(lambda request: [rtu(request)]) as unit:
+
+        async def forget() -> None:
+            client = AsyncClient(f"rtu://{unit.path}?baudrate=115200")
+            assert await client.read_holding_registers(3, 1) == [3]
+
+        for times in range(2):
+            with pytest.warns(ResourceWarning, match=unit.path):
+                forgotten(forget())
+            with RtuContext(unit.path, 115200) as context:
+                assert context.read_holding_registers(times, 1) == [times]
+
+
+@pytest.mark.filterwarnings("error::ResourceWarning")
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_a_forgotten_client_frees_its_port_where_warnings_are_errors() -> None:
+    with FakeUnit(lambda request: [rtu(request)]) as unit:
+
+        async def forget() -> None:
+            client = AsyncClient(f"rtu://{unit.path}?baudrate=115200")
+            assert await client.read_holding_registers(3, 1) == [3]
+
+        asyncio.run(forget())
+        gc.collect()
+        with RtuContext(unit.path, 115200) as context:
+            assert context.read_holding_registers(1, 1) == [1]
+
+
+def test_a_client_forgotten_while_it_connects_leaves_nothing() -> None:
+    async def main() -> None:
+        async with Scripted(echo).serving() as server:
+            for steps in range(6):
+                client = AsyncClient(server.url)
+                asked = asyncio.create_task(client.connect())
+                for _ in range(steps):
+                    await asyncio.sleep(0)
+                asked.cancel()
+                await asyncio.wait([asked])
+                del client, asked
+                gc.collect()
+            await asyncio.sleep(0.05)
+            assert not [writer for writer in server.writers if not at_end(writer)]
+
+    def at_end(writer: asyncio.StreamWriter) -> bool:
+        return writer.transport.is_closing() or writer.transport.get_extra_info("socket") is None
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ResourceWarning)
+        run_watched(main())
+
+
+def test_a_port_is_opened_that_a_killed_program_left_as_it_was() -> None:
+    """Its settings are those that are to be set, and a pseudo-terminal refuses one of them."""
+    with FakeUnit(lambda request: [rtu(request)]) as unit:
+        program = (
+            "import os, sys, libmodbus_py as m\n"
+            "context = m.RtuContext(sys.argv[1], 115200)\n"
+            "context.connect()\n"
+            "os.kill(os.getpid(), 9)"
+        )
+        for times in range(3):
+            subprocess.run([sys.executable, "-c", program, unit.path], check=False, timeout=30)
+            if times:
+                with RtuContext(unit.path, 115200) as context:
+                    assert context.read_holding_registers(times, 1) == [times]
+
+
+# --- processor time -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp", "udp"])
+def test_an_idle_client_that_is_flooded_rests(scheme: str) -> None:
+    noise = b"" if scheme == "rtu+tcp" else bytes.fromhex("FFFF0000000501030200AA")
+    with SendingProcess(scheme, noise or bytes(range(256))) as url:
+
+        async def main() -> None:
+            async with AsyncClient(url, timeout=1) as client:
+                assert await client.read_holding_registers(3, 1) == [3]
+                await asyncio.sleep(0.1)
+                before = time.process_time()
+                await asyncio.sleep(0.5)
+                assert time.process_time() - before < 0.1
+                assert await client.read_holding_registers(4, 1) == [4]
+
+        run_watched(main())
+
+
+def test_an_idle_client_on_a_noisy_line_rests() -> None:
+    with noisy_line(bytes(range(0x80, 0x90)), 0.0) as path:
+
+        async def main() -> None:
+            async with AsyncClient(f"rtu://{path}?baudrate=115200", timeout=0.2) as client:
+                with pytest.raises(ModbusError):
+                    await client.read_holding_registers(3, 1)
+                await asyncio.sleep(0.3)
+                before = time.process_time()
+                await asyncio.sleep(0.5)
+                assert time.process_time() - before < 0.1
+
+        run_watched(main())
+
+
+SENDING = """
+import socket, sys
+kind, noise = sys.argv[1], bytes.fromhex(sys.argv[2])
+data = noise * (60000 // len(noise)) if kind != "udp" else noise
+sys.path[:0] = sys.argv[3:]
+from asking import answer
+listener = socket.socket(type=socket.SOCK_DGRAM if kind == "udp" else socket.SOCK_STREAM)
+listener.bind(("127.0.0.1", 0))
+if kind != "udp":
+    listener.listen()
+print(listener.getsockname()[1], flush=True)
+if kind == "udp":
+    while True:
+        request, peer = listener.recvfrom(300)
+        listener.sendto(answer(request, kind), peer)
+        listener.setblocking(False)
+        while True:
+            listener.sendto(data, peer)
+            try:
+                request, peer = listener.recvfrom(300)
+            except BlockingIOError:
+                continue
+            listener.sendto(answer(request, kind), peer)
+while True:
+    peer, _ = listener.accept()
+    try:
+        while request := peer.recv(300):
+            peer.sendall(answer(request, kind))
+            while True:
+                peer.sendall(data)
+    except OSError:
+        pass
+"""
+
+
+class SendingProcess:
+    """A server in another process that answers once on each connection, and floods it then."""
+
+    def __init__(self, scheme: str, noise: bytes) -> None:
+        tests = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+        command = [sys.executable, "-c", SENDING, scheme, noise.hex(), tests]
+        self._scheme = scheme
+        self._process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+
+    def __enter__(self) -> str:
+        assert self._process.stdout is not None
+        return f"{self._scheme}://127.0.0.1:{self._process.stdout.readline().strip()}"
+
+    def __exit__(self, *_: object) -> None:
+        with self._process:
+            self._process.kill()
+
+
+@pytest.mark.parametrize(
+    "pattern", [b"\x01\x03\xfa", b"\x01\x10", b"\x01\x2b\x0e", b"\x01\x03\x02", bytes(range(256))]
+)
+def test_the_framer_of_rtu_costs_little_for_each_byte(pattern: bytes) -> None:
+    """Bytes that begin frames at every place; 64 kB must not stop an event loop."""
+    framer = framing.RtuFramer("client")
+    data = pattern * (65_536 // len(pattern))
+    longest = 0.0
+    start = time.process_time()
+    for at in range(0, len(data), 4096):
+        before = time.process_time()
+        framer.scan(data[at : at + 4096])
+        longest = max(longest, time.process_time() - before)
+    assert time.process_time() - start < 0.1  # 1.5 us a byte; it was 8 to 17
+    assert longest < 0.05
+
+
+# --- noise, dead units, strange devices ----------------------------------------------------------
+
+
+@ALL
+def test_a_byte_before_each_request_does_not_reopen_the_port(kind: str) -> None:
+    """As a line picks up while nobody talks."""
+    states: list[State] = []
+    with (
+        FakeUnit(lambda request: [rtu(request)]) as unit,
+        asking(kind, f"rtu://{unit.path}?baudrate=115200", timeout=0.1) as client,
+    ):
+        client.client._connection._on_state = lambda state, error: states.append(state)
+        over = threading.Event()
+
+        def chatter() -> None:
+            while not over.wait(0.003):
+                unit.write(b"\x00")
+
+        assert client.read(1) == 1
+        thread = threading.Thread(target=chatter)
+        thread.start()
+        try:
+            for address in range(40):
+                with contextlib.suppress(FrameError, ModbusTimeoutError):
+                    assert client.read(address) == address
+        finally:
+            over.set()
+            thread.join()
+        assert states == []
+
+
+@ALL
+def test_a_dead_unit_costs_its_timeout_once_in_each_round(kind: str) -> None:
+    def nine_live(request: bytes) -> Iterator[bytes]:
+        if request[0] != 5:
+            time.sleep(0.025)
+            yield rtu(request)
+
+    with (
+        FakeUnit(nine_live) as unit,
+        asking(kind, f"rtu://{unit.path}?baudrate=115200", timeout=0.2) as client,
+    ):
+        for _ in range(3):
+            start = time.monotonic()
+            for number in range(1, 11):
+                one = client.for_unit(number)
+                if number == 5:
+                    with pytest.raises(ModbusTimeoutError):
+                        one.read(1)
+                else:
+                    assert one.read(number) == number
+            assert time.monotonic() - start < 0.2 + 9 * 0.025 + LATE
+
+
+@ALL
+def test_a_device_that_is_unit_255_to_everybody_is_reached_with_an_option(kind: str) -> None:
+    def as_255(request: bytes) -> list[bytes]:
+        return [answer(request, "tcp", unit=255)]
+
+    with FakeServer(as_255) as server:
+        url = f"tcp://127.0.0.1:{server.port}"
+        with (
+            asking(kind, url, unit=3) as client,
+            pytest.raises(ModbusError, match='accept_unit="any"') as caught,
+        ):
+            client.read(1)
+        assert caught.value.received[6] == 255
+        for options, query in (({"accept_unit": "any"}, ""), ({}, "?accept_unit=any")):
+            with asking(kind, url + query, unit=3, **options) as client:
+                assert [client.read(address) for address in range(5)] == list(range(5))
+
+
+@ALL
+def test_identification_that_leads_in_circles_gives_what_is_there(kind: str) -> None:
+    page = bytes.fromhex("2b0e0101ff0003 000141 010142 020143")  # more follows, from object 0 on
+
+    with (
+        FakeServer(lambda request: [mbap(request, page)]) as server,
+        asking(kind, f"tcp://127.0.0.1:{server.port}") as client,
+    ):
+        found = client.read_device_identification()
+        assert not found.complete
+        assert found.objects[0] == b"A"
+
+
+@ALL
+def test_an_exception_with_a_mei_type_behind_it_is_the_exception(kind: str) -> None:
+    from libmodbus_py import IllegalDataAddress
+
+    with (
+        FakeServer(lambda request: [mbap(request, b"\xab\x02\x0e")]) as server,
+        asking(kind, f"tcp://127.0.0.1:{server.port}") as client,
+        pytest.raises(IllegalDataAddress),
+    ):
+        client.read_device_identification()
