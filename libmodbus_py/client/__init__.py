@@ -13,7 +13,8 @@ From the caller to the wire:
     asyncio_driver     waits in an event loop, with one reader and one timer
     shortcut           the short way, when nothing needs deciding
       libmodbus        ... in one call of C
-    conversation       who may send when, who is told what; no socket, no clock
+    turns              who may ask when; no socket, no clock, as all that follows
+    conversation       who is told what
       in_flight        ... whose answer it is, by transaction ids
       in_turn          ... and on lines without them
       hints            what bytes that answer nothing look like

@@ -11,7 +11,16 @@ from typing import Any, Final
 from ..protocol.errors import ModbusError
 from ..protocol.pdu import MAX_PDU, Request
 
-__all__ = ["MAX_IN_FLIGHT", "NOT_ASKED", "Asked", "Batch", "Patience", "Statistics", "raised"]
+__all__ = [
+    "MAX_IN_FLIGHT",
+    "NOT_ASKED",
+    "Asked",
+    "Batch",
+    "Found",
+    "Patience",
+    "Statistics",
+    "raised",
+]
 
 NOT_ASKED: Final = object()
 """The outcome of a request that has not been settled, or was never sent."""
@@ -19,6 +28,9 @@ NOT_ASKED: Final = object()
 # As many requests and answers of full length as the buffers of two sockets hold: with
 # more, both sides might wait for the other to read before they go on.
 MAX_IN_FLIGHT = 256
+
+# The PDU that answers a request, or why there is none.
+Found = bytes | ModbusError
 
 
 @dataclass(slots=True)

@@ -1,20 +1,18 @@
 """
 What is asked over one connection, and what comes back. No socket, no clock, no event loop.
 
-`Conversation` decides who may send when and who is told what; which answer is whose,
-its two kinds know: `in_flight.InFlight` by transaction ids, `in_turn.InTurn` on lines without.
+`Conversation` decides who is told what, as `turns` does who may ask when; which answer is
+whose, its two kinds know: `in_flight` by transaction ids, `in_turn` on lines without.
 The drivers wait and read for it, and call it with bytes and times (time.monotonic()).
 """
 
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections import deque
-from dataclasses import dataclass
 from typing import Any
 
-from ..ports.endpoint import Endpoint
 from ..protocol.errors import (
     Acknowledge,
     ExceptionResponse,
@@ -26,13 +24,12 @@ from ..protocol.errors import (
     ServerDeviceBusy,
     alike,
 )
-from ..protocol.framing import Framer, Framing
-from .batch import Asked, Batch, Statistics
+from .batch import Asked, Batch, Found
 from .hints import explain, shown
-from .reconnecting import Reconnecting, State
-from .trace import Trace
+from .reconnecting import State
+from .turns import Turns
 
-__all__ = ["MAX_UNASKED", "Conversation", "Found", "Pace", "no_answer"]
+__all__ = ["MAX_UNASKED", "Conversation", "no_answer"]
 
 BUSY = (Acknowledge, ServerDeviceBusy)
 
@@ -42,73 +39,9 @@ LOSSES_BEFORE_END = 3
 # So many bytes that nobody asked for, and whoever sends them floods.
 MAX_UNASKED = 1 << 16
 
-# The PDU that answers a request, or why there is none.
-Found = bytes | ModbusError
 
-
-@dataclass(frozen=True, slots=True)
-class Pace:
-    """
-    How fast requests follow each other; seconds.
-
-    Attributes:
-        turnaround: that a request takes which nobody answers.
-        request_spacing: between the starts of two requests, at least.
-        connect_delay: between connecting and the first request.
-        timeouts_before_reconnect: in a row, for a connection to count as dead; a serial
-            port never does.
-    """
-
-    turnaround: float
-    request_spacing: float
-    connect_delay: float
-    timeouts_before_reconnect: int
-
-
-class Conversation(ABC):
-    """
-    Sends requests as slots become free, in the order of their callers.
-
-    Attributes:
-        limit: how many requests may be in flight.
-        alarm: when `tick` should be called; may be too early, never too late.
-        broken: why the connection should be closed for a new one, or None.
-        is_flooded: whether more came that nobody asked for than can be an accident.
-    """
-
-    def __init__(
-        self,
-        endpoint: Endpoint,
-        limit: int,
-        pace: Pace,
-        statistics: Statistics,
-        connection: Reconnecting,
-        trace: Trace,
-    ) -> None:
-        self.limit = limit
-        self.alarm: float = math.inf
-        self.broken: ModbusConnectionError | None = None
-        self.is_flooded: bool = False
-        self.connection = connection
-        self.statistics = statistics
-        self._place = str(endpoint)
-        self._scheme = endpoint.scheme
-        self._framing: Framing = endpoint.framing
-        self._is_socket = endpoint.transport != "serial"
-        self._pace = pace
-        self._trace = trace
-        self._is_traced = False
-        self._framer = self._make_framer()
-        self._half = (limit + 1) // 2
-        self._room = limit
-        self._queue: deque[Batch] = deque()
-        self._repeats: list[tuple[float, Batch, int]] = []
-        self._silent: list[tuple[float, Asked]] = []
-        self._found: list[tuple[Asked, Found]] = []
-        self._unanswered = 0
-        self._answered_at = 0.0
-        self._unasked = 0
-        self._next_start = 0.0
+class Conversation(Turns):
+    """Tells callers what became of their requests; see `Turns`, who may ask when."""
 
     # --- for callers ------------------------------------------------------------------
 
@@ -214,7 +147,7 @@ class Conversation(ABC):
         queue, self._queue = self._queue, deque()
         repeats, self._repeats = self._repeats, []
         for _, batch, index in repeats:
-            batch.settle(index, self._completed(alike(error), batch, index, b""))
+            self._fail_at(batch, index, error)
             self._refuse(batch, error)
         for batch in queue:
             self._refuse(batch, error)
@@ -227,132 +160,15 @@ class Conversation(ABC):
         while batch.started < batch.end:
             self._fail_next(batch, error)
 
+    def _fail_at(self, batch: Batch, index: int, error: ModbusError) -> None:
+        batch.settle(index, self._completed(alike(error), batch, index, b""))
+
     def _fail_next(self, batch: Batch, error: ModbusError) -> None:
         index = batch.started
         batch.started += 1
-        batch.settle(index, self._completed(alike(error), batch, index, b""))
+        self._fail_at(batch, index, error)
 
     # --- bytes ------------------------------------------------------------------------------
-
-    @property
-    def is_idle(self) -> bool:
-        """Whether nothing is in flight."""
-        return self._room == self.limit
-
-    @property
-    def is_wanted(self) -> bool:
-        """Whether anybody waits for the connection."""
-        return bool(self._queue or self._repeats)
-
-    def start(self, now: float) -> list[bytes]:
-        """Give what to send now: half of what may be in flight, for the rest may follow answers."""
-        if not (self._queue or self._repeats) or self._room <= 0 or self.broken is not None:
-            return []
-        if not self.connection.is_open or (self._found and self.limit == 1):
-            return []  # what came on a line belongs to the request that it answers
-        if self._is_spent():
-            if self.is_idle:
-                self.broken = ModbusConnectionError("given up for a new connection")
-            return []
-        if now < self._next_start:
-            self._wake(self._next_start)
-            return []
-        self._is_traced = self._trace.is_on
-        adus: list[bytes] = []
-        if self._repeats:
-            self._start_repeats(adus, now)
-        if not (adus and self._pace.request_spacing):
-            self._start_queue(adus, now)
-        if adus:
-            self._note_starts(len(adus), now)
-        return adus
-
-    def _is_spent(self) -> bool:
-        """Whether no request should go over this connection any more."""
-        return self._is_socket and self._unanswered >= self._pace.timeouts_before_reconnect
-
-    def _note_starts(self, count: int, now: float) -> None:
-        self.statistics.requests += count
-        self._unasked = 0
-        self.is_flooded = False
-        if self._pace.request_spacing:
-            self._next_start = now + self._pace.request_spacing
-            self._wake(self._next_start)
-
-    def _start_queue(self, adus: list[bytes], now: float) -> None:
-        room = self._window()
-        while room > 0 and (batch := self._pick(now)) is not None:
-            # The others of the queue have their turn before the next one of this batch.
-            most = 1 if self._queue else room
-            count = min(most, batch.limit - batch.in_flight, batch.end - batch.started)
-            self._wake(now + batch.patience.timeout - batch.used)
-            for index in range(batch.started, batch.started + count):
-                adus.append(self._start(batch, index, now))
-            batch.started += count
-            batch.in_flight += count
-            room -= count
-            self._enqueue(batch)
-
-    def _window(self) -> int:
-        """How many may start at once."""
-        if self._pace.request_spacing:
-            return min(self._room, 1)
-        first = self._queue[0].limit if self._queue else 1
-        return min(self._room, self._half if first == 1 else (first + 1) // 2)
-
-    def _enqueue(self, batch: Batch) -> None:
-        batch.queued = batch.in_flight < batch.limit and batch.started < batch.end
-        if batch.queued:
-            self._queue.append(batch)
-
-    def _start(self, batch: Batch, index: int, now: float) -> bytes:
-        asked = self._begin(batch, index, now)
-        batch.used = 0.0
-        self._room -= 1
-        if batch.silent and batch.silent[index]:
-            self._silent.append((now + self._pace.turnaround, asked))
-            self._wake(now + self._pace.turnaround)
-        if self._is_traced:
-            self._trace.tell("sent", asked.adu, batch.unit, batch.pdus[index][0])
-        return asked.adu
-
-    def _pick(self, now: float) -> Batch | None:
-        """Take a batch with a request that may start out of the queue."""
-        while self._queue:
-            batch = self._queue.popleft()
-            if batch.started < batch.end:
-                return batch
-            batch.queued = False
-        return None
-
-    def _start_repeats(self, adus: list[bytes], now: float) -> None:
-        waiting, self._repeats = self._repeats, []
-        for repeat in waiting:
-            due, batch, index = repeat
-            is_full = self._room <= 0 or (adus and self._pace.request_spacing)
-            if not batch.matters(index):
-                batch.in_flight -= 1
-            elif due > now or is_full:
-                self._repeats.append(repeat)
-                self._wake(due if due > now else self.alarm)
-            elif self._may_ask(batch.unit, now):
-                self.statistics.retries += 1
-                self._wake(now + batch.patience.timeout - batch.used)
-                adus.append(self._start(batch, index, now))
-            elif (error := self._impatience(batch, now)) is not None:
-                batch.in_flight -= 1
-                batch.settle(index, self._completed(error, batch, index, b""))
-                if not batch.queued:
-                    self._enqueue(batch)
-            else:
-                self._repeats.append(repeat)
-
-    def _may_ask(self, unit: int, now: float) -> bool:
-        return True
-
-    def _impatience(self, batch: Batch, now: float) -> ModbusError | None:
-        """Say that a batch which may not ask yet has waited for too long."""
-        return None
 
     def take(self, data: bytes, now: float) -> bool:
         """Take received bytes; says whether they settle anything, and slots are free again."""
@@ -388,11 +204,6 @@ class Conversation(ABC):
         if self.statistics.responses > before:
             self.connection.prove()
             self.statistics.last_success = now
-
-    def _leave_queue(self, batch: Batch) -> None:
-        if batch.queued:
-            batch.queued = False
-            self._queue.remove(batch)
 
     def _conclude(self, asked: Asked, what: Found, now: float) -> None:
         batch, index = asked.batch, asked.index
@@ -517,10 +328,6 @@ class Conversation(ABC):
         self._unanswered = 0
         self._answered_at = now
 
-    def _wake(self, at: float) -> None:
-        if at < self.alarm:
-            self.alarm = at
-
     def _note_unasked(self, size: int) -> None:
         self._unasked += size
         self.is_flooded = self._unasked > MAX_UNASKED
@@ -559,12 +366,6 @@ class Conversation(ABC):
     def _register(self, batch: Batch, adu: bytes, now: float) -> None: ...
 
     @abstractmethod
-    def _make_framer(self) -> Framer: ...
-
-    @abstractmethod
-    def _begin(self, batch: Batch, index: int, now: float) -> Asked: ...
-
-    @abstractmethod
     def _take(self, data: bytes, now: float) -> None: ...
 
     @abstractmethod
@@ -581,13 +382,13 @@ class Conversation(ABC):
     @abstractmethod
     def _forget(self, now: float) -> list[Asked]: ...
 
-    def _note_quiet(self, now: float) -> None:  # noqa: B027  # silence means nothing with ids
+    def _note_quiet(self, now: float) -> None:  # silence means nothing with ids
         """Look at what silence has ended, and wake for it."""
 
-    def _doubt(self, batch: Batch, now: float) -> None:  # noqa: B027  # none with ids
+    def _doubt(self, batch: Batch, now: float) -> None:  # none with ids
         """An answer is missing, or turned out to be none."""
 
-    def _follow(self, request: Any) -> None:  # noqa: B027  # most lines stay as they are
+    def _follow(self, request: Any) -> None:  # most lines stay as they are
         """A request was answered; some change the line."""
 
 

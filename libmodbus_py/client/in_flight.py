@@ -9,8 +9,8 @@ from typing import Any
 
 from ..protocol.errors import FrameError, InvalidResponse, ModbusConnectionError, ModbusError
 from ..protocol.framing import Frame, Framer, make_framer, mbap
-from .batch import Asked, Batch
-from .conversation import Conversation, Found, no_answer
+from .batch import Asked, Batch, Found
+from .conversation import Conversation, no_answer
 
 __all__ = ["InFlight"]
 

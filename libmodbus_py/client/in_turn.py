@@ -14,8 +14,8 @@ from ..ports.port import Silence
 from ..protocol.errors import FrameError, InvalidResponse, ModbusError
 from ..protocol.framing import AsciiFramer, Frame, Framer, make_framer
 from ..protocol.pdu import Diagnostics, SubFunction
-from .batch import Asked, Batch
-from .conversation import Conversation, Found, no_answer
+from .batch import Asked, Batch, Found
+from .conversation import Conversation, no_answer
 
 __all__ = ["InTurn"]
 

@@ -15,11 +15,12 @@ from ..ports.sockets import TcpPort, UdpPort
 from ..protocol.checks import integer, seconds
 from ..protocol.framing import is_delimiter
 from .batch import MAX_IN_FLIGHT, Patience, Statistics
-from .conversation import Conversation, Pace
+from .conversation import Conversation
 from .in_flight import InFlight
 from .in_turn import InTurn
 from .reconnecting import OnState, Reconnecting
 from .trace import OnTraced, Trace
+from .turns import Pace
 
 __all__ = ["AsyncOptions", "ContextOptions", "Options", "Parts", "Settings", "assembled"]
 
