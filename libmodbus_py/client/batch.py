@@ -48,7 +48,8 @@ class Statistics:
         invalid: bytes that were no frame, and frames that were no answer.
         connects: connections made.
         failed_connects: attempts that failed.
-        lost: connections that ended by themselves, and those given up as dead.
+        lost: connections that ended by themselves, were given up as dead, or left to a
+            Ctrl-C or a fork.
         last_success: when the last answer that fits came (time.monotonic), or None.
     """
 

@@ -152,6 +152,8 @@ class BlockingDriver:
         self._start_anew()
         gone = ModbusConnectionError("this process was forked off", errno=errno.EBADF)
         self._conversation.interrupted(gone, monotonic())
+        if self._closed:
+            self._waker.close()
 
     def _shut(self) -> None:
         self._port.close()
