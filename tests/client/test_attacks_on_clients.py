@@ -1,0 +1,732 @@
+"""
+What clients must survive: callbacks that raise, forks, threads, closes and cancellation anywhere.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import copy
+import errno
+import gc
+import os
+import pickle
+import random
+import resource
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+from asking import ALL, BLOCKING, NATIVE, answer, asking
+from fake import FakeServer, FakeUnit
+from scripted import Scripted, echo
+from scripted import run as run_watched
+
+from libmodbus_py import (
+    AsyncClient,
+    Context,
+    ModbusConnectionError,
+    ModbusError,
+    ModbusTimeoutError,
+    RtuContext,
+    State,
+    TcpContext,
+    pdu,
+)
+
+LATE = 0.25
+
+
+def tcp(request: bytes) -> list[bytes]:
+    return [answer(request[at : at + 12], "tcp") for at in range(0, len(request), 12)]
+
+
+def rtu(request: bytes) -> list[bytes]:
+    return [answer(request, "rtu")]
+
+
+# --- callbacks ---------------------------------------------------------------------------------
+
+
+class Raised(BaseException):
+    """Neither an Exception nor one that an event loop knows."""
+
+
+@BLOCKING
+@pytest.mark.parametrize("error", [KeyError, KeyboardInterrupt, SystemExit, Raised])
+@pytest.mark.parametrize("hook", ["on_state", "trace"])
+@pytest.mark.parametrize("at", range(4))
+def test_a_hook_that_raises_leaves_a_context_that_works(
+    at: int, hook: str, error: type[BaseException], kind: str
+) -> None:
+    """At its first call, or a later one: connecting, sending, receiving, being lost."""
+    calls = iter(range(1000))
+
+    def fail(*_: object) -> None:
+        if next(calls) == at:
+            raise error
+
+    options: dict[str, Any] = {hook: fail}
+    with FakeServer(tcp, None, tcp) as server:
+        context = TcpContext("127.0.0.1", server.port, native=kind == "native", **options)
+        for address in range(6):
+            with contextlib.suppress(error, ModbusConnectionError):
+                assert context.read_holding_registers(address, 1) == [address]
+        for address in range(3):
+            assert context.read_holding_registers(address, 1) == [address]
+        assert context.state is State.CONNECTED
+        context.close()
+
+
+@pytest.mark.parametrize("hook", ["on_state", "trace"])
+@pytest.mark.parametrize("at", range(4))
+def test_a_hook_that_cancels_leaves_a_client_that_works(at: int, hook: str) -> None:
+    calls = iter(range(1000))
+
+    def fail(*_: object) -> None:
+        if next(calls) == at:
+            raise asyncio.CancelledError
+
+    async def main() -> None:
+        async with Scripted(echo).serving() as server:
+            options: dict[str, Any] = {hook: fail}
+            client = AsyncClient(server.url, timeout=0.2, **options)
+            for address in range(4):
+                with contextlib.suppress(ModbusError, asyncio.CancelledError):
+                    assert await client.read_holding_registers(address, 1) == [address]
+            for address in range(3):
+                assert await client.read_holding_registers(address, 1) == [address]
+            with contextlib.suppress(asyncio.CancelledError):
+                await client.close()
+
+    asyncio.run(asyncio.wait_for(main(), 10))
+
+
+@BLOCKING
+@pytest.mark.parametrize("hook", ["on_state", "trace"])
+@pytest.mark.parametrize("at", range(3))
+def test_a_hook_that_closes_ends_the_request(at: int, hook: str, kind: str) -> None:
+    calls = iter(range(1000))
+
+    def close(*_: object) -> None:
+        if next(calls) == at:
+            context.close()
+
+    options: dict[str, Any] = {hook: close}
+    with FakeServer(tcp) as server:
+        context = TcpContext("127.0.0.1", server.port, native=kind == "native", **options)
+        with contextlib.suppress(ModbusConnectionError):
+            for address in range(3):
+                assert context.read_holding_registers(address, 1) == [address]
+        context.close()
+        with pytest.raises(ModbusConnectionError, match="closed"):
+            context.read_holding_registers(1, 1)
+    assert context.closed
+
+
+@BLOCKING
+@pytest.mark.parametrize("hook", ["on_state", "trace"])
+def test_a_hook_that_asks_is_refused_and_harms_nobody(hook: str, kind: str) -> None:
+    refused: list[BaseException] = []
+
+    def ask(*_: object) -> None:
+        try:
+            context.read_coils(0, 1)
+        except (RuntimeError, ModbusConnectionError) as error:
+            refused.append(error)
+
+    options: dict[str, Any] = {hook: ask}
+    with FakeServer(tcp) as server:
+        context = TcpContext("127.0.0.1", server.port, native=kind == "native", **options)
+        assert context.read_holding_registers(1, 1) == [1]
+        context.close()
+    assert isinstance(refused[0], RuntimeError)
+
+
+class Strange(pdu.ReadHoldingRegisters):
+    """A request whose class has a mistake, which only its caller must meet."""
+
+    mistake: BaseException | object = None
+
+    def decode_response(self, data: bytes) -> Any:
+        if isinstance(self.mistake, BaseException):
+            raise self.mistake
+        return self.mistake
+
+
+@ALL
+@pytest.mark.parametrize(
+    "mistake", [KeyError("x"), ValueError("y"), TypeError("z"), Raised(), None, object()]
+)
+def test_a_mistake_in_a_request_class_is_its_callers(mistake: Any, kind: str) -> None:
+    strange = type("Stranger", (Strange,), {"mistake": mistake})
+    with (
+        FakeServer(tcp) as server,
+        asking(kind, f"tcp://127.0.0.1:{server.port}", timeout=0.5) as client,
+    ):
+        for address in range(5):
+            if isinstance(mistake, BaseException):
+                with pytest.raises(type(mistake)):
+                    client.execute(strange(address, 1))
+            else:
+                assert client.execute(strange(address, 1)) is mistake
+            assert client.read(address) == address
+        assert client.client.statistics.timeouts == 0
+        if not isinstance(mistake, Raised):
+            assert server.connections == 1
+
+
+@ALL
+@pytest.mark.parametrize("encoded", [b"", bytes(254), "text", None, 7])
+def test_a_request_that_encodes_to_nonsense_is_refused(encoded: Any, kind: str) -> None:
+    class Nonsense(pdu.ReadHoldingRegisters):
+        def encode(self) -> Any:
+            return encoded
+
+    with (
+        FakeServer(tcp) as server,
+        asking(kind, f"tcp://127.0.0.1:{server.port}", timeout=0.5) as client,
+    ):
+        assert client.read(1) == 1
+        for _ in range(3):
+            with pytest.raises((TypeError, ValueError)):
+                client.execute(Nonsense(1, 1))
+            assert client.read(2) == 2
+        assert server.connections == 1
+
+
+# --- forks ------------------------------------------------------------------------------------
+
+
+def in_child(act: Callable[[], object]) -> int:
+    """Fork, do it in the child, and give its exit status: 0, 1 for an error, 14 for a hang."""
+    child = os.fork()
+    if child == 0:
+        signal.signal(signal.SIGALRM, signal.SIG_DFL)
+        signal.alarm(10)
+        try:
+            act()
+        except BaseException as error:
+            print(repr(error), file=sys.stderr)
+            os._exit(1)
+        os._exit(0)
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+
+
+@pytest.mark.filterwarnings("ignore:This process:DeprecationWarning")
+@BLOCKING
+def test_a_child_sends_nothing_of_what_its_parent_asks(kind: str) -> None:
+    """The fork comes while another thread writes many things one after the other."""
+    written: list[bytes] = []
+    halfway = threading.Event()
+
+    def slowly(request: bytes) -> Iterator[bytes]:
+        if request[7] == 6:
+            written.append(request[8:12])
+            if len(written) == 5:
+                halfway.set()
+            time.sleep(0.01)
+            yield request
+        else:
+            yield answer(request, "tcp")
+
+    # Each connection has a thread of its own.
+    with Threaded(slowly) as port:
+        context = TcpContext("127.0.0.1", port, native=kind == "native")
+        requests = [pdu.WriteRegister(address, 1) for address in range(40)]
+        writer = threading.Thread(
+            target=context.execute_many, args=(requests,), kwargs={"max_in_flight": 1}
+        )
+        writer.start()
+        halfway.wait()
+
+        def read() -> None:
+            assert context.read_holding_registers(7, 1) == [7]
+
+        assert in_child(read) == 0
+        writer.join()
+        assert len(written) == 40
+        assert context.read_holding_registers(8, 1) == [8]
+        context.close()
+
+
+@pytest.mark.filterwarnings("ignore:This process:DeprecationWarning")
+@BLOCKING
+def test_a_fork_in_a_hook_leaves_both_with_contexts_that_work(kind: str) -> None:
+    statuses: list[int] = []
+
+    def fork(traced: Any) -> None:
+        if traced.direction == "sent" and not statuses:
+            statuses.append(-1)
+            child = os.fork()
+            if child == 0:
+                return
+            statuses[0] = child
+
+    with Threaded(lambda request: [answer(request, "tcp")]) as port:
+        context = TcpContext("127.0.0.1", port, native=kind == "native", trace=fork, timeout=2)
+        parent = os.getpid()
+        try:
+            with contextlib.suppress(ModbusConnectionError):
+                context.read_holding_registers(1, 1)
+            value = context.read_holding_registers(2, 1)
+        finally:
+            if os.getpid() != parent:
+                os._exit(0 if value == [2] else 1)
+        assert value == [2]
+        assert os.waitstatus_to_exitcode(os.waitpid(statuses[0], 0)[1]) == 0
+        context.close()
+
+
+class Threaded:
+    """A server with a thread for each connection."""
+
+    def __init__(self, reply: Callable[[bytes], Any]) -> None:
+        self._reply = reply
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self._thread = threading.Thread(target=self._accept, daemon=True)
+
+    def __enter__(self) -> int:
+        self._thread.start()
+        port: int = self._listener.getsockname()[1]
+        return port
+
+    def __exit__(self, *_: object) -> None:
+        self._listener.shutdown(socket.SHUT_RDWR)
+        self._thread.join()
+        self._listener.close()
+
+    def _accept(self) -> None:
+        with contextlib.suppress(OSError):
+            while True:
+                peer, _ = self._listener.accept()
+                threading.Thread(target=self._talk, args=(peer,), daemon=True).start()
+
+    def _talk(self, peer: socket.socket) -> None:
+        with peer, contextlib.suppress(OSError):
+            while request := peer.recv(12):
+                for piece in self._reply(request):
+                    peer.sendall(piece)
+
+
+# --- threads and tasks --------------------------------------------------------------------------
+
+
+@BLOCKING
+def test_a_hundred_threads_and_a_close(kind: str) -> None:
+    """Each gets its own values until it is told that the client is closed."""
+    with Threaded(lambda request: [answer(request, "tcp")]) as port:
+        for pause in (0.0, 0.002, 0.03):
+            context = TcpContext("127.0.0.1", port, native=kind == "native")
+            outcomes: list[object] = []
+
+            def ask(number: int, context: Context = context, told: list[Any] = outcomes) -> None:
+                try:
+                    for address in range(number, number + 50):
+                        assert context.read_holding_registers(address, 1) == [address]
+                    told.append(None)
+                except BaseException as error:
+                    told.append(error)
+
+            workers = [threading.Thread(target=ask, args=(number,)) for number in range(100)]
+            for worker in workers:
+                worker.start()
+            time.sleep(pause)
+            context.close()
+            for worker in workers:
+                worker.join(5)
+            assert len(outcomes) == 100
+            wrong = [
+                each for each in outcomes if each and not isinstance(each, ModbusConnectionError)
+            ]
+            assert not wrong
+
+
+def test_cancelled_at_each_step_of_the_loop_nobody_else_notices() -> None:
+    """Whatever the request waits for: the connection, its slot, its answer."""
+
+    async def main() -> None:
+        async with Scripted(echo).serving() as server:
+            for kept in (True, False):
+                for steps in range(12):
+                    async with AsyncClient(server.url, max_in_flight=2, timeout=2) as client:
+                        if not kept:
+                            server.drop_all()
+                        others = [
+                            asyncio.create_task(client.read_holding_registers(address, 1))
+                            for address in range(3)
+                        ]
+                        batch = asyncio.create_task(
+                            client.execute_many(
+                                [pdu.ReadHoldingRegisters(address, 1) for address in range(256)],
+                                max_in_flight=256,
+                            )
+                        )
+                        last = asyncio.create_task(client.read_holding_registers(9, 1))
+                        for _ in range(steps):
+                            await asyncio.sleep(0)
+                        batch.cancel()
+                        got = await asyncio.gather(*others, last, return_exceptions=True)
+                        if kept:
+                            assert got == [[0], [1], [2], [9]]
+                        with contextlib.suppress(asyncio.CancelledError, ModbusConnectionError):
+                            assert len(await batch) == 256
+                        assert await client.read_holding_registers(5, 1) == [5]
+
+    run_watched(main())
+
+
+def test_random_cancellation_and_timeouts_of_many_tasks() -> None:
+    chance = random.Random(5)
+
+    def slowly(request: bytes, write: Callable[[bytes], None]) -> None:
+        delay = chance.choice([0, 0, 0.001, 0.01, 0.05])
+        asyncio.get_running_loop().call_later(delay, lambda: write(answer(request, "tcp")))
+
+    async def one(client: AsyncClient) -> None:
+        for _ in range(20):
+            address = chance.randrange(1000)
+            with contextlib.suppress(TimeoutError, ModbusError):
+                async with asyncio.timeout(chance.choice([0, 0.0005, 0.005, 0.03, 1])):
+                    got = await client.read_holding_registers(address, 1)
+                    assert got == [address]
+
+    async def main() -> None:
+        async with (
+            Scripted(slowly).serving() as server,
+            AsyncClient(server.url, timeout=0.04) as client,
+        ):
+            await asyncio.wait_for(asyncio.gather(*(one(client) for _ in range(30))), 30)
+            client.timeout = 1
+            assert await client.read_holding_registers(77, 1) == [77]
+
+    run_watched(main())
+
+
+@ALL
+def test_handles_with_their_own_timeouts_share_a_connection(kind: str) -> None:
+    def two_units(request: bytes) -> Iterator[bytes]:
+        if request[6] == 1:
+            yield answer(request, "tcp")
+
+    with (
+        FakeServer(two_units) as server,
+        asking(
+            kind,
+            f"tcp://127.0.0.1:{server.port}",
+            timeout=2,
+            timeouts_before_reconnect=1000,
+        ) as client,
+    ):
+        quick = client.for_unit(2, timeout=0.05, retries=1)
+        for address in range(4):
+            assert client.read(address) == address
+            start = time.monotonic()
+            with pytest.raises(ModbusTimeoutError):
+                quick.read(address)
+            assert 0.09 < time.monotonic() - start < 0.1 + LATE
+        assert server.connections == 1
+
+
+# --- peers ----------------------------------------------------------------------------------------
+
+
+def closing(request: bytes) -> Iterator[bytes]:
+    yield answer(request, "tcp")
+    raise OSError
+
+
+@ALL
+def test_a_server_that_closes_after_each_answer_costs_no_request(kind: str) -> None:
+    with (
+        FakeServer(closing) as server,
+        asking(kind, f"tcp://127.0.0.1:{server.port}", retries=1) as client,
+    ):
+        for address in range(30):
+            assert client.read(address) == address
+        assert server.connections >= 30
+
+
+@ALL
+@pytest.mark.parametrize("retries", [0, 3])
+def test_a_server_that_closes_at_once_is_an_error_soon(retries: int, kind: str) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+
+        def slam() -> None:
+            with contextlib.suppress(OSError):
+                while True:
+                    listener.accept()[0].close()
+
+        thread = threading.Thread(target=slam, daemon=True)
+        thread.start()
+        url = f"tcp://127.0.0.1:{listener.getsockname()[1]}"
+        start = time.monotonic()
+        with (
+            contextlib.suppress(ModbusConnectionError),
+            asking(kind, url, timeout=0.3, retries=retries) as client,
+        ):
+            for _ in range(3):
+                with pytest.raises(ModbusError):
+                    client.read(1)
+        assert time.monotonic() - start < 3 * (1 + retries) * 0.3 + LATE
+        listener.shutdown(socket.SHUT_RDWR)
+        thread.join()
+
+
+@ALL
+def test_one_timeout_before_reconnecting_and_retries(kind: str) -> None:
+    """The first connection is dumb; the request is repeated on the second."""
+
+    class Dumb:
+        requests = 0
+
+        def __call__(self, request: bytes) -> list[bytes]:
+            self.requests += 1
+            return [] if self.requests == 2 else [answer(request, "tcp")]
+
+    with (
+        FakeServer(Dumb()) as server,
+        asking(
+            kind,
+            f"tcp://127.0.0.1:{server.port}",
+            timeout=0.1,
+            retries=1,
+            timeouts_before_reconnect=1,
+        ) as client,
+    ):
+        assert client.read(1) == 1
+        assert client.read(2) == 2
+        assert client.read(3) == 3
+        assert server.connections == 2
+        assert client.client.statistics.retries == 1
+
+
+@ALL
+def test_a_udp_port_that_goes_away_in_the_middle_and_comes_back(kind: str) -> None:
+    def bound(port: int = 0) -> socket.socket:
+        made = socket.socket(type=socket.SOCK_DGRAM)
+        made.bind(("127.0.0.1", port))
+        made.settimeout(2)
+        return made
+
+    def serve(server: socket.socket, count: int) -> None:
+        for _ in range(count):
+            request, peer = server.recvfrom(300)
+            server.sendto(answer(request, "udp"), peer)
+
+    server = bound()
+    port = server.getsockname()[1]
+    with asking(kind, f"udp://127.0.0.1:{port}", timeout=0.3) as client:
+        for times in range(3):
+            with server:
+                thread = threading.Thread(target=serve, args=(server, 3))
+                thread.start()
+                answered = 0
+                while answered < 3:
+                    with contextlib.suppress(ModbusError):
+                        assert client.read(times) == times
+                        answered += 1
+                thread.join()
+            for _ in range(2):
+                with pytest.raises(ModbusError):
+                    client.read(9)
+            server = bound(port)
+        server.close()
+
+
+# --- the process ----------------------------------------------------------------------------------
+
+
+@ALL
+@pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp", "udp", "rtu", "ascii"])
+def test_descriptors_beyond_1023(scheme: str, kind: str) -> None:
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if hard != resource.RLIM_INFINITY and hard < 2048:
+        pytest.skip("this system allows no more descriptors")
+    resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, 2048), hard))
+    held: list[int] = []
+    with contextlib.ExitStack() as stack:
+        if scheme in ("rtu", "ascii"):
+            unit = stack.enter_context(FakeUnit(lambda request: [answer(request, scheme)]))
+            url = f"{scheme}://{unit.path}?baudrate=115200"
+        elif scheme == "udp":
+            server = stack.enter_context(socket.socket(type=socket.SOCK_DGRAM))
+            server.bind(("127.0.0.1", 0))
+            url = f"udp://127.0.0.1:{server.getsockname()[1]}"
+
+            def serve() -> None:
+                for _ in range(3):
+                    request, peer = server.recvfrom(300)
+                    server.sendto(answer(request, "udp"), peer)
+
+            threading.Thread(target=serve, daemon=True).start()
+        else:
+            fake = stack.enter_context(FakeServer(lambda request: [answer(request, scheme)]))
+            url = f"{scheme}://127.0.0.1:{fake.port}"
+            with socket.create_connection(("127.0.0.1", fake.port)):
+                pass  # its own descriptors are below
+        try:
+            while not held or held[-1] < 1030:
+                held.append(os.dup(0))
+            with asking(kind, url) as client:
+                assert client.client._driver._port.descriptor > 1023
+                for address in range(3):
+                    assert client.read(address) == address
+        finally:
+            for descriptor in held:
+                os.close(descriptor)
+
+
+LEFT_OPEN = """
+import asyncio, sys
+from libmodbus_py import AsyncClient, Context
+url, how = sys.argv[1:]
+contexts = [Context.from_url(url, native=native) for native in (True, False)]
+for context in contexts:
+    context.read_coils(0, 1)
+if how == "circle":
+    contexts.append(contexts)
+    context.me = contexts
+async def main():
+    global client, waiting
+    client = AsyncClient(url)
+    await client.read_coils(0, 1)
+    if how == "waiting":
+        waiting = asyncio.ensure_future(client.read_coils(1, 1))
+        await asyncio.sleep(0)
+asyncio.run(main())
+"""
+
+
+@pytest.mark.parametrize("how", ["globals", "circle", "waiting"])
+@pytest.mark.parametrize("warn", [True, False])
+def test_a_program_that_ends_with_open_clients_ends_quietly(warn: bool, how: str) -> None:
+    command = [sys.executable, "-m", "libmodbus_py", "serve", "tcp://127.0.0.1:0"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
+        assert server.stdout is not None
+        try:
+            url = server.stdout.readline().split()[-1]
+            options = ["-W", "default"] if warn else []
+            done = subprocess.run(
+                [sys.executable, *options, "-c", LEFT_OPEN, url, how],
+                capture_output=True,
+                text=True,
+                timeout=30,
+                check=False,
+            )
+        finally:
+            server.kill()
+    assert done.returncode == 0
+    lines = [line for line in done.stderr.splitlines() if "ResourceWarning" not in line]
+    if not warn:
+        assert lines == []
+    assert "Exception ignored" not in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+@NATIVE
+def test_no_descriptor_or_thread_is_left_by_clients_of_any_fate(native: bool) -> None:
+    with FakeServer(tcp) as server, FakeUnit(rtu) as unit:
+
+        def live() -> None:
+            TcpContext("127.0.0.1", server.port, native=native)
+            forgotten = TcpContext("127.0.0.1", server.port, native=native)
+            forgotten.read_holding_registers(1, 1)
+            del forgotten
+            forgotten_line = RtuContext(unit.path, 115200, native=native)
+            forgotten_line.read_holding_registers(1, 1)
+            del forgotten_line
+            with TcpContext("127.0.0.1", server.port, native=native) as context:
+                context.read_holding_registers(1, 1)
+            with contextlib.suppress(ModbusConnectionError):
+                TcpContext("127.0.0.1", 1, native=native).connect()
+            with contextlib.suppress(ModbusConnectionError):
+                RtuContext("/dev/null", native=native).connect()
+            with contextlib.suppress(ModbusConnectionError):
+                TcpContext("nobody.invalid", timeout=0.5, native=native).connect()
+            gc.collect()
+
+        live()
+        time.sleep(0.05)
+        before = len(os.listdir("/proc/self/fd")), threading.active_count()
+        for _ in range(3):
+            live()
+        time.sleep(0.05)
+        after = len(os.listdir("/proc/self/fd")), threading.active_count()
+        assert after <= before
+
+
+@ALL
+def test_too_many_open_files_is_a_connection_error_and_passes(kind: str) -> None:
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    with (
+        FakeServer(closing) as server,
+        asking(kind, f"tcp://127.0.0.1:{server.port}", retries=0) as client,
+    ):
+        assert client.read(1) == 1
+        time.sleep(0.02)
+        # The end of the connection is seen then, and the next one cannot be made.
+        resource.setrlimit(resource.RLIMIT_NOFILE, (3, hard))
+        try:
+            failed = [caught(client.read, 2) for _ in range(2)]
+        finally:
+            resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+        assert [type(each) for each in failed] == [ModbusConnectionError] * 2
+        assert failed[0].errno == errno.EMFILE
+        assert client.read(3) == 3
+
+
+def caught(act: Callable[..., object], *args: Any) -> Any:
+    try:
+        act(*args)
+    except ModbusError as error:
+        return error
+    return None
+
+
+@ALL
+def test_clients_can_be_neither_pickled_nor_copied_deeply(kind: str) -> None:
+    with FakeServer(tcp) as server, asking(kind, f"tcp://127.0.0.1:{server.port}") as client:
+        for spoil in (pickle.dumps, copy.deepcopy):
+            with pytest.raises(TypeError):
+                spoil(client.client)
+        assert client.read(5) == 5
+
+
+def test_errors_survive_pickling() -> None:
+    with (
+        FakeServer(lambda request: []) as server,
+        asking("native", f"tcp://127.0.0.1:{server.port}", timeout=0.05) as client,
+    ):
+        with pytest.raises(ModbusTimeoutError) as caught:
+            client.read(1)
+        again = pickle.loads(pickle.dumps(caught.value))
+        assert repr(again) == repr(caught.value)
+        assert again.endpoint == caught.value.endpoint
+
+
+def test_the_debug_mode_of_asyncio_finds_nothing() -> None:
+    async def main() -> None:
+        asyncio.get_running_loop().slow_callback_duration = 1
+        with FakeUnit(rtu) as unit:
+            async with (
+                Scripted(echo).serving() as server,
+                AsyncClient(server.url) as client,
+                AsyncClient(f"rtu://{unit.path}?baudrate=115200") as line,
+            ):
+                reads = (client.read_holding_registers(address, 1) for address in range(40))
+                assert await asyncio.gather(*reads) == [[address] for address in range(40)]
+                for address in range(5):
+                    assert await line.read_holding_registers(address, 1) == [address]
+                server.drop_all()
+                with contextlib.suppress(ModbusConnectionError):
+                    await client.read_holding_registers(1, 1)
+                assert await client.read_holding_registers(2, 1) == [2]
+
+    asyncio.run(main(), debug=True)
