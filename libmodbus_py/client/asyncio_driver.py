@@ -265,11 +265,11 @@ class AsyncioDriver:
         self._retry = None
         if not self._conversation.is_wanted:
             return
-        self._connection.connecting()
         opening = self._port.opening(monotonic() + self._patience.timeout)
         self._attempt = self._loop.create_task(run_async(opening))
         # Not in the task itself, for one that is cancelled early never begins.
         self._attempt.add_done_callback(self._end_attempt)
+        self._connection.connecting()
 
     def _end_attempt(self, attempt: asyncio.Task[None]) -> None:
         self._attempt = None

@@ -28,6 +28,8 @@ __all__ = ["BlockingDriver"]
 # How long `close` waits for another thread to leave a connection that it was told to leave.
 LEAVING = 1.0
 
+FORKED = "this process was forked off"
+
 # Silence on a line is shorter than the milliseconds that poll counts.
 SLEPT = 0.005
 
@@ -70,13 +72,14 @@ class BlockingDriver:
         Raises:
             RuntimeError: from within a request of the same thread.
         """
-        with self._lock:
+        lock = self._lock
+        with lock:
             self._check_turn()
             # Nothing may come between here and the end that a Ctrl-C could skip.
             try:
                 self._is_busy = True
                 self._conversation.add(batch, monotonic())
-                self._drive(batch)
+                self._drive(batch, lock)
             except Exception:
                 raise
             except BaseException:  # Ctrl-C: who knows what went out
@@ -95,7 +98,8 @@ class BlockingDriver:
             ModbusError: what became of it.
             TypeError, ValueError, RuntimeError: nothing was sent.
         """
-        with self._lock:
+        lock = self._lock
+        with lock:
             self._check_turn()
             try:
                 self._is_busy = True
@@ -110,7 +114,7 @@ class BlockingDriver:
                 else:
                     batch = Batch(unit, [request], patience, is_broadcast=broadcast)
                     self._conversation.add(batch, monotonic())
-                self._drive(batch)
+                self._drive(batch, lock)
             except Exception:
                 raise
             except BaseException:
@@ -150,7 +154,7 @@ class BlockingDriver:
         self._port.abandon()
         self._waker.renew()
         self._start_anew()
-        gone = ModbusConnectionError("this process was forked off", errno=errno.EBADF)
+        gone = ModbusConnectionError(FORKED, errno=errno.EBADF)
         self._conversation.interrupted(gone, monotonic())
         if self._closed:
             self._waker.close()
@@ -163,9 +167,11 @@ class BlockingDriver:
 
     # --- one batch ------------------------------------------------------------------------
 
-    def _drive(self, batch: Batch) -> None:
+    def _drive(self, batch: Batch, lock: threading.RLock) -> None:
         try:
             while not batch.is_done:
+                if lock is not self._lock:  # a callback or a signal handler forked
+                    raise ModbusConnectionError(FORKED, errno=errno.EBADF, unit=batch.unit)
                 self._step(batch)
             self._turn_line()
         except Woken:

@@ -92,7 +92,6 @@ class Conversation(Turns):
         self.is_flooded = False
         if self._pace.connect_delay:
             self._next_start = now + self._pace.connect_delay
-        self.connection.opened()
         waiting, self._queue = self._queue, deque()
         for batch in waiting:
             batch.used = now - batch.since
@@ -101,16 +100,21 @@ class Conversation(Turns):
                 self._queue.append(batch)
             else:
                 batch.finish()
+        self.connection.opened()
 
     def failed(self, error: ModbusConnectionError, now: float) -> None:
         """It could not be made: nobody who waits for it gets it."""
-        self.connection.failed(error, now)
-        self.refuse(error)
+        try:
+            self.connection.failed(error, now)
+        finally:  # whatever who is told of it raises
+            self.refuse(error)
 
     def lost(self, error: ModbusConnectionError, now: float, *, by_itself: bool = True) -> None:
         """It ended: what is in flight fails, the queue waits for the next one."""
-        self.connection.lost(error, now, by_itself=by_itself)
-        self._fail_all(error, now)
+        try:
+            self.connection.lost(error, now, by_itself=by_itself)
+        finally:
+            self._fail_all(error, now)
         # Each that was given up as dead took its time, and the next one may be alive.
         if by_itself and self.connection.fruitless >= LOSSES_BEFORE_END:
             self.refuse(error)
@@ -122,9 +126,11 @@ class Conversation(Turns):
 
     def closed(self, error: ModbusConnectionError, now: float) -> None:
         """There will never be another one: all fails."""
-        self.connection.close()
-        self._fail_all(error, now)
-        self.refuse(error)
+        try:
+            self.connection.close()
+        finally:
+            self._fail_all(error, now)
+            self.refuse(error)
 
     def interrupted(self, error: ModbusConnectionError, now: float) -> None:
         """Whoever asked is gone, in the midst of anything: nothing of it must be sent later."""

@@ -69,7 +69,11 @@ class SocketPort(Port):
         for number, (family, kind, protocol, _, address) in enumerate(addresses):
             now = time.monotonic()
             share = now + (deadline - now) / (len(addresses) - number)
-            made = socket.socket(family, kind, protocol)
+            try:  # a system may lack the family of an address, or have no descriptor left
+                made = socket.socket(family, kind, protocol)
+            except OSError as error:
+                last = error
+                continue
             try:
                 yield from _connecting(made, address, share)
             except OSError as error:
