@@ -96,10 +96,13 @@ def reads(count: int) -> list[pdu.Request[Any]]:
     return [pdu.ReadHoldingRegisters(address, 1) for address in range(count)]
 
 
-def unused_port() -> int:
+@pytest.fixture
+def refused_port() -> Iterator[int]:
+    """Where nobody listens, and nobody else will: its socket hears another one only."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as made:
         made.bind(("127.0.0.1", 0))
-        return int(made.getsockname()[1])
+        made.connect(made.getsockname())
+        yield int(made.getsockname()[1])
 
 
 # --- what is asked for comes back ----------------------------------------------------------
@@ -345,8 +348,10 @@ def test_answers_that_came_before_the_port_closed_are_kept(connect: Connect) -> 
 # --- the port ------------------------------------------------------------------------------
 
 
-def test_port_where_nobody_listens_is_a_connection_error_at_once(connect: Connect) -> None:
-    with connect(f"udp://127.0.0.1:{unused_port()}", timeout=5) as context:
+def test_port_where_nobody_listens_is_a_connection_error_at_once(
+    connect: Connect, refused_port: int
+) -> None:
+    with connect(f"udp://127.0.0.1:{refused_port}", timeout=5) as context:
         start = time.monotonic()
         for _ in range(3):
             with pytest.raises(ModbusConnectionError) as caught:
@@ -378,13 +383,13 @@ def test_name_that_does_not_resolve(connect: Connect, host: str) -> None:
     assert caught.value.__cause__ is not None
 
 
-def test_no_descriptor_is_left_behind(connect: Connect) -> None:
+def test_no_descriptor_is_left_behind(connect: Connect, refused_port: int) -> None:
     def use(port: int) -> None:
         with connect(f"udp://127.0.0.1:{port}") as context:
             context.read_holding_registers(1, 1)
         UdpContext("127.0.0.1", port).read_holding_registers(1, 1)  # forgotten, not closed
         with pytest.raises(ModbusConnectionError):
-            connect(f"udp://127.0.0.1:{unused_port()}").read_coils(0, 1)
+            connect(f"udp://127.0.0.1:{refused_port}").read_coils(0, 1)
         gc.collect()
 
     with FakeUdpServer(good) as server:

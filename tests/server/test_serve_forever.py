@@ -24,6 +24,8 @@ HEAD = """
 import logging, signal, sys, threading
 from libmodbus_py import Device, Mapping, Server
 
+# A shell that runs the tests in the background has SIGINT ignored.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 server = Server(Device(Mapping(holding_registers={7: [555]})))
 """
 
