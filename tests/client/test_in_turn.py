@@ -383,6 +383,7 @@ def test_a_flood_on_an_idle_line_is_noted_and_forgotten_when_somebody_asks() -> 
     assert talk.conversation.is_flooded
     assert talk.conversation.broken is None  # a port is not opened anew for that
     batch = talk.ask(1)
+    talk.wait(0.03)  # the line must have been quiet for a moment
     assert not talk.conversation.is_flooded
     talk.come(value(1))
     assert batch.outcomes == [[1]]
