@@ -6,12 +6,14 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import fcntl
 import gc
 import os
 import signal
 import socket
 import subprocess
 import sys
+import termios
 import threading
 import time
 import tracemalloc
@@ -29,7 +31,6 @@ from libmodbus_py import (
     AsyncClient,
     Context,
     Device,
-    FrameError,
     Mapping,
     ModbusConnectionError,
     ModbusError,
@@ -682,7 +683,7 @@ def test_ctrl_c_at_any_moment_fails_no_later_request(place: str, native: bool) -
 @pytest.mark.parametrize("scheme", ["ascii+tcp", "ascii"])
 def test_an_accepted_delimiter_is_followed_and_a_restart_ends_it(scheme: str, kind: str) -> None:
     with contextlib.ExitStack() as stack:
-        server = Server(Device(Mapping(holding_registers={3: [42]})))
+        server = Server(Device(Mapping(holding_registers=10)))
         if scheme == "ascii":
             wire = stack.enter_context(SerialWire())
             stack.enter_context(server.background(f"ascii://{wire.server}?baudrate=115200"))
@@ -690,7 +691,7 @@ def test_an_accepted_delimiter_is_followed_and_a_restart_ends_it(scheme: str, ki
         else:
             url = stack.enter_context(server.background("ascii+tcp://127.0.0.1:0")).urls[0]
         client = stack.enter_context(asking(kind, url))
-        assert client.read(3) == 42
+        client.write_register(3, 42)
         client.diagnostics(3, 0x2100)
         assert client.read(3) == 42
         client.diagnostics(3, 0x2400)
@@ -902,45 +903,48 @@ def test_the_framer_of_rtu_costs_little_for_each_byte(pattern: bytes) -> None:
 
 
 @ALL
-def test_a_byte_before_each_request_does_not_reopen_the_port(kind: str) -> None:
-    """As a line picks up while nobody talks."""
-    states: list[State] = []
+def test_a_byte_right_behind_a_flush_does_not_reopen_the_port(
+    kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As a line picks up while nobody talks; each opening locks the port."""
+    lock, flush, locks = fcntl.flock, termios.tcflush, []
+
+    def counted(*args: Any) -> None:
+        locks.append(args)
+        lock(*args)
+
+    def followed(*args: Any) -> None:
+        flush(*args)
+        unit.write(b"\x00")
+        time.sleep(0.002)
+
+    monkeypatch.setattr(fcntl, "flock", counted)
     with (
         FakeUnit(lambda request: [rtu(request)]) as unit,
-        asking(kind, f"rtu://{unit.path}?baudrate=115200", timeout=0.1) as client,
+        asking(kind, f"rtu://{unit.path}?baudrate=115200") as client,
     ):
-        client.client._connection._on_state = lambda state, error: states.append(state)
-        over = threading.Event()
-
-        def chatter() -> None:
-            while not over.wait(0.003):
-                unit.write(b"\x00")
-
-        assert client.read(1) == 1
-        thread = threading.Thread(target=chatter)
-        thread.start()
-        try:
-            for address in range(40):
-                with contextlib.suppress(FrameError, ModbusTimeoutError):
-                    assert client.read(address) == address
-        finally:
-            over.set()
-            thread.join()
-        assert states == []
+        monkeypatch.setattr(termios, "tcflush", followed)
+        for address in range(10):
+            unit.write(b"\x00")
+            time.sleep(0.003)
+            assert client.read(address) == address
+        assert len(locks) == 1
+        assert client.client.state is State.CONNECTED
+        assert client.client.statistics.lost == 0
 
 
 @ALL
 def test_a_dead_unit_costs_its_timeout_once_in_each_round(kind: str) -> None:
     def nine_live(request: bytes) -> Iterator[bytes]:
         if request[0] != 5:
-            time.sleep(0.025)
+            time.sleep(0.06)
             yield rtu(request)
 
     with (
         FakeUnit(nine_live) as unit,
-        asking(kind, f"rtu://{unit.path}?baudrate=115200", timeout=0.2) as client,
+        asking(kind, f"rtu://{unit.path}?baudrate=115200", timeout=0.5) as client,
     ):
-        for _ in range(3):
+        for _ in range(2):
             start = time.monotonic()
             for number in range(1, 11):
                 one = client.for_unit(number)
@@ -949,7 +953,7 @@ def test_a_dead_unit_costs_its_timeout_once_in_each_round(kind: str) -> None:
                         one.read(1)
                 else:
                     assert one.read(number) == number
-            assert time.monotonic() - start < 0.2 + 9 * 0.025 + LATE
+            assert time.monotonic() - start < 0.5 + 9 * 0.06 + LATE
 
 
 @ALL
