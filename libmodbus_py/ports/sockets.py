@@ -28,6 +28,9 @@ READ_SIZE = 16_384
 # Datagrams taken in one turn.
 DATAGRAMS = 64
 
+# Of each, more than a frame has, and no more than an error can carry.
+DATAGRAM_SIZE = 600
+
 
 class SocketPort(Port):
     """
@@ -209,7 +212,7 @@ class UdpPort(SocketPort):
         datagrams: list[bytes] = []
         try:
             while len(datagrams) < DATAGRAMS:
-                datagrams.append(self._socket.recv(READ_SIZE))
+                datagrams.append(self._socket.recv(DATAGRAM_SIZE))
         except BlockingIOError:
             pass
         except OSError as error:
