@@ -8,7 +8,6 @@ The drivers wait and read for it, and call it with bytes and times (time.monoton
 
 from __future__ import annotations
 
-import math
 from abc import abstractmethod
 from collections import deque
 from typing import Any
@@ -29,15 +28,12 @@ from .hints import explain, shown
 from .reconnecting import State
 from .turns import Turns
 
-__all__ = ["MAX_UNASKED", "Conversation", "no_answer"]
+__all__ = ["Conversation", "no_answer"]
 
 BUSY = (Acknowledge, ServerDeviceBusy)
 
 # A host that drops connections unanswered will do so again: then all who wait fail.
 LOSSES_BEFORE_END = 3
-
-# So many bytes that nobody asked for, and whoever sends them floods.
-MAX_UNASKED = 1 << 16
 
 
 class Conversation(Turns):
@@ -85,11 +81,9 @@ class Conversation(Turns):
 
     def opened(self, now: float) -> None:
         """It stands."""
-        self.broken = None
+        self._begin_anew()
         self._restart(now)
         self._framer = self._make_framer()
-        self._unanswered = self._unasked = 0
-        self.is_flooded = False
         if self._pace.connect_delay:
             self._next_start = now + self._pace.connect_delay
         waiting, self._queue = self._queue, deque()
@@ -136,14 +130,14 @@ class Conversation(Turns):
         """Whoever asked is gone, in the midst of anything: nothing of it must be sent later."""
         self._queue, self._repeats, self._found = deque(), [], []
         self._restart(now)
-        self.broken = None
+        self._begin_anew()
         if self.connection.is_open:
             self.connection.lost(error, now, by_itself=False)
         elif self.connection.state is State.CONNECTING:
             self.connection.given_up()
 
     def _fail_all(self, error: ModbusConnectionError, now: float) -> None:
-        self.broken = None
+        self._begin_anew()
         for asked in self._restart(now):
             self._found.append((asked, alike(error)))
         self.settle(now)
@@ -280,7 +274,7 @@ class Conversation(Turns):
 
     def tick(self, now: float) -> None:
         """Give up what has been waited for too long; `settle` tells the callers."""
-        self.alarm = math.inf
+        self._be_still()
         before = len(self._found)
         self._note_quiet(now)
         self._end_silent(now)
@@ -333,12 +327,6 @@ class Conversation(Turns):
         """Somebody is there."""
         self._unanswered = 0
         self._answered_at = now
-
-    def _note_unasked(self, size: int) -> None:
-        self._unasked += size
-        self.is_flooded = self._unasked > MAX_UNASKED
-        if self.is_flooded and self._is_socket:
-            self.broken = ModbusConnectionError("flooded with what nobody asked for")
 
     def _restart(self, now: float) -> list[Asked]:
         """Give what was in flight, and begin anew on another connection."""

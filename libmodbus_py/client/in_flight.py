@@ -7,7 +7,7 @@ from __future__ import annotations
 import copy
 from typing import Any
 
-from ..protocol.errors import FrameError, InvalidResponse, ModbusConnectionError, ModbusError
+from ..protocol.errors import FrameError, InvalidResponse, ModbusError
 from ..protocol.framing import Frame, Framer, make_framer, mbap
 from .batch import Asked, Batch, Found
 from .conversation import Conversation, no_answer
@@ -136,8 +136,7 @@ class InFlight(Conversation):
         if self._trace.is_on:
             self._trace.tell("received", error.received)
         if not self._framer.in_step:
-            if self.broken is None:
-                self.broken = ModbusConnectionError("closed, for what came cannot be understood")
+            self._break("closed, for what came cannot be understood")
             asked, self._asked = self._asked, {}
             for each in asked.values():
                 self._found.append((each, copy.copy(error)))

@@ -18,6 +18,9 @@ from .trace import Trace
 
 __all__ = ["Pace", "Turns"]
 
+# So many bytes that nobody asked for, and whoever sends them floods.
+MAX_UNASKED = 1 << 16
+
 
 @dataclass(frozen=True, slots=True)
 class Pace:
@@ -101,7 +104,7 @@ class Turns(ABC):
             return []  # what came on a line belongs to the request that it answers
         if self._is_spent():
             if self.is_idle:
-                self.broken = ModbusConnectionError("given up for a new connection")
+                self._break("given up for a new connection")
             return []
         if now < self._next_start:
             self._wake(self._next_start)
@@ -211,6 +214,26 @@ class Turns(ABC):
     def _wake(self, at: float) -> None:
         if at < self.alarm:
             self.alarm = at
+
+    def _be_still(self) -> None:
+        self.alarm = math.inf
+
+    def _note_unasked(self, size: int) -> None:
+        self._unasked += size
+        self.is_flooded = self._unasked > MAX_UNASKED
+        if self.is_flooded and self._is_socket:
+            self._break("flooded with what nobody asked for")
+
+    def _break(self, reason: str) -> None:
+        """Have the connection closed for a new one."""
+        if self.broken is None:
+            self.broken = ModbusConnectionError(reason)
+
+    def _begin_anew(self) -> None:
+        """On another connection."""
+        self.broken = None
+        self.is_flooded = False
+        self._unanswered = self._unasked = 0
 
     @abstractmethod
     def _make_framer(self) -> Framer: ...
