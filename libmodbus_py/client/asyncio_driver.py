@@ -132,7 +132,8 @@ class AsyncioDriver:
             if conversation.is_idle and conversation.is_wanted and self._port.has_input():
                 self._read()
             self._send(now)
-            self._send(now)
+            if conversation.is_wanted:
+                self._send(now)
         if conversation.broken is not None:
             self._lose(conversation.broken, by_itself=False)
         self._set_timer()
@@ -146,7 +147,8 @@ class AsyncioDriver:
         except ModbusConnectionError as error:
             self._lose(error)
             return
-        self._follow_port(now)
+        if self._port.has_unsent or self._is_writing or self._port.resume_at is not None:
+            self._follow_port(now)
         if not self._is_reading:
             self._read_on()
 
@@ -184,15 +186,14 @@ class AsyncioDriver:
         except ModbusConnectionError as error:
             self._lose(error)
             return
-        answered = False
         for data in chunks:
-            answered = conversation.take(data, now) or answered
+            conversation.take(data, now)
         if not conversation.is_idle:
             self._port.acknowledge()
         elif conversation.is_flooded:
             self._pause_reading()
         # Half of the next go out before these are decoded, so that the server has work.
-        if answered and conversation.broken is None:
+        if conversation.is_wanted:
             self._send(now)
         conversation.settle(now)
 

@@ -193,7 +193,8 @@ class BlockingDriver:
             if conversation.is_idle and self._port.has_input():
                 self._look(now)
             self._send(now)
-            self._send(now)
+            if conversation.is_wanted:
+                self._send(now)
             if not (batch.is_done or conversation.broken):
                 self._wait(now)
         except ModbusConnectionError as error:
@@ -245,12 +246,12 @@ class BlockingDriver:
     def _receive(self) -> None:
         conversation = self._conversation
         now = monotonic()
-        answered = False
         for data in self._port.receive():
-            answered = conversation.take(data, now) or answered
+            conversation.take(data, now)
         if not conversation.is_idle:
             self._port.acknowledge()
-        if answered and conversation.broken is None:
+        # Before these are decoded, so that the server has work meanwhile.
+        if conversation.is_wanted:
             self._send(now)
 
     def _lose(self, error: ModbusConnectionError, *, by_itself: bool) -> None:

@@ -170,13 +170,12 @@ class Conversation(Turns):
 
     # --- bytes ------------------------------------------------------------------------------
 
-    def take(self, data: bytes, now: float) -> bool:
-        """Take received bytes; says whether they settle anything, and slots are free again."""
+    def take(self, data: bytes, now: float) -> None:
+        """Take received bytes; slots may be free again."""
         before = len(self._found)
         self._take(data, now)
         for asked, what in self._found[before:]:
             self._free(asked, what)
-        return len(self._found) > 0
 
     def _free(self, asked: Asked, what: Found) -> None:
         """Give back the slot, and the place in its batch, unless its next one depends on it."""
@@ -202,7 +201,8 @@ class Conversation(Turns):
             if not batch.is_done:
                 self._conclude(asked, what, now)
         if self.statistics.responses > before:
-            self.connection.prove()
+            if self.connection.fruitless:
+                self.connection.prove()
             self.statistics.last_success = now
 
     def _conclude(self, asked: Asked, what: Found, now: float) -> None:
