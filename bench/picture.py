@@ -22,6 +22,7 @@ from cells import (
     SERVER,
     TO_OURS,
     Key,
+    before,
 )
 from matplotlib.axes import Axes
 from report import Report, machine
@@ -50,7 +51,7 @@ def draw(report: Report, file: Path) -> None:
         ]
         for load in SERVER_LOADS
     }
-    drawn = {title: keys for title, keys in panels.items() if keys}
+    drawn = {title: of_today(keys) for title, keys in panels.items() if keys}
     if not drawn:
         raise SystemExit("nothing to draw: blocking, bulk and servers were left out")
     heights = [len(keys) + 1.5 for keys in drawn.values()]
@@ -71,6 +72,12 @@ def draw(report: Report, file: Path) -> None:
     )
     figure.savefig(file, dpi=120)
     plt.close(figure)
+
+
+def of_today(keys: list[Key]) -> list[Key]:
+    """The state before is for the table that compares."""
+    past = {before(key.name) for key in keys}
+    return [key for key in keys if key.name not in past]
 
 
 def draw_panel(axes: Axes, title: str, results: Results, keys: list[Key]) -> None:
