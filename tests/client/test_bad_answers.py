@@ -26,7 +26,7 @@ from libmodbus_py import (
 
 GOOD = b"\x03\x06\x02\x2b\x00\x00\x00\x64"
 VALUES = [555, 0, 100]
-TIMEOUT = 0.15
+TIMEOUT = 0.25
 
 
 def good_tcp(request: bytes) -> list[bytes]:

@@ -64,7 +64,7 @@ def serving(scheme: str, faults: dict[int | None, list[Fault]], **devices: Any) 
         yield running.urls[0] if scheme.endswith("tcp") else client
 
 
-def client_of(url: str, unit: int = 1, timeout: float = 0.2) -> Context:
+def client_of(url: str, unit: int = 1, timeout: float = 0.4) -> Context:
     return Context.from_url(url, unit=unit, timeout=timeout, native=False)
 
 
