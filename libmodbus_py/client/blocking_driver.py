@@ -2,7 +2,7 @@
 Polls and sleeps for a conversation: the blocking client's side of it.
 
 Here are threads, forks, signals and the lock; what is asked and answered is decided in
-`conversation`, and the short way through C is `libmodbus`.
+`conversation`, and the way around it is `shortcut`.
 """
 
 from __future__ import annotations
