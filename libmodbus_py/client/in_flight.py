@@ -85,7 +85,7 @@ class InFlight(Conversation):
         return asked
 
     def _take(self, data: bytes, now: float) -> None:
-        is_on = self._is_traced
+        is_on = self._trace.is_on
         answers = 0
         if not self._asked:
             self._note_unasked(len(data))

@@ -20,7 +20,7 @@ from .conversation import Conversation, no_answer
 __all__ = ["InTurn"]
 
 # A unit that answers twice may be later with the copy than 3.5 characters.
-SHORTEST_COPY, LONG_SILENCE = 4, 0.02
+SHORTEST_COPY, LONG_SILENCE, LONG_MEMORY = 4, 0.02, 60.0
 
 # What errors can carry, and more than a late answer has: the rest is more of the same.
 MAX_KEPT = 600
@@ -49,7 +49,7 @@ class InTurn(Conversation):
         self._waiting: dict[Batch, float] = {}
         self._is_exact = False  # the last answer came with nothing before it or behind it
         self._is_noisy = False  # something on this connection did not
-        self._is_doubled = False  # whole answers came on it that nobody asked for
+        self._doubled_until = 0.0  # so long as answers came that nobody asked for or owed
         super().__init__(*args, **options)
 
     def _make_framer(self) -> Framer:
@@ -77,7 +77,8 @@ class InTurn(Conversation):
         self._ask(batch, 0, adu, now)
 
     def opened(self, now: float) -> None:
-        self._is_exact = self._is_noisy = self._is_doubled = False
+        self._is_exact = self._is_noisy = False
+        self._doubled_until = 0.0
         super().opened(now)
 
     # --- asking --------------------------------------------------------------------------
@@ -150,9 +151,10 @@ class InTurn(Conversation):
     # --- bytes ----------------------------------------------------------------------------
 
     def _take(self, data: bytes, now: float) -> None:
-        self._is_doubled |= self._asked is None and len(data) >= SHORTEST_COPY
+        if self._asked is None and not self._doubts and len(data) >= SHORTEST_COPY:
+            self._doubled_until = now + LONG_MEMORY
         self._silence.heard(now)
-        if self._is_doubled:
+        if now < self._doubled_until:
             self._silence.over_at = max(self._silence.over_at, now + LONG_SILENCE)
         if self._asked is None:
             self._take_unasked(data, now)

@@ -9,7 +9,14 @@ import random
 import pytest
 from talk import TCP, Talk, kinds, little_kept, tcp
 
-from libmodbus_py import FrameError, InvalidResponse, ModbusConnectionError, ModbusTimeoutError, pdu
+from libmodbus_py import (
+    FrameError,
+    InvalidResponse,
+    ModbusConnectionError,
+    ModbusTimeoutError,
+    Traced,
+    pdu,
+)
 
 UDP = TCP.replace("tcp", "udp")
 
@@ -265,3 +272,11 @@ def test_the_short_way_is_closed_while_anything_else_may_come() -> None:
     talk.come(b"\0")
     assert not talk.conversation.is_plain
     assert not Talk(trace=print).conversation.is_plain
+
+
+def test_what_comes_before_the_first_request_is_traced_too() -> None:
+    seen: list[Traced] = []
+    talk = Talk(trace=seen.append)
+    frame = bytes.fromhex("0009 0000 0005 01 03 02 0007")
+    talk.come(frame)
+    assert [(each.direction, each.adu) for each in seen] == [("received", frame)]

@@ -389,6 +389,39 @@ def test_a_flood_on_an_idle_line_is_noted_and_forgotten_when_somebody_asks() -> 
     assert batch.outcomes == [[1]]
 
 
+# --- answers that come twice ------------------------------------------------------------
+
+
+def silence_before_next(talk: Talk) -> float:
+    talk.ask(1)
+    asked = len(talk.sent)
+    talk.come(value(1))
+    heard = talk.now
+    talk.ask(2)
+    talk.wait_for(asked + 1)
+    talk.come(value(2))
+    return talk.times[asked] - heard
+
+
+def test_where_answers_come_twice_the_line_must_be_quiet_for_longer_for_a_minute() -> None:
+    talk = Talk(LINE)
+    assert silence_before_next(talk) < 0.02
+    talk.come(value(2))
+    talk.wait(0.02)
+    assert silence_before_next(talk) >= 0.02
+    talk.wait(61)
+    assert silence_before_next(talk) < 0.02
+
+
+def test_a_late_answer_that_is_owed_slows_nothing_down() -> None:
+    talk = Talk(LINE, timeout=1)
+    talk.ask(5)
+    talk.wait(1.1)
+    talk.come(value(5))
+    talk.wait(1.1)
+    assert silence_before_next(talk) < 0.02
+
+
 # --- delimiters ------------------------------------------------------------------------
 
 
