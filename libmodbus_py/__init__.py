@@ -9,7 +9,7 @@ each other::
     testing             lines with a tap, for tests and the demo
     client   server     who asks: TcpContext, ..., AsyncClient; and who answers: Server
     ports    device     what carries bytes, and waits for them; one unit and its tables
-    binding             the C library
+    binding  security   the C library; who may talk, proven by certificates
     protocol            bytes and values: PDUs, frames, errors; no socket, no clock
 
 A read goes ``client`` -> ``protocol.pdu`` -> ``protocol.framing`` -> ``ports`` -> the wire ->

@@ -28,6 +28,7 @@ class Access:
         file: the number of the file, else 0.
         unit: who was asked.
         peer: who asks: "192.0.2.7:51234", or the serial port.
+        role: what their certificate says of them; None for nothing, or without TLS.
     """
 
     table: str
@@ -37,6 +38,7 @@ class Access:
     file: int = 0
     unit: int = 0
     peer: str = ""
+    role: str | None = None
 
 
 class Touched(NamedTuple):

@@ -74,12 +74,14 @@ class Caller:
         peer: "host:port", or the serial port.
         log: the device's notes about the line; None for its own.
         is_broadcast: whether nobody is answered.
+        role: what the certificate of who asks says of them; None for nothing, or without TLS.
     """
 
     unit: int = 0
     peer: str = ""
     log: EventLog | None = None
     is_broadcast: bool = False
+    role: str | None = None
 
 
 class Device:
@@ -269,7 +271,7 @@ class Device:
     def _call_hook(self, hook: Hook | None, accesses: tuple[Access, ...], caller: Caller) -> None:
         if hook is not None:
             for access in accesses:
-                hook(replace(access, unit=caller.unit, peer=caller.peer))
+                hook(replace(access, unit=caller.unit, peer=caller.peer, role=caller.role))
 
     def _check_exists(self, access: Access) -> None:
         if access.table == "file":

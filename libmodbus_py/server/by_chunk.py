@@ -95,7 +95,7 @@ class ByChunk:
 
     # fmt: off
     __slots__ = (
-        "_peer", "_pending", "_singles", "_statistics", "_units", "is_unfinished", "write",
+        "_peer", "_pending", "_role", "_singles", "_statistics", "_units", "is_unfinished", "write",
     )
     # fmt: on
 
@@ -106,9 +106,11 @@ class ByChunk:
         statistics: ServerStatistics,
         singles: Singles,
         write: Callable[[bytes], None],
+        role: str | None = None,
     ) -> None:
         self._units = units
         self._peer = peer
+        self._role = role
         self._statistics = statistics
         self._singles = singles
         self.write: Callable[[bytes], None] = write
@@ -164,7 +166,8 @@ class ByChunk:
             logger.debug("%s: header with protocol %d", self._peer, protocol)
             self._statistics.bad_frames += 1
             return end
-        answer = self._units.answer(Frame(unit, data[start + 7 : end], transaction), self._peer)
+        frame = Frame(unit, data[start + 7 : end], transaction)
+        answer = self._units.answer(frame, self._peer, self._role)
         self._count(1, 0 if answer is None else answer.pdu[0] >> 7)
         if answer is not None:
             self.write(encode(answer))

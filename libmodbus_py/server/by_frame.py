@@ -54,6 +54,7 @@ class ByFrame:
         statistics: where it is counted.
         write: takes the answers to the bytes of one `receive` at once.
         follow: called when `is_waiting` may have changed.
+        role: what the certificate of the peer says of it, if anything.
     """
 
     def __init__(
@@ -64,10 +65,12 @@ class ByFrame:
         statistics: ServerStatistics,
         write: Callable[[bytes], None],
         follow: Callable[[], None] = lambda: None,
+        role: str | None = None,
     ) -> None:
         self._units = units
         self._framer = make_framer(framing, "server")
         self._peer = peer
+        self._role = role
         self._statistics = statistics
         self._write = write
         self._loop = asyncio.get_running_loop()
@@ -118,7 +121,7 @@ class ByFrame:
             requests += 1
             if self._delivery is not None:
                 self._answer_with_faults(each, self._delivery)
-            elif (answer := self._units.answer(each, self._peer)) is not None:
+            elif (answer := self._units.answer(each, self._peer, self._role)) is not None:
                 self._count_refusal(answer)
                 adus += self._framer.encode(answer)
             self._follow_delimiter()
@@ -135,7 +138,7 @@ class ByFrame:
         if fault is not None and fault.code is not None:
             answer: Frame | None = self._units.refuse(request, fault.code)
         else:
-            answer = self._units.answer(request, self._peer)
+            answer = self._units.answer(request, self._peer, self._role)
         if answer is not None:
             self._count_refusal(answer)
             delivery.send(pieces(fault, answer, self._framer))

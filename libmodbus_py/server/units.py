@@ -75,11 +75,11 @@ class TcpUnits:
         """Answer a request with an exception, without executing it."""
         return frame._replace(pdu=bytes([frame.pdu[0] | 0x80, code]))
 
-    def answer(self, frame: Frame, peer: str) -> Frame | None:
+    def answer(self, frame: Frame, peer: str, role: str | None = None) -> Frame | None:
         unit, pdu, transaction = frame
         device = self.device(unit)
         if device is not None:
-            response = device.answer(pdu, Caller(unit, peer))
+            response = device.answer(pdu, Caller(unit, peer, role=role))
         elif pdu[0] & 0x80 or not self._refuses:
             return None
         else:
@@ -122,19 +122,19 @@ class SerialUnits:
         log.note_response(frame.pdu, refusal, silent=False)
         return frame._replace(pdu=refusal)
 
-    def answer(self, frame: Frame, peer: str) -> Frame | None:
+    def answer(self, frame: Frame, peer: str, role: str | None = None) -> Frame | None:
         for _, log in self._all:
             log.note_frame()
         if frame.unit == 0:
             for device, log in self._all:
-                device.answer(frame.pdu, Caller(0, peer, log, is_broadcast=True))
+                device.answer(frame.pdu, Caller(0, peer, log, is_broadcast=True, role=role))
             return None
         station = self._any or self._stations.get(frame.unit)
         if station is None:
             return None
         device, log = station
         before = log.delimiter
-        response = device.answer(frame.pdu, Caller(frame.unit, peer, log))
+        response = device.answer(frame.pdu, Caller(frame.unit, peer, log, role=role))
         if log.delimiter != before:
             self.delimiter = log.delimiter
         return Frame(frame.unit, response) if response else None

@@ -1,0 +1,3 @@
+"""
+Modbus Security: who may talk, proven by certificates. No socket.
+"""
