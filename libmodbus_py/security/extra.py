@@ -1,0 +1,25 @@
+"""
+The package cryptography: an extra, for Python's own ssl does not read extensions.
+
+It takes 35 ms to import, so it is imported where it is used.
+"""
+
+from __future__ import annotations
+
+__all__ = ["require_cryptography"]
+
+
+def require_cryptography() -> None:
+    """
+    Say what to install, before cryptography is imported.
+
+    Raises:
+        ImportError: it is not installed.
+    """
+    try:
+        import cryptography.x509  # noqa: F401
+    except ImportError as error:
+        raise ImportError(
+            "roles and certificates need the package cryptography: "
+            "pip install 'libmodbus-py[security]' (Debian: python3-cryptography)"
+        ) from error

@@ -1,0 +1,135 @@
+"""
+Certificates that tests present: good ones and, above all, bad ones.
+
+All that is good comes from `making`; what it refuses to make is put together here. Keys
+are made once for a process, for they take longest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime, timedelta
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes
+from cryptography.hazmat.primitives.asymmetric import rsa
+
+from libmodbus_py.security.making import Identity, make
+from libmodbus_py.security.role import ROLE_OID, encode_role
+
+__all__ = [
+    "HOSTS",
+    "Files",
+    "authority",
+    "client",
+    "expired",
+    "foreign_authority",
+    "intermediate",
+    "not_yet_valid",
+    "rsa_key",
+    "save",
+    "self_signed",
+    "server",
+    "with_roles",
+]
+
+HOSTS = ("localhost", "127.0.0.1", "::1")
+
+
+@cache
+def authority() -> Identity:
+    """The one that both sides trust."""
+    return make("Test authority", is_authority=True)
+
+
+@cache
+def foreign_authority() -> Identity:
+    """Another one, with the same name: names prove nothing."""
+    return make("Test authority", is_authority=True)
+
+
+@cache
+def intermediate() -> Identity:
+    """An authority below the one that both sides trust: pass it as issuer."""
+    return make("Test intermediate", authority(), is_authority=True)
+
+
+@cache
+def rsa_key() -> rsa.RSAPrivateKey:
+    return rsa.generate_private_key(65537, 2048)
+
+
+@cache
+def server(**options: Any) -> Identity:
+    """The server, on this machine; options as those of `make`."""
+    return make("Test server", **{"issuer": authority(), "hosts": HOSTS} | options)
+
+
+@cache
+def client(role: str | None = "Operator", **options: Any) -> Identity:
+    return make("Test client", **{"issuer": authority(), "role": role} | options)
+
+
+def expired(**options: Any) -> dict[str, Any]:
+    """Options of a certificate that ended yesterday."""
+    return {"begin": datetime.now(UTC) - timedelta(days=31), "days": 30} | options
+
+
+def not_yet_valid(**options: Any) -> dict[str, Any]:
+    """Options of a certificate that begins tomorrow."""
+    return {"begin": datetime.now(UTC) + timedelta(days=1)} | options
+
+
+@cache
+def self_signed(name: str = "Test device", **options: Any) -> Identity:
+    """As small devices have it: nobody signed it, so it must be pinned."""
+    return make(name, **options)
+
+
+def with_roles(
+    identity: Identity, *values: bytes | str, issuer: Identity | None = None
+) -> Identity:
+    """
+    The same with these role extensions instead of its own: none, two, or what is no role.
+
+    Args:
+        values: bytes as they are, text as it should be.
+        issuer: who signs; the authority if not given.
+    """
+    role = x509.ObjectIdentifier(ROLE_OID)
+    old = identity.certificate
+    kept = [extension for extension in old.extensions if extension.oid != role]
+    roles = [encode_role(value) if isinstance(value, str) else value for value in values]
+    added = [x509.Extension(role, False, x509.UnrecognizedExtension(role, each)) for each in roles]
+    builder = x509.CertificateBuilder(
+        issuer_name=old.issuer,
+        subject_name=old.subject,
+        public_key=identity.key.public_key(),
+        serial_number=x509.random_serial_number(),
+        # add_extension would refuse a second one.
+        extensions=[*kept, *added],
+    )
+    begin = datetime.now(UTC) - timedelta(hours=1)
+    builder = builder.not_valid_before(begin).not_valid_after(begin + timedelta(days=1))
+    signed = builder.sign((issuer or authority()).key, hashes.SHA256())
+    return replace(identity, certificate=signed)
+
+
+@dataclass(frozen=True)
+class Files:
+    """What the options cert, key and ca take."""
+
+    cert: Path
+    key: Path
+
+
+def save(directory: Path, identity: Identity, name: str, password: bytes | None = None) -> Files:
+    """Write a certificate with its chain, and its key, encrypted if there is a password."""
+    directory.mkdir(parents=True, exist_ok=True)
+    files = Files(directory / f"{name}.pem", directory / f"{name}-key.pem")
+    files.cert.write_bytes(identity.pem)
+    files.key.write_bytes(identity.key_pem(password))
+    return files
