@@ -28,14 +28,17 @@ from libmodbus_py.protocol.framing import (
     TcpFramer,
     UdpFramer,
 )
+from libmodbus_py.security.role import RoleError, decode_role, encode_role, role_of
 
 __all__ = [
     "FRAMERS",
     "REQUEST_OBJECTS",
+    "check_certificate",
     "check_datagrams",
     "check_device",
     "check_request",
     "check_response",
+    "check_role_value",
     "check_stream",
     "examples",
 ]
@@ -207,3 +210,29 @@ def check_device(requests: Sequence[bytes]) -> None:
             pdu.decode_request(request).decode_response(answer)
     cells = bytes(device.mapping.coils.view) + bytes(device.mapping.discrete_inputs.view)
     assert not cells.strip(b"\0\1")
+
+
+def check_role_value(value: bytes) -> str | None:
+    """One way to write each role, so that all who read it read the same; or an error."""
+    try:
+        role = decode_role(value)
+    except RoleError as error:
+        _check_message(str(error))
+        return None
+    assert encode_role(role) == value
+    return role
+
+
+def check_certificate(data: bytes) -> None:
+    """A role, none, or an error that says so, fit for a log."""
+    try:
+        role = role_of(data)
+    except RoleError as error:
+        _check_message(str(error))
+        return
+    assert role is None or encode_role(role) in data
+
+
+def _check_message(text: str) -> None:
+    assert text.isprintable()
+    assert len(text) < 300

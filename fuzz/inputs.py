@@ -10,13 +10,18 @@ from typing import NamedTuple
 from checks import (
     FRAMERS,
     REQUEST_OBJECTS,
+    check_certificate,
     check_datagrams,
     check_device,
     check_request,
     check_response,
+    check_role_value,
     check_stream,
     examples,
 )
+
+from libmodbus_py.security.making import make
+from libmodbus_py.security.role import encode_role
 
 __all__ = ["TARGETS", "Target"]
 
@@ -94,6 +99,18 @@ def some_chunks() -> list[bytes]:
     return [bytes([stream[6], 0x40]) + stream for stream in every + glued]
 
 
+def certificates(data: bytes) -> None:
+    """What a role extension holds, and a whole certificate."""
+    check_role_value(data)
+    check_certificate(data)
+
+
+def some_certificates() -> list[bytes]:
+    roles = ["Operator", "x", "ä" * 100]
+    made = [make("seed", role=role, hosts=["localhost", "::1"]).der for role in (None, *roles)]
+    return [encode_role(role) for role in roles] + made
+
+
 class Target(NamedTuple):
     """
     What is fuzzed.
@@ -111,5 +128,6 @@ TARGETS = {
     "framers": Target(framers, some_framers),
     "pdu": Target(pdus, some_pdus),
     "device": Target(devices, some_devices),
+    "certificates": Target(certificates, some_certificates),
     "chunk": Target(None, some_chunks),
 }

@@ -1,12 +1,26 @@
 """
 Roles: what a certificate says its holder is (MB-TCP-Security-v36, R-21, R-22, R-65).
+
+Some peers take other strings, and bytes that are no DER, for roles. Here they are errors: a
+role is what rights hang on, so that all who read a certificate must read the same one.
 """
 
 from __future__ import annotations
 
 from unicodedata import category
 
-__all__ = ["ROLE_OID", "RoleError", "encode_role"]
+from .describing import shown
+from .extra import require_cryptography
+
+__all__ = [
+    "MAX_ROLE",
+    "ROLE_OID",
+    "RoleError",
+    "check_role",
+    "decode_role",
+    "encode_role",
+    "role_of",
+]
 
 ROLE_OID = "1.3.6.1.4.1.50316.802.1"
 """The extension that holds the role."""
@@ -21,6 +35,41 @@ class RoleError(ValueError):
     """A certificate whose role nobody can tell: it is refused, rather than taken without one."""
 
 
+def role_of(certificate: bytes) -> str | None:
+    """
+    Read the role in a certificate, which was found good otherwise.
+
+    Args:
+        certificate: X.509 in DER, as ``ssl.SSLSocket.getpeercert(True)`` gives it.
+
+    Returns:
+        The role; None if there is none, which is a caller without a role (R-23).
+
+    Raises:
+        RoleError: bytes that are no certificate, or none whose extensions can be read; two
+            roles; one that is no UTF8String in DER and nothing else, that is empty, that is
+            longer than 255 bytes or has control characters.
+        ImportError: cryptography is not installed.
+    """
+    require_cryptography()
+    from cryptography import x509
+
+    try:
+        extensions = x509.load_der_x509_certificate(certificate).extensions
+        found = extensions.get_extension_for_oid(x509.ObjectIdentifier(ROLE_OID)).value
+    except x509.ExtensionNotFound:
+        return None
+    except x509.DuplicateExtension as error:
+        oid = error.oid.dotted_string
+        reason = "two roles" if oid == ROLE_OID else f"the extension {shown(oid)} twice"
+        raise RoleError(f"the certificate has {reason}") from None
+    except Exception as error:
+        # It promises ValueError, and has more for what others made: all of it is the peer's fault.
+        raise RoleError(f"the certificate cannot be read: {shown(error)}") from None
+    # The library knows no such extension, and leaves it as it is.
+    return decode_role(found.value if isinstance(found, x509.UnrecognizedExtension) else b"")
+
+
 def encode_role(role: str) -> bytes:
     """
     Give the DER of a role, as the extension holds it.
@@ -31,14 +80,45 @@ def encode_role(role: str) -> bytes:
     Raises:
         RoleError: it is no such role.
     """
-    text = role.encode("utf-8")
-    _check(role, len(text))
+    check_role(role)
+    text = role.encode()
     length = bytes([len(text)]) if len(text) < 0x80 else bytes([0x81, len(text)])
     return bytes([_UTF8_STRING]) + length + text
 
 
-def _check(role: str, size: int) -> None:
+def decode_role(value: bytes) -> str:
+    """
+    Read what the extension holds.
+
+    Raises:
+        RoleError: it is no UTF8String in DER and nothing else, or no role.
+    """
+    if value[:1] != bytes([_UTF8_STRING]):
+        tag = f"tag {value[0]:02X}h" if value else "no tag"
+        raise RoleError(f"the role must be a UTF8String (tag 0Ch), not {tag}")
+    # One byte of length up to 127, then 81h and one: the only form that DER has for each.
+    start = 3 if value[1:2] == b"\x81" and value[2:3] >= b"\x80" else 2
+    if len(value) < start or value[start - 1] != len(value) - start:
+        begin = value[:6].hex(" ")
+        raise RoleError(f"the role's {len(value)} bytes ({begin} ...) are not one string in DER")
+    try:
+        role = value[start:].decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise RoleError(f"the role is no UTF-8 from byte {error.start} on") from None
+    check_role(role)
+    return role
+
+
+def check_role(role: str) -> None:
+    """
+    Raises:
+        RoleError: not 1..255 bytes of UTF-8, or control characters among them.
+    """
+    try:
+        size = len(role.encode())
+    except UnicodeEncodeError:
+        raise RoleError(f"the role {shown(role)} is not all Unicode") from None
     if not 1 <= size <= MAX_ROLE:
-        raise RoleError(f"the role has {size} bytes, not 1..{MAX_ROLE}")
+        raise RoleError(f"the role must have 1..{MAX_ROLE} bytes of UTF-8, not {size}")
     if any(category(character) == "Cc" for character in role):
-        raise RoleError(f"the role {role!r} has control characters")
+        raise RoleError(f"the role {shown(role)} has control characters")

@@ -1,0 +1,76 @@
+"""
+What a certificate says of itself, in one line of an error message.
+
+Certificates come from peers that nobody trusts yet: what they say is cut, and what no
+terminal or log should see is escaped.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import reprlib
+from typing import TYPE_CHECKING
+
+from .extra import require_cryptography
+
+if TYPE_CHECKING:
+    from datetime import datetime
+
+    from cryptography import x509
+
+__all__ = ["describe", "shown"]
+
+_REPR = reprlib.Repr()
+_REPR.maxstring = 100
+
+
+def shown(what: object) -> str:
+    """Quote text that may come from a peer: on one line, in 100 characters, nothing hidden."""
+    return _REPR.repr(str(what))
+
+
+def describe(certificate: bytes) -> str:
+    """
+    Say whose certificate it is, who signed it, when it is valid, and its SHA-256.
+
+    Without cryptography it is the SHA-256 alone, and how to see more. Never raises,
+    whatever the bytes are.
+
+    Args:
+        certificate: X.509 in DER.
+
+    Returns:
+        One line of printable characters, 500 at most. The SHA-256 is what ``openssl x509
+        -fingerprint -sha256`` prints, without its colons.
+    """
+    fingerprint = f"SHA-256 {hashlib.sha256(certificate).hexdigest()}"
+    try:
+        require_cryptography()
+    except ImportError:
+        return f"{fingerprint} (more with: pip install 'libmodbus-py[security]')"
+    from cryptography import x509
+
+    try:
+        return f"{_said(x509.load_der_x509_certificate(certificate))}, {fingerprint}"
+    except Exception:
+        return f"{len(certificate)} bytes that are no certificate, {fingerprint}"
+
+
+def _said(certificate: x509.Certificate) -> str:
+    begin, end = (_time(certificate, f"not_valid_{when}") for when in ("before", "after"))
+    is_own = certificate.subject == certificate.issuer
+    issuer = "self-signed" if is_own else f"issued by {_name(certificate.issuer)}"
+    return f"{_name(certificate.subject)}, {issuer}, valid {begin} to {end} UTC"
+
+
+def _name(name: x509.Name) -> str:
+    return shown(name.rfc4514_string()) if name.rdns else "nameless"
+
+
+def _time(certificate: x509.Certificate, name: str) -> str:
+    # Since version 42 there is one with a timezone, and the one without warns.
+    time: datetime | None = None
+    with contextlib.suppress(AttributeError):
+        time = getattr(certificate, f"{name}_utc")
+    return f"{time or getattr(certificate, name):%Y-%m-%d %H:%M:%S}"

@@ -1,0 +1,101 @@
+"""
+Certificates in error messages: whose, from whom, when; nothing that harms a terminal or a log.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import subprocess
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+
+import certificates
+import pytest
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes
+from cryptography.x509.oid import NameOID
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from libmodbus_py.security.describing import describe
+from libmodbus_py.security.making import make
+
+BEGIN = datetime(2024, 2, 29, 12, 30, 1, tzinfo=UTC)
+
+
+def test_a_certificate_is_described() -> None:
+    made = make("plc 7", certificates.authority(), begin=BEGIN, days=366)
+    assert describe(made.der) == (
+        "'CN=plc 7', issued by 'CN=Test authority', "
+        "valid 2024-02-29 12:30:01 to 2025-03-01 12:30:01 UTC, "
+        f"SHA-256 {hashlib.sha256(made.der).hexdigest()}"
+    )
+
+
+def test_a_self_signed_one_says_so() -> None:
+    assert "'CN=Test device', self-signed, valid " in describe(certificates.self_signed().der)
+
+
+def test_the_fingerprint_is_that_of_openssl(tmp_path: Path) -> None:
+    files = certificates.save(tmp_path, certificates.client(), "client")
+    command = ["openssl", "x509", "-in", files.cert, "-noout", "-fingerprint", "-sha256"]
+    printed = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    fingerprint = printed.strip().rpartition("=")[2].replace(":", "").lower()
+    assert describe(certificates.client().der).endswith(f"SHA-256 {fingerprint}")
+
+
+def named(*values: str) -> bytes:
+    """A certificate with such names, which nobody has to know."""
+    identity = certificates.self_signed()
+    name = x509.Name([x509.NameAttribute(NameOID.ORGANIZATION_NAME, each) for each in values])
+    builder = x509.CertificateBuilder(
+        name, name, identity.key.public_key(), 1, datetime(2024, 1, 1), datetime(2025, 1, 1)
+    )
+    signed = builder.sign(identity.key, hashes.SHA256())
+    return certificates.Identity(signed, identity.key).der
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        ("\x1b]0;owned\x07",),
+        ("a\r\nERROR all is well",),
+        ("\u202egnp.exe",),
+        ("\0",),
+        ("'quoted'\"", "\\"),
+        tuple("x" * 64 for _ in range(200)),
+        (),
+    ],
+    ids=["terminal", "line", "right to left", "nul", "quotes", "long", "nameless"],
+)
+def test_names_harm_nobody(values: tuple[str, ...]) -> None:
+    text = describe(named(*values))
+    assert text.isprintable()
+    assert len(text) <= 500
+    assert "2024-01-01 00:00:00" in text
+
+
+@settings(max_examples=500, deadline=None)
+@given(st.binary(max_size=200), st.integers(0, 400), st.integers(0, 5))
+def test_any_bytes(noise: bytes, at: int, cut: int) -> None:
+    good = certificates.client().der
+    for data in (
+        noise,
+        good[:at] + noise + good[at + cut :],
+        good[:at] + noise[:2] + good[at + 2 :],
+    ):
+        text = describe(data)
+        assert text.isprintable()
+        assert len(text) <= 500
+        assert hashlib.sha256(data).hexdigest() in text
+
+
+def test_without_cryptography_it_is_the_fingerprint() -> None:
+    program = (
+        "import sys; sys.modules['cryptography'] = None\n"
+        "from libmodbus_py.security.describing import describe; print(describe(b'abc'))"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    digest = hashlib.sha256(b"abc").hexdigest()
+    assert done.stdout == f"SHA-256 {digest} (more with: pip install 'libmodbus-py[security]')\n"

@@ -1,0 +1,170 @@
+"""
+Roles in certificates: MB-TCP-Security-v36, R-21, R-22, R-23 and R-65, and X.690 for the DER.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import textwrap
+
+import certificates
+import pytest
+from checks import check_certificate, check_role_value
+from cryptography import x509
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from libmodbus_py.security.role import ROLE_OID, RoleError, encode_role, role_of
+
+# The specification's own example (section 8.4): 0C 08 4F 70 65 72 61 74 6F 72.
+OPERATOR = bytes.fromhex("0C 08 4F 70 65 72 61 74 6F 72")
+
+
+def client(*values: bytes | str) -> bytes:
+    return certificates.with_roles(certificates.client(None), *values).der
+
+
+def test_the_example_of_the_specification() -> None:
+    assert role_of(client(OPERATOR)) == "Operator"
+    assert encode_role("Operator") == OPERATOR
+
+
+def test_no_extension_is_no_role() -> None:
+    assert role_of(client()) is None
+    assert role_of(certificates.self_signed().der) is None
+
+
+@pytest.mark.parametrize(
+    "role",
+    ["x", "Operator", "Operator,Engineer", "Prüfer 1", "技術者", "a" * 127, "b" * 128, "c" * 255],
+)
+def test_the_whole_string_is_one_role(role: str) -> None:
+    assert role_of(client(role)) == role
+    assert role_of(certificates.client(role).der) == role
+
+
+@pytest.mark.parametrize(
+    ("value", "reason"),
+    [
+        (b"\x16\x08Operator", "UTF8String"),  # IA5String
+        (b"\x13\x08Operator", "UTF8String"),  # PrintableString
+        (b"\x04\x0a" + OPERATOR, "UTF8String"),  # wrapped once more
+        (b"\x30\x0a" + OPERATOR, "UTF8String"),  # a sequence
+        (b"\x2c\x0a" + OPERATOR, "UTF8String"),  # constructed, as BER may
+        (b"Operator", "UTF8String"),
+        (b"", "UTF8String"),
+        (b"\x0c", "one string in DER"),
+        (b"\x0c\x09Operator", "one string in DER"),
+        (b"\x0c\x07Operator", "one string in DER"),
+        (OPERATOR + b"\0", "one string in DER"),
+        (OPERATOR + OPERATOR, "one string in DER"),
+        (b"\x0c\x81\x08Operator", "one string in DER"),  # lengths that BER may have
+        (b"\x0c\x82\x00\x08Operator", "one string in DER"),
+        (b"\x0c\x80Operator\0\0", "one string in DER"),
+        (b"\x0c\x81", "one string in DER"),
+        (b"\x0c\x81\x80" + b"a" * 127, "one string in DER"),
+        (b"\x0c\x82\x01\x00" + b"a" * 256, "one string in DER"),
+        (b"\x0c\x08Operato\xff", "no UTF-8 from byte 7"),
+        (b"\x0c\x02\xc0\x80", "no UTF-8"),  # a NUL in disguise
+        (b"\x0c\x03\xed\xa0\x80", "no UTF-8"),  # half a pair of UTF-16
+        (b"\x0c\x00", "1..255 bytes"),
+        (b"\x0c\x09Operator\0", "control characters"),
+        (b"\x0c\x0aOperator\r\n", "control characters"),
+    ],
+)
+def test_what_is_no_role_is_refused(value: bytes, reason: str) -> None:
+    with pytest.raises(RoleError, match=reason):
+        role_of(client(value))
+
+
+def test_two_roles_are_refused() -> None:
+    for values in ((OPERATOR, "Engineer"), (OPERATOR, OPERATOR)):
+        with pytest.raises(RoleError, match="two roles"):
+            role_of(client(*values))
+
+
+def test_another_extension_twice_is_refused_by_its_name() -> None:
+    der = client(OPERATOR, OPERATOR)
+    oid = x509.ObjectIdentifier(ROLE_OID)
+    other = bytes.fromhex("06 0A 2B 06 01 04 01 83 89 0C 86 22 02")[-4:]
+    assert der.count(other[:3] + b"\1") == 2, oid
+    with pytest.raises(RoleError, match=r"50316\.802\.2' twice"):
+        role_of(der.replace(other[:3] + b"\1", other))
+
+
+@pytest.mark.parametrize(
+    "data", [b"", b"\0", b"0", b"\x30\x00", b"\x30\x80", OPERATOR, b"a" * 100_000]
+)
+def test_what_is_no_certificate_is_refused(data: bytes) -> None:
+    with pytest.raises(RoleError, match="cannot be read"):
+        role_of(data)
+
+
+def test_errors_are_short_and_on_one_line() -> None:
+    for value in (b"\x0c\x81\xff" + b"\n" * 255, b"\x0c\x82\x40\0" + b"a" * 0x4000, b"\x1b" * 9999):
+        with pytest.raises(RoleError) as caught:
+            role_of(client(value))
+        assert len(str(caught.value)) < 200
+        assert str(caught.value).isprintable()
+
+
+@settings(max_examples=500, deadline=None)
+@given(st.binary(max_size=300) | st.builds(lambda rest: b"\x0c" + rest, st.binary(max_size=300)))
+def test_any_value(value: bytes) -> None:
+    check_role_value(value)
+
+
+@settings(max_examples=500, deadline=None)
+@given(st.text(max_size=300))
+def test_any_text(role: str) -> None:
+    try:
+        value = encode_role(role)
+    except RoleError:
+        return
+    assert check_role_value(value) == role
+
+
+GOOD = [client(OPERATOR), client(), client("a" * 200), client("Operator", "Engineer")]
+
+
+@st.composite
+def damaged(draw: st.DrawFn) -> bytes:
+    data = draw(st.sampled_from(GOOD))
+    for _ in range(draw(st.integers(0, 4))):
+        at = draw(st.integers(0, len(data) - 1))
+        cut = draw(st.integers(0, 3))
+        data = data[:at] + draw(st.binary(max_size=3)) + data[at + cut :] or b"0"
+    return data
+
+
+@settings(max_examples=1500, deadline=None)
+@given(damaged() | st.binary(max_size=200))
+def test_any_certificate(data: bytes) -> None:
+    check_certificate(data)
+
+
+def without_cryptography(program: str) -> subprocess.CompletedProcess[str]:
+    blocked = "import sys; sys.modules['cryptography'] = None\n"
+    return subprocess.run(
+        [sys.executable, "-c", blocked + textwrap.dedent(program)],
+        capture_output=True,
+        text=True,
+        timeout=30,
+    )
+
+
+@pytest.mark.parametrize("call", ["role.role_of(b'')", "making.make('x')"], ids=["role_of", "make"])
+def test_without_cryptography_it_says_what_to_install(call: str) -> None:
+    done = without_cryptography(f"from libmodbus_py.security import making, role\n{call}")
+    assert done.returncode == 1
+    last = done.stderr.splitlines()[-1]
+    assert last.startswith("ImportError: ")
+    assert "libmodbus-py[security]" in last
+
+
+def test_cryptography_is_imported_late() -> None:
+    program = "import libmodbus_py.cli.main, libmodbus_py.security.role, sys\n"
+    program += "import libmodbus_py.security.making; print('cryptography' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert done.stdout == "False\n"
