@@ -4,7 +4,7 @@ Modbus for Python on Debian's libmodbus.
 Its folders, floor by floor. Imports run downwards only, and those on one floor do not know
 each other::
 
-    cli                 libmodbus-py: read, write, serve, demo
+    cli                 libmodbus-py: read, write, serve, demo, certificates
     simulator           devices from a file, which move, wait and err
     testing             lines with a tap, for tests and the demo
     client   server     who asks: TcpContext, ..., AsyncClient; and who answers: Server

@@ -1,5 +1,5 @@
 """
-The command line: demo, serve, read, write.
+The command line: demo, serve, read, write, certificates.
 
 Exit code 0; 1 when the device or the line failed; 2 for wrong usage. Errors are
 one line on stderr.
@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from typing import Any, NoReturn
 
 from ..protocol.errors import ModbusError
-from . import demo, read_write, serve
+from . import certificates, demo, read_write, serve
 
 __all__ = ["main"]
 
@@ -35,7 +35,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     try:
         code: int = options.run(options)
-    except (ModbusError, read_write.UndecodableError) as error:
+    except (ModbusError, read_write.UndecodableError, ImportError) as error:
         print(f"{PROGRAM}: {error}", file=sys.stderr)
         return 1
     except (ValueError, TypeError) as error:
@@ -45,6 +45,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         # The reader of our output has gone, as `head` does; nothing is left to say.
         sys.stderr.close()
+        return 1
+    except OSError as error:
+        print(f"{PROGRAM}: {error.filename}: {error.strerror}", file=sys.stderr)
         return 1
     return code
 
@@ -66,4 +69,5 @@ def _parser() -> argparse.ArgumentParser:
     command.set_defaults(run=lambda options: demo.run())
     serve.add_command(commands)
     read_write.add_commands(commands)
+    certificates.add_command(commands)
     return parser

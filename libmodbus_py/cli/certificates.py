@@ -1,0 +1,94 @@
+"""
+The command certificates: an authority, a server and clients, to try Modbus Security with.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import shlex
+from pathlib import Path
+from typing import Any
+
+from ..security.making import Identity, make, write
+
+__all__ = ["add_command"]
+
+HOSTS = ("localhost", "127.0.0.1", "::1")
+
+ROLES = ("Viewer", "Operator", "Engineer")
+
+ENDPOINT = "tls://127.0.0.1:1802"
+"""In the commands that are shown: port 802 is root's alone."""
+
+
+def add_command(commands: Any) -> None:
+    """Tell argparse of it."""
+    command = commands.add_parser(
+        "certificates",
+        help="make certificates to try Modbus Security (tls://) with",
+        description="Makes an authority, a server, clients with roles and one without. They are "
+        "for trying things out: the authority's key lies beside the others.",
+    )
+    command.add_argument("directory", metavar="DIR", type=Path, help="nothing in it is overwritten")
+    command.add_argument(
+        "--host",
+        dest="hosts",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help=f"a name or address of the server, besides {', '.join(HOSTS)}; may be repeated",
+    )
+    command.add_argument(
+        "--role",
+        dest="roles",
+        action="append",
+        metavar="NAME",
+        help=f"of a client; may be repeated ({', '.join(ROLES)})",
+    )
+    command.add_argument(
+        "--days", type=int, default=365, metavar="N", help="that they are valid (365)"
+    )
+    command.set_defaults(run=_make)
+
+
+def _make(options: argparse.Namespace) -> int:
+    roles = _file_names(options.roles or ROLES)
+    hosts = tuple(dict.fromkeys([*HOSTS, *options.hosts]))
+    days = options.days
+    authority = make("Modbus trial authority", is_authority=True, days=days)
+    made: dict[str, Identity] = {
+        "ca": authority,
+        "server": make("Modbus trial server", authority, hosts=hosts, days=days),
+        "no-role": make("Modbus trial client without a role", authority, days=days),
+    }
+    for file, role in roles.items():
+        # A common name has 64 characters at most (RFC 5280, ub-common-name).
+        made[file] = make(f"Modbus trial {role}"[:64], authority, role=role, days=days)
+    paths = write(options.directory, made)
+    says = {"ca": "the authority", "server": f"the server {', '.join(hosts)}"}
+    says |= {"no-role": "a client without a role"}
+    says |= {file: f"a client with the role {role}" for file, role in roles.items()}
+    for file, (certificate, key) in paths.items():
+        print(f"{certificate}, {key.name}: {says[file]}")
+    print("\nTo try them:")
+    print(f"  libmodbus-py serve {ENDPOINT} {_options(paths, 'server')}")
+    client = next(iter(roles))
+    print(f"  libmodbus-py read {ENDPOINT} holding 0 {_options(paths, client)}")
+    return 0
+
+
+def _file_names(roles: tuple[str, ...] | list[str]) -> dict[str, str]:
+    """File name -> role."""
+    named: dict[str, str] = {}
+    for role in roles:
+        file = re.sub(r"\W+", "-", role.lower()).strip("-")
+        if not file or file in named or file in ("ca", "server", "no-role"):
+            raise ValueError(f"--role {role!r} gives no file name of its own, but {file!r}")
+        named[file] = role
+    return named
+
+
+def _options(paths: dict[str, tuple[Path, Path]], name: str) -> str:
+    files = {"cert": paths[name][0], "key": paths[name][1], "ca": paths["ca"][0]}
+    return " ".join(f"--{option} {shlex.quote(str(file))}" for option, file in files.items())

@@ -1,0 +1,136 @@
+"""
+The command certificates, as a process of its own: what lies in the directory afterwards.
+"""
+
+from __future__ import annotations
+
+import shlex
+import ssl
+import subprocess
+import sys
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+from cryptography import x509
+
+from libmodbus_py.security.role import role_of
+
+COMMAND = [sys.executable, "-m", "libmodbus_py", "certificates"]
+
+
+def run(*arguments: object) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [*COMMAND, *map(str, arguments)], capture_output=True, text=True, timeout=30
+    )
+
+
+def load(path: Path) -> x509.Certificate:
+    return x509.load_pem_x509_certificate(path.read_bytes())
+
+
+def role_in(path: Path) -> str | None:
+    return role_of(ssl.PEM_cert_to_DER_cert(path.read_text()))
+
+
+def test_it_makes_an_authority_a_server_and_clients(tmp_path: Path) -> None:
+    directory = tmp_path / "new" / "with a space"
+    done = run(directory)
+    assert (done.returncode, done.stderr) == (0, "")
+    roles = {path.stem: role_in(path) for path in directory.glob("*.pem") if "key" not in path.name}
+    assert roles == {
+        **dict.fromkeys(["ca", "server", "no-role"]),
+        "viewer": "Viewer",
+        "operator": "Operator",
+        "engineer": "Engineer",
+    }
+    keys = [*directory.glob("*-key.pem")]
+    assert len(keys) == len(roles)
+    assert {key.stat().st_mode & 0o777 for key in keys} == {0o600}
+    ca = load(directory / "ca.pem")
+    for name in roles:
+        load(directory / f"{name}.pem").verify_directly_issued_by(ca)
+
+
+def test_the_commands_it_prints_name_files_that_fit_each_other(tmp_path: Path) -> None:
+    done = run(tmp_path / "a b")
+    serve, read = (shlex.split(line) for line in done.stdout.splitlines()[-2:])
+    assert serve[:3] == ["libmodbus-py", "serve", "tls://127.0.0.1:1802"]
+    assert read[:5] == ["libmodbus-py", "read", "tls://127.0.0.1:1802", "holding", "0"]
+    for words in (serve, read):
+        given = dict(zip(words[-6::2], words[-5::2], strict=True))
+        assert [*given] == ["--cert", "--key", "--ca"]
+        context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+        context.load_cert_chain(given["--cert"], given["--key"])
+        context.load_verify_locations(given["--ca"])
+
+
+def test_options(tmp_path: Path) -> None:
+    done = run(
+        tmp_path,
+        *("--host", "plc.example", "--host", "192.0.2.7", "--days", "7"),
+        *("--role", "Shift leader", "--role", "Prüfer"),
+    )
+    assert done.returncode == 0, done.stderr
+    server = load(tmp_path / "server.pem")
+    names = server.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+    assert names.get_values_for_type(x509.DNSName) == ["localhost", "plc.example"]
+    addresses = [str(each) for each in names.get_values_for_type(x509.IPAddress)]
+    assert addresses == ["127.0.0.1", "::1", "192.0.2.7"]
+    assert role_in(tmp_path / "shift-leader.pem") == "Shift leader"
+    assert role_in(tmp_path / "prüfer.pem") == "Prüfer"
+    assert not (tmp_path / "operator.pem").exists()
+    left = server.not_valid_after_utc - datetime.now(UTC)
+    assert timedelta(days=6) < left < timedelta(days=7)
+
+
+def test_nothing_is_overwritten(tmp_path: Path) -> None:
+    (tmp_path / "viewer-key.pem").write_text("mine")
+    done = run(tmp_path)
+    assert done.returncode == 1
+    assert done.stderr.count("\n") == 1
+    assert "viewer-key.pem: File exists" in done.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["viewer-key.pem"]
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--days", "0"], "days must be in 1..36500"),
+        (["--days", "99999999999999999999"], "days must be in 1..36500"),
+        (["--role", ""], "no file name"),
+        (["--role", "CA"], "no file name"),
+        (["--role", "a b", "--role", "a-b"], "no file name"),
+        (["--role", "a\nb"], "control characters"),
+        (["--role", "a" * 256], "1..255 bytes"),
+        (["--host", "plc\u00e4"], "host"),
+        (["--host", ""], "host"),
+    ],
+)
+def test_wrong_options_say_so_before_anything_is_written(
+    tmp_path: Path, options: list[str], said: str
+) -> None:
+    done = run(tmp_path / "new", *options)
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert said in done.stderr
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_place_that_cannot_be_says_so(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    done = run(tmp_path / "file")
+    assert done.returncode == 1
+    assert done.stderr == f"libmodbus-py: {tmp_path}/file: File exists\n"
+
+
+def test_without_cryptography_it_says_what_to_install(tmp_path: Path) -> None:
+    program = (
+        "import sys; sys.modules['cryptography'] = None\n"
+        "from libmodbus_py.cli.main import main; sys.exit(main())"
+    )
+    command = [sys.executable, "-c", program, "certificates", str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 1
+    assert done.stderr.count("\n") == 1
+    assert "pip install 'libmodbus-py[security]'" in done.stderr
