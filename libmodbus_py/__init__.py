@@ -23,7 +23,7 @@ import sys
 
 from .binding import low_level
 from .client.asynchronous import AsyncClient
-from .client.blocking import AsciiContext, Context, RtuContext, TcpContext, UdpContext
+from .client.blocking import AsciiContext, Context, RtuContext, TcpContext, TlsContext, UdpContext
 from .client.plan import Plan, Read
 from .client.reconnecting import State
 from .client.trace import Traced
@@ -50,6 +50,7 @@ from .protocol.errors import (
     ServerDeviceBusy,
     ServerDeviceFailure,
 )
+from .security.security import Security
 from .server.faults import Fault
 from .server.limits import Limits
 from .server.server import Running, Server
@@ -62,9 +63,9 @@ __all__ = [
     "GatewayTargetFailedToRespond", "IllegalDataAddress", "IllegalDataValue", "IllegalFunction",
     "InvalidResponse", "Limits", "Mapping", "MemoryParityError", "ModbusConnectionError",
     "ModbusError", "ModbusTimeoutError", "NegativeAcknowledge", "Plan", "Read", "RecordFile",
-    "RtuContext", "Running", "Server", "ServerDeviceBusy", "ServerDeviceFailure", "State",
-    "TcpContext", "Traced", "UdpContext", "device_file", "errors", "framing", "low_level", "pdu",
-    "values",
+    "RtuContext", "Running", "Security", "Server", "ServerDeviceBusy", "ServerDeviceFailure",
+    "State", "TcpContext", "TlsContext", "Traced", "UdpContext", "device_file", "errors",
+    "framing", "low_level", "pdu", "values",
 ]
 # fmt: on
 

@@ -17,12 +17,14 @@ from cryptography import x509
 from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import rsa
 
+from libmodbus_py import Security
 from libmodbus_py.security.making import Identity, make
 from libmodbus_py.security.role import ROLE_OID, encode_role
 
 __all__ = [
     "HOSTS",
     "Files",
+    "Papers",
     "authority",
     "client",
     "expired",
@@ -124,6 +126,45 @@ class Files:
 
     cert: Path
     key: Path
+
+
+class Papers:
+    """
+    What both sides of a test need, in files of one directory.
+
+    Attributes:
+        ca: the authority that both trust.
+    """
+
+    def __init__(self, directory: Path) -> None:
+        self._directory = directory
+        self._count = 0
+        self.ca = self.authority(authority())
+
+    def authority(self, identity: Identity) -> Path:
+        return self.files(identity).cert
+
+    def files(self, identity: Identity, password: bytes | None = None) -> Files:
+        self._count += 1
+        return save(self._directory, identity, f"{self._count}", password)
+
+    def security(self, identity: Identity, **options: Any) -> Security:
+        """Who has this certificate, and trusts the authority unless told otherwise."""
+        files = self.files(identity)
+        if not options.keys() & {"trust", "pin"}:
+            options["trust"] = self.ca
+        return Security(files.cert, files.key, **options)
+
+    def server(self, **options: Any) -> Security:
+        return self.security(server(), **options)
+
+    def client(self, role: str | None = "Operator", **options: Any) -> Security:
+        return self.security(client(role), **options)
+
+    def url(self, scheme_and_host: str, identity: Identity) -> str:
+        """A URL with all that it needs."""
+        files = self.files(identity)
+        return f"{scheme_and_host}?cert={files.cert}&key={files.key}&ca={self.ca}"
 
 
 def save(directory: Path, identity: Identity, name: str, password: bytes | None = None) -> Files:

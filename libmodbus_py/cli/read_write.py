@@ -13,7 +13,6 @@ from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
 from ..client.blocking import Context
-from ..ports.endpoint import parse
 from ..protocol import pdu, tables
 from ..protocol.values import (
     ORDERS,
@@ -24,6 +23,7 @@ from ..protocol.values import (
     readings,
     value_type,
 )
+from . import security
 
 __all__ = ["UndecodableError", "add_commands"]
 
@@ -89,6 +89,7 @@ def _add_client_arguments(command: argparse.ArgumentParser) -> None:
     command.add_argument("--unit", type=int, metavar="N", help="0..255 (that of the URL, or 1)")
     command.add_argument("--timeout", type=float, metavar="S", help="seconds (of the URL, or 1)")
     command.add_argument("-v", "--verbose", action="store_true", help="show frames on stderr")
+    security.add_arguments(command)
 
 
 def _add_type_arguments(command: argparse.ArgumentParser, more: str) -> None:
@@ -130,10 +131,13 @@ def _context(options: argparse.Namespace) -> Context:
         logger = logging.getLogger("libmodbus_py.wire")
         logger.setLevel(logging.DEBUG)
         logger.addHandler(logging.StreamHandler())
-    endpoint = parse(options.url)
-    told = {"unit": options.unit, "timeout": options.timeout}
-    given = {name: value for name, value in told.items() if value is not None}
-    return Context.from_url(str(endpoint), **{**endpoint.client_options, **given})
+    told = {
+        "unit": options.unit,
+        "timeout": options.timeout,
+        "security": security.told(options),
+    }
+    given: Any = {name: value for name, value in told.items() if value is not None}
+    return Context.from_url(options.url, **given)
 
 
 # --- types ---------------------------------------------------------------------------

@@ -17,6 +17,7 @@ from ..server.limits import FULL_POLICIES, Limits
 from ..server.server import Running, Server
 from ..server.units import UNKNOWN_UNIT_POLICIES
 from ..simulator import device_file
+from . import security
 
 __all__ = ["add_command"]
 
@@ -42,6 +43,7 @@ def add_command(commands: Any) -> None:
     command.add_argument("urls", metavar="URL", nargs="+", help="such as tcp://127.0.0.1:1502")
     command.add_argument("--device", metavar="FILE", help="a device file, such as plant.toml")
     _add_limit_arguments(command)
+    security.add_arguments(command)
     command.set_defaults(run=_serve)
 
 
@@ -63,7 +65,7 @@ def _add_limit_arguments(command: argparse.ArgumentParser) -> None:
 
 def _serve(options: argparse.Namespace) -> int:
     devices, faults = _devices(options.device)
-    server = Server(devices, faults, _limits(options), options.unknown_unit)
+    server = Server(devices, faults, _limits(options), options.unknown_unit, security.told(options))
     server.serve_forever(*options.urls, on_listening=_say)
     return 0
 

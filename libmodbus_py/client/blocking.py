@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any, Literal, Self, TypeVar, Unpack, overload
 
-from ..ports.endpoint import DEFAULT_PORT, Endpoint, parse
+from ..ports.endpoint import DEFAULT_PORT, SECURE_PORT, Endpoint, parse
 from ..ports.serial import LineSettings, SerialSettings
 from ..protocol import pdu
 from ..protocol.errors import InvalidResponse, ModbusError
@@ -19,7 +19,7 @@ from .options import ContextOptions, Settings, assembled
 from .plan import Item, Items, Key, Named, Plan, PlanOptions, Strict, Tolerant, Values, planned
 from .requests import Blocking
 
-__all__ = ["AsciiContext", "Context", "RtuContext", "TcpContext", "UdpContext"]
+__all__ = ["AsciiContext", "Context", "RtuContext", "TcpContext", "TlsContext", "UdpContext"]
 
 Result = TypeVar("Result")
 
@@ -34,7 +34,7 @@ class UrlOptions(ContextOptions, SerialSettings, total=False):
 
 class Context(Handle[BlockingDriver], Blocking):
     """
-    A client of one unit: a `TcpContext`, `UdpContext`, `RtuContext` or `AsciiContext`.
+    A client of one unit: `TcpContext`, `TlsContext`, `UdpContext`, `RtuContext`, `AsciiContext`.
 
     Connects when entered (``with``) or used, again on the next request after the
     connection was lost or counts as dead, and closes on exit. Safe from any thread: one
@@ -228,6 +228,27 @@ class TcpContext(Context):
         super().__init__(Endpoint(scheme, host=host, port=port), options)
 
 
+class TlsContext(Context):
+    """
+    A client over TLS: Modbus Security. Both sides prove who they are by certificates.
+
+    One that is refused is a ModbusConnectionError (errno EKEYREJECTED) that says which and
+    why: the server's when connecting, one's own at the first request, if the server
+    speaks TLS 1.3.
+
+    Args:
+        host: a name with all its addresses, an IPv4 or an IPv6 address.
+        port: 1..65535.
+        options: `security`, which it needs, `unit`, `timeout` and others; see
+            `client.options.ContextOptions`.
+    """
+
+    def __init__(
+        self, host: str, port: int = SECURE_PORT, **options: Unpack[ContextOptions]
+    ) -> None:
+        super().__init__(Endpoint("tls", host=host, port=port), options)
+
+
 class UdpContext(Context):
     """
     A client over UDP: the frames of Modbus/TCP, each in a datagram.
@@ -294,6 +315,7 @@ _KINDS: dict[tuple[str, str], type[Context]] = {
     ("tcp", "rtu"): TcpContext,
     ("tcp", "ascii"): TcpContext,
     ("udp", "udp"): UdpContext,
+    ("tls", "tcp"): TlsContext,
     ("serial", "rtu"): RtuContext,
     ("serial", "ascii"): AsciiContext,
 }

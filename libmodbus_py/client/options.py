@@ -12,8 +12,10 @@ from ..ports.endpoint import Endpoint
 from ..ports.port import Port
 from ..ports.serial import SerialPort
 from ..ports.sockets import TcpPort, UdpPort
+from ..ports.tls import TlsPort, security_of
 from ..protocol.checks import integer, seconds
 from ..protocol.framing import is_delimiter
+from ..security.security import Security
 from .batch import MAX_IN_FLIGHT, Patience, Statistics
 from .conversation import Conversation
 from .in_flight import InFlight
@@ -58,6 +60,8 @@ class Options(TypedDict, total=False):
             devices on TCP are unit 255 whoever was asked; "same" by default.
         delimiter: the byte behind CR in ASCII frames, LF (10) unless the device was told
             otherwise; `diagnostics(3, ...)` is followed.
+        security: who one is and whom one trusts, for "tls" and only there; the URL may say
+            it instead.
         trace: called with a `Traced` for every ADU sent and received; the logger
             ``libmodbus_py.wire`` has the same at DEBUG.
         on_state: called with each new `State`, and the ModbusError that led to it or
@@ -77,6 +81,7 @@ class Options(TypedDict, total=False):
     keepalive: float | None
     accept_unit: Literal["same", "any"]
     delimiter: int
+    security: Security | None
     trace: OnTraced | None
     on_state: OnState | None
 
@@ -115,6 +120,7 @@ class Settings:
     keepalive: float | None = 30.0
     accept_unit: str = "same"
     delimiter: int = 0x0A
+    security: Security | None = None
     trace: OnTraced | None = None
     on_state: OnState | None = None
     native: bool = True
@@ -140,6 +146,8 @@ class Settings:
             raise ValueError(
                 f"delimiter must be an ASCII code with no other use, not {self.delimiter}"
             )
+        if not isinstance(self.security, Security | None):
+            raise TypeError(f"security must be Security, not {type(self.security).__name__}")
         for name in ("trace", "on_state"):
             hook = getattr(self, name)
             if hook is not None and not callable(hook):
@@ -220,6 +228,11 @@ def _refuse_ids(endpoint: Endpoint, settings: Settings) -> None:
 
 
 def _port(endpoint: Endpoint, settings: Settings) -> Port:
+    if endpoint.transport == "tls":
+        security = security_of(endpoint, settings.security)
+        return TlsPort(endpoint.host, endpoint.port, settings.keepalive, security)
+    if settings.security is not None:
+        raise ValueError(f"security is for tls://, and means nothing on {endpoint.scheme}")
     if endpoint.transport == "serial":
         return SerialPort(endpoint.device, **endpoint.serial_settings)
     if endpoint.transport == "udp":

@@ -15,6 +15,7 @@ from typing import Any, Protocol
 
 from ..ports.port import Port
 from ..ports.serial import SerialPort
+from ..ports.tls import TlsPort
 from ..ports.waiting import Woken
 from ..protocol.errors import ModbusConnectionError
 from ..protocol.framing import Frame, Framer, make_framer, mbap
@@ -105,7 +106,8 @@ class Shortcut:
         self._encode = framer.encode
         self._is_line = framer.has_broadcast
         self._carrier: Carrier
-        if native and (not self._is_line or isinstance(parts.port, SerialPort)):
+        in_clear = not isinstance(parts.port, TlsPort)  # C reads and writes the descriptor itself
+        if native and in_clear and (not self._is_line or isinstance(parts.port, SerialPort)):
             self._carrier = NativeCarrier(parts.port)
         else:
             self._carrier = PythonCarrier(parts.port, framer, is_ready)

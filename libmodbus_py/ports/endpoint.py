@@ -4,11 +4,14 @@ Endpoints as URLs, alike for clients, servers and the command line.
 ::
 
     tcp://HOST:PORT    rtu+tcp://HOST:PORT    ascii+tcp://HOST:PORT    udp://HOST:PORT
+    tls://HOST:PORT?cert=own.pem&key=own.key&ca=authority.pem
     rtu:///dev/ttyUSB0?baudrate=19200&parity=E&data_bits=8&stop_bits=1
     ascii:///dev/ttyUSB0?baudrate=9600&parity=E&data_bits=7&stop_bits=1
 
 HOST is a name, an IPv4 address or an IPv6 address in brackets; the default port
-is 502. udp has one frame of Modbus/TCP in each datagram. Serial ports also take
+is 502, with tls 802. udp has one frame of Modbus/TCP in each datagram. tls takes `cert`,
+`key`, `ca`, `pin` and `server_name`, which are those of `Security`, and `password_env`, the
+environment variable that holds the key's password. Serial ports also take
 rs485 (kernel, rts-up, rts-down), rts_delay and silence (seconds), echo (0, 1).
 
 Clients take their own options from every URL: ``tcp://192.0.2.10?unit=7&timeout=0.5``.
@@ -23,19 +26,28 @@ from urllib.parse import SplitResult, parse_qsl, quote, unquote, urlsplit
 
 from ..protocol.framing import Framing
 
-__all__ = ["CLIENT_OPTIONS", "DEFAULT_PORT", "SCHEMES", "SERIAL_OPTIONS", "Endpoint", "parse"]
+# fmt: off
+__all__ = [
+    "CLIENT_OPTIONS", "DEFAULT_PORT", "SCHEMES", "SECURE_PORT", "SECURITY_OPTIONS",
+    "SERIAL_OPTIONS", "Endpoint", "parse",
+]
+# fmt: on
 
 DEFAULT_PORT = 502
 
-Scheme = Literal["tcp", "rtu+tcp", "ascii+tcp", "udp", "rtu", "ascii"]
+# Of Modbus Security.
+SECURE_PORT = 802
 
-Transport = Literal["tcp", "udp", "serial"]
+Scheme = Literal["tcp", "rtu+tcp", "ascii+tcp", "udp", "tls", "rtu", "ascii"]
+
+Transport = Literal["tcp", "udp", "tls", "serial"]
 
 SCHEMES: dict[Scheme, tuple[Framing, Transport]] = {
     "tcp": ("tcp", "tcp"),
     "rtu+tcp": ("rtu", "tcp"),
     "ascii+tcp": ("ascii", "tcp"),
     "udp": ("udp", "udp"),
+    "tls": ("tcp", "tls"),
     "rtu": ("rtu", "serial"),
     "ascii": ("ascii", "serial"),
 }
@@ -59,6 +71,10 @@ SERIAL_OPTIONS: dict[str, Option] = {
     "echo": SWITCH,
     "silence": SECONDS,
 }
+
+SECURITY_OPTIONS: dict[str, Option] = dict.fromkeys(
+    ("cert", "key", "ca", "pin", "server_name", "password_env"), TEXT
+)
 
 CLIENT_OPTIONS: dict[str, Option] = {
     "unit": INTEGER,
@@ -88,9 +104,9 @@ class Endpoint:
 
     Attributes:
         scheme: one of `SCHEMES`.
-        host, port: for TCP and UDP; else empty and 0.
+        host, port: for networks; else empty and 0.
         device: for serial ports; else empty.
-        options: settings of the serial port, converted but not checked.
+        options: settings of the serial port, or files for TLS, converted but not checked.
         client_options: of a client, likewise.
     """
 
@@ -108,7 +124,7 @@ class Endpoint:
 
     @property
     def transport(self) -> Transport:
-        """ "tcp", "udp" or "serial"."""
+        """ "tcp", "udp", "tls" or "serial"."""
         return SCHEMES[self.scheme][1]
 
     @property
@@ -122,7 +138,7 @@ class Endpoint:
         return self._shown({**self.options, **self.client_options})
 
     def __str__(self) -> str:
-        return self._shown(self.options)
+        return self._shown(self.options if self.transport == "serial" else {})
 
     def _shown(self, options: dict[str, Any]) -> str:
         host = f"[{self.host}]" if ":" in self.host else self.host
@@ -160,25 +176,29 @@ def _parse_network(url: str, scheme: Scheme, parts: SplitResult) -> Endpoint:
         raise ValueError(f"{url!r}: nothing but options may follow the port")
     if not parts.hostname:
         raise ValueError(f"{url!r}: a host is missing, as in {scheme}://127.0.0.1:502")
+    usual = SECURE_PORT if scheme == "tls" else DEFAULT_PORT
     try:
-        port = DEFAULT_PORT if parts.port is None else parts.port
+        port = usual if parts.port is None else parts.port
     except ValueError:
         raise ValueError(f"{url!r}: the port must be in 0..65535") from None
-    options = _options(url, parts.query, CLIENT_OPTIONS)
-    return Endpoint(scheme, host=parts.hostname, port=port, client_options=options)
+    own = SECURITY_OPTIONS if scheme == "tls" else {}
+    options, others = _options(url, parts.query, own)
+    return Endpoint(scheme, host=parts.hostname, port=port, options=options, client_options=others)
 
 
 def _parse_serial(url: str, scheme: Scheme, parts: SplitResult) -> Endpoint:
     device = unquote(parts.path)
     if parts.netloc or not device.strip("/"):
         raise ValueError(f"{url!r}: a device is missing, as in {scheme}:///dev/ttyUSB0")
-    given = _options(url, parts.query, {**SERIAL_OPTIONS, **CLIENT_OPTIONS})
-    options = {name: value for name, value in given.items() if name in SERIAL_OPTIONS}
-    others = {name: value for name, value in given.items() if name not in options}
+    options, others = _options(url, parts.query, SERIAL_OPTIONS)
     return Endpoint(scheme, device=device, options=options, client_options=others)
 
 
-def _options(url: str, query: str, allowed: Mapping[str, Option]) -> dict[str, Any]:
+def _options(
+    url: str, query: str, own: Mapping[str, Option]
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Those of the endpoint itself, and those of clients."""
+    allowed = {**own, **CLIENT_OPTIONS}
     options: dict[str, Any] = {}
     for name, text in parse_qsl(query, keep_blank_values=True):
         if name not in allowed:
@@ -190,4 +210,7 @@ def _options(url: str, query: str, allowed: Mapping[str, Option]) -> dict[str, A
             options[name] = convert(text)
         except ValueError:
             raise ValueError(f"{url!r}: {name} must be {wanted}, not {text!r}") from None
-    return options
+    return (
+        {name: value for name, value in options.items() if name in own},
+        {name: value for name, value in options.items() if name not in own},
+    )

@@ -62,8 +62,18 @@ class SocketPort(Port):
         return f"[{self.host}]:{self.port}" if ":" in self.host else f"{self.host}:{self.port}"
 
     def opening(self, deadline: float) -> Steps[None]:
-        self._socket = yield from self._connected(deadline)
-        self._watch(self._socket.fileno())
+        made = yield from self._connected(deadline)
+        try:
+            yield from self._preparing(made, deadline)
+        except BaseException:
+            made.close()
+            raise
+        self._socket = made
+        self._watch(made.fileno())
+
+    def _preparing(self, made: socket.socket, deadline: float) -> Steps[None]:
+        """What is to be done before it counts as open. Raises ModbusConnectionError."""
+        yield from ()
 
     def _connected(self, deadline: float) -> Steps[socket.socket]:
         """Try one address after the other; each gets its share of the time."""
@@ -143,19 +153,19 @@ class TcpPort(SocketPort):
         self._keepalive = keepalive
         self._unsent = bytearray()
 
-    def opening(self, deadline: float) -> Steps[None]:
-        yield from super().opening(deadline)
+    def _preparing(self, made: socket.socket, deadline: float) -> Steps[None]:
+        yield from super()._preparing(made, deadline)
         self._unsent.clear()
         self.has_unsent: bool = False
-        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        made.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         if self._keepalive is not None:
-            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+            made.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
             for option, value in (
                 (socket.TCP_KEEPIDLE, math.ceil(self._keepalive)),
                 (socket.TCP_KEEPINTVL, math.ceil(self._keepalive / 3)),
                 (socket.TCP_KEEPCNT, 3),
             ):
-                self._socket.setsockopt(socket.IPPROTO_TCP, option, value)
+                made.setsockopt(socket.IPPROTO_TCP, option, value)
 
     def receive(self) -> list[bytes]:
         try:

@@ -19,6 +19,7 @@ __all__ = [
     "check_role",
     "decode_role",
     "encode_role",
+    "mentions_role",
     "role_of",
 ]
 
@@ -30,9 +31,17 @@ MAX_ROLE = 255
 
 _UTF8_STRING = 0x0C
 
+# The OID as DER has it; OpenSSL takes no other form.
+_ENCODED_OID = bytes.fromhex("060b2b06010401 83890c 8622 01")
+
 
 class RoleError(ValueError):
     """A certificate whose role nobody can tell: it is refused, rather than taken without one."""
+
+
+def mentions_role(certificate: bytes) -> bool:
+    """Say whether a certificate may have a role: without cryptography, and in no time."""
+    return _ENCODED_OID in certificate
 
 
 def role_of(certificate: bytes) -> str | None:

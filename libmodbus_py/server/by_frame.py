@@ -15,9 +15,28 @@ from .faults import Delivery, pieces
 from .limits import ServerStatistics
 from .units import SerialUnits, TcpUnits
 
-__all__ = ["ByFrame", "Session"]
+__all__ = ["ByFrame", "Link", "Session"]
 
 logger: logging.Logger = logging.getLogger(__name__)
+
+
+class Link(Protocol):
+    """
+    The connection that a session belongs to.
+
+    Attributes:
+        address: who asks: "192.0.2.7:51234", or the serial port.
+        role: what the certificate of the peer says of it, if anything.
+    """
+
+    address: str
+    role: str | None
+
+    def write(self, data: bytes) -> None:
+        """Send answers, in the order of the calls."""
+
+    def follow(self) -> None:
+        """Look again whether the session is waiting."""
 
 
 class Session(Protocol):

@@ -35,6 +35,8 @@ class Limits:
             then the connection is closed. Not with RTU and ASCII over TCP, where silence
             ends a frame. Also for taking the last answers of a connection that is
             being closed.
+        handshake_timeout: seconds from the connection to the end of its TLS handshake,
+            0.001..86400.
         idle_timeout: seconds without a request after which a connection is closed,
             0.001..86400; None for never. A client that does not take its answers is idle.
         max_unsent: bytes of answers that may wait for one client beyond what the system
@@ -52,6 +54,7 @@ class Limits:
     max_connections: int | None = None
     when_full: Literal["close-idle", "refuse"] = "close-idle"
     frame_timeout: float = 5.0
+    handshake_timeout: float = 5.0
     idle_timeout: float | None = 3600.0
     max_unsent: int = 65536
     allow: Iterable[str] = ()
@@ -66,6 +69,7 @@ class Limits:
                 f"when_full must be one of {', '.join(FULL_POLICIES)}, not {self.when_full!r}"
             )
         seconds("frame_timeout", self.frame_timeout)
+        seconds("handshake_timeout", self.handshake_timeout)
         if self.idle_timeout is not None:
             seconds("idle_timeout", self.idle_timeout)
         integer("max_unsent", self.max_unsent, 0, 2**30)
@@ -142,13 +146,17 @@ class ServerStatistics:
         refused_full: connections closed at once, for there were too many.
         closed_for_others: idle connections closed to make room.
         closed_idle: connections closed after `idle_timeout`.
-        closed_slow: connections closed for a frame that took too long.
+        closed_slow: connections closed for a frame, or a TLS handshake, that took too long.
         closed_out_of_step: connections closed for a header that made no sense.
         paused: how often a client was not read because it did not take its answers.
         throttled: how often a client exceeded `requests_per_second`.
         requests: frames that were for this server to look at, other units' included.
         refused: requests that got an exception.
         bad_frames: runs of bytes that were no frame.
+        handshakes: TLS connections on which both sides took the other's certificate.
+        handshakes_resumed: those of them that resumed a session.
+        handshakes_refused: TLS connections closed, for a certificate was not good or
+            what came was no TLS.
     """
 
     connections: int = 0
@@ -164,3 +172,6 @@ class ServerStatistics:
     requests: int = 0
     refused: int = 0
     bad_frames: int = 0
+    handshakes: int = 0
+    handshakes_resumed: int = 0
+    handshakes_refused: int = 0

@@ -46,8 +46,8 @@ ROOM_AT_MOST = 16_384
 # than to read the request.
 RESOLUTION = 0.05
 
-# Makes the session of a peer; given who asks, how to write, and whom to tell of waiting.
-MakeSession = Callable[[str, Callable[[bytes], None], Callable[[], None]], Session]
+MakeSession = Callable[["Peer"], Session]
+"""Makes the session of a connection."""
 
 
 class Peers:
@@ -141,6 +141,8 @@ class Peers:
 
     def later(self, call: Callable[[], None]) -> None:
         """Have it called when all have been read, before answers are sent."""
+        if not self._calls and not self._in_turn:
+            self.loop.call_soon(self._finish_turn)
         self._calls.append(call)
 
     def send_soon(self, peer: Peer) -> None:
@@ -246,7 +248,7 @@ class Peer:
     __slots__ = (
         "_allowance", "_descriptor", "_is_closing", "_is_full", "_is_reading", "_is_sending",
         "_is_throttled", "_loop", "_peers", "_release_timer", "_session", "_socket", "_unsent",
-        "address", "is_greedy", "latest_turn",
+        "address", "is_greedy", "latest_turn", "role",
     )
     # fmt: on
 
@@ -254,6 +256,7 @@ class Peer:
         self, peers: Peers, client: socket.socket, address: str, make: MakeSession
     ) -> None:
         self.address: str = address
+        self.role: str | None = None  # known to a session within TLS only
         self._peers = peers
         self._loop = peers.loop
         self._socket = client
@@ -267,7 +270,7 @@ class Peer:
         self._release_timer: asyncio.TimerHandle | None = None
         rate = peers.limits.requests_per_second
         self._allowance = None if rate is None else Allowance(rate, self._loop.time())
-        self._session = make(address, self._write, self._follow)
+        self._session = make(self)
         peers.watch(self, self._descriptor, EPOLLIN)
 
     def close(self) -> None:
@@ -280,6 +283,9 @@ class Peer:
             self._release_timer.cancel()
         self._peers.forget(self._descriptor)
         self._descriptor = -1
+        if self._unsent:  # its last words, if they go
+            with contextlib.suppress(OSError):
+                self._socket.send(self._unsent)
         self._socket.close()
         self._peers.remove(self)
 
@@ -306,16 +312,27 @@ class Peer:
             self.close()
             return
         if not data:  # it will not ask any more, but may still listen
-            self._close_when_sent()
+            self.end()
             return
         self.is_greedy = len(data) == size
+        self._receive(self._session.receive, data)
+
+    def go_on(self, receive: Callable[[], int]) -> None:
+        """Let the session receive what it had put off; as when it comes."""
+        try:
+            self._receive(receive)
+        except Exception:  # as in `act`
+            logger.exception("%s: connection closed", self.address)
+            self.close()
+
+    def _receive(self, receive: Callable[..., int], *data: bytes) -> None:
         peers, session = self._peers, self._session
         try:
-            requests = session.receive(data)
+            requests = receive(*data)
         except FrameError as error:
             logger.debug("%s: connection closed: %s", self.address, error)
             peers.statistics.closed_out_of_step += 1
-            self._close_when_sent()
+            self.end()
             return
         if requests:
             peers.note_request(self)
@@ -326,7 +343,7 @@ class Peer:
 
     # --- answers ------------------------------------------------------------------------
 
-    def _write(self, data: bytes) -> None:
+    def write(self, data: bytes) -> None:
         if not self._unsent:
             self._peers.send_soon(self)
         self._unsent += data
@@ -364,19 +381,19 @@ class Peer:
         if len(self._unsent) > self._peers.limits.max_unsent and not self._is_full:
             self._is_full = True
             self._peers.statistics.paused += 1
-            self._follow()
+            self.follow()
 
     def _finish_sending(self) -> None:
         self._is_sending = self._is_full = False
         self._watch()
-        self._follow()
+        self.follow()
 
-    def _close_when_sent(self) -> None:
+    def end(self) -> None:
         if not self._unsent:
             self.close()
             return
         self._is_closing = True
-        self._follow()
+        self.follow()
         self._peers.set_deadline(self)
 
     # --- reading or not -------------------------------------------------------------------
@@ -386,14 +403,14 @@ class Peer:
         if wait := allowance.wait(self._loop.time()):
             self._peers.statistics.throttled += 1
             self._is_throttled = True
-            self._follow()
+            self.follow()
             self._release_timer = self._loop.call_later(wait, self._release)
 
     def _release(self) -> None:
         self._is_throttled = False
-        self._follow()
+        self.follow()
 
-    def _follow(self) -> None:
+    def follow(self) -> None:
         """Read, or do not read, as things are now."""
         if self._descriptor < 0:
             return

@@ -22,6 +22,8 @@ from functools import partial
 from ..device.device import Device
 from ..device.reply import replier
 from ..ports.endpoint import Endpoint, parse
+from ..ports.tls import security_of
+from ..security.security import Security
 from .faults import Fault, Faults
 from .limits import Limits, ServerStatistics
 from .peers import Peers
@@ -61,6 +63,7 @@ class Server:
         limits: what clients may cost; None for the defaults of `Limits`.
         unknown_unit: what a unit without a device gets on TCP and UDP: "refuse", exception
             11; "silent", nothing.
+        security: who it is and whom it trusts, for tls; the URLs may say it instead.
 
     Attributes:
         statistics: what happened at all endpoints, kept up to date.
@@ -75,11 +78,15 @@ class Server:
         faults: Mapping[int | None, Iterable[Fault]] | None = None,
         limits: Limits | None = None,
         unknown_unit: UnknownUnit = "refuse",
+        security: Security | None = None,
     ) -> None:
         self._units = Units(devices, Faults({} if faults is None else faults), unknown_unit)
         if not isinstance(limits, Limits | None):
             raise TypeError(f"limits must be Limits, not {type(limits).__name__}")
         self._limits = limits or Limits()
+        if not isinstance(security, Security | None):
+            raise TypeError(f"security must be Security, not {type(security).__name__}")
+        self._security = security
         self.statistics: ServerStatistics = ServerStatistics()
 
     @contextlib.asynccontextmanager
@@ -88,7 +95,7 @@ class Server:
         Serve while the ``async with`` block runs.
 
         Args:
-            urls: where to listen: tcp, rtu+tcp, ascii+tcp, udp with port 0 for a free
+            urls: where to listen: tcp, rtu+tcp, ascii+tcp, udp, tls with port 0 for a free
                 one; rtu, ascii for serial ports with their settings.
 
         Raises:
@@ -181,6 +188,9 @@ class Server:
     def _make(self, endpoint: Endpoint, peers: Peers) -> TcpServer | UdpServer | SerialServer:
         if endpoint.transport == "tcp":
             return TcpServer(endpoint, self._units, peers)
+        if endpoint.transport == "tls":
+            security = security_of(endpoint, self._security)
+            return TcpServer(endpoint, self._units, peers, security)
         if endpoint.transport == "udp":
             return UdpServer(endpoint, self._units, self._limits, self.statistics)
         return SerialServer(endpoint, self._units, self.statistics)

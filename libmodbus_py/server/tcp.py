@@ -8,13 +8,16 @@ import asyncio
 import errno
 import logging
 import socket
+from collections.abc import Callable
 
 from ..ports.endpoint import Endpoint
 from ..protocol.framing import Framing
+from ..security.security import Security
 from .by_chunk import ByChunk, Singles
-from .by_frame import ByFrame
+from .by_frame import ByFrame, Link, Session
 from .listening import bound, reason
 from .peers import MakeSession, Peers
+from .tls import Handshakes, TlsSession
 from .units import SerialUnits, TcpUnits, Units
 
 __all__ = ["TcpServer"]
@@ -34,14 +37,22 @@ class TcpServer:
     """
     Listens on all addresses of a host.
 
+    Args:
+        security: for TLS; else None.
+
     Raises:
         ModbusConnectionError: it cannot, with errno.
     """
 
-    def __init__(self, endpoint: Endpoint, units: Units, peers: Peers) -> None:
+    def __init__(
+        self, endpoint: Endpoint, units: Units, peers: Peers, security: Security | None = None
+    ) -> None:
         self._peers = peers
         self._loop = asyncio.get_running_loop()
-        self._make_session = _maker(endpoint.framing, units, peers)
+        make = _maker(endpoint.framing, units, peers)
+        self._make_session: MakeSession = make
+        if security is not None:
+            self._make_session = _secured(make, security, peers)
         self._listeners: list[socket.socket] = []
         self._retries: dict[socket.socket, asyncio.TimerHandle] = {}
         self._is_short = False  # of descriptors or memory
@@ -94,13 +105,17 @@ def _listener(family: socket.AddressFamily, address: tuple[str, int]) -> socket.
     return socket.create_server(address, family=family, backlog=BACKLOG)
 
 
-def _maker(framing: Framing, units: Units, peers: Peers) -> MakeSession:
+def _maker(framing: Framing, units: Units, peers: Peers) -> Callable[[Link], Session]:
     statistics = peers.statistics
-    if framing != "tcp":
-        line = SerialUnits(units)
-        return lambda peer, *way: ByFrame(line, framing, peer, statistics, *way)
-    own = TcpUnits(units)
-    if units.faults:
-        return lambda peer, *way: ByFrame(own, framing, peer, statistics, *way)
+    own = SerialUnits(units) if framing != "tcp" else TcpUnits(units)
+    if units.faults or isinstance(own, SerialUnits):
+        return lambda link: ByFrame(
+            own, framing, link.address, statistics, link.write, link.follow, link.role
+        )
     singles = Singles(own, statistics, peers.later)
-    return lambda peer, write, _: ByChunk(own, peer, statistics, singles, write)
+    return lambda link: ByChunk(own, link.address, statistics, singles, link.write, link.role)
+
+
+def _secured(make: Callable[[Link], Session], security: Security, peers: Peers) -> MakeSession:
+    handshakes = Handshakes(security, peers.limits.handshake_timeout, peers.statistics)
+    return lambda peer: TlsSession(peer, handshakes, make)

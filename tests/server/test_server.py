@@ -103,7 +103,7 @@ def test_who_only_listens_any_more_gets_all_answers(device: Device) -> None:
         peers.admit(
             end,
             ("peer", 1),
-            lambda peer, write, _: ByChunk(units, peer, statistics, singles, write),
+            lambda peer: ByChunk(units, peer.address, statistics, singles, peer.write),
         )
         await asyncio.sleep(0.05)  # it has seen the end of the requests
         received = await asyncio.to_thread(receive, client, 1 << 20)

@@ -1,0 +1,108 @@
+"""
+One TLS connection without a socket: what came over the wire in, what must go there out.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ssl
+from collections.abc import Callable
+
+__all__ = ["READ_SIZE", "Tunnel"]
+
+# As much as a record carries.
+READ_SIZE = 16_384
+
+
+class Tunnel:
+    """
+    One end of a TLS connection.
+
+    `feed` takes what came over the wire, `outgoing` gives what must go there, after every
+    call, and `send` takes what is to be encrypted.
+
+    Args:
+        context: a client's, if it gets a name, else a server's.
+        server_name: the name or address that the server is expected to have.
+        session: an earlier one to resume.
+    """
+
+    # fmt: off
+    __slots__ = ("_incoming", "_outgoing", "_tls", "feed", "outgoing", "send")
+    # fmt: on
+
+    def __init__(
+        self,
+        context: ssl.SSLContext,
+        *,
+        server_name: str | None = None,
+        session: ssl.SSLSession | None = None,
+    ) -> None:
+        self._incoming = ssl.MemoryBIO()
+        self._outgoing = ssl.MemoryBIO()
+        self._tls = context.wrap_bio(
+            self._incoming,
+            self._outgoing,
+            server_side=server_name is None,
+            server_hostname=server_name,
+            session=session,
+        )
+        # Bound once: each request passes all three.
+        self.feed: Callable[[bytes], object] = self._incoming.write
+        self.outgoing: Callable[[], bytes] = self._outgoing.read
+        self.send: Callable[[bytes], object] = self._tls.write
+
+    def handshake(self) -> bool:
+        """
+        Go on with the handshake as far as what came allows; say whether it is over.
+
+        Raises:
+            ssl.SSLError: it failed; `outgoing` has the alert that says so.
+        """
+        try:
+            self._tls.do_handshake()
+        except ssl.SSLWantReadError:
+            return False
+        return True
+
+    def receive(self, most: int = READ_SIZE) -> bytes | None:
+        """
+        Give what came, decrypted; None if there is nothing, b"" at the end.
+
+        Raises:
+            ssl.SSLError: the other side refused, or what came is no TLS.
+        """
+        try:
+            return self._tls.read(most)
+        except ssl.SSLWantReadError:
+            return None
+
+    def end(self) -> None:
+        """Say goodbye (close_notify)."""
+        with contextlib.suppress(ssl.SSLError):  # it was refused before, or says nothing more
+            self._tls.unwrap()
+
+    @property
+    def has_more(self) -> bool:
+        """Whether something came that `receive` has not looked at."""
+        return bool(self._incoming.pending or self._tls.pending())
+
+    @property
+    def certificate(self) -> bytes:
+        """The other side's, in DER; also of a resumed session."""
+        return self._tls.getpeercert(True) or b""
+
+    @property
+    def expires(self) -> str | None:
+        """When the other side's certificate does, as OpenSSL says it; None if nobody checked it."""
+        found = self._tls.getpeercert() or {}
+        return found.get("notAfter")  # type: ignore[return-value]
+
+    @property
+    def is_resumed(self) -> bool:
+        return bool(self._tls.session_reused)
+
+    @property
+    def session(self) -> ssl.SSLSession | None:
+        """What a client can resume."""
+        return self._tls.session
