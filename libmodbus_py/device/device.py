@@ -9,6 +9,7 @@ the device's own: two devices share nothing.
 from __future__ import annotations
 
 import logging
+import reprlib
 from collections.abc import Callable, Iterable, Sequence
 from collections.abc import Mapping as MappingABC
 from dataclasses import dataclass, replace
@@ -45,6 +46,7 @@ from ..protocol.pdu import (
 from ..protocol.pdu.interface import OBJECT_NAMES, ReadDeviceIdCode, pages
 from .access import ACCESSES, Access, Touched
 from .event_log import EventLog
+from .hooks import timed
 from .mapping import Mapping, Table
 from .record_file import RecordFile
 from .reply import Answered, make_tally, replier
@@ -89,9 +91,11 @@ class Device:
     Answers the requests of one unit. Safe from any thread.
 
     Hooks are called with an `Access`, while the mapping is locked; they run in the
-    server's loop, so they should be quick. One that raises an ExceptionResponse class
-    refuses the request with it; any other exception is answered with 4 and logged
-    once. They see only accesses to what exists.
+    server's loop, so they should be quick: the first time that one takes 0.1 s or more is
+    logged. One that raises an ExceptionResponse class refuses the request with it; any
+    other exception is answered with 4 and logged once, but for SystemExit and
+    KeyboardInterrupt, which go on. They see only accesses to what exists. The same holds
+    for `canopen` and `handlers`.
 
     Args:
         mapping: the four tables.
@@ -152,9 +156,13 @@ class Device:
         self.exception_status: int = integer("exception_status", exception_status, 0, 0xFF)
         self.diagnostic_register: int = 0
         self._identification = _checked_identification(identification or {})
-        self._canopen = canopen
+        self._canopen = canopen and timed("canopen", canopen)
         self._handlers = {**self._own, **_bound(handlers or {})}
-        self._hooks = (before_write, after_write, before_read)
+        self._hooks = (
+            before_write and timed("before_write", before_write),
+            after_write and timed("after_write", after_write),
+            before_read and timed("before_read", before_read),
+        )
         self._is_hooked = any(self._hooks)
         replied = ACCESSES.keys() - self._own.keys()
         self.is_plain: bool = not self._is_hooked and self._handlers.keys().isdisjoint(replied)
@@ -174,6 +182,9 @@ class Device:
             The response, an exception response included; nothing for function
             codes 128..255, whose exception has no code, for broadcasts, and in
             listen-only mode.
+
+        Raises:
+            SystemExit, KeyboardInterrupt: a hook or handler did.
         """
         function = pdu[0]
         if function & 0x80:
@@ -227,10 +238,14 @@ class Device:
         try:
             return self._execute(decode_request(pdu), pdu, log, caller)
         except ExceptionResponse as refusal:
-            if 1 <= refusal.code <= 0xFF:
+            if isinstance(refusal.code, int) and 1 <= refusal.code <= 0xFF:
                 return bytes([pdu[0] | 0x80, refusal.code])
             self._log_failure(pdu)
-        except Exception:
+        except (SystemExit, KeyboardInterrupt):  # whoever raises them wants the process to end
+            raise
+        # CancelledError, GeneratorExit and their like, too: whatever a hook raises is about this
+        # request, and further up it would cost others theirs.
+        except BaseException:
             self._log_failure(pdu)
         return bytes([pdu[0] | 0x80, ServerDeviceFailure.code])
 
@@ -243,8 +258,8 @@ class Device:
                 self._call_hooks_before(touched, caller)
             if handle is not None:
                 response = request.encode_response(handle(self, request, log))
-                if not 1 <= len(response) <= MAX_PDU:
-                    raise ValueError(f"a response of {len(response)} bytes")
+                if not isinstance(response, bytes) or not 1 <= len(response) <= MAX_PDU:
+                    raise ValueError(f"no response PDU: {reprlib.repr(response)}")
             elif type(request) in ACCESSES:
                 response = replier().reply(pdu, self.mapping)
             else:
@@ -411,8 +426,15 @@ def _bound(
             raise TypeError(f"handlers must be {{request class: function}}, not {request!r}")
         if not callable(handle):
             raise TypeError(f"handlers[{request.__name__}] must be a function, not {handle!r}")
-        bound[request] = lambda device, request, log, handle=handle: handle(request)
+        bound[request] = _handler(request, handle)
     return bound
+
+
+def _handler(
+    request: type[Request[Any]], handle: Callable[[Any], Any]
+) -> Callable[[Device, Any, EventLog], Any]:
+    measured = timed(f"the handler of {request.__name__}", handle)
+    return lambda device, request, log: measured(request)
 
 
 def _checked_identification(given: MappingABC[Any, str | bytes]) -> dict[int, bytes]:

@@ -1,0 +1,191 @@
+"""
+Hooks and handlers that do what they should not: raise what is no Exception, take long.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import socket
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from libmodbus_py import Device, Mapping, Server, pdu
+from libmodbus_py.device import hooks as hooks_module
+from libmodbus_py.protocol import errors
+
+READ, WRITE = b"\3\0\0\0\1", b"\6\0\0\0\7"
+
+# What calls a function of the application, and the request that has it called.
+KINDS: dict[str, bytes] = {
+    "before_read": READ,
+    "before_write": WRITE,
+    "after_write": WRITE,
+    "canopen": b"\x2b\x0d\0",
+    "handlers": b"\1\0\0\0\1",
+}
+
+
+def made_device(kind: str, call: Callable[[Any], Any]) -> Device:
+    given = {pdu.ReadCoils: call} if kind == "handlers" else call
+    return Device(Mapping(coils=1, holding_registers=1), **{kind: given})
+
+
+def raising(error: BaseException) -> Callable[[Any], Any]:
+    def fail(_: Any) -> None:
+        raise error
+
+    return fail
+
+
+def is_free(device: Device) -> bool:
+    """Whether another thread gets the lock of the mapping."""
+    got: list[bool] = []
+    thread = threading.Thread(target=lambda: got.append(device.mapping.lock.acquire(timeout=5)))
+    thread.start()
+    thread.join()
+    return got == [True]
+
+
+class Unusual(BaseException):
+    """As some frameworks end a task with."""
+
+
+# --- what they raise ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    "error",
+    [
+        asyncio.CancelledError(),
+        GeneratorExit(),
+        Unusual(),
+        BaseExceptionGroup("several", [KeyboardInterrupt()]),
+        errors.ExceptionResponse(code="2"),  # type: ignore[arg-type]
+        errors.ExceptionResponse(code=2.0),  # type: ignore[arg-type]
+    ],
+    ids=lambda error: f"{type(error).__name__}",
+)
+def test_whatever_they_raise_is_answered_4_and_logged_once(
+    kind: str, error: BaseException, caplog: pytest.LogCaptureFixture
+) -> None:
+    device = made_device(kind, raising(error))
+    request = KINDS[kind]
+    for _ in range(3):
+        assert device.answer(request) == bytes([request[0] | 0x80, 4])
+    (record,) = caplog.records
+    assert record.levelno == logging.ERROR
+    assert record.exc_info
+    assert record.exc_info[1] is error
+    assert is_free(device)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("error", [SystemExit(3), KeyboardInterrupt()], ids=repr)
+def test_what_ends_a_process_goes_on(
+    kind: str, error: BaseException, caplog: pytest.LogCaptureFixture
+) -> None:
+    device = made_device(kind, raising(error))
+    with pytest.raises(type(error)) as raised:
+        device.answer(KINDS[kind])
+    assert raised.value is error
+    assert caplog.records == []
+    assert is_free(device)
+
+
+@pytest.mark.parametrize("result", ["text", [1, 2], None, 5])
+def test_a_handler_whose_class_encodes_no_bytes_is_a_failure(
+    result: Any, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pdu.ReadCoils, "encode_response", lambda self, result: result)
+    device = made_device("handlers", lambda request: result)
+    assert device.answer(KINDS["handlers"]) == b"\x81\4"
+    assert len(caplog.records) == 1
+
+
+def adu(body: bytes, number: int) -> bytes:
+    return number.to_bytes(2, "big") + (1 + len(body)).to_bytes(4, "big") + b"\1" + body
+
+
+def received(peer: socket.socket, size: int) -> bytes:
+    data = b""
+    while len(data) < size:
+        more = peer.recv(size - len(data))
+        assert more, data
+        data += more
+    return data
+
+
+@pytest.mark.parametrize("error", [asyncio.CancelledError(), GeneratorExit(), Unusual()], ids=repr)
+def test_nobody_loses_a_request_of_the_same_turn(
+    error: BaseException, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Neither who sent it nor others, whose requests came alone and are answered together."""
+    server = Server(made_device("before_write", raising(error)))
+    ok, failed = b"\3\2\0\0", b"\x86\4"
+    asked = [READ, WRITE, READ]
+    answers = b"".join(adu(body, at) for at, body in enumerate([ok, failed, ok]))
+    with server.background("tcp://127.0.0.1:0") as running:
+        port = int(running.urls[0].rpartition(":")[2])
+        peers = [socket.create_connection(("127.0.0.1", port), timeout=20) for _ in range(8)]
+        for turn in range(20):
+            for peer in peers:
+                peer.sendall(adu(asked[turn % 3], turn))
+            for peer in peers:
+                expected = adu([ok, failed, ok][turn % 3], turn)
+                assert received(peer, len(expected)) == expected
+        peers[0].sendall(b"".join(adu(body, at) for at, body in enumerate(asked)))
+        assert received(peers[0], len(answers)) == answers
+        for peer in peers:
+            peer.close()
+    assert len(caplog.records) == 1
+
+
+# --- how long they take ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_slow_one_is_told_of_once_for_each_device(
+    kind: str, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(hooks_module, "SLOW", 0.01)
+
+    def dawdle(given: Any) -> Any:
+        time.sleep(0.02)
+        return b"" if kind == "canopen" else [False]
+
+    for _ in range(2):
+        device = made_device(kind, dawdle)
+        for _ in range(3):
+            assert device.answer(KINDS[kind])[0] == KINDS[kind][0]
+    assert [record.levelno for record in caplog.records] == [logging.WARNING] * 2
+    message = caplog.records[0].getMessage()
+    assert ("ReadCoils" if kind == "handlers" else kind) in message
+    assert "dawdle" in message
+    assert "clients" in message
+    assert any(0.02 <= float(word) < 60 for word in message.split() if word[0].isdigit())
+
+
+def test_one_that_is_slow_and_fails_is_told_of(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(hooks_module, "SLOW", 0)
+    device = made_device("before_read", raising(errors.IllegalDataAddress()))
+    assert device.answer(READ) == b"\x83\2"
+    assert [record.levelno for record in caplog.records] == [logging.WARNING]
+
+
+def test_quick_ones_are_not_told_of(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(hooks_module, "SLOW", 60)
+    for kind, request in KINDS.items():
+        result: Any = b"" if kind == "canopen" else [False]
+        device = made_device(kind, lambda _, result=result: result)  # type: ignore[misc]
+        assert device.answer(request)[0] == request[0]
+    assert caplog.records == []
