@@ -23,6 +23,7 @@ static mapping_t mapping;
 
 static const uint16_t coils[] = {10, 999, 1003, 2109};
 static const uint16_t registers[] = {100, 100, 102, 199, 210, 399};
+static const uint16_t discrete_inputs[] = {20, 2119}, input_registers[] = {200, 399};
 
 static void set_up(void)
 {
@@ -38,11 +39,10 @@ static void set_up(void)
     CHECK(made != NULL);
     mapping.tables = *made;
     free(made);
-    mapping.has_holes = 1;
-    mapping.coils.count = 2;
-    mapping.coils.edges = coils;
-    mapping.holding_registers.count = 3;
-    mapping.holding_registers.edges = registers;
+    mapping.ranges[COILS] = (runs_t){2, coils};
+    mapping.ranges[DISCRETE_INPUTS] = (runs_t){1, discrete_inputs};
+    mapping.ranges[HOLDING_REGISTERS] = (runs_t){3, registers};
+    mapping.ranges[INPUT_REGISTERS] = (runs_t){1, input_registers};
 }
 
 static void empty_tables(void)

@@ -189,6 +189,11 @@ typedef struct {
     uint8_t was_refused[...];
 } tally_t;
 
+#define COILS ...
+#define DISCRETE_INPUTS ...
+#define HOLDING_REGISTERS ...
+#define INPUT_REGISTERS ...
+
 typedef struct {
     int count;
     const uint16_t *edges;
@@ -196,11 +201,7 @@ typedef struct {
 
 typedef struct {
     modbus_mapping_t tables;
-    int has_holes;
-    runs_t coils;
-    runs_t discrete_inputs;
-    runs_t holding_registers;
-    runs_t input_registers;
+    runs_t ranges[...];
 } mapping_t;
 
 typedef struct {

@@ -24,20 +24,18 @@ typedef struct {
     uint8_t was_refused[OUTCOMES]; /* the latest ones; request n at n % OUTCOMES */
 } tally_t;
 
-/* The addresses that a table with holes has, ascending: the first and the last of each run.
- * Runs that touch are one. */
+/* The tables, in the order of `ranges`. */
+enum { COILS, DISCRETE_INPUTS, HOLDING_REGISTERS, INPUT_REGISTERS, TABLES };
+
+/* Addresses of a table, ascending: the first and the last of each run. Runs that touch are one. */
 typedef struct {
-    int count; /* of runs; 0 for a table without holes */
+    int count; /* of runs */
     const uint16_t *edges;
 } runs_t;
 
 typedef struct {
     modbus_mapping_t tables; /* from the first address to the last, holes included */
-    int has_holes;           /* somewhere */
-    runs_t coils;
-    runs_t discrete_inputs;
-    runs_t holding_registers;
-    runs_t input_registers;
+    runs_t ranges[TABLES];   /* the addresses that exist; all of them have memory in `tables` */
 } mapping_t;
 
 /* modbus_reply writes into the socket of the context; `outlet` is its other end. */
@@ -114,45 +112,75 @@ static int judge(const uint8_t *pdu, int size)
     }
 }
 
-static int has(const runs_t *runs, int first, int count)
+/* A run of items that a request reads or writes. */
+typedef struct {
+    int table;
+    int is_write;
+    int first;
+    int count;
+} span_t;
+
+/* Function code -> the span behind it: address and count, or the address of a single item. */
+static const struct {
+    uint8_t table, is_write, is_single;
+} SPANS[] = {
+    [MODBUS_FC_READ_COILS] = {COILS, 0, 0},
+    [MODBUS_FC_READ_DISCRETE_INPUTS] = {DISCRETE_INPUTS, 0, 0},
+    [MODBUS_FC_READ_HOLDING_REGISTERS] = {HOLDING_REGISTERS, 0, 0},
+    [MODBUS_FC_READ_INPUT_REGISTERS] = {INPUT_REGISTERS, 0, 0},
+    [MODBUS_FC_WRITE_SINGLE_COIL] = {COILS, 1, 1},
+    [MODBUS_FC_WRITE_SINGLE_REGISTER] = {HOLDING_REGISTERS, 1, 1},
+    [MODBUS_FC_WRITE_MULTIPLE_COILS] = {COILS, 1, 0},
+    [MODBUS_FC_WRITE_MULTIPLE_REGISTERS] = {HOLDING_REGISTERS, 1, 0},
+    [MODBUS_FC_MASK_WRITE_REGISTER] = {HOLDING_REGISTERS, 1, 1},
+    [MODBUS_FC_WRITE_AND_READ_REGISTERS] = {HOLDING_REGISTERS, 0, 0}, /* and what it writes */
+};
+
+enum { SPANS_MAX = 2 };
+
+/* What a request that was judged good touches; gives how many spans. */
+static int find_spans(const uint8_t *pdu, span_t *spans)
+{
+    int function = pdu[0];
+    spans[0].table = SPANS[function].table;
+    spans[0].is_write = SPANS[function].is_write;
+    spans[0].first = word(pdu + 1);
+    spans[0].count = SPANS[function].is_single ? 1 : word(pdu + 3);
+    if (function != MODBUS_FC_WRITE_AND_READ_REGISTERS)
+        return 1;
+    spans[1] = (span_t){HOLDING_REGISTERS, 1, word(pdu + 5), word(pdu + 7)};
+    return 2;
+}
+
+/* The first run that does not end before an address. */
+static int run_from(const runs_t *runs, int address)
 {
     int low = 0, high = runs->count;
-    if (runs->count == 0)
-        return 1;
-    while (low < high) { /* for the first run that does not end before it */
+    while (low < high) {
         int middle = (low + high) / 2;
-        if (runs->edges[2 * middle + 1] < first)
+        if (runs->edges[2 * middle + 1] < address)
             low = middle + 1;
         else
             high = middle;
     }
-    return low < runs->count && runs->edges[2 * low] <= first &&
-           first + count - 1 <= runs->edges[2 * low + 1];
+    return low;
 }
 
-/* Whether a request that was judged good keeps clear of all holes; what is beyond a table
- * without holes is left to modbus_reply. */
-static int exists(const mapping_t *mapping, const uint8_t *pdu)
+static int has(const runs_t *runs, int first, int count)
 {
-    switch (pdu[0]) {
-    case MODBUS_FC_READ_COILS:
-    case MODBUS_FC_WRITE_MULTIPLE_COILS:
-        return has(&mapping->coils, word(pdu + 1), word(pdu + 3));
-    case MODBUS_FC_WRITE_SINGLE_COIL:
-        return has(&mapping->coils, word(pdu + 1), 1);
-    case MODBUS_FC_READ_DISCRETE_INPUTS:
-        return has(&mapping->discrete_inputs, word(pdu + 1), word(pdu + 3));
-    case MODBUS_FC_READ_INPUT_REGISTERS:
-        return has(&mapping->input_registers, word(pdu + 1), word(pdu + 3));
-    case MODBUS_FC_WRITE_SINGLE_REGISTER:
-    case MODBUS_FC_MASK_WRITE_REGISTER:
-        return has(&mapping->holding_registers, word(pdu + 1), 1);
-    case MODBUS_FC_WRITE_AND_READ_REGISTERS:
-        return has(&mapping->holding_registers, word(pdu + 1), word(pdu + 3)) &&
-               has(&mapping->holding_registers, word(pdu + 5), word(pdu + 7));
-    default:
-        return has(&mapping->holding_registers, word(pdu + 1), word(pdu + 3));
-    }
+    int run = run_from(runs, first);
+    return run < runs->count && runs->edges[2 * run] <= first &&
+           first + count - 1 <= runs->edges[2 * run + 1];
+}
+
+/* Whether all addresses exist. Not left to modbus_reply: 3.1.6 as it was released writes
+ * in front of the table that function 23 names (CVE-2022-0367), and no libmodbus knows holes. */
+static int exists(const mapping_t *mapping, const span_t *spans, int count)
+{
+    for (int at = 0; at < count; at++)
+        if (!has(&mapping->ranges[spans[at].table], spans[at].first, spans[at].count))
+            return 0;
+    return 1;
 }
 
 /* Move the answers that wait in the outlet to the others. */
@@ -223,6 +251,7 @@ static int answer_chunk(replier_t *replier, mapping_t *mapping, tally_t *tally, 
         const uint8_t *frame = data + start;
         int length = word(frame + 4);
         int size = 6 + length;
+        span_t spans[SPANS_MAX];
         int verdict, sent;
         if (word(frame + 2) != 0 || length < 2 || size > MODBUS_TCP_MAX_ADU_LENGTH ||
             size > end - start || frame[6] != unit)
@@ -232,7 +261,7 @@ static int answer_chunk(replier_t *replier, mapping_t *mapping, tally_t *tally, 
             break;
         if (verdict == 0)
             sent = refuse(replier, frame, MODBUS_EXCEPTION_ILLEGAL_DATA_VALUE);
-        else if (mapping->has_holes && !exists(mapping, frame + HEADER_SIZE))
+        else if (!exists(mapping, spans, find_spans(frame + HEADER_SIZE, spans)))
             sent = refuse(replier, frame, MODBUS_EXCEPTION_ILLEGAL_DATA_ADDRESS);
         else
             sent = reply(replier, frame, size, &mapping->tables);

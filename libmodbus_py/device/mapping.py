@@ -18,7 +18,7 @@ from collections.abc import Mapping as MappingABC
 from operator import index
 from typing import Any, ClassVar, Generic, Literal, Self, TypeVar, Unpack, overload
 
-from ..binding.library import ffi
+from ..binding.library import ffi, lib
 from ..protocol.checks import integer
 from ..protocol.tables import TABLE_SIZE
 from ..protocol.values import Layout, TypeName, value_type
@@ -311,11 +311,11 @@ class Mapping:
         """Point a mapping_t at the tables; `_pointers` keeps the buffers alive."""
         struct = ffi.new("mapping_t *")
         self._pointers = []
-        for table, suffix, item in (
-            (self.coils, "bits", "uint8_t[]"),
-            (self.discrete_inputs, "input_bits", "uint8_t[]"),
-            (self.holding_registers, "registers", "uint16_t[]"),
-            (self.input_registers, "input_registers", "uint16_t[]"),
+        for number, table, suffix, item in (
+            (lib.COILS, self.coils, "bits", "uint8_t[]"),
+            (lib.DISCRETE_INPUTS, self.discrete_inputs, "input_bits", "uint8_t[]"),
+            (lib.HOLDING_REGISTERS, self.holding_registers, "registers", "uint16_t[]"),
+            (lib.INPUT_REGISTERS, self.input_registers, "input_registers", "uint16_t[]"),
         ):
             setattr(struct.tables, f"nb_{suffix}", len(table.addresses))
             setattr(struct.tables, f"start_{suffix}", table.addresses.start)
@@ -323,12 +323,11 @@ class Mapping:
             # the garbage collector of Python 3.11 crash (gh-77894).
             pointer = ffi.from_buffer(item, table._memory)
             setattr(struct.tables, f"tab_{suffix}", pointer)
-            self._pointers.append(pointer)
-            if len(table.ranges) > 1:
-                struct.has_holes = 1
-                edges = [edge for each in table.ranges for edge in (each[0], each[-1])]
-                self._pointers.append(ffi.new("uint16_t[]", edges))
-                setattr(struct, table.name, (len(table.ranges), self._pointers[-1]))
+            edges = ffi.new(
+                "uint16_t[]", [end for each in table.ranges for end in (each[0], each[-1])]
+            )
+            struct.ranges[number] = (len(table.ranges), edges)
+            self._pointers += [pointer, edges]
         return struct
 
 

@@ -5,7 +5,9 @@ Requests that are answered by the chunk, in C, against the same requests one by 
 from __future__ import annotations
 
 import struct
+import subprocess
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -423,6 +425,22 @@ def test_a_byte_count_that_is_not_what_follows(
     end = End(Device(Mapping(65536, 65536, 65536, 65536)), "chunk")
     end.receive(adu(body, 1))
     assert end.sent == adu(bytes([body[0] | 0x80, 3]), 1)
+
+
+def test_nothing_beside_a_table_is_touched_whatever_libmodbus_checks(
+    compiled: Callable[[str], Path],
+) -> None:
+    """
+    3.1.6 as released writes in front of the table (CVE-2022-0367), Debian's is patched: here
+    it is a modbus_reply that checks no address at all.
+    """
+    done = subprocess.run([compiled("beside")], capture_output=True, text=True, timeout=50)
+    assert done.stderr == ""
+    assert done.returncode == 0
+    # 40 items: singles (5, 6, 22) for each of 6 counts; of 1, 2, 39 and 40 items so many
+    # first addresses are right for 8 others (23 twice).
+    executed = 3 * 6 * 40 + 8 * (40 + 39 + 2 + 1)
+    assert done.stdout == f"{65536 * 6 * 11 - executed} refused, {executed} executed\n"
 
 
 # --- more than one call has room for ----------------------------------------------------------
