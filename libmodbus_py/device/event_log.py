@@ -42,6 +42,10 @@ COUNTERS = (
 )
 
 
+# Stands among the counters; no sub-function gives it.
+EVENT_COUNT = None
+
+
 class Event(IntFlag):
     """Bits of the event bytes (section 6.10); receive and send events share bit 5."""
 
@@ -86,17 +90,29 @@ class EventLog:
     Attributes:
         is_serial: whether it is a serial line, where a device can be silenced.
         listen_only: whether the device neither executes nor answers.
-        event_count: exchanges completed, 0..65535 (function 11).
         delimiter: the end of ASCII frames on this line, a code 0..127.
     """
+
+    __slots__ = ("_counters", "_events", "delimiter", "is_serial", "listen_only")
 
     def __init__(self, *, is_serial: bool) -> None:
         self.is_serial = is_serial
         self.delimiter: int = LINE_FEED
         self.listen_only: bool = False
-        self.event_count: int = 0
         self._events: deque[int] = deque(maxlen=ReadCommEventLog.max_events)
+        self._counters: dict[SubFunction | None, int] = {}
         self.clear_counters()
+
+    def of_connection(self) -> EventLog:
+        """Give the same counters and events, with a listen-only mode and a delimiter of its own."""
+        own = EventLog(is_serial=self.is_serial)
+        own._events, own._counters = self._events, self._counters
+        return own
+
+    @property
+    def event_count(self) -> int:
+        """Exchanges completed, 0..65535 (function 11)."""
+        return self._counters[EVENT_COUNT]
 
     # --- what happens on the line --------------------------------------------------------
 
@@ -134,7 +150,7 @@ class EventLog:
             if counter is not None and not silent:
                 self._count(counter)
         elif response and request[0] != ReadCommEventCounter.function:
-            self.event_count = self.event_count + 1 & 0xFFFF
+            self._count(EVENT_COUNT)
         if silent:
             self._count(SubFunction.SERVER_NO_RESPONSE_COUNT)
         bit = SENT_EXCEPTIONS.get(response[1], Event(0)) if refused and not silent else Event(0)
@@ -151,12 +167,12 @@ class EventLog:
         """
         self._count(SubFunction.SERVER_MESSAGE_COUNT, requests)
         self._count(SubFunction.BUS_EXCEPTION_ERROR_COUNT, refused)
-        self.event_count = self.event_count + requests - refused & 0xFFFF
+        self._count(EVENT_COUNT, requests - refused)
         for was_refused in latest:
             self._log(Event.RECEIVED)
             self._log(Event.SENT | (Event.SENT_REFUSAL if was_refused else 0))
 
-    def _count(self, counter: SubFunction, times: int = 1) -> None:
+    def _count(self, counter: SubFunction | None, times: int = 1) -> None:
         self._counters[counter] = self._counters[counter] + times & 0xFFFF
 
     def _log(self, event: int) -> None:
@@ -170,8 +186,8 @@ class EventLog:
 
     def clear_counters(self) -> None:
         """Sub-function 10: all counters; neither the log nor listen-only mode."""
-        self._counters: dict[SubFunction, int] = dict.fromkeys(COUNTERS, 0)
-        self.event_count = 0
+        # In place: other connections of the line count there, too.
+        self._counters.update(dict.fromkeys((*COUNTERS, EVENT_COUNT), 0))
 
     def clear_overrun(self) -> None:
         """Sub-function 20."""

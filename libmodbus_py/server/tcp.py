@@ -15,6 +15,7 @@ from ..protocol.framing import Framing
 from ..security.security import Security
 from .by_chunk import ByChunk, Singles
 from .by_frame import ByFrame, Link, Session
+from .limits import ServerStatistics
 from .listening import bound, reason
 from .peers import MakeSession, Peers
 from .tls import Handshakes, TlsSession
@@ -107,13 +108,20 @@ def _listener(family: socket.AddressFamily, address: tuple[str, int]) -> socket.
 
 def _maker(framing: Framing, units: Units, peers: Peers) -> Callable[[Link], Session]:
     statistics = peers.statistics
-    own = SerialUnits(units) if framing != "tcp" else TcpUnits(units)
-    if units.faults or isinstance(own, SerialUnits):
-        return lambda link: ByFrame(
-            own, framing, link.address, statistics, link.write, link.follow, link.role
-        )
+    if framing != "tcp":
+        line = SerialUnits(units)
+        return lambda link: _by_frame(line.of_connection(), framing, link, statistics)
+    own = TcpUnits(units)
+    if units.faults:
+        return lambda link: _by_frame(own, framing, link, statistics)
     singles = Singles(own, statistics, peers.later)
     return lambda link: ByChunk(own, link.address, statistics, singles, link.write, link.role)
+
+
+def _by_frame(
+    units: TcpUnits | SerialUnits, framing: Framing, link: Link, statistics: ServerStatistics
+) -> Session:
+    return ByFrame(units, framing, link.address, statistics, link.write, link.follow, link.role)
 
 
 def _secured(make: Callable[[Link], Session], security: Security, peers: Peers) -> MakeSession:

@@ -6,7 +6,8 @@ Finds the device of a frame, by the rules of its kind of line.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from copy import copy
 from typing import Literal, get_args
 
 from ..device.device import Caller, Device
@@ -14,10 +15,16 @@ from ..device.event_log import LINE_FEED, EventLog
 from ..protocol.checks import integer
 from ..protocol.errors import GatewayTargetFailedToRespond
 from ..protocol.framing import Frame
+from ..protocol.pdu import Diagnostics
 from .faults import Faults
 
 __all__ = ["UNKNOWN_UNIT_POLICIES", "SerialUnits", "TcpUnits", "Units", "UnknownUnit"]
 
+# A device, and what it notes about a line.
+Station = tuple[Device, EventLog]
+
+# Whom the one device is kept as that answers all; no unit has that number.
+EVERY_UNIT = -1
 
 UnknownUnit = Literal["refuse", "silent"]
 
@@ -98,38 +105,48 @@ class SerialUnits:
 
     def __init__(self, units: Units) -> None:
         self.faults: Faults | None = units.faults
-        self._any = units.any and (units.any, EventLog(is_serial=True))
-        self._stations = {
-            unit: (device, EventLog(is_serial=True)) for unit, device in units.devices.items()
+        given = units.devices if units.any is None else {EVERY_UNIT: units.any}
+        self._line: dict[int, Station] = {
+            unit: (device, EventLog(is_serial=True)) for unit, device in given.items()
         }
-        self._all = [self._any] if self._any else list(self._stations.values())
+        self._answers_all = units.any is not None
+        # Those that a connection does not share with the others.
+        self._own: dict[int, Station] | None = None
         self.delimiter: int | None = LINE_FEED
+
+    def of_connection(self) -> SerialUnits:
+        """
+        Give the units as one connection has them: with counters and events of the line, but
+        nobody else is silenced, or has to find another delimiter, because it wants that.
+        """
+        made = copy(self)
+        made._own = {}
+        return made
 
     def answers(self, frame: Frame) -> bool:
         """Whether a request is answered, by somebody here."""
-        station = self._any or self._stations.get(frame.unit)
+        station = self._station(frame.unit)
         if station is None or frame.unit == 0:
             return False
         return not (frame.pdu[0] & 0x80 or station[1].listen_only)
 
     def refuse(self, frame: Frame, code: int) -> Frame:
         """Answer a request that `answers` with an exception, without executing it."""
-        for _, log in self._all:
-            log.note_frame()
+        self._note_frame()
         refusal = bytes([frame.pdu[0] | 0x80, code])
-        _, log = self._any or self._stations[frame.unit]
-        log.note_request(broadcast=False)
-        log.note_response(frame.pdu, refusal, silent=False)
+        station = self._station(frame.unit)
+        assert station is not None
+        station[1].note_request(broadcast=False)
+        station[1].note_response(frame.pdu, refusal, silent=False)
         return frame._replace(pdu=refusal)
 
     def answer(self, frame: Frame, peer: str, role: str | None = None) -> Frame | None:
-        for _, log in self._all:
-            log.note_frame()
+        self._note_frame()
         if frame.unit == 0:
-            for device, log in self._all:
+            for device, log in self._all():
                 device.answer(frame.pdu, Caller(0, peer, log, is_broadcast=True, role=role))
             return None
-        station = self._any or self._stations.get(frame.unit)
+        station = self._station(frame.unit, to_change=frame.pdu[0] == Diagnostics.function)
         if station is None:
             return None
         device, log = station
@@ -140,5 +157,23 @@ class SerialUnits:
         return Frame(frame.unit, response) if response else None
 
     def note_damage(self, *, overrun: bool) -> None:
-        for _, log in self._all:
+        for _, log in self._all():
             log.note_damage(overrun=overrun)
+
+    def _note_frame(self) -> None:
+        for _, log in self._line.values():
+            log.note_frame()
+
+    def _station(self, unit: int, *, to_change: bool = False) -> Station | None:
+        if self._answers_all:
+            unit = EVERY_UNIT
+        station = self._line.get(unit)
+        if station is None or self._own is None:
+            return station
+        if to_change and unit not in self._own:
+            device, log = station
+            self._own[unit] = device, log.of_connection()
+        return self._own.get(unit, station)
+
+    def _all(self) -> Iterable[Station]:
+        return {**self._line, **self._own}.values() if self._own else self._line.values()
