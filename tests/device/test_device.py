@@ -653,7 +653,7 @@ class TestCounters:
     def test_event_counter_wraps(self) -> None:
         device, caller = new_device(), on_a_line()
         assert caller.log is not None
-        caller.log.event_count = 65535
+        caller.log.note_exchanges(65535, 0, [])
         device.answer(b"\x03" + words(100, 1), caller)
         assert device.answer(b"\x0b", caller) == b"\x0b\0\0\0\0"
 
