@@ -364,7 +364,7 @@ def _joined(name: str, ranges: Iterable[range]) -> tuple[range, ...]:
     """Those that are not empty, in order; those that touch are one."""
     joined: list[range] = []
     for each in sorted(ranges, key=lambda each: each.start):
-        if each.step != 1 or each.start < 0 or max(each, default=0) >= TABLE_SIZE:
+        if each.step != 1 or each.start < 0 or (each and each[-1] >= TABLE_SIZE):
             raise ValueError(f"{name} must be within 0..{TABLE_SIZE - 1}, step 1, not {each}")
         if joined and each and each.start < joined[-1].stop:
             raise ValueError(f"{name}: {_span(each)} overlaps {_span(joined[-1])}")

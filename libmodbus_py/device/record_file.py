@@ -7,6 +7,7 @@ from __future__ import annotations
 from array import array
 from collections.abc import Iterable, Iterator
 from collections.abc import Mapping as MappingABC
+from itertools import compress
 from operator import index
 
 from ..protocol.checks import integer
@@ -35,9 +36,10 @@ class RecordFile:
             records = dict(enumerate(records))
         numbers = [integer("record", record, 0, RECORDS_PER_FILE - 1) for record in records]
         self._values = array("H", bytes(2 * (max(numbers, default=-1) + 1)))
-        self._holes = set(range(len(self._values))) - set(numbers)
+        self._exists = bytearray(len(self._values))
         for record, value in zip(numbers, records.values(), strict=True):
             self._values[record] = integer("value", value, 0, 0xFFFF)
+            self._exists[record] = 1
 
     def __getitem__(self, record: int) -> int:
         return self._values[self._existing(record)]
@@ -46,15 +48,14 @@ class RecordFile:
         self._values[self._existing(record)] = integer("value", value, 0, 0xFFFF)
 
     def __len__(self) -> int:
-        return len(self._values) - len(self._holes)
+        return self._exists.count(1)
 
     def __iter__(self) -> Iterator[int]:
-        return (value for record, value in enumerate(self._values) if record not in self._holes)
+        return compress(self._values, self._exists)
 
     def has(self, record: int, length: int) -> bool:
         """Say whether all of the `length` records from `record` on exist."""
-        wanted = range(record, record + length)
-        return wanted.stop <= len(self._values) and self._holes.isdisjoint(wanted)
+        return record + length <= len(self._values) and all(self._exists[record : record + length])
 
     def read(self, record: int, length: int) -> list[int]:
         """Give `length` records that exist (`has`)."""
