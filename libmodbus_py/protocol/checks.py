@@ -4,9 +4,17 @@ The check of numbers that callers pass; its errors name the argument and its ran
 
 from __future__ import annotations
 
+import reprlib
 from operator import index
 
-__all__ = ["integer", "seconds"]
+__all__ = ["integer", "seconds", "shown"]
+
+
+def shown(number: object) -> str:
+    """A number for a message; Python writes none of more than 4300 digits."""
+    if isinstance(number, int) and number.bit_length() > 128:
+        return f"one of {number.bit_length()} bits"
+    return reprlib.repr(number)
 
 
 def integer(name: str, value: object, low: int, high: int) -> int:
@@ -25,7 +33,7 @@ def integer(name: str, value: object, low: int, high: int) -> int:
         given = type(value).__name__
         raise TypeError(f"{name} must be an integer in {low}..{high}, not {given}") from None
     if not low <= number <= high:
-        raise ValueError(f"{name} must be in {low}..{high}, not {number}")
+        raise ValueError(f"{name} must be in {low}..{high}, not {shown(number)}")
     return number
 
 
@@ -40,5 +48,6 @@ def seconds(name: str, value: object, low: float = 0.001, high: float = 86_400.0
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise TypeError(f"{name} must be a number of seconds, not {type(value).__name__}")
     if not low <= value <= high:
-        raise ValueError(f"{name} must be in {low:g}..{high:g} seconds, not {value:g}")
+        given = f"{value:g}" if isinstance(value, float) else shown(value)
+        raise ValueError(f"{name} must be in {low:g}..{high:g} seconds, not {given}")
     return float(value)

@@ -38,15 +38,17 @@ import struct
 import sys
 from collections.abc import Callable, Iterable, Mapping, Set
 from dataclasses import dataclass, field, replace
+from encodings import normalize_encoding
+from encodings.aliases import aliases
 from typing import Any, NamedTuple, SupportsFloat, SupportsIndex
 
-from .checks import integer
+from .checks import integer, shown
 from .type_names import BitsType, Layout, NumberType, Order, TextOptions, TextType, TypeName
 
 # fmt: off
 __all__ = [
-    "ORDERS", "BitsType", "Layout", "NumberType", "Order", "Reading", "Reference", "TextOptions",
-    "TextType", "TypeName", "ValueType", "parse_reference", "readings", "value_type",
+    "ENCODINGS", "ORDERS", "BitsType", "Layout", "NumberType", "Order", "Reading", "Reference",
+    "TextOptions", "TextType", "TypeName", "ValueType", "parse_reference", "readings", "value_type",
 ]
 # fmt: on
 
@@ -77,7 +79,7 @@ def _order(order: object, kind: ValueType) -> str:
         raise TypeError(f"order must be one of {', '.join(ORDERS)}, not {type(order).__name__}")
     name, width = _SPELLINGS.get(order.upper(), (order.upper(), None))
     if name not in ORDERS:
-        raise ValueError(f"order must be one of {', '.join(ORDERS)}, not {order!r}")
+        raise ValueError(f"order must be one of {', '.join(ORDERS)}, not {reprlib.repr(order)}")
     if width not in (None, 1 if kind.is_text else kind.registers):
         raise ValueError(f"order of {kind.name} must be one of {', '.join(ORDERS)}, not {order!r}")
     return name
@@ -230,7 +232,7 @@ def _floats(bits: int, code: str, largest: float) -> ValueType:
             return form.pack(float(value))  # type: ignore[arg-type]
         except OverflowError:
             span = f"-{largest:.8g}..{largest:.8g}, infinite or nan"
-            raise ValueError(f"{name} must be in {span}, not {reprlib.repr(value)}") from None
+            raise ValueError(f"{name} must be in {span}, not {shown(value)}") from None
 
     def unpack(data: bytes) -> float:
         value: float = form.unpack(data)[0]
@@ -275,6 +277,31 @@ def _bit(name: str, flag: object) -> int:
     return int(flag) if isinstance(flag, bool) else integer(name, flag, 0, 1)
 
 
+# fmt: off
+ENCODINGS = frozenset((
+    "ascii", "latin_1", "utf_8", "utf_16", "utf_16_be", "utf_16_le", "utf_32", "utf_32_be",
+    "utf_32_le", "cp1250", "cp1251", "cp1252", "cp1253", "cp1254", "cp1255", "cp1256", "cp1257",
+    "cp1258", "cp437", "cp737", "cp775", "cp850", "cp852", "cp855", "cp857", "cp858", "cp860",
+    "cp861", "cp862", "cp863", "cp864", "cp865", "cp866", "cp869", "iso8859_2", "iso8859_3",
+    "iso8859_4", "iso8859_5", "iso8859_6", "iso8859_7", "iso8859_8", "iso8859_9", "iso8859_10",
+    "iso8859_11", "iso8859_13", "iso8859_14", "iso8859_15", "iso8859_16", "koi8_r", "koi8_u",
+    "mac_roman", "tis_620", "shift_jis", "cp932", "euc_jp", "gb2312", "gbk", "gb18030", "big5",
+    "cp950", "euc_kr", "cp949",
+))
+# fmt: on
+"""
+Those that strings in registers have, by Python's names of their modules. Not all that Python
+knows: some take the square of the text's length (punycode), and every other name would import
+a module.
+"""
+
+
+def _known_encoding(encoding: str) -> bool:
+    name = normalize_encoding(encoding.lower())
+    # Other characters are dropped from the name, but not everywhere.
+    return encoding.isascii() and encoding.isprintable() and aliases.get(name, name) in ENCODINGS
+
+
 def _text(size: int, encoding: str, padding: str, fill: bytes) -> ValueType:
     registers = (size + 1) // 2
 
@@ -314,11 +341,13 @@ def _fill(padding: str, encoding: str) -> bytes:
         if not isinstance(given, str):
             raise TypeError(f"{name} must be a string, not {type(given).__name__}")
     if len(padding) != 1:
-        raise ValueError(f"padding must be one character, not {padding!r}")
-    try:
-        one, two = (_encoded("padding", padding * count, encoding) for count in (1, 2))
-    except LookupError:
-        raise ValueError(f"encoding must be one of text in Python, not {encoding!r}") from None
+        raise ValueError(f"padding must be one character, not {reprlib.repr(padding)}")
+    if not _known_encoding(encoding):
+        raise ValueError(
+            f"encoding must be ascii, latin-1, utf-8, cp1252 or another of values.ENCODINGS,"
+            f" not {reprlib.repr(encoding)}"
+        )
+    one, two = (_encoded("padding", padding * count, encoding) for count in (1, 2))
     return two[len(one) :]
 
 
@@ -347,7 +376,8 @@ def value_type(
         name: as in the module's docstring.
         order: ABCD, CDAB, BADC or DCBA, or written out in the type's width;
             capitals or not.
-        encoding: of strings; any of text that Python knows.
+        encoding: of strings; one of `ENCODINGS`, or another name that Python has for it,
+            such as "latin-1" or "windows-1252".
         padding: the character that fills up strings, and is cut off their end.
 
     Raises:
@@ -366,7 +396,8 @@ def _known(name: object) -> ValueType | None:
 def _string(name: str, encoding: str, padding: str) -> ValueType:
     found = re.fullmatch(r"string:([0-9]{1,9})", name)
     if not found:
-        raise ValueError(f"type must be one of {', '.join(TYPES)}, string:N, not {name!r}")
+        wanted = f"one of {', '.join(TYPES)}, string:N"
+        raise ValueError(f"type must be {wanted}, not {reprlib.repr(name)}")
     size = integer("type string:N: N", int(found[1]), 1, 250)
     return _text(size, encoding, padding, _fill(padding, encoding))
 

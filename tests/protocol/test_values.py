@@ -4,6 +4,7 @@ Values in registers, in every type and order, and references, the 1-based notati
 
 from __future__ import annotations
 
+import codecs
 import math
 import struct
 from array import array
@@ -593,6 +594,28 @@ class TestText:
     ) -> None:
         with pytest.raises(ValueError, match=named):
             decode(words(registers), name, encoding=encoding)
+
+    def test_every_encoding_of_the_list_is_one_of_python(self) -> None:
+        for encoding in values.ENCODINGS:
+            assert codecs.lookup(encoding).encode("A")
+            text = values.value_type("string:40", encoding=encoding)
+            assert text.decode(text.encode("ABC 123")) == "ABC 123"
+
+    @pytest.mark.parametrize(
+        "encoding", ["Latin-1", "ISO-8859-15", "UTF8", "windows-1252", "Shift_JIS", "us-ascii"]
+    )
+    def test_encodings_go_by_all_their_names(self, encoding: str) -> None:
+        text = values.value_type("string:4", encoding=encoding)
+        assert text.encode("AB") == [0x4142, 0]
+
+    @pytest.mark.parametrize(
+        "encoding",
+        ["punycode", "idna", "unicode_escape", "utf-7", "undefined", "latin-1\0", "l\xe4tin-1"],
+    )
+    def test_slow_and_odd_encodings_are_none(self, encoding: str) -> None:
+        """What these need for a text of N characters grows with N * N, or is an import."""
+        with pytest.raises(ValueError, match=r"^encoding must be ascii, latin-1, .*, not '"):
+            values.value_type("string:4", encoding=encoding)
 
     @pytest.mark.parametrize(
         ("options", "error", "named"),
