@@ -13,7 +13,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from libmodbus_py import Device, FrameError, InvalidResponse, Mapping, pdu
+from libmodbus_py import Device, FrameError, InvalidResponse, Mapping, device_file, pdu
 from libmodbus_py.protocol.errors import (
     ExceptionResponse,
     IllegalDataAddress,
@@ -36,12 +36,16 @@ __all__ = [
     "check_certificate",
     "check_datagrams",
     "check_device",
+    "check_device_file",
     "check_request",
     "check_response",
     "check_role_value",
     "check_stream",
     "examples",
 ]
+
+TABLES = {1: "coils", 2: "discrete_inputs", 3: "holding_registers", 4: "input_registers"}
+"""Function that reads -> what."""
 
 FRAMERS: dict[str, Callable[[], Framer]] = {
     "tcp": TcpFramer,
@@ -122,6 +126,28 @@ def _outline(found: Found) -> list[Frame | None]:
     """Frames, and None where there were errors."""
     frames = [each if isinstance(each, Frame) else None for each in found]
     return [each for key, run in groupby(frames) for each in ([None] if key is None else run)]
+
+
+def check_device_file(text: str) -> None:
+    """It is devices, whose values can be read after any time, or one error of one line."""
+    moment = [0.0]
+    message = ""
+    devices: Device | dict[int, Device] = {}
+    try:
+        devices, _ = device_file.parse(text, clock=lambda: moment[0])
+    except device_file.DeviceFileError as error:
+        message = str(error)
+    assert "\n" not in message
+    assert len(message) < 1000
+    for device in devices.values() if isinstance(devices, dict) else [devices]:
+        for moment[0] in (0.0, 1.5, 1e9):
+            for function in (1, 2, 3, 4):
+                table = getattr(device.mapping, TABLES[function])
+                for each in table.ranges[:20]:
+                    request = bytes([function]) + each.start.to_bytes(2, "big") + b"\0\1"
+                    # Copies of bits that are no value (4), and what may only be written (2).
+                    answer = device.answer(request)
+                    assert answer[0] == function or answer[1] in (2, 4), answer
 
 
 def check_request(data: bytes) -> None:

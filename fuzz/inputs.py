@@ -5,6 +5,7 @@ Inputs of a fuzzer: what their bytes mean to each target, and examples to begin 
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import NamedTuple
 
 from checks import (
@@ -13,6 +14,7 @@ from checks import (
     check_certificate,
     check_datagrams,
     check_device,
+    check_device_file,
     check_request,
     check_response,
     check_role_value,
@@ -80,6 +82,18 @@ def some_devices() -> list[bytes]:
     return [_with_sizes(every[at : at + 4]) for at in range(len(every))]
 
 
+def device_files(data: bytes) -> None:
+    """UTF-8; what is none counts as some letter."""
+    check_device_file(data.decode("utf-8", "replace"))
+
+
+def some_device_files() -> list[bytes]:
+    """The example, and each of its tables with the unit that it stands in."""
+    text = (Path(__file__).parents[1] / "examples" / "plant.toml").read_bytes()
+    tables = text.split(b"\n[")[1:]
+    return [text, *(b"[[unit]]\n[" + table for table in tables)]
+
+
 def _sized(data: bytes) -> list[bytes]:
     parts = []
     while data:
@@ -129,5 +143,6 @@ TARGETS = {
     "pdu": Target(pdus, some_pdus),
     "device": Target(devices, some_devices),
     "certificates": Target(certificates, some_certificates),
+    "device_file": Target(device_files, some_device_files),
     "chunk": Target(None, some_chunks),
 }

@@ -6,6 +6,8 @@ What must hold stands in fuzz/checks.py; ``./run fuzz`` drives the same with cov
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -14,6 +16,7 @@ from checks import (
     REQUEST_OBJECTS,
     check_datagrams,
     check_device,
+    check_device_file,
     check_request,
     check_response,
     check_stream,
@@ -25,6 +28,8 @@ from hypothesis import strategies as st
 from transactions import known_device
 
 from libmodbus_py import Server, pdu
+
+PLANT = (Path(__file__).parents[1] / "examples" / "plant.toml").read_text()
 
 FORMS = {"tcp": "tcp", "rtu server": "rtu", "rtu client": "rtu", "ascii": "ascii"}
 
@@ -57,6 +62,50 @@ def streams(form: str) -> st.SearchStrategy[bytes]:
 
 
 sizes = st.lists(st.integers(0, 20), max_size=40)
+
+
+WORDS = [
+    *re.findall(r"\[+[\w.]+\]+|\w+ = [^#\n]+", PLANT),
+    "{",
+    "}",
+    "[",
+    "]",
+    ",",
+    "=",
+    "-",
+    "1e99",
+]
+WORDS += [
+    "9" * 400,
+    "inf",
+    "nan",
+    "true",
+    "65535",
+    "count = 65536",
+    '"x"',
+    "a.b.c",
+    "\n",
+    "'''",
+    "#",
+]
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.lists(st.sampled_from(WORDS) | st.text(max_size=3), max_size=25))
+def test_device_files(words: list[str]) -> None:
+    """Parts of the example in any order."""
+    check_device_file("[[unit]]\n" + "\n".join(words))
+
+
+ODD_VALUES = ["9" * 400, "9" * 5000, "0x" + "f" * 5000, "-1", "0", "1e400", "inf", "nan", "true"]
+ODD_VALUES += ["''", f"'{'x' * 300}'", "2024-01-01", "[]", "{}", "[" * 2000, "{ x = " * 2000, "'"]
+
+
+@pytest.mark.parametrize("odd", ODD_VALUES, ids=range(len(ODD_VALUES)))
+def test_device_files_with_an_odd_value(odd: str) -> None:
+    """The example, with another value in the place of each."""
+    for place in re.finditer(r"= ([^\s,}]+)", PLANT):
+        check_device_file(PLANT[: place.start(1)] + odd + PLANT[place.end(1) :])
 
 
 @pytest.mark.parametrize("name", FRAMERS)

@@ -18,6 +18,10 @@ Device files: whole simulated devices, written in TOML.
 
 What lies in no range does not exist: it is answered with exception 2, as is what a
 range does not allow.
+
+A file takes up to 512 KiB, 1000 faults and 524288 cells, where cells are the records of each
+file from 0 to its last one, and what is not 0 in the tables. Whatever it says, there are
+devices or a `DeviceFileError` within a second.
 """
 
 from __future__ import annotations
@@ -26,17 +30,18 @@ import contextlib
 import re
 import reprlib
 import time
-import tomllib
+from array import array
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import MISSING, dataclass, fields
-from itertools import pairwise
+from itertools import groupby, pairwise
 from os import PathLike
 from typing import Any, NamedTuple
 
 from ..device.access import Access
 from ..device.device import DEFAULT_SERVER_ID, Device
 from ..device.mapping import Mapping as Tables
+from ..device.record_file import RecordFile
 from ..protocol.checks import integer
 from ..protocol.errors import IllegalDataAddress
 from ..protocol.pdu import RECORDS_PER_FILE, ServerId
@@ -45,9 +50,16 @@ from ..protocol.tables import TABLES
 from ..protocol.values import ValueType, value_type
 from ..server.faults import Fault
 from .behaviour import BEHAVIOURS, BIT, Clockwork, Run
-from .toml_lines import line_of
+from .bounded_toml import MAX_SIZE, read_toml
+from .toml_lines import below, line_of, path_at_start, shown_key
 
 __all__ = ["DeviceFileError", "Simulation", "load", "parse"]
+
+# Eight units with full tables that are not 0; more would take seconds and memory to write.
+MAX_CELLS = 1 << 19
+
+# All of them are looked at for each request.
+MAX_FAULTS = 1000
 
 # Checks a value, whose name is given for the error, and gives what it stands for.
 Check = Callable[[str, object], Any]
@@ -82,8 +94,11 @@ def load(path: str | PathLike[str], *, clock: Callable[[], float] = time.monoton
         DeviceFileError: it cannot be read, is no TOML, or says what cannot be.
     """
     try:
-        with open(path, encoding="utf-8") as file:
-            text = file.read()
+        with open(path, "rb") as file:
+            data = file.read(MAX_SIZE + 1)
+        if len(data) > MAX_SIZE:
+            raise DeviceFileError(f"{path}: more than {MAX_SIZE} bytes")
+        text = data.decode("utf-8")
     except OSError as error:
         raise DeviceFileError(f"cannot read {path}: {error.strerror}") from error
     except UnicodeDecodeError as error:
@@ -91,8 +106,7 @@ def load(path: str | PathLike[str], *, clock: Callable[[], float] = time.monoton
     try:
         return parse(text, clock=clock)
     except DeviceFileError as error:
-        key = str(error).split(" ")[0].rstrip(":")
-        line = line_of(text, key)
+        line = line_of(text, path_at_start(str(error)))
         place = f"{path}, line {line}" if line else path
         raise DeviceFileError(f"{place}: {error}") from None
 
@@ -104,22 +118,23 @@ def parse(text: str, *, clock: Callable[[], float] = time.monotonic) -> Simulati
     Raises:
         DeviceFileError: it is no TOML, or says what cannot be.
     """
-    try:
-        content = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise DeviceFileError(str(error)) from None
+    with _inside(""):
+        content = read_toml(text)
     given = _checked("", content, FILE, required=("unit",))
     faults: dict[int | None, list[Fault]] = {None: _faults("fault", given)}
     devices: dict[int | None, Device] = {}
+    budget = _Budget()
     for at, unit in enumerate(given["unit"]):
         where = f"unit[{at}]"
         if "id" not in unit and len(given["unit"]) > 1:
             raise DeviceFileError(f"{where}.id is missing; only a single unit can be without")
-        number, device = _unit(where, unit, clock)
+        number, device = _unit(where, unit, clock, budget)
         if number in devices:
             raise DeviceFileError(f"{where}.id: there is a unit {number} before this")
         devices[number] = device
         faults[number] = faults.get(number, []) + _faults(f"{where}.fault", unit)
+        if sum(map(len, faults.values())) > MAX_FAULTS:
+            raise DeviceFileError(f"{where}.fault: more than {MAX_FAULTS} faults in one file")
     if not devices:
         raise DeviceFileError("unit must hold at least one")
     return Simulation(_by_unit(devices), {unit: found for unit, found in faults.items() if found})
@@ -155,18 +170,13 @@ def _checked(
     for key in given:
         if key not in allowed:
             raise DeviceFileError(
-                f"{where}{_key(key)}: no such key; allowed are {', '.join(allowed)}"
+                f"{where}{shown_key(key)}: no such key; allowed are {', '.join(allowed)}"
             )
     for key in required:
         if key not in given:
             raise DeviceFileError(f"{where}{key} is missing")
     with _inside(""):
         return {key: allowed[key](f"{where}{key}", value) for key, value in given.items()}
-
-
-def _key(key: str) -> str:
-    """A key as it stands in the file: quoted where it must be."""
-    return key if re.fullmatch("[A-Za-z0-9_-]+", key) else reprlib.repr(key)
 
 
 def _integer(low: int, high: int) -> Check:
@@ -317,13 +327,25 @@ RANGES: dict[str, dict[str, Check]] = {
 # --- ranges --------------------------------------------------------------------------
 
 
+class _Budget:
+    """What cells a file may still have."""
+
+    def __init__(self) -> None:
+        self._left = MAX_CELLS
+
+    def spend(self, where: str, cells: int) -> None:
+        self._left -= cells
+        if self._left < 0:
+            raise DeviceFileError(f"{where}: more than {MAX_CELLS} cells in one file")
+
+
 @dataclass(frozen=True)
 class _Range:
-    """One range, as given: where in the device file, and what."""
+    """One range, as given: where in the device file, and what. `cells` may be repeated."""
 
     where: str
     run: Run
-    cells: list[int]
+    cells: array[int]
     access: str
     behaviour: str = ""
     file: int = 0
@@ -331,6 +353,10 @@ class _Range:
     @property
     def place(self) -> tuple[str, int]:
         return self.run.table, self.file
+
+    @property
+    def all_cells(self) -> array[int]:
+        return self.cells * ((self.run.stop - self.run.first) // len(self.cells))
 
 
 def _ranges(where: str, table: str, unit: Mapping[str, Any]) -> list[_Range]:
@@ -357,12 +383,12 @@ def _range(where: str, table: str, raw: dict[str, object]) -> _Range:
         # What a client wrote would be gone at the next read.
         raise DeviceFileError(f"{where}.access must be read for what moves by itself")
     kind = _kind(where, table, given)
-    count, cells = _cells(where, given, kind)
     first = given["record" if table == "file" else "address"]
-    run = Run(table, first, count, kind, given[behaviour] if behaviour else None)
+    run = Run(table, first, _count(where, given), kind, given[behaviour] if behaviour else None)
     end = RECORDS_PER_FILE if table == "file" else 0x10000
     if run.stop > end:
         raise DeviceFileError(f"{where} ends at {run.stop - 1}, after {end - 1}")
+    cells = array("H", _cells(where, given, kind))
     access = given.get("access", "read" if behaviour else "read_write")
     return _Range(where, run, cells, access, behaviour, given.get("number", 0))
 
@@ -378,21 +404,26 @@ def _kind(where: str, table: str, given: dict[str, Any]) -> ValueType:
         return value_type(given.get("type", "uint16"), **options)
 
 
-def _cells(where: str, given: dict[str, Any], kind: ValueType) -> tuple[int, list[int]]:
-    """How many values there are, and what they are at first."""
+def _count(where: str, given: dict[str, Any]) -> int:
+    """How many values there are."""
     if "values" not in given:
-        count = given.get("count", 1)
-        zero = "" if kind.is_text else kind.decode([0] * kind.registers)
-        return count, _encoded(f"{where}.value", kind, given.get("value", zero)) * count
-    values = given["values"]
+        return int(given.get("count", 1))
     if "count" in given:
         raise DeviceFileError(f"{where}.count means nothing beside values")
-    if not values:
+    if not given["values"]:
         raise DeviceFileError(f"{where}.values must hold at least one")
+    return len(given["values"])
+
+
+def _cells(where: str, given: dict[str, Any], kind: ValueType) -> list[int]:
+    """What they are at first; one of them, if all are the same."""
+    if "values" not in given:
+        zero = "" if kind.is_text else kind.decode([0] * kind.registers)
+        return _encoded(f"{where}.value", kind, given.get("value", zero))
     cells: list[int] = []
-    for at, value in enumerate(values):
+    for at, value in enumerate(given["values"]):
         cells += _encoded(f"{where}.values[{at}]", kind, value)
-    return len(values), cells
+    return cells
 
 
 def _encoded(where: str, kind: ValueType, value: object) -> list[int]:
@@ -444,12 +475,12 @@ def _check(forbidden: _Runs, access: Access, what: str) -> None:
 
 
 def _unit(
-    where: str, raw: dict[str, object], clock: Callable[[], float]
+    where: str, raw: dict[str, object], clock: Callable[[], float], budget: _Budget
 ) -> tuple[int | None, Device]:
     given = _checked(f"{where}.", raw, UNIT)
     ranges = [found for table in RANGES for found in _ranges(f"{where}.", table, given)]
     in_tables = [each for each in ranges if each.run.table in TABLES]
-    mapping = _mapping(in_tables)
+    mapping = _mapping(in_tables, budget)
     clockwork = Clockwork(mapping, [each.run for each in in_tables], clock)
     for each in in_tables:
         with _inside(f"{each.where}.{each.behaviour}: "):
@@ -457,7 +488,6 @@ def _unit(
     rules = _Rules(ranges, clockwork)
     device = Device(
         mapping,
-        files=_files(each for each in ranges if each.run.table == "file"),
         fifos=_fifos(f"{where}.fifo", given),
         identification=_identification(f"{where}.identification", given),
         server_id=_server_id(f"{where}.server_id.", given),
@@ -465,22 +495,33 @@ def _unit(
         before_write=rules.before_write,
         before_read=rules.before_read,
     )
+    device.files.update(_files([each for each in ranges if each.run.table == "file"], budget))
     return given.get("id"), device
 
 
-def _mapping(ranges: list[_Range]) -> Tables:
-    contents: dict[str, dict[int, list[int]]] = {table: {} for table in TABLES}
+def _mapping(ranges: list[_Range], budget: _Budget) -> Tables:
+    places: dict[str, list[range]] = {table: [] for table in TABLES}
     for each in ranges:
-        contents[each.run.table][each.run.first] = each.cells
-    return Tables(**contents)
+        places[each.run.table].append(range(each.run.first, each.run.stop))
+    mapping = Tables(**places)
+    for each in ranges:
+        if any(each.cells):  # zeros are there already, and take no memory
+            budget.spend(each.where, each.run.stop - each.run.first)
+            getattr(mapping, each.run.table)[each.run.first : each.run.stop] = each.all_cells
+    return mapping
 
 
-def _files(ranges: Iterable[_Range]) -> dict[int, dict[int, int]]:
-    files: dict[int, dict[int, int]] = {}
-    for each in ranges:
-        records = files.setdefault(each.file, {})
-        records.update(enumerate(each.cells, start=each.run.first))
-    return files
+def _files(ranges: list[_Range], budget: _Budget) -> Iterator[tuple[int, RecordFile]]:
+    """One after the other, for its records take more memory while they are put together."""
+    in_order = sorted(ranges, key=lambda each: (each.file, each.run.first))
+    for number, parts in groupby(in_order, key=lambda each: each.file):
+        records: dict[int, int] = {}
+        before = 0
+        for each in parts:
+            budget.spend(each.where, each.run.stop - before)
+            before = each.run.stop
+            records.update(enumerate(each.all_cells, start=each.run.first))
+        yield number, RecordFile(records)
 
 
 def _fifos(where: str, unit: Mapping[str, Any]) -> dict[int, list[int]]:
@@ -505,7 +546,7 @@ def _identification(where: str, unit: Mapping[str, Any]) -> dict[str | int, str 
     for key, value in unit.get("identification", {}).items():
         number = _object_id(where, key)
         if number in objects:
-            raise DeviceFileError(f"{where}.{_key(key)}: there is an object {number} before this")
+            raise DeviceFileError(f"{below(where, key)}: there is an object {number} before this")
         with _inside(f"{where}."):
             objects[number] = check(key, value)
     return objects
@@ -517,7 +558,7 @@ def _object_id(where: str, key: str) -> int:
     if number not in OBJECT_NAMES and not 0x80 <= number <= 0xFF:
         names = ", ".join(numbers)
         raise DeviceFileError(
-            f"{where}.{_key(key)}: no such key; allowed are {names}, and the numbers 0..6, 128..255"
+            f"{below(where, key)}: no such key; allowed are {names}, and the numbers 0..6, 128..255"
         )
     return number
 

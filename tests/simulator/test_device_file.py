@@ -8,12 +8,14 @@ import json
 import math
 import os
 import re
+import resource
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -381,6 +383,112 @@ def test_a_random_walk_with_a_seed_is_the_same_after_every_start() -> None:
     assert all(len(set(column)) > 20 for column in columns)
 
 
+def test_a_random_walk_with_a_seed_is_the_same_whenever_it_is_read() -> None:
+    text = """
+        [[unit.input_registers]]
+        address = 0
+        random_walk = { low = 0, high = 1000, step = 50, interval = 0.001, seed = 1 }
+    """
+    clocks = [Clock(), Clock()]
+    often, seldom = (unit(text, clock) for clock in clocks)
+    for _ in range(3):
+        for _ in range(5000):
+            clocks[0].now += 0.0025
+            inputs(often, 0)
+        clocks[1].now = clocks[0].now
+        assert inputs(often, 0) == inputs(seldom, 0)
+
+
+@given(step=st.floats(0.01, 500), start=st.integers(0, 10**12), seed=st.integers(0, 1 << 63))
+def test_no_move_of_a_random_walk_is_longer_than_its_step(
+    step: float, start: int, seed: int
+) -> None:
+    clock = Clock()
+    behaviour = f"random_walk = {{ low = -250, high = 250, step = {step!r}, seed = {seed} }}"
+    device = unit(f'[[unit.input_registers]]\naddress = 0\ntype = "float64"\n{behaviour}', clock)
+    clock.now += start + 0.5
+    before = None
+    for _ in range(20):
+        (value,) = values.value_type("float64").decode_many(inputs(device, 0, 4))
+        assert before is None or abs(value - before) <= step * 1.000001
+        before = value
+        clock.now += 1
+
+
+def test_random_walks_get_about() -> None:
+    """To both sides of where they begin, each its own way, further in a longer time."""
+    clock = Clock()
+    text = "random_walk = { low = 0, high = 60000, step = 10, seed = 3 }"
+    device = unit(f"[[unit.input_registers]]\naddress = 0\ncount = 100\n{text}", clock)
+    spread = {}
+    for moves in (16, 256, 4096, 65536):
+        clock.now = 1000.0 + moves
+        ways = [value - 30000 for value in inputs(device, 0, 100)]
+        assert min(ways) < 0 < max(ways)
+        assert len(set(ways)) > 20
+        spread[moves] = math.sqrt(sum(way * way for way in ways) / 100)
+    # Four times as far in 16 times as many moves; a third of that or three times is chance.
+    for before, after in pairwise(spread.values()):
+        assert 4 / 3 < after / before < 12
+
+
+def test_2000_random_walks_at_once_do_not_stop_the_server() -> None:
+    """Not after an hour in which nobody looked, nor at each later read."""
+    clock = Clock()
+    walk = "random_walk = { low = 0, high = 1, step = 1, interval = 0.001 }"
+    device = unit(f"[[unit.coils]]\naddress = 0\ncount = 65536\n{walk}", clock)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    start = time.process_time()
+    for at in range(0, 65536 - 2000, 2000):
+        clock.now += 3600
+        assert len(answer(device, pdu.ReadCoils(at, 2000))) == 2000
+    # 32 reads; a move for each millisecond would take one second for each read.
+    assert time.process_time() - start < 8
+    # A random generator for each would take 2.5 KB.
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 50_000
+
+
+def test_copies_of_2000_copies_are_made_at_once() -> None:
+    """Each finds its sources run by run, and copies them together."""
+    tables = ["coils", "discrete_inputs", "holding_registers", "input_registers"]
+    text = "".join(
+        f"[[unit.{table}]]\naddress = 0\ncount = 2000\n"
+        f"copy = {{ table = '{other}', address = 0 }}\n"
+        for table, other in pairwise(tables)
+    )
+    device = unit(text + "[[unit.input_registers]]\naddress = 0\ncount = 2000")
+    device.mapping.input_registers[0:2000] = [at % 3 == 0 for at in range(2000)]
+    assert answer(device, pdu.ReadCoils(0, 2000)) == [at % 3 == 0 for at in range(2000)]
+
+
+def test_copies_go_on_from_run_to_run() -> None:
+    """In the rhythm of the first; a longer value behind it is not hit in its middle."""
+    device = unit("""
+        [[unit.holding_registers]]
+        address = 0
+        count = 6
+        copy = { table = "input_registers", address = 10 }
+        [[unit.coils]]
+        address = 0
+        count = 3
+        copy = { table = "holding_registers", address = 1 }
+        [[unit.input_registers]]
+        address = 10
+        type = "uint32"
+        values = [1, 70000]
+        [[unit.input_registers]]
+        address = 14
+        values = [3, 99, 4, 99]
+        [[unit.input_registers]]
+        address = 18
+        type = "uint32"
+        values = [5, 6]
+    """)
+    assert holding(device, 0, 6) == [1, 65535, 3, 4, 5, 6]
+    assert holding(device, 3, 2) == [4, 5]
+    assert answer(device, pdu.ReadCoils(0, 3)) == [True, True, True]
+
+
 def test_a_random_walk_after_a_year_is_quick() -> None:
     clock = Clock()
     device = unit(
@@ -702,7 +810,8 @@ BROKEN = [
     (HOLDING + "order = 'ABCD'", f"{AT}.order means nothing without type"),
     (
         HOLDING + "type = 'string:4'\nencoding = 'klingon'",
-        f"{AT}.encoding must be one of text in Python, not 'klingon'",
+        f"{AT}.encoding must be ascii, latin-1, utf-8, cp1252 or another of values.ENCODINGS, not"
+        " 'klingon'",
     ),
     (
         HOLDING + "type = 'string:4'\nvalue = 'abcde'",

@@ -1,0 +1,212 @@
+"""
+Device files that cost too much: each is devices or an error, soon and in little memory.
+"""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from libmodbus_py.simulator.device_file import DeviceFileError, load, parse
+
+SIZE = 512_000
+
+# Reads a text, and says what came of it, in how many seconds, with how many more kilobytes.
+PROGRAM = """
+import resource, sys, time
+from libmodbus_py.simulator.device_file import DeviceFileError, parse
+
+def peak():
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+
+text = sys.stdin.buffer.read().decode()
+resource.setrlimit(resource.RLIMIT_CPU, (20, 20))
+before, start = peak(), time.process_time()
+try:
+    parse(text)
+except DeviceFileError as error:
+    print("DeviceFileError", error)
+else:
+    print("devices")
+print(time.process_time() - start)
+print(peak() - before)
+"""
+
+UNIT = "[[unit]]\n"
+HOLDING = UNIT + "[[unit.holding_registers]]\naddress = 0\n"
+TABLES = ["coils", "discrete_inputs", "holding_registers", "input_registers"]
+
+
+def filled(part: str, before: str = "", behind: str = "") -> str:
+    return before + part * (SIZE // len(part)) + behind
+
+
+def numbered(part: Callable[[int], str], before: str = "", behind: str = "") -> str:
+    parts, size, at = [before], len(before), 0
+    while size < SIZE:
+        parts.append(part(at))
+        size += len(parts[-1])
+        at += 1
+    return "".join(parts) + behind
+
+
+def units(content: str, count: int = 248) -> str:
+    each = "".join(f"[[unit.{table}]]\naddress = 0\ncount = 65536\n{content}\n" for table in TABLES)
+    return "".join(f"[[unit]]\nid = {number}\n{each}" for number in range(count))
+
+
+def range_of(table: str, count: int, content: str) -> str:
+    return f"[[unit.{table}]]\naddress = 0\ncount = {count}\n{content}\n"
+
+
+CHINESE = "".join(chr(0x4E00 + at) for at in range(20_000))
+
+COPIED = [
+    range_of(table, 65536, f"copy = {{ table = '{other}', address = 0 }}")
+    for table, other in pairwise(TABLES)
+]
+
+# What is in the file, and what comes of it.
+HOSTILE = {
+    "arrays in arrays": (filled("[", "a = "), "more than 10 levels"),
+    "tables in tables": (filled("{a=", "a = "), "more than 10 levels"),
+    "a long dotted key": (filled("a.", "", "a = 1"), "more than 10 levels: 'a.a.*line 1"),
+    "below a long header": (
+        numbered(lambda at: f"k{at} = 1\n", "\n[" + "a." * (SIZE // 4) + "a]\n"),
+        "more than 10 levels: 'a.a.*line 2",
+    ),
+    "deep headers": (
+        numbered(lambda at: f"[k{at}.b.c.d.e.f.g.h]\n"),
+        "more than 10000 headers of tables",
+    ),
+    "deep dotted keys": (numbered(lambda at: f"k{at}.b.c.d.e.f.g = 1\n"), "k0: no such key"),
+    "many digits": (
+        HOLDING + "value = " + "9" * 5000,
+        "more digits than a number has .*line 4",
+    ),
+    "a hundred thousand hexadecimal digits": (
+        HOLDING + "value = 0x" + "f" * 100_000,
+        r"unit\[0\].holding_registers\[0\].value must be in .*, not one of 400000 bits",
+    ),
+    "an interval of many digits": (
+        HOLDING + "counter = { interval = 0x" + "f" * 5000 + " }",
+        r"unit\[0\].holding_registers\[0\].counter.interval must be in .*, not one of 20000 bits",
+    ),
+    "an interval of 20 digits": (
+        HOLDING + "counter = { interval = 99999999999999999999 }",
+        r"counter.interval must be in .*, not 99999999999999999999",
+    ),
+    "a long text": (filled("a", HOLDING + "type = 'string:9'\nvalue = '", "'"), "0..250 charac"),
+    "a long type": (filled("a", HOLDING + "type = '", "'"), "type must have 0..250 characters"),
+    "a long key": (filled("a", "", " = 1"), "'aaaaaaa.*: no such key"),
+    "a slow encoding": (
+        HOLDING + f"type = 'string:250'\nencoding = 'punycode'\nvalue = '{CHINESE}'",
+        "value must have 0..250 characters, not 20000",
+    ),
+    "a slow encoding of short texts": (
+        HOLDING
+        + f"type = 'string:250'\nencoding = 'punycode'\nvalues = {[CHINESE[:60]] * 500}".replace(
+            "'", '"'
+        ),
+        "encoding must be ascii, latin-1, utf-8, cp1252 or another .*not 'punycode'",
+    ),
+    "ranges that overlap": (
+        UNIT + range_of("holding_registers", 65536, "") * 1000,
+        r"holding_registers\[1\] begins at 0, within",
+    ),
+    "files that end far": (
+        numbered(lambda at: f"{{number={at + 1},record=9999}},", UNIT + "file = [", "]"),
+        r"unit\[0\].file\[52\]: more than 524288 cells in one file",
+    ),
+    "long files": (
+        numbered(lambda at: f"{{number={at + 1},record=0,count=10000}},", UNIT + "file = [", "]"),
+        r"unit\[0\].file\[52\]: more than 524288 cells in one file",
+    ),
+    "full tables": (units("value = 1"), r"unit\[2\].coils\[0\]: more than 524288 cells"),
+    "full tables of zeros": (units(""), "devices"),
+    "full tables that walk": (units("random_walk = { low = 0, high = 1, step = 1 }"), "devices"),
+    "copies of copies": (
+        "".join(
+            f"[[unit]]\nid = {number}\n" + "".join(COPIED) + range_of(TABLES[3], 65536, "")
+            for number in range(60)
+        ),
+        "devices",
+    ),
+    "copies in a circle": (
+        UNIT + range_of("coils", 65536, "copy = { table = 'coils', address = 0 }"),
+        "more than 8 copies in a row, or a circle of them",
+    ),
+    "copies of the next": (
+        UNIT
+        + range_of("coils", 65535, "copy = { table = 'coils', address = 1 }")
+        + "[[unit.coils]]\naddress = 65535",
+        "more than 8 copies in a row, or a circle of them",
+    ),
+    "copies of single values": (
+        UNIT
+        + f"input_registers = [{','.join(f'{{address={at}}}' for at in range(9000))}]\n"
+        + range_of("holding_registers", 9000, "copy = { table = 'input_registers', address = 0 }")
+        + range_of("coils", 9000, "copy = { table = 'holding_registers', address = 0 }"),
+        "devices",
+    ),
+    "many faults": (
+        numbered(lambda _: "{kind='no_answer'},", UNIT + "fault = [", "]"),
+        "fault: more than 1000 faults in one file",
+    ),
+    "many values": (filled("1,", HOLDING + "values = [", "]"), "ends at 255[0-9]+, after 65535"),
+    "many units": (filled(UNIT), "more than 10000 headers"),
+    "many units without a header": (filled("{},", "unit = [", "]"), "unit.0..id is missing"),
+    "many keys": (numbered(lambda at: f"k{at} = 1\n"), "k0: no such key"),
+    "many ranges": (
+        numbered(lambda at: f"{{address={at % 65536}}},", UNIT + "coils = [", "]"),
+        "devices",
+    ),
+    "too long": (filled("#" * 80 + "\n") + "#" * 100_000, "more than 524288 characters"),
+    "a date": (
+        HOLDING + "value = 2024-01-01T00:00:00Z",
+        "value must be an integer in 0..65535, not datetime",
+    ),
+    "no number": (HOLDING + "counter = { step = nan }", "counter.step must be in .*, not nan"),
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_a_hostile_file_costs_little(name: str) -> None:
+    text, expected = HOSTILE[name]
+    run = subprocess.run(
+        [sys.executable, "-c", PROGRAM], input=text.encode(), capture_output=True, timeout=50
+    )
+    assert run.returncode == 0, run.stderr.decode()[-300:]
+    outcome, seconds, kilobytes = run.stdout.decode().rsplit("\n", 3)[:3]
+    assert re.search(expected, outcome), outcome[:300]
+    assert len(outcome) < 500
+    assert float(seconds) < 5  # a tenth of it on a machine that does nothing else
+    assert int(kilobytes) < 150_000
+
+
+def test_a_file_without_end_is_not_read_to_its_end() -> None:
+    with pytest.raises(DeviceFileError, match=r"^/dev/zero: more than 524288 bytes$"):
+        load("/dev/zero")
+
+
+def test_as_much_as_is_allowed_is_taken(tmp_path: Path) -> None:
+    """A table of 65536 registers, each written out; and text in UTF-8, which has more bytes."""
+    path = tmp_path / "full.toml"
+    path.write_text(HOLDING + f"values = {[65535 - at for at in range(65536)]}")
+    devices, _ = load(path)
+    assert not isinstance(devices, dict)
+    assert devices.mapping.holding_registers[0:65536] == list(range(65535, -1, -1))
+    path.write_text(UNIT + "#" + "ü" * 300_000)
+    with pytest.raises(DeviceFileError, match="524288 bytes"):
+        load(path)
+
+
+def test_comments_and_numbers_are_no_deep_keys() -> None:
+    parse(UNIT + "# see 192.0.2.1, 1.2.3.4.5.6.7.8 and ................ a.b.c\nid = 1")
+    parse(HOLDING + f"type = 'float64'\nvalues = [{', '.join(['1.5'] * 50)}]")
