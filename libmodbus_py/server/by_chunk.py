@@ -13,6 +13,7 @@ from collections.abc import Callable
 from ..protocol.errors import FrameError
 from ..protocol.framing import Frame, TcpFramer
 from ..protocol.pdu import MAX_PDU
+from .by_frame import FOUND_AT_ONCE
 from .limits import ServerStatistics
 from .units import TcpUnits
 
@@ -53,16 +54,22 @@ class Singles:
 
     def _answer(self) -> None:
         waiting, self._waiting = self._waiting, []
+        raised: BaseException | None = None
         chunk = b"".join([request for _, request in waiting])
         start = first = 0
         while first < len(waiting):
             count, start = self._answer_run(waiting, first, chunk, start)
             if count == 0:
                 session, request = waiting[first]
-                session.take(request)
+                try:
+                    session.take(request)
+                except BaseException as error:  # of a hook; the others want their answers
+                    raised = raised or error
                 start += len(request)
                 count = 1
             first += count
+        if raised is not None:
+            raise raised
 
     def _answer_run(
         self, waiting: list[tuple[ByChunk, bytes]], first: int, chunk: bytes, start: int
@@ -85,17 +92,17 @@ class Singles:
 
 class ByChunk:
     """
-    Arguments as for `ByFrame`; there is never anything to wait for.
+    Arguments as for `ByFrame`; there is nothing to wait for but its own turn, where requests are
+    not answered in C.
 
     Args:
         singles: where requests go that come alone.
     """
 
-    is_waiting = False
-
     # fmt: off
     __slots__ = (
-        "_peer", "_pending", "_role", "_singles", "_statistics", "_units", "is_unfinished", "write",
+        "_follow", "_peer", "_pending", "_role", "_singles", "_statistics", "_units", "is_behind",
+        "is_unfinished", "write",
     )
     # fmt: on
 
@@ -106,6 +113,7 @@ class ByChunk:
         statistics: ServerStatistics,
         singles: Singles,
         write: Callable[[bytes], None],
+        follow: Callable[[], None] = lambda: None,
         role: str | None = None,
     ) -> None:
         self._units = units
@@ -114,8 +122,14 @@ class ByChunk:
         self._statistics = statistics
         self._singles = singles
         self.write: Callable[[bytes], None] = write
+        self._follow = follow
         self._pending = b""  # the beginning of a frame
         self.is_unfinished: bool = False
+        self.is_behind: bool = False
+
+    @property
+    def is_waiting(self) -> bool:
+        return self.is_behind
 
     def receive(self, data: bytes) -> int:
         if not self._pending and _is_one_frame(data):
@@ -128,7 +142,7 @@ class ByChunk:
         if self._pending:
             data = self._pending + data
         before = self._statistics.requests
-        start, size = 0, len(data)
+        start, size, taken = 0, len(data), 0
         while size - start >= HEADER.size:
             unit = data[start + 6]
             device = self._units.device(unit)
@@ -139,14 +153,21 @@ class ByChunk:
                     self._count(count, refused)
                     start = end
                     continue
+            if taken == FOUND_AT_ONCE:
+                break
             end = self._take_one(data, start)
             if end == start:
+                taken = 0
                 break
             start = end
+            taken += 1
         self._pending = data[start:]
-        self.is_unfinished = start < size
+        self.is_behind = taken == FOUND_AT_ONCE and start < size
+        self.is_unfinished = start < size and not self.is_behind
         if self.is_unfinished:
             self._check_length()
+        elif self.is_behind:
+            self._follow()
         return self._statistics.requests - before
 
     def close(self) -> None:

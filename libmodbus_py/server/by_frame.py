@@ -15,9 +15,15 @@ from .faults import Delivery, pieces
 from .limits import ServerStatistics
 from .units import SerialUnits, TcpUnits
 
-__all__ = ["ByFrame", "Link", "Session"]
+__all__ = ["AT_ONCE", "FOUND_AT_ONCE", "ByFrame", "Link", "Session"]
 
 logger: logging.Logger = logging.getLogger(__name__)
+
+
+# What one connection of many may have done for it before others have their turn: eight of the
+# requests that are most; what costs is not to search 64 bytes, but to answer what is found.
+AT_ONCE = 64
+FOUND_AT_ONCE = 4
 
 
 class Link(Protocol):
@@ -36,7 +42,7 @@ class Link(Protocol):
         """Send answers, in the order of the calls."""
 
     def follow(self) -> None:
-        """Look again whether the session is waiting."""
+        """Look again whether the session is behind, or waiting."""
 
 
 class Session(Protocol):
@@ -46,13 +52,20 @@ class Session(Protocol):
         ...
 
     @property
+    def is_behind(self) -> bool:
+        """Whether something was received that is still to be looked at: by `receive(b"")`."""
+        ...
+
+    @property
     def is_waiting(self) -> bool:
-        """Whether the next request can wait, for an answer is kept back."""
+        """Whether the next bytes can wait, for it is behind, or an answer is kept back."""
         ...
 
     def receive(self, data: bytes) -> int:
         """
         Take received bytes, write the answers, give how many requests there were.
+
+        While it is behind none come; a call without bytes goes on where the last one stopped.
 
         Raises:
             FrameError: the stream must be closed; what could be answered was.
@@ -74,6 +87,8 @@ class ByFrame:
         write: takes the answers to the bytes of one `receive` at once.
         follow: called when `is_waiting` may have changed.
         role: what the certificate of the peer says of it, if anything.
+        at_once: how many bytes are searched for frames in one `receive`; of what is found
+            then `FOUND_AT_ONCE` is answered. None for all: nobody else waits.
     """
 
     def __init__(
@@ -85,6 +100,7 @@ class ByFrame:
         write: Callable[[bytes], None],
         follow: Callable[[], None] = lambda: None,
         role: str | None = None,
+        at_once: int | None = None,
     ) -> None:
         self._units = units
         self._framer = make_framer(framing, "server")
@@ -92,8 +108,14 @@ class ByFrame:
         self._role = role
         self._statistics = statistics
         self._write = write
+        self._follow = follow
+        self._at_once = at_once
         self._loop = asyncio.get_running_loop()
         self._timer: asyncio.TimerHandle | None = None
+        self._unsearched = b""
+        self._is_quiet = False  # after that
+        self._is_heard = True  # whether the silence after the last bytes has been waited for
+        self._found: list[Frame | FrameError] = []
         # Only with faults do answers leave at other times than they are found.
         self._delivery = Delivery(write, follow) if units.faults else None
         self._follow_delimiter()
@@ -104,15 +126,33 @@ class ByFrame:
         return self._framer.quiet is None and self._framer.pending > 0
 
     @property
+    def is_behind(self) -> bool:
+        return bool(self._found or self._unsearched or self._is_quiet)
+
+    @property
     def is_waiting(self) -> bool:
-        return self._delivery is not None and self._delivery.is_waiting
+        return self.is_behind or (self._delivery is not None and self._delivery.is_waiting)
 
     def receive(self, data: bytes) -> int:
-        requests = self._answer(self._framer.scan(data))
-        if not self._framer.in_step:
+        if data:
+            self._stop_timer()
+            self._unsearched += data
+            self._is_heard = False
+            if self._at_once is not None and len(self._unsearched) > self._at_once:
+                self._follow()
+                return 0
+        if not self._found:
+            self._search()
+        most = len(self._found) if self._at_once is None else FOUND_AT_ONCE
+        now, self._found = self._found[:most], self._found[most:]
+        requests = self._answer(now)
+        if not (self._found or self._framer.in_step):
+            self._unsearched = b""
             raise FrameError("stream out of step")
-        self._stop_timer()
-        if self._framer.quiet and self._framer.pending:
+        if self.is_behind:
+            self._follow()
+        elif self._framer.quiet and self._framer.pending and not self._is_heard:
+            self._is_heard = True
             self._timer = self._loop.call_later(self._framer.quiet, self._silence)
         return requests
 
@@ -121,12 +161,26 @@ class ByFrame:
         if self._delivery is not None:
             self._delivery.close()
 
+    def _search(self) -> None:
+        if self._unsearched or not self._is_quiet:
+            piece = self._unsearched[: self._at_once]
+            self._unsearched = self._unsearched[len(piece) :]
+            self._found = self._framer.scan(piece)
+        else:
+            self._is_quiet = False
+            self._found = self._framer.scan_silence()
+
     def _stop_timer(self) -> None:
         if self._timer is not None:
             self._timer.cancel()
 
     def _silence(self) -> None:
-        self._answer(self._framer.scan_silence())
+        self._timer = None
+        self._is_quiet = True
+        if self._at_once is None:
+            self.receive(b"")
+        else:
+            self._follow()
 
     def _answer(self, found: list[Frame | FrameError]) -> int:
         adus = bytearray()

@@ -12,10 +12,13 @@ from typing import Literal
 
 from ..protocol.checks import integer, seconds
 
-__all__ = ["FULL_POLICIES", "Allowance", "Limits", "ServerStatistics"]
+__all__ = ["FULL_POLICIES", "Allowance", "Limits", "ServerStatistics", "plain_host"]
 
 # Descriptors that are left to the rest of the process, unless max_connections is given.
 SPARE_DESCRIPTORS = 64
+
+# What a program may open to one server, though it has few connections in all.
+LEAST_OF_ADDRESS = 8
 
 FULL_POLICIES = ("close-idle", "refuse")
 
@@ -31,6 +34,9 @@ class Limits:
         when_full: "close-idle" makes room for a new connection by closing another, first
             one that never sent a request, else the one whose last request is the oldest
             (messaging guide, 4.3.1); "refuse" closes the new one.
+        connections_per_address: how many of them one address may have, 1 or more; None for
+            a tenth of all, but 8 at least. An address with more makes room among its own, or
+            is refused, as `when_full` says, so that it takes no one else's.
         frame_timeout: seconds from the first byte of a frame to its last, 0.001..86400;
             then the connection is closed. Not with RTU and ASCII over TCP, where silence
             ends a frame. Also for taking the last answers of a connection that is
@@ -43,9 +49,10 @@ class Limits:
             buffers, 0..2^30; with more it is not read until all are gone.
         allow: networks or addresses whose clients are served, such as
             "192.0.2.0/24" or "::1"; none for all.
-        requests_per_second: how many of one connection (UDP: one address) are answered
-            on average, 0.001..1000000, with bursts of one second's; the rest waits on TCP and is
-            dropped on UDP. None for all.
+        requests_per_second: how many of one address are answered on average,
+            0.001..1000000, with bursts of one second's, over all its TCP connections, and as
+            many over UDP; the rest waits on TCP and is dropped on UDP. None for all on TCP; on
+            UDP, whose senders may be forged, for 1000 of each address of another machine.
 
     Raises:
         TypeError, ValueError: an argument of the wrong type or range.
@@ -59,11 +66,14 @@ class Limits:
     max_unsent: int = 65536
     allow: Iterable[str] = ()
     requests_per_second: float | None = None
+    connections_per_address: int | None = None
     _networks: tuple[IPv4Network | IPv6Network, ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         if self.max_connections is not None:
             integer("max_connections", self.max_connections, 1, 1_000_000)
+        if self.connections_per_address is not None:
+            integer("connections_per_address", self.connections_per_address, 1, 1_000_000)
         if self.when_full not in FULL_POLICIES:
             raise ValueError(
                 f"when_full must be one of {', '.join(FULL_POLICIES)}, not {self.when_full!r}"
@@ -83,9 +93,7 @@ class Limits:
         """Whether clients at this address are served."""
         if not self._networks:
             return True
-        address = ip_address(host.partition("%")[0])
-        if isinstance(address, IPv6Address):
-            address = address.ipv4_mapped or address
+        address = ip_address(plain_host(host).partition("%")[0])
         return any(address in network for network in self._networks)
 
     def connections(self) -> int:
@@ -94,6 +102,19 @@ class Limits:
             return self.max_connections
         soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
         return max(1, soft - SPARE_DESCRIPTORS)
+
+    def connections_of_address(self) -> int:
+        """How many of them one address may have now."""
+        if self.connections_per_address is not None:
+            return self.connections_per_address
+        return max(LEAST_OF_ADDRESS, self.connections() // 10)
+
+
+def plain_host(host: str) -> str:
+    """Give an address without the IPv6 around IPv4: it is the same client."""
+    if not host.startswith("::ffff:"):
+        return host
+    return str(IPv6Address(host).ipv4_mapped or host)
 
 
 def _networks(allow: Iterable[str]) -> tuple[IPv4Network | IPv6Network, ...]:
@@ -118,6 +139,8 @@ def _rate(value: object) -> None:
 
 class Allowance:
     """How many requests somebody may send: `rate` a second, and as many at once."""
+
+    __slots__ = ("_at", "_left", "_most", "_rate")
 
     def __init__(self, rate: float, now: float) -> None:
         self._rate = rate
@@ -144,12 +167,15 @@ class ServerStatistics:
         accepted: those that ever were.
         disallowed: connections and datagrams from networks that are not served.
         refused_full: connections closed at once, for there were too many.
+        refused_address: those closed at once, for their address had too many.
         closed_for_others: idle connections closed to make room.
         closed_idle: connections closed after `idle_timeout`.
         closed_slow: connections closed for a frame, or a TLS handshake, that took too long.
         closed_out_of_step: connections closed for a header that made no sense.
         paused: how often a client was not read because it did not take its answers.
         throttled: how often a client exceeded `requests_per_second`.
+        reflected: datagrams not answered, for they came from where servers are, or were
+            answers of this one that came back.
         requests: frames that were for this server to look at, other units' included.
         refused: requests that got an exception.
         bad_frames: runs of bytes that were no frame.
@@ -163,12 +189,14 @@ class ServerStatistics:
     accepted: int = 0
     disallowed: int = 0
     refused_full: int = 0
+    refused_address: int = 0
     closed_for_others: int = 0
     closed_idle: int = 0
     closed_slow: int = 0
     closed_out_of_step: int = 0
     paused: int = 0
     throttled: int = 0
+    reflected: int = 0
     requests: int = 0
     refused: int = 0
     bad_frames: int = 0

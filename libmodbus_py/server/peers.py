@@ -13,18 +13,22 @@ import asyncio
 import contextlib
 import fcntl
 import logging
+import math
 import os
 import select
 import socket
+from collections import deque
 from collections.abc import Callable
 from heapq import nsmallest
 from select import EPOLLIN, EPOLLOUT
 
 from ..protocol.errors import FrameError
+from .addresses import Address, Addresses
 from .by_frame import Session
-from .limits import SPARE_DESCRIPTORS, Allowance, Limits, ServerStatistics
+from .idle import Idle, due
+from .limits import SPARE_DESCRIPTORS, Limits, ServerStatistics
 
-__all__ = ["MakeSession", "Peer", "Peers"]
+__all__ = ["ENDS", "MakeSession", "Peer", "Peers"]
 
 logger: logging.Logger = logging.getLogger(__name__)
 
@@ -39,6 +43,9 @@ EVENTS_MAX = 128
 # How many of those that send more than FAIR_SIZE.
 GREEDY_AT_ONCE = 2
 
+# How many of those that sent more than is searched or answered at once.
+BEHIND_AT_ONCE = 8
+
 # Room for more descriptors than that is made when they come.
 ROOM_AT_MOST = 16_384
 
@@ -46,28 +53,48 @@ ROOM_AT_MOST = 16_384
 # than to read the request.
 RESOLUTION = 0.05
 
+# What a hook raises to end the program; whatever else is an answer, or our mistake.
+ENDS = (SystemExit, KeyboardInterrupt)
+
 MakeSession = Callable[["Peer"], Session]
 """Makes the session of a connection."""
 
 
 class Peers:
-    """The connections of all TCP endpoints, within the limits."""
+    """
+    The connections of all TCP endpoints, within the limits.
 
-    def __init__(self, limits: Limits, statistics: ServerStatistics) -> None:
+    Args:
+        end: closes all endpoints of the server, when a hook ends the program; None for no more
+            than the connections.
+    """
+
+    def __init__(
+        self,
+        limits: Limits,
+        statistics: ServerStatistics,
+        end: Callable[[], None] | None = None,
+    ) -> None:
         self.limits = limits
         self.statistics = statistics
         self.loop: asyncio.AbstractEventLoop = asyncio.get_running_loop()
         self._most = limits.connections()
-        # Both from the longest idle to the latest: those that never sent a request, and
-        # the others.
-        self._strangers: dict[Peer, float] = {}
-        self._known: dict[Peer, float] = {}
+        self._most_of_address = limits.connections_of_address()
+        self._addresses: Addresses[Peer] = Addresses(limits.requests_per_second or math.inf)
+        self._make_peer = Peer if limits.requests_per_second is None else LimitedPeer
+        self._idle: Idle[Peer] = Idle()
+        self._known = self._idle.known
         # Connections that must get on with something, and until when.
         self._deadlines: dict[Peer, float] = {}
         # Those that have something to send when all have been read.
         self._sending: list[Peer] = []
         # What is to be done before that.
         self._calls: list[Callable[[], None]] = []
+        # Those that have something to do without having received anything more.
+        self._behind: deque[Peer] = deque()
+        self._next_turn: asyncio.Handle | None = None
+        self._end = end or self.close
+        self._ending: BaseException | None = None  # what a hook raised to end the program
         self._in_turn = False
         self._turns = 0
         self._now = 0.0  # the time of this turn
@@ -80,7 +107,7 @@ class Peers:
         self._sweep_every = max(0.01, min(1.0, *(timeout / 4 for timeout in timeouts)))
 
     def __len__(self) -> int:
-        return len(self._strangers) + len(self._known)
+        return len(self._idle)
 
     def admit(self, client: socket.socket, address: tuple[str, int], make: MakeSession) -> None:
         """Take charge of a new connection, or close it."""
@@ -88,42 +115,58 @@ class Peers:
         if not self.limits.allows(host):
             self.statistics.disallowed += 1
             client.close()
-        elif len(self) >= self._most and not self._make_room():
+            return
+        shared = self._addresses.get(host)
+        if len(shared.idle) >= self._most_of_address and not self._make_room(shared.idle):
+            self.statistics.refused_address += 1
+            client.close()
+        elif len(self) >= self._most and not self._make_room(self._idle):
             self.statistics.refused_full += 1
             client.close()
         else:
-            self._add(client, f"{host}:{port}", make)
+            self._add(client, f"{host}:{port}", shared, make)
 
     def close(self) -> None:
-        if self._sweeping is not None:
-            self._sweeping.cancel()
-        for peer in [*self._strangers, *self._known]:
+        """Any number of times."""
+        if self._epoll.closed:
+            return
+        for timer in (self._sweeping, self._next_turn):
+            if timer is not None:
+                timer.cancel()
+        for peer in list(self._idle):
             peer.close()
         self.loop.remove_reader(self._epoll.fileno())
         self._epoll.close()
 
-    def _add(self, client: socket.socket, address: str, make: MakeSession) -> None:
+    def _add(
+        self, client: socket.socket, address: str, shared: Address[Peer], make: MakeSession
+    ) -> None:
         with contextlib.suppress(OSError):  # it may be gone already
             client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             client.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
         self.statistics.accepted += 1
         self.statistics.connections += 1
-        self._strangers[Peer(self, client, address, make)] = self.loop.time()
+        peer = self._make_peer(self, client, address, shared, make)
+        now = self.loop.time()
+        self._idle.add(peer, now)
+        shared.idle.add(peer, now)
+        self._addresses.keep(shared)
         if self._sweeping is None:
             self._sweeping = self.loop.call_later(self._sweep_every, self._sweep)
 
-    def _make_room(self) -> bool:
+    def _make_room(self, idle: Idle[Peer]) -> bool:
         if self.limits.when_full == "refuse":
             return False
         self.statistics.closed_for_others += 1
-        next(iter(self._strangers or self._known)).close()
+        next(iter(idle)).close()
         return True
 
     def remove(self, peer: Peer) -> None:
         self.statistics.connections -= 1
-        self._strangers.pop(peer, None)
-        self._known.pop(peer, None)
+        self._idle.remove(peer)
         self._deadlines.pop(peer, None)
+        peer.shared.forget(peer)
+        self._addresses.keep(peer.shared)
 
     # --- reading and writing ----------------------------------------------------------------
 
@@ -141,8 +184,6 @@ class Peers:
 
     def later(self, call: Callable[[], None]) -> None:
         """Have it called when all have been read, before answers are sent."""
-        if not self._calls and not self._in_turn:
-            self.loop.call_soon(self._finish_turn)
         self._calls.append(call)
 
     def send_soon(self, peer: Peer) -> None:
@@ -151,7 +192,24 @@ class Peers:
             self.loop.call_soon(self._send)
         self._sending.append(peer)
 
+    def catch_up_soon(self, peer: Peer) -> None:
+        """Have it act, in its turn, though nothing more is received."""
+        self._behind.append(peer)
+        if not self._in_turn:
+            self._call_turn()
+
+    def end_after_turn(self, error: BaseException) -> None:
+        """A hook wants to end the program; those that were read in this turn get their answers."""
+        self._ending = self._ending or error
+
+    def _call_turn(self) -> None:
+        if self._next_turn is None:
+            self._next_turn = self.loop.call_soon(self._turn)
+
     def _turn(self) -> None:
+        if self._next_turn is not None:
+            self._next_turn.cancel()
+            self._next_turn = None
         self._in_turn = True
         self._now = self.loop.time()
         greedy = []
@@ -169,14 +227,29 @@ class Peers:
                 peer.latest_turn = self._turns
                 peer.act(events)
             self._finish_turn()
+        if self._behind:
+            self._catch_up()
         self._in_turn = False
+        if self._ending is not None:
+            error, self._ending = self._ending, None
+            self._end()
+            raise error
+
+    def _catch_up(self) -> None:
+        for _ in range(min(BEHIND_AT_ONCE, len(self._behind))):
+            self._behind.popleft().catch_up()
+        self._finish_turn()
+        if self._behind:
+            self._call_turn()
 
     def _finish_turn(self) -> None:
         calls, self._calls = self._calls, []
         for call in calls:
             try:
                 call()
-            except Exception:  # a mistake of ours must not end all turns
+            except ENDS as error:
+                self.end_after_turn(error)
+            except BaseException:  # a mistake of ours must not end all turns
                 logger.exception("requests are lost")
         self._send()
 
@@ -191,9 +264,8 @@ class Peers:
         """It is the latest of all now, and no frame is begun."""
         self._deadlines.pop(peer, None)
         if self._now - self._known.get(peer, 0.0) > RESOLUTION:
-            self._strangers.pop(peer, None)
-            self._known.pop(peer, None)
-            self._known[peer] = self._now
+            self._idle.note_request(peer, self._now)
+            peer.shared.idle.note_request(peer, self._now)
 
     def set_deadline(self, peer: Peer) -> None:
         """From now on, unless there is one already."""
@@ -205,14 +277,13 @@ class Peers:
     def _sweep(self) -> None:
         self._sweeping = None
         now = self.loop.time()
-        for peer in _due(self._deadlines, now):
+        for peer in due(self._deadlines, now):
             self.statistics.closed_slow += 1
             peer.close()
         if self.limits.idle_timeout is not None:
-            for table in (self._strangers, self._known):
-                for peer in _due(table, now - self.limits.idle_timeout):
-                    self.statistics.closed_idle += 1
-                    peer.close()
+            for peer in self._idle.due(now - self.limits.idle_timeout):
+                self.statistics.closed_idle += 1
+                peer.close()
         if len(self):
             self._sweeping = self.loop.call_later(self._sweep_every, self._sweep)
 
@@ -231,34 +302,29 @@ def _latest_turn(ready: tuple[Peer, int]) -> int:
     return ready[0].latest_turn
 
 
-def _due(times: dict[Peer, float], until: float) -> list[Peer]:
-    """The first ones, for their times are in order."""
-    due = []
-    for peer, time in times.items():
-        if time > until:
-            break
-        due.append(peer)
-    return due
-
-
 class Peer:
     """One client. It is read only while it takes its answers and is not throttled."""
 
     # fmt: off
     __slots__ = (
-        "_allowance", "_descriptor", "_is_closing", "_is_full", "_is_reading", "_is_sending",
-        "_is_throttled", "_loop", "_peers", "_release_timer", "_session", "_socket", "_unsent",
-        "address", "is_greedy", "latest_turn", "role",
+        "_descriptor", "_is_behind", "_is_closing", "_is_full", "_is_reading",
+        "_is_sending", "_is_throttled", "_peers", "_session", "_socket", "_unsent", "address",
+        "is_greedy", "latest_turn", "role", "shared",
     )
     # fmt: on
 
     def __init__(
-        self, peers: Peers, client: socket.socket, address: str, make: MakeSession
+        self,
+        peers: Peers,
+        client: socket.socket,
+        address: str,
+        shared: Address[Peer],
+        make: MakeSession,
     ) -> None:
         self.address: str = address
         self.role: str | None = None  # known to a session within TLS only
+        self.shared: Address[Peer] = shared  # with all others of its host
         self._peers = peers
-        self._loop = peers.loop
         self._socket = client
         self._descriptor = client.fileno()
         # bytes as long as the client takes them at once: mostly one answer, never copied.
@@ -267,9 +333,7 @@ class Peer:
         self.latest_turn: int = 0
         self._is_sending = self._is_full = self._is_throttled = self._is_closing = False
         self._is_reading = True
-        self._release_timer: asyncio.TimerHandle | None = None
-        rate = peers.limits.requests_per_second
-        self._allowance = None if rate is None else Allowance(rate, self._loop.time())
+        self._is_behind = False  # in its turn to catch up
         self._session = make(self)
         peers.watch(self, self._descriptor, EPOLLIN)
 
@@ -279,8 +343,6 @@ class Peer:
             return
         self._session.close()
         del self._session  # which knows us: a circle would have to be looked for (gc)
-        if self._release_timer is not None:
-            self._release_timer.cancel()
         self._peers.forget(self._descriptor)
         self._descriptor = -1
         if self._unsent:  # its last words, if they go
@@ -290,56 +352,63 @@ class Peer:
         self._peers.remove(self)
 
     def act(self, events: int) -> None:
-        """Do what can be done now."""
+        """Do what can be done now; without events, what was left for later."""
         try:
             if events & EPOLLIN:
                 self._read()
             elif events & (select.EPOLLHUP | select.EPOLLERR):
                 self.close()
+            elif not events:
+                self._take(b"")
             if events & EPOLLOUT:
                 self.send()
-        except Exception:  # a mistake of ours must not cost the others their turn
+        except ENDS as error:
+            self._peers.end_after_turn(error)
+        except BaseException:  # a mistake of ours must not cost the others their turn
             logger.exception("%s: connection closed", self.address)
             self.close()
 
-    def _read(self) -> None:
+    def catch_up(self) -> None:
+        self._is_behind = False
+        if self._descriptor >= 0 and not self._is_full:
+            self.act(0)
+            self.follow()
+
+    def resume(self) -> None:
+        """Read again: the address may ask."""
+        self._is_throttled = False
+        self.follow()
+
+    def _read(self) -> int:
+        """Give how many requests there were."""
         try:
             size = READ_SIZE if self.is_greedy else FAIR_SIZE
             data = self._socket.recv(size)
         except (BlockingIOError, InterruptedError):
-            return
+            return 0
         except OSError:
             self.close()
-            return
+            return 0
         if not data:  # it will not ask any more, but may still listen
             self.end()
-            return
+            return 0
         self.is_greedy = len(data) == size
-        self._receive(self._session.receive, data)
+        return self._take(data)
 
-    def go_on(self, receive: Callable[[], int]) -> None:
-        """Let the session receive what it had put off; as when it comes."""
-        try:
-            self._receive(receive)
-        except Exception:  # as in `act`
-            logger.exception("%s: connection closed", self.address)
-            self.close()
-
-    def _receive(self, receive: Callable[..., int], *data: bytes) -> None:
+    def _take(self, data: bytes) -> int:
         peers, session = self._peers, self._session
         try:
-            requests = receive(*data)
+            requests = session.receive(data)
         except FrameError as error:
             logger.debug("%s: connection closed: %s", self.address, error)
             peers.statistics.closed_out_of_step += 1
             self.end()
-            return
+            return 0
         if requests:
             peers.note_request(self)
-            if self._allowance is not None:
-                self._throttle(requests, self._allowance)
         if session.is_unfinished and self._is_reading:
             peers.set_deadline(self)
+        return requests
 
     # --- answers ------------------------------------------------------------------------
 
@@ -398,34 +467,44 @@ class Peer:
 
     # --- reading or not -------------------------------------------------------------------
 
-    def _throttle(self, requests: int, allowance: Allowance) -> None:
-        allowance.spend(requests)
-        if wait := allowance.wait(self._loop.time()):
-            self._peers.statistics.throttled += 1
-            self._is_throttled = True
-            self.follow()
-            self._release_timer = self._loop.call_later(wait, self._release)
-
-    def _release(self) -> None:
-        self._is_throttled = False
-        self.follow()
-
     def follow(self) -> None:
         """Read, or do not read, as things are now."""
         if self._descriptor < 0:
             return
-        read = not (
-            self._is_full or self._is_throttled or self._is_closing or self._session.is_waiting
-        )
+        session = self._session
+        if session.is_behind and not (self._is_behind or self._is_full):
+            self._is_behind = True
+            self._peers.catch_up_soon(self)
+        read = not (self._is_full or self._is_throttled or self._is_closing or session.is_waiting)
         if read != self._is_reading:
             self._is_reading = read
             self._watch()
             # The time of a frame is not running while nobody reads it.
             if not read:
                 self._peers.drop_deadline(self)
-            elif self._session.is_unfinished:
+            elif session.is_unfinished:
                 self._peers.set_deadline(self)
 
     def _watch(self) -> None:
         events = EPOLLIN * self._is_reading | EPOLLOUT * self._is_sending
         self._peers.watch(self, self._descriptor, events)
+
+
+class LimitedPeer(Peer):
+    """One whose address may not ask as much as it likes."""
+
+    __slots__ = ()
+
+    def _read(self) -> int:
+        if not self.shared.is_overspent():
+            return super()._read()
+        self._peers.statistics.throttled += 1
+        self._is_throttled = True
+        self.shared.pause(self)
+        self.follow()
+        return 0
+
+    def _take(self, data: bytes) -> int:
+        requests = super()._take(data)
+        self.shared.spend(requests)
+        return requests

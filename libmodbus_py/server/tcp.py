@@ -14,7 +14,7 @@ from ..ports.endpoint import Endpoint
 from ..protocol.framing import Framing
 from ..security.security import Security
 from .by_chunk import ByChunk, Singles
-from .by_frame import ByFrame, Link, Session
+from .by_frame import AT_ONCE, ByFrame, Link, Session
 from .limits import ServerStatistics
 from .listening import bound, reason
 from .peers import MakeSession, Peers
@@ -115,13 +115,24 @@ def _maker(framing: Framing, units: Units, peers: Peers) -> Callable[[Link], Ses
     if units.faults:
         return lambda link: _by_frame(own, framing, link, statistics)
     singles = Singles(own, statistics, peers.later)
-    return lambda link: ByChunk(own, link.address, statistics, singles, link.write, link.role)
+    return lambda link: ByChunk(
+        own, link.address, statistics, singles, link.write, link.follow, link.role
+    )
 
 
 def _by_frame(
     units: TcpUnits | SerialUnits, framing: Framing, link: Link, statistics: ServerStatistics
 ) -> Session:
-    return ByFrame(units, framing, link.address, statistics, link.write, link.follow, link.role)
+    return ByFrame(
+        units,
+        framing,
+        link.address,
+        statistics,
+        link.write,
+        link.follow,
+        link.role,
+        at_once=AT_ONCE,
+    )
 
 
 def _secured(make: Callable[[Link], Session], security: Security, peers: Peers) -> MakeSession:

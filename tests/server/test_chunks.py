@@ -79,6 +79,8 @@ class End:
         if self.is_open and data:
             try:
                 self.session.receive(data)
+                while self.session.is_behind:
+                    self.session.receive(b"")
             except FrameError:
                 self.is_open = False
         while self.calls and is_last:

@@ -523,7 +523,7 @@ def test_one_by_one_requests_take_their_time(kind: str) -> None:
     with (
         served(kind, requests_per_second=20) as server,
         server.connect() as eager,
-        server.connect() as other,
+        connect_from("127.0.0.2", server.port) as other,
     ):
         start = time.monotonic()
         for number in range(32):
@@ -541,7 +541,7 @@ def test_requests_sent_at_once_wait_and_none_is_lost(kind: str) -> None:
     with (
         served(kind, requests_per_second=100, frame_timeout=0.2) as server,
         server.connect() as eager,
-        server.connect() as other,
+        connect_from("127.0.0.2", server.port) as other,
     ):
         start = time.monotonic()
         eager.sendall(b"".join(adu(READ_ONE, number) for number in range(count)))
@@ -557,11 +557,12 @@ def test_requests_sent_at_once_wait_and_none_is_lost(kind: str) -> None:
 
 def test_a_connection_lost_while_it_waits_leaves_nothing(kind: str) -> None:
     with served(kind, requests_per_second=0.001) as server:
-        for _ in range(20):
-            with server.connect() as eager:
+        for number in range(20):
+            with connect_from(f"127.3.0.{1 + number}", server.port) as eager:
                 eager.sendall(adu(READ_ONE) * 20)
                 assert receive(eager, 20 * ONE_ANSWER) == adu(ANSWER_ONE) * 20
-                assert server.has(connections=1)
+                eager.sendall(adu(READ_ONE))
+                assert server.has(connections=1, throttled=1 + number)
                 # Closing resets it.
                 eager.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
             assert server.has(connections=0)

@@ -1,0 +1,122 @@
+"""
+What one address may ask: a client that opens another connection is still the same client.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections import OrderedDict
+from typing import Generic, Protocol, TypeVar
+
+from .idle import Idle
+from .limits import Allowance, plain_host
+
+__all__ = ["Address", "Addresses", "Paused"]
+
+# How many are remembered that have no connection: they may come back to ask too much, but a
+# sender of datagrams can pretend to be as many as it likes.
+REMEMBERED_MAX = 4096
+
+# Who is read again and sends no request lets the next one of its address wait so long.
+LONGEST_TURN = 0.05
+
+
+class Paused(Protocol):
+    """A connection that is not read while its address has asked too much."""
+
+    def resume(self) -> None: ...
+
+
+Each = TypeVar("Each", bound=Paused)
+
+
+class Address(Generic[Each]):
+    """
+    One address, and all its connections.
+
+    Args:
+        rate: how many requests are answered in a second.
+
+    Attributes:
+        host: without the IPv6 around IPv4.
+        idle: its connections.
+    """
+
+    __slots__ = ("_allowance", "_loop", "_paused", "_rate", "_timer", "host", "idle")
+
+    def __init__(self, host: str, rate: float, loop: asyncio.AbstractEventLoop) -> None:
+        self.host = host
+        self.idle: Idle[Each] = Idle()
+        self._rate = rate
+        self._loop = loop
+        self._allowance = Allowance(rate, loop.time())
+        self._paused: OrderedDict[Each, None] = OrderedDict()
+        self._timer: asyncio.TimerHandle | None = None
+
+    def is_overspent(self) -> bool:
+        """Whether it has asked too much for now."""
+        return self._allowance.wait(self._loop.time()) > 0
+
+    def spend(self, requests: int) -> None:
+        self._allowance.spend(requests)
+
+    def pause(self, connection: Each) -> None:
+        """Have it resumed in its turn, when the address may ask again."""
+        self._paused[connection] = None
+        if self._timer is None:
+            self._release_after(self._allowance.wait(self._loop.time()))
+
+    def forget(self, connection: Each) -> None:
+        self.idle.remove(connection)
+        self._paused.pop(connection, None)
+        if not self._paused and self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+
+    def _release_after(self, seconds: float) -> None:
+        self._timer = self._loop.call_later(seconds, self._release)
+
+    def _release(self) -> None:
+        """One at a time: it spends only when it has been read."""
+        self._timer = None
+        wait = self._allowance.wait(self._loop.time())
+        if not wait:
+            connection, _ = self._paused.popitem(last=False)
+            connection.resume()
+            wait = min(1 / self._rate, LONGEST_TURN)
+        if self._paused:
+            self._release_after(wait)
+
+
+class Addresses(Generic[Each]):
+    """
+    Those that are connected, and those that came last.
+
+    Args:
+        rate: how many requests of each are answered in a second; infinite for all.
+    """
+
+    def __init__(self, rate: float = math.inf) -> None:
+        self._rate = rate
+        self._loop = asyncio.get_running_loop()
+        self._connected: dict[str, Address[Each]] = {}
+        self._others: OrderedDict[str, Address[Each]] = OrderedDict()
+
+    def get(self, host: str) -> Address[Each]:
+        """Give an address; it is the latest now."""
+        host = plain_host(host)
+        address = self._connected.get(host) or self._others.pop(host, None)
+        return address or Address(host, self._rate, self._loop)
+
+    def keep(self, address: Address[Each]) -> None:
+        """Remember it, as long as it has connections, or is one of the last that came."""
+        if address.idle:
+            self._connected[address.host] = address
+            return
+        self._connected.pop(address.host, None)
+        if self._rate == math.inf:  # nothing to remember
+            return
+        self._others[address.host] = address
+        if len(self._others) > REMEMBERED_MAX:
+            self._others.popitem(last=False)

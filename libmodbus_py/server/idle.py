@@ -1,0 +1,62 @@
+"""
+Who has been idle longest, of all connections or of those of one address.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Generic, TypeVar
+
+__all__ = ["Idle"]
+
+Each = TypeVar("Each")
+
+
+class Idle(Generic[Each]):
+    """
+    Connections in the order in which they are closed to make room: those that never sent a
+    request, then the others, the longest idle of each first.
+
+    Attributes:
+        strangers: those that never did, and when they came.
+        known: the others, and when they last did.
+    """
+
+    __slots__ = ("known", "strangers")
+
+    def __init__(self) -> None:
+        self.strangers: dict[Each, float] = {}
+        self.known: dict[Each, float] = {}
+
+    def __len__(self) -> int:
+        return len(self.strangers) + len(self.known)
+
+    def __iter__(self) -> Iterator[Each]:
+        yield from self.strangers
+        yield from self.known
+
+    def add(self, each: Each, now: float) -> None:
+        self.strangers[each] = now
+
+    def note_request(self, each: Each, now: float) -> None:
+        """It is the latest of all now."""
+        self.remove(each)
+        self.known[each] = now
+
+    def remove(self, each: Each) -> None:
+        self.strangers.pop(each, None)
+        self.known.pop(each, None)
+
+    def due(self, until: float) -> list[Each]:
+        """Give those that have been idle since then, or before."""
+        return [*due(self.strangers, until), *due(self.known, until)]
+
+
+def due(times: dict[Each, float], until: float) -> list[Each]:
+    """Give the first ones, for their times are in order."""
+    found = []
+    for each, time in times.items():
+        if time > until:
+            break
+        found.append(each)
+    return found
