@@ -4,6 +4,7 @@ What clients may cost a server, limit by limit, and what it counts of them.
 
 from __future__ import annotations
 
+import asyncio
 import dataclasses
 import gc
 import math
@@ -34,9 +35,12 @@ from attacks import (
     receive,
 )
 
-from libmodbus_py import Device, Fault, Mapping, Server, framing
+from libmodbus_py import Access, Device, Fault, Mapping, Server, framing
+from libmodbus_py.server.by_frame import ByFrame
+from libmodbus_py.server.faults import Faults
 from libmodbus_py.server.limits import Allowance, Limits, ServerStatistics
-from libmodbus_py.server.peers import Peer
+from libmodbus_py.server.peers import Peer, Peers
+from libmodbus_py.server.units import TcpUnits, Units
 from libmodbus_py.testing.wires import SerialWire
 
 ANSWER_ONE = bytes.fromhex("03 02 0000")
@@ -117,6 +121,10 @@ def is_closed(connection: socket.socket) -> bool:
         ("max_connections", 1.5, TypeError),
         ("max_connections", True, TypeError),
         ("max_connections", "8", TypeError),
+        ("connections_per_address", 0, ValueError),
+        ("connections_per_address", 1_000_001, ValueError),
+        ("connections_per_address", 2.0, TypeError),
+        ("connections_per_address", True, TypeError),
         ("when_full", "drop", ValueError),
         ("when_full", None, ValueError),
         ("frame_timeout", 0, ValueError),
@@ -163,6 +171,8 @@ def test_networks_that_are_none_are_named(networks: object) -> None:
     [
         {"max_connections": 1},
         {"max_connections": 1_000_000},
+        {"connections_per_address": 1},
+        {"connections_per_address": 1_000_000},
         {"frame_timeout": 0.001, "idle_timeout": 86_400},
         {"idle_timeout": None},
         {"max_unsent": 0},
@@ -252,6 +262,83 @@ def test_connections_left_at_the_end_are_closed() -> None:
             ask(connection)
         assert is_closed(connection)
         assert server.statistics.connections == 0
+
+
+# --- connections_per_address -------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("most", "of_one"), [(1000, 100), (200, 20), (80, 8), (5, 8), (1, 8)])
+def test_an_address_may_have_a_tenth_of_all_but_eight_at_least(most: int, of_one: int) -> None:
+    assert Limits(max_connections=most).connections_of_address() == of_one
+    assert Limits(max_connections=most, connections_per_address=3).connections_of_address() == 3
+
+
+def test_an_address_with_too_many_makes_room_among_its_own(kind: str) -> None:
+    with (
+        served(kind, max_connections=6, connections_per_address=3) as server,
+        ExitStack() as stack,
+    ):
+        others = [stack.enter_context(connect_from("127.0.0.2", server.port)) for _ in range(3)]
+        ask(others[0])
+        assert server.has(connections=3)
+        first, second, stranger = (stack.enter_context(server.connect()) for _ in range(3))
+        ask(first)
+        ask(second)
+        for number in range(20):
+            newcomer = stack.enter_context(server.connect())
+            assert is_closed(stranger)
+            stranger = newcomer
+            assert server.has(connections=6, closed_for_others=1 + number)
+        ask(stranger)
+        ask(stack.enter_context(server.connect()))
+        assert is_closed(first)
+        for other in others:  # two of them are strangers, who would have gone first
+            ask(other)
+        assert server.has(connections=6, refused_full=0, refused_address=0)
+
+
+def test_an_address_with_too_many_can_be_refused(kind: str) -> None:
+    with (
+        served(kind, connections_per_address=2, when_full="refuse") as server,
+        server.connect() as first,
+        server.connect() as second,
+    ):
+        ask(first)
+        ask(second)
+        for _ in range(3):
+            with server.connect() as refused:
+                assert is_closed(refused)
+        with connect_from("127.0.0.2", server.port) as other:
+            ask(other)
+        ask(first)
+        assert server.has(connections=2, refused_address=3, refused_full=0, closed_for_others=0)
+        second.close()
+        assert server.has(connections=1)
+        with server.connect() as newcomer:
+            ask(newcomer)
+
+
+def test_ipv4_within_ipv6_is_the_same_address() -> None:
+    """As a listener for both families would say it."""
+
+    async def refused(*hosts: str) -> int:
+        statistics = ServerStatistics()
+        peers = Peers(Limits(connections_per_address=1, when_full="refuse"), statistics)
+        device = Units(Device(Mapping()), Faults({}))
+        with ExitStack() as stack:
+            stack.callback(peers.close)
+            for host in hosts:
+                ours, theirs = socket.socketpair()
+                stack.enter_context(ours)
+                peers.admit(
+                    theirs,
+                    (host, 1),
+                    lambda peer, *way: ByFrame(TcpUnits(device), "tcp", peer, statistics, *way),
+                )
+            return statistics.refused_address
+
+    assert asyncio.run(refused("192.0.2.7", "::ffff:192.0.2.7", "::ffff:192.0.2.7")) == 2
+    assert asyncio.run(refused("192.0.2.7", "::ffff:192.0.2.8", "::192.0.2.7")) == 0
 
 
 # --- frame_timeout -----------------------------------------------------------------------
@@ -570,6 +657,151 @@ def test_a_connection_lost_while_it_waits_leaves_nothing(kind: str) -> None:
         assert not [each for each in gc.get_objects() if isinstance(each, Peer)]
 
 
+def rtu(pdu: bytes, unit: int = 17) -> bytes:
+    return framing.RtuFramer("server").encode(framing.Frame(unit, pdu))
+
+
+# The beginning of a long request, which only silence tells from the whole one that follows.
+NEVER_ENDED = bytes.fromhex("11 10 0000 007b f6")
+
+
+def test_connections_of_an_address_share_what_it_may_ask(kind: str) -> None:
+    with served(kind, requests_per_second=10) as server, ExitStack() as stack:
+        start = time.monotonic()
+        eager = [stack.enter_context(server.connect()) for _ in range(8)]
+        answered = 0
+        while time.monotonic() - start < 1:
+            for client in eager:
+                client.sendall(adu(READ_ONE))
+            time.sleep(0.05)
+        answered = server.statistics.requests
+        # Ten are free, and one read of each connection may overdraw, by one request each time.
+        assert 10 <= answered <= 10 + 8 * 4 + 10 * (time.monotonic() - start)
+        with connect_from("127.0.0.2", server.port) as other:
+            ask(other)
+        assert server.statistics.throttled >= 8
+
+
+def test_a_new_connection_brings_nothing_new_to_ask(kind: str) -> None:
+    with served(kind, requests_per_second=2) as server:
+        start = time.monotonic()
+        for _ in range(40):
+            with server.connect() as client:
+                client.sendall(adu(READ_ONE))
+                time.sleep(0.02)
+        assert server.statistics.requests <= 3 + 2 * (time.monotonic() - start)
+        assert server.has(connections=0)
+
+
+def test_all_connections_that_wait_are_answered_in_the_end(kind: str) -> None:
+    with served(kind, requests_per_second=40) as server, ExitStack() as stack:
+        eager = [stack.enter_context(server.connect()) for _ in range(8)]
+        for _ in range(10):
+            for client in eager:
+                client.sendall(adu(READ_ONE))
+        for client in eager:
+            assert receive(client, 10 * ONE_ANSWER) == 10 * adu(ANSWER_ONE)
+        assert server.has(requests=80, connections=8)
+
+
+def test_a_connection_that_waits_and_is_closed_does_not_keep_the_others(kind: str) -> None:
+    with served(kind, requests_per_second=2) as server, ExitStack() as stack:
+        first, second = (stack.enter_context(server.connect()) for _ in range(2))
+        for _ in range(4):
+            ask(first)
+        first.sendall(adu(READ_ONE))
+        assert server.has(throttled=2)
+        second.sendall(adu(READ_ONE))
+        assert server.has(throttled=3)
+        first.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        first.close()
+        assert receive(second, ONE_ANSWER) == adu(ANSWER_ONE)
+
+
+def test_frames_that_silence_completes_count_as_requests() -> None:
+    with (
+        served("plain", "rtu+tcp", requests_per_second=2, idle_timeout=1) as server,
+        server.connect() as sly,
+        server.connect() as idle,
+    ):
+        start = time.monotonic()
+        for _ in range(40):
+            sly.sendall(NEVER_ENDED + rtu(READ_ONE))
+            time.sleep(0.05)
+        seconds = time.monotonic() - start
+        assert server.statistics.throttled >= 1
+        # Its whole allowance, what one read may overdraw, and what it gets meanwhile.
+        assert 3 <= server.statistics.requests <= 2 + 256 // 15 + 2 * seconds
+        assert is_closed(idle)
+
+
+def test_who_is_answered_when_silence_completes_its_frames_is_not_idle() -> None:
+    with (
+        served("plain", "rtu+tcp", idle_timeout=0.8) as server,
+        server.connect() as sly,
+        server.connect() as idle,
+    ):
+        answer = rtu(ANSWER_ONE)
+        for _ in range(12):
+            sly.sendall(NEVER_ENDED + rtu(READ_ONE))
+            assert receive(sly, len(answer)) == answer
+            time.sleep(0.1)
+        assert server.has(connections=1, closed_idle=1, requests=12)
+        assert is_closed(idle)
+
+
+# --- who sends much ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("scheme", "faulty"), [("rtu+tcp", False), ("ascii+tcp", False), ("tcp", False), ("tcp", True)]
+)
+def test_who_sends_little_does_not_wait_for_those_who_send_much(scheme: str, faulty: bool) -> None:
+    """All of them are ready when the server comes to read."""
+    encode = {
+        "tcp": framing.TcpFramer().encode,
+        "rtu+tcp": framing.RtuFramer("server").encode,
+        "ascii+tcp": framing.AsciiFramer().encode,
+    }[scheme]
+
+    def request(address: int) -> bytes:
+        return encode(framing.Frame(17, struct.pack(">BHH", 3, address, 1)))
+
+    count, many = 20, 255 // len(request(0))
+    is_blocked, goes_on = threading.Event(), threading.Event()
+    order: list[int] = []
+
+    def hook(access: Access) -> None:
+        if access.address == 0:
+            is_blocked.set()
+            assert goes_on.wait(PATIENCE)
+        order.append(access.address)
+
+    device = Device(Mapping(holding_registers=125), before_read=hook)
+    server = Server({17: device}, {None: [NEVER]} if faulty else None)
+    with server.background(f"{scheme}://127.0.0.1:0") as running, ExitStack() as stack:
+        port = int(running.urls[0].rpartition(":")[2])
+        blocker, innocent, *attackers = (
+            stack.enter_context(connect_from(f"127.0.0.{1 + number % 4}", port))
+            for number in range(2 + count)
+        )
+        stack.callback(goes_on.set)
+        while server.statistics.connections < 2 + count:
+            time.sleep(0.005)
+        blocker.sendall(request(0))
+        assert is_blocked.wait(PATIENCE)
+        for attacker in attackers:
+            attacker.sendall(request(1) * many)
+        innocent.sendall(request(2))
+        goes_on.set()
+        size = len(encode(framing.Frame(17, ANSWER_ONE)))
+        for attacker in attackers:
+            assert len(receive(attacker, many * size)) == many * size
+        assert len(receive(innocent, size)) == size
+    assert order.count(1) == count * many
+    assert order.index(2) <= 4 * (count + 2)
+
+
 # --- unknown_unit ------------------------------------------------------------------------
 
 
@@ -681,6 +913,8 @@ def test_serve_takes_options_of_other_kinds(options: list[str], closed: bool) ->
     [
         ("--max-connections 0", "max_connections"),
         ("--max-connections many", "max-connections"),
+        ("--connections-per-address 0", "connections_per_address"),
+        ("--connections-per-address few", "connections-per-address"),
         ("--when-full drop", "when-full"),
         ("--frame-timeout 0", "frame_timeout"),
         ("--frame-timeout inf", "frame_timeout"),
@@ -779,11 +1013,6 @@ def test_a_session_over_tcp_is_counted(kind: str) -> None:
 
 
 def test_a_session_over_rtu_over_tcp_is_counted(kind: str) -> None:
-    framer = framing.RtuFramer("server")
-
-    def rtu(pdu: bytes, unit: int = 17) -> bytes:
-        return framer.encode(framing.Frame(unit, pdu))
-
     answer, refusal = rtu(ANSWER_ONE), rtu(b"\x83\x03")
     with served(kind, "rtu+tcp") as server:
         with server.connect() as client:
