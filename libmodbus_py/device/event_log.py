@@ -96,7 +96,7 @@ class EventLog:
     __slots__ = ("_counters", "_events", "delimiter", "is_serial", "listen_only")
 
     def __init__(self, *, is_serial: bool) -> None:
-        self.is_serial = is_serial
+        self.is_serial: bool = is_serial
         self.delimiter: int = LINE_FEED
         self.listen_only: bool = False
         self._events: deque[int] = deque(maxlen=ReadCommEventLog.max_events)

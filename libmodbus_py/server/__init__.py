@@ -9,6 +9,8 @@ In the order in which a request goes through::
                  serial a port
     peers        Peers: TCP connections within their limits (limits), all in one epoll
     tls          TlsSession: what a connection says within TLS, and the role of who asks
+    addresses    what one address may ask, over all its connections; idle: who asked last
+    sources      which datagrams are other servers' answers
     by_chunk     ByChunk: Modbus/TCP by the chunk, in C; requests of many peers together
     by_frame     ByFrame: any framing, frame by frame
     units        which device answers a frame, on TCP and on serial lines

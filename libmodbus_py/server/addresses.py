@@ -46,7 +46,7 @@ class Address(Generic[Each]):
     __slots__ = ("_allowance", "_loop", "_paused", "_rate", "_timer", "host", "idle")
 
     def __init__(self, host: str, rate: float, loop: asyncio.AbstractEventLoop) -> None:
-        self.host = host
+        self.host: str = host
         self.idle: Idle[Each] = Idle()
         self._rate = rate
         self._loop = loop

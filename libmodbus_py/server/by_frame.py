@@ -15,10 +15,13 @@ from .faults import Delivery, pieces
 from .limits import ServerStatistics
 from .units import SerialUnits, TcpUnits
 
-__all__ = ["AT_ONCE", "FOUND_AT_ONCE", "ByFrame", "Link", "Session"]
+__all__ = ["AT_ONCE", "ENDS", "FOUND_AT_ONCE", "ByFrame", "Link", "Session"]
 
 logger: logging.Logger = logging.getLogger(__name__)
 
+
+# What a hook raises to end the program; whatever else is an answer, or our mistake.
+ENDS = (SystemExit, KeyboardInterrupt)
 
 # What one connection of many may have done for it before others have their turn: eight of the
 # requests that are most; what costs is not to search 64 bytes, but to answer what is found.
@@ -175,12 +178,10 @@ class ByFrame:
             self._timer.cancel()
 
     def _silence(self) -> None:
+        """Whoever follows calls `receive` in its turn, and counts the requests."""
         self._timer = None
         self._is_quiet = True
-        if self._at_once is None:
-            self.receive(b"")
-        else:
-            self._follow()
+        self._follow()
 
     def _answer(self, found: list[Frame | FrameError]) -> int:
         adus = bytearray()

@@ -24,11 +24,11 @@ from select import EPOLLIN, EPOLLOUT
 
 from ..protocol.errors import FrameError
 from .addresses import Address, Addresses
-from .by_frame import Session
+from .by_frame import ENDS, Session
 from .idle import Idle, due
 from .limits import SPARE_DESCRIPTORS, Limits, ServerStatistics
 
-__all__ = ["ENDS", "MakeSession", "Peer", "Peers"]
+__all__ = ["MakeSession", "Peer", "Peers"]
 
 logger: logging.Logger = logging.getLogger(__name__)
 
@@ -52,9 +52,6 @@ ROOM_AT_MOST = 16_384
 # What is idle is known that exactly: to note it for each request would cost more
 # than to read the request.
 RESOLUTION = 0.05
-
-# What a hook raises to end the program; whatever else is an answer, or our mistake.
-ENDS = (SystemExit, KeyboardInterrupt)
 
 MakeSession = Callable[["Peer"], Session]
 """Makes the session of a connection."""

@@ -8,11 +8,12 @@ import asyncio
 import contextlib
 import logging
 import time
+from collections.abc import Callable
 
 from ..ports.endpoint import Endpoint
 from ..ports.serial import SerialPort
 from ..protocol.errors import ModbusConnectionError
-from .by_frame import ByFrame
+from .by_frame import ENDS, ByFrame
 from .limits import ServerStatistics
 from .units import SerialUnits, Units
 
@@ -28,16 +29,26 @@ class SerialServer:
     """
     Answers on one port, which is opened again when it was unplugged and comes back.
 
+    Args:
+        end: closes all endpoints of the server, when a hook ends the program; None for this one.
+
     Raises:
         TypeError, ValueError: an option of the endpoint is wrong.
         ModbusConnectionError: the port cannot be opened, with errno.
     """
 
-    def __init__(self, endpoint: Endpoint, units: Units, statistics: ServerStatistics) -> None:
+    def __init__(
+        self,
+        endpoint: Endpoint,
+        units: Units,
+        statistics: ServerStatistics,
+        end: Callable[[], None] | None = None,
+    ) -> None:
         self._port = SerialPort(endpoint.device, **endpoint.serial_settings)
         self._endpoint = endpoint
         self._units = SerialUnits(units)
         self._statistics = statistics
+        self._end = end or self.close
         self._loop = asyncio.get_running_loop()
         self._retry: asyncio.TimerHandle | None = None
         self._unsent = bytearray()
@@ -61,6 +72,7 @@ class SerialServer:
             self._endpoint.device,
             self._statistics,
             self._write,
+            self._follow,
         )
         self._loop.add_reader(self._port.descriptor, self._read)
 
@@ -78,11 +90,23 @@ class SerialServer:
         try:
             for data in self._port.receive():
                 self._port.silence.heard(time.monotonic())
-                self._session.receive(data)
+                self._receive(data)
         except ModbusConnectionError as error:
             logger.warning("%s: %s; waiting for it to come back", self._endpoint, error)
             self._close()
             self._retry = self._loop.call_later(REOPEN_AFTER, self._reopen)
+
+    def _receive(self, data: bytes = b"") -> None:
+        try:
+            self._session.receive(data)
+        except ENDS:
+            self._end()
+            raise
+
+    def _follow(self) -> None:
+        """Silence has completed a frame; or there is an answer that a fault keeps back."""
+        if self._session.is_behind:
+            self._receive()
 
     def _reopen(self) -> None:
         try:

@@ -28,6 +28,7 @@ from .faults import Fault, Faults
 from .limits import Limits, ServerStatistics
 from .peers import Peers
 from .serial import SerialServer
+from .sources import Sources
 from .tcp import TcpServer
 from .udp import UdpServer
 from .units import Units, UnknownUnit
@@ -106,12 +107,14 @@ class Server:
         if not endpoints:
             raise ValueError("urls must name at least one endpoint")
         replier()  # its descriptors, before clients take the last ones
-        peers = Peers(self._limits, self.statistics)
+        sources = Sources(self._limits, self.statistics)
         with contextlib.ExitStack() as stack:
+            # At once, when a hook ends the program: others that are ready must not be called.
+            peers = Peers(self._limits, self.statistics, stack.close)
             stack.callback(peers.close)
             opened = []
             for endpoint in endpoints:
-                server = self._make(endpoint, peers)
+                server = self._make(endpoint, peers, sources, stack.close)
                 stack.callback(server.close)
                 opened.append(await server.open())
             running = Running([str(endpoint) for endpoint in opened])
@@ -185,15 +188,17 @@ class Server:
 
         asyncio.run(serve())
 
-    def _make(self, endpoint: Endpoint, peers: Peers) -> TcpServer | UdpServer | SerialServer:
+    def _make(
+        self, endpoint: Endpoint, peers: Peers, sources: Sources, end: Callable[[], None]
+    ) -> TcpServer | UdpServer | SerialServer:
         if endpoint.transport == "tcp":
             return TcpServer(endpoint, self._units, peers)
         if endpoint.transport == "tls":
             security = security_of(endpoint, self._security)
             return TcpServer(endpoint, self._units, peers, security)
         if endpoint.transport == "udp":
-            return UdpServer(endpoint, self._units, self._limits, self.statistics)
-        return SerialServer(endpoint, self._units, self.statistics)
+            return UdpServer(endpoint, self._units, sources, self.statistics, end)
+        return SerialServer(endpoint, self._units, self.statistics, end)
 
 
 def _endpoint(url: str) -> Endpoint:

@@ -36,9 +36,6 @@ READ_SIZE = 1024
 class Wire(Link, Protocol):
     """A connection of its own."""
 
-    def go_on(self, receive: Callable[[], int]) -> None:
-        """Receive what was put off, as when it comes."""
-
     def end(self) -> None:
         """Send what is to be sent, and close."""
 
@@ -74,16 +71,15 @@ class Handshakes:
         self._half_open.pop(session, None)
 
     def line_up(self, session: TlsSession) -> None:
-        """Have it go on when its turn comes."""
+        """Give it its turn after the others."""
         if not self._due:
             self.loop.call_soon(self._step)
         self._due.append(session)
 
     def _step(self) -> None:
-        session = self._due.popleft()
+        self._due.popleft().have_turn()
         if self._due:
             self.loop.call_soon(self._step)
-        session.go_on()
 
 
 class TlsSession:
@@ -97,13 +93,14 @@ class TlsSession:
 
     Attributes:
         address, role: who asks, for the session inside.
+        is_behind: whether it has its turn, or something within is still to be looked at.
         is_waiting: whether no more should be read now.
     """
 
     # fmt: off
     __slots__ = (
-        "_handshakes", "_inner", "_is_lined_up", "_is_midway", "_is_over", "_make", "_timer",
-        "_tunnel", "_wire", "address", "role",
+        "_handshakes", "_has_turn", "_inner", "_is_lined_up", "_is_midway", "_is_over",
+        "_make", "_timer", "_tunnel", "_wire", "address", "role",
     )
     # fmt: on
 
@@ -115,12 +112,18 @@ class TlsSession:
         self._make = make
         self._tunnel: Tunnel | None = None
         self._inner: Session | None = None
-        self._is_lined_up = self._is_midway = self._is_over = False
+        self._has_turn = self._is_lined_up = self._is_midway = self._is_over = False
         self._timer = handshakes.loop.call_later(handshakes.timeout, self._be_late)
 
     @property
+    def is_behind(self) -> bool:
+        return self._has_turn or (self._inner is not None and self._inner.is_behind)
+
+    @property
     def is_waiting(self) -> bool:
-        return self._is_lined_up or (self._inner is not None and self._inner.is_waiting)
+        if self._is_lined_up or self._has_turn:
+            return True
+        return self._inner is not None and self._inner.is_waiting
 
     @property
     def is_unfinished(self) -> bool:
@@ -130,12 +133,19 @@ class TlsSession:
     # --- the session of the connection --------------------------------------------------------
 
     def receive(self, data: bytes) -> int:
+        if self._is_over:
+            return 0
         if self._tunnel is None:
             self._tunnel = self._handshakes.begin(self)
-        self._tunnel.feed(data)
+        if data:
+            self._tunnel.feed(data)
         if self._inner is None:
-            self._line_up()
-            return 0
+            return self._get_on(self._tunnel)
+        self._has_turn = False
+        if self._inner.is_behind:
+            requests = self._inner.receive(b"")
+            self._has_turn = self._tunnel.has_more
+            return requests
         return self._take(self._tunnel, self._inner)
 
     def close(self) -> None:
@@ -150,26 +160,23 @@ class TlsSession:
         self._tunnel = None
         self._is_over = True
 
-    def _line_up(self) -> None:
-        if not self._is_lined_up:
+    # --- the handshake --------------------------------------------------------------------------
+
+    def have_turn(self) -> None:
+        """Do the next step in the turn of the connection."""
+        self._is_lined_up = False
+        self._has_turn = not self._is_over
+        self._wire.follow()
+
+    def _get_on(self, tunnel: Tunnel) -> int:
+        if self._has_turn:
+            self._has_turn = False
+            self._shake_hands(tunnel)
+        elif not self._is_lined_up:
             self._is_lined_up = True
             self._handshakes.line_up(self)
             self._wire.follow()
-
-    def go_on(self) -> None:
-        """Do what was put off, now that it has its turn."""
-        self._is_lined_up = False
-        if not self._is_over:
-            self._wire.go_on(self._receive_more)
-            self._wire.follow()
-
-    def _receive_more(self) -> int:
-        assert self._tunnel is not None
-        if self._inner is None:
-            self._shake_hands(self._tunnel)
-        return 0 if self._inner is None else self._take(self._tunnel, self._inner)
-
-    # --- the handshake --------------------------------------------------------------------------
+        return 0 if self._inner is None else self._take(tunnel, self._inner)
 
     def _shake_hands(self, tunnel: Tunnel) -> None:
         try:
@@ -238,8 +245,9 @@ class TlsSession:
                 if not tunnel.has_more:
                     self._is_midway = False
                     return requests
-                if left <= 0:
-                    self._line_up()
+                if left <= 0 or inner.is_behind:
+                    self._has_turn = True
+                    self._wire.follow()
                     return requests
         except ssl.SSLError as error:
             logger.debug("%s: connection closed: %s", self.address, _reason(error))

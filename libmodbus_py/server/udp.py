@@ -7,12 +7,13 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import socket
-from functools import partial
+from collections.abc import Callable
 
 from ..ports.endpoint import Endpoint
-from .by_frame import ByFrame
-from .limits import Allowance, Limits, ServerStatistics
+from .by_frame import ENDS, ByFrame
+from .limits import ServerStatistics
 from .listening import bound
+from .sources import Sources
 from .units import TcpUnits, Units
 
 __all__ = ["UdpServer"]
@@ -25,34 +26,41 @@ ANSWERED_AT_ONCE = 16
 # How many answers faults may keep back; what comes meanwhile is lost.
 WAITING_MAX = 1024
 
-# How many addresses' rates are remembered: a sender can pretend to be as many as it likes.
-ADDRESSES_MAX = 4096
-
 
 class UdpServer:
     """
     Answers the datagrams to one address.
+
+    Args:
+        sources: who is answered, at this endpoint and the others.
+        end: closes all endpoints of the server, when a hook ends the program.
 
     Raises:
         ModbusConnectionError: it cannot, with errno.
     """
 
     def __init__(
-        self, endpoint: Endpoint, units: Units, limits: Limits, statistics: ServerStatistics
+        self,
+        endpoint: Endpoint,
+        units: Units,
+        sources: Sources,
+        statistics: ServerStatistics,
+        end: Callable[[], None],
     ) -> None:
         self._endpoint = endpoint
         self._units = TcpUnits(units)
-        self._limits = limits
+        self._sources = sources
+        self._end = end
         self._statistics = statistics
         self._loop = asyncio.get_running_loop()
         self._sockets: list[socket.socket] = []
         # Those whose answer a fault keeps back.
         self._waiting: set[ByFrame] = set()
-        self._allowances: dict[str, Allowance] = {}
 
     async def open(self) -> Endpoint:
         """Give the endpoint with the port it got."""
         self._sockets, endpoint = await bound(self._endpoint, socket.SOCK_DGRAM, _bound)
+        self._sources.ports.add(endpoint.port)
         for made in self._sockets:
             self._loop.add_reader(made.fileno(), self._read, made)
         return endpoint
@@ -71,12 +79,12 @@ class UdpServer:
                 data, address = local.recvfrom(READ_SIZE)
             except OSError:  # nothing more, or a client that has gone away
                 return
-            if not self._limits.allows(address[0]):
-                self._statistics.disallowed += 1
-            elif self._is_too_fast(address[0]):
-                self._statistics.throttled += 1
-            elif len(self._waiting) < WAITING_MAX:
-                self._answer(data, local, address)
+            if self._sources.admit(data, address) and len(self._waiting) < WAITING_MAX:
+                try:
+                    self._answer(data, local, address)
+                except ENDS:
+                    self._end()
+                    raise
 
     def _answer(self, data: bytes, local: socket.socket, address: tuple[str, int]) -> None:
         def follow() -> None:
@@ -85,29 +93,21 @@ class UdpServer:
             else:
                 self._waiting.discard(session)
 
+        def write(answer: bytes) -> None:
+            self._sources.note_answer(answer, address)
+            # An answer that does not get away is one that got lost on the way.
+            with contextlib.suppress(OSError):
+                local.sendto(answer, address)
+
         session = ByFrame(
             self._units,
             "udp",
             f"{address[0]}:{address[1]}",
             self._statistics,
-            partial(_send, local, address),
+            write,
             follow,
         )
         session.receive(data)
-
-    def _is_too_fast(self, host: str) -> bool:
-        rate = self._limits.requests_per_second
-        if rate is None:
-            return False
-        now = self._loop.time()
-        allowance = self._allowances.pop(host, None) or Allowance(rate, now)
-        self._allowances[host] = allowance
-        if len(self._allowances) > ADDRESSES_MAX:
-            del self._allowances[next(iter(self._allowances))]
-        if allowance.wait(now) > 0:
-            return True
-        allowance.spend(1)
-        return False
 
 
 def _bound(family: socket.AddressFamily, address: tuple[str, int]) -> socket.socket:
@@ -120,9 +120,3 @@ def _bound(family: socket.AddressFamily, address: tuple[str, int]) -> socket.soc
         made.close()
         raise
     return made
-
-
-def _send(local: socket.socket, address: tuple[str, int], answer: bytes) -> None:
-    # An answer that does not get away is one that got lost on the way.
-    with contextlib.suppress(OSError):
-        local.sendto(answer, address)

@@ -333,7 +333,9 @@ def test_ipv4_within_ipv6_is_the_same_address() -> None:
                 peers.admit(
                     theirs,
                     (host, 1),
-                    lambda peer, *way: ByFrame(TcpUnits(device), "tcp", peer, statistics, *way),
+                    lambda peer: ByFrame(
+                        TcpUnits(device), "tcp", peer.address, statistics, peer.write
+                    ),
                 )
             return statistics.refused_address
 

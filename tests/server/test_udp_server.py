@@ -4,9 +4,12 @@ The server on UDP: one request in a datagram, its answer in another to whoever a
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import socket
+import struct
 import time
+import tracemalloc
 from collections.abc import Iterator
 from typing import Any
 
@@ -15,7 +18,8 @@ import vectors
 from attacks import PATIENCE, READ_MOST, READ_ONE, adu
 
 from libmodbus_py import Device, Fault, Mapping, Server, framing
-from libmodbus_py.server.limits import Limits
+from libmodbus_py.server.limits import Limits, ServerStatistics
+from libmodbus_py.server.sources import Sources
 
 UNIT = 17
 READ = bytes.fromhex("03 0064 0002")
@@ -214,6 +218,140 @@ def test_many_addresses_are_not_remembered_for_ever(device: Device) -> None:
             with client_of(port, source=f"127.2.0.{1 + number}") as client:
                 assert ask(client, READ, number) == adu(ANSWER, number)
         assert server.statistics.throttled == 0
+
+
+# --- sources that are forged -------------------------------------------------------------
+
+WRITE = bytes.fromhex("06 0064 0007")  # its answer is the same bytes
+QUERY = bytes.fromhex("08 0000 1234")
+MASK = bytes.fromhex("16 0064 00f2 0025")
+
+
+def forge(source: tuple[str, int], target: tuple[str, int], data: bytes) -> None:
+    """Send a datagram from where the sender is not, as anybody can over a network."""
+    udp = struct.pack(">HHHH", source[1], target[1], 8 + len(data), 0) + data
+    ends = socket.inet_aton(source[0]) + socket.inet_aton(target[0])
+    header = struct.pack(">BBHHHBBH", 0x45, 0, 20 + len(udp), 1, 0, 64, 17, 0) + ends
+    with socket.socket(socket.AF_INET, socket.SOCK_RAW, socket.IPPROTO_RAW) as raw:
+        raw.sendto(header + udp, target)
+
+
+@pytest.fixture
+def forging() -> None:
+    try:
+        socket.socket(socket.AF_INET, socket.SOCK_RAW, socket.IPPROTO_RAW).close()
+    except PermissionError:
+        pytest.skip("only root may forge datagrams")
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "0.0.0.0"])
+@pytest.mark.parametrize("pdu", [WRITE, QUERY, MASK], ids=["write", "query", "mask"])
+def test_a_server_does_not_answer_itself(
+    host: str, pdu: bytes, device: Device, forging: None
+) -> None:
+    server = Server({UNIT: device})
+    with server.background(f"udp://{host}:0", f"udp://{host}:0") as running:
+        first, second = (int(url.rpartition(":")[2]) for url in running.urls)
+        for source, target in ((first, first), (first, second), (second, first)):
+            forge(("127.0.0.1", source), ("127.0.0.1", target), adu(pdu))
+        with client_of(first) as client:
+            assert ask(client, READ)[:8] == adu(ANSWER)[:8]
+        wait_for(lambda: server.statistics.reflected == 3)
+        assert server.statistics.requests == 1
+
+
+def test_two_servers_do_not_answer_each_other_for_ever(forging: None) -> None:
+    servers = [Server(Device(Mapping(holding_registers=200))) for _ in range(2)]
+    with contextlib.ExitStack() as stack:
+        ports = []
+        for server in servers:
+            running = stack.enter_context(server.background("udp://127.0.0.1:0"))
+            ports.append(int(running.urls[0].rpartition(":")[2]))
+        for transaction in range(10):
+            for source, target in (ports, ports[::-1]):
+                forge(("127.0.0.1", source), ("127.0.0.1", target), adu(WRITE, transaction))
+        wait_for(lambda: sum(server.statistics.reflected for server in servers) == 20)
+        before = [server.statistics.requests for server in servers]
+        assert sum(before) <= 20 * 24
+        time.sleep(0.3)
+        assert [server.statistics.requests for server in servers] == before
+
+
+@pytest.mark.parametrize("pdu", [WRITE, QUERY, MASK], ids=["write", "query", "mask"])
+def test_an_answer_that_comes_back_is_not_answered_for_ever(pdu: bytes, device: Device) -> None:
+    with served(device) as (server, port), client_of(port) as client:
+        client.settimeout(0.5)
+        datagram = adu(pdu)
+        with contextlib.suppress(TimeoutError):
+            for _ in range(1000):
+                client.send(datagram)
+                datagram = client.recv(1000)
+        assert 3 <= server.statistics.requests <= 30
+        assert server.statistics.reflected == 1
+        assert ask(client, pdu, 2) == adu(pdu, 2)
+
+
+def test_clients_that_write_or_ask_again_are_answered(device: Device) -> None:
+    with served(device) as (server, port), client_of(port) as client:
+        for transaction in range(300):
+            assert ask(client, WRITE, transaction) == adu(WRITE, transaction)
+        for _ in range(300):  # some never count
+            ask(client, READ, 0)
+        for _ in range(4):
+            assert ask(client, WRITE, 9) == adu(WRITE, 9)
+        assert server.statistics.requests == 604
+        assert server.statistics.reflected == 0
+
+
+@pytest.mark.parametrize("source", [502, 802, None])
+def test_where_servers_are_nobody_asks(source: int | None, device: Device) -> None:
+    with (
+        served(device) as (server, port),
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other,
+        client_of(port) as client,
+    ):
+        try:
+            other.bind(("127.0.0.9", source or port))
+        except PermissionError:
+            pytest.skip("only root may have such a port")
+        other.sendto(adu(READ, 5), ("127.0.0.1", port))
+        assert ask(client, READ, 6) == adu(ANSWER, 6)
+        assert server.statistics.reflected == 1
+        other.settimeout(0.05)
+        with pytest.raises(TimeoutError):
+            other.recv(1000)
+
+
+def test_addresses_of_other_machines_get_no_more_than_a_thousand_answers_a_second() -> None:
+    """None of them is on this machine, so nothing is sent."""
+
+    async def admitted(host: str, **limits: Any) -> int:
+        sources = Sources(Limits(**limits), ServerStatistics())
+        return sum(sources.admit(adu(READ, number), (host, 40_000)) for number in range(3000))
+
+    for host in ("192.0.2.1", "2001:db8::1", "::ffff:192.0.2.1"):
+        assert 1000 <= asyncio.run(admitted(host)) < 2000
+        assert 200 <= asyncio.run(admitted(host, requests_per_second=200)) < 1000
+        assert asyncio.run(admitted(host, requests_per_second=5000)) == 3000
+    for host in ("127.0.0.1", "127.9.9.9", "::1", "::ffff:127.0.0.1"):
+        assert asyncio.run(admitted(host)) == 3000
+
+
+def test_however_many_sources_are_forged_little_is_remembered() -> None:
+    async def flood() -> None:
+        sources = Sources(Limits(), ServerStatistics())
+        for number in range(60_000):
+            source = (f"10.{number >> 16}.{number >> 8 & 255}.{number & 255}", 40_000)
+            datagram = adu(WRITE)
+            assert sources.admit(datagram, source)
+            sources.note_answer(datagram, source)
+
+    tracemalloc.start()
+    try:
+        asyncio.run(flood())
+        assert tracemalloc.get_traced_memory()[1] < 16 << 20
+    finally:
+        tracemalloc.stop()
 
 
 # --- units -------------------------------------------------------------------------------

@@ -1,0 +1,91 @@
+"""
+Whose datagrams are answered: anybody can write any source on them.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections import OrderedDict
+from ipaddress import ip_address
+
+from ..protocol.pdu import request_length
+from .addresses import Address, Addresses, Paused
+from .limits import Allowance, Limits, ServerStatistics, plain_host
+
+__all__ = ["Sources"]
+
+# Where servers are: what comes from there is an answer, or pretends to be a request.
+SERVER_PORTS = (502, 802)
+
+# An answer may be a request again, as that to function 8 is; so two servers, or one and itself,
+# would go on for ever. A client repeats itself seldom, and gives up.
+RETURNS_PER_SECOND = 10
+RETURNS_REMEMBERED = 16_384
+
+# An answer can be seven times as long as its request, and go to somebody who never asked.
+USUAL_RATE = 1000.0
+
+
+class Sources:
+    """
+    Those who ask, at all UDP endpoints of a server.
+
+    Attributes:
+        ports: where the server itself listens; what comes from there was never a client's.
+    """
+
+    def __init__(self, limits: Limits, statistics: ServerStatistics) -> None:
+        self.ports: set[int] = set(SERVER_PORTS)
+        self._limits = limits
+        self._statistics = statistics
+        self._loop = asyncio.get_running_loop()
+        self._addresses: Addresses[Paused] = Addresses(limits.requests_per_second or USUAL_RATE)
+        self._returns: OrderedDict[int, Allowance] = OrderedDict()
+
+    def admit(self, datagram: bytes, source: tuple[str, int]) -> bool:
+        """Whether it is to be answered; if not, it is counted."""
+        host, port = source[:2]
+        if not self._limits.allows(host):
+            self._statistics.disallowed += 1
+        elif port in self.ports or self._returns_too_often(datagram, source):
+            self._statistics.reflected += 1
+        elif self._is_too_fast(host):
+            self._statistics.throttled += 1
+        else:
+            return True
+        return False
+
+    def note_answer(self, datagram: bytes, source: tuple[str, int]) -> None:
+        """Remember an answer that would be answered if it came back."""
+        pdu = datagram[7:]
+        if not pdu or pdu[0] & 0x80 or request_length(pdu) not in (0, len(pdu)):
+            return
+        key = hash((source, datagram))
+        allowance = self._returns.pop(key, None)
+        self._returns[key] = allowance or Allowance(RETURNS_PER_SECOND, self._loop.time())
+        if len(self._returns) > RETURNS_REMEMBERED:
+            self._returns.popitem(last=False)
+
+    def _returns_too_often(self, datagram: bytes, source: tuple[str, int]) -> bool:
+        allowance = self._returns.get(hash((source, datagram)))
+        if allowance is None:
+            return False
+        if allowance.wait(self._loop.time()) > 0:
+            return True
+        allowance.spend(1)
+        return False
+
+    def _is_too_fast(self, host: str) -> bool:
+        if self._limits.requests_per_second is None and _is_here(host):
+            return False
+        address: Address[Paused] = self._addresses.get(host)
+        self._addresses.keep(address)
+        if address.is_overspent():
+            return True
+        address.spend(1)
+        return False
+
+
+def _is_here(host: str) -> bool:
+    """Whether no other machine can pretend to be it: the system drops such packets."""
+    return host.startswith("127.") or ip_address(plain_host(host).partition("%")[0]).is_loopback
