@@ -70,8 +70,9 @@ class Security:
     ) -> None:
         if (trust is None) == (pin is None):
             raise ValueError("security needs either trust, the authorities, or pin, certificates")
-        if server_name is not None and not isinstance(server_name, str):
-            raise TypeError(f"server_name must be a string, not {type(server_name).__name__}")
+        for name, text in (("server_name", server_name), ("password", password)):
+            if not isinstance(text, str | None):
+                raise TypeError(f"{name} must be a string, not {type(text).__name__}")
         self._certificate = certificate
         self._key = key
         self._password = password
@@ -81,6 +82,7 @@ class Security:
         self.own: bytes = _certificates("certificate", certificate)[0]
         self._client = self._make_client()
         self._server: ssl.SSLContext | None = None
+        self._check_server_name()
 
     def __repr__(self) -> str:
         whom = f"trust={os.fspath(self._trust)!r}" if self._trust is not None else "pin=..."
@@ -124,6 +126,15 @@ class Security:
     def accepts(self, certificate: bytes) -> bool:
         """Whether what a good handshake showed is one of the pins, if there are any."""
         return self._pins is None or _digest(certificate) in self._pins
+
+    def _check_server_name(self) -> None:
+        if self._server_name is None:
+            return
+        try:
+            Tunnel(self._client, server_name=_server_name(self._server_name))
+        except (ValueError, TypeError, ssl.SSLError):
+            shown = repr(self._server_name)
+            raise ValueError(f"server_name must be a name or an address, not {shown}") from None
 
     # --- contexts -----------------------------------------------------------------------------
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import contextlib
 import ssl
+import time
 from collections.abc import Callable
 
 __all__ = ["READ_SIZE", "Tunnel"]
@@ -89,8 +90,26 @@ class Tunnel:
 
     @property
     def certificate(self) -> bytes:
-        """The other side's, in DER; also of a resumed session."""
-        return self._tls.getpeercert(True) or b""
+        """The other side's, in DER; also of a resumed session, and one that was refused."""
+        try:
+            return self._tls.getpeercert(True) or b""
+        except ValueError:  # the handshake is not over, and will never be
+            return self._refused
+
+    @property
+    def _refused(self) -> bytes:
+        # Python 3.13 has this in its API; before, only the object within has it. OpenSSL 3
+        # keeps what it refused.
+        inner = self._tls._sslobj  # type: ignore[attr-defined]  # pyright: ignore
+        chain = inner.get_unverified_chain() if inner is not None else None
+        return ssl.PEM_cert_to_DER_cert(chain[0].public_bytes()) if chain else b""
+
+    @property
+    def has_expired(self) -> bool:
+        """Whether the other side's certificate has, since it was checked in an earlier session."""
+        # OpenSSL looks at the dates when a session begins, not when it is resumed.
+        until = self.expires if self.is_resumed else None
+        return until is not None and ssl.cert_time_to_seconds(until) < time.time()
 
     @property
     def expires(self) -> str | None:
