@@ -9,6 +9,7 @@ import errno
 import os
 import socket
 import ssl
+import time
 from typing import Any
 
 from ..protocol.errors import ModbusConnectionError
@@ -32,6 +33,19 @@ OF_OUR_CERTIFICATE = (
     "CERTIFICATE_REQUIRED",
     "ACCESS_DENIED",
 )
+
+# What else OpenSSL's reasons mean; the rest is said in its own words.
+MEANINGS = {
+    "WRONG_VERSION_NUMBER": "what answers there is no TLS",
+    "UNSUPPORTED_PROTOCOL": "it speaks no TLS 1.2 or newer",
+    "TLSV1_ALERT_PROTOCOL_VERSION": "it speaks no TLS 1.2 or newer",
+    "SSLV3_ALERT_HANDSHAKE_FAILURE": "handshake failure: no cipher in common?",
+}
+
+# So many bytes that carry no answers, and whoever sends them floods: tickets and changes of
+# keys are rare. A byte of an answer pays for a record of its own, with room to spare.
+MAX_CHAFF = 1 << 16
+CHAFF_OF_BYTE = 64
 
 # What it is called in URLs -> what in `Security`.
 NAMES = {"cert": "certificate", "key": "key", "ca": "trust", "server_name": "server_name"}
@@ -84,68 +98,46 @@ class TlsPort(TcpPort):
     def __init__(self, host: str, port: int, keepalive: float | None, security: Security) -> None:
         super().__init__(host, port, keepalive)
         self._security = security
-        self._tunnel: Tunnel | None = None
         self._session: ssl.SSLSession | None = None
+        self._tunnel: Tunnel | None = None
+        self._owner = 0
+        self._begin()
+
+    def _begin(self) -> None:
         # Read in search of input, which only a decrypted record is.
         self._received: list[bytes] = []
+        # Asked for, but not encrypted yet.
+        self._plain = bytearray()
         self._failure: ModbusConnectionError | None = None
+        self._chaff = 0
 
     # --- opening ------------------------------------------------------------------------------
 
     def _preparing(self, made: socket.socket, deadline: float) -> Steps[None]:
         yield from super()._preparing(made, deadline)
-        self._tunnel, self._received, self._failure = None, [], None
         session, self._session = self._session, None  # after a failure none is resumed (R-11)
         tunnel = self._security.to_server(self.host, session)
         try:
-            yield from self._shaking_hands(made, tunnel, deadline)
+            yield from _shaking_hands(made, tunnel, deadline)
         except ssl.SSLCertVerificationError as error:
-            made.close()
-            certificate = yield from self._looking(deadline)
-            raise self._distrusting(error.verify_message, certificate) from error
+            raise self._distrusting(error.verify_message, tunnel.certificate) from error
         except ssl.SSLError as error:
             raise self._because(error) from error
         except OSError as error:
             raise self._unfinished(error) from error
+        if tunnel.has_expired:
+            raise self._distrusting("certificate has expired", tunnel.certificate)
         if not self._security.accepts(tunnel.certificate):
             raise self._distrusting("it is none of the pins", tunnel.certificate)
-        self._tunnel = tunnel
-
-    def _shaking_hands(self, made: socket.socket, tunnel: Tunnel, deadline: float) -> Steps[None]:
-        while True:
-            try:
-                is_done = tunnel.handshake()
-            finally:  # an alert, too
-                yield from _sending(made, tunnel.outgoing(), deadline)
-            if is_done:
-                return
-            yield from _ready(made, READ, deadline)
-            data = made.recv(READ_SIZE)
-            if not data:
-                raise ConnectionResetError(errno.ECONNRESET, "closed by the other side")
-            tunnel.feed(data)
-
-    def _looking(self, deadline: float) -> Steps[bytes]:
-        """Get the certificate that was refused, and that ssl keeps to itself."""
-        tunnel = self._security.to_anybody(self.host)
-        try:
-            made = yield from self._connected(deadline)
-        except ModbusConnectionError:
-            return b""
-        with made:
-            try:
-                yield from self._shaking_hands(made, tunnel, deadline)
-            except OSError:
-                return b""
-        return tunnel.certificate
+        self._begin()
+        self._tunnel, self._owner = tunnel, os.getpid()
 
     # --- what is wrong ------------------------------------------------------------------------
 
     def _distrusting(self, reason: str, certificate: bytes) -> ModbusConnectionError:
         shown = f": {describe(certificate)}" if certificate else ""
-        return ModbusConnectionError(
-            f"cannot trust {self}: {reason}{shown}", errno=errno.EKEYREJECTED
-        )
+        text = f"cannot trust {self}: {reason.rstrip('.')}{shown}"
+        return ModbusConnectionError(text, errno=errno.EKEYREJECTED)
 
     def _unfinished(self, error: OSError) -> ModbusConnectionError:
         reason = f"no TLS handshake with {self}: {error.strerror or error}"
@@ -153,7 +145,7 @@ class TlsPort(TcpPort):
 
     def _because(self, error: ssl.SSLError) -> ModbusConnectionError:
         reason = error.reason or str(error)
-        words = reason.lower().replace("_", " ")
+        words = MEANINGS.get(reason) or reason.lower().replace("_", " ")
         if reason.endswith(OF_OUR_CERTIFICATE):
             own = describe(self._security.own)
             text = f"{self} refused our certificate ({words}): {own}"
@@ -185,44 +177,112 @@ class TlsPort(TcpPort):
         tunnel = self._tunnel
         assert tunnel is not None
         for data in super().receive():
+            self._chaff += len(data)
             tunnel.feed(data)
         found: list[bytes] = []
         try:
             while piece := tunnel.receive():
                 found.append(piece)
+                self._chaff -= len(piece) * CHAFF_OF_BYTE
         except ssl.SSLError as error:
-            self._failure = self._because(error)
+            self._end(tunnel, error)
         else:
             if piece is not None:
                 reason = "closed by the other side"
                 self._failure = ModbusConnectionError(reason, errno=errno.ECONNRESET)
-        if answer := tunnel.outgoing():  # a change of keys, or an alert
-            super().send([answer], 0.0)
-        if self._failure is not None and not found:
-            raise self._failure
+            self._go_on_encrypting(tunnel)
+        self._chaff = max(0, self._chaff)
+        if self._chaff > MAX_CHAFF and self._failure is None:
+            self._failure = ModbusConnectionError("flooded with what is no answer")
+        if self._failure is not None:
+            if not found:
+                raise self._failure
+            self._be_ready()
         return found
 
+    def _go_on_encrypting(self, tunnel: Tunnel) -> None:
+        """Send what had to wait, and what OpenSSL has to say: a change of keys, an alert."""
+        if self._plain:
+            plain, self._plain = bytes(self._plain), bytearray()
+            self._encrypt(tunnel, plain)
+        if data := tunnel.outgoing():
+            try:
+                super().send([data], 0.0)
+            except ModbusConnectionError as error:
+                self._failure = self._failure or error
+
+    def _encrypt(self, tunnel: Tunnel, data: bytes) -> None:
+        try:
+            tunnel.send(data)
+        except ssl.SSLWantReadError:
+            # In the midst of a ticket that came in several records nothing can be encrypted.
+            self._plain += data
+        except ssl.SSLError as error:
+            self._end(tunnel, error)
+
+    def _end(self, tunnel: Tunnel, error: ssl.SSLError) -> None:
+        """One of both refused to go on: nothing more is said, and nothing resumed (R-11)."""
+        self._failure = self._because(error)
+        self._tunnel = None
+        with contextlib.suppress(ModbusConnectionError):
+            super().send([tunnel.outgoing()], 0.0)
+
+    def _be_ready(self) -> None:
+        """Let whoever waits for more of the descriptor look here once more."""
+        with contextlib.suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RD)
+
     def send(self, adus: list[bytes], now: float) -> None:
+        if self._failure is not None:
+            raise self._failure
         tunnel = self._tunnel
         assert tunnel is not None
-        tunnel.send(adus[0] if len(adus) == 1 else b"".join(adus))
+        data = adus[0] if len(adus) == 1 else b"".join(adus)
+        if self._plain:
+            self._plain += data
+            return
+        self._encrypt(tunnel, data)
+        if self._failure is not None:
+            raise self._failure
         try:
             super().send([tunnel.outgoing()], now)
-        except ModbusConnectionError:
+        except ModbusConnectionError as error:
             # In TLS 1.3 a server refuses a certificate when the handshake is over for us,
             # and what it said is still there.
             self.has_input()
-            raise self._failure or ModbusConnectionError("closed by the other side") from None
+            raise self._failure or error
 
     def close(self) -> None:
-        tunnel = self._tunnel
-        if tunnel is not None and self.descriptor >= 0:
-            if self._failure is None:
-                self._session = tunnel.session
-            tunnel.end()
+        # A goodbye in the name of the parent, of its connection, would end that.
+        if self._tunnel is not None and self._owner == os.getpid():
+            self._session = self._tunnel.session
+            self._tunnel.end()
             with contextlib.suppress(ModbusConnectionError):
-                super().send([tunnel.outgoing()], 0.0)
+                super().send([self._tunnel.outgoing()], 0.0)
         super().close()
+
+    def abandon(self) -> None:
+        self._tunnel = None
+        self._begin()
+        super().abandon()
+
+
+def _shaking_hands(made: socket.socket, tunnel: Tunnel, deadline: float) -> Steps[None]:
+    while True:
+        try:
+            is_done = tunnel.handshake()
+        except ssl.SSLError:
+            with contextlib.suppress(OSError):  # the alert, if anybody listens
+                made.send(tunnel.outgoing())
+            raise
+        yield from _sending(made, tunnel.outgoing(), deadline)
+        if is_done:
+            return
+        yield from _ready(made, READ, deadline)
+        data = made.recv(READ_SIZE)
+        if not data:
+            raise ConnectionResetError(errno.ECONNRESET, "closed by the other side")
+        tunnel.feed(data)
 
 
 def _sending(made: socket.socket, data: bytes, deadline: float) -> Steps[None]:
@@ -234,5 +294,7 @@ def _sending(made: socket.socket, data: bytes, deadline: float) -> Steps[None]:
 
 
 def _ready(made: socket.socket, events: int, deadline: float) -> Steps[None]:
-    if not (yield Ready(made.fileno(), events, deadline)):
+    # Whoever floods is always ready.
+    in_time = time.monotonic() < deadline and (yield Ready(made.fileno(), events, deadline))
+    if not in_time:
         raise TimeoutError(errno.ETIMEDOUT, os.strerror(errno.ETIMEDOUT))

@@ -101,13 +101,6 @@ class Security:
         name = _server_name(self._server_name or host)
         return Tunnel(self._client, server_name=name, session=session)
 
-    def to_anybody(self, host: str) -> Tunnel:
-        """Make a client's end that takes any certificate: to say what is wrong with it."""
-        context = self._own_context(ssl.PROTOCOL_TLS_CLIENT)
-        context.check_hostname = False
-        context.verify_mode = ssl.CERT_NONE
-        return Tunnel(context, server_name=_server_name(self._server_name or host))
-
     def check_server(self) -> None:
         """
         Make ready for `to_client`.
