@@ -116,7 +116,8 @@ def is_present(peer: Peer) -> bool:
 C_CLIENT = "libmodbus, client in C"
 C_SERVER = "libmodbus, server in C"
 OUR_SERVER = "Server"
-HOOKED_SERVER = "Server with a hook"
+READ_HOOK_SERVER = "Server, hook for all reads"
+WRITE_HOOK_SERVER = "Server, hook for writes"
 TRIVIAL_SERVER = "no Modbus: answers in C"
 
 DEFAULT, PYTHON = "TcpContext", "TcpContext, native=False"
@@ -159,7 +160,8 @@ OUR_TCP_SERVER = Peer(OUR_SERVER, "ours")
 SERVERS = [
     C_TCP_SERVER,
     OUR_TCP_SERVER,
-    Peer(HOOKED_SERVER, "ours-with-hook"),
+    Peer(READ_HOOK_SERVER, "ours-with-read-hook"),
+    Peer(WRITE_HOOK_SERVER, "ours-with-write-hook"),
     Peer("pymodbus", "pymodbus", "pymodbus"),
     Peer("pyModbusTCP", "pyModbusTCP", "pyModbusTCP"),
     Peer(TRIVIAL_SERVER, "answer", C),

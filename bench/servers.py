@@ -18,7 +18,7 @@ def announce(port: int) -> None:
     print(port, flush=True)
 
 
-def ours(before_read: Callable[[object], object] | None = None) -> None:
+def ours(**hooks: Callable[[object], object]) -> None:
     from libmodbus_py import Device, Mapping, Server
 
     mapping = Mapping(holding_registers=REGISTERS)
@@ -27,7 +27,7 @@ def ours(before_read: Callable[[object], object] | None = None) -> None:
         mapping.holding_registers[start : start + 256] = range(start, start + 256)
 
     async def serve() -> None:
-        server = Server(Device(mapping, before_read=before_read))
+        server = Server(Device(mapping, **hooks))
         async with server.serving(f"tcp://{HOST}:0") as running:
             announce(int(running.urls[0].rpartition(":")[2]))
             await asyncio.Event().wait()
@@ -35,8 +35,12 @@ def ours(before_read: Callable[[object], object] | None = None) -> None:
     asyncio.run(serve())
 
 
-def ours_with_hook() -> None:
+def ours_with_read_hook() -> None:
     ours(before_read=lambda access: None)
+
+
+def ours_with_write_hook() -> None:
+    ours(before_write=lambda access: None)
 
 
 def pymodbus() -> None:
@@ -67,7 +71,8 @@ def pymodbustcp() -> None:
 
 SERVERS: dict[str, Callable[[], None]] = {
     "ours": ours,
-    "ours-with-hook": ours_with_hook,
+    "ours-with-read-hook": ours_with_read_hook,
+    "ours-with-write-hook": ours_with_write_hook,
     "pymodbus": pymodbus,
     "pyModbusTCP": pymodbustcp,
 }

@@ -25,6 +25,7 @@ from cells import (
     SERVER,
     TO_C,
     TO_OURS,
+    WRITE_HOOK_SERVER,
     Key,
 )
 
@@ -58,8 +59,8 @@ def bulk(variant: str, ours: str, theirs: str, least: float) -> Target:
     return Target(Key(BULK, variant, ours), Key(BULK, variant, theirs), least)
 
 
-def server(load: str, theirs: str, least: float) -> Target:
-    return Target(Key(SERVER, load, OUR_SERVER), Key(SERVER, load, theirs), least)
+def server(load: str, theirs: str, least: float, ours: str = OUR_SERVER) -> Target:
+    return Target(Key(SERVER, load, ours), Key(SERVER, load, theirs), least)
 
 
 TARGETS = [
@@ -84,6 +85,7 @@ TARGETS = [
     server("100 x 1", "pymodbus", 3),
     server("8 x 16", C_SERVER, 2),
     server("8 x 16", "pymodbus", 10),
+    server("100 x 1", OUR_SERVER, 0.9, ours=WRITE_HOOK_SERVER),
     Target(Key(SERVER, "1000 x 1", OUR_SERVER), Key(SERVER, "100 x 1", OUR_SERVER), 0.8),
 ]
 

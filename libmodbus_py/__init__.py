@@ -29,6 +29,7 @@ from .client.reconnecting import State
 from .client.trace import Traced
 from .device.access import Access
 from .device.device import Caller, Device
+from .device.hooks import Hook
 from .device.mapping import Mapping
 from .device.record_file import RecordFile
 from .protocol import errors, framing, pdu, values
@@ -60,7 +61,8 @@ from .simulator import device_file
 __all__ = [
     "Access", "Acknowledge", "AsciiContext", "AsyncClient", "Caller", "Context", "Device",
     "ExceptionResponse", "Fault", "FrameError", "GatewayPathUnavailable",
-    "GatewayTargetFailedToRespond", "IllegalDataAddress", "IllegalDataValue", "IllegalFunction",
+    "GatewayTargetFailedToRespond", "Hook", "IllegalDataAddress", "IllegalDataValue",
+    "IllegalFunction",
     "InvalidResponse", "Limits", "Mapping", "MemoryParityError", "ModbusConnectionError",
     "ModbusError", "ModbusTimeoutError", "NegativeAcknowledge", "Plan", "Read", "RecordFile",
     "RtuContext", "Running", "Security", "Server", "ServerDeviceBusy", "ServerDeviceFailure",

@@ -205,6 +205,12 @@ typedef struct {
 } mapping_t;
 
 typedef struct {
+    uint32_t functions;
+    runs_t reads[...];
+    runs_t writes[...];
+} watched_t;
+
+typedef struct {
     modbus_t *context;
     int outlet;
     uint8_t *answers;
@@ -215,8 +221,8 @@ typedef struct {
     ...;
 } replier_t;
 
-int answer_chunk(replier_t *replier, mapping_t *mapping, tally_t *tally, int unit,
-                 const uint8_t *data, int start, int end);
+int answer_chunk(replier_t *replier, mapping_t *mapping, const watched_t *watched,
+                 tally_t *tally, int unit, const uint8_t *data, int start, int end);
 
 /* Ours: exchange.c. */
 typedef struct {

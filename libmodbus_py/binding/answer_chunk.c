@@ -1,8 +1,8 @@
 /* Requests of Modbus/TCP by the chunk: cut, check, modbus_reply, gather the answers.
  *
  * One call from Python for all the requests that came in together. What is not
- * for libmodbus is left for the caller: functions that it lacks, frames of another
- * protocol, a header that makes no sense. */
+ * for libmodbus is left for the caller: functions that it lacks, what hooks and handlers
+ * want, frames of another protocol, a header that makes no sense. */
 
 #include <errno.h>
 #include <stdint.h>
@@ -37,6 +37,12 @@ typedef struct {
     modbus_mapping_t tables; /* from the first address to the last, holes included */
     runs_t ranges[TABLES];   /* the addresses that exist; all of them have memory in `tables` */
 } mapping_t;
+
+/* What is for the hooks and handlers of a device, and so not for us. */
+typedef struct {
+    uint32_t functions;                   /* bit n: function n may be answered here, */
+    runs_t reads[TABLES], writes[TABLES]; /* but for what reads or writes one of these */
+} watched_t;
 
 /* modbus_reply writes into the socket of the context; `outlet` is its other end. */
 typedef struct {
@@ -183,6 +189,19 @@ static int exists(const mapping_t *mapping, const span_t *spans, int count)
     return 1;
 }
 
+/* Whether a hook is to be told. */
+static int is_watched(const watched_t *watched, const span_t *spans, int count)
+{
+    for (int at = 0; at < count; at++) {
+        const span_t *span = &spans[at];
+        const runs_t *runs = &(span->is_write ? watched->writes : watched->reads)[span->table];
+        int run = run_from(runs, span->first);
+        if (run < runs->count && runs->edges[2 * run] < span->first + span->count)
+            return 1;
+    }
+    return 0;
+}
+
 /* Move the answers that wait in the outlet to the others. */
 static int gather(replier_t *replier)
 {
@@ -240,11 +259,11 @@ static int has_room(const replier_t *replier)
 /* Answer the requests from data[start] on, as far as they are for this device and
  * there is room for answers.
  *
- * unit: whose requests they are. Gives where the first byte is that
+ * watched: what else is left for the caller; unit: whose requests they are. Gives where the first byte is that
  * was not used, always behind a whole frame; or -1 if the replier failed (errno), whose
  * outlet cannot be used any more then. */
-static int answer_chunk(replier_t *replier, mapping_t *mapping, tally_t *tally, int unit,
-                        const uint8_t *data, int start, int end)
+static int answer_chunk(replier_t *replier, mapping_t *mapping, const watched_t *watched,
+                        tally_t *tally, int unit, const uint8_t *data, int start, int end)
 {
     replier->size = replier->requests = replier->refused = 0;
     while (end - start > HEADER_SIZE && has_room(replier)) {
@@ -252,17 +271,20 @@ static int answer_chunk(replier_t *replier, mapping_t *mapping, tally_t *tally, 
         int length = word(frame + 4);
         int size = 6 + length;
         span_t spans[SPANS_MAX];
-        int verdict, sent;
+        int verdict, touched, sent;
         if (word(frame + 2) != 0 || length < 2 || size > MODBUS_TCP_MAX_ADU_LENGTH ||
             size > end - start || frame[6] != unit)
             break;
         verdict = judge(frame + HEADER_SIZE, size - HEADER_SIZE);
-        if (verdict == -1)
+        if (verdict == -1 || !(watched->functions >> frame[HEADER_SIZE] & 1))
             break;
+        touched = verdict == 0 ? 0 : find_spans(frame + HEADER_SIZE, spans);
         if (verdict == 0)
             sent = refuse(replier, frame, MODBUS_EXCEPTION_ILLEGAL_DATA_VALUE);
-        else if (!exists(mapping, spans, find_spans(frame + HEADER_SIZE, spans)))
+        else if (!exists(mapping, spans, touched))
             sent = refuse(replier, frame, MODBUS_EXCEPTION_ILLEGAL_DATA_ADDRESS);
+        else if (is_watched(watched, spans, touched))
+            break;
         else
             sent = reply(replier, frame, size, &mapping->tables);
         if (sent == -1)

@@ -5,7 +5,7 @@ In the order in which a request goes through::
 
     device         Device: checks, hooks and handlers, and the functions libmodbus lacks
     event_log      EventLog: counters, log and silence of one line (functions 8, 11, 12)
-    hooks          timed: the application's functions, and how long they take
+    hooks          Hook: the application's functions, for which accesses, how long they take
     access         what a request touches, as hooks see it
     reply          Replier: libmodbus's modbus_reply in memory, by the chunk
     mapping        Mapping: the four tables that it answers from, with their holes

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from ..protocol import pdu
 from .mapping import Mapping
 
-__all__ = ["ACCESSES", "Access", "Touched"]
+__all__ = ["ACCESSES", "Access", "Kind", "Touched"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,57 +48,84 @@ class Touched(NamedTuple):
     reads: tuple[Access, ...] = ()
 
 
-def _reads(table: str) -> Callable[[Any, Mapping], Touched]:
-    return lambda request, _: Touched(reads=(Access(table, request.address, request.count),))
+# Who asks: unit, peer and role of an `Access`.
+Who = tuple[int, str, "str | None"]
 
 
-def _write(table: str) -> Callable[[Any, Mapping], Touched]:
-    return lambda request, _: Touched((Access(table, request.address, 1, (request.value,)),))
+class Kind(NamedTuple):
+    """
+    What requests of one class touch.
+
+    Attributes:
+        find: says what one of them does.
+        reads, writes: the table (`Access.table`) that they read or write; "" for none.
+    """
+
+    find: Callable[[Any, Mapping, Who], Touched]
+    reads: str = ""
+    writes: str = ""
 
 
-def _writes(table: str) -> Callable[[Any, Mapping], Touched]:
-    return lambda request, _: Touched(
-        (Access(table, request.address, len(request.values), request.values),)
-    )
+def _reads(table: str) -> Kind:
+    def find(request: Any, _: Mapping, who: Who) -> Touched:
+        return Touched((), (Access(table, request.address, request.count, (), 0, *who),))
+
+    return Kind(find, reads=table)
 
 
-def _mask_write(request: pdu.MaskWriteRegister, mapping: Mapping) -> Touched:
+def _write(table: str) -> Kind:
+    def find(request: Any, _: Mapping, who: Who) -> Touched:
+        return Touched((Access(table, request.address, 1, (request.value,), 0, *who),))
+
+    return Kind(find, writes=table)
+
+
+def _writes(table: str) -> Kind:
+    def find(request: Any, _: Mapping, who: Who) -> Touched:
+        values = request.values
+        return Touched((Access(table, request.address, len(values), values, 0, *who),))
+
+    return Kind(find, writes=table)
+
+
+def _mask_write(request: pdu.MaskWriteRegister, mapping: Mapping, who: Who) -> Touched:
     registers = mapping.holding_registers
     current = registers[request.address] if registers.has(request.address) else 0
     value = current & request.and_mask | request.or_mask & ~request.and_mask & 0xFFFF
-    return Touched((Access("holding_registers", request.address, 1, (value,)),))
+    return Touched((Access("holding_registers", request.address, 1, (value,), 0, *who),))
 
 
-def _read_write(request: pdu.ReadWriteRegisters, _: Mapping) -> Touched:
-    values = request.values
+def _read_write(request: pdu.ReadWriteRegisters, _: Mapping, who: Who) -> Touched:
+    table, values = "holding_registers", request.values
     return Touched(
-        (Access("holding_registers", request.write_address, len(values), values),),
-        (Access("holding_registers", request.read_address, request.read_count),),
+        (Access(table, request.write_address, len(values), values, 0, *who),),
+        (Access(table, request.read_address, request.read_count, (), 0, *who),),
     )
 
 
-def _read_files(request: pdu.ReadFileRecords, _: Mapping) -> Touched:
+def _read_files(request: pdu.ReadFileRecords, _: Mapping, who: Who) -> Touched:
     return Touched(
         reads=tuple(
-            Access("file", record, length, file=file) for file, record, length in request.records
+            Access("file", record, length, (), file, *who)
+            for file, record, length in request.records
         )
     )
 
 
-def _write_files(request: pdu.WriteFileRecords, _: Mapping) -> Touched:
+def _write_files(request: pdu.WriteFileRecords, _: Mapping, who: Who) -> Touched:
     return Touched(
         tuple(
-            Access("file", record, len(values), values, file=file)
+            Access("file", record, len(values), values, file, *who)
             for file, record, values in request.records
         )
     )
 
 
-def _read_fifo(request: pdu.ReadFifoQueue, _: Mapping) -> Touched:
-    return Touched(reads=(Access("fifo", request.address, 1),))
+def _read_fifo(request: pdu.ReadFifoQueue, _: Mapping, who: Who) -> Touched:
+    return Touched(reads=(Access("fifo", request.address, 1, (), 0, *who),))
 
 
-ACCESSES: dict[type[pdu.Request[Any]], Callable[[Any, Mapping], Touched]] = {
+ACCESSES: dict[type[pdu.Request[Any]], Kind] = {
     pdu.ReadCoils: _reads("coils"),
     pdu.ReadDiscreteInputs: _reads("discrete_inputs"),
     pdu.ReadHoldingRegisters: _reads("holding_registers"),
@@ -107,10 +134,10 @@ ACCESSES: dict[type[pdu.Request[Any]], Callable[[Any, Mapping], Touched]] = {
     pdu.WriteRegister: _write("holding_registers"),
     pdu.WriteCoils: _writes("coils"),
     pdu.WriteRegisters: _writes("holding_registers"),
-    pdu.MaskWriteRegister: _mask_write,
-    pdu.ReadWriteRegisters: _read_write,
-    pdu.ReadFileRecords: _read_files,
-    pdu.WriteFileRecords: _write_files,
-    pdu.ReadFifoQueue: _read_fifo,
+    pdu.MaskWriteRegister: Kind(_mask_write, writes="holding_registers"),
+    pdu.ReadWriteRegisters: Kind(_read_write, "holding_registers", "holding_registers"),
+    pdu.ReadFileRecords: Kind(_read_files, reads="file"),
+    pdu.WriteFileRecords: Kind(_write_files, writes="file"),
+    pdu.ReadFifoQueue: Kind(_read_fifo, reads="fifo"),
 }
-"""Request class -> what it touches."""
+"""Request class -> what its requests touch."""

@@ -12,7 +12,7 @@ import logging
 import reprlib
 from collections.abc import Callable, Iterable, Sequence
 from collections.abc import Mapping as MappingABC
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from ..protocol.checks import integer
@@ -46,16 +46,16 @@ from ..protocol.pdu import (
 from ..protocol.pdu.interface import OBJECT_NAMES, ReadDeviceIdCode, pages
 from .access import ACCESSES, Access, Touched
 from .event_log import EventLog
-from .hooks import timed
+from .hooks import EVERYTHING, Hook, Listener, places, timed
 from .mapping import Mapping, Table
 from .record_file import RecordFile
-from .reply import Answered, make_tally, replier
+from .reply import Answered, Watched, make_tally, replier
 
 __all__ = ["Caller", "Device"]
 
 logger: logging.Logger = logging.getLogger(__name__)
 
-Hook = Callable[[Access], object]
+HookLike = Hook | Callable[[Access], object]
 
 DEFAULT_SERVER_ID = ServerId(b"\x01", True, b"libmodbus-py")
 
@@ -119,8 +119,8 @@ class Device:
         files: ``{file number: RecordFile}``, what clients wrote included.
         fifos: ``{pointer address: list of registers}``; change the lists as you like.
         diagnostic_register: the answer to sub-function 2 of function 8, 0..65535.
-        is_plain: whether the tables are libmodbus's alone: no hook sees requests for
-            them, and no handler answers any.
+        in_c: the function codes of requests that `answer_chunk` may answer: all of libmodbus
+            but those with a handler, and those that hooks are to be told of wherever they go.
 
     Raises:
         TypeError, ValueError: an argument of the wrong type or range.
@@ -137,9 +137,9 @@ class Device:
         exception_status: int = 0,
         canopen: Callable[[bytes], bytes] | None = None,
         handlers: MappingABC[type[Request[Any]], Callable[[Any], Any]] | None = None,
-        before_write: Hook | None = None,
-        after_write: Hook | None = None,
-        before_read: Hook | None = None,
+        before_write: HookLike | None = None,
+        after_write: HookLike | None = None,
+        before_read: HookLike | None = None,
     ) -> None:
         if not isinstance(mapping, Mapping):
             raise TypeError(f"mapping must be a Mapping, not {type(mapping).__name__}")
@@ -156,16 +156,25 @@ class Device:
         self.exception_status: int = integer("exception_status", exception_status, 0, 0xFF)
         self.diagnostic_register: int = 0
         self._identification = _checked_identification(identification or {})
-        self._canopen = canopen and timed("canopen", canopen)
+        self._canopen = None if canopen is None else timed("canopen", canopen)
         self._handlers = {**self._own, **_bound(handlers or {})}
-        self._hooks = (
-            before_write and timed("before_write", before_write),
-            after_write and timed("after_write", after_write),
-            before_read and timed("before_read", before_read),
+        self._before_write = _listener("before_write", before_write)
+        self._after_write = _listener("after_write", after_write)
+        self._before_read = _listener("before_read", before_read)
+        # Request class -> how to find what hooks want to be told of.
+        reads, writes = places(self._before_read), places(self._before_write, self._after_write)
+        self._finds = {
+            request: kind.find
+            for request, kind in ACCESSES.items()
+            if reads.get(kind.reads) or writes.get(kind.writes)
+        }
+        self.in_c: frozenset[int] = frozenset(
+            request.function
+            for request, kind in ACCESSES.items()
+            if request not in self._handlers
+            and EVERYTHING not in (reads.get(kind.reads), writes.get(kind.writes))
         )
-        self._is_hooked = any(self._hooks)
-        replied = ACCESSES.keys() - self._own.keys()
-        self.is_plain: bool = not self._is_hooked and self._handlers.keys().isdisjoint(replied)
+        self._watched = Watched(self.in_c, reads, writes)
         self._log = EventLog(is_serial=False)
         self._tally = make_tally()
         self._failed: set[int] = set()
@@ -204,9 +213,10 @@ class Device:
 
     def answer_chunk(self, data: bytes, start: int, unit: int) -> Answered:
         """
-        Execute requests of Modbus/TCP, all in one call of C; for a device that `is_plain`.
+        Execute requests of Modbus/TCP, all in one call of C; those of functions `in_c`.
 
-        What it leaves is for `answer`: functions that libmodbus lacks, other frames.
+        What it leaves is for `answer`: functions that libmodbus lacks, what hooks and
+        handlers want, other frames.
 
         Args:
             data: frames as received.
@@ -221,11 +231,11 @@ class Device:
             ModbusConnectionError: libmodbus failed in memory.
         """
         with self.mapping.lock:
-            return replier().answer(self.mapping, self._tally, unit, data, start)
+            return replier().answer(self.mapping, self._watched, self._tally, unit, data, start)
 
     def _own_log(self) -> EventLog:
         """The notes about TCP, with those that were made in C."""
-        with self.mapping:
+        with self.mapping.lock:
             tally = self._tally
             if requests := tally.requests:
                 size = len(tally.was_refused)
@@ -251,11 +261,12 @@ class Device:
 
     def _execute(self, request: Request[Any], pdu: bytes, log: EventLog, caller: Caller) -> bytes:
         handle = self._handlers.get(type(request))
+        find = self._finds.get(type(request))
         touched = None
-        with self.mapping:
-            if self._is_hooked and (find := ACCESSES.get(type(request))):
-                touched = find(request, self.mapping)
-                self._call_hooks_before(touched, caller)
+        with self.mapping.lock:
+            if find is not None:
+                touched = find(request, self.mapping, (caller.unit, caller.peer, caller.role))
+                self._call_hooks_before(touched)
             if handle is not None:
                 response = request.encode_response(handle(self, request, log))
                 if not isinstance(response, bytes) or not 1 <= len(response) <= MAX_PDU:
@@ -264,8 +275,8 @@ class Device:
                 response = replier().reply(pdu, self.mapping)
             else:
                 raise IllegalFunction(function=request.function)
-            if touched is not None:
-                self._call_hook(self._hooks[1], touched.writes, caller)
+            if touched is not None and self._after_write is not None:
+                self._after_write.tell(touched.writes)
         return response
 
     def _log_failure(self, pdu: bytes) -> None:
@@ -276,17 +287,13 @@ class Device:
 
     # --- hooks ---------------------------------------------------------------------------
 
-    def _call_hooks_before(self, touched: Touched, caller: Caller) -> None:
+    def _call_hooks_before(self, touched: Touched) -> None:
         for access in (*touched.writes, *touched.reads):
             self._check_exists(access)
-        before_write, _, before_read = self._hooks
-        self._call_hook(before_write, touched.writes, caller)
-        self._call_hook(before_read, touched.reads, caller)
-
-    def _call_hook(self, hook: Hook | None, accesses: tuple[Access, ...], caller: Caller) -> None:
-        if hook is not None:
-            for access in accesses:
-                hook(replace(access, unit=caller.unit, peer=caller.peer, role=caller.role))
+        if self._before_write is not None:
+            self._before_write.tell(touched.writes)
+        if self._before_read is not None:
+            self._before_read.tell(touched.reads)
 
     def _check_exists(self, access: Access) -> None:
         if access.table == "file":
@@ -415,6 +422,10 @@ def _is_write(function: int) -> bool:
     """Whether a broadcast of it is executed."""
     request = REQUESTS.get(function)
     return request is not None and request.is_write
+
+
+def _listener(name: str, hook: HookLike | None) -> Listener | None:
+    return None if hook is None else Listener(name, hook)
 
 
 def _bound(

@@ -43,7 +43,7 @@ COUNTERS = (
 
 
 # Stands among the counters; no sub-function gives it.
-EVENT_COUNT = None
+EVENT_COUNT = -1
 
 
 class Event(IntFlag):
@@ -64,6 +64,10 @@ class Event(IntFlag):
     ENTERED_LISTEN_ONLY = 0x04
     RESTARTED = 0x00
 
+
+# Plain numbers of what every request needs: enumerations take most of the time of a note.
+RECEIVED, BROADCAST, SENT = int(Event.RECEIVED), int(Event.BROADCAST), int(Event.SENT)
+SERVER_MESSAGES = int(SubFunction.SERVER_MESSAGE_COUNT)
 
 # Exception code -> the bit of the send event.
 SENT_EXCEPTIONS = {
@@ -100,7 +104,7 @@ class EventLog:
         self.delimiter: int = LINE_FEED
         self.listen_only: bool = False
         self._events: deque[int] = deque(maxlen=ReadCommEventLog.max_events)
-        self._counters: dict[SubFunction | None, int] = {}
+        self._counters: dict[int, int] = {}
         self.clear_counters()
 
     def of_connection(self) -> EventLog:
@@ -131,8 +135,8 @@ class EventLog:
 
     def note_request(self, *, broadcast: bool) -> None:
         """A request for this device came in, and is processed next."""
-        self._count(SubFunction.SERVER_MESSAGE_COUNT)
-        self._log(Event.RECEIVED | (Event.BROADCAST if broadcast else 0))
+        self._count(SERVER_MESSAGES)
+        self._log(RECEIVED | BROADCAST if broadcast else RECEIVED)
 
     def note_response(self, request: bytes, response: bytes, *, silent: bool) -> None:
         """
@@ -153,8 +157,7 @@ class EventLog:
             self._count(EVENT_COUNT)
         if silent:
             self._count(SubFunction.SERVER_NO_RESPONSE_COUNT)
-        bit = SENT_EXCEPTIONS.get(response[1], Event(0)) if refused and not silent else Event(0)
-        self._log(Event.SENT | bit)
+        self._log(SENT | SENT_EXCEPTIONS.get(response[1], 0) if refused and not silent else SENT)
 
     def note_exchanges(self, requests: int, refused: int, latest: Iterable[int]) -> None:
         """
@@ -169,14 +172,14 @@ class EventLog:
         self._count(SubFunction.BUS_EXCEPTION_ERROR_COUNT, refused)
         self._count(EVENT_COUNT, requests - refused)
         for was_refused in latest:
-            self._log(Event.RECEIVED)
-            self._log(Event.SENT | (Event.SENT_REFUSAL if was_refused else 0))
+            self._log(RECEIVED)
+            self._log(SENT | Event.SENT_REFUSAL if was_refused else SENT)
 
-    def _count(self, counter: SubFunction | None, times: int = 1) -> None:
+    def _count(self, counter: int, times: int = 1) -> None:
         self._counters[counter] = self._counters[counter] + times & 0xFFFF
 
     def _log(self, event: int) -> None:
-        self._events.appendleft(event | (Event.LISTEN_ONLY if self.listen_only else 0))
+        self._events.appendleft(event | Event.LISTEN_ONLY if self.listen_only else event)
 
     # --- what functions 8, 11 and 12 do -----------------------------------------------------
 
@@ -187,7 +190,7 @@ class EventLog:
     def clear_counters(self) -> None:
         """Sub-function 10: all counters; neither the log nor listen-only mode."""
         # In place: other connections of the line count there, too.
-        self._counters.update(dict.fromkeys((*COUNTERS, EVENT_COUNT), 0))
+        self._counters.update(dict.fromkeys((*map(int, COUNTERS), EVENT_COUNT), 0))
 
     def clear_overrun(self) -> None:
         """Sub-function 20."""

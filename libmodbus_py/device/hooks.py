@@ -1,15 +1,20 @@
 """
-The functions of the application that a device calls, and how long they take.
+The functions of the application that a device calls: for which accesses, and how long they take.
 """
 
 from __future__ import annotations
 
 import logging
+import reprlib
 import time
-from collections.abc import Callable
-from typing import TypeVar
+from bisect import bisect_left
+from collections.abc import Callable, Iterable
+from typing import Any, TypeVar
 
-__all__ = ["SLOW", "timed"]
+from ..protocol.tables import TABLE_SIZE
+from .access import Access
+
+__all__ = ["EVERYTHING", "SLOW", "Hook", "Listener", "places", "timed"]
 
 logger: logging.Logger = logging.getLogger(__name__)
 
@@ -18,6 +23,114 @@ SLOW = 0.1
 
 Given = TypeVar("Given")
 Result = TypeVar("Result")
+
+Addresses = range | Iterable[range]
+
+EVERYTHING = (range(TABLE_SIZE),)
+"""All addresses of a table."""
+
+# `Access.table` -> the argument of `Hook`, where they differ.
+NAMES = {"file": "files", "fifo": "fifos"}
+
+TABLES = ("coils", "discrete_inputs", "holding_registers", "input_registers", *NAMES)
+
+
+class Hook:
+    """
+    A function that is called for some accesses only.
+
+    The server answers all others as if there were no hook, Modbus/TCP in C. An access that
+    touches one address of these is given whole. With no addresses at all it is
+    called for every access, as the function alone would be.
+
+    Args:
+        call: called with an `Access`.
+        coils, discrete_inputs, holding_registers, input_registers: addresses in this table,
+            0..65535: a range, or several in a list. ``range(65536)`` is the whole table.
+        files: numbers of files.
+        fifos: pointer addresses of queues.
+
+    Attributes:
+        call: as given.
+        places: ``{Access.table: ranges}``, in order and without overlaps; of "file" the
+            numbers of the files. None for every access.
+
+    Raises:
+        TypeError, ValueError: an argument is something else.
+    """
+
+    def __init__(
+        self,
+        call: Callable[[Access], object],
+        *,
+        coils: Addresses | None = None,
+        discrete_inputs: Addresses | None = None,
+        holding_registers: Addresses | None = None,
+        input_registers: Addresses | None = None,
+        files: Addresses | None = None,
+        fifos: Addresses | None = None,
+    ) -> None:
+        if not callable(call):
+            raise TypeError(f"call must be a function, not {reprlib.repr(call)}")
+        given = {
+            "coils": coils,
+            "discrete_inputs": discrete_inputs,
+            "holding_registers": holding_registers,
+            "input_registers": input_registers,
+            "file": files,
+            "fifo": fifos,
+        }
+        self.call: Callable[[Access], object] = call
+        places = {
+            table: _joined(NAMES.get(table, table), addresses)
+            for table, addresses in given.items()
+            if addresses is not None
+        }
+        self.places: dict[str, tuple[range, ...]] | None = places or None
+
+    def __repr__(self) -> str:
+        return f"Hook({self.call!r}, places={self.places})"
+
+    def in_table(self, table: str) -> tuple[range, ...]:
+        """Say where in a table it is called."""
+        return EVERYTHING if self.places is None else self.places.get(table, ())
+
+    def wants(self, access: Access) -> bool:
+        """Say whether it is called for an access."""
+        if self.places is None:
+            return True
+        is_file = access.table == "file"
+        first, count = (access.file, 1) if is_file else (access.address, access.count)
+        ranges = self.places.get(access.table, ())
+        # The last one that begins before the access ends.
+        at = bisect_left(ranges, first + count, key=lambda each: each.start) - 1
+        return at >= 0 and first < ranges[at].stop
+
+
+class Listener:
+    """A hook of one device, whose argument has this name."""
+
+    def __init__(self, name: str, hook: Hook | Callable[[Access], object]) -> None:
+        if not isinstance(hook, Hook) and not callable(hook):
+            raise TypeError(f"{name} must be a function or a Hook, not {reprlib.repr(hook)}")
+        self.hook = hook if isinstance(hook, Hook) else Hook(hook)
+        self._hears_all = self.hook.places is None
+        self._call = timed(name, self.hook.call)
+
+    def tell(self, accesses: tuple[Access, ...]) -> None:
+        """Call it for those of these that it wants."""
+        for access in accesses:
+            if self._hears_all or self.hook.wants(access):
+                self._call(access)
+
+
+def places(*listeners: Listener | None) -> dict[str, tuple[range, ...]]:
+    """Say where any of these is to be told: ``{Access.table: ranges}``, for every table."""
+    hooks = [each.hook for each in listeners if each is not None]
+    return {
+        table: _joined(table, [each for hook in hooks for each in hook.in_table(table)])
+        for table in TABLES
+    }
 
 
 def timed(name: str, call: Callable[[Given], Result]) -> Callable[[Given], Result]:
@@ -43,3 +156,24 @@ def timed(name: str, call: Callable[[Given], Result]) -> Callable[[Given], Resul
                 )
 
     return measured
+
+
+def _joined(name: str, given: Any) -> tuple[range, ...]:
+    """In order; what overlaps or touches is one."""
+    joined: list[range] = []
+    for each in sorted(_ranges(name, given), key=lambda each: each.start):
+        if each.step != 1 or each.start < 0 or max(each, default=0) >= TABLE_SIZE:
+            raise ValueError(f"{name} must be within 0..{TABLE_SIZE - 1}, step 1, not {each}")
+        if joined and each.start <= joined[-1].stop:
+            joined[-1] = range(joined[-1].start, max(joined[-1].stop, each.stop))
+        elif each:
+            joined.append(each)
+    return tuple(joined)
+
+
+def _ranges(name: str, given: Any) -> list[range]:
+    several = isinstance(given, Iterable) and not isinstance(given, range)
+    found: list[Any] = list(given) if several else [given]
+    if all(isinstance(each, range) for each in found):
+        return found
+    raise TypeError(f"{name} must be a range of addresses or several, not {reprlib.repr(given)}")

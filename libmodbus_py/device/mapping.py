@@ -13,7 +13,7 @@ import threading
 from abc import ABC, abstractmethod
 from array import array
 from bisect import bisect_right
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from collections.abc import Mapping as MappingABC
 from operator import index
 from typing import Any, ClassVar, Generic, Literal, Self, TypeVar, Unpack, overload
@@ -23,7 +23,15 @@ from ..protocol.checks import integer
 from ..protocol.tables import TABLE_SIZE
 from ..protocol.values import Layout, TypeName, value_type
 
-__all__ = ["BitTable", "Mapping", "RegisterTable", "Table"]
+__all__ = ["TABLE_NUMBERS", "BitTable", "Mapping", "RegisterTable", "Table", "runs"]
+
+TABLE_NUMBERS: dict[str, int] = {
+    "coils": lib.COILS,
+    "discrete_inputs": lib.DISCRETE_INPUTS,
+    "holding_registers": lib.HOLDING_REGISTERS,
+    "input_registers": lib.INPUT_REGISTERS,
+}
+"""Where C has what concerns a table."""
 
 # Of a table with holes, in its repr.
 SHOWN_RANGES = 8
@@ -311,11 +319,11 @@ class Mapping:
         """Point a mapping_t at the tables; `_pointers` keeps the buffers alive."""
         struct = ffi.new("mapping_t *")
         self._pointers = []
-        for number, table, suffix, item in (
-            (lib.COILS, self.coils, "bits", "uint8_t[]"),
-            (lib.DISCRETE_INPUTS, self.discrete_inputs, "input_bits", "uint8_t[]"),
-            (lib.HOLDING_REGISTERS, self.holding_registers, "registers", "uint16_t[]"),
-            (lib.INPUT_REGISTERS, self.input_registers, "input_registers", "uint16_t[]"),
+        for table, suffix, item in (
+            (self.coils, "bits", "uint8_t[]"),
+            (self.discrete_inputs, "input_bits", "uint8_t[]"),
+            (self.holding_registers, "registers", "uint16_t[]"),
+            (self.input_registers, "input_registers", "uint16_t[]"),
         ):
             setattr(struct.tables, f"nb_{suffix}", len(table.addresses))
             setattr(struct.tables, f"start_{suffix}", table.addresses.start)
@@ -323,12 +331,15 @@ class Mapping:
             # the garbage collector of Python 3.11 crash (gh-77894).
             pointer = ffi.from_buffer(item, table._memory)
             setattr(struct.tables, f"tab_{suffix}", pointer)
-            edges = ffi.new(
-                "uint16_t[]", [end for each in table.ranges for end in (each[0], each[-1])]
-            )
-            struct.ranges[number] = (len(table.ranges), edges)
+            edges = runs(table.ranges)
+            struct.ranges[TABLE_NUMBERS[table.name]] = (len(table.ranges), edges)
             self._pointers += [pointer, edges]
         return struct
+
+
+def runs(ranges: Sequence[range]) -> Any:
+    """Make the edges of a runs_t, which somebody must keep; ranges in order, none empty."""
+    return ffi.new("uint16_t[]", [edge for each in ranges for edge in (each[0], each[-1])])
 
 
 def _span(addresses: range) -> str:

@@ -8,14 +8,18 @@ import os
 import socket
 import struct
 import threading
+from collections.abc import Iterable, Sequence
+from collections.abc import Mapping as MappingABC
 from typing import Any
 
 from ..binding.library import check, ffi, lib, make
-from .mapping import Mapping
+from .mapping import TABLE_NUMBERS, Mapping, runs
 
-__all__ = ["Answered", "Replier", "make_tally", "replier"]
+__all__ = ["Answered", "Replier", "Watched", "make_tally", "replier"]
 
 _HEADER = struct.Struct(">HHHB")
+
+_NOWHERE: dict[str, Sequence[range]] = {}
 
 # For the answers to one chunk; what finds no room is answered in a further call.
 ROOM = 65536
@@ -32,6 +36,32 @@ def make_tally() -> Any:
     return ffi.new("tally_t *")
 
 
+class Watched:
+    """
+    What the replier leaves to Python.
+
+    Args:
+        functions: the codes, 1..31, that it answers.
+        reads, writes: where in a table, ``{table: ranges}``, it answers no reads or writes;
+            ranges in order, none empty.
+    """
+
+    def __init__(
+        self,
+        functions: Iterable[int] = range(32),
+        reads: MappingABC[str, Sequence[range]] = _NOWHERE,
+        writes: MappingABC[str, Sequence[range]] = _NOWHERE,
+    ) -> None:
+        self.struct: Any = ffi.new("watched_t *")
+        self.struct.functions = sum(1 << function for function in set(functions))
+        self._edges = []  # kept alive
+        for places, ranges in ((self.struct.reads, reads), (self.struct.writes, writes)):
+            for table, number in TABLE_NUMBERS.items():
+                found = ranges.get(table, ())
+                self._edges.append(runs(found))
+                places[number] = (len(found), self._edges[-1])
+
+
 class Replier:
     """
     modbus_reply on a socketpair (answer_chunk.c).
@@ -46,6 +76,7 @@ class Replier:
         self._answers = ffi.new("uint8_t[]", ROOM)
         self._characters = ffi.cast("char *", self._answers)  # which unpack to bytes
         self._unused_tally = make_tally()
+        self._all = Watched()
         self._open()
 
     def close(self) -> None:
@@ -68,15 +99,19 @@ class Replier:
         self._struct.answers = self._answers
         self._struct.room = ROOM
 
-    def answer(self, mapping: Mapping, tally: Any, unit: int, data: bytes, start: int) -> Answered:
+    def answer(
+        self, mapping: Mapping, watched: Watched, tally: Any, unit: int, data: bytes, start: int
+    ) -> Answered:
         """
         Answer the requests of Modbus/TCP from ``data[start]`` on, up to the first that
-        is not for libmodbus, not for this unit or not complete.
+        is not for libmodbus, watched, not for this unit or not complete.
 
         Hold the mapping's lock.
         """
         struct = self._struct
-        end = lib.answer_chunk(struct, mapping._struct, tally, unit, data, start, len(data))
+        end = lib.answer_chunk(
+            struct, mapping._struct, watched.struct, tally, unit, data, start, len(data)
+        )
         if end == -1:  # answers may still lie in the pair
             self.close()
             self._open()
@@ -86,7 +121,7 @@ class Replier:
     def reply(self, pdu: bytes, mapping: Mapping) -> bytes:
         """Answer one request that `decode_request` found good. Hold the mapping's lock."""
         data = _HEADER.pack(0, 0, 1 + len(pdu), 1) + pdu
-        return self.answer(mapping, self._unused_tally, 1, data, 0)[1][_HEADER.size :]
+        return self.answer(mapping, self._all, self._unused_tally, 1, data, 0)[1][_HEADER.size :]
 
 
 _local = threading.local()

@@ -11,7 +11,7 @@ import struct
 from collections.abc import Callable
 
 from ..protocol.errors import FrameError
-from ..protocol.framing import Frame, TcpFramer
+from ..protocol.framing import Frame
 from ..protocol.pdu import MAX_PDU
 from .by_frame import FOUND_AT_ONCE
 from .limits import ServerStatistics
@@ -22,8 +22,6 @@ __all__ = ["ByChunk", "Singles"]
 logger: logging.Logger = logging.getLogger(__name__)
 
 HEADER = struct.Struct(">HHHB")
-
-encode: Callable[[Frame], bytes] = TcpFramer().encode
 
 
 class Singles:
@@ -62,7 +60,7 @@ class Singles:
             if count == 0:
                 session, request = waiting[first]
                 try:
-                    session.take(request)
+                    session.take_one(request, 0)
                 except BaseException as error:  # of a hook; the others want their answers
                     raised = raised or error
                 start += len(request)
@@ -77,7 +75,7 @@ class Singles:
         """Answer those of one unit that follow each other, in C; give how many, and the rest."""
         unit = chunk[start + 6]
         device = self._units.device(unit)
-        if device is None or not device.is_plain:
+        if device is None or chunk[start + HEADER.size] not in device.in_c:
             return 0, start
         start, answers, count, refused = device.answer_chunk(chunk, start, unit)
         at = 0
@@ -143,10 +141,10 @@ class ByChunk:
             data = self._pending + data
         before = self._statistics.requests
         start, size, taken = 0, len(data), 0
-        while size - start >= HEADER.size:
-            unit = data[start + 6]
+        while size - start > HEADER.size:
+            unit, function = data[start + 6], data[start + HEADER.size]
             device = self._units.device(unit)
-            if device is not None and device.is_plain:
+            if device is not None and function in device.in_c:
                 end, answers, count, refused = device.answer_chunk(data, start, unit)
                 if end > start:
                     self.write(answers)
@@ -155,7 +153,7 @@ class ByChunk:
                     continue
             if taken == FOUND_AT_ONCE:
                 break
-            end = self._take_one(data, start)
+            end = self.take_one(data, start)
             if end == start:
                 taken = 0
                 break
@@ -177,7 +175,7 @@ class ByChunk:
         self._statistics.requests += requests
         self._statistics.refused += refused
 
-    def _take_one(self, data: bytes, start: int) -> int:
+    def take_one(self, data: bytes, start: int) -> int:
         """Deal with what C has left. Gives where it ends, or `start` if it is not complete."""
         transaction, protocol, length, unit = HEADER.unpack_from(data, start)
         end: int = start + 6 + length
@@ -189,9 +187,12 @@ class ByChunk:
             return end
         frame = Frame(unit, data[start + 7 : end], transaction)
         answer = self._units.answer(frame, self._peer, self._role)
-        self._count(1, 0 if answer is None else answer.pdu[0] >> 7)
-        if answer is not None:
-            self.write(encode(answer))
+        if answer is None:
+            self._count(1, 0)
+        else:
+            pdu = answer.pdu
+            self._count(1, pdu[0] >> 7)
+            self.write(HEADER.pack(transaction, 0, 1 + len(pdu), unit) + pdu)
         return end
 
     def _check_length(self) -> None:

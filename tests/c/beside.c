@@ -62,11 +62,12 @@ static int trusting_reply(modbus_t *context, const uint8_t *request, int size,
 
 static void ask(mapping_t *mapping, const uint8_t *pdu, int size, int is_inside)
 {
+    static const watched_t nothing = {.functions = 0xFFFFFFFF};
     static tally_t tally;
     uint8_t frame[260] = {0, 0, 0, 0, 0, (uint8_t)(1 + size), 1};
     int before = executed;
     memcpy(frame + 7, pdu, (size_t)size);
-    if (answer_chunk(&replier, mapping, &tally, 1, frame, 0, 7 + size) != 7 + size)
+    if (answer_chunk(&replier, mapping, &nothing, &tally, 1, frame, 0, 7 + size) != 7 + size)
         abort();
     if (executed == before && (replier.size != 9 || replier.answers[8] != 2))
         abort();

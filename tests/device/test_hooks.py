@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import Device, Mapping, Server, pdu
+from libmodbus_py import Access, Device, Hook, Mapping, Server, pdu
 from libmodbus_py.device import hooks as hooks_module
 from libmodbus_py.protocol import errors
 
@@ -189,3 +189,66 @@ def test_quick_ones_are_not_told_of(
         device = made_device(kind, lambda _, result=result: result)  # type: ignore[misc]
         assert device.answer(request)[0] == request[0]
     assert caplog.records == []
+
+
+# --- hooks for some accesses -------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("places", "error", "message"),
+    [
+        ({"holding_registers": 100}, TypeError, "holding_registers must be a range .* not 100"),
+        ({"coils": "0-9"}, TypeError, "coils must be a range .* not '0-9'"),
+        ({"coils": [1, 2]}, TypeError, r"coils must be a range .* not \[1, 2\]"),
+        ({"files": True}, TypeError, "files must be a range"),
+        ({"coils": range(-1, 3)}, ValueError, r"coils .*0..65535, step 1, not range\(-1, 3\)"),
+        ({"fifos": range(65530, 65537)}, ValueError, "fifos .*0..65535"),
+        ({"coils": [range(3), range(9, 20, 2)]}, ValueError, r"step 1, not range\(9, 20, 2\)"),
+        ({"holding": range(3)}, TypeError, "holding"),
+    ],
+    ids=str,
+)
+def test_places_that_cannot_be_are_refused_by_name(
+    places: dict[str, Any], error: type[Exception], message: str
+) -> None:
+    with pytest.raises(error, match=message):
+        Hook(print, **places)
+
+
+@pytest.mark.parametrize("hook", [5, "print", Hook(print)], ids=str)
+def test_a_hook_calls_a_function(hook: Any) -> None:
+    with pytest.raises(TypeError, match="call must be a function"):
+        Hook(hook)
+
+
+@pytest.mark.parametrize("name", ["before_write", "after_write", "before_read"])
+def test_hooks_of_devices_are_functions_or_hooks(name: str) -> None:
+    with pytest.raises(TypeError, match=f"{name} must be a function or a Hook, not 5"):
+        Device(Mapping(), **{name: 5})  # type: ignore[arg-type]
+
+
+def test_ranges_may_overlap_and_touch_in_any_order() -> None:
+    hook = Hook(print, coils=[range(9, 12), range(0), range(3), range(2, 5), range(12, 13)])
+    assert hook.places == {"coils": (range(5), range(9, 13))}
+
+
+def test_a_slow_hook_with_places_is_told_of(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(hooks_module, "SLOW", 0)
+    hook = Hook(lambda access: None, holding_registers=range(1))
+    device = Device(Mapping(holding_registers=2), before_read=hook)
+    assert device.answer(b"\3\0\1\0\1") == b"\3\2\0\0"
+    assert caplog.records == []
+    assert device.answer(READ) == b"\3\2\0\0"
+    assert len(caplog.records) == 1
+
+
+def test_all_that_a_read_touches_is_given() -> None:
+    """Not only what the hook asked for: it can refresh, or refuse, the whole."""
+    seen: list[Access] = []
+    hook = Hook(seen.append, holding_registers=range(5, 6))
+    device = Device(Mapping(holding_registers=20), before_read=hook)
+    device.answer(b"\3\0\0\0\x14")
+    device.answer(b"\3\0\6\0\4")
+    assert [(access.address, access.count) for access in seen] == [(0, 20)]

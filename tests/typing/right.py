@@ -9,10 +9,12 @@ from __future__ import annotations
 from typing import Any, assert_type
 
 from libmodbus_py import (
+    Access,
     AsciiContext,
     AsyncClient,
     Context,
     Device,
+    Hook,
     Mapping,
     ModbusError,
     Plan,
@@ -117,6 +119,10 @@ async def asking(plc: AsyncClient) -> None:
         assert_type(same, AsyncClient)
 
 
+def told_of(access: Access) -> None:
+    assert_type(access.address, int)
+
+
 def serving() -> None:
     mapping = Mapping(coils=64, discrete_inputs=range(10, 20))
     mapping.holding_registers[100:104] = [1, 2, 3, 4]
@@ -125,4 +131,6 @@ def serving() -> None:
     Mapping(holding_registers=[range(10), range(100, 110)])
     Mapping(holding_registers={100: [555, 0, 100]}, coils={0: [True]})
     Server({1: Device(mapping), 2: Device(Mapping(coils=8))}, unknown_unit="silent")
+    Device(mapping, before_read=Hook(told_of, input_registers=range(100)), after_write=print)
+    Device(mapping, before_write=Hook(told_of, coils=[range(8)], files=[range(1, 3)]))
     Server(Device(mapping)).serve_forever("tcp://127.0.0.1:1502")

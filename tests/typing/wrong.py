@@ -11,6 +11,8 @@ from libmodbus_py import (
     AsciiContext,
     AsyncClient,
     Context,
+    Device,
+    Hook,
     Mapping,
     Read,
     RtuContext,
@@ -76,3 +78,6 @@ def serving(server: Server, mapping: Mapping) -> None:
     mapping.holding_registers.write(0, 1.5, "flaot32")  # wrong
     Mapping(holding_registers="100")  # wrong
     Server(mapping)  # wrong
+    Hook(print, holding_regs=range(8))  # wrong
+    Hook(print, coils=8)  # wrong
+    Device(mapping, before_read=range(8))  # wrong
