@@ -1,7 +1,7 @@
 /* libFuzzer on the C helper of the server: chunks of Modbus/TCP, whatever is in them.
  *
  * Two bytes of an input say for which unit the device is and how much room there
- * is for answers; the rest is the chunk. It lies in memory of its exact size, as the
+ * is for answers, and whether there are hooks; the rest is the chunk. It lies in memory of its exact size, as the
  * answers do, so that AddressSanitizer sees every byte read or written beside them.
  * What is answered is compared with what was asked, frame by frame. */
 
@@ -24,6 +24,15 @@ static mapping_t mapping;
 static const uint16_t coils[] = {10, 999, 1003, 2109};
 static const uint16_t registers[] = {100, 100, 102, 199, 210, 399};
 static const uint16_t discrete_inputs[] = {20, 2119}, input_registers[] = {200, 399};
+
+/* Hooks want reads of these coils and writes of these registers; a handler has function 4. */
+static const uint16_t read_coils[] = {50, 60, 90, 90}, written_registers[] = {150, 159};
+static const watched_t nothing = {.functions = 0xFFFFFFFF};
+static const watched_t something = {
+    .functions = 0xFFFFFFFF ^ 1 << 4,
+    .reads[COILS] = {2, read_coils},
+    .writes[HOLDING_REGISTERS] = {1, written_registers},
+};
 
 static void set_up(void)
 {
@@ -90,14 +99,44 @@ static void check_answer(const uint8_t *request, const uint8_t *answer, int size
     }
 }
 
+static int meets(int at, int count, int first, int last)
+{
+    return at <= last && at + count > first;
+}
+
+/* What those want, of requests that are not refused: by the function, not by tables. */
+static int is_for_python(const uint8_t *pdu)
+{
+    int at, count;
+    if (pdu[0] == 4)
+        return 1;
+    at = word(pdu + 1);
+    count = word(pdu + 3);
+    switch (pdu[0]) {
+    case 1:
+        return meets(at, count, 50, 60) || meets(at, count, 90, 90);
+    case 6:
+    case 22:
+        return meets(at, 1, 150, 159);
+    case 16:
+        return meets(at, count, 150, 159);
+    case 23:
+        return meets(word(pdu + 5), word(pdu + 7), 150, 159);
+    default:
+        return 0;
+    }
+}
+
 /* As many answers as requests were used, and nothing else. */
-static void check_answers(const uint8_t *data, int used, int unit)
+static void check_answers(const uint8_t *data, int used, int unit, int is_hooked)
 {
     int at = 0, requests = 0, refused = 0;
     for (int start = 0; start < used; start += 6 + word(data + start + 4)) {
         CHECK(is_whole(data + start, used - start) && data[start + 6] == unit);
         CHECK(is_known(data[start + 7]));
         CHECK(is_whole(replier.answers + at, replier.size - at));
+        CHECK(!is_hooked || (replier.answers[at + 7] & 0x80 ? data[start + 7] != 4
+                                                            : !is_for_python(data + start + 7)));
         check_answer(data + start, replier.answers + at, 6 + word(replier.answers + at + 4));
         refused += replier.answers[at + 7] >> 7;
         requests++;
@@ -107,10 +146,11 @@ static void check_answers(const uint8_t *data, int used, int unit)
 }
 
 /* What was left must be for somebody else, or lack its end or the room for its answer. */
-static void check_rest(const uint8_t *data, int size, int unit)
+static void check_rest(const uint8_t *data, int size, int unit, int is_hooked)
 {
     CHECK(!is_whole(data, size) || data[6] != unit || !is_known(data[7]) ||
-          replier.room - replier.size < MODBUS_TCP_MAX_ADU_LENGTH);
+          replier.room - replier.size < MODBUS_TCP_MAX_ADU_LENGTH ||
+          (is_hooked && is_for_python(data + 7)));
 }
 
 /* Nobody writes into a hole. */
@@ -129,7 +169,7 @@ static void check_tables(void)
 int LLVMFuzzerTestOneInput(const uint8_t *input, size_t given)
 {
     static tally_t tally;
-    int unit, size, start = 0, end;
+    int unit, is_hooked, size, start = 0, end;
     uint8_t *data, stray;
 
     if (given < 2)
@@ -138,6 +178,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *input, size_t given)
         set_up();
     empty_tables();
     unit = input[0];
+    is_hooked = input[1] & 1;
     replier.room = MODBUS_TCP_MAX_ADU_LENGTH + 37 * input[1];
     replier.answers = malloc((size_t)replier.room);
     size = (int)given - 2;
@@ -145,11 +186,12 @@ int LLVMFuzzerTestOneInput(const uint8_t *input, size_t given)
     if (size)
         memcpy(data, input + 2, (size_t)size);
     do {
-        end = answer_chunk(&replier, &mapping, &tally, unit, data, start, size);
+        end = answer_chunk(&replier, &mapping, is_hooked ? &something : &nothing, &tally, unit,
+                           data, start, size);
         CHECK(end >= start && end <= size);
         CHECK(replier.size <= replier.room && replier.unread == 0 && replier.unread_size == 0);
-        check_answers(data + start, end - start, unit);
-        check_rest(data + end, size - end, unit);
+        check_answers(data + start, end - start, unit, is_hooked);
+        check_rest(data + end, size - end, unit, is_hooked);
     } while (end > start && (start = end) < size);
     CHECK(recv(replier.outlet, &stray, 1, MSG_DONTWAIT) == -1);
     check_tables();
