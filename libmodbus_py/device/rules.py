@@ -1,0 +1,228 @@
+"""
+Rules for roles, as a table: who may read and write what. What no rule allows is refused.
+"""
+
+from __future__ import annotations
+
+import re
+from bisect import bisect_right
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from ..protocol import pdu
+from ..protocol.checks import integer
+from ..protocol.tables import TABLE_SIZE
+from ..security.role import check_role
+from .access import ACCESSES, Access
+from .authorization import Asked
+
+__all__ = ["READABLE", "WRITABLE", "Allow", "Rules"]
+
+READABLE = {
+    "coils": TABLE_SIZE,
+    "discrete_inputs": TABLE_SIZE,
+    "holding_registers": TABLE_SIZE,
+    "input_registers": TABLE_SIZE,
+    "fifo": TABLE_SIZE,
+    "file": pdu.RECORDS_PER_FILE,
+}
+"""Table -> how many items it has; each file for itself."""
+
+WRITABLE = {table: READABLE[table] for table in ("coils", "holding_registers", "file")}
+
+# The highest sub-function and MEI type.
+SUB_FUNCTIONS = {pdu.Diagnostics.function: 0xFFFF, pdu.EncapsulatedTransport.function: 0xFF}
+
+# A function, and its sub-function or MEI type; None is all of them.
+Code = tuple[int, int | None]
+
+
+@dataclass(frozen=True)
+class Allow:
+    """
+    What a role may do. Nothing, unless it is said here.
+
+    Args:
+        read: names of tables, "fifo" and "file", which are those as a whole; an `Access` with
+            table, address, count (and file) for a part; or "all".
+        write: the same of "coils", "holding_registers" and "file"; or "all".
+        functions: those that touch no table: codes such as 17, and "8/0" or "43/14" for one
+            sub-function or MEI type; codes of your own; or "all". Functions that touch tables,
+            such as 3 and 16, are allowed by what they read and write; 23 needs both.
+
+    Raises:
+        TypeError, ValueError: there is no such table, part of it, or function.
+    """
+
+    read: Literal["all"] | Iterable[str | Access] = ()
+    write: Literal["all"] | Iterable[str | Access] = ()
+    functions: Literal["all"] | Iterable[int | str] = ()
+    _reads: _Places = field(init=False, repr=False, compare=False)
+    _writes: _Places = field(init=False, repr=False, compare=False)
+    _codes: frozenset[Code] | None = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        # Not what was given: a generator is empty the second time.
+        read = _listed("read", self.read, READABLE)
+        write = _listed("write", self.write, WRITABLE)
+        functions = _listed("functions", self.functions, ("all",))
+        is_all = self.functions == "all"
+        codes = None if is_all else frozenset(map(_code, functions))
+        for name, value in (
+            *(("read", read), ("write", write), ("functions", functions)),
+            *(("_reads", _Places("read", read, READABLE)), ("_codes", codes)),
+            ("_writes", _Places("write", write, WRITABLE)),
+        ):
+            object.__setattr__(self, name, value)
+
+    def allows(self, asked: Asked) -> bool:
+        """
+        Whether a request is allowed, with all that it touches.
+
+        What cannot be decoded is if any request of its function could be: then the client
+        is told what is wrong with it.
+        """
+        if asked.request is None:
+            return self._allows_some(asked.function)
+        if type(asked.request) in ACCESSES:
+            return (
+                bool(asked.writes or asked.reads)
+                and all(map(self._writes.cover, asked.writes))
+                and all(map(self._reads.cover, asked.reads))
+            )
+        codes = self._codes
+        return (
+            codes is None
+            or (asked.function, None) in codes
+            or (asked.function, _sub_function(asked.request)) in codes
+        )
+
+    def _allows_some(self, function: int) -> bool:
+        request = pdu.REQUESTS.get(function)
+        if request in ACCESSES:
+            return bool(self._writes if request.is_write else self._reads)
+        return self._codes is None or any(code == function for code, _ in self._codes)
+
+
+class Rules:
+    """
+    Allows a client what its role is allowed, and nothing else: for ``Device(authorize=...)``.
+
+    ::
+
+        Rules({
+            "Viewer": Allow(read="all"),
+            "Operator": Allow(read="all", write=["coils", Access("holding_registers", 100, 20)]),
+            None: Allow(functions=["43/14"]),
+        })
+
+    Args:
+        roles: ``{role: what it may do}``; None are clients without a role, which all are
+            without TLS.
+
+    Raises:
+        TypeError, ValueError: no such table, or a role that no certificate can have.
+    """
+
+    def __init__(self, roles: Mapping[str | None, Allow]) -> None:
+        if not isinstance(roles, Mapping):
+            raise TypeError(f"roles must be {{role: Allow(...)}}, not {type(roles).__name__}")
+        for role, allow in roles.items():
+            if role is not None:
+                if not isinstance(role, str):
+                    raise TypeError(f"a role must be text or None, not {role!r}")
+                check_role(role)
+            if not isinstance(allow, Allow):
+                raise TypeError(f"roles[{role!r}] must be Allow(...), not {type(allow).__name__}")
+        self._roles = dict(roles)
+
+    def __repr__(self) -> str:
+        return f"Rules({self._roles!r})"
+
+    def __call__(self, asked: Asked) -> bool:
+        allow = self._roles.get(asked.role)
+        return allow is not None and allow.allows(asked)
+
+
+class _Places:
+    """Tables as a whole, and runs of items in them."""
+
+    def __init__(self, name: str, given: Iterable[Any], sizes: Mapping[str, int]) -> None:
+        self._whole: set[str] = set()
+        # (table, file) -> where runs begin, and where they end; none touches another.
+        self._runs: dict[tuple[str, int], tuple[list[int], list[int]]] = {}
+        runs: list[tuple[str, int, int, int]] = []
+        for each in given:
+            if isinstance(each, str):
+                _checked_table(name, each, sizes)
+                self._whole.add(each)
+            else:
+                runs.append(_run(name, each, sizes))
+        for table, file, first, stop in sorted(runs):
+            firsts, stops = self._runs.setdefault((table, file), ([], []))
+            if stops and first <= stops[-1]:
+                stops[-1] = max(stops[-1], stop)
+            else:
+                firsts.append(first)
+                stops.append(stop)
+
+    def __bool__(self) -> bool:
+        return bool(self._whole or self._runs)
+
+    def cover(self, access: Access) -> bool:
+        """Whether all of it is in them."""
+        if access.table in self._whole:
+            return True
+        firsts, stops = self._runs.get((access.table, access.file), ((), ()))
+        at = bisect_right(firsts, access.address) - 1
+        return at >= 0 and access.address + access.count <= stops[at]
+
+
+def _listed(name: str, given: object, everything: Iterable[str]) -> tuple[Any, ...]:
+    if given == "all":
+        return tuple(everything)
+    if isinstance(given, str) or not isinstance(given, Iterable):
+        raise TypeError(f'{name} must be "all" or a list, not {given!r}')
+    return tuple(given)
+
+
+def _checked_table(name: str, table: object, sizes: Mapping[str, int]) -> None:
+    if not isinstance(table, str) or table not in sizes:
+        raise ValueError(f"{name}: the table must be one of {', '.join(sizes)}, not {table!r}")
+
+
+def _run(name: str, place: Any, sizes: Mapping[str, int]) -> tuple[str, int, int, int]:
+    if not isinstance(place, Access):
+        raise TypeError(f"{name} must list names of tables or Access(...), not {place!r}")
+    _checked_table(name, place.table, sizes)
+    if place != Access(place.table, place.address, place.count, file=place.file):
+        raise ValueError(f"{name}: values, unit, peer and role mean nothing in {place}")
+    size = sizes[place.table]
+    first = integer(f"{name}: address", place.address, 0, size - 1)
+    count = integer(f"{name}: count", place.count, 1, size - first)
+    is_file = place.table == "file"
+    file = integer(f"{name}: file", place.file, 1 if is_file else 0, 0xFFFF if is_file else 0)
+    return place.table, file, first, first + count
+
+
+def _code(given: object) -> Code:
+    """A function, as given; those that touch tables have rules of their own."""
+    code, sub = given, None
+    if isinstance(given, str):
+        parts = re.fullmatch(r"([0-9]{1,3})/([0-9]{1,5})", given)
+        if parts is None or int(parts[1]) not in SUB_FUNCTIONS:
+            raise ValueError(f'functions: a code, or such as "8/0" or "43/14", not {given!r}')
+        code, sub = int(parts[1]), int(parts[2])
+        integer(f"functions: {given}", sub, 0, SUB_FUNCTIONS[code])
+    number = integer("functions: a code", code, 1, 127)
+    if pdu.REQUESTS.get(number) in ACCESSES:
+        raise ValueError(f"functions: {number} touches tables: allow them by read and write")
+    return number, sub
+
+
+def _sub_function(request: pdu.Request[Any]) -> int | None:
+    if isinstance(request, pdu.Diagnostics):
+        return request.sub_function
+    # The MEI type, which both classes of this function have there.
+    return request.encode()[1] if request.function == pdu.EncapsulatedTransport.function else None
