@@ -28,10 +28,12 @@ from .client.plan import Plan, Read
 from .client.reconnecting import State
 from .client.trace import Traced
 from .device.access import Access
+from .device.authorization import Asked
 from .device.device import Caller, Device
 from .device.hooks import Hook
 from .device.mapping import Mapping
 from .device.record_file import RecordFile
+from .device.rules import Allow, Rules
 from .protocol import errors, framing, pdu, values
 from .protocol.errors import (
     Acknowledge,
@@ -59,15 +61,15 @@ from .simulator import device_file
 
 # fmt: off
 __all__ = [
-    "Access", "Acknowledge", "AsciiContext", "AsyncClient", "Caller", "Context", "Device",
-    "ExceptionResponse", "Fault", "FrameError", "GatewayPathUnavailable",
+    "Access", "Acknowledge", "Allow", "AsciiContext", "Asked", "AsyncClient", "Caller", "Context",
+    "Device", "ExceptionResponse", "Fault", "FrameError", "GatewayPathUnavailable",
     "GatewayTargetFailedToRespond", "Hook", "IllegalDataAddress", "IllegalDataValue",
     "IllegalFunction",
     "InvalidResponse", "Limits", "Mapping", "MemoryParityError", "ModbusConnectionError",
     "ModbusError", "ModbusTimeoutError", "NegativeAcknowledge", "Plan", "Read", "RecordFile",
-    "RtuContext", "Running", "Security", "Server", "ServerDeviceBusy", "ServerDeviceFailure",
-    "State", "TcpContext", "TlsContext", "Traced", "UdpContext", "device_file", "errors",
-    "framing", "low_level", "pdu", "values",
+    "RtuContext", "Rules", "Running", "Security", "Server", "ServerDeviceBusy",
+    "ServerDeviceFailure", "State", "TcpContext", "TlsContext", "Traced", "UdpContext",
+    "device_file", "errors", "framing", "low_level", "pdu", "values",
 ]
 # fmt: on
 

@@ -45,6 +45,7 @@ from ..protocol.pdu import (
 )
 from ..protocol.pdu.interface import OBJECT_NAMES, ReadDeviceIdCode, pages
 from .access import ACCESSES, Access, Touched
+from .authorization import Asked, Authorize, Guard, UnauthorizedError
 from .event_log import EventLog
 from .hooks import EVERYTHING, Hook, Listener, places, timed
 from .mapping import Mapping, Table
@@ -77,6 +78,7 @@ class Caller:
         log: the device's notes about the line; None for its own.
         is_broadcast: whether nobody is answered.
         role: what the certificate of who asks says of them; None for nothing, or without TLS.
+        on_unauthorized: called for each request that `authorize` does not allow, if it is given.
     """
 
     unit: int = 0
@@ -84,6 +86,7 @@ class Caller:
     log: EventLog | None = None
     is_broadcast: bool = False
     role: str | None = None
+    on_unauthorized: Callable[[], object] | None = None
 
 
 class Device:
@@ -96,6 +99,11 @@ class Device:
     other exception is answered with 4 and logged once, but for SystemExit and
     KeyboardInterrupt, which go on. They see only accesses to what exists. The same holds
     for `canopen` and `handlers`.
+
+    With `authorize`, every request is asked about first, while the mapping is locked: before
+    the hooks, and before anything is said of what exists. It gives True, or False: exception 1
+    (MB-TCP-Security-v36, R-31); what it raises is dealt with as in hooks, and anything else
+    that it gives is a mistake, exception 4. Of what cannot be decoded it sees the function.
 
     Args:
         mapping: the four tables.
@@ -113,6 +121,8 @@ class Device:
         after_write: told of a write that was done.
         before_read: may refresh the values, or refuse; of function 23 it is
             called before the write, as all that may refuse comes before any change.
+        authorize: says whether a request is allowed, such as `Rules`; called with an `Asked`.
+            None allows all.
 
     Attributes:
         mapping, server_id, exception_status: as given, and assignable.
@@ -120,7 +130,8 @@ class Device:
         fifos: ``{pointer address: list of registers}``; change the lists as you like.
         diagnostic_register: the answer to sub-function 2 of function 8, 0..65535.
         in_c: the function codes of requests that `answer_chunk` may answer: all of libmodbus
-            but those with a handler, and those that hooks are to be told of wherever they go.
+            but those with a handler, and those that hooks are to be told of wherever they go;
+            none if something authorizes requests.
 
     Raises:
         TypeError, ValueError: an argument of the wrong type or range.
@@ -140,6 +151,7 @@ class Device:
         before_write: HookLike | None = None,
         after_write: HookLike | None = None,
         before_read: HookLike | None = None,
+        authorize: Authorize | None = None,
     ) -> None:
         if not isinstance(mapping, Mapping):
             raise TypeError(f"mapping must be a Mapping, not {type(mapping).__name__}")
@@ -158,6 +170,7 @@ class Device:
         self._identification = _checked_identification(identification or {})
         self._canopen = None if canopen is None else timed("canopen", canopen)
         self._handlers = {**self._own, **_bound(handlers or {})}
+        self._guard = None if authorize is None else Guard(authorize)
         self._before_write = _listener("before_write", before_write)
         self._after_write = _listener("after_write", after_write)
         self._before_read = _listener("before_read", before_read)
@@ -174,6 +187,8 @@ class Device:
             if request not in self._handlers
             and EVERYTHING not in (reads.get(kind.reads), writes.get(kind.writes))
         )
+        if self._guard is not None:
+            self.in_c = frozenset()
         self._watched = Watched(self.in_c, reads, writes)
         self._log = EventLog(is_serial=False)
         self._tally = make_tally()
@@ -246,7 +261,7 @@ class Device:
 
     def _respond(self, pdu: bytes, log: EventLog, caller: Caller) -> bytes:
         try:
-            return self._execute(decode_request(pdu), pdu, log, caller)
+            return self._execute(self._decoded(pdu, caller), pdu, log, caller)
         except ExceptionResponse as refusal:
             if isinstance(refusal.code, int) and 1 <= refusal.code <= 0xFF:
                 return bytes([pdu[0] | 0x80, refusal.code])
@@ -259,11 +274,35 @@ class Device:
             self._log_failure(pdu)
         return bytes([pdu[0] | 0x80, ServerDeviceFailure.code])
 
+    def _decoded(self, pdu: bytes, caller: Caller) -> Request[Any]:
+        try:
+            return decode_request(pdu)
+        except Exception:
+            # Who may not use this function is not told what is wrong with it.
+            with self.mapping:
+                self._authorize(pdu[0], None, caller)
+            raise
+
+    def _authorize(self, function: int, request: Request[Any] | None, caller: Caller) -> None:
+        if self._guard is None:
+            return
+        kind = ACCESSES.get(type(request))  # type: ignore[arg-type]
+        who = (caller.unit, caller.peer, caller.role)
+        touched = Touched() if kind is None else kind.find(request, self.mapping, who)
+        asked = Asked(caller.role, caller.unit, caller.peer, function, request, *touched)
+        try:
+            self._guard.check(asked)
+        except UnauthorizedError:
+            if caller.on_unauthorized is not None:
+                caller.on_unauthorized()
+            raise
+
     def _execute(self, request: Request[Any], pdu: bytes, log: EventLog, caller: Caller) -> bytes:
         handle = self._handlers.get(type(request))
         find = self._finds.get(type(request))
         touched = None
         with self.mapping.lock:
+            self._authorize(request.function, request, caller)
             if find is not None:
                 touched = find(request, self.mapping, (caller.unit, caller.peer, caller.role))
                 self._call_hooks_before(touched)

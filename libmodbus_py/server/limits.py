@@ -178,6 +178,7 @@ class ServerStatistics:
             answers of this one that came back.
         requests: frames that were for this server to look at, other units' included.
         refused: requests that got an exception.
+        unauthorized: requests that `authorize` of a device did not allow, broadcasts included.
         bad_frames: runs of bytes that were no frame.
         handshakes: TLS connections on which both sides took the other's certificate.
         handshakes_resumed: those of them that resumed a session.
@@ -199,6 +200,7 @@ class ServerStatistics:
     reflected: int = 0
     requests: int = 0
     refused: int = 0
+    unauthorized: int = 0
     bad_frames: int = 0
     handshakes: int = 0
     handshakes_resumed: int = 0

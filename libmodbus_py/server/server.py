@@ -81,14 +81,15 @@ class Server:
         unknown_unit: UnknownUnit = "refuse",
         security: Security | None = None,
     ) -> None:
-        self._units = Units(devices, Faults({} if faults is None else faults), unknown_unit)
+        self.statistics: ServerStatistics = ServerStatistics()
+        made = Faults({} if faults is None else faults)
+        self._units = Units(devices, made, unknown_unit, self._note_unauthorized)
         if not isinstance(limits, Limits | None):
             raise TypeError(f"limits must be Limits, not {type(limits).__name__}")
         self._limits = limits or Limits()
         if not isinstance(security, Security | None):
             raise TypeError(f"security must be Security, not {type(security).__name__}")
         self._security = security
-        self.statistics: ServerStatistics = ServerStatistics()
 
     @contextlib.asynccontextmanager
     async def serving(self, *urls: str) -> AsyncIterator[Running]:
@@ -187,6 +188,9 @@ class Server:
                     await stopped.wait()
 
         asyncio.run(serve())
+
+    def _note_unauthorized(self) -> None:
+        self.statistics.unauthorized += 1
 
     def _make(
         self, endpoint: Endpoint, peers: Peers, sources: Sources, end: Callable[[], None]

@@ -6,7 +6,7 @@ Finds the device of a frame, by the rules of its kind of line.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from copy import copy
 from typing import Literal, get_args
 
@@ -32,14 +32,21 @@ UNKNOWN_UNIT_POLICIES: tuple[UnknownUnit, ...] = get_args(UnknownUnit)
 
 
 class Units:
-    """The devices, by unit, and their faults, None if there are none."""
+    """
+    The devices, by unit, and their faults, None if there are none.
+
+    Args:
+        on_unauthorized: called for each request that a device does not allow.
+    """
 
     def __init__(
         self,
         devices: Device | Mapping[int, Device],
         faults: Faults,
         unknown: UnknownUnit = "refuse",
+        on_unauthorized: Callable[[], object] = lambda: None,
     ) -> None:
+        self.on_unauthorized = on_unauthorized
         self.faults: Faults | None = faults or None
         if unknown not in UNKNOWN_UNIT_POLICIES:
             allowed = ", ".join(UNKNOWN_UNIT_POLICIES)
@@ -68,6 +75,7 @@ class TcpUnits:
         self._units = units.devices
         self._any = units.any
         self._refuses = units.unknown == "refuse"
+        self._on_unauthorized = units.on_unauthorized
 
     def device(self, unit: int) -> Device | None:
         """Who answers a unit, if somebody does."""
@@ -86,7 +94,8 @@ class TcpUnits:
         unit, pdu, transaction = frame
         device = self.device(unit)
         if device is not None:
-            response = device.answer(pdu, Caller(unit, peer, role=role))
+            caller = Caller(unit, peer, role=role, on_unauthorized=self._on_unauthorized)
+            response = device.answer(pdu, caller)
         elif pdu[0] & 0x80 or not self._refuses:
             return None
         else:
@@ -113,6 +122,7 @@ class SerialUnits:
         # Those that a connection does not share with the others.
         self._own: dict[int, Station] | None = None
         self.delimiter: int | None = LINE_FEED
+        self._on_unauthorized = units.on_unauthorized
 
     def of_connection(self) -> SerialUnits:
         """
@@ -144,14 +154,16 @@ class SerialUnits:
         self._note_frame()
         if frame.unit == 0:
             for device, log in self._all():
-                device.answer(frame.pdu, Caller(0, peer, log, is_broadcast=True, role=role))
+                caller = Caller(0, peer, log, True, role, self._on_unauthorized)
+                device.answer(frame.pdu, caller)
             return None
         station = self._station(frame.unit, to_change=frame.pdu[0] == Diagnostics.function)
         if station is None:
             return None
         device, log = station
         before = log.delimiter
-        response = device.answer(frame.pdu, Caller(frame.unit, peer, log, role=role))
+        caller = Caller(frame.unit, peer, log, False, role, self._on_unauthorized)
+        response = device.answer(frame.pdu, caller)
         if log.delimiter != before:
             self.delimiter = log.delimiter
         return Frame(frame.unit, response) if response else None

@@ -1,0 +1,414 @@
+"""
+Authorisation of every request: MB-TCP-Security-v36, R-24 to R-31.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import pytest
+from checks import REQUEST_OBJECTS, examples
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from libmodbus_py import (
+    Access,
+    Asked,
+    Caller,
+    Device,
+    IllegalDataAddress,
+    Mapping,
+    ServerDeviceBusy,
+    pdu,
+)
+from libmodbus_py.device.authorization import MOST_LINES, Guard, UnauthorizedError
+from libmodbus_py.device.event_log import EventLog
+
+CLASSES = {*pdu.REQUESTS.values(), pdu.ReadDeviceIdentification}
+
+
+class Tables:
+    """A device whose every table, file, queue and function answers, and what was done to it."""
+
+    def __init__(self, authorize: Any, **hooks: Any) -> None:
+        self.done: list[object] = []
+        self.device = Device(
+            Mapping(65536, 65536, 65536, 65536),
+            files={3: [0] * 100, 4: [0] * 100},
+            fifos={0x04DE: [1, 2], 5: [3]},
+            canopen=self._canopen,
+            handlers={},
+            **{"before_write": self.done.append, "before_read": self.done.append} | hooks,
+            authorize=authorize,
+        )
+
+    def _canopen(self, data: bytes) -> bytes:
+        self.done.append(data)
+        return data
+
+    def contents(self) -> object:
+        mapping, device = self.device.mapping, self.device
+        tables = (mapping.coils, mapping.holding_registers)
+        files = [file.read(0, 100) for file in device.files.values()]
+        return [bytes(table.view) for table in tables], files, device.diagnostic_register
+
+
+def denying(seen: list[Asked]) -> Any:
+    def authorize(asked: Asked) -> bool:
+        seen.append(asked)
+        return False
+
+    return authorize
+
+
+def test_there_is_an_example_of_each_class() -> None:
+    """Else the next tests would leave one out."""
+    assert {type(request) for request in REQUEST_OBJECTS} == CLASSES | {pdu.RawRequest}
+
+
+@pytest.mark.parametrize("request_", REQUEST_OBJECTS, ids=lambda each: type(each).__name__)
+@pytest.mark.parametrize("serial", [False, True], ids=["network", "serial line"])
+def test_what_is_denied_is_not_executed(request_: pdu.Request[Any], serial: bool) -> None:
+    seen: list[Asked] = []
+    tables = Tables(denying(seen))
+    log = EventLog(is_serial=serial)
+    before = tables.contents()
+    answer = tables.device.answer(request_.encode(), Caller(7, "here", log, role="Nobody"))
+    assert answer == bytes([request_.function | 0x80, 1])
+    assert tables.done == []
+    assert tables.contents() == before
+    assert log.listen_only is False
+    (asked,) = seen
+    assert (asked.role, asked.unit, asked.peer) == ("Nobody", 7, "here")
+    assert asked.function == request_.function
+    assert asked.request == (None if isinstance(request_, pdu.RawRequest) else request_)
+
+
+@pytest.mark.parametrize("example", examples("pdu"), ids=lambda each: each[:8].hex())
+def test_what_is_allowed_is_answered_as_ever(example: bytes) -> None:
+    guarded, free = Tables(lambda asked: True), Tables(None)
+    assert guarded.device.answer(example) == free.device.answer(example)
+    assert guarded.contents() == free.contents()
+    assert len(guarded.done) == len(free.done)
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.binary(min_size=1, max_size=253))
+def test_any_bytes_are_asked_about_once(data: bytes) -> None:
+    seen: list[Asked] = []
+    answer = TABLES.answered(data, denying(seen))
+    is_request = data[0] < 0x80
+    assert answer == (bytes([data[0] | 0x80, 1]) if is_request else b"")
+    assert len(seen) == is_request
+
+
+class _Shared:
+    """One device for many examples, each with its own authorisation."""
+
+    def __init__(self) -> None:
+        self._authorize: Any = None
+        self._tables = Tables(lambda asked: self._authorize(asked))
+
+    def answered(self, data: bytes, authorize: Any) -> bytes:
+        self._authorize = authorize
+        return self._tables.device.answer(data)
+
+
+TABLES = _Shared()
+
+
+def test_all_128_codes_are_asked_about() -> None:
+    for function in range(128):
+        seen: list[Asked] = []
+        assert TABLES.answered(bytes([function]), denying(seen)) == bytes([function | 0x80, 1])
+        assert [(asked.function, asked.request) for asked in seen if asked.request is None] in (
+            [(function, None)],
+            [],  # functions that are asked with their code alone
+        )
+        assert len(seen) == 1
+
+
+@dataclass(frozen=True, slots=True)
+class Own(pdu.Request[bytes]):
+    """A function of the user's own."""
+
+    data: bytes = b""
+    function = 100
+    request_length = response_length = pdu.unknown_length
+
+    def encode(self) -> bytes:
+        return bytes([100]) + self.data
+
+    @classmethod
+    def decode(cls, pdu: bytes) -> Own:
+        return cls(pdu[1:])
+
+    def encode_response(self, result: bytes) -> bytes:
+        return bytes([100]) + result
+
+
+@pytest.fixture
+def own() -> Iterator[type[Own]]:
+    yield pdu.register(Own)
+    del pdu.REQUESTS[100]
+
+
+def test_functions_of_ones_own_are_asked_about(own: type[Own]) -> None:
+    done: list[object] = []
+
+    def handle(request: Own) -> bytes:
+        done.append(request)
+        return request.data
+
+    for allowed in (False, True):
+        device = Device(Mapping(1), handlers={own: handle}, authorize=lambda asked, it=allowed: it)
+        assert device.answer(b"\x64abc") == (b"\x64abc" if allowed else b"\xe4\x01")
+        assert len(done) == allowed
+
+
+# --- what is asked ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("request_", "writes", "reads"),
+    [
+        (pdu.ReadCoils(3, 5), [], [("coils", 3, 5)]),
+        (pdu.ReadDiscreteInputs(3, 5), [], [("discrete_inputs", 3, 5)]),
+        (pdu.ReadHoldingRegisters(3, 5), [], [("holding_registers", 3, 5)]),
+        (pdu.ReadInputRegisters(3, 5), [], [("input_registers", 3, 5)]),
+        (pdu.WriteCoil(9, True), [("coils", 9, 1)], []),
+        (pdu.WriteRegister(9, 1), [("holding_registers", 9, 1)], []),
+        (pdu.WriteCoils(9, (True, False)), [("coils", 9, 2)], []),
+        (pdu.WriteRegisters(9, (1, 2)), [("holding_registers", 9, 2)], []),
+        (pdu.MaskWriteRegister(9, 1, 2), [("holding_registers", 9, 1)], []),
+        (
+            pdu.ReadWriteRegisters(1, 2, 3, (4, 5, 6)),
+            [("holding_registers", 3, 3)],
+            [("holding_registers", 1, 2)],
+        ),
+        (pdu.ReadFileRecords(((4, 1, 2), (3, 9, 1))), [], [("file", 1, 2, 4), ("file", 9, 1, 3)]),
+        (pdu.WriteFileRecords(((4, 7, (1, 2)),)), [("file", 7, 2, 4)], []),
+        (pdu.ReadFifoQueue(5), [], [("fifo", 5, 1)]),
+        (pdu.ReportServerId(), [], []),
+        (pdu.EncapsulatedTransport(13, b"x"), [], []),
+    ],
+    ids=lambda value: type(value).__name__ if isinstance(value, pdu.Request) else "",
+)
+def test_it_is_told_what_a_request_touches(
+    request_: pdu.Request[Any], writes: list[Any], reads: list[Any]
+) -> None:
+    seen: list[Asked] = []
+    caller = Caller(7, "here", role="Operator")
+    Tables(denying(seen)).device.answer(request_.encode(), caller)
+
+    def outline(accesses: tuple[Access, ...]) -> list[Any]:
+        assert {(each.unit, each.peer, each.role) for each in accesses} <= {(7, "here", "Operator")}
+        return [
+            (each.table, each.address, each.count, *([each.file] if each.file else []))
+            for each in accesses
+        ]
+
+    (asked,) = seen
+    assert (outline(asked.writes), outline(asked.reads)) == (writes, reads)
+
+
+def test_it_knows_the_values() -> None:
+    seen: list[Asked] = []
+    Tables(denying(seen)).device.answer(pdu.WriteRegisters(9, (1, 2)).encode())
+    assert seen[0].writes[0].values == (1, 2)
+
+
+def test_it_is_asked_each_time() -> None:
+    answers = iter([True, False, True])
+    device = Device(Mapping(holding_registers=1), authorize=lambda asked: next(answers))
+    request = pdu.ReadHoldingRegisters(0, 1).encode()
+    assert [device.answer(request)[0] for _ in range(3)] == [0x03, 0x83, 0x03]
+
+
+# --- before everything else -------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("data", "otherwise"),
+    [
+        (pdu.ReadHoldingRegisters(50, 1).encode(), 2),  # what does not exist
+        (pdu.WriteRegister(50, 1).encode(), 2),
+        (pdu.ReadFileRecords(((9, 1, 2),)).encode(), 2),
+        (pdu.ReadFifoQueue(5).encode(), 2),
+        (b"\x2b\x0e\x04\x77", 2),  # an object that is not there
+        (b"\x03\x00\x00\x00\x7e", 3),  # 126 registers
+        (b"\x03\x00\x00\x00", 3),
+        (b"\x05\x00\x00\x12\x34", 3),  # neither on nor off
+        (b"\x03\xff\xff\x00\x02", 2),  # beyond 65535
+        (b"\x08\x00\x02\x00\x01", 3),
+    ],
+)
+def test_who_may_not_learns_nothing(data: bytes, otherwise: int) -> None:
+    hooked: list[object] = []
+    for allowed, code in ((True, otherwise), (False, 1)):
+        device = Device(
+            Mapping(holding_registers=10, coils=1),
+            before_read=hooked.append,
+            before_write=hooked.append,
+            authorize=lambda asked, it=allowed: it,
+        )
+        assert device.answer(data) == bytes([data[0] | 0x80, code])
+    assert hooked == []
+
+
+def test_hooks_come_after_it() -> None:
+    order: list[str] = []
+
+    def authorize(asked: Asked) -> bool:
+        order.append("authorize")
+        return True
+
+    def before_write(access: Access) -> None:
+        order.append("before_write")
+        raise IllegalDataAddress
+
+    device = Device(Mapping(1), authorize=authorize, before_write=before_write)
+    assert device.answer(pdu.WriteCoil(0, True).encode()) == b"\x85\x02"
+    assert order == ["authorize", "before_write"]
+
+
+def test_broadcasts_are_asked_about() -> None:
+    refused: list[int] = []
+    for allowed in (False, True):
+        device = Device(Mapping(coils=1), authorize=lambda asked, it=allowed: it)
+        caller = Caller(0, "line", is_broadcast=True, on_unauthorized=lambda: refused.append(1))
+        assert device.answer(pdu.WriteCoil(0, True).encode(), caller) == b""
+        assert device.mapping.coils[0] == allowed
+    assert refused == [1]
+
+
+def test_a_restart_and_silence_that_are_denied_do_not_happen() -> None:
+    log = EventLog(is_serial=True)
+    device = Device(Mapping(1), authorize=lambda asked: False)
+    for data in (b"\x08\x00\x04\x00\x00", b"\x08\x00\x01\xff\x00"):
+        assert device.answer(data, Caller(log=log)) == b"\x88\x01"
+    assert not log.listen_only
+    assert log.counter(pdu.SubFunction.BUS_EXCEPTION_ERROR_COUNT) == 2
+
+    allowed = Device(Mapping(1), authorize=lambda asked: asked.role == "Engineer")
+    allowed.answer(b"\x08\x00\x04\x00\x00", Caller(log=log, role="Engineer"))
+    assert log.listen_only
+    allowed.answer(b"\x08\x00\x01\x00\x00", Caller(log=log))
+    assert log.listen_only
+
+
+def test_who_was_refused_is_told() -> None:
+    refused: list[int] = []
+    device = Device(Mapping(1), authorize=lambda asked: asked.function == 1)
+    caller = Caller(on_unauthorized=lambda: refused.append(1))
+    device.answer(pdu.ReadCoils(0, 1).encode(), caller)
+    device.answer(pdu.ReadCoils(9, 1).encode(), caller)  # refused, but not by authorisation
+    assert refused == []
+    device.answer(pdu.WriteCoil(0, True).encode(), caller)
+    device.answer(b"\x05", caller)
+    assert refused == [1, 1]
+
+
+# --- mistakes in it ----------------------------------------------------------------------------
+
+
+async def forgotten(asked: Asked) -> bool:
+    return True
+
+
+@pytest.mark.parametrize(
+    "authorize",
+    [lambda asked: None, lambda asked: 1, lambda asked: "yes", forgotten, lambda asked: 1 / 0],
+    ids=["None", "1", "text", "coroutine", "raises"],
+)
+@pytest.mark.filterwarnings("ignore:coroutine 'forgotten' was never awaited")
+def test_a_mistake_opens_no_door(authorize: Any, caplog: pytest.LogCaptureFixture) -> None:
+    tables = Tables(authorize)
+    for _ in range(3):
+        assert tables.device.answer(pdu.WriteCoil(0, True).encode()) == b"\x85\x04"
+    assert tables.device.mapping.coils[0] is False
+    assert tables.done == []
+    assert len(caplog.records) == 1
+
+
+def test_it_may_refuse_with_another_exception() -> None:
+    def authorize(asked: Asked) -> bool:
+        raise ServerDeviceBusy
+
+    tables = Tables(authorize)
+    assert tables.device.answer(pdu.WriteCoil(0, True).encode()) == b"\x85\x06"
+    assert tables.done == []
+
+
+def test_what_is_no_function_is_refused_at_once() -> None:
+    with pytest.raises(TypeError, match="authorize must be a function, not dict"):
+        Device(Mapping(1), authorize={})  # type: ignore[arg-type]
+
+
+def test_a_device_that_authorizes_is_never_answered_in_c() -> None:
+    assert Device(Mapping(1)).is_plain
+    assert not Device(Mapping(1), authorize=lambda asked: True).is_plain
+
+
+# --- the log ------------------------------------------------------------------------------------
+
+
+class Clock:
+    now = 1000.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def refuse(guard: Guard, peer: str, role: str | None = "Viewer") -> None:
+    access = Access("holding_registers", 100, 10)
+    with pytest.raises(UnauthorizedError):
+        guard.check(Asked(role, 17, peer, 16, None, (access,)))
+
+
+def test_the_log_says_who_and_what(caplog: pytest.LogCaptureFixture) -> None:
+    guard = Guard(lambda asked: False)
+    refuse(guard, "192.0.2.7:51234")
+    refuse(guard, "[2001:db8::1]:1", None)
+    refuse(guard, "/dev/ttyUSB0", None)
+    assert [record.message for record in caplog.records] == [
+        "192.0.2.7:51234, with the role 'Viewer', may not use function 16 of unit 17, "
+        "write holding_registers 100..109",
+        "[2001:db8::1]:1, without a role, may not use function 16 of unit 17, "
+        "write holding_registers 100..109",
+        "/dev/ttyUSB0, without a role, may not use function 16 of unit 17, "
+        "write holding_registers 100..109",
+    ]
+    assert {record.levelno for record in caplog.records} == {logging.WARNING}
+
+
+def test_a_client_cannot_fill_the_log(caplog: pytest.LogCaptureFixture) -> None:
+    clock = Clock()
+    guard = Guard(lambda asked: False, clock=clock)
+    for port in range(1000):
+        refuse(guard, f"192.0.2.7:{port}")
+    assert len(caplog.records) == 1
+    clock.now += 60
+    refuse(guard, "192.0.2.7:1")
+    assert [record.message.partition(",")[0] for record in caplog.records[1:]] == [
+        "999 more requests were refused like this",
+        "192.0.2.7:1",
+    ]
+
+
+def test_many_clients_cannot_either(caplog: pytest.LogCaptureFixture) -> None:
+    clock = Clock()
+    guard = Guard(lambda asked: False, clock=clock)
+    for minute in range(3):
+        for host in range(1000):
+            refuse(guard, f"[2001:db8::{host:x}]:1", f"role {minute}")
+        clock.now += 61
+    assert len(caplog.records) == 3 * MOST_LINES + 2
+
+
+def test_a_role_is_one_line_in_the_log(caplog: pytest.LogCaptureFixture) -> None:
+    refuse(Guard(lambda asked: False), "here", "a\nERROR b\u202e")
+    assert caplog.records[0].message.isprintable()

@@ -1,0 +1,252 @@
+"""
+Rules for roles: what they allow, held against a model that counts items one by one.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from checks import REQUEST_OBJECTS
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from libmodbus_py import Access, Allow, Caller, Device, Mapping, Rules, pdu
+from libmodbus_py.device.access import ACCESSES
+
+
+def device(rules: Rules) -> Device:
+    mapping = Mapping(65536, 65536, 65536, 65536)
+    files = {number: [0] * 10_000 for number in (3, 4)}
+    return Device(
+        mapping, files=files, fifos={0x04DE: [1]}, canopen=lambda data: data, authorize=rules
+    )
+
+
+def code(answer: bytes) -> int:
+    return answer[1] if answer[0] & 0x80 else 0
+
+
+ALL = Allow("all", "all", "all")
+
+
+def test_nothing_is_allowed_that_no_rule_allows() -> None:
+    empty = device(Rules({}))
+    other = device(Rules({"Engineer": ALL, "Viewer": Allow()}))
+    for request in REQUEST_OBJECTS:
+        assert code(empty.answer(request.encode())) == 1
+        for role in (None, "Viewer", "engineer", "Engineer ", "Engineer\0", ""):
+            assert code(other.answer(request.encode(), Caller(role=role))) == 1
+
+
+def test_all_is_all() -> None:
+    for role in ("Engineer", None):
+        guarded = device(Rules({role: ALL}))
+        refused = [
+            type(request)
+            for request in REQUEST_OBJECTS
+            if code(guarded.answer(request.encode(), Caller(role=role))) == 1
+        ]
+        assert refused == [pdu.RawRequest]  # a function that nobody is
+
+
+TABLES = {
+    pdu.ReadCoils(5, 2): ("read", "coils"),
+    pdu.ReadDiscreteInputs(5, 2): ("read", "discrete_inputs"),
+    pdu.ReadHoldingRegisters(5, 2): ("read", "holding_registers"),
+    pdu.ReadInputRegisters(5, 2): ("read", "input_registers"),
+    pdu.WriteCoil(5, True): ("write", "coils"),
+    pdu.WriteRegister(5, 1): ("write", "holding_registers"),
+    pdu.WriteCoils(5, (True,)): ("write", "coils"),
+    pdu.WriteRegisters(5, (1,)): ("write", "holding_registers"),
+    pdu.MaskWriteRegister(5, 1, 2): ("write", "holding_registers"),
+    pdu.ReadFileRecords(((4, 1, 2),)): ("read", "file"),
+    pdu.WriteFileRecords(((4, 1, (2,)),)): ("write", "file"),
+    pdu.ReadFifoQueue(0x04DE): ("read", "fifo"),
+}
+
+
+def test_the_examples_name_every_function_that_touches_tables() -> None:
+    assert {type(request) for request in TABLES} == ACCESSES.keys() - {pdu.ReadWriteRegisters}
+
+
+@pytest.mark.parametrize("request_", TABLES, ids=lambda each: type(each).__name__)
+def test_a_table_is_for_all_functions_that_touch_it(request_: pdu.Request[Any]) -> None:
+    for name, tables in (
+        (
+            "read",
+            ("coils", "discrete_inputs", "holding_registers", "input_registers", "fifo", "file"),
+        ),
+        ("write", ("coils", "holding_registers", "file")),
+    ):
+        for table in tables:
+            allowed = TABLES[request_] == (name, table)
+            answer = device(Rules({None: Allow(**{name: [table]})})).answer(request_.encode())
+            assert code(answer) == (0 if allowed else 1), (name, table)
+
+
+def test_function_23_needs_both() -> None:
+    request = pdu.ReadWriteRegisters(0, 10, 100, (1, 2)).encode()
+    reads, writes = Access("holding_registers", 0, 10), Access("holding_registers", 100, 2)
+    for read, write, expected in (
+        ([reads], [writes], 0),
+        ([reads], [], 1),
+        ([], [writes], 1),
+        ([writes], [reads], 1),
+        ("all", [Access("holding_registers", 100, 1)], 1),
+        ([Access("holding_registers", 1, 9)], "all", 1),
+    ):
+        assert code(device(Rules({None: Allow(read, write)})).answer(request)) == expected
+
+
+def test_a_request_for_two_files_needs_both() -> None:
+    request = pdu.ReadFileRecords(((4, 1, 2), (3, 9, 2))).encode()
+    four, three = Access("file", 1, 2, file=4), Access("file", 0, 100, file=3)
+    for read, expected in (([four, three], 0), ([four], 1), ([three], 1), (["file"], 0)):
+        assert code(device(Rules({None: Allow(read)})).answer(request)) == expected
+
+
+runs = st.tuples(st.integers(0, 30), st.integers(1, 12))
+
+
+@settings(max_examples=400, deadline=None)
+@given(st.lists(runs, max_size=6), runs)
+def test_parts_of_a_table_cover_what_their_items_do(
+    allowed: list[tuple[int, int]], asked: tuple[int, int]
+) -> None:
+    rules = Rules({None: Allow([Access("holding_registers", *run) for run in allowed])})
+    items = {item for first, count in allowed for item in range(first, first + count)}
+    first, count = asked
+    is_allowed = items.issuperset(range(first, first + count))
+    answer = DEVICE_MAPPING.answered(rules, pdu.ReadHoldingRegisters(first, count))
+    assert (code(answer) == 0) == is_allowed
+    assert code(DEVICE_MAPPING.answered(rules, pdu.ReadInputRegisters(first, count))) == 1
+    assert code(DEVICE_MAPPING.answered(rules, pdu.WriteRegisters(first, (0,) * count))) == 1
+
+
+class _Shared:
+    def __init__(self) -> None:
+        self._mapping = Mapping(100, 100, 100, 100)
+
+    def answered(self, rules: Rules, request: pdu.Request[Any]) -> bytes:
+        return Device(self._mapping, authorize=rules).answer(request.encode())
+
+
+DEVICE_MAPPING = _Shared()
+
+
+def test_the_last_item_of_a_table() -> None:
+    rules = Rules({None: Allow([Access("coils", 65535, 1)])})
+    assert code(device(rules).answer(pdu.ReadCoils(65535, 1).encode())) == 0
+    assert code(device(rules).answer(pdu.ReadCoils(65534, 2).encode())) == 1
+
+
+OTHERS = [request for request in REQUEST_OBJECTS if type(request) not in ACCESSES]
+
+
+@pytest.mark.parametrize("request_", OTHERS, ids=lambda each: type(each).__name__)
+def test_functions_that_touch_no_table_are_allowed_by_their_code(
+    request_: pdu.Request[Any],
+) -> None:
+    data = request_.encode()
+    for functions in ((7,), (8,), (11,), (12,), (17,), (43,), (65,), (7, 8, 11, 12, 17, 43)):
+        rules = Rules({None: Allow("all", "all", functions)})
+        allowed = code(device(rules).answer(data)) != 1
+        # Nobody is function 65: it gets exception 1 either way.
+        assert allowed == (request_.function in functions and request_.function != 65)
+
+
+@pytest.mark.parametrize(
+    ("functions", "data", "expected"),
+    [
+        (["8/0"], b"\x08\x00\x00\x12\x34", 0),
+        (["8/0"], b"\x08\x00\x02\x00\x00", 1),
+        (["8/2", "8/11"], b"\x08\x00\x0b\x00\x00", 0),
+        (["43/14"], b"\x2b\x0e\x01\x00", 0),
+        (["43/14"], b"\x2b\x0d\x01\x00", 1),
+        (["43/13"], b"\x2b\x0d\x01\x00", 0),
+        (["43/13"], b"\x2b\x0e\x01\x00", 1),
+        ([43], b"\x2b\x0e\x01\x00", 0),
+        ([43], b"\x2b\x0d\x01\x00", 0),
+    ],
+)
+def test_sub_functions_and_mei_types(functions: list[str], data: bytes, expected: int) -> None:
+    assert code(device(Rules({None: Allow(functions=functions)})).answer(data)) == expected
+
+
+@pytest.mark.parametrize(
+    ("allow", "data", "expected"),
+    [
+        (Allow(read=["coils"]), b"\x03\x00", 3),  # may read something: is told what is wrong
+        (Allow(read=["coils"]), b"\x06\x00", 1),
+        (Allow(write=["coils"]), b"\x06\x00", 3),
+        (Allow(write=["coils"]), b"\x03\x00", 1),
+        (Allow(functions=[17]), b"\x03\x00", 1),
+        (Allow(functions=[17]), b"\x11\x00", 3),
+        (Allow("all", "all"), b"\x11\x00", 1),
+        (Allow(functions=["43/14"]), b"\x2b", 3),
+        (Allow(), b"\x2b", 1),
+        (ALL, b"\x5a", 1),
+    ],
+)
+def test_what_cannot_be_decoded(allow: Allow, data: bytes, expected: int) -> None:
+    assert code(device(Rules({None: allow})).answer(data)) == expected
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda: Rules([]), "roles must be {role: Allow(...)}, not list"),
+        (lambda: Rules({"x": "all"}), "roles['x'] must be Allow(...), not str"),
+        (lambda: Rules({1: ALL}), "a role must be text or None, not 1"),
+        (lambda: Rules({"": ALL}), "the role must have 1..255 bytes"),
+        (lambda: Rules({"a\n": ALL}), "control characters"),
+        (lambda: Allow("coils"), "read must be \"all\" or a list, not 'coils'"),
+        (lambda: Allow(5), 'read must be "all" or a list, not 5'),
+        (lambda: Allow(["coil"]), "read: the table must be one of coils, "),
+        (lambda: Allow(["all"]), "read: the table must be one of coils, "),
+        (lambda: Allow([5]), "read must list names of tables or Access(...), not 5"),
+        (
+            lambda: Allow(write=["input_registers"]),
+            "write: the table must be one of coils, holding",
+        ),
+        (lambda: Allow(write=["fifo"]), "write: the table must be one of coils, holding"),
+        (lambda: Allow([Access("coil", 0, 1)]), "read: the table must be one of"),
+        (lambda: Allow([Access("coils", 65536, 1)]), "read: address must be in 0..65535"),
+        (lambda: Allow([Access("coils", -1, 1)]), "read: address must be in 0..65535"),
+        (lambda: Allow([Access("coils", 65535, 2)]), "read: count must be in 1..1, not 2"),
+        (lambda: Allow([Access("coils", 0, 0)]), "read: count must be in 1..65536, not 0"),
+        (lambda: Allow([Access("coils", 0, 1, file=1)]), "read: file must be in 0..0"),
+        (lambda: Allow([Access("file", 0, 1)]), "read: file must be in 1..65535"),
+        (lambda: Allow([Access("file", 0, 10001, file=1)]), "read: count must be in 1..10000"),
+        (lambda: Allow([Access("coils", 0, 1, unit=3)]), "mean nothing in Access("),
+        (lambda: Allow([Access("coils", 0, 1, role="x")]), "mean nothing in Access("),
+        (lambda: Allow(functions=[3]), "functions: 3 touches tables: allow them by read and write"),
+        (lambda: Allow(functions=[23]), "functions: 23 touches tables"),
+        (lambda: Allow(functions=[0]), "functions: a code must be in 1..127"),
+        (lambda: Allow(functions=[128]), "functions: a code must be in 1..127"),
+        (lambda: Allow(functions=[True]), "functions: a code must be an integer"),
+        (lambda: Allow(functions=["all"]), "functions: a code, or such as"),
+        (lambda: Allow(functions=["17/1"]), "functions: a code, or such as"),
+        (lambda: Allow(functions=["43/256"]), "functions: 43/256 must be in 0..255"),
+        (lambda: Allow(functions=["8/99999"]), "functions: 8/99999 must be in 0..65535"),
+        (lambda: Allow(functions=17), 'functions must be "all" or a list, not 17'),
+    ],
+)
+def test_what_cannot_be_is_refused_at_once(make: Any, said: str) -> None:
+    with pytest.raises((TypeError, ValueError)) as caught:
+        make()
+    assert said in str(caught.value)
+
+
+def test_what_was_given_may_change_afterwards() -> None:
+    roles = {"a": Allow(read=iter(["coils"]), functions=iter([17]))}
+    rules = Rules(roles)
+    roles["b"] = ALL
+    made = device(rules)
+    for _ in range(2):
+        assert code(made.answer(pdu.ReadCoils(0, 1).encode(), Caller(role="a"))) == 0
+        assert code(made.answer(b"\x11", Caller(role="a"))) == 0
+    assert code(made.answer(b"\x11", Caller(role="b"))) == 1
+    assert roles["a"] == Allow(["coils"], functions=[17])
+    assert "'a': Allow(read=('coils',)" in repr(rules)
