@@ -14,6 +14,7 @@ from typing import Any
 from ..protocol.errors import IllegalFunction
 from ..protocol.pdu import Request
 from .access import Access
+from .hooks import timed
 
 __all__ = ["Asked", "Authorize", "Guard", "UnauthorizedError"]
 
@@ -72,7 +73,7 @@ class Guard:
     ) -> None:
         if not callable(authorize):
             raise TypeError(f"authorize must be a function, not {type(authorize).__name__}")
-        self._authorize = authorize
+        self._authorize = timed("authorize", authorize)
         self._clock = clock
         self._minute = -MINUTE
         self._told: set[tuple[str, str | None]] = set()

@@ -5,9 +5,11 @@ Rules for roles, as a table: who may read and write what. What no rule allows is
 from __future__ import annotations
 
 import re
+import reprlib
 from bisect import bisect_right
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from itertools import starmap
 from typing import Any, Literal
 
 from ..protocol import pdu
@@ -68,7 +70,7 @@ class Allow:
         write = _listed("write", self.write, WRITABLE)
         functions = _listed("functions", self.functions, ("all",))
         is_all = self.functions == "all"
-        codes = None if is_all else frozenset(map(_code, functions))
+        codes = None if is_all else frozenset(starmap(_code, enumerate(functions)))
         for name, value in (
             *(("read", read), ("write", write), ("functions", functions)),
             *(("_reads", _Places("read", read, READABLE)), ("_codes", codes)),
@@ -153,12 +155,12 @@ class _Places:
         # (table, file) -> where runs begin, and where they end; none touches another.
         self._runs: dict[tuple[str, int], tuple[list[int], list[int]]] = {}
         runs: list[tuple[str, int, int, int]] = []
-        for each in given:
+        for at, each in enumerate(given):
             if isinstance(each, str):
-                _checked_table(name, each, sizes)
+                _check_table(f"{name}[{at}]", each, sizes)
                 self._whole.add(each)
             else:
-                runs.append(_run(name, each, sizes))
+                runs.append(_run(f"{name}[{at}]", each, sizes))
         for table, file, first, stop in sorted(runs):
             firsts, stops = self._runs.setdefault((table, file), ([], []))
             if stops and first <= stops[-1]:
@@ -183,21 +185,27 @@ def _listed(name: str, given: object, everything: Iterable[str]) -> tuple[Any, .
     if given == "all":
         return tuple(everything)
     if isinstance(given, str) or not isinstance(given, Iterable):
-        raise TypeError(f'{name} must be "all" or a list, not {given!r}')
+        raise TypeError(f'{name} must be "all" or a list, not {reprlib.repr(given)}')
     return tuple(given)
 
 
-def _checked_table(name: str, table: object, sizes: Mapping[str, int]) -> None:
+def _check_table(name: str, table: object, sizes: Mapping[str, int]) -> None:
     if not isinstance(table, str) or table not in sizes:
-        raise ValueError(f"{name}: the table must be one of {', '.join(sizes)}, not {table!r}")
+        raise ValueError(
+            f"{name}: the table must be one of {', '.join(sizes)}, not {reprlib.repr(table)}"
+        )
 
 
 def _run(name: str, place: Any, sizes: Mapping[str, int]) -> tuple[str, int, int, int]:
     if not isinstance(place, Access):
-        raise TypeError(f"{name} must list names of tables or Access(...), not {place!r}")
-    _checked_table(name, place.table, sizes)
+        raise TypeError(
+            f"{name} must be the name of a table or Access(...), not {reprlib.repr(place)}"
+        )
+    _check_table(name, place.table, sizes)
     if place != Access(place.table, place.address, place.count, file=place.file):
-        raise ValueError(f"{name}: values, unit, peer and role mean nothing in {place}")
+        raise ValueError(
+            f"{name}: values, unit, peer and role mean nothing in {reprlib.repr(place)}"
+        )
     size = sizes[place.table]
     first = integer(f"{name}: address", place.address, 0, size - 1)
     count = integer(f"{name}: count", place.count, 1, size - first)
@@ -206,18 +214,21 @@ def _run(name: str, place: Any, sizes: Mapping[str, int]) -> tuple[str, int, int
     return place.table, file, first, first + count
 
 
-def _code(given: object) -> Code:
+def _code(at: int, given: object) -> Code:
     """A function, as given; those that touch tables have rules of their own."""
+    name = f"functions[{at}]"
     code, sub = given, None
     if isinstance(given, str):
         parts = re.fullmatch(r"([0-9]{1,3})/([0-9]{1,5})", given)
         if parts is None or int(parts[1]) not in SUB_FUNCTIONS:
-            raise ValueError(f'functions: a code, or such as "8/0" or "43/14", not {given!r}')
+            raise ValueError(
+                f'{name} must be a code, or such as "8/0" or "43/14", not {reprlib.repr(given)}'
+            )
         code, sub = int(parts[1]), int(parts[2])
-        integer(f"functions: {given}", sub, 0, SUB_FUNCTIONS[code])
-    number = integer("functions: a code", code, 1, 127)
+        integer(f"{name}: what follows {code}/", sub, 0, SUB_FUNCTIONS[code])
+    number = integer(f"{name}: a code", code, 1, 127)
     if pdu.REQUESTS.get(number) in ACCESSES:
-        raise ValueError(f"functions: {number} touches tables: allow them by read and write")
+        raise ValueError(f"{name}: {number} touches tables: allow them by read and write")
     return number, sub
 
 

@@ -14,7 +14,9 @@ Device files: whole simulated devices, written in TOML.
       [[unit.file]]                     records of a file: number, record, count, ...
       [[unit.fifo]]                     address, values
       [[unit.fault]]                    as `faults.Fault`
+      [unit.roles.NAME]                 who may read and write what, in place of those below
     [[fault]]                           of all units
+    [roles.NAME]                        read, write, functions, as `Allow`; "" without a role
 
 What lies in no range does not exist: it is answered with exception 2, as is what a
 range does not allow.
@@ -49,6 +51,7 @@ from ..protocol.pdu.interface import OBJECT_NAMES
 from ..protocol.tables import TABLES
 from ..protocol.values import ValueType, value_type
 from ..server.faults import Fault
+from . import roles
 from .behaviour import BEHAVIOURS, BIT, Clockwork, Run
 from .bounded_toml import MAX_SIZE, read_toml
 from .toml_lines import below, line_of, path_at_start, shown_key
@@ -124,8 +127,9 @@ def parse(text: str, *, clock: Callable[[], float] = time.monotonic) -> Simulati
     faults: dict[int | None, list[Fault]] = {None: _faults("fault", given)}
     devices: dict[int | None, Device] = {}
     budget = _Budget()
-    for at, unit in enumerate(given["unit"]):
-        where = f"unit[{at}]"
+    of_all = {"roles": given["roles"]} if "roles" in given else {}
+    for at, own in enumerate(given["unit"]):
+        where, unit = f"unit[{at}]", of_all | own
         if "id" not in unit and len(given["unit"]) > 1:
             raise DeviceFileError(f"{where}.id is missing; only a single unit can be without")
         number, device = _unit(where, unit, clock, budget)
@@ -268,7 +272,7 @@ ACCESS = {
 }
 """How a range can be accessed -> whether clients can read, and write."""
 
-FILE: dict[str, Check] = {"unit": _tables, "fault": _tables}
+FILE: dict[str, Check] = {"unit": _tables, "fault": _tables, "roles": roles.rules}
 
 UNIT: dict[str, Check] = {
     "id": _unit_id,
@@ -282,6 +286,7 @@ UNIT: dict[str, Check] = {
     "file": _tables,
     "fifo": _tables,
     "fault": _tables,
+    "roles": roles.rules,
 }
 
 SERVER_ID: dict[str, Check] = {
@@ -494,6 +499,7 @@ def _unit(
         exception_status=given.get("exception_status", 0),
         before_write=rules.before_write,
         before_read=rules.before_read,
+        authorize=given.get("roles"),
     )
     device.files.update(_files([each for each in ranges if each.run.table == "file"], budget))
     return given.get("id"), device

@@ -706,8 +706,8 @@ BROKEN = [
     ("unit = []", "unit must hold at least one"),
     ("[unit]", "unit must be a list of tables: [[unit]]"),
     ("unit = [1]", "unit[0] must be a table, not 1"),
-    ("units = []", "units: no such key; allowed are unit, fault"),
-    ("'my unit' = []", "'my unit': no such key; allowed are unit, fault"),
+    ("units = []", "units: no such key; allowed are unit, fault, roles"),
+    ("'my unit' = []", "'my unit': no such key; allowed are unit, fault, roles"),
     ("[[unit]]\nid = 248", "unit[0].id must be in 0..247, or 255, not 248"),
     ("[[unit]]\nid = -1", "unit[0].id must be in 0..255, not -1"),
     ("[[unit]]\nid = '1'", "unit[0].id must be an integer in 0..255, not str"),
@@ -721,7 +721,7 @@ BROKEN = [
     (
         "[[unit]]\nname = 'x'",
         "unit[0].name: no such key; allowed are id, exception_status, server_id, identification,"
-        " coils, discrete_inputs, holding_registers, input_registers, file, fifo, fault",
+        " coils, discrete_inputs, holding_registers, input_registers, file, fifo, fault, roles",
     ),
     ("[[unit]]\nexception_status = 256", "unit[0].exception_status must be in 0..255, not 256"),
     ("[[unit]]\nserver_id = 1", "unit[0].server_id must be a table, not 1"),
@@ -1187,7 +1187,7 @@ def test_the_example_has_every_key_once() -> None:
     text = PLANT.read_text()
     keys = set(re.findall(r"^(\w+) =|[{,] (\w+) =", text, re.MULTILINE))
     present = {one or other for one, other in keys}
-    present |= set(re.findall(r"^\[+(?:unit\.)?(\w+)\]+", text, re.MULTILINE))
+    present |= set(re.findall(r"^\[+(?:unit\.)?(\w+)[].]", text, re.MULTILINE))
     for expected in (UNIT, SERVER_ID, FIFO, *RANGES.values(), Fault.__dataclass_fields__):
         assert set(expected) <= present
     for behaviour in BEHAVIOURS.values():

@@ -1,0 +1,74 @@
+"""
+The tables ``[roles.NAME]`` of device files: who may read and write what.
+
+What stands in them is what `Allow` takes; parts of tables are TOML tables with what an
+`Access` has.
+"""
+
+from __future__ import annotations
+
+import reprlib
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from ..device.access import Access
+from ..device.rules import Allow, Rules
+from .toml_lines import below
+
+__all__ = ["rules"]
+
+RIGHTS = ("read", "write", "functions")
+
+PART = ("table", "address", "count", "file")
+
+
+def rules(where: str, given: object) -> Rules:
+    """
+    Make the rules of all roles; the empty name is that of clients without a role.
+
+    Rules that were made already, those of the file, are those of a unit that has none.
+
+    Raises:
+        TypeError, ValueError: it says what cannot be; the message begins with its key.
+    """
+    if isinstance(given, Rules):
+        return given
+    named = _table(where, given, None)
+    roles = {name or None: _allow(below(where, name), each) for name, each in named.items()}
+    try:
+        return Rules(roles)
+    except ValueError as error:
+        raise ValueError(f"{where}: {error}") from None
+
+
+def _allow(where: str, given: object) -> Allow:
+    rights = _table(where, given, RIGHTS)
+    converted = {
+        name: [_part(below(f"{where}.{name}", at), each) for at, each in enumerate(value)]
+        if isinstance(value, list)
+        else value
+        for name, value in rights.items()
+    }
+    try:
+        return Allow(**converted)
+    except (TypeError, ValueError) as error:
+        raise type(error)(f"{where}.{error}") from None
+
+
+def _part(where: str, given: object) -> Any:
+    if not isinstance(given, dict):
+        return given
+    part = _table(where, given, PART)
+    for key in PART[:3]:
+        if key not in part:
+            raise ValueError(f"{where}.{key} is missing")
+    return Access(**part)
+
+
+def _table(where: str, given: object, allowed: Iterable[str] | None) -> Mapping[str, Any]:
+    if not isinstance(given, dict):
+        raise TypeError(f"{where} must be a table, not {reprlib.repr(given)}")
+    for key in given:
+        if allowed is not None and key not in allowed:
+            raise ValueError(f"{below(where, key)}: no such key; allowed are {', '.join(allowed)}")
+    return given
