@@ -101,6 +101,15 @@ def test_what_is_no_certificate_is_refused(data: bytes) -> None:
         role_of(data)
 
 
+def test_a_version_that_does_not_exist_is_refused() -> None:
+    """The library has an error of its own for it, which is no ValueError."""
+    third = bytes.fromhex("A0 03 02 01 02")
+    der = client(OPERATOR)
+    assert der.count(third) == 1
+    with pytest.raises(RoleError, match="cannot be read"):
+        role_of(der.replace(third, third[:-1] + b"\5"))
+
+
 def test_errors_are_short_and_on_one_line() -> None:
     for value in (b"\x0c\x81\xff" + b"\n" * 255, b"\x0c\x82\x40\0" + b"a" * 0x4000, b"\x1b" * 9999):
         with pytest.raises(RoleError) as caught:
