@@ -134,3 +134,17 @@ def test_without_cryptography_it_says_what_to_install(tmp_path: Path) -> None:
     assert done.returncode == 1
     assert done.stderr.count("\n") == 1
     assert "pip install 'libmodbus-py[security]'" in done.stderr
+
+
+def test_the_commands_it_prints_work(tmp_path: Path) -> None:
+    serve, read = (shlex.split(line)[1:] for line in run(tmp_path).stdout.splitlines()[-2:])
+    program = COMMAND[:-1]
+    serve[1] = "tls://127.0.0.1:0"
+    with subprocess.Popen([*program, *serve], stdout=subprocess.PIPE, text=True) as server:
+        try:
+            assert server.stdout is not None
+            read[1] = server.stdout.readline().removeprefix("listening on ").rstrip("\n")
+            done = subprocess.run([*program, *read], capture_output=True, text=True, timeout=30)
+            assert (done.stdout, done.stderr) == ("    0  0\n", "")
+        finally:
+            server.terminate()

@@ -1,0 +1,78 @@
+"""
+Roles from the certificates of clients, and what rules make of them, through TLS.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from certificates import Papers
+
+from libmodbus_py import Allow, Context, Device, IllegalFunction, Mapping, Rules, Server, pdu
+
+RULES = Rules(
+    {
+        "Viewer": Allow(read=["holding_registers"]),
+        "Engineer": Allow("all", "all", "all"),
+        None: Allow(functions=["43/14"]),
+    }
+)
+
+REQUESTS = (
+    pdu.ReadHoldingRegisters(0, 1),
+    pdu.WriteRegister(0, 5),
+    pdu.ReadDeviceIdentification(1),
+    pdu.ReportServerId(),
+)
+
+
+def allowed(ask: Callable[[pdu.Request[object]], object]) -> list[bool]:
+    found = []
+    for request in REQUESTS:
+        try:
+            ask(request)
+            found.append(True)
+        except IllegalFunction:
+            found.append(False)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("role", "expected"),
+    [
+        ("Viewer", [True, False, False, False]),
+        ("Engineer", [True, True, True, True]),
+        (None, [False, False, True, False]),
+        ("viewer", [False, False, False, False]),
+    ],
+)
+def test_rules_go_by_the_role_of_the_certificate(
+    tmp_path: Path, role: str | None, expected: list[bool]
+) -> None:
+    papers = Papers(tmp_path)
+    device = Device(Mapping(holding_registers=1), authorize=RULES)
+    server = Server(device, security=papers.server())
+    with (
+        server.background("tls://127.0.0.1:0") as running,
+        Context.from_url(running.urls[0], security=papers.client(role)) as plc,
+    ):
+        assert allowed(plc.execute) == expected
+    assert server.statistics.unauthorized == expected.count(False)
+    assert device.mapping.holding_registers[0] == (5 if role == "Engineer" else 0)
+
+
+def test_one_device_on_two_endpoints_asks_about_both(tmp_path: Path) -> None:
+    """Who comes without TLS has no role, whoever else is there."""
+    papers = Papers(tmp_path)
+    server = Server(Device(Mapping(holding_registers=1), authorize=RULES), security=papers.server())
+    with server.background("tls://127.0.0.1:0", "tcp://127.0.0.1:0") as running:
+        secure, plain = running.urls
+        with (
+            Context.from_url(secure, security=papers.client("Engineer")) as engineer,
+            Context.from_url(plain) as anybody,
+        ):
+            for _ in range(3):
+                assert allowed(engineer.execute) == [True] * 4
+                assert allowed(anybody.execute) == [False, False, True, False]
