@@ -4,7 +4,7 @@ Modbus Security: who may talk, proven by certificates. No socket.
 ::
 
     security      Security: who one is, and whom one trusts
-    tunnel        Tunnel: one TLS connection, bytes in and bytes out
+    tunnel        Tunnel: one TLS connection, bytes in and bytes out; Records: where they end
     role          what a certificate says its holder is
     describing    what a certificate says of itself, for error messages
     making        authorities and certificates for trying things out, and for tests

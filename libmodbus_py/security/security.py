@@ -116,6 +116,11 @@ class Security:
         assert self._server is not None
         return Tunnel(self._server)
 
+    @property
+    def is_pinned(self) -> bool:
+        """Whether it is these very certificates that are trusted, however old."""
+        return self._pins is not None
+
     def accepts(self, certificate: bytes) -> bool:
         """Whether what a good handshake showed is one of the pins, if there are any."""
         return self._pins is None or _digest(certificate) in self._pins

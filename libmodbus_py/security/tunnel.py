@@ -9,7 +9,7 @@ import ssl
 import time
 from collections.abc import Callable
 
-__all__ = ["READ_SIZE", "Tunnel"]
+__all__ = ["READ_SIZE", "Records", "Tunnel"]
 
 # As much as a record carries.
 READ_SIZE = 16_384
@@ -125,3 +125,32 @@ class Tunnel:
     def session(self) -> ssl.SSLSession | None:
         """What a client can resume."""
         return self._tls.session
+
+
+class Records:
+    """
+    Where the records of a stream end, which OpenSSL keeps to itself.
+
+    Attributes:
+        is_midway: whether one has begun and not ended.
+    """
+
+    __slots__ = ("_header", "_left", "is_midway")
+
+    def __init__(self) -> None:
+        self._header = b""  # the beginning of one
+        self._left = 0  # bytes of the record
+        self.is_midway: bool = False
+
+    def follow(self, data: bytes) -> None:
+        """Take what came."""
+        start, size = self._left, len(data)
+        if self._header:
+            data = self._header + data
+            size = len(data)
+        # Type, version and length, which does not count these (RFC 8446, 5.1).
+        while size - start >= 5:
+            start += 5 + (data[start + 3] << 8 | data[start + 4])
+        self._left = max(0, start - size)
+        self._header = data[start:]
+        self.is_midway = start != size

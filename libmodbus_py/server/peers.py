@@ -127,11 +127,11 @@ class Peers:
         """Any number of times."""
         if self._epoll.closed:
             return
+        for peer in list(self._idle):
+            peer.close()
         for timer in (self._sweeping, self._next_turn):
             if timer is not None:
                 timer.cancel()
-        for peer in list(self._idle):
-            peer.close()
         self.loop.remove_reader(self._epoll.fileno())
         self._epoll.close()
 
@@ -367,7 +367,7 @@ class Peer:
 
     def catch_up(self) -> None:
         self._is_behind = False
-        if self._descriptor >= 0 and not self._is_full:
+        if self._descriptor >= 0 and not self._is_held:
             self.act(0)
             self.follow()
 
@@ -403,8 +403,10 @@ class Peer:
             return 0
         if requests:
             peers.note_request(self)
-        if session.is_unfinished and self._is_reading:
+        if self._is_closing or (session.is_unfinished and self._is_reading):
             peers.set_deadline(self)
+        elif not requests:
+            peers.drop_deadline(self)
         return requests
 
     # --- answers ------------------------------------------------------------------------
@@ -455,24 +457,31 @@ class Peer:
         self.follow()
 
     def end(self) -> None:
-        if not self._unsent:
-            self.close()
-            return
+        """Close when what was asked is answered, and sent."""
         self._is_closing = True
         self.follow()
         self._peers.set_deadline(self)
+        self._peers.loop.call_soon(self._close_if_sent)  # what came in this turn is answered by then
+
+    def _close_if_sent(self) -> None:
+        if not self._unsent:
+            self.close()
 
     # --- reading or not -------------------------------------------------------------------
+
+    @property
+    def _is_held(self) -> bool:
+        return self._is_full or self._is_throttled or self._is_closing
 
     def follow(self) -> None:
         """Read, or do not read, as things are now."""
         if self._descriptor < 0:
             return
-        session = self._session
-        if session.is_behind and not (self._is_behind or self._is_full):
+        is_held, session = self._is_held, self._session
+        if session.is_behind and not (is_held or self._is_behind):
             self._is_behind = True
             self._peers.catch_up_soon(self)
-        read = not (self._is_full or self._is_throttled or self._is_closing or session.is_waiting)
+        read = not (is_held or session.is_waiting)
         if read != self._is_reading:
             self._is_reading = read
             self._watch()

@@ -11,13 +11,12 @@ import asyncio
 import logging
 import ssl
 import time
-from collections import deque
 from collections.abc import Callable
 from typing import Protocol
 
 from ..security.role import mentions_role, role_of
 from ..security.security import Security
-from ..security.tunnel import Tunnel
+from ..security.tunnel import Records, Tunnel
 from .by_frame import Link, Session
 from .limits import ServerStatistics
 
@@ -37,7 +36,7 @@ class Wire(Link, Protocol):
     """A connection of its own."""
 
     def end(self) -> None:
-        """Send what is to be sent, and close."""
+        """Close when what was asked is answered, and sent."""
 
 
 class Handshakes:
@@ -55,8 +54,8 @@ class Handshakes:
         self.timeout = timeout
         self.statistics = statistics
         self.loop: asyncio.AbstractEventLoop = asyncio.get_running_loop()
-        self._due: deque[TlsSession] = deque()
         self._half_open: dict[TlsSession, None] = {}
+        self._line: dict[TlsSession, None] = {}
 
     def begin(self, session: TlsSession) -> Tunnel:
         """Make the tunnel of a connection that has sent something."""
@@ -69,17 +68,25 @@ class Handshakes:
     def end(self, session: TlsSession) -> None:
         """It is over, well or not. Any number of times."""
         self._half_open.pop(session, None)
+        self.leave(session)
 
     def line_up(self, session: TlsSession) -> None:
-        """Give it its turn after the others."""
-        if not self._due:
-            self.loop.call_soon(self._step)
-        self._due.append(session)
+        """Have it take a step when its turn comes."""
+        self._line[session] = None
+        session.follow()
 
-    def _step(self) -> None:
-        self._due.popleft().have_turn()
-        if self._due:
-            self.loop.call_soon(self._step)
+    def leave(self, session: TlsSession) -> None:
+        """It took its step, or will not take any: the next one's turn."""
+        if session in self._line:
+            del self._line[session]
+            if self._line:
+                next(iter(self._line)).follow()
+
+    def is_lined_up(self, session: TlsSession) -> bool:
+        return session in self._line
+
+    def has_turn(self, session: TlsSession) -> bool:
+        return session is next(iter(self._line), None)
 
 
 class TlsSession:
@@ -93,14 +100,12 @@ class TlsSession:
 
     Attributes:
         address, role: who asks, for the session inside.
-        is_behind: whether it has its turn, or something within is still to be looked at.
-        is_waiting: whether no more should be read now.
     """
 
     # fmt: off
     __slots__ = (
-        "_handshakes", "_has_turn", "_inner", "_is_lined_up", "_is_midway", "_is_over",
-        "_make", "_timer", "_tunnel", "_wire", "address", "role",
+        "_handshakes", "_has_more", "_inner", "_is_over", "_make", "_records", "_timer", "_tunnel",
+        "_wire", "address", "role",
     )
     # fmt: on
 
@@ -111,72 +116,66 @@ class TlsSession:
         self._handshakes = handshakes
         self._make = make
         self._tunnel: Tunnel | None = None
+        self._records = Records()
         self._inner: Session | None = None
-        self._has_turn = self._is_lined_up = self._is_midway = self._is_over = False
+        self._has_more = False  # whether something was received that nobody has looked at
+        self._is_over = False  # whether nothing is received any more
         self._timer = handshakes.loop.call_later(handshakes.timeout, self._be_late)
 
-    @property
-    def is_behind(self) -> bool:
-        return self._has_turn or (self._inner is not None and self._inner.is_behind)
-
-    @property
-    def is_waiting(self) -> bool:
-        if self._is_lined_up or self._has_turn:
-            return True
-        return self._inner is not None and self._inner.is_waiting
+    # --- the session of the connection --------------------------------------------------------
 
     @property
     def is_unfinished(self) -> bool:
         # The handshake has a time of its own.
-        return self._inner is not None and (self._is_midway or self._inner.is_unfinished)
+        inner = self._inner
+        return inner is not None and (self._records.is_midway or inner.is_unfinished)
 
-    # --- the session of the connection --------------------------------------------------------
+    @property
+    def is_behind(self) -> bool:
+        inner = self._inner
+        if inner is None:
+            return self._handshakes.has_turn(self)
+        return inner.is_behind or (self._has_more and not inner.is_waiting)
+
+    @property
+    def is_waiting(self) -> bool:
+        inner = self._inner
+        if inner is None:
+            return self._handshakes.is_lined_up(self)
+        return self._has_more or inner.is_waiting
 
     def receive(self, data: bytes) -> int:
-        if self._is_over:
-            return 0
-        if self._tunnel is None:
-            self._tunnel = self._handshakes.begin(self)
+        tunnel, inner = self._tunnel, self._inner
+        if tunnel is None:
+            tunnel = self._tunnel = self._handshakes.begin(self)
         if data:
-            self._tunnel.feed(data)
-        if self._inner is None:
-            return self._get_on(self._tunnel)
-        self._has_turn = False
-        if self._inner.is_behind:
-            requests = self._inner.receive(b"")
-            self._has_turn = self._tunnel.has_more
-            return requests
-        return self._take(self._tunnel, self._inner)
+            tunnel.feed(data)
+            self._records.follow(data)
+        if inner is not None:
+            return inner.receive(b"") if inner.is_behind else self._take(tunnel, inner)
+        if data:
+            self._handshakes.line_up(self)
+        else:
+            self._shake_hands(tunnel)
+        return 0
 
     def close(self) -> None:
-        self._timer.cancel()
-        self._handshakes.end(self)
+        self._stop()
         if self._inner is not None:
             self._inner.close()
             self._inner = None
-            if self._tunnel is not None and not self._is_over:
+            if self._tunnel is not None:
                 self._tunnel.end()
                 self._wire.write(self._tunnel.outgoing())
         self._tunnel = None
+
+    def _stop(self) -> None:
         self._is_over = True
+        self._has_more = False
+        self._timer.cancel()
+        self._handshakes.end(self)
 
     # --- the handshake --------------------------------------------------------------------------
-
-    def have_turn(self) -> None:
-        """Do the next step in the turn of the connection."""
-        self._is_lined_up = False
-        self._has_turn = not self._is_over
-        self._wire.follow()
-
-    def _get_on(self, tunnel: Tunnel) -> int:
-        if self._has_turn:
-            self._has_turn = False
-            self._shake_hands(tunnel)
-        elif not self._is_lined_up:
-            self._is_lined_up = True
-            self._handshakes.line_up(self)
-            self._wire.follow()
-        return 0 if self._inner is None else self._take(tunnel, self._inner)
 
     def _shake_hands(self, tunnel: Tunnel) -> None:
         try:
@@ -184,19 +183,21 @@ class TlsSession:
             refusal = self._check(tunnel) if is_done else None
         except ssl.SSLError as error:
             is_done, refusal = False, _reason(error)
-        self._wire.write(tunnel.outgoing())
+        if answer := tunnel.outgoing():
+            self._wire.write(answer)
         if refusal is not None:
             self._refuse(refusal)
         elif is_done:
             self._open(tunnel)
+        self._handshakes.leave(self)
 
     def _check(self, tunnel: Tunnel) -> str | None:
         """Say what is wrong with a certificate that OpenSSL found good, and take its role."""
-        certificate = tunnel.certificate
-        if not self._handshakes.security.accepts(certificate):
+        security, certificate = self._handshakes.security, tunnel.certificate
+        if not security.accepts(certificate):
             return "the certificate is none of the pins"
         # OpenSSL looks at the dates when a session begins, not when it is resumed.
-        until = tunnel.expires if tunnel.is_resumed else None
+        until = tunnel.expires if tunnel.is_resumed and not security.is_pinned else None
         if until is not None and ssl.cert_time_to_seconds(until) < time.time():
             return "the certificate has expired"
         if not mentions_role(certificate):
@@ -214,6 +215,7 @@ class TlsSession:
         self._timer.cancel()
         self._handshakes.end(self)
         self._inner = self._make(self)
+        self._has_more = tunnel.has_more
 
     def _refuse(self, reason: str) -> None:
         self._handshakes.statistics.handshakes_refused += 1
@@ -229,45 +231,54 @@ class TlsSession:
         self._finish()
 
     def _finish(self) -> None:
-        self._is_over = True
-        self._timer.cancel()
-        self._handshakes.end(self)
+        self._stop()
         self._wire.end()
 
     # --- requests -------------------------------------------------------------------------------
 
     def _take(self, tunnel: Tunnel, inner: Session) -> int:
+        """Have the session inside receive a slice of what came."""
         requests, left = 0, READ_SIZE
+        self._has_more = False
         try:
             while data := tunnel.receive(left):
                 requests += inner.receive(data)
-                left -= len(data)
                 if not tunnel.has_more:
-                    self._is_midway = False
                     return requests
-                if left <= 0 or inner.is_behind:
-                    self._has_turn = True
+                left -= len(data)
+                if left <= 0 or inner.is_waiting:
+                    self._has_more = True
                     self._wire.follow()
                     return requests
         except ssl.SSLError as error:
-            logger.debug("%s: connection closed: %s", self.address, _reason(error))
-            self._handshakes.statistics.closed_out_of_step += 1
-            self._finish()
+            self._fail(error)
         else:
-            self._is_midway = data is None
+            if answer := tunnel.outgoing():  # a change of keys
+                self._wire.write(answer)
             if data is not None:  # it will not ask any more, but may still listen
                 self._finish()
-        if answer := tunnel.outgoing():  # an alert, or a change of keys
-            self._wire.write(answer)
         return requests
+
+    def _fail(self, error: ssl.SSLError) -> None:
+        logger.debug("%s: connection closed: %s", self.address, _reason(error))
+        self._handshakes.statistics.closed_out_of_step += 1
+        if self._tunnel is not None:
+            self._wire.write(self._tunnel.outgoing())  # the alert
+        self._tunnel = None
+        self._finish()
 
     # --- for the session inside ---------------------------------------------------------------
 
     def write(self, data: bytes) -> None:
         tunnel = self._tunnel
-        assert tunnel is not None
-        tunnel.send(data)
-        self._wire.write(tunnel.outgoing())
+        if tunnel is None:
+            return  # it ended while the answer was made
+        try:
+            tunnel.send(data)
+        except ssl.SSLError as error:
+            self._fail(error)
+        else:
+            self._wire.write(tunnel.outgoing())
 
     def follow(self) -> None:
         self._wire.follow()
