@@ -16,6 +16,7 @@ from typing import Any
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import rsa
+from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from libmodbus_py import Security
 from libmodbus_py.security.making import Identity, make
@@ -35,6 +36,7 @@ __all__ = [
     "save",
     "self_signed",
     "server",
+    "server_only",
     "with_roles",
 ]
 
@@ -91,6 +93,13 @@ def self_signed(name: str = "Test device", **options: Any) -> Identity:
     return make(name, **options)
 
 
+@cache
+def server_only() -> Identity:
+    """A client's that is good for servers only (extended key usage)."""
+    purpose = x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH])
+    return _signed_anew(client(), purpose, without=purpose.oid)
+
+
 def with_roles(
     identity: Identity, *values: bytes | str, issuer: Identity | None = None
 ) -> Identity:
@@ -102,17 +111,27 @@ def with_roles(
         issuer: who signs; the authority if not given.
     """
     role = x509.ObjectIdentifier(ROLE_OID)
-    old = identity.certificate
-    kept = [extension for extension in old.extensions if extension.oid != role]
     roles = [encode_role(value) if isinstance(value, str) else value for value in values]
-    added = [x509.Extension(role, False, x509.UnrecognizedExtension(role, each)) for each in roles]
+    added = [x509.UnrecognizedExtension(role, each) for each in roles]
+    return _signed_anew(identity, *added, without=role, issuer=issuer)
+
+
+def _signed_anew(
+    identity: Identity,
+    *added: x509.ExtensionType,
+    without: x509.ObjectIdentifier,
+    issuer: Identity | None = None,
+) -> Identity:
+    """The same for a day, with other extensions."""
+    old = identity.certificate
+    kept = [extension for extension in old.extensions if extension.oid != without]
     builder = x509.CertificateBuilder(
         issuer_name=old.issuer,
         subject_name=old.subject,
         public_key=identity.key.public_key(),
         serial_number=x509.random_serial_number(),
         # add_extension would refuse a second one.
-        extensions=[*kept, *added],
+        extensions=[*kept, *(x509.Extension(each.oid, False, each) for each in added)],
     )
     begin = datetime.now(UTC) - timedelta(hours=1)
     builder = builder.not_valid_before(begin).not_valid_after(begin + timedelta(days=1))

@@ -12,6 +12,8 @@ import subprocess
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
+from certificates import Papers
+
 from libmodbus_py import Context, Device, Mapping, Server
 from libmodbus_py.ports.endpoint import Endpoint, parse
 from libmodbus_py.protocol.pdu import ServerId
@@ -136,6 +138,17 @@ def our_server(transport: str, devices: Device | dict[int, Device]) -> Iterator[
         query = f"baudrate={BAUDRATE}"
         with server.background(f"{transport}://{wire.server}?{query}"):
             yield Place(parse(f"{transport}://{wire.client}?{query}"), wire)
+
+
+@contextlib.contextmanager
+def our_tls_server(papers: Papers, devices: Device | dict[int, Device]) -> Iterator[TcpWire]:
+    """Serve the devices over TLS; clients connect to the wire, which sees the records."""
+    server = Server(devices, security=papers.server())
+    with (
+        server.background("tls://127.0.0.1:0") as running,
+        TcpWire(parse(running.urls[0]).port) as wire,
+    ):
+        yield wire
 
 
 # --- other programs --------------------------------------------------------------------

@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable
 from typing import Protocol
 
+from ..security.describing import describe
 from ..security.role import mentions_role, role_of
 from ..security.security import Security
 from ..security.tunnel import Records, Tunnel
@@ -178,11 +179,14 @@ class TlsSession:
     # --- the handshake --------------------------------------------------------------------------
 
     def _shake_hands(self, tunnel: Tunnel) -> None:
+        refusal = None
         try:
             is_done = tunnel.handshake()
-            refusal = self._check(tunnel) if is_done else None
         except ssl.SSLError as error:
             is_done, refusal = False, _reason(error)
+        if is_done and (refusal := self._check(tunnel)):
+            refusal = f"{refusal}: {describe(tunnel.certificate)}"
+            tunnel.end()  # OpenSSL was content: Python has no way to send an alert of one's own
         if answer := tunnel.outgoing():
             self._wire.write(answer)
         if refusal is not None:
@@ -285,4 +289,6 @@ class TlsSession:
 
 
 def _reason(error: ssl.SSLError) -> str:
+    if isinstance(error, ssl.SSLCertVerificationError):
+        return str(error.verify_message)
     return (error.reason or str(error)).lower().replace("_", " ")

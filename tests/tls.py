@@ -1,0 +1,173 @@
+"""
+A TLS client that is none of ours: Python's ssl, with a hand on each record.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import ssl
+import time
+import warnings
+from collections.abc import Callable, Iterator
+from typing import Any, Self
+
+from attacks import PATIENCE, connect
+from certificates import Files, Papers
+
+from libmodbus_py import Device, Server
+from libmodbus_py.ports.endpoint import parse
+from libmodbus_py.security.making import Identity
+
+__all__ = ["VERSIONS", "TlsClient", "context", "serving", "wait_until"]
+
+VERSIONS = {"1.2": ssl.TLSVersion.TLSv1_2, "1.3": ssl.TLSVersion.TLSv1_3}
+
+
+@contextlib.contextmanager
+def serving(
+    papers: Papers, device: Device, *, listen: str = "tls://127.0.0.1:0", **options: Any
+) -> Iterator[tuple[Server, int]]:
+    """Serve; give the server and its port."""
+    options.setdefault("security", papers.server())
+    server = Server(device, **options)
+    with server.background(listen) as running:
+        yield server, parse(running.urls[0]).port
+
+
+def context(
+    papers: Papers,
+    identity: Identity | None = None,
+    version: ssl.TLSVersion | None = None,
+    ciphers: str | None = None,
+) -> ssl.SSLContext:
+    """
+    A client's, which trusts the authority.
+
+    Args:
+        identity: what it shows; None for no certificate.
+        version: the one it speaks; None for what it can.
+        ciphers: of TLS 1.2 and older.
+    """
+    made = ssl.create_default_context(cafile=str(papers.ca))
+    if ciphers is not None:
+        made.set_ciphers(ciphers)
+    if version is not None:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DeprecationWarning)  # of the old ones
+            made.minimum_version = made.maximum_version = version
+    if identity is not None:
+        files: Files = papers.files(identity)
+        made.load_cert_chain(files.cert, files.key)
+    return made
+
+
+class TlsClient:
+    """
+    A connection.
+
+    Attributes:
+        socket: what the records go over.
+        tls: the state of TLS.
+    """
+
+    def __init__(
+        self, port: int, context: ssl.SSLContext, session: ssl.SSLSession | None = None
+    ) -> None:
+        self.socket = connect(port)
+        self._incoming, self._outgoing = ssl.MemoryBIO(), ssl.MemoryBIO()
+        self.tls = context.wrap_bio(
+            self._incoming, self._outgoing, server_hostname="localhost", session=session
+        )
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.socket.close()
+
+    def handshake(self) -> Self:
+        """
+        Raises:
+            ssl.SSLError: the server refused, or ended the connection.
+        """
+        self._until(self.tls.do_handshake)
+        return self
+
+    def hello(self) -> bytes:
+        """Give the first flight, for who wants to send it himself."""
+        with contextlib.suppress(ssl.SSLWantReadError):
+            self.tls.do_handshake()
+        return self._outgoing.read()
+
+    def encrypt(self, *pieces: bytes) -> bytes:
+        """Make a record of each piece, of up to 16 KiB."""
+        for piece in pieces:
+            self.tls.write(piece)
+        return self._outgoing.read()
+
+    def send(self, *pieces: bytes) -> None:
+        self.socket.sendall(self.encrypt(*pieces))
+
+    def goodbye(self) -> bytes:
+        """Make a close_notify."""
+        with contextlib.suppress(ssl.SSLWantReadError):
+            self.tls.unwrap()
+        return self._outgoing.read()
+
+    def receive(self, size: int) -> bytes:
+        """Give so many bytes; fewer if the server said goodbye before."""
+        data = b""
+        while len(data) < size and (piece := self.read(size - len(data))):
+            data += piece
+        return data
+
+    def read(self, most: int = 65536) -> bytes:
+        """
+        Give what comes next; b"" after a close_notify.
+
+        Raises:
+            ssl.SSLEOFError: the server ended the connection without a goodbye.
+            ssl.SSLError: an alert.
+        """
+        return self._until(lambda: self.tls.read(most))
+
+    def ask(self, request: bytes, size: int) -> bytes:
+        self.send(request)
+        return self.receive(size)
+
+    def _until(self, act: Callable[[], Any]) -> Any:
+        while True:
+            try:
+                return act()
+            except ssl.SSLWantReadError:
+                self._flush()
+                data = self.socket.recv(65536)
+                self._incoming.write(data) if data else self._incoming.write_eof()
+            except ssl.SSLZeroReturnError:
+                return b""
+            finally:
+                with contextlib.suppress(OSError):
+                    self._flush()
+
+    def _flush(self) -> None:
+        if data := self._outgoing.read():
+            self.socket.sendall(data)
+
+
+def wait_until(is_so: Callable[[], bool]) -> bool:
+    deadline = time.monotonic() + PATIENCE
+    while not is_so():
+        if time.monotonic() > deadline:
+            return False
+        time.sleep(0.01)
+    return True
+
+
+def closed(connection: socket.socket) -> bytes:
+    """Give what still comes until the server closes; a reset is a close, too."""
+    data = b""
+    with contextlib.suppress(ConnectionError):
+        while piece := connection.recv(65536):
+            data += piece
+    return data
