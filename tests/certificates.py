@@ -7,6 +7,8 @@ are made once for a process, for they take longest.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from functools import cache
@@ -18,7 +20,7 @@ from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import rsa
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
-from libmodbus_py import Security
+from libmodbus_py import Security, Server
 from libmodbus_py.security.making import Identity, make
 from libmodbus_py.security.role import ROLE_OID, encode_role
 
@@ -34,6 +36,7 @@ __all__ = [
     "not_yet_valid",
     "rsa_key",
     "save",
+    "secured",
     "self_signed",
     "server",
     "server_only",
@@ -184,6 +187,13 @@ class Papers:
         """A URL with all that it needs."""
         files = self.files(identity)
         return f"{scheme_and_host}?cert={files.cert}&key={files.key}&ca={self.ca}"
+
+
+@contextmanager
+def secured(serving: Server, papers: Papers) -> Iterator[str]:
+    """Run a server on TLS; gives the URL of a client who may talk to it."""
+    with serving.background(papers.url("tls://127.0.0.1:0", server())) as running:
+        yield papers.url(running.urls[0], client())
 
 
 def save(directory: Path, identity: Identity, name: str, password: bytes | None = None) -> Files:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from c_programs import SOURCES, compile_c
+from certificates import Papers, secured
 
 from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.testing.wires import SerialWire
@@ -39,11 +40,13 @@ def device(mapping: Mapping) -> Device:
     return Device(mapping, files={4: range(10_000), 3: {9: 0x33CD, 10: 0x0040, 12: 7}})
 
 
-@pytest.fixture(params=["tcp", "rtu+tcp", "ascii+tcp", "rtu", "ascii"])
-def url(request: pytest.FixtureRequest, device: Device) -> Iterator[str]:
+@pytest.fixture(params=["tcp", "rtu+tcp", "ascii+tcp", "tls", "rtu", "ascii"])
+def url(request: pytest.FixtureRequest, device: Device, tmp_path: Path) -> Iterator[str]:
     """A client's URL for unit 17 of a server, over each transport."""
     with ExitStack() as stack:
-        if request.param.endswith("tcp"):
+        if request.param == "tls":
+            yield stack.enter_context(secured(Server({UNIT: device}), Papers(tmp_path)))
+        elif request.param.endswith("tcp"):
             address = f"{request.param}://127.0.0.1:0"
             yield stack.enter_context(Server({UNIT: device}).background(address)).urls[0]
         else:

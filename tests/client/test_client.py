@@ -9,9 +9,12 @@ import inspect
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import pytest
+from certificates import Papers, secured
 from clients import Awaited
 from interop import TIMEOUT, UNIT, Exchange, exchanges, make_device, program, refusals
 from pymodbus.server import ModbusSerialServer, ModbusTcpServer
@@ -32,7 +35,7 @@ from libmodbus_py.client.asynchronous import AsyncClient
 from libmodbus_py.protocol.pdu import ServerId, SubFunction
 from libmodbus_py.testing.wires import SerialWire
 
-TRANSPORTS = ["tcp", "rtu+tcp", "ascii+tcp", "udp", "rtu", "ascii"]
+TRANSPORTS = ["tcp", "rtu+tcp", "ascii+tcp", "udp", "tls", "rtu", "ascii"]
 
 
 @contextmanager
@@ -44,6 +47,9 @@ def serving(transport: str, device: Device) -> Iterator[str]:
             address = f"{transport}://{wire.server}?baudrate=115200"
             stack.enter_context(Server(device).background(address))
             yield f"{transport}://{wire.client}?baudrate=115200"
+        elif transport == "tls":
+            papers = Papers(Path(stack.enter_context(TemporaryDirectory())))
+            yield stack.enter_context(secured(Server(device), papers))
         else:
             address = f"{transport}://127.0.0.1:0"
             yield stack.enter_context(Server(device).background(address)).urls[0]

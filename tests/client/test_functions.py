@@ -8,9 +8,12 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Self
 
 import pytest
+from certificates import Papers, secured
 from fake import FakeServer, mbap
 
 from libmodbus_py import (
@@ -36,13 +39,16 @@ from libmodbus_py import (
 from libmodbus_py.protocol.pdu import ServerId, SubFunction
 from libmodbus_py.testing.wires import SerialWire
 
-TRANSPORTS = ["tcp", "rtu+tcp", "ascii+tcp", "rtu", "ascii"]
+TRANSPORTS = ["tcp", "rtu+tcp", "ascii+tcp", "tls", "rtu", "ascii"]
 
 
 @contextmanager
 def talking_to(device: Device, transport: str, **options: Any) -> Iterator[Context]:
     with ExitStack() as stack:
-        if transport.endswith("tcp"):
+        if transport == "tls":
+            papers = Papers(Path(stack.enter_context(TemporaryDirectory())))
+            client = stack.enter_context(secured(Server(device), papers))
+        elif transport.endswith("tcp"):
             address = f"{transport}://127.0.0.1:0"
             client = stack.enter_context(Server(device).background(address)).urls[0]
         else:
