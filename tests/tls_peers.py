@@ -205,5 +205,3 @@ class Sealed:
 def request_of(address: int) -> bytes:
     """Nothing but the PDU of a read of one register there."""
     return b"\x03" + address.to_bytes(2, "big") + b"\0\x01"
-
-

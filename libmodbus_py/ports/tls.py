@@ -250,7 +250,8 @@ class TlsPort(TcpPort):
             # In TLS 1.3 a server refuses a certificate when the handshake is over for us,
             # and what it said is still there.
             self.has_input()
-            raise self._failure or error from None
+            said = self._failure or error
+            raise said from said.__cause__
 
     def close(self) -> None:
         # A goodbye in the name of the parent, of its connection, would end that.

@@ -461,7 +461,9 @@ class Peer:
         self._is_closing = True
         self.follow()
         self._peers.set_deadline(self)
-        self._peers.loop.call_soon(self._close_if_sent)  # what came in this turn is answered by then
+        self._peers.loop.call_soon(
+            self._close_if_sent
+        )  # what came in this turn is answered by then
 
     def _close_if_sent(self) -> None:
         if not self._unsent:
@@ -501,14 +503,17 @@ class LimitedPeer(Peer):
 
     __slots__ = ()
 
-    def _read(self) -> int:
-        if not self.shared.is_overspent():
-            return super()._read()
-        self._peers.statistics.throttled += 1
-        self._is_throttled = True
-        self.shared.pause(self)
-        self.follow()
-        return 0
+    def act(self, events: int) -> None:
+        takes = not events or events & EPOLLIN
+        if takes and self.shared.is_overspent():
+            self._peers.statistics.throttled += 1
+            self._is_throttled = True
+            self.shared.pause(self)
+            self.follow()
+            events &= ~EPOLLIN
+            if not events:
+                return
+        super().act(events)
 
     def _take(self, data: bytes) -> int:
         requests = super()._take(data)
