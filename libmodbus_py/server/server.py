@@ -15,15 +15,14 @@ import logging
 import signal
 import threading
 from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Mapping
-from concurrent.futures import Future
 from dataclasses import dataclass
-from functools import partial
 
 from ..device.device import Device
 from ..device.reply import replier
 from ..ports.endpoint import Endpoint, parse
 from ..ports.tls import security_of
 from ..security.security import Security
+from .background import Background
 from .faults import Fault, Faults
 from .limits import Limits, ServerStatistics
 from .peers import Peers
@@ -103,6 +102,9 @@ class Server:
         Raises:
             TypeError, ValueError: a URL is wrong or has options of clients, or there is none.
             ModbusConnectionError: an endpoint cannot be opened, with errno.
+
+        SystemExit and KeyboardInterrupt that a hook raises close all endpoints, once the requests
+        that were read are answered, and leave the loop.
         """
         endpoints = [_endpoint(url) for url in urls]
         if not endpoints:
@@ -123,38 +125,17 @@ class Server:
                 logger.info("listening on %s", url)
             yield running
 
-    @contextlib.contextmanager
-    def background(self, *urls: str) -> Iterator[Running]:
+    def background(self, *urls: str) -> Background[Running]:
         """
         Serve in a thread of its own while the ``with`` block runs.
 
-        Arguments and exceptions as for `serving`.
+        When it is left, by Ctrl-C too, the thread has ended and all is closed.
+
+        Arguments and exceptions as for `serving`, when the block is entered. SystemExit and
+        KeyboardInterrupt that a hook raises end the server at once, and are raised here when
+        the block is left.
         """
-        started: Future[tuple[Running, Callable[[], object]]] = Future()
-
-        async def serve() -> None:
-            stopped = asyncio.Event()
-            loop = asyncio.get_running_loop()
-            async with self.serving(*urls) as running:
-                started.set_result((running, partial(loop.call_soon_threadsafe, stopped.set)))
-                await stopped.wait()
-
-        def run() -> None:
-            try:
-                asyncio.run(serve())
-            except BaseException as error:
-                if started.done():
-                    raise
-                started.set_exception(error)
-
-        thread = threading.Thread(target=run, name="modbus server", daemon=True)
-        thread.start()
-        running, stop = started.result()
-        try:
-            yield running
-        finally:
-            stop()
-            thread.join()
+        return Background(lambda: self.serving(*urls))
 
     def serve_forever(
         self, *urls: str, on_listening: Callable[[Running], object] = lambda running: None

@@ -1,0 +1,173 @@
+"""
+A server in a thread of its own, which ends whatever happens to who started it.
+"""
+
+from __future__ import annotations
+
+import _thread
+import asyncio
+import contextlib
+import logging
+import sys
+import threading
+from collections.abc import Callable
+from contextlib import AbstractAsyncContextManager
+from functools import partial
+from typing import Generic, TypeVar
+
+__all__ = ["Background"]
+
+logger: logging.Logger = logging.getLogger(__name__)
+
+Running = TypeVar("Running")
+
+
+class Background(Generic[Running]):
+    """
+    Serves in a thread of its own while the ``with`` block runs.
+
+    When the block is left, by Ctrl-C too, the thread has ended and all is closed.
+
+    Args:
+        serving: makes what serves while it is entered.
+    """
+
+    def __init__(self, serving: Callable[[], AbstractAsyncContextManager[Running]]) -> None:
+        self._thread = InThread(serving)
+
+    def __enter__(self) -> Running:
+        try:
+            return self._thread.start()
+        except BaseException:
+            self._finish()
+            raise
+
+    def __exit__(self, *_: object) -> None:
+        self._finish()
+
+    def __del__(self) -> None:
+        # Ctrl-C may have come before __exit__ began. At the end of the program its thread does
+        # not run any more, and nobody could wait for it.
+        if not sys.is_finalizing():
+            self._thread.finish()
+
+    def _finish(self) -> None:
+        try:
+            self._thread.finish()
+        finally:
+            self._thread.finish()  # likewise
+
+
+class InThread(Generic[Running]):
+    """
+    What the thread knows, too: so it is not that which is forgotten when the block is left.
+
+    Ctrl-C comes before, in and between the calls of the main thread. So each step leaves a
+    note before it does something; `finish` may be called at any time, and again. What
+    waits here waits for bare locks: Ctrl-C in `threading.Thread.start`, or in any other that takes
+    a Condition, may leave that locked for ever. So a third thread starts the one that serves.
+    """
+
+    def __init__(self, serving: Callable[[], AbstractAsyncContextManager[Running]]) -> None:
+        self._serving = serving
+        self._thread = threading.Thread(target=self._run, name="modbus server", daemon=True)
+        self._is_starting = self._has_begun = False
+        self._is_wanted = True
+        # The main thread takes each once; it has been released when what it waits for is noted.
+        self._begun = _taken_lock()
+        self._ready = _taken_lock()
+        self._running: Running | None = None
+        self._failure: BaseException | None = None
+        self._stop: Callable[[], object] | None = None
+
+    def start(self) -> Running:
+        """
+        Wait until it serves.
+
+        Raises:
+            whatever kept it from it.
+        """
+        self._is_starting = True
+        try:
+            _thread.start_new_thread(self._begin, ())
+        except RuntimeError:
+            self._is_starting = False
+            raise
+        self._ready.acquire()
+        if self._running is None:
+            self._raise_failure()
+        assert self._running is not None
+        return self._running
+
+    def finish(self) -> None:
+        """
+        Wait until nothing of it is left; Ctrl-C is raised only then.
+
+        Raises:
+            what ended it before.
+        """
+        try:
+            self._end()
+        except BaseException:
+            self.finish()
+            raise
+        self._raise_failure()
+
+    def _raise_failure(self) -> None:
+        failure, self._failure = self._failure, None
+        if failure is not None:
+            raise failure
+
+    def _end(self) -> None:
+        self._is_wanted = False
+        if not self._is_starting:
+            return
+        if not self._has_begun:
+            self._begun.acquire()
+        if self._stop is not None:
+            self._stop()
+        if self._thread.ident is not None:
+            self._thread.join()
+
+    def _begin(self) -> None:
+        try:
+            self._thread.start()
+        except RuntimeError as error:  # there are too many
+            self._failure = error
+            self._ready.release()
+        finally:
+            self._has_begun = True
+            self._begun.release()
+
+    def _run(self) -> None:
+        try:
+            asyncio.run(self._serve())
+        except asyncio.CancelledError:
+            pass
+        except BaseException as error:
+            self._failure = error
+            if self._running is not None:
+                logger.error("the server has ended: %r", error)
+        if self._running is None:
+            self._ready.release()
+
+    async def _serve(self) -> None:
+        task = asyncio.current_task()
+        assert task is not None
+        self._stop = partial(_cancel, asyncio.get_running_loop(), task)
+        if self._is_wanted:  # else nobody may have seen that it can be stopped
+            async with self._serving() as running:
+                self._running = running
+                self._ready.release()
+                await asyncio.Event().wait()
+
+
+def _taken_lock() -> threading.Lock:
+    lock = threading.Lock()
+    lock.acquire()
+    return lock
+
+
+def _cancel(loop: asyncio.AbstractEventLoop, task: asyncio.Task[None]) -> None:
+    with contextlib.suppress(RuntimeError):  # it has ended by itself
+        loop.call_soon_threadsafe(task.cancel)

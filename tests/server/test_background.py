@@ -1,0 +1,260 @@
+"""
+A server in a thread: Ctrl-C at any moment while it starts, serves or ends leaves nothing, and
+hooks that end the program end the server.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import dis
+import gc
+import os
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from types import FrameType
+from typing import Any
+
+import pytest
+from attacks import PATIENCE, READ_ONE, adu, connect, receive
+
+from libmodbus_py import Access, Device, Mapping, Running, Server
+from libmodbus_py.device.reply import replier
+
+URLS = ("tcp://127.0.0.1:0", "udp://127.0.0.1:0")
+
+
+# After these the interpreter looks for signals, and after no others.
+LOOKS = ("RESUME", "CALL", "CALL_KW", "CALL_FUNCTION_EX", "JUMP_BACKWARD", "POP_JUMP_BACKWARD")
+
+
+class Interrupting:
+    """Raises KeyboardInterrupt at one of all the moments when the main thread may get it."""
+
+    def __init__(self, at: int) -> None:
+        self.steps = 0
+        self._at = at
+        self._latest: dict[int, str] = {}
+
+    def __call__(self, frame: FrameType, event: str, _: object) -> Any:
+        frame.f_trace_opcodes = True
+        if event == "opcode":
+            before = self._latest.get(id(frame), "")
+            self._latest[id(frame)] = dis.opname[frame.f_code.co_code[frame.f_lasti]]
+            if before.startswith(LOOKS):
+                self.steps += 1
+                if self.steps == self._at:
+                    raise KeyboardInterrupt
+        elif event == "return":
+            self._latest.pop(id(frame), None)
+        return self
+
+
+def steps_of(server: Server, at: int) -> int:
+    """Start and stop a server; give how many steps that took."""
+    interrupting = Interrupting(at)
+    sys.settrace(interrupting)
+    try:
+        with server.background(*URLS):
+            pass
+    finally:
+        sys.settrace(None)
+    return interrupting.steps
+
+
+def left() -> tuple[int, int]:
+    """Threads and descriptors of this process."""
+    return len(os.listdir("/proc/self/task")), len(os.listdir("/proc/self/fd"))
+
+
+def is_left(expected: tuple[int, int]) -> bool:
+    """Whether there are no more of them, soon: the system takes a moment to end a thread."""
+    deadline = time.monotonic() + PATIENCE
+    while left() > expected:
+        if time.monotonic() > deadline:
+            return False
+        time.sleep(0.002)
+    return True
+
+
+# Where Ctrl-C hits a callback of the garbage collector, Python says so and goes on.
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_ctrl_c_at_any_step_leaves_nothing() -> None:
+    server = Server(Device(Mapping()))
+    with server.background(*URLS):
+        pass
+    before = left()
+    total = steps_of(server, at=-1)
+    assert total > 20
+    gc.collect()
+    for at in range(1, total + 1):
+        with contextlib.suppress(KeyboardInterrupt):
+            steps_of(server, at)
+        assert is_left(before), f"after step {at} of {total}"
+
+
+CTRL_C = """
+import os, signal, sys, threading, time
+from libmodbus_py import Device, Mapping, Server
+
+signal.signal(signal.SIGINT, signal.default_int_handler)
+server = Server(Device(Mapping()))
+with server.background("tcp://127.0.0.1:0", "udp://127.0.0.1:0"):
+    pass
+before = len(os.listdir("/proc/self/fd"))
+for delay in range(300):
+    signal.setitimer(signal.ITIMER_REAL, 0)
+    signal.signal(signal.SIGALRM, signal.default_int_handler)
+    try:
+        signal.setitimer(signal.ITIMER_REAL, 1e-6 + delay * 2e-5, 2e-4 if delay % 2 else 0)
+        with server.background("tcp://127.0.0.1:0", "udp://127.0.0.1:0"):
+            time.sleep(0.01)
+    except KeyboardInterrupt:
+        signal.signal(signal.SIGALRM, signal.SIG_IGN)
+    else:
+        print("not raised", delay)
+    signal.signal(signal.SIGALRM, signal.SIG_IGN)
+deadline = time.monotonic() + 10
+while threading.active_count() > 1 and time.monotonic() < deadline:
+    time.sleep(0.01)
+print(threading.active_count(), len(os.listdir("/proc/self/fd")) - before)
+"""
+
+
+@pytest.mark.timeout(120)
+def test_ctrl_c_once_or_again_and_again_leaves_nothing() -> None:
+    done = subprocess.run([sys.executable, "-c", CTRL_C], capture_output=True, text=True)
+    assert done.stdout == "1 0\n", done.stderr
+
+
+NEVER_LEFT = """
+from libmodbus_py import Device, Mapping, Server
+manager = Server(Device(Mapping())).background("tcp://127.0.0.1:0")
+manager.__enter__()
+"""
+
+
+def test_a_program_ends_though_a_block_was_never_left() -> None:
+    command = [sys.executable, "-c", NEVER_LEFT]
+    done = subprocess.run(command, capture_output=True, timeout=PATIENCE)
+    assert (done.returncode, done.stderr) == (0, b"")
+
+
+# --- hooks that end the program ----------------------------------------------------------
+
+ENDS = [SystemExit(3), KeyboardInterrupt()]
+
+
+def ending(error: BaseException, kind: str) -> Server:
+    """Reading register 99 ends it."""
+
+    def hook(access: Access) -> None:
+        if access.address == 99:
+            raise error
+
+    device = Device(Mapping(holding_registers=100), before_read=hook)
+    return Server(device, {None: []} if kind == "plain" else None)
+
+
+@contextlib.contextmanager
+def ending_with(error: BaseException) -> Iterator[None]:
+    with pytest.raises(type(error)) as raised:
+        yield
+    assert raised.value is error
+
+
+END = adu(bytes.fromhex("03 0063 0001"))
+
+
+def ask_end(url: str) -> None:
+    """Ask on a connection of its own, which is closed without an answer."""
+    port = int(url.rpartition(":")[2])
+    if url.startswith("udp"):
+        with socket.socket(type=socket.SOCK_DGRAM) as client:
+            client.sendto(END, ("127.0.0.1", port))
+        return
+    with connect(port) as client:
+        client.sendall(END)
+        assert receive(client, 1) == b""
+
+
+@pytest.mark.parametrize("error", ENDS, ids=lambda error: type(error).__name__)
+@pytest.mark.parametrize("scheme", ["tcp", "udp"])
+def test_what_ends_the_program_is_raised_where_the_block_is_left(
+    scheme: str, error: BaseException
+) -> None:
+    before = left()
+    with pytest.raises(type(error)) as raised, ending(error, "hooked").background(*URLS) as running:
+        end(running, scheme)
+    assert raised.value is error
+    assert is_left(before)
+
+
+def end(running: Running, scheme: str) -> None:
+    url = next(url for url in running.urls if url.startswith(scheme))
+    with connect(int(running.urls[0].rpartition(":")[2])) as other:
+        ask_end(url)
+        assert receive(other, 1) == b""  # it is closed, too
+
+
+@pytest.mark.parametrize("error", ENDS, ids=lambda error: type(error).__name__)
+@pytest.mark.parametrize("scheme", ["tcp", "udp"])
+def test_serve_forever_and_serving_raise_it(scheme: str, error: BaseException) -> None:
+    def serve_forever(server: Server, on_listening: Callable[[Running], object]) -> None:
+        server.serve_forever(*URLS, on_listening=on_listening)
+
+    def serving(server: Server, on_listening: Callable[[Running], object]) -> None:
+        async def serve() -> None:
+            async with server.serving(*URLS) as running:
+                on_listening(running)
+                await asyncio.sleep(PATIENCE)
+
+        asyncio.run(serve())
+
+    replier()  # this thread keeps its descriptors
+    for way in (serve_forever, serving):
+        before = left()
+        asking: list[threading.Thread] = []
+
+        def start(running: Running, asking: list[threading.Thread] = asking) -> None:
+            asking.append(threading.Thread(target=end, args=(running, scheme)))
+            asking[0].start()
+
+        with pytest.raises(type(error)) as raised:
+            way(ending(error, "hooked"), start)
+        assert raised.value is error
+        asking[0].join(PATIENCE)
+        assert is_left(before)
+
+
+@pytest.mark.parametrize("error", ENDS, ids=lambda error: type(error).__name__)
+def test_who_was_read_in_the_same_turn_is_answered(error: BaseException) -> None:
+    """The server is kept busy until all have asked."""
+    is_blocked, goes_on = threading.Event(), threading.Event()
+
+    def hook(access: Access) -> None:
+        if access.address == 0:
+            is_blocked.set()
+            assert goes_on.wait(PATIENCE)
+        elif access.address == 99:
+            raise error
+
+    server = Server(Device(Mapping(holding_registers=100), before_read=hook))
+    with ending_with(error), server.background("tcp://127.0.0.1:0") as running:
+        port = int(running.urls[0].rpartition(":")[2])
+        clients = [connect(port) for _ in range(8)]
+        blocker = clients.pop()
+        blocker.sendall(adu(READ_ONE))
+        assert is_blocked.wait(PATIENCE)
+        for number, client in enumerate(clients):
+            client.sendall(END if number % 3 == 1 else adu(bytes.fromhex("03 0001 0001")))
+        goes_on.set()
+        answers = [receive(client, 11) for client in clients]
+        for client in (blocker, *clients):
+            client.close()
+    answer = adu(bytes.fromhex("03 02 0000"))
+    assert answers == [b"" if number % 3 == 1 else answer for number in range(7)]
