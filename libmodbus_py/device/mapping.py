@@ -8,8 +8,10 @@ pages that nobody wrote to take no memory.
 from __future__ import annotations
 
 import mmap
+import os
 import reprlib
 import threading
+import weakref
 from abc import ABC, abstractmethod
 from array import array
 from bisect import bisect_right
@@ -75,8 +77,9 @@ class Table(ABC, Generic[Cell]):
         self._starts = [each.start for each in self.ranges]
         self._lock = lock
         size = len(self.addresses) * array(self.typecode).itemsize
-        # An empty table has memory too, for mmap makes none of 0 bytes.
-        self._memory = mmap.mmap(-1, max(size, 1))
+        # An empty table has memory too, for mmap makes none of 0 bytes. Private: by default
+        # a forked child would write into its parent's tables.
+        self._memory = mmap.mmap(-1, max(size, 1), mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
         self._cells: memoryview = memoryview(self._memory)[:size].cast(self.typecode)
         for at, values in given.items():
             self[at : at + len(values)] = values
@@ -270,7 +273,8 @@ class Mapping:
     is written by a client in between.
 
     Attributes:
-        lock: what ``with mapping:`` holds.
+        lock: what ``with mapping:`` holds. After a fork the child may have another one, and
+            has tables of its own, with what was in them.
 
     Args:
         coils, discrete_inputs, holding_registers, input_registers: how many
@@ -303,6 +307,7 @@ class Mapping:
         self.holding_registers = RegisterTable("holding_registers", holding_registers, self.lock)
         self.input_registers = RegisterTable("input_registers", input_registers, self.lock)
         self._struct = self._make_struct()
+        _mappings.add(self)
 
     def __enter__(self) -> Self:
         self.lock.acquire()
@@ -314,6 +319,20 @@ class Mapping:
     def __repr__(self) -> str:
         tables = (self.coils, self.discrete_inputs, self.holding_registers, self.input_registers)
         return f"Mapping({', '.join(repr(table) for table in tables)})"
+
+    def _renew_lock(self) -> None:
+        """In a forked child: a lock that another thread held is free there, for there is none."""
+        if self.lock.acquire(blocking=False):  # nobody has it, or this thread
+            self.lock.release()
+            return
+        self.lock = threading.RLock()
+        for table in (
+            self.coils,
+            self.discrete_inputs,
+            self.holding_registers,
+            self.input_registers,
+        ):
+            table._lock = self.lock
 
     def _make_struct(self) -> Any:
         """Point a mapping_t at the tables; `_pointers` keeps the buffers alive."""
@@ -335,6 +354,17 @@ class Mapping:
             struct.ranges[TABLE_NUMBERS[table.name]] = (len(table.ranges), edges)
             self._pointers += [pointer, edges]
         return struct
+
+
+_mappings: weakref.WeakSet[Mapping] = weakref.WeakSet()
+
+
+def _renew_locks() -> None:
+    for mapping in list(_mappings):
+        mapping._renew_lock()
+
+
+os.register_at_fork(after_in_child=_renew_locks)
 
 
 def runs(ranges: Sequence[range]) -> Any:

@@ -346,7 +346,8 @@ class SerialPort(Port):
     def _set_rts(self, on: bool) -> None:
         """As libmodbus does it, errors included: a port without RTS has nothing to turn round."""
         request = termios.TIOCMBIS if on else termios.TIOCMBIC
-        with contextlib.suppress(OSError):
+        # A ValueError is a port that was abandoned meanwhile, by a forked child.
+        with contextlib.suppress(OSError, ValueError):
             fcntl.ioctl(self.descriptor, request, struct.pack("i", termios.TIOCM_RTS))
 
 

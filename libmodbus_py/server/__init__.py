@@ -5,7 +5,7 @@ In the order in which a request goes through::
 
     server       Server: endpoints from URLs, in a loop, in a thread, or for ever
     background   the thread
-    listening    makes their sockets
+    listening    makes their sockets; forked children close them (forking)
     tcp          takes connections and hands them to `peers`; udp answers datagrams,
                  serial a port
     peers        Peers: TCP connections within their limits (limits), all in one epoll;

@@ -25,6 +25,7 @@ from select import EPOLLIN, EPOLLOUT
 from ..protocol.errors import FrameError
 from .addresses import Address, Addresses
 from .by_frame import ENDS, Session
+from .forking import abandoned_in_children
 from .idle import Idle, due
 from .limits import SPARE_DESCRIPTORS, Limits, ServerStatistics
 
@@ -102,6 +103,7 @@ class Peers:
         self._sweeping: asyncio.TimerHandle | None = None
         timeouts = [limits.frame_timeout, limits.idle_timeout or limits.frame_timeout]
         self._sweep_every = max(0.01, min(1.0, *(timeout / 4 for timeout in timeouts)))
+        abandoned_in_children(self)
 
     def __len__(self) -> int:
         return len(self._idle)
@@ -133,6 +135,12 @@ class Peers:
             if timer is not None:
                 timer.cancel()
         self.loop.remove_reader(self._epoll.fileno())
+        self._epoll.close()
+
+    def abandon(self) -> None:
+        for peer in list(self._by_descriptor.values()):
+            peer.abandon()
+        self._by_descriptor.clear()
         self._epoll.close()
 
     def _add(
@@ -347,6 +355,10 @@ class Peer:
                 self._socket.send(self._unsent)
         self._socket.close()
         self._peers.remove(self)
+
+    def abandon(self) -> None:
+        self._descriptor = -1
+        self._socket.close()
 
     def act(self, events: int) -> None:
         """Do what can be done now; without events, what was left for later."""

@@ -14,6 +14,7 @@ from ..ports.endpoint import Endpoint
 from ..ports.serial import SerialPort
 from ..protocol.errors import ModbusConnectionError
 from .by_frame import ENDS, ByFrame
+from .forking import abandoned_in_children
 from .limits import ServerStatistics
 from .units import SerialUnits, Units
 
@@ -53,6 +54,7 @@ class SerialServer:
         self._retry: asyncio.TimerHandle | None = None
         self._unsent = bytearray()
         self._timer: asyncio.TimerHandle | None = None
+        abandoned_in_children(self)
 
     async def open(self) -> Endpoint:
         """Give the endpoint as it is."""
@@ -63,6 +65,9 @@ class SerialServer:
         if self._retry is not None:
             self._retry.cancel()
         self._close()
+
+    def abandon(self) -> None:
+        self._port.abandon()
 
     def _open(self) -> None:
         self._port.open()

@@ -15,6 +15,7 @@ from ..protocol.framing import Framing
 from ..security.security import Security
 from .by_chunk import ByChunk, Singles
 from .by_frame import AT_ONCE, ByFrame, Link, Session
+from .forking import abandoned_in_children
 from .limits import ServerStatistics
 from .listening import bound, reason
 from .peers import MakeSession, Peers
@@ -58,6 +59,7 @@ class TcpServer:
         self._retries: dict[socket.socket, asyncio.TimerHandle] = {}
         self._is_short = False  # of descriptors or memory
         self._endpoint = endpoint
+        abandoned_in_children(self)
 
     async def open(self) -> Endpoint:
         """Give the endpoint with the port it got."""
@@ -71,6 +73,11 @@ class TcpServer:
             retry.cancel()
         for listener in self._listeners:
             self._loop.remove_reader(listener.fileno())
+            listener.close()
+        self._listeners.clear()
+
+    def abandon(self) -> None:
+        for listener in self._listeners:
             listener.close()
         self._listeners.clear()
 

@@ -11,6 +11,7 @@ from collections.abc import Callable
 
 from ..ports.endpoint import Endpoint
 from .by_frame import ENDS, ByFrame
+from .forking import abandoned_in_children
 from .limits import ServerStatistics
 from .listening import bound
 from .sources import Sources
@@ -56,6 +57,7 @@ class UdpServer:
         self._sockets: list[socket.socket] = []
         # Those whose answer a fault keeps back.
         self._waiting: set[ByFrame] = set()
+        abandoned_in_children(self)
 
     async def open(self) -> Endpoint:
         """Give the endpoint with the port it got."""
@@ -70,6 +72,11 @@ class UdpServer:
             session.close()
         for made in self._sockets:
             self._loop.remove_reader(made.fileno())
+            made.close()
+        self._sockets.clear()
+
+    def abandon(self) -> None:
+        for made in self._sockets:
             made.close()
         self._sockets.clear()
 

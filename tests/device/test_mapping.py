@@ -8,6 +8,7 @@ import gc
 import subprocess
 import sys
 import threading
+import weakref
 from collections.abc import Callable
 from typing import Any
 
@@ -642,3 +643,136 @@ def test_a_mapping_in_a_circle_can_be_collected() -> None:
     """A memoryview that something else looks into must not be cleared first (gh-77894)."""
     run = subprocess.run([sys.executable, "-c", CIRCLE], capture_output=True, text=True, timeout=50)
     assert (run.stdout, run.stderr, run.returncode) == ("done\n", "", 0)
+
+
+def forked(script: str) -> None:
+    """Run a program with a mapping that forks once; no thread of pytest is in the child."""
+    head = """
+import os, signal, threading
+from libmodbus_py import Device, Mapping
+
+mapping = Mapping(coils=8, holding_registers=70000 // 2)
+device = Device(mapping)
+registers, view = mapping.holding_registers, mapping.holding_registers.view
+
+
+def in_child(check):
+    child = os.fork()
+    if not child:
+        status = 1
+        try:
+            signal.alarm(20)
+            check()
+            status = 0
+        finally:
+            os._exit(status)
+    return child
+"""
+    run = subprocess.run(
+        [sys.executable, "-W", "ignore::DeprecationWarning", "-c", head + script],
+        capture_output=True,
+        text=True,
+        timeout=50,
+        check=False,
+    )
+    assert (run.stdout, run.stderr) == ("good\n", "")
+
+
+class TestForks:
+    def test_each_process_has_tables_of_its_own(self) -> None:
+        """Whichever way they are written: by the table, a view that was kept, or a request."""
+        forked("""
+registers[0:4] = [1, 2, 3, 4]
+go, wait = os.pipe(), os.pipe()
+
+def check():
+    assert registers[0:4] == [1, 2, 3, 4]
+    registers[0] = 10
+    view[1] = 20
+    assert device.answer(b"\\6\\0\\2\\0\\x1e")[0] == 6
+    mapping.coils[0] = True
+    assert registers[0:4] == view[:4].tolist() == [10, 20, 30, 4]
+    os.write(wait[1], b"x")
+    os.read(go[0], 1)
+    assert registers[0:4] == view[:4].tolist() == [10, 20, 30, 4]
+    assert device.answer(b"\\3\\0\\0\\0\\4") == b"\\3\\x08\\0\\x0a\\0\\x14\\0\\x1e\\0\\4"
+
+child = in_child(check)
+os.read(wait[0], 1)
+assert registers[0:4] == view[:4].tolist() == [1, 2, 3, 4]
+assert mapping.coils[0] is False
+view[3] = 40
+assert device.answer(b"\\3\\0\\0\\0\\4") == b"\\3\\x08\\0\\1\\0\\2\\0\\3\\0\\x28"
+os.write(go[1], b"x")
+assert os.waitpid(child, 0)[1] == 0
+assert registers[0:4] == [1, 2, 3, 40]
+print("good")
+""")
+
+    def test_a_lock_that_another_thread_held_does_not_stop_the_child(self) -> None:
+        forked("""
+held, done = threading.Event(), threading.Event()
+
+def hold():
+    with mapping:
+        held.set()
+        done.wait()
+
+thread = threading.Thread(target=hold)
+thread.start()
+held.wait()
+
+def check():
+    assert device.answer(b"\\3\\0\\0\\0\\1") == b"\\3\\2\\0\\0"
+    registers[0] = 1
+    with mapping:
+        registers[1] = 2
+    answers = []
+    other = threading.Thread(target=lambda: answers.append(device.answer(b"\\3\\0\\0\\0\\2")))
+    with mapping:  # it is one lock for all of it
+        other.start()
+        other.join(0.05)
+        assert not answers
+    other.join()
+    assert answers == [b"\\3\\4\\0\\1\\0\\2"]
+
+assert os.waitpid(in_child(check), 0)[1] == 0
+assert not mapping.lock.acquire(blocking=False)
+done.set()
+thread.join()
+assert device.answer(b"\\3\\0\\0\\0\\1") == b"\\3\\2\\0\\0"
+print("good")
+""")
+
+    def test_a_lock_that_the_forking_thread_held_is_held_in_both(self) -> None:
+        """As in a hook."""
+        forked("""
+def taken_by_another_thread():
+    got = []
+    thread = threading.Thread(target=lambda: got.append(mapping.lock.acquire(blocking=False)))
+    thread.start()
+    thread.join()
+    return got == [True]
+
+children = []
+
+def hook(access):
+    children.append(os.fork())
+    assert not taken_by_another_thread()
+
+hooked = Device(mapping, before_read=hook)
+answer = hooked.answer(b"\\3\\0\\0\\0\\1")
+status = 0 if answer == b"\\3\\2\\0\\0" and taken_by_another_thread() else 1
+if not children[0]:
+    os._exit(status)
+assert status == 0
+assert os.waitpid(children[0], 0)[1] == 0
+print("good")
+""")
+
+    def test_mappings_are_forgotten_all_the_same(self) -> None:
+        made = Mapping(coils=1)
+        known = weakref.ref(made)
+        del made
+        gc.collect()
+        assert known() is None

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import errno
 import fcntl
+import gc
 import os
 import pty
 import subprocess
@@ -233,6 +234,18 @@ def test_a_fork_leaves_the_port_alone(port: SerialPort, wire: SerialWire) -> Non
     until(lambda: wire.sent_by("client") == b"still here")
     with pytest.raises(ModbusConnectionError, match="in use"):
         SerialPort(wire.client).open()
+
+
+def test_a_port_that_is_abandoned_while_it_sends_touches_no_line(wire: SerialWire) -> None:
+    """As in a forked child: RTS is its parent's; nor does what was begun complain later."""
+    made = SerialPort(wire.client, rs485="rts-up", rts_delay=0.02)
+    made.open()
+    made.send([b"never sent"], time.monotonic())
+    assert made.resume_at is not None
+    made.abandon()
+    made.close()
+    gc.collect()
+    assert wire.sent_by("client") == b""
 
 
 # --- bytes -----------------------------------------------------------------------------

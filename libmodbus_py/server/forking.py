@@ -1,0 +1,45 @@
+"""
+What a forked child does with its copies of a server's descriptors: it closes them.
+
+As long as it has one, no client sees the end of a connection that its parent closes, and no
+port is free again.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import weakref
+from typing import Protocol
+
+__all__ = ["abandoned_in_children"]
+
+
+class Holder(Protocol):
+    """Somebody who has descriptors of a server."""
+
+    def abandon(self) -> None:
+        """
+        In a forked child: close the descriptors, and be closed.
+
+        Without a word to loops and epolls, nor to lines and their locks: the parent
+        shares them.
+        """
+        ...
+
+
+_holders: weakref.WeakSet[Holder] = weakref.WeakSet()
+
+
+def abandoned_in_children(holder: Holder) -> None:
+    """Have it abandon its descriptors in every child that is forked while it lives."""
+    _holders.add(holder)
+
+
+def _abandon_all() -> None:
+    for holder in list(_holders):
+        with contextlib.suppress(OSError):
+            holder.abandon()
+
+
+os.register_at_fork(after_in_child=_abandon_all)
