@@ -1,0 +1,535 @@
+"""
+TLS of the hostile, the slow and the lost: nothing crashes, nothing is left, others are served.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import random
+import socket
+import ssl
+import struct
+import subprocess
+import time
+import tracemalloc
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import certificates
+import pytest
+from attacks import ANSWER_ONE, PATIENCE, READ_ONE, ServerProcess, adu, connect
+from certificates import Papers
+from tls import VERSIONS, TlsClient, closed, context, serving, wait_until
+
+from libmodbus_py import Device, Limits, Mapping, Server
+from libmodbus_py.server import tls as server_tls
+
+ONE = adu(READ_ONE)
+ONE_ANSWER = adu(ANSWER_ONE)
+
+VERSION = pytest.mark.parametrize("version", VERSIONS.values(), ids=VERSIONS)
+
+# Much shorter than a test may take, much longer than a handshake does.
+HANDSHAKE_TIMEOUT = 1.0
+
+
+@pytest.fixture
+def papers(tmp_path: Path) -> Papers:
+    return Papers(tmp_path)
+
+
+@pytest.fixture
+def device() -> Device:
+    return Device(Mapping(10, 10, 1000, 1000))
+
+
+@pytest.fixture
+def quick() -> Limits:
+    return Limits(handshake_timeout=HANDSHAKE_TIMEOUT)
+
+
+def hello(papers: Papers) -> bytes:
+    """A ClientHello of Python's."""
+    with socket.create_server(("127.0.0.1", 0)) as nobody:
+        with TlsClient(nobody.getsockname()[1], context(papers)) as client:
+            return client.hello()
+
+
+def is_served(papers: Papers, port: int) -> bool:
+    with TlsClient(port, context(papers, certificates.client())).handshake() as client:
+        return client.ask(ONE, len(ONE_ANSWER)) == ONE_ANSWER
+
+
+@contextlib.contextmanager
+def nothing_loud(caplog: pytest.LogCaptureFixture) -> Iterator[None]:
+    """Whatever a peer sends is no warning, and asyncio has none either."""
+    with caplog.at_level(logging.INFO):
+        yield
+    assert [record for record in caplog.records if record.levelno > logging.INFO] == []
+
+
+# --- slow ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("how", ["connects only", "greets only", "trickles"])
+def test_a_handshake_must_end_in_time(
+    papers: Papers, device: Device, quick: Limits, how: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    first = hello(papers)
+    with nothing_loud(caplog), serving(papers, device, limits=quick) as (server, port):
+        begin = time.monotonic()
+        with connect(port) as slow:
+            slow.settimeout(PATIENCE)
+            if how == "greets only":
+                slow.sendall(first)
+            elif how == "trickles":
+                slow.settimeout(0.01)
+                with contextlib.suppress(ConnectionError):
+                    for byte in first * 10:
+                        slow.send(bytes([byte]))
+                        with contextlib.suppress(TimeoutError):
+                            if not slow.recv(65536):
+                                break
+                        assert time.monotonic() - begin < PATIENCE
+            else:
+                assert closed(slow) == b""
+            closed(slow)
+        assert time.monotonic() - begin >= HANDSHAKE_TIMEOUT - 0.05
+        assert wait_until(lambda: server.statistics.connections == 0)
+        assert server.statistics.closed_slow == 1
+        assert server.statistics.handshakes_refused == 0
+        assert is_served(papers, port)
+
+
+@VERSION
+def test_a_slow_handshake_is_not_hurried(
+    papers: Papers, device: Device, version: ssl.TLSVersion
+) -> None:
+    """The time of a frame begins when the handshake is over."""
+    limits = Limits(handshake_timeout=10, frame_timeout=0.2)
+    told = context(papers, certificates.client(), version)
+    with (
+        serving(papers, device, limits=limits) as (server, port),
+        TlsClient(port, told) as client,
+    ):
+        first = client.hello()
+        for start in range(0, len(first), 40):
+            client.socket.sendall(first[start : start + 40])
+            time.sleep(0.1)
+        client.handshake()
+        assert client.ask(ONE, len(ONE_ANSWER)) == ONE_ANSWER
+        assert server.statistics.closed_slow == 0
+
+
+def test_the_oldest_half_open_one_makes_room(
+    papers: Papers, device: Device, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(server_tls, "HALF_OPEN", 5)
+    first = hello(papers)
+    with serving(papers, device) as (server, port), contextlib.ExitStack() as stack:
+        waiting = []
+        for _ in range(8):
+            waiting.append(stack.enter_context(connect(port)))
+            waiting[-1].sendall(first)
+            assert waiting[-1].recv(100)  # in their order
+        assert [bool(still_open(each)) for each in waiting] == [False] * 3 + [True] * 5
+        assert server.statistics.closed_for_others == 3
+        # Connected is not half open: it has no state of TLS.
+        silent = [stack.enter_context(connect(port)) for _ in range(8)]
+        assert all(map(still_open, silent + waiting[3:]))
+        # And those that are through do not count.
+        assert is_served(papers, port)
+        assert not still_open(waiting[3])
+        assert still_open(waiting[4])
+
+
+def still_open(connection: socket.socket) -> bool:
+    connection.settimeout(0.2)
+    try:
+        while connection.recv(65536):
+            pass
+    except TimeoutError:
+        return True
+    except ConnectionError:
+        return False
+    return False
+
+
+# --- hostile: before the handshake ---------------------------------------------------------------
+
+
+def record(kind: int, data: bytes) -> bytes:
+    return struct.pack(">BHH", kind, 0x0303, len(data)) + data
+
+
+def huge_hello() -> bytes:
+    """A well-formed ClientHello of 130 kB, most of it an extension nobody knows."""
+    padding = b"".join(
+        struct.pack(">HH", 0xFE00 + number, 65_000 // 8) + bytes(65_000 // 8) for number in range(7)
+    )
+    body = b"\x03\x03" + bytes(32) + b"\0" + b"\0\2\xc0\x2b" + b"\1\0"
+    body += struct.pack(">H", len(padding)) + padding
+    message = b"\1" + struct.pack(">I", len(body))[1:] + body
+    return b"".join(record(22, message[at : at + 16_000]) for at in range(0, len(message), 16_000))
+
+
+SSLV2_HELLO = bytes.fromhex("802e 01 0002 0015 0000 0010 0100800200800300800400800600400700c0") + bytes(
+    16
+)
+
+GARBAGE: dict[str, Callable[[], bytes]] = {
+    "random": lambda: random.Random(1).randbytes(10_000),
+    "zeros": lambda: bytes(100_000),
+    "plain Modbus": lambda: ONE * 10,
+    "HTTP": lambda: b"GET / HTTP/1.1\r\nHost: plc\r\n\r\n",
+    "SSLv2": lambda: SSLV2_HELLO,
+    "huge hello": huge_hello,
+    "hello of 16 MB": lambda: record(22, b"\1\xff\xff\xff" + bytes(16_000)) + bytes(200_000),
+    "empty records": lambda: record(22, b"") * 20_000,
+    "alerts": lambda: record(21, b"\1\0") * 15_000,
+    "warnings": lambda: record(21, b"\1\x5a") * 15_000,
+    "heartbeats": lambda: record(24, b"\1\x40\0") * 12_000,
+    "data": lambda: record(23, bytes(100)) * 1000,
+    "change cipher spec": lambda: record(20, b"\1") * 16_000,
+    "an end": lambda: b"",
+}
+
+
+@pytest.mark.parametrize("what", GARBAGE)
+@pytest.mark.parametrize("behind", ["at once", "behind a hello"])
+def test_what_is_no_tls_ends_the_connection(
+    papers: Papers,
+    device: Device,
+    quick: Limits,
+    what: str,
+    behind: str,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    sent = (hello(papers) if behind != "at once" else b"") + GARBAGE[what]()
+    with nothing_loud(caplog), serving(papers, device, limits=quick) as (server, port):
+        with connect(port) as hostile:
+            with contextlib.suppress(OSError):
+                hostile.sendall(sent)
+                hostile.shutdown(socket.SHUT_WR)
+            closed(hostile)
+        statistics = server.statistics
+        assert wait_until(lambda: statistics.connections == 0)
+        assert statistics.handshakes == statistics.requests == 0
+        assert is_served(papers, port)
+
+
+def test_a_hello_with_anything_in_it_does_no_harm(
+    papers: Papers, device: Device, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Bytes of a good one are changed, a few at a time."""
+    good, chance = hello(papers), random.Random(7)
+    with nothing_loud(caplog), serving(papers, device) as (server, port):
+        for _ in range(300):
+            bad = bytearray(good)
+            for _ in range(chance.choice((1, 2, 8))):
+                bad[chance.randrange(len(bad))] = chance.randrange(256)
+            with connect(port) as hostile:
+                hostile.sendall(bytes(bad))
+                hostile.shutdown(socket.SHUT_WR)
+                closed(hostile)
+        assert wait_until(lambda: server.statistics.connections == 0)
+        assert is_served(papers, port)
+
+
+def test_a_reset_midway_leaves_nothing(
+    papers: Papers, device: Device, caplog: pytest.LogCaptureFixture
+) -> None:
+    first = hello(papers)
+    with nothing_loud(caplog), serving(papers, device) as (server, port):
+        is_served(papers, port)
+        assert wait_until(lambda: server.statistics.connections == 0)
+        before = descriptors()
+        for sent in (b"", first[:100], first, first + first):
+            for _ in range(30):
+                hostile = connect(port)
+                hostile.sendall(sent)
+                reset(hostile)
+        assert wait_until(lambda: server.statistics.connections == 0)
+        assert wait_until(lambda: descriptors() <= before)
+        assert is_served(papers, port)
+
+
+def descriptors() -> int:
+    return len(os.listdir("/proc/self/fd"))
+
+
+def reset(connection: socket.socket) -> None:
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    connection.close()
+
+
+# --- hostile: behind it -------------------------------------------------------------------------
+
+
+def flipped(data: bytes) -> bytes:
+    return data[:-1] + bytes([data[-1] ^ 1])
+
+
+AFTER: dict[str, Callable[[TlsClient], bytes]] = {
+    "garbage": lambda client: random.Random(1).randbytes(10_000),
+    "plain Modbus": lambda client: ONE,
+    "bad check": lambda client: flipped(client.encrypt(ONE)),
+    "replayed": lambda client: client.encrypt(ONE) * 2,
+    "plain alert": lambda client: record(21, b"\2\x28"),
+    "empty records": lambda client: record(23, b"") * 1000,
+    "heartbeats": lambda client: record(24, b"\1\x40\0") * 1000,
+    "another hello": lambda client: record(22, b"\1\0\0\0") * 1000,
+    "change cipher spec": lambda client: record(20, b"\1") * 1000,
+    "huge record": lambda client: struct.pack(">BHH", 23, 0x0303, 65_535) + bytes(65_535),
+}
+
+
+@VERSION
+@pytest.mark.parametrize("what", AFTER)
+def test_what_is_no_record_ends_the_connection_but_no_other(
+    papers: Papers,
+    device: Device,
+    what: str,
+    version: ssl.TLSVersion,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    told = context(papers, certificates.client(), version)
+    with (
+        nothing_loud(caplog),
+        serving(papers, device) as (server, port),
+        TlsClient(port, told).handshake() as innocent,
+        TlsClient(port, told).handshake() as hostile,
+    ):
+        assert hostile.ask(ONE, len(ONE_ANSWER)) == ONE_ANSWER
+        # Behind a request, in one segment: what fails must not cost others their answers.
+        request = hostile.encrypt(ONE)
+        innocent.send(ONE)
+        with contextlib.suppress(OSError):
+            hostile.socket.sendall(request + AFTER[what](hostile))
+            innocent.send(ONE)
+            hostile.socket.shutdown(socket.SHUT_WR)
+        closed(hostile.socket)
+        assert innocent.receive(2 * len(ONE_ANSWER)) == 2 * ONE_ANSWER
+        assert wait_until(lambda: server.statistics.connections == 1)
+        assert innocent.ask(ONE, len(ONE_ANSWER)) == ONE_ANSWER
+
+
+def test_who_is_cut_off_for_a_bad_record_gets_an_alert(papers: Papers, device: Device) -> None:
+    with (
+        serving(papers, device) as (server, port),
+        TlsClient(port, context(papers, certificates.client())).handshake() as client,
+    ):
+        client.socket.sendall(flipped(client.encrypt(ONE)))
+        with pytest.raises(ssl.SSLError, match="BAD_RECORD_MAC"):
+            client.read()
+        assert server.statistics.closed_out_of_step == 1
+
+
+@pytest.mark.parametrize("command", ["R", "K", "k"])
+def test_openssl_may_not_negotiate_again_but_change_its_keys(
+    papers: Papers, device: Device, command: str
+) -> None:
+    """R: negotiation; K: new keys both ways, k: its own (TLS 1.3)."""
+    files = papers.files(certificates.client())
+    is_negotiation = command == "R"
+    with serving(papers, device) as (server, port):
+        line = (
+            *("openssl", "s_client", "-connect", f"127.0.0.1:{port}", "-CAfile", papers.ca),
+            *("-cert", files.cert, "-key", files.key),
+            "-tls1_2" if is_negotiation else "-tls1_3",
+        )
+        with subprocess.Popen(
+            [*map(str, line)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            bufsize=0,  # what it does not take is not tried again
+        ) as process:
+            assert process.stdin is not None
+            assert process.stdout is not None
+            for number in range(200):
+                with contextlib.suppress(BrokenPipeError):
+                    process.stdin.write(command.encode() + b"\n")
+                if is_negotiation and server.statistics.handshakes:
+                    break
+                time.sleep(0.005)
+            if not is_negotiation:
+                process.stdin.write(ONE)  # no line that it takes for a command
+                assert wait_until(lambda: server.statistics.requests == 1)
+            time.sleep(0.2)
+            process.kill()
+            said = process.stdout.read()
+        if is_negotiation:
+            assert b"Secure Renegotiation IS supported" in said  # R-60
+            assert b"RENEGOTIATING" in said
+            assert b"no renegotiation" in said
+        else:
+            assert ONE_ANSWER in said
+            assert b"KEYUPDATE" in said
+        assert server.statistics.handshakes == 1
+        assert wait_until(lambda: server.statistics.connections == 0)
+        assert is_served(papers, port)
+
+
+def test_a_fatal_alert_in_the_middle_of_a_session_ends_it(papers: Papers, device: Device) -> None:
+    """Python's ssl sends one when what it gets is no record."""
+    with (
+        serving(papers, device) as (server, port),
+        TlsClient(port, context(papers, certificates.client())).handshake() as client,
+    ):
+        assert client.ask(ONE, len(ONE_ANSWER)) == ONE_ANSWER
+        client._incoming.write(record(23, bytes(40)))
+        with pytest.raises(ssl.SSLError):
+            client.tls.read(100)
+        client._flush()
+        closed(client.socket)
+        assert wait_until(lambda: server.statistics.connections == 0)
+        assert server.statistics.closed_out_of_step == 1
+
+
+@VERSION
+def test_resets_leave_nothing_of_sessions(
+    papers: Papers, device: Device, version: ssl.TLSVersion, caplog: pytest.LogCaptureFixture
+) -> None:
+    told = context(papers, certificates.client(), version)
+    with nothing_loud(caplog), serving(papers, device) as (server, port):
+        is_served(papers, port)
+        assert wait_until(lambda: server.statistics.connections == 0)
+        before = descriptors()
+        for _ in range(20):
+            client = TlsClient(port, told).handshake()
+            client.send(ONE * 100)
+            reset(client.socket)
+        assert wait_until(lambda: server.statistics.connections == 0)
+        assert wait_until(lambda: descriptors() <= before)
+
+
+def test_what_comes_and_goes_leaves_no_memory(papers: Papers, device: Device) -> None:
+    """Sessions that ended well, badly, early, and those that were refused."""
+    good = context(papers, certificates.client())
+    bad = context(papers, certificates.client(issuer=certificates.foreign_authority()))
+    first = hello(papers)
+
+    def come_and_go() -> None:
+        with TlsClient(port, good).handshake() as client:
+            assert client.ask(ONE, len(ONE_ANSWER)) == ONE_ANSWER
+        with TlsClient(port, bad) as client, contextlib.suppress(ssl.SSLError):
+            client.handshake().ask(ONE, 1)
+        with connect(port) as hostile:
+            hostile.sendall(first)
+        with connect(port) as hostile:
+            hostile.sendall(b"GET / HTTP/1.1\r\n\r\n")
+            closed(hostile)
+
+    with serving(papers, device) as (server, port):
+        for _ in range(20):
+            come_and_go()
+        tracemalloc.start()
+        try:
+            for _ in range(20):
+                come_and_go()
+            assert wait_until(lambda: server.statistics.connections == 0)
+            before = tracemalloc.get_traced_memory()[0]
+            for _ in range(100):
+                come_and_go()
+            assert wait_until(lambda: server.statistics.connections == 0)
+            assert tracemalloc.get_traced_memory()[0] - before < 50_000
+        finally:
+            tracemalloc.stop()
+
+
+# --- the end, at any time -----------------------------------------------------------------------
+
+
+def test_a_server_that_ends_leaves_no_handshake(
+    papers: Papers, device: Device, caplog: pytest.LogCaptureFixture
+) -> None:
+    first = hello(papers)
+    told = context(papers, certificates.client())
+    before = descriptors()
+    with nothing_loud(caplog):
+        for pause in (0.0, 0.002, 0.01, 0.05):
+            with contextlib.ExitStack() as stack:
+                with serving(papers, device) as (_, port):
+                    clients = [stack.enter_context(TlsClient(port, told)) for _ in range(3)]
+                    for client in clients:
+                        client.handshake().send(ONE)
+                    waiting = [stack.enter_context(connect(port)) for _ in range(60)]
+                    for each in waiting:
+                        each.sendall(first)
+                    time.sleep(pause)
+                for each in waiting:
+                    closed(each)
+                for client in clients:
+                    while client.read():
+                        pass
+    assert wait_until(lambda: descriptors() <= before)
+
+
+def test_handshakes_that_are_closed_in_the_line_cost_others_nothing(
+    papers: Papers, device: Device
+) -> None:
+    """By their client, by the sweep, and to make room."""
+    first = hello(papers)
+    limits = Limits(handshake_timeout=0.2, max_connections=40)
+    with serving(papers, device, limits=limits) as (server, port):
+        with TlsClient(port, context(papers, certificates.client())).handshake() as innocent:
+            assert innocent.ask(ONE, len(ONE_ANSWER)) == ONE_ANSWER
+            for _ in range(5):
+                with contextlib.ExitStack() as stack:
+                    for number in range(60):
+                        each = stack.enter_context(connect(port))
+                        with contextlib.suppress(ConnectionError):
+                            each.sendall(first[: 100 if number % 3 else None])
+                            if number % 7 == 0:
+                                reset(each)
+                    time.sleep(0.4)
+                assert innocent.ask(ONE, len(ONE_ANSWER)) == ONE_ANSWER
+            assert wait_until(lambda: server.statistics.connections == 1)
+        assert is_served(papers, port)
+        assert server.statistics.closed_for_others > 0
+
+
+def test_a_mistake_in_a_hook_is_one_client_s(papers: Papers) -> None:
+    def fail(access: object) -> None:
+        raise RuntimeError("a hook")
+
+    device = Device(Mapping(10, 10, 10, 10), before_read=fail)
+    with serving(papers, device) as (_, port):
+        with TlsClient(port, context(papers, certificates.client())).handshake() as client:
+            assert client.ask(adu(bytes.fromhex("03 0000 0001")), 9)[7:] == bytes.fromhex("83 04")
+
+
+# --- memory -------------------------------------------------------------------------------------
+
+
+@pytest.mark.timeout(120)
+@pytest.mark.parametrize("what", ["half open", "idle"])
+@pytest.mark.filterwarnings("ignore:record_property is incompatible")
+def test_a_thousand_connections_have_room(
+    papers: Papers, what: str, record_property: Callable[[str, object], None]
+) -> None:
+    url = papers.url("tls://127.0.0.1:0", certificates.server())
+    told, first = context(papers, certificates.client()), hello(papers)
+    count, some = 500, 50
+    # All of them within the time that a handshake may take.
+    with ServerProcess(url=url) as server, contextlib.ExitStack() as stack:
+
+        def add(number: int) -> None:
+            for _ in range(number):
+                if what == "idle":
+                    stack.enter_context(TlsClient(server.port, told)).handshake()
+                else:
+                    each = stack.enter_context(connect(server.port))
+                    each.sendall(first)
+                    assert each.recv(1)
+
+        add(some)
+        before = server.resident()
+        add(count)
+        grown = (server.resident() - before) // count
+        record_property("bytes per connection", grown)
+        assert grown < 100_000
+        assert is_served(papers, server.port)
