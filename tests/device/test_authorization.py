@@ -349,8 +349,8 @@ def test_what_is_no_function_is_refused_at_once() -> None:
 
 
 def test_a_device_that_authorizes_is_never_answered_in_c() -> None:
-    assert Device(Mapping(1)).is_plain
-    assert not Device(Mapping(1), authorize=lambda asked: True).is_plain
+    assert Device(Mapping(1)).in_c
+    assert not Device(Mapping(1), authorize=lambda asked: True).in_c
 
 
 # --- the log ------------------------------------------------------------------------------------
