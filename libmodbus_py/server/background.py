@@ -48,8 +48,9 @@ class Background(Generic[Running]):
     def __del__(self) -> None:
         # Ctrl-C may have come before __exit__ began. At the end of the program its thread does
         # not run any more, and nobody could wait for it.
-        if not sys.is_finalizing():
-            self._thread.finish()
+        thread = vars(self).get("_thread")
+        if thread is not None and not sys.is_finalizing():
+            thread.finish()
 
     def _finish(self) -> None:
         try:
