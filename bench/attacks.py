@@ -90,9 +90,9 @@ def wear(work: Callable[[int, int], None], count: int, what: str) -> None:
 def measure(attack: Attack, seconds: float) -> tuple[Polled, Polled]:
     os.sched_setaffinity(0, PROCESSORS)
     with (
-        ServerProcess() as server,
+        ServerProcess(attacked=attack.scheme) as server,
         Innocent(server.port) as innocent,
-        AttackerProcess(attack, server.port) as attackers,
+        AttackerProcess(attack, server.attacked_port) as attackers,
     ):
         stand_for_others(server.pid, attackers.pid)
         innocent.poll(0.2)

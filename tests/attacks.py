@@ -80,16 +80,23 @@ def descriptor_limit(wanted: int | None = None) -> Iterator[int]:
 class ServerProcess:
     """``libmodbus-py serve`` on a free port; it must stop when it is told to."""
 
-    def __init__(self, *options: str, url: str = "tcp://127.0.0.1:0") -> None:
-        command = [sys.executable, "-m", "libmodbus_py", "serve", url, *options]
+    def __init__(
+        self, *options: str, url: str = "tcp://127.0.0.1:0", attacked: str | None = None
+    ) -> None:
+        """`attacked`: the scheme of another endpoint on 127.0.0.1; None for the same one."""
+        self._urls = [url] if attacked in (None, "tcp") else [url, f"{attacked}://127.0.0.1:0"]
+        command = [sys.executable, "-m", "libmodbus_py", "serve", *self._urls, *options]
         self._process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         self.pid = self._process.pid
 
     def __enter__(self) -> Self:
         assert self._process.stdout is not None
-        line = self._process.stdout.readline()
-        assert line.startswith("listening on "), line
-        self.port = int(line.rpartition(":")[2])
+        ports = []
+        for _ in self._urls:
+            line = self._process.stdout.readline()
+            assert line.startswith("listening on "), line
+            ports.append(int(line.rpartition(":")[2]))
+        self.port, self.attacked_port = ports[0], ports[-1]
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -256,6 +263,7 @@ class Attack:
     script: Script
     reads: bool = True
     sends: bool = True
+    scheme: str = "tcp"
 
 
 def _idle() -> Iterator[Step]:
@@ -306,6 +314,25 @@ def _in_twelve_segments() -> Iterator[Step]:
         yield Step(last, answer=11)
 
 
+def _crc(data: bytes) -> bytes:
+    """Serial line, 6.2.2."""
+    crc = 0xFFFF
+    for byte in data:
+        crc ^= byte
+        for _ in range(8):
+            crc = crc >> 1 ^ (0xA001 if crc & 1 else 0)
+    return crc.to_bytes(2, "little")
+
+
+def _hidden_requests() -> Iterator[Step]:
+    """As many of the shortest requests as fit behind what looks like the head of a long one."""
+    shortest = bytes([UNIT, 17])
+    block = bytes.fromhex("11 10 0000 007b f6") + (shortest + _crc(shortest)) * 62
+    while True:
+        yield Step(pause=0.3)  # so that all of them come at once
+        yield Step(block)
+
+
 ATTACKS = [
     Attack("1000 idle connections", 1000, _idle, sends=False),
     Attack("200 that send a byte a second", 200, _byte_by_byte),
@@ -316,6 +343,7 @@ ATTACKS = [
     Attack("flood of half frames", 20, _half_a_frame),
     Attack("storm of connections", 20, _nothing, sends=False),
     Attack("16 requests in a segment", 20, _sixteen_at_once),
+    Attack("1000 that hide requests", 1000, _hidden_requests, scheme="rtu+tcp"),
     Attack("a request in 12 segments", 20, _in_twelve_segments),
 ]
 

@@ -6,12 +6,15 @@ from __future__ import annotations
 
 import argparse
 import math
+import sys
 from collections.abc import Callable
+from functools import partial
+from ipaddress import ip_address
 from typing import Any
 
 from ..device.device import Device
 from ..device.mapping import Mapping
-from ..ports.endpoint import SCHEMES
+from ..ports.endpoint import SCHEMES, Endpoint, parse
 from ..protocol.pdu import RECORDS_PER_FILE
 from ..server.limits import FULL_POLICIES, Limits
 from ..server.server import Running, Server
@@ -67,13 +70,31 @@ def _add_limit_arguments(command: argparse.ArgumentParser) -> None:
 def _serve(options: argparse.Namespace) -> int:
     devices, faults = _devices(options.device)
     server = Server(devices, faults, _limits(options), options.unknown_unit, security.told(options))
-    server.serve_forever(*options.urls, on_listening=_say)
+    server.serve_forever(*options.urls, on_listening=partial(_say, options.allow))
     return 0
 
 
-def _say(running: Running) -> None:
+def _say(allowed: list[str] | None, running: Running) -> None:
     for url in running.urls:
         print(f"listening on {url}", flush=True)
+    unguarded = [] if allowed else [url for url in running.urls if _is_open(parse(url))]
+    if unguarded:
+        print(
+            f"libmodbus-py: anybody who reaches {', '.join(unguarded)} may read and write;"
+            " --allow NETWORK, or certificates and tls://, say who may",
+            file=sys.stderr,
+            flush=True,
+        )
+
+
+def _is_open(endpoint: Endpoint) -> bool:
+    """Whether other machines may reach it, and nothing asks who they are."""
+    if endpoint.transport in ("serial", "tls"):
+        return False
+    try:
+        return not ip_address(endpoint.host.partition("%")[0]).is_loopback
+    except ValueError:
+        return endpoint.host != "localhost"
 
 
 def _devices(file: str | None) -> tuple[Any, Any]:

@@ -455,3 +455,34 @@ def test_serve_stops_on_ctrl_c() -> None:
     process.send_signal(signal.SIGINT)
     assert process.communicate(timeout=1) == ("", "")
     assert process.returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (["tcp://0.0.0.0:0"], 1),
+        (["tcp://[::]:0"], 1),
+        (["rtu+tcp://0.0.0.0:0", "udp://0.0.0.0:0", "tcp://127.0.0.1:0"], 2),
+        (["tcp://127.0.0.1:0", "tcp://[::1]:0", "udp://localhost:0", "tcp://127.1.2.3:0"], 0),
+        (["tcp://0.0.0.0:0", "--allow", "192.0.2.0/24"], 0),
+    ],
+)
+def test_serve_says_in_one_line_that_anybody_may_write(arguments: list[str], named: int) -> None:
+    urls = [each for each in arguments if "://" in each]
+    process = subprocess.Popen(
+        [*COMMAND, "serve", *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert process.stdout is not None
+        listening = [process.stdout.readline().split()[-1] for _ in urls]
+        process.send_signal(signal.SIGTERM)
+        _, said = process.communicate(timeout=10)
+    finally:
+        process.kill()
+        process.wait()
+    assert said.count("\n") == (named > 0)
+    assert [url for url in listening if url in said] == listening[:named]
+    assert ("anybody" in said) == ("--allow" in said) == (named > 0)

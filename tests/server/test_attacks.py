@@ -35,9 +35,9 @@ MEMORY = 32 << 20
 def test_an_innocent_client_loses_nothing(attack: Attack, record_property: Record) -> None:
     with (
         descriptor_limit(),
-        ServerProcess() as server,
+        ServerProcess(attacked=attack.scheme) as server,
         Innocent(server.port) as innocent,
-        AttackerProcess(attack, server.port) as attackers,
+        AttackerProcess(attack, server.attacked_port) as attackers,
     ):
         undisturbed = innocent.poll(0.3)
         descriptors, resident = server.descriptors(), server.resident()

@@ -29,6 +29,7 @@ pytestmark = pytest.mark.filterwarnings("ignore:record_property is incompatible"
 Record = Callable[[str, object], None]
 
 WANTED = 5000
+ALL_FROM_HERE = ("--connections-per-address", "1000000")
 # Descriptors that this process and the server need beside their connections.
 SPARE = 100
 
@@ -43,7 +44,11 @@ REQUESTS = 600_000
 
 @pytest.mark.timeout(120)
 def test_five_thousand_connections_at_once_are_served(record_property: Record) -> None:
-    with descriptor_limit() as descriptors, ServerProcess() as server, ExitStack() as stack:
+    with (
+        descriptor_limit() as descriptors,
+        ServerProcess(*ALL_FROM_HERE) as server,
+        ExitStack() as stack,
+    ):
         count = min(WANTED, descriptors - SPARE)
         if count < WANTED:
             print(f"only {count} connections: the limit of descriptors is {descriptors}")
