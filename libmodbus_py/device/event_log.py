@@ -118,6 +118,10 @@ class EventLog:
         """Exchanges completed, 0..65535 (function 11)."""
         return self._counters[EVENT_COUNT]
 
+    @event_count.setter
+    def event_count(self, value: int) -> None:
+        self._counters[EVENT_COUNT] = value
+
     # --- what happens on the line --------------------------------------------------------
 
     def note_frame(self) -> None:
