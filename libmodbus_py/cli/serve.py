@@ -46,6 +46,12 @@ def add_command(commands: Any) -> None:
     )
     command.add_argument("urls", metavar="URL", nargs="+", help="such as tcp://127.0.0.1:1502")
     command.add_argument("--device", metavar="FILE", help="a device file, such as plant.toml")
+    command.add_argument(
+        "--own-unit",
+        type=int,
+        metavar="N",
+        help="which of several answers units 0 and 255 on TCP and UDP, too",
+    )
     _add_limit_arguments(command)
     security.add_arguments(command)
     command.set_defaults(run=_serve)
@@ -69,7 +75,14 @@ def _add_limit_arguments(command: argparse.ArgumentParser) -> None:
 
 def _serve(options: argparse.Namespace) -> int:
     devices, faults = _devices(options.device)
-    server = Server(devices, faults, _limits(options), options.unknown_unit, security.told(options))
+    server = Server(
+        devices,
+        faults,
+        _limits(options),
+        options.unknown_unit,
+        options.own_unit,
+        security.told(options),
+    )
     server.serve_forever(*options.urls, on_listening=partial(_say, options.allow))
     return 0
 

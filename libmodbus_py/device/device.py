@@ -75,7 +75,7 @@ class Caller:
     Attributes:
         unit: the unit that was addressed, 0..255.
         peer: "host:port", or the serial port.
-        log: the device's notes about the line; None for its own.
+        log: the device's notes about the line, frame included; None for its own about TCP.
         is_broadcast: whether nobody is answered.
         role: what the certificate of who asks says of them; None for nothing, or without TLS.
         on_unauthorized: called for each request that `authorize` does not allow, if it is given.
@@ -211,9 +211,9 @@ class Device:
             SystemExit, KeyboardInterrupt: a hook or handler did.
         """
         function = pdu[0]
+        log = self._log_of(caller)
         if function & 0x80:
             return b""
-        log = caller.log or self._own_log()
         log.note_request(broadcast=caller.is_broadcast)
         listening = log.listen_only
         restart = pdu[:3] == _RESTART and not caller.is_broadcast
@@ -247,6 +247,22 @@ class Device:
         """
         with self.mapping.lock:
             return replier().answer(self.mapping, self._watched, self._tally, unit, data, start)
+
+    def refuse(self, pdu: bytes, code: int, caller: Caller = Caller()) -> bytes:
+        """Answer a request that would be answered with an exception 1..255; nothing is executed."""
+        log = self._log_of(caller)
+        log.note_request(broadcast=False)
+        refusal = bytes([pdu[0] | 0x80, code])
+        log.note_response(pdu, refusal, silent=False)
+        return refusal
+
+    def _log_of(self, caller: Caller) -> EventLog:
+        """The notes about a line, which has its frames counted; or about TCP, with this frame."""
+        if caller.log is not None:
+            return caller.log
+        log = self._own_log()
+        log.note_frame()
+        return log
 
     def _own_log(self) -> EventLog:
         """The notes about TCP, with those that were made in C."""

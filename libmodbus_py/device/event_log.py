@@ -165,13 +165,14 @@ class EventLog:
 
     def note_exchanges(self, requests: int, refused: int, latest: Iterable[int]) -> None:
         """
-        Requests have been processed, whose answers were sent.
+        Frames came with requests that have been processed, whose answers were sent.
 
         Args:
             requests: how many.
             refused: how many of them got one of the exceptions 1..3.
             latest: whether each of the latest ones did, oldest first.
         """
+        self._count(SubFunction.BUS_MESSAGE_COUNT, requests)
         self._count(SubFunction.SERVER_MESSAGE_COUNT, requests)
         self._count(SubFunction.BUS_EXCEPTION_ERROR_COUNT, refused)
         self._count(EVENT_COUNT, requests - refused)

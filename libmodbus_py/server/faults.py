@@ -164,6 +164,12 @@ class Faults:
     def __bool__(self) -> bool:
         return any(self._by_unit.values())
 
+    def share(self, unit: int, others: Iterable[int]) -> None:
+        """Have the faults of a unit happen to these, too, unless they have their own."""
+        if unit in self._by_unit:
+            for other in others:
+                self._by_unit.setdefault(other, self._by_unit[unit])
+
     def due(self, request: Frame, *, has_transaction: bool) -> Fault | None:
         """
         Count a request that is going to be answered.

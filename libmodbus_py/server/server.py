@@ -63,6 +63,9 @@ class Server:
         limits: what clients may cost; None for the defaults of `Limits`.
         unknown_unit: what a unit without a device gets on TCP and UDP: "refuse", exception
             11; "silent", nothing.
+        own_unit: which of several devices the server itself is: on TCP and UDP it answers
+            units 0 and 255, too, unless they have devices of their own. One device alone
+            always does. None: none of them.
         security: who it is and whom it trusts, for tls; the URLs may say it instead.
 
     Attributes:
@@ -78,11 +81,12 @@ class Server:
         faults: Mapping[int | None, Iterable[Fault]] | None = None,
         limits: Limits | None = None,
         unknown_unit: UnknownUnit = "refuse",
+        own_unit: int | None = None,
         security: Security | None = None,
     ) -> None:
         self.statistics: ServerStatistics = ServerStatistics()
         made = Faults({} if faults is None else faults)
-        self._units = Units(devices, made, unknown_unit, self._note_unauthorized)
+        self._units = Units(devices, made, unknown_unit, own_unit, self._note_unauthorized)
         if not isinstance(limits, Limits | None):
             raise TypeError(f"limits must be Limits, not {type(limits).__name__}")
         self._limits = limits or Limits()

@@ -31,11 +31,16 @@ UnknownUnit = Literal["refuse", "silent"]
 UNKNOWN_UNIT_POLICIES: tuple[UnknownUnit, ...] = get_args(UnknownUnit)
 
 
+SERVER_ITSELF = (0, 0xFF)
+"""The units that address the server itself on TCP and UDP (messaging guide, 4.4.2)."""
+
+
 class Units:
     """
     The devices, by unit, and their faults, None if there are none.
 
     Args:
+        own_unit: whose device the units `SERVER_ITSELF` are, unless they have their own.
         on_unauthorized: called for each request that a device does not allow.
     """
 
@@ -44,6 +49,7 @@ class Units:
         devices: Device | Mapping[int, Device],
         faults: Faults,
         unknown: UnknownUnit = "refuse",
+        own_unit: int | None = None,
         on_unauthorized: Callable[[], object] = lambda: None,
     ) -> None:
         self.on_unauthorized = on_unauthorized
@@ -54,7 +60,11 @@ class Units:
         self.unknown = unknown
         self.any: Device | None = devices if isinstance(devices, Device) else None
         self.devices: dict[int, Device] = {}
+        # The device that the server itself is, on TCP and UDP; None if it is none or all.
+        self.own: Device | None = None
         if self.any is not None:
+            if own_unit is not None:
+                raise ValueError("own_unit means nothing where one device answers every unit")
             return
         if not isinstance(devices, Mapping):
             given = type(devices).__name__
@@ -63,6 +73,18 @@ class Units:
             if not isinstance(device, Device):
                 raise TypeError(f"devices[{unit!r}] must be a Device, not {type(device).__name__}")
             self.devices[integer("unit", unit, 0, 255)] = device
+        if own_unit is None and len(self.devices) == 1:
+            (own_unit,) = self.devices
+        if own_unit is not None:
+            self._answer_as(integer("own_unit", own_unit, 0, 255))
+
+    def _answer_as(self, unit: int) -> None:
+        self.own = self.devices.get(unit)
+        if self.own is None:
+            known = ", ".join(map(str, sorted(self.devices))) or "none"
+            raise ValueError(f"own_unit must be a unit that has a device ({known}), not {unit}")
+        if self.faults is not None:
+            self.faults.share(unit, [each for each in SERVER_ITSELF if each not in self.devices])
 
 
 class TcpUnits:
@@ -72,7 +94,8 @@ class TcpUnits:
 
     def __init__(self, units: Units) -> None:
         self.faults: Faults | None = units.faults
-        self._units = units.devices
+        own = {} if units.own is None else dict.fromkeys(SERVER_ITSELF, units.own)
+        self._units: dict[int, Device] = {**own, **units.devices}
         self._any = units.any
         self._refuses = units.unknown == "refuse"
         self._on_unauthorized = units.on_unauthorized
@@ -87,8 +110,11 @@ class TcpUnits:
         return is_known and not frame.pdu[0] & 0x80
 
     def refuse(self, frame: Frame, code: int) -> Frame:
-        """Answer a request with an exception, without executing it."""
-        return frame._replace(pdu=bytes([frame.pdu[0] | 0x80, code]))
+        """Answer a request that `answers` with an exception, without executing it."""
+        device = self.device(frame.unit)
+        if device is None:
+            return frame._replace(pdu=bytes([frame.pdu[0] | 0x80, code]))
+        return frame._replace(pdu=device.refuse(frame.pdu, code))
 
     def answer(self, frame: Frame, peer: str, role: str | None = None) -> Frame | None:
         unit, pdu, transaction = frame
@@ -143,12 +169,10 @@ class SerialUnits:
     def refuse(self, frame: Frame, code: int) -> Frame:
         """Answer a request that `answers` with an exception, without executing it."""
         self._note_frame()
-        refusal = bytes([frame.pdu[0] | 0x80, code])
         station = self._station(frame.unit)
         assert station is not None
-        station[1].note_request(broadcast=False)
-        station[1].note_response(frame.pdu, refusal, silent=False)
-        return frame._replace(pdu=refusal)
+        device, log = station
+        return frame._replace(pdu=device.refuse(frame.pdu, code, Caller(frame.unit, log=log)))
 
     def answer(self, frame: Frame, peer: str, role: str | None = None) -> Frame | None:
         self._note_frame()

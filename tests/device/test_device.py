@@ -645,10 +645,10 @@ class TestCounters:
 
     def test_event_log_begins_with_its_own_request(self) -> None:
         device = new_device()
-        assert device.answer(b"\x0c") == b"\x0c\7" + words(0, 0, 0) + b"\x80"
+        assert device.answer(b"\x0c") == b"\x0c\7" + words(0, 0, 1) + b"\x80"
         device.answer(b"\x03" + words(0, 1))
         answer = device.answer(b"\x0c")
-        assert answer == b"\x0c\x0b" + words(0, 1, 0) + b"\x80\x41\x80\x40\x80"
+        assert answer == b"\x0c\x0b" + words(0, 1, 3) + b"\x80\x41\x80\x40\x80"
 
     def test_event_counter_wraps(self) -> None:
         device, caller = new_device(), on_a_line()

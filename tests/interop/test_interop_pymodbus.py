@@ -310,6 +310,7 @@ def asked_beside_the_tables() -> Iterator[Asked]:
     for name, ask, answer in (
         ("register", lambda c: c.diag_read_diagnostic_register(**unit), 0),
         ("clear", lambda c: c.diag_clear_counters(**unit), 0),
+        ("messages", lambda c: c.diag_read_bus_message_count(**unit), 1),  # the request itself
         ("errors", lambda c: c.diag_read_bus_comm_error_count(**unit), 0),
         ("exceptions", lambda c: c.diag_read_bus_exception_error_count(**unit), 0),
         ("served", lambda c: c.diag_read_device_message_count(**unit), 1),
@@ -321,38 +322,28 @@ def asked_beside_the_tables() -> Iterator[Asked]:
     ):
         yield Asked(8, name, ask, message, answer)
     yield Asked(
-        8,
-        "messages",  # the request itself; TCP has no line to count on
-        lambda c: c.diag_read_bus_message_count(**unit),
-        message,
-        1,
-        transports=SERIAL,
-    )
-    yield Asked(
         11,
         "counter",
         lambda c: [c.read_coils(12, **unit), c.diag_get_comm_event_counter(**unit)][1],
         lambda response: (response.status, response.count),
         (True, 1),
     )
-    for transports, count in ((("tcp",), 0), (SERIAL, 3)):
-        yield Asked(
-            12,
-            "log",
-            lambda c: [
-                c.read_coils(12, **unit),
-                c.read_coils(3000, **unit),
-                c.diag_get_comm_event_log(**unit),
-            ][2],
-            lambda response: (
-                response.status,
-                response.event_count,
-                response.message_count,
-                response.events,
-            ),
-            (True, 1, count, [0x80, 0x41, 0x80, 0x40, 0x80]),
-            transports=transports,
-        )
+    yield Asked(
+        12,
+        "log",
+        lambda c: [
+            c.read_coils(12, **unit),
+            c.read_coils(3000, **unit),
+            c.diag_get_comm_event_log(**unit),
+        ][2],
+        lambda response: (
+            response.status,
+            response.event_count,
+            response.message_count,
+            response.events,
+        ),
+        (True, 1, 3, [0x80, 0x41, 0x80, 0x40, 0x80]),
+    )
     for name, address in (("few", 100), ("none", 101), ("most", 102)):
         yield Asked(
             24,

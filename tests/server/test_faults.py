@@ -478,9 +478,10 @@ def test_a_refused_write_is_not_executed_and_all_others_are() -> None:
         assert device.mapping.holding_registers[0] == (555 if kind == "exception" else 9), kind
 
 
-def test_serial_counters_know_the_refusals_of_a_fault() -> None:
+@pytest.mark.parametrize("transport", ["rtu", "tcp"])
+def test_counters_know_the_refusals_of_a_fault(transport: str) -> None:
     with (
-        serving("rtu", {1: [Fault("exception", code=6, function=3)]}) as url,
+        serving(transport, {1: [Fault("exception", code=6, function=3)]}) as url,
         client_of(url, timeout=2) as client,
     ):
         for _ in range(3):

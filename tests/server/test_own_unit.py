@@ -1,0 +1,217 @@
+"""
+Over TCP and UDP: who answers the units 0 and 255, and what is counted as messages.
+
+Messaging guide V1.0b, 4.4.2: a server is addressed by its IP address, unit 255 (or 0) says
+so. Application protocol V1.1b3, 6.8 (sub-function 11) and 6.10: messages.
+"""
+
+from __future__ import annotations
+
+import socket
+import struct
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from libmodbus_py import Context, Device, Fault, Mapping, Server, pdu
+from libmodbus_py.protocol import errors
+
+MESSAGES = pdu.SubFunction.BUS_MESSAGE_COUNT
+both = pytest.mark.parametrize("scheme", ["tcp", "udp"])
+
+
+def holding(value: int, **hooks: Any) -> Device:
+    """A device that can be told from others."""
+    return Device(Mapping(holding_registers={0: [value, 0, 0, 0]}), **hooks)
+
+
+def adu(body: bytes, number: int, unit: int) -> bytes:
+    return struct.pack(">HHHB", number, 0, 1 + len(body), unit) + body
+
+
+def answers(server: Server, scheme: str, units: list[int]) -> list[int | bytes | None]:
+    """
+    The register that each of these units gives; or its exception; None for silence.
+
+    Asked at once, so that TCP answers them by the chunk, and then one by one.
+    """
+    with server.background(f"{scheme}://127.0.0.1:0") as running:
+        port = int(running.urls[0].rpartition(":")[2])
+        kind = socket.SOCK_STREAM if scheme == "tcp" else socket.SOCK_DGRAM
+        with socket.socket(socket.AF_INET, kind) as peer:
+            peer.settimeout(20)
+            peer.connect(("127.0.0.1", port))
+            frames = [adu(b"\3\0\0\0\1", at, unit) for at, unit in enumerate(units)]
+            # Unit 1 always answers, and so tells that nothing more comes.
+            frames.append(adu(b"\3\0\0\0\1", 999, 1))
+            together = asked(peer, [b"".join(frames)] if scheme == "tcp" else frames)
+            assert together == asked(peer, frames)
+    return [together.get(at) for at in range(len(units))]
+
+
+def asked(peer: socket.socket, pieces: list[bytes]) -> dict[int, int | bytes]:
+    for piece in pieces:
+        peer.sendall(piece)
+    found: dict[int, int | bytes] = {}
+    data = b""
+    while 999 not in found:
+        data += peer.recv(2000)
+        while len(data) >= 6 and len(data) >= 6 + data[5]:
+            frame, data = data[: 6 + data[5]], data[6 + data[5] :]
+            number, body = int.from_bytes(frame[:2], "big"), frame[7:]
+            found[number] = body if body[0] & 0x80 else int.from_bytes(body[2:], "big")
+    return found
+
+
+REFUSED = b"\x83\x0b"
+
+
+@both
+@pytest.mark.parametrize("hooks", [{}, {"before_read": lambda access: None}], ids=["c", "python"])
+def test_one_device_is_the_server(scheme: str, hooks: Any) -> None:
+    device = holding(7, **hooks)
+    assert answers(Server(device), scheme, [0, 255, 1, 9]) == [7, 7, 7, 7]
+    assert answers(Server({1: device}), scheme, [0, 255, 1, 9]) == [7, 7, 7, REFUSED]
+    silent = Server({1: device}, unknown_unit="silent")
+    assert answers(silent, scheme, [0, 255, 1, 9]) == [7, 7, 7, None]
+
+
+@both
+def test_of_several_one_is_named(scheme: str) -> None:
+    devices = {1: holding(7), 2: holding(8)}
+    assert answers(Server(devices), scheme, [0, 255, 2]) == [REFUSED, REFUSED, 8]
+    assert answers(Server(devices, unknown_unit="silent"), scheme, [0, 255]) == [None, None]
+    assert answers(Server(devices, own_unit=2), scheme, [0, 255, 1]) == [8, 8, 7]
+    assert answers(Server(devices, own_unit=1), scheme, [0, 255, 2]) == [7, 7, 8]
+
+
+@both
+def test_devices_that_have_these_units_are_asked_themselves(scheme: str) -> None:
+    devices = {0: holding(6), 1: holding(7), 255: holding(9)}
+    assert answers(Server(devices), scheme, [0, 255, 1]) == [6, 9, 7]
+    assert answers(Server(devices, own_unit=1), scheme, [0, 255]) == [6, 9]
+    assert answers(Server({1: holding(7), 255: holding(9)}, own_unit=255), scheme, [0]) == [9]
+
+
+@pytest.mark.parametrize(
+    ("devices", "unit", "error", "message"),
+    [
+        ({1: holding(7), 2: holding(8)}, 3, ValueError, r"unit that has a device \(1, 2\), not 3"),
+        ({1: holding(7)}, 255, ValueError, r"own_unit .*\(1\), not 255"),
+        ({}, 0, ValueError, r"own_unit .*\(none\), not 0"),
+        ({1: holding(7)}, 256, ValueError, r"own_unit must be in 0..255, not 256"),
+        ({1: holding(7)}, "1", TypeError, r"own_unit must be an integer in 0..255, not str"),
+        ({1: holding(7)}, True, TypeError, r"own_unit must be an integer"),
+        (holding(7), 1, ValueError, "one device answers every unit"),
+    ],
+    ids=["none of two", "not the one", "none at all", "too large", "text", "bool", "all"],
+)
+def test_units_that_the_server_cannot_be(
+    devices: Any, unit: Any, error: type[Exception], message: str
+) -> None:
+    with pytest.raises(error, match=message):
+        Server(devices, own_unit=unit)
+
+
+def test_lines_know_no_such_units() -> None:
+    """Unit 0 is a broadcast there, and 255 reserved."""
+    with (
+        Server({1: holding(7)}, own_unit=1).background("rtu+tcp://127.0.0.1:0") as running,
+        Context.from_url(running.urls[0], unit=255, timeout=0.2) as plc,
+    ):
+        with pytest.raises(errors.ModbusTimeoutError):
+            plc.read_holding_registers(0, 1)
+        plc.for_unit(0).write_register(0, 3)
+        assert plc.for_unit(1, timeout=20).read_holding_registers(0, 1) == [3]
+
+
+@both
+@pytest.mark.parametrize(
+    ("faults", "codes"),
+    [
+        ({1: 6}, [6, 6]),
+        ({255: 5}, [None, 5]),
+        ({1: 6, 255: 5}, [6, 5]),
+    ],
+    ids=str,
+)
+def test_faults_happen_to_whom_the_server_is(
+    scheme: str, faults: dict[int | None, int], codes: list[int | None]
+) -> None:
+    """But for those of the units themselves."""
+    given = {unit: [Fault("exception", code=code)] for unit, code in faults.items()}
+    server = Server({1: holding(7)}, given)
+    with (
+        server.background(f"{scheme}://127.0.0.1:0") as running,
+        Context.from_url(running.urls[0], timeout=20) as plc,
+    ):
+        found: list[int | None] = []
+        for unit in (0, 255):
+            try:
+                plc.for_unit(unit).read_holding_registers(0, 1)
+                found.append(None)
+            except errors.ExceptionResponse as refusal:
+                found.append(refusal.code)
+    assert found == codes
+
+
+# --- messages ----------------------------------------------------------------------------------
+
+
+@pytest.fixture(params=["tcp", "udp", "rtu+tcp"])
+def plc(request: pytest.FixtureRequest) -> Iterator[Context]:
+    devices = {1: holding(7), 2: holding(8, before_read=lambda access: None)}
+    with (
+        Server(devices).background(f"{request.param}://127.0.0.1:0") as running,
+        Context.from_url(running.urls[0], unit=1, timeout=20) as made,
+    ):
+        yield made
+
+
+@pytest.mark.parametrize("unit", [1, 2], ids=["c", "python"])
+def test_every_message_is_counted(plc: Context, unit: int) -> None:
+    """Whoever answered it, the one that asks included; as on a serial line."""
+    asked = plc.for_unit(unit)
+    assert asked.diagnostics(MESSAGES) == 1
+    for _ in range(40):
+        asked.read_holding_registers(0, 1)
+    with pytest.raises(errors.IllegalDataAddress):
+        asked.read_holding_registers(9, 1)
+    asked.write_register(1, 1)
+    assert asked.diagnostics(MESSAGES) == 44
+    assert asked.read_comm_event_log().message_count == 45
+    assert asked.diagnostics(pdu.SubFunction.SERVER_MESSAGE_COUNT) == 46
+    asked.diagnostics(pdu.SubFunction.CLEAR_COUNTERS)
+    assert asked.diagnostics(MESSAGES) == 1
+
+
+@both
+def test_messages_of_other_units_are_not_heard(scheme: str) -> None:
+    """There is no line on which they would pass."""
+    devices = {1: holding(7), 2: holding(8)}
+    with (
+        Server(devices).background(f"{scheme}://127.0.0.1:0") as running,
+        Context.from_url(running.urls[0], unit=1, timeout=20) as plc,
+    ):
+        for _ in range(3):
+            plc.for_unit(2).read_holding_registers(0, 1)
+            with pytest.raises(errors.GatewayTargetFailedToRespond):
+                plc.for_unit(3).read_holding_registers(0, 1)
+        assert plc.diagnostics(MESSAGES) == 1
+        assert plc.for_unit(2).diagnostics(MESSAGES) == 4
+
+
+@both
+def test_a_message_that_cannot_be_answered_is_one(scheme: str) -> None:
+    """Function codes from 128 on; on lines, too."""
+    device = holding(7)
+    with Server(device).background(f"{scheme}://127.0.0.1:0") as running:
+        port = int(running.urls[0].rpartition(":")[2])
+        kind = socket.SOCK_STREAM if scheme == "tcp" else socket.SOCK_DGRAM
+        with socket.socket(socket.AF_INET, kind) as peer:
+            peer.settimeout(20)
+            peer.connect(("127.0.0.1", port))
+            peer.sendall(adu(b"\x83\2", 1, 1))
+            peer.sendall(adu(b"\x08\0\x0b\0\0", 2, 1))
+            assert peer.recv(100) == adu(b"\x08\0\x0b\0\2", 2, 1)
