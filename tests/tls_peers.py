@@ -11,9 +11,10 @@ import contextlib
 import socket
 import ssl
 import struct
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from certificates import Papers
 from cryptography.hazmat.primitives import hashes
@@ -23,7 +24,12 @@ from fake import Answer, FakeServer, echo
 
 from libmodbus_py.security.making import Identity
 
-__all__ = ["VERSIONS", "Peer", "Script", "Sealed", "TlsServer", "context_of", "request_of"]
+# fmt: off
+__all__ = [
+    "HANDSHAKE", "VERSIONS", "Peer", "Relay", "Script", "Sealed", "TlsServer", "context_of",
+    "raw",
+]
+# fmt: on
 
 VERSIONS = {"1.2": ssl.TLSVersion.TLSv1_2, "1.3": ssl.TLSVersion.TLSv1_3}
 
@@ -53,7 +59,10 @@ class Peer:
     Attributes:
         sock: beneath it.
         tls: Python's end.
+        cut: how what is sent goes out.
     """
+
+    cut: Callable[[bytes], Iterable[bytes]] = staticmethod(lambda data: [data])
 
     def __init__(self, sock: socket.socket, context: ssl.SSLContext) -> None:
         self.sock = sock
@@ -77,7 +86,8 @@ class Peer:
                 self._incoming.write(data)
 
     def flush(self) -> None:
-        self.sock.sendall(self._outgoing.read())
+        for piece in self.cut(self._outgoing.read()):
+            self.sock.sendall(piece)
 
     def read(self, size: int = 16_384) -> bytes:
         """What was decrypted; b"" at the end."""
@@ -112,6 +122,11 @@ class Peer:
             self.tls.unwrap()
         return self._outgoing.read()
 
+    def answer(self) -> None:
+        """Answer one request, if it comes."""
+        if request := self.request():
+            self.write(echo(request))
+
     def serve(self, answer: Answer = lambda request: [echo(request)]) -> None:
         """Answer requests to their end."""
         while request := self.request():
@@ -132,6 +147,7 @@ class TlsServer(FakeServer):
     Attributes:
         resumed: for each connection that is through, whether it was.
         errors: of handshakes that failed.
+        ended: how many scripts came to their end, and their connections with them.
     """
 
     def __init__(self, context: ssl.SSLContext, script: Script = Peer.serve) -> None:
@@ -141,6 +157,7 @@ class TlsServer(FakeServer):
         self.script = script
         self.resumed: list[bool] = []
         self.errors: list[Exception] = []
+        self.ended = 0
 
     def _talk(self, peer: socket.socket) -> None:
         made = Peer(peer, self.context)
@@ -150,7 +167,11 @@ class TlsServer(FakeServer):
             self.errors.append(error)
             return
         self.resumed.append(bool(made.tls.session_reused))
-        self.script(made)
+        try:
+            self.script(made)
+        finally:
+            peer.close()
+            self.ended += 1
 
 
 class Sealed:
@@ -205,3 +226,101 @@ class Sealed:
 def request_of(address: int) -> bytes:
     """Nothing but the PDU of a read of one register there."""
     return b"\x03" + address.to_bytes(2, "big") + b"\0\x01"
+
+
+class Relay:
+    """
+    Stands between a client and a server on this machine.
+
+    Args:
+        port: of the server.
+        alter: what becomes of what the server sends, chunk by chunk.
+        host: where the client comes.
+    """
+
+    def __init__(
+        self,
+        port: int,
+        alter: Callable[[bytes], Iterable[bytes]] = lambda data: [data],
+        host: str = "127.0.0.1",
+    ) -> None:
+        self._target = port
+        self._alter = alter
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        self._listener = socket.create_server((host, 0), family=family)
+        self.port: int = self._listener.getsockname()[1]
+        place = f"[{host}]" if ":" in host else host
+        self.url = f"tls://{place}:{self.port}"
+        self._sockets: list[socket.socket] = []
+        self._threads: list[threading.Thread] = []
+
+    def __enter__(self) -> Self:
+        self._start(self._accept)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._listener.shutdown(socket.SHUT_RDWR)
+        self._threads[0].join()
+        self._listener.close()
+        self.cut()
+        for thread in self._threads:
+            thread.join()
+        for each in self._sockets:
+            each.close()
+
+    def cut(self) -> None:
+        """Drop all connections."""
+        for each in self._sockets:
+            with contextlib.suppress(OSError):
+                each.shutdown(socket.SHUT_RDWR)
+
+    def _start(self, target: Callable[..., object], *arguments: object) -> None:
+        self._threads.append(threading.Thread(target=target, args=arguments))
+        self._threads[-1].start()
+
+    def _accept(self) -> None:
+        with contextlib.suppress(OSError):
+            while True:
+                near, _ = self._listener.accept()
+                near.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                far = socket.create_connection(("127.0.0.1", self._target))
+                self._sockets += [near, far]
+                self._start(_copy, near, far, lambda data: [data])
+                self._start(_copy, far, near, self._alter)
+
+
+def _copy(
+    source: socket.socket, target: socket.socket, alter: Callable[[bytes], Iterable[bytes]]
+) -> None:
+    with contextlib.suppress(OSError):
+        while data := source.recv(16_384):
+            for piece in alter(data):
+                target.sendall(piece)
+    with contextlib.suppress(OSError):
+        target.shutdown(socket.SHUT_WR)
+
+
+@contextlib.contextmanager
+def raw(talk: Callable[[socket.socket], object]) -> Iterator[str]:
+    """A server beneath TLS; gives its URL."""
+    peers: list[socket.socket] = []
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+
+        def serve() -> None:
+            with contextlib.suppress(OSError):
+                while True:
+                    made, _ = listener.accept()
+                    peers.append(made)
+                    with made, contextlib.suppress(OSError):
+                        talk(made)
+
+        thread = threading.Thread(target=serve)
+        thread.start()
+        try:
+            yield f"tls://127.0.0.1:{listener.getsockname()[1]}"
+        finally:
+            listener.shutdown(socket.SHUT_RDWR)
+            for each in peers:
+                with contextlib.suppress(OSError):
+                    each.shutdown(socket.SHUT_RDWR)
+            thread.join()

@@ -158,7 +158,8 @@ class TlsPort(TcpPort):
     # --- open -----------------------------------------------------------------------------------
 
     def has_input(self) -> bool:
-        if not self._received and self._failure is None and super().has_input():
+        # Tickets are none; there may be an answer behind them, or the end.
+        while not self._received and self._failure is None and super().has_input():
             try:
                 self._received = self._read()
             except ModbusConnectionError as error:
@@ -246,12 +247,13 @@ class TlsPort(TcpPort):
             raise self._failure
         try:
             super().send([tunnel.outgoing()], now)
-        except ModbusConnectionError as error:
+        except ModbusConnectionError:
             # In TLS 1.3 a server refuses a certificate when the handshake is over for us,
             # and what it said is still there.
             self.has_input()
-            said = self._failure or error
-            raise said from said.__cause__
+            if self._failure is not None:
+                raise self._failure from self._failure.__cause__
+            raise
 
     def close(self) -> None:
         # A goodbye in the name of the parent, of its connection, would end that.

@@ -175,9 +175,9 @@ def huge_hello() -> bytes:
     return b"".join(record(22, message[at : at + 16_000]) for at in range(0, len(message), 16_000))
 
 
-SSLV2_HELLO = bytes.fromhex("802e 01 0002 0015 0000 0010 0100800200800300800400800600400700c0") + bytes(
-    16
-)
+SSLV2_HELLO = bytes.fromhex(
+    "802e 01 0002 0015 0000 0010 0100800200800300800400800600400700c0"
+) + bytes(16)
 
 GARBAGE: dict[str, Callable[[], bytes]] = {
     "random": lambda: random.Random(1).randbytes(10_000),
