@@ -76,6 +76,7 @@ class Security:
         self._certificate = certificate
         self._key = key
         self._password = password
+        self._is_encrypted = False
         self._trust = trust
         self._pins = None if pin is None else _pins(pin)
         self._server_name = server_name
@@ -144,7 +145,7 @@ class Security:
         try:
             context.load_cert_chain(self._certificate, self._key, self._ask_for_password)
         except ssl.SSLError as error:
-            raise ValueError(f"{self._key_place()}: {_reason_of_key(error)}") from None
+            raise ValueError(f"{self._key_place()}: {self._reason_of_key(error)}") from None
         except OSError as error:
             raise ValueError(f"{self._key_place()}: {error.strerror}") from None
         return context
@@ -153,7 +154,16 @@ class Security:
         """OpenSSL asks only if the key is encrypted; without an answer it would ask the user."""
         if self._password is None:
             raise ValueError(f"{self._key_place()} is encrypted, and needs its password")
+        self._is_encrypted = True
         return self._password
+
+    def _reason_of_key(self, error: ssl.SSLError) -> str:
+        if error.reason == "KEY_VALUES_MISMATCH":
+            return "not the key of the certificate"
+        if error.reason:
+            return error.reason.lower().replace("_", " ")
+        # All that OpenSSL says is "PEM lib".
+        return "the password is another" if self._is_encrypted else "no key in PEM format"
 
     def _key_place(self) -> str:
         return f"key {os.fspath(self._key if self._key is not None else self._certificate)!r}"
@@ -239,12 +249,3 @@ def _pins(given: Any) -> dict[str, bytes]:
 
 def _digest(certificate: bytes) -> str:
     return hashlib.sha256(certificate).hexdigest()
-
-
-def _reason_of_key(error: ssl.SSLError) -> str:
-    reasons = {
-        "KEY_VALUES_MISMATCH": "not the key of the certificate",
-        "BAD_DECRYPT": "the password is another",
-        "NO_START_LINE": "no key in PEM format",
-    }
-    return reasons.get(error.reason or "", str(error.reason or error).lower().replace("_", " "))
