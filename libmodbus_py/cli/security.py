@@ -6,8 +6,7 @@ from __future__ import annotations
 
 import argparse
 
-from ..ports.endpoint import Endpoint
-from ..ports.tls import security_of
+from ..ports.tls import named_security
 from ..security.security import Security
 
 __all__ = ["add_arguments", "told"]
@@ -46,4 +45,4 @@ def told(options: argparse.Namespace) -> Security | None:
     given = {name: value for name in names if (value := getattr(options, name)) is not None}
     if options.pin:
         given["pin"] = ",".join(options.pin)
-    return security_of(Endpoint("tls", options=given), None) if given else None
+    return named_security("the command line", given) if given else None

@@ -19,6 +19,7 @@ Clients take their own options from every URL: ``tcp://192.0.2.10?unit=7&timeout
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -93,6 +94,9 @@ CLIENT_OPTIONS: dict[str, Option] = {
     "delimiter": (lambda text: int(text, 0), "a number such as 10 or 0x0A"),
 }
 
+# Of no use here, but it may be written, and should be in no log.
+PASSWORD = re.compile("(?<=password=)[^&#]+|(?<=:)[^/@:]+(?=@)")
+
 USUAL: dict[Framing, dict[str, Any]] = {"ascii": {"data_bits": 7, "silence": 0.0}}
 """Serial settings unless told otherwise: ASCII frames are text, and have marks of their own."""
 
@@ -162,6 +166,7 @@ def parse(url: str) -> Endpoint:
     if not isinstance(url, str):
         raise TypeError(f"url must be a string, not {type(url).__name__}")
     parts = urlsplit(url)
+    url = PASSWORD.sub("***", url)  # from here on it is for errors only
     if parts.scheme not in SCHEMES:
         raise ValueError(f"{url!r}: the scheme must be one of {', '.join(SCHEMES)}")
     if parts.fragment or parts.username is not None:

@@ -10,6 +10,7 @@ import os
 import socket
 import ssl
 import time
+from collections.abc import Mapping
 from typing import Any
 
 from ..protocol.errors import ModbusConnectionError
@@ -20,7 +21,7 @@ from .endpoint import Endpoint
 from .sockets import TcpPort
 from .waiting import READ, WRITE, Ready, Steps
 
-__all__ = ["TlsPort", "security_of"]
+__all__ = ["TlsPort", "named_security", "security_of"]
 
 # What the other side's alerts say of our certificate, as OpenSSL's reasons end.
 OF_OUR_CERTIFICATE = (
@@ -58,8 +59,7 @@ def security_of(endpoint: Endpoint, given: Security | None) -> Security:
     Raises:
         TypeError, ValueError: in neither or in both; or as of `Security`.
     """
-    options = dict(endpoint.options)
-    if not options:
+    if not endpoint.options:
         if given is None:
             raise ValueError(
                 f"{endpoint} needs security: Security(...), or ?cert=...&key=... and ca or pin"
@@ -67,8 +67,23 @@ def security_of(endpoint: Endpoint, given: Security | None) -> Security:
         return given
     if given is not None:
         raise ValueError(f"{endpoint}: security is given as such and in the URL")
+    return named_security(str(endpoint), endpoint.options)
+
+
+def named_security(place: str, options: Mapping[str, str]) -> Security:
+    """
+    Make it of the options that URLs have.
+
+    Args:
+        place: where they stand, for errors.
+
+    Raises:
+        TypeError, ValueError: an option is missing; or as of `Security`.
+    """
     if "cert" not in options:
-        raise ValueError(f"{endpoint} lacks cert, the file with one's own certificate")
+        raise ValueError(f"{place} lacks cert, the file with one's own certificate")
+    if ("ca" in options) == ("pin" in options):
+        raise ValueError(f"{place} needs either ca, the authorities, or pin, certificates")
     named: dict[str, Any] = {NAMES[name]: options[name] for name in NAMES if name in options}
     if "pin" in options:
         named["pin"] = options["pin"].split(",")

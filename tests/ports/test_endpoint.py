@@ -18,6 +18,24 @@ from libmodbus_py.ports.endpoint import CLIENT_OPTIONS, SCHEMES, SERIAL_OPTIONS,
         ("tcp://192.0.2.10", Endpoint("tcp", "192.0.2.10", 502)),
         ("udp://[::1]:0/", Endpoint("udp", "::1", 0)),
         ("rtu+tcp://plant.example:65535", Endpoint("rtu+tcp", "plant.example", 65535)),
+        ("tls://192.0.2.10", Endpoint("tls", "192.0.2.10", 802)),
+        (
+            "tls://[::1]:1802?cert=a%20b.pem&key=k&ca=c&pin=1,2&server_name=n&password_env=P&unit=7",
+            Endpoint(
+                "tls",
+                "::1",
+                1802,
+                options={
+                    "cert": "a b.pem",
+                    "key": "k",
+                    "ca": "c",
+                    "pin": "1,2",
+                    "server_name": "n",
+                    "password_env": "P",
+                },
+                client_options={"unit": 7},
+            ),
+        ),
         (
             "tcp://h?unit=7&timeout=0.5&retries=2",
             Endpoint("tcp", "h", 502, client_options={"unit": 7, "timeout": 0.5, "retries": 2}),
@@ -116,6 +134,9 @@ ALL = ", ".join([*SERIAL_OPTIONS, *CLIENT_OPTIONS])
         ("udp://h:x", "the port must be in 0..65535"),
         ("rtu://ttyS0", "a device is missing, as in rtu:///dev/ttyUSB0"),
         ("ascii:///", "a device is missing"),
+        ("tls://h?trust=x", "'trust' must be one of cert, key, ca, pin, server_name, password_env"),
+        ("tls://h?cert=x&cert=y", "cert is given twice"),
+        ("tcp://h?cert=x", "'cert' must be one of unit, timeout, retries"),
         ("tcp://h?baudrate=9600", "'baudrate' must be one of unit, timeout, retries"),
         ("rtu:///dev/x?speed=1", f"'speed' must be one of {ALL}"),
         ("tcp://h?unit=1&unit=1", "unit is given twice"),
@@ -132,6 +153,21 @@ ALL = ", ".join([*SERIAL_OPTIONS, *CLIENT_OPTIONS])
 def test_what_is_wrong_is_named_and_what_is_allowed(url: str, text: str) -> None:
     with pytest.raises(ValueError, match=f"^{re.escape(f'{url!r}: {text}')}"):
         parse(url)
+
+
+def test_files_are_no_part_of_where_it_leads() -> None:
+    endpoint = parse("tls://h?cert=a%20b.pem&ca=c&unit=7")
+    assert str(endpoint) == "tls://h:802"
+    assert endpoint.url == "tls://h:802?cert=a%20b.pem&ca=c&unit=7"
+
+
+@pytest.mark.parametrize(
+    "url", ["tls://h?cert=x&password=secret", "tls://me:secret@h", "tcp://h?key_password=secret&x"]
+)
+def test_no_error_shows_a_password(url: str) -> None:
+    with pytest.raises(ValueError, match=r"'t.*\*\*\*.*h?.*: ") as caught:
+        parse(url)
+    assert "secret" not in str(caught.value)
 
 
 def test_a_url_is_text() -> None:

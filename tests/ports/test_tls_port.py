@@ -1,0 +1,144 @@
+"""
+Who one is at a tls:// endpoint: in its URL or as given, and what is wrong with it.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import certificates
+import pytest
+from certificates import Papers
+
+from libmodbus_py import AsyncClient, Context, Security, TlsContext
+from libmodbus_py.ports.endpoint import parse
+from libmodbus_py.ports.tls import security_of
+
+SECRET = "open sesame"
+
+
+@pytest.fixture
+def papers(tmp_path: Path) -> Papers:
+    return Papers(tmp_path)
+
+
+@pytest.mark.parametrize("make", [Context.from_url, AsyncClient])
+def test_security_goes_with_tls_and_tls_with_security(make: Any, papers: Papers) -> None:
+    security = papers.client()
+    url = papers.url("tls://h", certificates.client())
+    for wrong, options, text in (
+        ("tcp://h", {"security": security}, "security is for tls://, and means nothing on tcp"),
+        (
+            "rtu:///dev/x",
+            {"security": security},
+            "security is for tls://, and means nothing on rtu",
+        ),
+        ("udp://h", {"security": security}, "security is for tls://, and means nothing on udp"),
+        ("tls://h", {}, "tls://h:802 needs security: Security(...), or ?cert=...&key=..."),
+        (url, {"security": security}, "tls://h:802: security is given as such and in the URL"),
+        ("tls://h?ca=x", {}, "tls://h:802 lacks cert, the file with one's own certificate"),
+        ("tls://h?cert=x", {}, "tls://h:802 needs either ca, the authorities, or pin, certif"),
+        ("tls://h?cert=x&ca=y&pin=z", {}, "tls://h:802 needs either ca, the authorities, or pin"),
+    ):
+        with pytest.raises(ValueError, match=f"^{re.escape(text)}"):
+            make(wrong, **options)
+    with pytest.raises(TypeError, match="security must be Security, not dict"):
+        make("tls://h", security={})
+    with pytest.raises(TypeError, match="'securty' must be one of unit, timeout"):
+        make("tls://h", securty=security)
+    assert make(url).url == make("tls://h", security=security).url == "tls://h:802"
+
+
+def test_a_context_of_its_own(papers: Papers) -> None:
+    security = papers.client()
+    assert TlsContext("h", security=security).url == "tls://h:802"
+    assert isinstance(Context.from_url("tls://h", security=security), TlsContext)
+    with pytest.raises(ValueError, match="tls://h:802 needs security"):
+        TlsContext("h")
+
+
+def test_each_option_of_a_url(papers: Papers, monkeypatch: pytest.MonkeyPatch) -> None:
+    files = papers.files(certificates.client(), SECRET.encode())
+    monkeypatch.setenv("KEY_PASSWORD", SECRET)
+    both = f"cert={files.cert}&key={files.key}&password_env=KEY_PASSWORD"
+    for more in (
+        f"ca={papers.ca}",
+        f"pin={papers.ca},{'ab' * 32}",
+        f"ca={papers.ca}&server_name=x",
+    ):
+        assert isinstance(security_of(parse(f"tls://h?{both}&{more}"), None), Security)
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ({"cert": "/nowhere"}, "certificate '/nowhere': No such file or directory"),
+        ({"cert": "/"}, "certificate '/': Is a directory"),
+        ({"key": "/nowhere"}, "key '/nowhere': No such file or directory"),
+        ({"key": "CERT"}, "key 'CERT': no key in PEM format"),
+        ({"key": "OTHER"}, "key 'OTHER': not the key of the certificate"),
+        ({"key": ""}, "key '': No such file or directory"),
+        ({"ca": "/nowhere"}, "trust '/nowhere': No such file or directory"),
+        ({"ca": "KEY"}, "trust 'KEY': no certificate in PEM format"),
+        ({"password_env": "NO_SUCH"}, "password_env: no environment variable 'NO_SUCH'"),
+        ({"server_name": ""}, "server_name must be a name or an address, not ''"),
+        ({"key": "LOCKED"}, "key 'LOCKED' is encrypted, and needs its password"),
+        ({"key": "LOCKED", "password_env": "WRONG"}, "key 'LOCKED': the password is another"),
+        ({"key": "LOCKED", "password_env": "EMPTY"}, "key 'LOCKED'"),
+    ],
+)
+def test_what_is_wrong_with_a_file_is_told(
+    papers: Papers, monkeypatch: pytest.MonkeyPatch, change: dict[str, str], text: str
+) -> None:
+    monkeypatch.setenv("WRONG", "close sesame")
+    monkeypatch.setenv("EMPTY", "")
+    own = papers.files(certificates.client())
+    known = {
+        "CERT": own.cert,
+        "KEY": own.key,
+        "OTHER": papers.files(certificates.server()).key,
+        "LOCKED": papers.files(certificates.client(), SECRET.encode()).key,
+    }
+    options = {"cert": "CERT", "key": "KEY", "ca": str(papers.ca), **change}
+    for name, file in known.items():
+        options = {each: str(file) if value == name else value for each, value in options.items()}
+        text = text.replace(f"'{name}'", repr(str(file)))
+    url = "tls://h?" + "&".join(f"{name}={value}" for name, value in options.items())
+    with pytest.raises(ValueError, match=f"^{re.escape(text)}") as caught:
+        security_of(parse(url), None)
+    assert "sesame" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ({"password": b"x"}, "password must be a string, not bytes"),
+        ({"server_name": 5}, "server_name must be a string, not int"),
+        ({"trust": 5}, "trust must be a file, not int"),
+    ],
+)
+def test_wrong_types_are_told(papers: Papers, options: dict[str, Any], text: str) -> None:
+    files = papers.files(certificates.client())
+    with pytest.raises(TypeError, match=text):
+        Security(files.cert, files.key, **{"trust": papers.ca, **options})
+
+
+@pytest.mark.parametrize("name", [".x", "a\0b", "a" * 64, "a." * 200 + "b"])
+def test_a_server_name_that_is_none(papers: Papers, name: str) -> None:
+    files = papers.files(certificates.client())
+    with pytest.raises(ValueError, match="server_name must be a name or an address, not "):
+        Security(files.cert, files.key, trust=papers.ca, server_name=name)
+
+
+def test_the_password_is_nowhere_to_be_seen(
+    papers: Papers, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files = papers.files(certificates.client(), SECRET.encode())
+    security = Security(files.cert, files.key, trust=papers.ca, password=SECRET)
+    monkeypatch.setenv("KEY_PASSWORD", SECRET)
+    url = f"tls://h?cert={files.cert}&key={files.key}&ca={papers.ca}&password_env=KEY_PASSWORD"
+    for plc in (Context.from_url("tls://h", security=security), Context.from_url(url)):
+        for each in (security, plc, plc.url, plc.statistics, vars(plc), plc._driver):
+            assert SECRET not in repr(each)
