@@ -9,7 +9,7 @@ import os
 import re
 import ssl
 from collections.abc import Iterable
-from typing import Any, NoReturn
+from typing import Any
 
 from .tunnel import Tunnel
 
@@ -27,9 +27,23 @@ NO_CHECK_TIME = 0x200000
 # Of a PEM file: five hundred authorities have room.
 MAX_FILE = 1_000_000
 
+# What OpenSSL says of a key that is not the certificate's; the latter of one of another kind.
+OF_ANOTHER_CERTIFICATE = ("KEY_VALUES_MISMATCH", "NO_CERTIFICATE_ASSIGNED")
+
+# And of a certificate that is too weak for its security level.
+TOO_WEAK = ("EE_KEY_TOO_SMALL", "CA_KEY_TOO_SMALL", "CA_MD_TOO_WEAK")
+
 CERTIFICATE = re.compile("-----BEGIN CERTIFICATE-----.+?-----END CERTIFICATE-----", re.DOTALL)
 
+PRIVATE_KEY = re.compile("-----BEGIN [A-Z ]*PRIVATE KEY-----")
+
 FINGERPRINT = re.compile("[0-9a-f]{64}")
+
+# What somebody meant for one: no file is called so.
+LIKE_A_FINGERPRINT = re.compile("[0-9a-f]{32,}")
+
+# As much as OpenSSL takes.
+MAX_PASSWORD = 1024
 
 
 class Security:
@@ -71,19 +85,22 @@ class Security:
         if (trust is None) == (pin is None):
             raise ValueError("security needs either trust, the authorities, or pin, certificates")
         for name, text in (("server_name", server_name), ("password", password)):
-            if not isinstance(text, str | None):
+            if text is not None and not isinstance(text, str):
                 raise TypeError(f"{name} must be a string, not {type(text).__name__}")
+        if password is not None and len(password.encode()) > MAX_PASSWORD:
+            raise ValueError(f"password must have {MAX_PASSWORD} bytes of UTF-8 at most")
         self._certificate = certificate
         self._key = key
         self._password = password
-        self._is_encrypted = False
         self._trust = trust
         self._pins = None if pin is None else _pins(pin)
         self._server_name = server_name
         self.own: bytes = _certificates("certificate", certificate)[0]
+        self._check_key()
         self._client = self._make_client()
         self._server: ssl.SSLContext | None = None
-        self._check_server_name()
+        if server_name is not None:
+            self._check_server_name(server_name)
 
     def __repr__(self) -> str:
         whom = f"trust={os.fspath(self._trust)!r}" if self._trust is not None else "pin=..."
@@ -99,8 +116,8 @@ class Security:
             host: where it leads.
             session: of an earlier tunnel there, to resume.
         """
-        name = _server_name(self._server_name or host)
-        return Tunnel(self._client, server_name=name, session=session)
+        name = host if self._server_name is None else self._server_name
+        return Tunnel(self._client, server_name=_server_name(name), session=session)
 
     def check_server(self) -> None:
         """
@@ -126,15 +143,6 @@ class Security:
         """Whether what a good handshake showed is one of the pins, if there are any."""
         return self._pins is None or _digest(certificate) in self._pins
 
-    def _check_server_name(self) -> None:
-        if self._server_name is None:
-            return
-        try:
-            Tunnel(self._client, server_name=_server_name(self._server_name))
-        except (ValueError, TypeError, ssl.SSLError):
-            shown = repr(self._server_name)
-            raise ValueError(f"server_name must be a name or an address, not {shown}") from None
-
     # --- contexts -----------------------------------------------------------------------------
 
     def _own_context(self, protocol: int) -> ssl.SSLContext:
@@ -142,31 +150,47 @@ class Security:
         context.minimum_version = ssl.TLSVersion.TLSv1_2
         context.set_ciphers(CIPHERS)
         context.options |= ssl.OP_NO_COMPRESSION | ssl.OP_NO_RENEGOTIATION
+        was_asked = False
+
+        def password() -> str:
+            # Asked only if the key is encrypted; without an answer OpenSSL would ask the user.
+            nonlocal was_asked
+            was_asked = True
+            if self._password is None:
+                raise ValueError(f"{self._key_place()} is encrypted, and needs its password")
+            return self._password
+
         try:
-            context.load_cert_chain(self._certificate, self._key, self._ask_for_password)
+            context.load_cert_chain(self._certificate, self._key, password)
         except ssl.SSLError as error:
-            raise ValueError(f"{self._key_place()}: {self._reason_of_key(error)}") from None
-        except OSError as error:
+            raise ValueError(self._what_is_wrong(error, was_encrypted=was_asked)) from None
+        except OSError as error:  # it was there a moment ago
             raise ValueError(f"{self._key_place()}: {error.strerror}") from None
         return context
 
-    def _ask_for_password(self) -> str:
-        """OpenSSL asks only if the key is encrypted; without an answer it would ask the user."""
-        if self._password is None:
-            raise ValueError(f"{self._key_place()} is encrypted, and needs its password")
-        self._is_encrypted = True
-        return self._password
-
-    def _reason_of_key(self, error: ssl.SSLError) -> str:
-        if error.reason == "KEY_VALUES_MISMATCH":
-            return "not the key of the certificate"
-        if error.reason:
-            return error.reason.lower().replace("_", " ")
-        # All that OpenSSL says is "PEM lib".
-        return "the password is another" if self._is_encrypted else "no key in PEM format"
+    def _what_is_wrong(self, error: ssl.SSLError, *, was_encrypted: bool) -> str:
+        reason = (error.reason or "cannot be read").lower().replace("_", " ")
+        if error.reason in TOO_WEAK:
+            return f"{_place('certificate', self._certificate)}: {reason}"
+        if error.reason in OF_ANOTHER_CERTIFICATE:
+            reason = "not the key of the certificate"
+        elif was_encrypted:
+            reason = "the password is another"
+        return f"{self._key_place()}: {reason}"
 
     def _key_place(self) -> str:
-        return f"key {os.fspath(self._key if self._key is not None else self._certificate)!r}"
+        return _place("key", self._certificate if self._key is None else self._key)
+
+    def _check_key(self) -> None:
+        file = self._certificate if self._key is None else self._key
+        if not PRIVATE_KEY.search(_text("key", file)):
+            raise ValueError(f"{self._key_place()}: no private key in PEM format")
+
+    def _check_server_name(self, name: str) -> None:
+        try:
+            self.to_server(name)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"server_name {name!r}: {error}") from None
 
     def _make_client(self) -> ssl.SSLContext:
         context = self._own_context(ssl.PROTOCOL_TLS_CLIENT)
@@ -204,28 +228,38 @@ def _server_name(host: str) -> str:
 
 
 def _certificates(name: str, file: File) -> list[bytes]:
-    """The certificates of a PEM file."""
+    """The certificates of a PEM file, one at least."""
+    found = CERTIFICATE.findall(_text(name, file))
+    try:
+        certificates = [ssl.PEM_cert_to_DER_cert(pem) for pem in found]
+        reader = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+        for certificate in certificates:
+            reader.load_verify_locations(cadata=certificate)
+    except (ssl.SSLError, ValueError):
+        certificates = []
+    if not certificates:
+        raise ValueError(f"{_place(name, file)}: no certificate in PEM format")
+    return certificates
+
+
+def _text(name: str, file: File) -> str:
+    """What is in a file."""
     if not isinstance(file, str | os.PathLike):
         raise TypeError(f"{name} must be a file, not {type(file).__name__}")
-    place = f"{name} {os.fspath(file)!r}"
     try:
         with open(file, encoding="ascii", errors="replace") as opened:
             text = opened.read(MAX_FILE + 1)
     except OSError as error:
-        raise ValueError(f"{place}: {error.strerror}") from None
+        raise ValueError(f"{_place(name, file)}: {error.strerror}") from None
+    except ValueError as error:  # a name that none can have
+        raise ValueError(f"{_place(name, file)}: {error}") from None
     if len(text) > MAX_FILE:
-        raise ValueError(f"{place}: more than {MAX_FILE} bytes")
-    try:
-        found = [ssl.PEM_cert_to_DER_cert(pem) for pem in CERTIFICATE.findall(text)]
-    except ValueError:
-        _refuse(place)
-    if not found:
-        _refuse(place)
-    return found
+        raise ValueError(f"{_place(name, file)}: more than {MAX_FILE} bytes")
+    return text
 
 
-def _refuse(place: str) -> NoReturn:
-    raise ValueError(f"{place}: no certificate in PEM format")
+def _place(name: str, file: File) -> str:
+    return f"{name} {os.fspath(file)!r}"
 
 
 def _pins(given: Any) -> dict[str, bytes]:
@@ -239,6 +273,9 @@ def _pins(given: Any) -> dict[str, bytes]:
         digest = os.fspath(each).replace(":", "").lower()
         if FINGERPRINT.fullmatch(digest):
             pins.setdefault(digest, b"")
+        elif LIKE_A_FINGERPRINT.fullmatch(digest):
+            digits = len(digest)
+            raise ValueError(f"pin {os.fspath(each)!r}: a SHA-256 has 64 digits, not {digits}")
         else:
             certificate = _certificates("pin", each)[0]
             pins[_digest(certificate)] = certificate

@@ -1,0 +1,318 @@
+"""
+Own files and those of others: what is wrong with them is said at once, by name.
+"""
+
+from __future__ import annotations
+
+import os
+import pty
+import ssl
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import certificates
+import pytest
+from certificates import Files, Papers
+from cryptography.hazmat.primitives import serialization
+from cryptography.hazmat.primitives.asymmetric import rsa
+
+from libmodbus_py import Device, Mapping, Security, Server
+from libmodbus_py.security.making import make
+
+DIGEST = "ab" * 32
+
+
+@pytest.fixture
+def papers(tmp_path: Path) -> Papers:
+    return Papers(tmp_path / "papers")
+
+
+@pytest.fixture
+def files(papers: Papers) -> Files:
+    return papers.files(certificates.client())
+
+
+def pem(kind: str, body: str = "AAAA") -> bytes:
+    return f"-----BEGIN {kind}-----\n{body}\n-----END {kind}-----\n".encode()
+
+
+# What is in the file -> what is said of it; a number: there is no such file, or it is no file.
+NO_CERTIFICATE: dict[str, tuple[Callable[[], bytes] | None, str]] = {
+    "missing": (None, "No such file or directory"),
+    "empty": (lambda: b"", "no certificate in PEM format"),
+    "DER": (lambda: certificates.client().der, "no certificate in PEM format"),
+    "no ASCII": (lambda: "Schlüssel".encode() * 100, "no certificate in PEM format"),
+    "a key": (lambda: certificates.client().key_pem(), "no certificate in PEM format"),
+    "cut": (lambda: certificates.client().pem[:300], "no certificate in PEM format"),
+    "no base64": (lambda: pem("CERTIFICATE", "!!!!"), "no certificate in PEM format"),
+    "no DER": (lambda: pem("CERTIFICATE"), "no certificate in PEM format"),
+    "one good, one bad": (
+        lambda: certificates.client().pem + pem("CERTIFICATE"),
+        "no certificate in PEM format",
+    ),
+    "huge": (lambda: bytes(2_000_000), "more than 1000000 bytes"),
+}
+
+
+@pytest.mark.parametrize("what", NO_CERTIFICATE)
+@pytest.mark.parametrize("argument", ["certificate", "trust", "pin"])
+def test_a_file_without_a_certificate_is_named(
+    tmp_path: Path, papers: Papers, files: Files, argument: str, what: str
+) -> None:
+    content, reason = NO_CERTIFICATE[what]
+    file = tmp_path / "file.pem"
+    if content is not None:
+        file.write_bytes(content())
+    options: dict[str, Any] = {"certificate": files.cert, "key": files.key}
+    options |= {argument: file} if argument == "pin" else {"trust": papers.ca, argument: file}
+    with pytest.raises(ValueError) as raised:
+        Security(**options)
+    assert str(raised.value) == f"{argument} {str(file)!r}: {reason}"
+
+
+def short_key() -> bytes:
+    return make("short", key=rsa.generate_private_key(65537, 1024)).key_pem()
+
+
+NO_KEY: dict[str, tuple[Callable[[], bytes] | None, str]] = {
+    "missing": (None, "No such file or directory"),
+    "empty": (lambda: b"", "no private key in PEM format"),
+    "certificate": (lambda: certificates.client().pem, "no private key in PEM format"),
+    "DER": (
+        lambda: certificates.client().key.private_bytes(
+            serialization.Encoding.DER,
+            serialization.PrivateFormat.PKCS8,
+            serialization.NoEncryption(),
+        ),
+        "no private key in PEM format",
+    ),
+    "no DER": (lambda: pem("PRIVATE KEY"), "cannot be read"),
+    "of another": (lambda: certificates.client(None).key_pem(), "not the key of the certificate"),
+    "of another kind": (
+        lambda: certificates.client(key=certificates.rsa_key()).key_pem(),
+        "not the key of the certificate",
+    ),
+    "huge": (lambda: bytes(2_000_000), "more than 1000000 bytes"),
+}
+
+
+@pytest.mark.parametrize("what", NO_KEY)
+def test_a_file_without_the_key_is_named(
+    tmp_path: Path, papers: Papers, files: Files, what: str
+) -> None:
+    content, reason = NO_KEY[what]
+    file = tmp_path / "key.pem"
+    if content is not None:
+        file.write_bytes(content())
+    with pytest.raises(ValueError) as raised:
+        Security(files.cert, file, trust=papers.ca)
+    assert str(raised.value) == f"key {str(file)!r}: {reason}"
+
+
+def test_without_a_file_of_its_own_the_key_is_looked_for_in_that_of_the_certificate(
+    tmp_path: Path, papers: Papers, files: Files
+) -> None:
+    with pytest.raises(ValueError, match=r"^key '.*': no private key in PEM format$"):
+        Security(files.cert, trust=papers.ca)
+    both = tmp_path / "both.pem"
+    both.write_bytes(files.key.read_bytes() + files.cert.read_bytes())
+    assert Security(both, trust=papers.ca).own == certificates.client().der
+
+
+def test_a_key_that_is_too_short_is_the_certificate_s_fault(papers: Papers) -> None:
+    short = papers.files(make("short", key=rsa.generate_private_key(65537, 1024)))
+    with pytest.raises(ValueError, match=r"^certificate '.*': ee key too small$"):
+        Security(short.cert, short.key, trust=papers.ca)
+
+
+@pytest.mark.parametrize("argument", ["certificate", "key", "trust", "pin"])
+def test_what_is_no_file_is_named(papers: Papers, files: Files, argument: str) -> None:
+    good: dict[str, Any] = {"certificate": files.cert, "key": files.key}
+    if argument != "pin":
+        good["trust"] = papers.ca
+    directory = papers.ca.parent
+    for wrong, error, reason in (
+        (directory, ValueError, f"{argument} {str(directory)!r}: Is a directory"),
+        ("a\0b", ValueError, f"{argument} 'a\\x00b': embedded null byte"),
+        ("", ValueError, f"{argument} '': No such file or directory"),
+        (5, TypeError, f"{argument} must be a file.*, not int"),
+        (b"x", TypeError, f"{argument} must be a file.*, not (bytes|int)"),
+    ):
+        with pytest.raises(error, match=f"^{reason}$".replace("\\x", "\\\\x")):
+            Security(**good | {argument: wrong})
+
+
+READS = """
+import os, sys
+from libmodbus_py import Security
+if os.getuid() == 0:  # who may read all
+    os.setuid(65534)
+try:
+    Security(sys.argv[1], sys.argv[2], trust=sys.argv[3])
+except ValueError as error:
+    print(error)
+"""
+
+
+def test_a_file_that_one_may_not_read_is_named(papers: Papers) -> None:
+    with tempfile.TemporaryDirectory() as name:
+        directory = Path(name)
+        directory.chmod(0o755)
+        identity = certificates.save(directory, certificates.client(), "client")
+        identity.key.chmod(0)
+        program = [sys.executable, "-c", READS, identity.cert, identity.key, papers.ca]
+        done = subprocess.run(program, capture_output=True, text=True, timeout=30, check=False)
+        assert done.stdout == f"key {str(identity.key)!r}: Permission denied\n", done.stderr
+
+
+# --- encrypted keys -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("form", ["PKCS #8", "traditional"])
+def test_an_encrypted_key_needs_its_password(tmp_path: Path, papers: Papers, form: str) -> None:
+    identity = certificates.client()
+    cert = papers.files(identity).cert
+    key = tmp_path / "key.pem"
+    key.write_bytes(
+        identity.key.private_bytes(
+            serialization.Encoding.PEM,
+            serialization.PrivateFormat.PKCS8
+            if form == "PKCS #8"
+            else serialization.PrivateFormat.TraditionalOpenSSL,
+            serialization.BestAvailableEncryption("Prüfer".encode()),
+        )
+    )
+    Security(cert, key, trust=papers.ca, password="Prüfer")
+    for password in ("Pruefer", "", "x" * 1024):
+        with pytest.raises(ValueError, match=r"^key '.*key.pem': the password is another$"):
+            Security(cert, key, trust=papers.ca, password=password)
+    with pytest.raises(ValueError, match=r"^key '.*' is encrypted, and needs its password$"):
+        Security(cert, key, trust=papers.ca)
+    with pytest.raises(ValueError, match="password must have 1024 bytes"):
+        Security(cert, key, trust=papers.ca, password="ü" * 513)
+    for wrong in (b"secret", 5):
+        with pytest.raises(TypeError, match="password must be a string, not "):
+            Security(cert, key, trust=papers.ca, password=wrong)  # type: ignore[arg-type]
+    with pytest.raises(ValueError) as raised:
+        Security(cert, key, trust=papers.ca, password="S3cret")
+    assert "S3cret" not in str(raised.value)
+
+
+def test_a_password_is_never_asked_for_at_the_terminal(papers: Papers) -> None:
+    """OpenSSL would, if nobody gave it one."""
+    files = papers.files(certificates.client(), b"secret")
+    program = (
+        "import sys; from libmodbus_py import Security\n"
+        "try: Security(sys.argv[1], sys.argv[2], trust=sys.argv[3])\n"
+        "except ValueError as error: print(error)"
+    )
+    command = [sys.executable, "-c", program, str(files.cert), str(files.key), str(papers.ca)]
+    pid, terminal = pty.fork()
+    if pid == 0:
+        os.execv(command[0], command)
+    said = b""
+    try:
+        while piece := os.read(terminal, 4096):
+            said += piece
+    except OSError:  # so a terminal ends
+        pass
+    finally:
+        os.close(terminal)
+        os.waitpid(pid, 0)
+    assert b"is encrypted, and needs its password" in said
+    assert b"pass phrase" not in said
+
+
+# --- whom one trusts ----------------------------------------------------------------------------
+
+
+def test_trust_or_pin_but_not_both(papers: Papers, files: Files) -> None:
+    for options in ({}, {"trust": papers.ca, "pin": files.cert}):
+        with pytest.raises(ValueError, match="either trust, the authorities, or pin"):
+            Security(files.cert, files.key, **options)
+
+
+def test_pins_are_files_or_hashes(papers: Papers, files: Files) -> None:
+    own = certificates.client().der
+    for pin in (files.cert, str(files.cert), [files.cert], iter([files.cert])):
+        made = Security(files.cert, files.key, pin=pin)
+        assert made.accepts(own)
+        assert not made.accepts(certificates.authority().der)
+    colons = ":".join(f"{byte:02X}" for byte in bytes.fromhex(digest(own)))
+    for pin in (digest(own), digest(own).upper(), colons, [DIGEST, colons]):
+        assert Security(files.cert, files.key, pin=pin).accepts(own)
+    bundle = papers.ca.parent / "bundle.pem"
+    bundle.write_bytes(files.cert.read_bytes() + papers.ca.read_bytes())
+    made = Security(files.cert, files.key, pin=bundle)
+    assert made.accepts(own)
+    assert not made.accepts(certificates.authority().der)  # it is the chain of the first
+
+
+def digest(certificate: bytes) -> str:
+    import hashlib
+
+    return hashlib.sha256(certificate).hexdigest()
+
+
+@pytest.mark.parametrize(
+    ("pin", "error", "reason"),
+    [
+        ([], ValueError, "one certificate at least"),
+        ((), ValueError, "one certificate at least"),
+        (DIGEST[:-1], ValueError, "a SHA-256 has 64 digits, not 63"),
+        (DIGEST + "00", ValueError, "a SHA-256 has 64 digits, not 66"),
+        ("ab:" * 20, ValueError, "a SHA-256 has 64 digits, not 40"),
+        ("g" * 64, ValueError, "No such file"),
+        ("ü" * 64, ValueError, "No such file"),
+        ([DIGEST, "nowhere.pem"], ValueError, "pin 'nowhere.pem': No such file"),
+        ([DIGEST, 5], TypeError, "pin must be a file or a SHA-256, not int"),
+        (bytes(32), TypeError, "pin must be a file or a SHA-256, not int"),
+    ],
+)
+def test_what_is_no_pin_is_named(files: Files, pin: Any, error: type[Exception], reason: str) -> None:
+    with pytest.raises(error, match=reason):
+        Security(files.cert, files.key, pin=pin)
+
+
+def test_a_server_needs_the_certificates_that_it_pins(files: Files) -> None:
+    security = Security(files.cert, files.key, pin=[files.cert, DIGEST])
+    with pytest.raises(ValueError, match=f"pin {DIGEST}: a server needs the certificate"):
+        with Server(Device(Mapping(1)), security=security).background("tls://127.0.0.1:0"):
+            pass
+    known = Security(files.cert, files.key, pin=[digest(certificates.client().der), files.cert])
+    with Server(Device(Mapping(1)), security=known).background("tls://127.0.0.1:0"):
+        pass
+
+
+def test_server_names_are_looked_at_before_they_are_used(papers: Papers, files: Files) -> None:
+    for name in ("", ".plc", "a" * 300, "a\0b"):
+        with pytest.raises(ValueError, match="^server_name "):
+            Security(files.cert, files.key, trust=papers.ca, server_name=name)
+    with pytest.raises(TypeError, match="server_name must be a string, not int"):
+        Security(files.cert, files.key, trust=papers.ca, server_name=5)  # type: ignore[arg-type]
+    for name in ("plc", "plc.example", "192.0.2.7", "2001:db8::7", "fe80::7%eth0", "müller.example"):
+        Security(files.cert, files.key, trust=papers.ca, server_name=name)
+
+
+def test_files_are_read_once(papers: Papers) -> None:
+    """But for those of a server, which it reads when it begins."""
+    files = papers.files(certificates.server())
+    security = Security(files.cert, files.key, trust=papers.ca)
+    security.check_server()
+    for file in (files.cert, files.key, papers.ca):
+        file.unlink()
+    security.check_server()
+    for tunnel in (security.to_server("plc"), security.to_anybody("plc"), security.to_client()):
+        with pytest.raises(ssl.SSLError):
+            tunnel.feed(b"x" * 100)
+            tunnel.handshake()
+
+
+def test_its_repr_has_no_secret(papers: Papers) -> None:
+    files = papers.files(certificates.client(), b"secret")
+    made = repr(Security(files.cert, files.key, trust=papers.ca, password="secret"))
+    assert made == f"Security({str(files.cert)!r}, trust={str(papers.ca)!r})"

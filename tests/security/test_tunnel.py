@@ -1,0 +1,156 @@
+"""
+The end of a TLS connection that has no socket, against Python's own; and where records end.
+"""
+
+from __future__ import annotations
+
+import random
+import ssl
+import struct
+from pathlib import Path
+
+import certificates
+import pytest
+from certificates import Papers
+from tls import VERSIONS, context
+
+from libmodbus_py.security.tunnel import Records, Tunnel
+
+VERSION = pytest.mark.parametrize("version", VERSIONS.values(), ids=VERSIONS)
+
+
+class Peer:
+    """Python's client, at the other end of a tunnel."""
+
+    def __init__(self, told: ssl.SSLContext, tunnel: Tunnel) -> None:
+        self._incoming, self._outgoing = ssl.MemoryBIO(), ssl.MemoryBIO()
+        self.tls = told.wrap_bio(self._incoming, self._outgoing, server_hostname="localhost")
+        self.tunnel = tunnel
+
+    def exchange(self) -> None:
+        self.tunnel.feed(self._outgoing.read())
+        self._incoming.write(self.tunnel.outgoing())
+
+    def shake_hands(self) -> None:
+        is_done = mine = False
+        for _ in range(5):
+            try:
+                self.tls.do_handshake()
+                mine = True
+            except ssl.SSLWantReadError:
+                pass
+            self.tunnel.feed(self._outgoing.read())
+            is_done = is_done or self.tunnel.handshake()
+            self._incoming.write(self.tunnel.outgoing())
+        assert is_done
+        assert mine
+
+
+@pytest.fixture(params=VERSIONS.values(), ids=VERSIONS)
+def peer(request: pytest.FixtureRequest, tmp_path: Path) -> Peer:
+    papers = Papers(tmp_path)
+    security = papers.server()
+    security.check_server()
+    peer = Peer(context(papers, certificates.client(), request.param), security.to_client())
+    peer.shake_hands()
+    return peer
+
+
+def test_bytes_pass_both_ways(peer: Peer) -> None:
+    tunnel = peer.tunnel
+    assert tunnel.receive() is None
+    peer.tls.write(b"question")
+    peer.exchange()
+    assert tunnel.has_more
+    assert tunnel.receive() == b"question"
+    assert not tunnel.has_more
+    tunnel.send(b"answer")
+    peer.exchange()
+    assert peer.tls.read() == b"answer"
+
+
+def test_what_is_not_taken_waits(peer: Peer) -> None:
+    peer.tls.write(b"0123456789")
+    peer.exchange()
+    assert peer.tunnel.receive(4) == b"0123"
+    assert peer.tunnel.has_more
+    assert peer.tunnel.receive(4) == b"4567"
+    assert peer.tunnel.receive(4) == b"89"
+    assert not peer.tunnel.has_more
+
+
+def test_it_knows_the_other_side(peer: Peer) -> None:
+    assert peer.tunnel.certificate == certificates.client().der
+    assert not peer.tunnel.is_resumed
+    expires = peer.tunnel.expires
+    assert expires is not None
+    end = certificates.client().certificate.not_valid_after_utc
+    assert ssl.cert_time_to_seconds(expires) == int(end.timestamp())
+
+
+def test_a_goodbye_is_an_end_both_ways(peer: Peer) -> None:
+    peer.tunnel.end()
+    peer.tunnel.end()
+    peer.exchange()
+    assert peer.tls.read() == b""
+
+
+def test_a_goodbye_of_the_other_side_is_an_empty_read(peer: Peer) -> None:
+    with pytest.raises(ssl.SSLWantReadError):
+        peer.tls.unwrap()
+    peer.exchange()
+    assert peer.tunnel.receive() == b""
+    peer.tunnel.send(b"a last answer")  # to one who may still listen
+    assert peer.tunnel.outgoing()
+
+
+def test_what_is_no_record_is_an_error_with_an_alert(peer: Peer) -> None:
+    peer.tunnel.feed(bytes(100))
+    with pytest.raises(ssl.SSLError):
+        peer.tunnel.receive()
+    peer.tunnel.end()  # nothing more to say, and no error
+
+
+# --- records ------------------------------------------------------------------------------------
+
+
+def a_record(size: int) -> bytes:
+    return struct.pack(">BHH", 23, 0x0303, size) + bytes([0xFF]) * size
+
+
+def test_records_end_where_their_lengths_say() -> None:
+    records = Records()
+    assert not records.is_midway
+    for data, is_midway in (
+        (a_record(10), False),
+        (a_record(0), False),
+        (a_record(10)[:1], True),
+        (a_record(10)[1:5], True),
+        (a_record(10)[5:14], True),
+        (a_record(10)[14:], False),
+        (a_record(10) + a_record(300), False),
+        (a_record(10) + a_record(300)[:-1], True),
+        (b"\xff" + a_record(16_401), False),
+        (a_record(0)[:4], True),
+        (a_record(0)[4:] + a_record(1)[:5], True),
+        (b"x", False),
+        (b"", False),
+    ):
+        records.follow(data)
+        assert records.is_midway == is_midway
+
+
+def test_records_may_come_in_any_pieces() -> None:
+    chance = random.Random(3)
+    for _ in range(300):
+        sizes = [chance.choice((0, 1, 4, 5, 29, 300, 2000)) for _ in range(8)]
+        ends, stream = {0}, b""
+        for size in sizes:
+            stream += a_record(size)
+            ends.add(len(stream))
+        records, at = Records(), 0
+        while at < len(stream):
+            step = chance.choice((1, 2, 5, 6, 300, 1024))
+            records.follow(stream[at : at + step])
+            at = min(len(stream), at + step)
+            assert records.is_midway == (at not in ends)
