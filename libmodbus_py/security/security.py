@@ -247,7 +247,7 @@ def _text(name: str, file: File) -> str:
     if not isinstance(file, str | os.PathLike):
         raise TypeError(f"{name} must be a file, not {type(file).__name__}")
     try:
-        with open(file, encoding="ascii", errors="replace") as opened:
+        with open(file, encoding="utf-8", errors="replace") as opened:
             text = opened.read(MAX_FILE + 1)
     except OSError as error:
         raise ValueError(f"{_place(name, file)}: {error.strerror}") from None

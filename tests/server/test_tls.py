@@ -6,6 +6,8 @@ R-nn are the requirements of MB-TCP-Security-v36.
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
 import logging
 import socket
 import ssl
@@ -22,6 +24,7 @@ import certificates
 import pytest
 from attacks import ANSWER_ONE, PATIENCE, READ_MOST, READ_ONE, adu
 from certificates import Papers
+from interop import our_tls_server
 from tls import VERSIONS, TlsClient, context, serving, wait_until
 
 from libmodbus_py import Access, Context, Device, Fault, Limits, Mapping, Server
@@ -186,9 +189,11 @@ def test_older_versions_are_refused(
     papers: Papers, served: tuple[Server, int], version: ssl.TLSVersion
 ) -> None:
     told = context(papers, certificates.client(), version, "ALL:@SECLEVEL=0")
-    with TlsClient(served[1], told) as client:  # R-01, R-34
-        with pytest.raises(ssl.SSLError, match="PROTOCOL_VERSION"):
-            client.handshake()
+    with (
+        TlsClient(served[1], told) as client,
+        pytest.raises(ssl.SSLError, match="PROTOCOL_VERSION"),  # R-01, R-34
+    ):
+        client.handshake()
     assert wait_until(lambda: served[0].statistics.handshakes_refused == 1)
 
 
@@ -314,11 +319,10 @@ def test_bad_ones_are_counted_but_cost_the_good_ones_nothing(
     server, port = served
     with TlsClient(port, context(papers, certificates.client())).handshake() as good:
         for identity, *_ in BAD.values():
-            with TlsClient(port, context(papers, identity(), VERSIONS["1.2"])) as bad:
-                with pytest.raises(ssl.SSLError):
-                    bad.handshake()
-                    assert bad.read() == b""
-                    raise ssl.SSLError("said goodbye")
+            told = context(papers, identity(), VERSIONS["1.2"])
+            with TlsClient(port, told) as bad, contextlib.suppress(ssl.SSLError):
+                bad.handshake()
+                assert bad.read() == b""
             assert good.ask(ONE, len(ONE_ANSWER)) == ONE_ANSWER
     assert server.statistics.handshakes_refused == len(BAD)
     assert server.statistics.closed_out_of_step == 0
@@ -375,15 +379,15 @@ def test_only_those_that_are_pinned_get_in(papers: Papers, device: Device, how: 
         with TlsClient(port, context(papers, mine)).handshake() as client:
             assert client.ask(ONE, len(ONE_ANSWER)) == ONE_ANSWER
         for stranger in strangers:
-            with TlsClient(port, context(papers, stranger)) as client:
-                with pytest.raises(ssl.SSLError, match="UNKNOWN_CA|BAD_CERT|DECRYPT"):
-                    client.handshake().ask(ONE, 1)
+            with (
+                TlsClient(port, context(papers, stranger)) as client,
+                pytest.raises(ssl.SSLError, match=r"UNKNOWN_CA|BAD_CERT|DECRYPT"),
+            ):
+                client.handshake().ask(ONE, 1)
         assert wait_until(lambda: server.statistics.handshakes_refused == len(strangers))
 
 
 def digest(identity: Identity) -> str:
-    import hashlib
-
     return hashlib.sha256(identity.der).hexdigest()
 
 
@@ -660,10 +664,11 @@ def test_who_does_not_read_is_not_answered_for_ever(papers: Papers, kind: str) -
         statistics = server.statistics
         client.socket.settimeout(1)
         sent = 0
-        with pytest.raises(TimeoutError):
+        with contextlib.suppress(TimeoutError):
             for _ in range(200):  # 70 MB of answers
                 client.send(block)
                 sent += count
+        assert sent < 200 * count
         before = statistics.requests
         assert statistics.paused > 0
         assert before < sent
@@ -744,8 +749,6 @@ def test_what_has_begun_must_end_in_time(papers: Papers, device: Device, half: s
 @pytest.mark.parametrize("most", [512, 1024])
 def test_a_client_may_ask_for_short_records(papers: Papers, most: int) -> None:
     """R-57, R-58; Python has no API to ask for them, so openssl asks."""
-    from interop import our_tls_server
-
     with our_tls_server(papers, Device(Mapping(10, 10, 1000, 1000))) as wire:
         files = papers.files(certificates.client())
         command = (

@@ -23,7 +23,7 @@ from attacks import ANSWER_ONE, PATIENCE, READ_ONE, ServerProcess, adu, connect
 from certificates import Papers
 from tls import VERSIONS, TlsClient, closed, context, serving, wait_until
 
-from libmodbus_py import Device, Limits, Mapping, Server
+from libmodbus_py import Device, Limits, Mapping
 from libmodbus_py.server import tls as server_tls
 
 ONE = adu(READ_ONE)
@@ -52,9 +52,11 @@ def quick() -> Limits:
 
 def hello(papers: Papers) -> bytes:
     """A ClientHello of Python's."""
-    with socket.create_server(("127.0.0.1", 0)) as nobody:
-        with TlsClient(nobody.getsockname()[1], context(papers)) as client:
-            return client.hello()
+    with (
+        socket.create_server(("127.0.0.1", 0)) as nobody,
+        TlsClient(nobody.getsockname()[1], context(papers)) as client,
+    ):
+        return client.hello()
 
 
 def is_served(papers: Papers, port: int) -> bool:
@@ -349,7 +351,7 @@ def test_openssl_may_not_negotiate_again_but_change_its_keys(
         ) as process:
             assert process.stdin is not None
             assert process.stdout is not None
-            for number in range(200):
+            for _ in range(200):
                 with contextlib.suppress(BrokenPipeError):
                     process.stdin.write(command.encode() + b"\n")
                 if is_negotiation and server.statistics.handshakes:
@@ -497,9 +499,9 @@ def test_a_mistake_in_a_hook_is_one_client_s(papers: Papers) -> None:
         raise RuntimeError("a hook")
 
     device = Device(Mapping(10, 10, 10, 10), before_read=fail)
-    with serving(papers, device) as (_, port):
-        with TlsClient(port, context(papers, certificates.client())).handshake() as client:
-            assert client.ask(adu(bytes.fromhex("03 0000 0001")), 9)[7:] == bytes.fromhex("83 04")
+    told = context(papers, certificates.client())
+    with serving(papers, device) as (_, port), TlsClient(port, told).handshake() as client:
+        assert client.ask(adu(bytes.fromhex("03 0000 0001")), 9)[7:] == bytes.fromhex("83 04")
 
 
 # --- memory -------------------------------------------------------------------------------------
