@@ -104,19 +104,21 @@ class Addresses(Generic[Each]):
         self._others: OrderedDict[str, Address[Each]] = OrderedDict()
 
     def get(self, host: str) -> Address[Each]:
-        """Give an address; it is the latest now."""
+        """Give an address, which is remembered only when it is to be kept."""
         host = plain_host(host)
-        address = self._connected.get(host) or self._others.pop(host, None)
+        address = self._connected.get(host) or self._others.get(host)
         return address or Address(host, self._rate, self._loop)
 
     def keep(self, address: Address[Each]) -> None:
         """Remember it, as long as it has connections, or is one of the last that came."""
         if address.idle:
             self._connected[address.host] = address
+            self._others.pop(address.host, None)
             return
         self._connected.pop(address.host, None)
         if self._rate == math.inf:  # nothing to remember
             return
         self._others[address.host] = address
+        self._others.move_to_end(address.host)
         if len(self._others) > REMEMBERED_MAX:
             self._others.popitem(last=False)

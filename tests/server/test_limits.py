@@ -695,6 +695,22 @@ def test_a_new_connection_brings_nothing_new_to_ask(kind: str) -> None:
         assert server.has(connections=0)
 
 
+def test_to_be_refused_brings_nothing_new_to_ask_either() -> None:
+    with served("plain", requests_per_second=0.5, max_connections=1, when_full="refuse") as server:
+        with server.connect() as eager:
+            ask(eager)
+            ask(eager)
+        assert server.has(connections=0)
+        with connect_from("127.0.0.2", server.port) as other:
+            ask(other)
+            with server.connect() as refused:
+                assert is_closed(refused)
+        assert server.has(connections=0, refused_full=1)
+        with server.connect() as again:
+            again.sendall(adu(READ_ONE))
+            assert server.has(throttled=1)
+
+
 def test_all_connections_that_wait_are_answered_in_the_end(kind: str) -> None:
     with served(kind, requests_per_second=40) as server, ExitStack() as stack:
         eager = [stack.enter_context(server.connect()) for _ in range(8)]
