@@ -142,9 +142,11 @@ class Records:
         self._left = 0  # bytes of the record
         self.is_midway: bool = False
 
-    def follow(self, data: bytes) -> None:
-        """Take what came."""
+    def follow(self, data: bytes) -> bool:
+        """Take what came; say whether it is one record and nothing else, as it mostly is."""
         start, size = self._left, len(data)
+        if not self.is_midway and size >= 5 and size == 5 + (data[3] << 8 | data[4]):
+            return True
         if self._header:
             data = self._header + data
             size = len(data)
@@ -154,3 +156,4 @@ class Records:
         self._left = max(0, start - size)
         self._header = data[start:]
         self.is_midway = start != size
+        return False

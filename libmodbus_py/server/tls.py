@@ -149,11 +149,14 @@ class TlsSession:
         tunnel, inner = self._tunnel, self._inner
         if tunnel is None:
             tunnel = self._tunnel = self._handshakes.begin(self)
+        is_one = False
         if data:
             tunnel.feed(data)
-            self._records.follow(data)
+            is_one = self._records.follow(data)
         if inner is not None:
-            return inner.receive(b"") if inner.is_behind else self._take(tunnel, inner)
+            if not data and inner.is_behind:
+                return inner.receive(b"")
+            return self._take(tunnel, inner, is_one=is_one)
         if data:
             self._handshakes.line_up(self)
         else:
@@ -240,14 +243,19 @@ class TlsSession:
 
     # --- requests -------------------------------------------------------------------------------
 
-    def _take(self, tunnel: Tunnel, inner: Session) -> int:
-        """Have the session inside receive a slice of what came."""
+    def _take(self, tunnel: Tunnel, inner: Session, *, is_one: bool) -> int:
+        """
+        Have the session inside receive a slice of what came.
+
+        Args:
+            is_one: whether that is one record, in which case nothing is behind it.
+        """
         requests, left = 0, READ_SIZE
         self._has_more = False
         try:
             while data := tunnel.receive(left):
                 requests += inner.receive(data)
-                if not tunnel.has_more:
+                if is_one or not tunnel.has_more:
                     return requests
                 left -= len(data)
                 if left <= 0 or inner.is_waiting:
