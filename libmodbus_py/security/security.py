@@ -184,13 +184,14 @@ class Security:
     def _check_key(self) -> None:
         file = self._certificate if self._key is None else self._key
         if not PRIVATE_KEY.search(_text("key", file)):
-            raise ValueError(f"{self._key_place()}: no private key in PEM format")
+            raise ValueError(f"{self._key_place()}: no key in PEM format")
 
     def _check_server_name(self, name: str) -> None:
         try:
             self.to_server(name)
-        except (TypeError, ValueError) as error:
-            raise ValueError(f"server_name {name!r}: {error}") from None
+        except (TypeError, ValueError):
+            text = f"server_name must be a name or an address, not {name!r}"
+            raise ValueError(text) from None
 
     def _make_client(self) -> ssl.SSLContext:
         context = self._own_context(ssl.PROTOCOL_TLS_CLIENT)

@@ -10,7 +10,6 @@ from __future__ import annotations
 import asyncio
 import logging
 import ssl
-import time
 from collections.abc import Callable
 from typing import Protocol
 
@@ -182,18 +181,19 @@ class TlsSession:
     # --- the handshake --------------------------------------------------------------------------
 
     def _shake_hands(self, tunnel: Tunnel) -> None:
-        refusal = None
+        certificate = b""
         try:
             is_done = tunnel.handshake()
+            refusal = self._check(tunnel) if is_done else None
         except ssl.SSLError as error:
             is_done, refusal = False, _reason(error)
-        if is_done and (refusal := self._check(tunnel)):
-            refusal = f"{refusal}: {describe(tunnel.certificate)}"
-            tunnel.end()  # OpenSSL was content: Python has no way to send an alert of one's own
+        if refusal is not None:
+            certificate = tunnel.certificate
+            tunnel.end()  # unless OpenSSL sent an alert: Python cannot send one of its own
         if answer := tunnel.outgoing():
             self._wire.write(answer)
         if refusal is not None:
-            self._refuse(refusal)
+            self._refuse(refusal, certificate)
         elif is_done:
             self._open(tunnel)
         self._handshakes.leave(self)
@@ -203,9 +203,7 @@ class TlsSession:
         security, certificate = self._handshakes.security, tunnel.certificate
         if not security.accepts(certificate):
             return "the certificate is none of the pins"
-        # OpenSSL looks at the dates when a session begins, not when it is resumed.
-        until = tunnel.expires if tunnel.is_resumed and not security.is_pinned else None
-        if until is not None and ssl.cert_time_to_seconds(until) < time.time():
+        if tunnel.has_expired and not security.is_pinned:
             return "the certificate has expired"
         if not mentions_role(certificate):
             return None
@@ -224,9 +222,11 @@ class TlsSession:
         self._inner = self._make(self)
         self._has_more = tunnel.has_more
 
-    def _refuse(self, reason: str) -> None:
+    def _refuse(self, reason: str, certificate: bytes) -> None:
         self._handshakes.statistics.handshakes_refused += 1
-        logger.info("%s: TLS refused: %s", self.address, reason)
+        if logger.isEnabledFor(logging.INFO):
+            whose = f": {describe(certificate)}" if certificate else ""
+            logger.info("%s: TLS refused: %s%s", self.address, reason, whose)
         self._finish()
 
     def _be_late(self) -> None:

@@ -85,15 +85,15 @@ def short_key() -> bytes:
 
 NO_KEY: dict[str, tuple[Callable[[], bytes] | None, str]] = {
     "missing": (None, "No such file or directory"),
-    "empty": (lambda: b"", "no private key in PEM format"),
-    "certificate": (lambda: certificates.client().pem, "no private key in PEM format"),
+    "empty": (lambda: b"", "no key in PEM format"),
+    "certificate": (lambda: certificates.client().pem, "no key in PEM format"),
     "DER": (
         lambda: certificates.client().key.private_bytes(
             serialization.Encoding.DER,
             serialization.PrivateFormat.PKCS8,
             serialization.NoEncryption(),
         ),
-        "no private key in PEM format",
+        "no key in PEM format",
     ),
     "no DER": (lambda: pem("PRIVATE KEY"), "cannot be read"),
     "of another": (lambda: certificates.client(None).key_pem(), "not the key of the certificate"),
@@ -120,7 +120,7 @@ def test_a_file_without_the_key_is_named(
 def test_without_a_file_of_its_own_the_key_is_looked_for_in_that_of_the_certificate(
     tmp_path: Path, papers: Papers, files: Files
 ) -> None:
-    with pytest.raises(ValueError, match=r"^key '.*': no private key in PEM format$"):
+    with pytest.raises(ValueError, match=r"^key '.*': no key in PEM format$"):
         Security(files.cert, trust=papers.ca)
     both = tmp_path / "both.pem"
     both.write_bytes(files.key.read_bytes() + files.cert.read_bytes())
@@ -295,7 +295,7 @@ def test_a_server_needs_the_certificates_that_it_pins(files: Files) -> None:
 
 def test_server_names_are_looked_at_before_they_are_used(papers: Papers, files: Files) -> None:
     for name in ("", ".plc", "a" * 300, "a\0b"):
-        with pytest.raises(ValueError, match=r"^server_name "):
+        with pytest.raises(ValueError, match=r"^server_name must be a name or an address, not "):
             Security(files.cert, files.key, trust=papers.ca, server_name=name)
     with pytest.raises(TypeError, match="server_name must be a string, not int"):
         Security(files.cert, files.key, trust=papers.ca, server_name=5)  # type: ignore[arg-type]
