@@ -75,7 +75,8 @@ class PythonCarrier:
             return None
         try:
             self._port.send([self._encode(Frame(unit, pdu, number))], monotonic())
-            if self._port.resume_at is None and self._is_ready(timeout):
+            is_sent = self._port.resume_at is None and not self._port.has_unsent
+            if is_sent and self._is_ready(timeout):
                 self.received = self._port.receive()
         except ModbusConnectionError as error:
             self.error = error

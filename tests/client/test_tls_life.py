@@ -565,6 +565,34 @@ def test_much_is_sent_whole_and_in_order(
         assert each[13:] == each[8:10] * 120
 
 
+@pytest.mark.usefixtures("small_buffers")
+def test_a_request_behind_much_else_that_is_unsent(
+    connect: Connect, papers: Papers, serving: Serving, tmp_path: Path
+) -> None:
+    """The answers to changes of keys, which the server does not read for a while."""
+    log, is_full = tmp_path / "keys", threading.Event()
+
+    def script(peer: Peer) -> None:
+        sealed = Sealed(log, count=peer.tls.context.num_tickets)
+        peer.sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
+        peer.sock.sendall(sealed.record(echo(peer.request())))
+        changes = [sealed.change_of_keys(is_answer_wanted=True) for _ in range(2000)]
+        peer.sock.sendall(b"".join(changes))
+        is_full.set()
+        time.sleep(0.5)
+        while request := peer.request():
+            peer.sock.sendall(sealed.record(echo(request)))
+
+    with (
+        serving(script, "1.3", keylog_filename=str(log)) as server,
+        connect(server.url, security=papers.client(), timeout=LONG) as plc,
+    ):
+        assert plc.read_holding_registers(1, 1) == [1]
+        assert is_full.wait(LONG)
+        assert plc.read_holding_registers(2, 1) == [2]
+        assert plc.statistics.connects == 1
+
+
 # --- nonsense -------------------------------------------------------------------------------
 
 
