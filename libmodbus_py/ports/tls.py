@@ -125,6 +125,7 @@ class TlsPort(TcpPort):
         self._plain = bytearray()
         self._failure: ModbusConnectionError | None = None
         self._chaff = 0
+        self._has_answered = False
 
     # --- opening ------------------------------------------------------------------------------
 
@@ -170,6 +171,12 @@ class TlsPort(TcpPort):
         made.__cause__ = error
         return made
 
+    def _suspecting(self, error: ModbusConnectionError) -> ModbusConnectionError:
+        """Some servers refuse a certificate without a word, when the handshake is over for us."""
+        if not self._has_answered:
+            error.args = (f"{error.args[0]}; it may have refused our certificate",)
+        return error
+
     # --- open -----------------------------------------------------------------------------------
 
     def has_input(self) -> bool:
@@ -192,7 +199,11 @@ class TlsPort(TcpPort):
     def _read(self) -> list[bytes]:
         tunnel = self._tunnel
         assert tunnel is not None
-        for data in super().receive():
+        try:
+            chunks = super().receive()
+        except ModbusConnectionError as error:
+            raise self._suspecting(error) from error.__cause__
+        for data in chunks:
             self._chaff += len(data)
             tunnel.feed(data)
         found: list[bytes] = []
@@ -204,9 +215,10 @@ class TlsPort(TcpPort):
             self._end(tunnel, error)
         else:
             if piece is not None:
-                reason = "closed by the other side"
-                self._failure = ModbusConnectionError(reason, errno=errno.ECONNRESET)
+                ended = ModbusConnectionError("closed by the other side", errno=errno.ECONNRESET)
+                self._failure = self._suspecting(ended)
             self._go_on_encrypting(tunnel)
+        self._has_answered = self._has_answered or bool(found)
         self._chaff = max(0, self._chaff)
         if self._chaff > MAX_CHAFF and self._failure is None:
             self._failure = ModbusConnectionError("flooded with what is no answer")
@@ -262,13 +274,13 @@ class TlsPort(TcpPort):
             raise self._failure
         try:
             super().send([tunnel.outgoing()], now)
-        except ModbusConnectionError:
+        except ModbusConnectionError as error:
             # In TLS 1.3 a server refuses a certificate when the handshake is over for us,
             # and what it said is still there.
             self.has_input()
             if self._failure is not None:
                 raise self._failure from self._failure.__cause__
-            raise
+            raise self._suspecting(error) from error.__cause__
 
     def close(self) -> None:
         # A goodbye in the name of the parent, of its connection, would end that.

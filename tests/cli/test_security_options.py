@@ -1,0 +1,160 @@
+"""
+TLS from the command line: what it takes, and what it says when that is wrong.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import pty
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import certificates
+import pytest
+from certificates import Papers
+from fake import dead
+
+from libmodbus_py import Device, Mapping, Server
+
+SECRET = "open sesame"
+
+
+@pytest.fixture
+def papers(tmp_path: Path) -> Papers:
+    return Papers(tmp_path)
+
+
+@pytest.fixture
+def url(papers: Papers) -> Iterator[str]:
+    server = Server(Device(Mapping(holding_registers={0: [555, 7]})), security=papers.server())
+    with server.background("tls://127.0.0.1:0") as running:
+        yield running.urls[0]
+
+
+@pytest.fixture
+def own(papers: Papers) -> list[str]:
+    """Options of one who may talk."""
+    files = papers.files(certificates.client())
+    return ["--cert", str(files.cert), "--key", str(files.key), "--ca", str(papers.ca)]
+
+
+def run(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "libmodbus_py", *arguments],
+        capture_output=True,
+        text=True,
+        timeout=30,
+        env=os.environ | environment,
+    )
+
+
+def read(url: str, *options: str, **environment: str) -> str:
+    """Read two registers; gives what was printed, once that was good."""
+    done = run("read", url, "holding", "0", "2", *options, **environment)
+    assert (done.returncode, done.stderr) == (0, "")
+    return done.stdout
+
+
+def fails(code: int, *arguments: str, **environment: str) -> str:
+    """The one line that tells why."""
+    done = run(*arguments, **environment)
+    assert done.returncode == code
+    assert done.stdout == ""
+    assert done.stderr.startswith("libmodbus-py: ")
+    assert done.stderr.count("\n") == 1
+    return done.stderr
+
+
+GOOD = "0  555\n    1    7\n"
+
+
+def test_reading_with_certificates(url: str, own: list[str], papers: Papers) -> None:
+    assert read(url, *own).endswith(GOOD)
+    assert read(url, *own, "--server-name", "localhost").endswith(GOOD)
+    assert read(papers.url(url, certificates.client())).endswith(GOOD)
+
+
+def test_pins_may_be_repeated(url: str, own: list[str], papers: Papers) -> None:
+    digest = hashlib.sha256(certificates.server().der).hexdigest()
+    assert read(url, *own[:4], "--pin", str(papers.ca), "--pin", digest).endswith(GOOD)
+    text = fails(1, "read", url, "holding", "0", *own[:4], "--pin", str(papers.ca))
+    assert "it is none of the pins: 'CN=Test server'" in text
+    assert digest in text
+
+
+def test_a_password_comes_from_the_environment(url: str, papers: Papers) -> None:
+    files = papers.files(certificates.client(), SECRET.encode())
+    options = ["--cert", str(files.cert), "--key", str(files.key), "--ca", str(papers.ca)]
+    named = [*options, "--password-env", "PLC_PASSWORD"]
+    assert read(url, *named, PLC_PASSWORD=SECRET).endswith(GOOD)
+    asking = ("read", url, "holding", "0")
+    assert "is encrypted, and needs its password" in fails(2, *asking, *options)
+    assert "no environment variable 'PLC_PASSWORD'" in fails(2, *asking, *named)
+    text = fails(2, *asking, *named, PLC_PASSWORD="close sesame")
+    assert "the password is another" in text
+    assert "sesame" not in text
+
+
+def test_nobody_is_asked_for_a_password(papers: Papers) -> None:
+    """OpenSSL would ask the terminal."""
+    files = papers.files(certificates.client(), SECRET.encode())
+    master, slave = pty.openpty()
+    arguments = ["read", "tls://127.0.0.1:1", "holding", "0", "--ca", str(papers.ca)]
+    arguments += ["--cert", str(files.cert), "--key", str(files.key)]
+    code = (
+        "import fcntl, sys, termios; fcntl.ioctl(0, termios.TIOCSCTTY, 0); "
+        "from libmodbus_py.cli.main import main; main(sys.argv[1:])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, *arguments],
+        stdin=slave,
+        stdout=slave,
+        stderr=subprocess.PIPE,
+        text=True,
+        timeout=30,
+        start_new_session=True,
+    )
+    assert done.returncode == 2
+    assert "is encrypted, and needs its password" in done.stderr
+    os.set_blocking(master, False)
+    with pytest.raises(BlockingIOError):
+        os.read(master, 100)
+    os.close(slave)
+    os.close(master)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (["tls://h", "holding", "0"], "tls://h:802 needs security"),
+        (["tls://h", "holding", "0", "--ca", "x"], "the command line lacks cert, the file"),
+        (["tls://h", "holding", "0", "--cert", "x"], "the command line needs either ca"),
+        (["tls://h?cert=x", "holding", "0"], "tls://h:802 needs either ca, the authorities, or"),
+        (["tls://h?password=sesame", "holding", "0"], "'password' must be one of cert, key, ca"),
+        (["tls://me:sesame@h", "holding", "0"], "neither user nor fragment"),
+    ],
+)
+def test_wrong_usage_is_told_in_one_line(arguments: list[str], text: str) -> None:
+    said = fails(2, "read", *arguments)
+    assert text in said
+    assert "sesame" not in said
+
+
+def test_what_goes_with_tls_only(own: list[str], url: str, papers: Papers) -> None:
+    said = fails(2, "read", "tcp://127.0.0.1:1", "holding", "0", *own)
+    assert "security is for tls://, and means nothing on tcp" in said
+    both = papers.url(url, certificates.client())
+    assert "security is given as such and in the URL" in fails(2, "read", both, "coils", "0", *own)
+
+
+def test_what_fails_is_told_in_one_line(own: list[str], url: str) -> None:
+    where = ("holding", "0", *own)
+    with dead() as port:
+        said = fails(1, "read", f"tls://127.0.0.1:{port}?timeout=0.3", *where)
+    assert "127.0.0.1" in said
+    said = fails(1, "read", url, *where, "--server-name", "other.example")
+    assert "Hostname mismatch, certificate is not valid for 'other.example'" in said
+    assert "SHA-256 " in said
