@@ -18,7 +18,6 @@ __all__ = [
     "Batch",
     "Found",
     "Patience",
-    "Statistics",
     "raised",
 ]
 
@@ -31,39 +30,6 @@ MAX_IN_FLIGHT = 256
 
 # The PDU that answers a request, or why there is none.
 Found = bytes | ModbusError
-
-
-@dataclass(slots=True)
-class Statistics:
-    """
-    What happened on a connection since the client was made; read only.
-
-    Attributes:
-        requests: sent, repetitions included.
-        responses: answers that fit, refusals included.
-        exceptions: refusals among them.
-        timeouts: requests that got no answer in time.
-        retries: requests that were sent again.
-        late_answers: answers to requests that had been given up; dropped.
-        invalid: bytes that were no frame, and frames that were no answer.
-        connects: connections made.
-        failed_connects: attempts that failed.
-        lost: connections that ended by themselves, were given up as dead, or left to a
-            Ctrl-C or a fork.
-        last_success: when the last answer that fits came (time.monotonic), or None.
-    """
-
-    requests: int = 0
-    responses: int = 0
-    exceptions: int = 0
-    timeouts: int = 0
-    retries: int = 0
-    late_answers: int = 0
-    invalid: int = 0
-    connects: int = 0
-    failed_connects: int = 0
-    lost: int = 0
-    last_success: float | None = None
 
 
 @dataclass(slots=True)
@@ -89,16 +55,22 @@ class Asked:
     Attributes:
         index: of the request in its batch.
         adu: what went out.
-        since: when; earlier by what waiting for the connection took of its timeout.
+        sent: when.
+        since: the same; earlier by what waiting for the connection took of its timeout.
     """
 
-    __slots__ = ("adu", "batch", "index", "since")
+    __slots__ = ("adu", "batch", "index", "sent", "since")
 
-    def __init__(self, batch: Batch, index: int, adu: bytes, since: float) -> None:
+    def __init__(self, batch: Batch, index: int, adu: bytes, sent: float) -> None:
         self.batch: Batch = batch
         self.index: int = index
         self.adu: bytes = adu
-        self.since: float = since
+        self.sent: float = sent
+        self.since: float = sent - batch.used
+
+    @property
+    def function(self) -> int:
+        return self.batch.pdus[self.index][0]
 
     @property
     def deadline(self) -> float:

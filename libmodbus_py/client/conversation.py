@@ -26,6 +26,7 @@ from ..protocol.errors import (
 from .batch import Asked, Batch, Found
 from .hints import explain, shown
 from .reconnecting import State
+from .statistics import result_of
 from .turns import Turns
 
 __all__ = ["Conversation", "no_answer"]
@@ -128,8 +129,10 @@ class Conversation(Turns):
 
     def interrupted(self, error: ModbusConnectionError, now: float) -> None:
         """Whoever asked is gone, in the midst of anything: nothing of it must be sent later."""
+        in_flight = [*self._restart(now), *(asked for asked, _ in self._found)]
+        for asked in in_flight:
+            self.statistics.note(asked.function, "cancelled")
         self._queue, self._repeats, self._found = deque(), [], []
-        self._restart(now)
         self._begin_anew()
         if self.connection.is_open:
             self.connection.lost(error, now, by_itself=False)
@@ -161,6 +164,7 @@ class Conversation(Turns):
             self._fail_next(batch, error)
 
     def _fail_at(self, batch: Batch, index: int, error: ModbusError) -> None:
+        self.statistics.note(batch.pdus[index][0], "unsent")
         batch.settle(index, self._completed(alike(error), batch, index, b""))
 
     def _fail_next(self, batch: Batch, error: ModbusError) -> None:
@@ -198,7 +202,9 @@ class Conversation(Turns):
                 batch.in_flight -= 1
                 if not batch.queued:
                     self._enqueue(batch)
-            if not batch.is_done:
+            if batch.is_done:
+                self.statistics.note(asked.function, "cancelled")
+            else:
                 self._conclude(asked, what, now)
         if self.statistics.responses > before:
             if self.connection.fruitless:
@@ -217,9 +223,10 @@ class Conversation(Turns):
                 error.received = self._received_with(asked, what)
                 self._fail(error, asked, now)
             except BaseException as error:  # a mistake in a request class is its caller's
+                self.statistics.note(asked.function, "invalid")
                 batch.settle(index, error)
             else:
-                self.statistics.responses += 1
+                self.statistics.note_answer(asked.function, "ok", now - asked.sent)
                 batch.settle(index, outcome)
                 if self.limit == 1:
                     self._follow(batch.requests[index])
@@ -229,10 +236,12 @@ class Conversation(Turns):
     def _fail(self, error: ModbusError, asked: Asked, now: float) -> None:
         batch, index = asked.batch, asked.index
         if isinstance(error, ExceptionResponse):
-            self.statistics.responses += 1
             self.statistics.exceptions += 1
-        elif not isinstance(error, ModbusConnectionError):
-            self._doubt(batch, now)
+            self.statistics.note_answer(asked.function, "exception", now - asked.sent)
+        else:
+            self.statistics.note(asked.function, result_of(error))
+            if not isinstance(error, ModbusConnectionError):
+                self._doubt(batch, now)
         if not self._repeat(error, asked, now):
             batch.settle(index, self._completed(error, batch, index, asked.adu))
 
@@ -294,6 +303,7 @@ class Conversation(Turns):
         for asked in over:
             self._room += 1
             asked.batch.in_flight -= 1
+            self.statistics.note(asked.function, "silent")
             asked.batch.settle(asked.index, None)
             if not asked.batch.queued:
                 self._enqueue(asked.batch)
@@ -312,8 +322,7 @@ class Conversation(Turns):
             if not self._is_too_late(batch, now):
                 self._repeats.append(repeat)
             elif not batch.is_done:
-                late = self.connection.not_in_time(batch.patience.timeout)
-                batch.settle(index, self._completed(late, batch, index, b""))
+                self._fail_at(batch, index, self.connection.not_in_time(batch.patience.timeout))
 
     def _is_too_late(self, batch: Batch, now: float) -> bool:
         until = batch.since + batch.patience.timeout
@@ -341,9 +350,11 @@ class Conversation(Turns):
         for due, asked in self._silent:
             if asked.batch is batch:
                 self._wake(due)  # its slot is free only then: the line is still in use
-        count = self._give_up(batch, now)
-        self._room += count
-        return count
+        given_up = self._give_up(batch, now)
+        for asked in given_up:
+            self.statistics.note(asked.function, "cancelled")
+        self._room += len(given_up)
+        return len(given_up)
 
     # --- which answer is whose -----------------------------------------------------------------
 
@@ -371,7 +382,8 @@ class Conversation(Turns):
         """Give up what has been waited for too long, and wake for the rest."""
 
     @abstractmethod
-    def _give_up(self, batch: Batch, now: float) -> int: ...
+    def _give_up(self, batch: Batch, now: float) -> list[Asked]:
+        """Wait no more for a batch; gives what it waited for."""
 
     @abstractmethod
     def _forget(self, now: float) -> list[Asked]: ...

@@ -12,9 +12,10 @@ from typing import Any, Generic, Protocol, Self, TypeVar
 from ..protocol import pdu
 from ..protocol.checks import integer, seconds
 from ..protocol.errors import InvalidResponse, ModbusError
-from .batch import MAX_IN_FLIGHT, Batch, Patience, Statistics
+from .batch import MAX_IN_FLIGHT, Batch, Patience
 from .options import Parts, Settings
 from .reconnecting import State
+from .statistics import Statistics
 
 __all__ = ["Handle"]
 

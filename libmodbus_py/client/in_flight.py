@@ -79,7 +79,7 @@ class InFlight(Conversation):
             self._units.clear()
         number = self.next_number()
         adu = mbap(number, batch.unit, batch.pdus[index])
-        asked = Asked(batch, index, adu, now - batch.used)
+        asked = Asked(batch, index, adu, now)
         if not (batch.silent and batch.silent[index]):
             self._asked[number] = asked
         return asked
@@ -179,11 +179,11 @@ class InFlight(Conversation):
         frame = mbap(number, self._units.get(number, asked.batch.unit), pdu)
         return frame if self._asked else frame + self._rest
 
-    def _give_up(self, batch: Batch, now: float) -> int:
-        numbers = [number for number, asked in self._asked.items() if asked.batch is batch]
-        for number in numbers:
+    def _give_up(self, batch: Batch, now: float) -> list[Asked]:
+        given_up = {number: asked for number, asked in self._asked.items() if asked.batch is batch}
+        for number in given_up:
             self._abandon(number)
-        return len(numbers)
+        return list(given_up.values())
 
     def _forget(self, now: float) -> list[Asked]:
         asked = list(self._asked.values())

@@ -137,7 +137,7 @@ class InTurn(Conversation):
         self._quiet_at = None
         self._silence.sent(len(adu), now)
         self._wrong = None
-        asked = Asked(batch, index, adu, now - batch.used)
+        asked = Asked(batch, index, adu, now)
         if not (batch.silent and batch.silent[index]):
             self._asked = asked
         return asked
@@ -283,13 +283,14 @@ class InTurn(Conversation):
         self._is_exact = False
         self._doubts[batch.unit] = now + timeout, timeout
 
-    def _give_up(self, batch: Batch, now: float) -> int:
+    def _give_up(self, batch: Batch, now: float) -> list[Asked]:
         self._waiting.pop(batch, None)
-        if self._asked is None or self._asked.batch is not batch:
-            return 0
+        asked = self._asked
+        if asked is None or asked.batch is not batch:
+            return []
         self._asked = None
         self._doubt(batch, now)
-        return 1
+        return [asked]
 
     def _forget(self, now: float) -> list[Asked]:
         self._is_exact = False

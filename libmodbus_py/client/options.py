@@ -16,11 +16,12 @@ from ..ports.tls import TlsPort, security_of
 from ..protocol.checks import integer, seconds
 from ..protocol.framing import is_delimiter
 from ..security.security import Security
-from .batch import MAX_IN_FLIGHT, Patience, Statistics
+from .batch import MAX_IN_FLIGHT, Patience
 from .conversation import Conversation
 from .in_flight import InFlight
 from .in_turn import InTurn
 from .reconnecting import OnState, Reconnecting
+from .statistics import Statistics
 from .trace import OnTraced, Trace
 from .turns import Pace
 

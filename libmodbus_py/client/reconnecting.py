@@ -13,7 +13,7 @@ import random
 from collections.abc import Callable
 
 from ..protocol.errors import ModbusConnectionError, ModbusError
-from .batch import Statistics
+from .statistics import Statistics
 
 __all__ = ["OnState", "Reconnecting", "State"]
 

@@ -142,7 +142,7 @@ class Shortcut:
                 return self._hand_over(unit, request, patience), None
             if answer:
                 outcome = request.decode_response(answer)
-                self._note_success()
+                self._note_success(pdu[0], since)
                 return None, outcome
         except Exception:
             pass  # the conversation meets it again, and tells it all that was asked
@@ -171,12 +171,12 @@ class Shortcut:
         self._conversation.adopt(batch, adu, since)
         return batch
 
-    def _note_success(self) -> None:
+    def _note_success(self, function: int, since: float) -> None:
         now = monotonic()
         statistics = self._statistics
         statistics.requests += 1
-        statistics.responses += 1
         statistics.last_success = now
+        statistics.note_answer(function, "ok", now - since)
         if self._connection.fruitless:
             self._connection.prove()
         if self._is_line:

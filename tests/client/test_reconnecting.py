@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 
 from libmodbus_py import ModbusConnectionError
-from libmodbus_py.client.batch import Statistics
 from libmodbus_py.client.reconnecting import Reconnecting, State
+from libmodbus_py.client.statistics import Statistics
 
 REFUSED = ModbusConnectionError("refused", errno=111)
 

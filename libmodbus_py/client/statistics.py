@@ -1,0 +1,101 @@
+"""
+What happened on a connection, counted.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections import defaultdict
+from dataclasses import dataclass, field
+
+from ..protocol.errors import (
+    ExceptionResponse,
+    ModbusConnectionError,
+    ModbusTimeoutError,
+)
+
+__all__ = ["RESULTS", "TIME_BOUNDS", "Statistics", "result_of"]
+
+TIME_BOUNDS: tuple[float, ...] = (
+    *(0.000_1, 0.000_25, 0.000_5, 0.001, 0.002_5, 0.005, 0.01, 0.025, 0.05, 0.1),
+    *(0.25, 0.5, 1.0, 2.5, 5.0, 10.0),
+)
+"""Answers are counted by how many seconds they took at most; the last count is of the rest."""
+
+RESULTS = ("ok", "exception", "timeout", "invalid", "lost", "cancelled", "silent", "unsent")
+"""What becomes of requests; see `Statistics`."""
+
+
+@dataclass(slots=True, weakref_slot=True)
+class Statistics:
+    """
+    What happened on a connection since the client was made; read only.
+
+    Attributes:
+        requests: sent, repetitions included.
+        responses: answers that fit, refusals included.
+        exceptions: refusals among them.
+        timeouts: requests that got no answer in time.
+        retries: requests that were sent again.
+        late_answers: answers to requests that had been given up; dropped.
+        invalid: bytes that were no frame, and frames that were no answer.
+        connects: connections made.
+        failed_connects: attempts that failed.
+        lost: connections that ended by themselves, were given up as dead, or left to a
+            Ctrl-C or a fork.
+        last_success: when the last answer that fits came (time.monotonic), or None.
+        results: ``{(function, result): requests}`` of those that are over, each repetition
+            for itself. Results are "ok"; "exception", a refusal; "timeout"; "invalid", the
+            answer was none; "lost", the connection was; "cancelled", nobody waited any more;
+            "silent", which nobody answers; and "unsent", for there was no connection, or the
+            line did not fall silent.
+        answer_times: how many of the `responses` took up to the first of
+            `client.statistics.TIME_BOUNDS` seconds, longer and up to the second, and so on;
+            at last those that took longer than all.
+        answer_seconds: what all of them took together, from sending to the answer.
+    """
+
+    requests: int = 0
+    responses: int = 0
+    exceptions: int = 0
+    timeouts: int = 0
+    retries: int = 0
+    late_answers: int = 0
+    invalid: int = 0
+    connects: int = 0
+    failed_connects: int = 0
+    lost: int = 0
+    last_success: float | None = None
+    results: defaultdict[tuple[int, str], int] = field(
+        default_factory=lambda: defaultdict(int), repr=False
+    )
+    answer_times: list[int] = field(
+        default_factory=lambda: [0] * (len(TIME_BOUNDS) + 1), repr=False
+    )
+    answer_seconds: float = field(default=0.0, repr=False)
+
+    def note(self, function: int, result: str) -> None:
+        """Count what became of a request."""
+        self.results[function, result] += 1
+
+    def note_answer(self, function: int, result: str, seconds: float) -> None:
+        """Count an answer that fits, and what it took."""
+        self.responses += 1
+        self.results[function, result] += 1
+        self.answer_times[bisect_left(TIME_BOUNDS, seconds)] += 1
+        self.answer_seconds += seconds
+
+
+def result_of(error: Exception) -> str:
+    """The result of a request that failed."""
+    for kind, result in _FAILURES:
+        if isinstance(error, kind):
+            return result
+    return "invalid"
+
+
+_FAILURES: tuple[tuple[type[Exception], str], ...] = (
+    (ExceptionResponse, "exception"),
+    (ModbusTimeoutError, "timeout"),
+    (ModbusConnectionError, "lost"),
+)
