@@ -7,6 +7,7 @@ each other::
     cli                 libmodbus-py: read, write, serve, demo, certificates
     simulator           devices from a file, which move, wait and err
     testing             lines with a tap, for tests and the demo
+    integrations        metrics for Prometheus
     client   server     who asks: TcpContext, ..., AsyncClient; and who answers: Server
     ports    device     what carries bytes, and waits for them; one unit and its tables
     binding  security   the C library; who may talk, proven by certificates

@@ -5,16 +5,19 @@ The command serve: a device file, or one device that has everything, until a sig
 from __future__ import annotations
 
 import argparse
+import contextlib
 import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from ipaddress import ip_address
 from typing import Any
+from urllib.parse import urlsplit
 
 from ..device.device import Device
 from ..device.mapping import Mapping
 from ..ports.endpoint import SCHEMES, Endpoint, parse
+from ..protocol.errors import ModbusConnectionError
 from ..protocol.pdu import RECORDS_PER_FILE
 from ..server.limits import FULL_POLICIES, Limits
 from ..server.server import Running, Server
@@ -52,6 +55,9 @@ def add_command(commands: Any) -> None:
         metavar="N",
         help="which of several answers units 0 and 255 on TCP and UDP, too",
     )
+    command.add_argument(
+        "--metrics", type=_address, metavar="HOST:PORT", help="answer Prometheus here, over HTTP"
+    )
     _add_limit_arguments(command)
     security.add_arguments(command)
     command.set_defaults(run=_serve)
@@ -83,8 +89,40 @@ def _serve(options: argparse.Namespace) -> int:
         options.own_unit,
         security.told(options),
     )
-    server.serve_forever(*options.urls, on_listening=partial(_say, options.allow))
+    with _metrics(server, options.metrics):
+        server.serve_forever(*options.urls, on_listening=partial(_say, options.allow))
     return 0
+
+
+def _address(text: str) -> tuple[str, int]:
+    with contextlib.suppress(ValueError):
+        parts = urlsplit(f"//{text}")
+        if parts.netloc == text and parts.hostname and parts.port is not None:
+            return parts.hostname, parts.port
+    raise argparse.ArgumentTypeError(f"must be HOST:PORT, such as 127.0.0.1:9400, not {text!r}")
+
+
+@contextlib.contextmanager
+def _metrics(server: Server, address: tuple[str, int] | None) -> Iterator[None]:
+    """Expose them while the server runs, if there is an address for them."""
+    if address is None:
+        yield
+        return
+    try:
+        from ..integrations import exposition, prometheus
+    except ImportError as error:
+        sys.exit(f"libmodbus-py: {error}")
+    prometheus.collect(server)
+    with contextlib.ExitStack() as stack:
+        try:
+            url = stack.enter_context(exposition.exposing(*address))
+        except OSError as error:
+            place = ":".join(map(str, address))
+            raise ModbusConnectionError(
+                f"cannot listen for metrics on {place}: {error.strerror}", errno=error.errno
+            ) from error
+        print(f"metrics on {url}", flush=True)
+        yield
 
 
 def _say(allowed: list[str] | None, running: Running) -> None:

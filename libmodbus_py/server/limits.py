@@ -157,14 +157,14 @@ class Allowance:
         self._left -= requests
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, weakref_slot=True)
 class ServerStatistics:
     """
     What happened at all endpoints of a server since it was made.
 
     Attributes:
         connections: TCP connections that are open now.
-        accepted: those that ever were.
+        accepted: TCP connections that ever were.
         disallowed: connections and datagrams from networks that are not served.
         refused_full: connections closed at once, for there were too many.
         refused_address: those closed at once, for their address had too many.

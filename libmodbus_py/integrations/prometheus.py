@@ -1,0 +1,306 @@
+"""
+The statistics of clients and servers as metrics of Prometheus.
+
+::
+
+    from libmodbus_py.integrations.prometheus import collect
+
+    collect(server, plc)                  # in prometheus_client's own REGISTRY
+    prometheus_client.start_http_server(9400)
+
+Statistics are read when somebody scrapes; requests cost nothing more than without.
+
+* ``modbus_client_requests_total{endpoint,function,result}``: what became of requests;
+* ``modbus_client_request_duration_seconds{endpoint}``: how long answers took, a histogram;
+* ``modbus_client_last_success_timestamp_seconds{endpoint}``: when the last answer came;
+* ``modbus_client_..._total{endpoint}`` and ``modbus_server_..._total``: the counters of
+  `Statistics` (`requests` is ``modbus_client_requests_sent_total``) and `ServerStatistics`;
+* ``modbus_server_connections``: those open now.
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+import threading
+import time
+import weakref
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import fields
+from itertools import accumulate
+from operator import add
+from typing import Any, NamedTuple, Protocol
+
+from ..client.statistics import TIME_BOUNDS, Statistics
+from ..server.limits import ServerStatistics
+
+try:
+    from prometheus_client import REGISTRY as REGISTRY
+    from prometheus_client import CollectorRegistry as CollectorRegistry
+    from prometheus_client import MetricsHandler as MetricsHandler
+    from prometheus_client.core import Metric
+    from prometheus_client.registry import Collector as _Collector
+except ImportError as error:
+    raise ImportError(
+        "metrics need prometheus_client: pip install 'libmodbus-py[metrics]'"
+    ) from error
+
+__all__ = ["Collector", "collect"]
+
+Labels = tuple[tuple[str, str], ...]
+
+
+class Counted(Protocol):
+    """A client or a server."""
+
+    @property
+    def statistics(self) -> Any: ...
+
+
+class Family(NamedTuple):
+    """One metric: its name, "counter", "gauge" or "histogram", and what it tells."""
+
+    name: str
+    type: str
+    text: str
+    # Makes one value of those of two objects with the same labels.
+    together: Callable[[float, float], float] = add
+
+
+class Sample(NamedTuple):
+    """Which value of which metric; equal ones add up."""
+
+    family: Family
+    suffix: str
+    labels: Labels
+
+
+Values = dict[Sample, float]
+
+
+class Kind(NamedTuple):
+    """
+    How objects with one kind of statistics become metrics.
+
+    Attributes:
+        families: all that it has.
+        read: gives the values of statistics.
+        labels: gives those that all values of an object have; takes its name, too.
+    """
+
+    families: list[Family]
+    read: Callable[[Any], Values]
+    labels: Callable[[Any, str], Labels]
+
+
+# --- which metrics there are ---------------------------------------------------------------
+
+
+def _texts(kind: type) -> dict[str, str]:
+    """What the docstring says of each attribute: that, and nothing else, is the help."""
+    section = re.split(r"\nAttributes:\n", inspect.getdoc(kind) or "")[-1]
+    found = re.findall(r"^ {4}(\w+): (.*(?:\n {8}.*)*)", section, re.MULTILINE)
+    return {name: text[0].upper() + re.sub(r"\s+", " ", text[1:]) for name, text in found}
+
+
+def _counters(prefix: str, kind: type, others: Iterable[str]) -> dict[str, Family]:
+    """Attribute -> metric, for those that only count up."""
+    texts = _texts(kind)
+    names = [each.name for each in fields(kind) if each.name not in others]
+    return {name: Family(f"{prefix}_{name}", "counter", texts.get(name, name)) for name in names}
+
+
+# fmt: off
+REQUESTS = Family(
+    "modbus_client_requests", "counter", "What became of requests, each repetition for itself."
+)
+DURATION = Family(
+    "modbus_client_request_duration_seconds", "histogram", "From sending to the answer that fits."
+)
+LAST_SUCCESS = Family(
+    "modbus_client_last_success_timestamp_seconds", "gauge", "When the last answer that fits came.",
+    max,
+)
+CLIENT = _counters("modbus_client", Statistics, (
+    "results", "answer_times", "answer_seconds", "last_success",
+))
+# fmt: on
+# The name is that of what became of them.
+CLIENT["requests"] = CLIENT["requests"]._replace(name="modbus_client_requests_sent")
+SERVER = _counters("modbus_server", ServerStatistics, ())
+SERVER["connections"] = SERVER["connections"]._replace(type="gauge")
+
+
+def _attributes(families: dict[str, Family], statistics: Any) -> Values:
+    return {
+        Sample(family, "" if family.type == "gauge" else "_total", ()): getattr(statistics, name)
+        for name, family in families.items()
+    }
+
+
+def _of_client(statistics: Statistics) -> Values:
+    values = _attributes(CLIENT, statistics)
+    # Copies, for another thread may count meanwhile.
+    for (function, result), count in statistics.results.copy().items():
+        labels = (("function", str(function)), ("result", result))
+        values[Sample(REQUESTS, "_total", labels)] = count
+    counts = list(accumulate(statistics.answer_times.copy()))
+    for bound, count in zip([*map(str, TIME_BOUNDS), "+Inf"], counts, strict=True):
+        values[Sample(DURATION, "_bucket", (("le", bound),))] = count
+    values[Sample(DURATION, "_count", ())] = counts[-1]
+    values[Sample(DURATION, "_sum", ())] = statistics.answer_seconds
+    if (last := statistics.last_success) is not None:
+        values[Sample(LAST_SUCCESS, "", ())] = time.time() - (time.monotonic() - last)
+    return values
+
+
+KINDS: dict[type, Kind] = {
+    Statistics: Kind(
+        [REQUESTS, DURATION, LAST_SUCCESS, *CLIENT.values()],
+        _of_client,
+        # Settings of serial ports are of no interest here.
+        lambda client, name: (("endpoint", client.url.partition("?")[0]),),
+    ),
+    ServerStatistics: Kind(
+        [*SERVER.values()],
+        lambda statistics: _attributes(SERVER, statistics),
+        lambda server, name: (("server", name),) if name else (),
+    ),
+}
+"""Class of statistics -> what is made of them."""
+
+
+# --- the collector --------------------------------------------------------------------------
+
+
+class _Watched:
+    """Statistics as long as somebody has them, and what they were when last looked at."""
+
+    def __init__(self, statistics: Any, kind: Kind, labels: Labels) -> None:
+        self._statistics = weakref.ref(statistics)
+        self._kind = kind
+        self.labels = labels
+        self.values: Values = {}
+
+    def of(self, statistics: object) -> bool:
+        return self._statistics() is statistics
+
+    def look(self) -> bool:
+        """Read the values; False if the object is gone, and those from before stay."""
+        statistics = self._statistics()
+        if statistics is None:
+            return False
+        found = self._kind.read(statistics)
+        self.values = {
+            sample._replace(labels=self.labels + sample.labels): value
+            for sample, value in found.items()
+        }
+        return True
+
+
+class Collector(_Collector):
+    """
+    Gives metrics of clients and servers to a registry. Safe from any thread.
+
+    Objects are held weakly: one that nobody has any more disappears. Clients of the same
+    endpoint, and servers of the same name, add up; what those that disappeared have
+    counted remains as long as there is another one, for a counter must not fall.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._watched: list[_Watched] = []
+        self._past: dict[Labels, Values] = {}
+
+    def add(self, *objects: Counted, name: str = "") -> None:
+        """
+        Have clients and servers among the metrics; once, however often they are added.
+
+        Args:
+            objects: clients, whose handles (`for_unit`) are one, and servers.
+            name: the label ``server`` of servers; empty for none.
+
+        Raises:
+            TypeError: an object is neither.
+        """
+        watched = [(each, getattr(each, "statistics", None)) for each in objects]
+        for each, statistics in watched:
+            if type(statistics) not in KINDS:
+                given = type(each).__name__
+                raise TypeError(f"objects must be clients and servers, not {given}")
+        with self._lock:
+            for each, statistics in watched:
+                if not any(other.of(statistics) for other in self._watched):
+                    kind = KINDS[type(statistics)]
+                    labels = kind.labels(each, name)
+                    self._watched.append(_Watched(statistics, kind, labels))
+
+    def describe(self) -> Iterator[Metric]:
+        """All metrics there may be, for a registry to know their names."""
+        for kind in KINDS.values():
+            for family in kind.families:
+                yield Metric(family.name, family.text, family.type)
+
+    def collect(self) -> Iterator[Metric]:
+        """The metrics as they are now, for a registry."""
+        with self._lock:
+            values = self._values()
+        metrics: dict[Family, Metric] = {}
+        for (family, suffix, labels), value in values.items():
+            if family not in metrics:
+                metrics[family] = Metric(family.name, family.text, family.type)
+            metrics[family].add_sample(family.name + suffix, dict(labels), value)
+        yield from metrics.values()
+
+    def _values(self) -> Values:
+        watched, self._watched = self._watched, []
+        for each in watched:
+            if each.look():
+                self._watched.append(each)
+            else:
+                past = self._past.setdefault(each.labels, {})
+                _add(past, {key: each.values[key] for key in each.values if _stays(key)})
+        present = {each.labels for each in self._watched}
+        self._past = {labels: past for labels, past in self._past.items() if labels in present}
+        values: Values = {}
+        for some in [*self._past.values(), *(each.values for each in self._watched)]:
+            _add(values, some)
+        return values
+
+
+def _stays(sample: Sample) -> bool:
+    return sample.family.type != "gauge"
+
+
+def _add(values: Values, more: Values) -> None:
+    for sample, value in more.items():
+        values[sample] = (
+            sample.family.together(values[sample], value) if sample in values else value
+        )
+
+
+_collectors: weakref.WeakKeyDictionary[CollectorRegistry, Collector] = weakref.WeakKeyDictionary()
+_collectors_lock = threading.Lock()
+
+
+def collect(*objects: Counted, name: str = "", registry: CollectorRegistry = REGISTRY) -> Collector:
+    """
+    Have clients and servers among the metrics of a registry.
+
+    Args:
+        objects, name: as for `Collector.add`.
+        registry: prometheus_client's default one unless given. It has one collector,
+            which is registered with the first objects.
+
+    Raises:
+        TypeError: an object is neither client nor server.
+        ValueError: the registry has metrics of these names from elsewhere.
+    """
+    with _collectors_lock:
+        collector = _collectors.get(registry)
+        if collector is None:
+            collector = Collector()
+            registry.register(collector)
+            _collectors[registry] = collector
+    collector.add(*objects, name=name)
+    return collector
