@@ -13,6 +13,7 @@ import argparse
 import contextlib
 import os
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -90,8 +91,10 @@ def wear(work: Callable[[int, int], None], count: int, what: str) -> None:
 def measure(attack: Attack, seconds: float) -> tuple[Polled, Polled]:
     os.sched_setaffinity(0, PROCESSORS)
     with (
-        ServerProcess(attacked=attack.scheme) as server,
-        Innocent(server.port) as innocent,
+        tempfile.TemporaryDirectory() as directory,
+        contextlib.nullcontext(attack.papers(Path(directory))) as papers,
+        ServerProcess(papers=papers, attacked=attack.scheme) as server,
+        Innocent(server.port, papers) as innocent,
         AttackerProcess(attack, server.attacked_port) as attackers,
     ):
         stand_for_others(server.pid, attackers.pid)

@@ -21,6 +21,7 @@ import resource
 import selectors
 import signal
 import socket
+import ssl
 import statistics
 import struct
 import subprocess
@@ -30,6 +31,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, NamedTuple, Self
+
+import certificates
+from certificates import Papers
 
 UNIT = 17
 READ_ONE = bytes.fromhex("03 0000 0001")
@@ -78,13 +82,25 @@ def descriptor_limit(wanted: int | None = None) -> Iterator[int]:
 
 
 class ServerProcess:
-    """``libmodbus-py serve`` on a free port; it must stop when it is told to."""
+    """
+    ``libmodbus-py serve`` on a free port; it must stop when it is told to.
+
+    Args:
+        papers: for TLS, of the first endpoint.
+        attacked: the scheme of another endpoint on 127.0.0.1; None for the same one.
+    """
 
     def __init__(
-        self, *options: str, url: str = "tcp://127.0.0.1:0", attacked: str | None = None
+        self,
+        *options: str,
+        url: str = "tcp://127.0.0.1:0",
+        papers: Papers | None = None,
+        attacked: str | None = None,
     ) -> None:
-        """`attacked`: the scheme of another endpoint on 127.0.0.1; None for the same one."""
-        self._urls = [url] if attacked in (None, "tcp") else [url, f"{attacked}://127.0.0.1:0"]
+        if papers is not None:
+            url = papers.url("tls://127.0.0.1:0", certificates.server())
+        same = attacked is None or url.startswith(f"{attacked}:")
+        self._urls = [url] if same else [url, f"{attacked}://127.0.0.1:0"]
         command = [sys.executable, "-m", "libmodbus_py", "serve", *self._urls, *options]
         self._process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         self.pid = self._process.pid
@@ -165,16 +181,22 @@ class Polled:
 
 
 class Innocent:
-    """A client that reads what it wrote, every two milliseconds."""
+    """
+    A client that reads what it wrote, every two milliseconds.
+
+    Args:
+        papers: for TLS.
+    """
 
     FIRST = 1000
     VALUES = tuple(range(40_000, 40_010))
     PERIOD = 0.002
 
-    def __init__(self, port: int) -> None:
+    def __init__(self, port: int, papers: Papers | None = None) -> None:
         self._port = port
+        self._papers = papers
         self._transaction = 0
-        self._connection = connect(port)
+        self._connection = self._connect()
         data = struct.pack(f">{len(self.VALUES)}H", *self.VALUES)
         self._request = struct.pack(">BHH", 3, self.FIRST, len(self.VALUES))
         self._answer = bytes([3, len(data)]) + data
@@ -208,10 +230,19 @@ class Innocent:
         if len(answer) < len(expected):
             polled.lost += 1
             self._connection.close()
-            self._connection = connect(self._port)
+            self._connection = self._connect()
             return
         polled.latencies.append(time.perf_counter() - start)
         polled.wrong += answer != expected
+
+    def _connect(self) -> socket.socket:
+        connection = connect(self._port)
+        if self._papers is None:
+            return connection
+        context = ssl.create_default_context(cafile=str(self._papers.ca))
+        files = self._papers.files(certificates.client())
+        context.load_cert_chain(files.cert, files.key)
+        return context.wrap_socket(connection, server_hostname="localhost")
 
 
 # --- honest work, and much of it ---------------------------------------------------------
@@ -258,12 +289,21 @@ Script = Callable[[], Iterator[Step]]
 
 @dataclass(frozen=True)
 class Attack:
+    """
+    Attributes:
+        on_tls: whether it is for a server that speaks TLS.
+    """
+
     name: str
     connections: int
     script: Script
     reads: bool = True
     sends: bool = True
     scheme: str = "tcp"
+
+    def papers(self, directory: Path) -> Papers | None:
+        """What the server and the innocent need for TLS, in this directory."""
+        return Papers(directory) if self.scheme == "tls" else None
 
 
 def _idle() -> Iterator[Step]:
@@ -333,6 +373,25 @@ def _hidden_requests() -> Iterator[Step]:
         yield Step(block)
 
 
+def client_hello() -> bytes:
+    """What Python's ssl sends first."""
+    outgoing = ssl.MemoryBIO()
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    tls = context.wrap_bio(ssl.MemoryBIO(), outgoing, server_hostname="localhost")
+    with contextlib.suppress(ssl.SSLWantReadError):
+        tls.do_handshake()
+    return outgoing.read()
+
+
+def _half_a_handshake() -> Iterator[Step]:
+    yield Step(client_hello(), pause=60)
+
+
+def _hello_after_hello() -> Iterator[Step]:
+    # The server has signed something by then.
+    yield Step(client_hello(), answer=500)
+
+
 ATTACKS = [
     Attack("1000 idle connections", 1000, _idle, sends=False),
     Attack("200 that send a byte a second", 200, _byte_by_byte),
@@ -345,6 +404,9 @@ ATTACKS = [
     Attack("16 requests in a segment", 20, _sixteen_at_once),
     Attack("1000 that hide requests", 1000, _hidden_requests, scheme="rtu+tcp"),
     Attack("a request in 12 segments", 20, _in_twelve_segments),
+    Attack("half-open TLS handshakes", 1000, _half_a_handshake, scheme="tls"),
+    Attack("TLS handshake flood", 20, _hello_after_hello, scheme="tls"),
+    Attack("idle and no TLS handshake", 1000, _idle, sends=False, scheme="tls"),
 ]
 
 

@@ -27,16 +27,19 @@ pytestmark = pytest.mark.filterwarnings("ignore:record_property is incompatible"
 Record = Callable[[str, object], None]
 
 # What the server may grow by. 1000 connections take 3 MB; 50 that never read leave 64 KiB
-# of answers each, and what came in one turn.
-MEMORY = 32 << 20
+# of answers each, and what came in one turn; 1000 half-open handshakes 50 kB each.
+MEMORY = 64 << 20
 
 
 @pytest.mark.parametrize("attack", ATTACKS, ids=lambda attack: attack.name.replace(" ", "-"))
-def test_an_innocent_client_loses_nothing(attack: Attack, record_property: Record) -> None:
+def test_an_innocent_client_loses_nothing(
+    attack: Attack, record_property: Record, tmp_path: Path
+) -> None:
+    papers = attack.papers(tmp_path)
     with (
         descriptor_limit(),
-        ServerProcess(attacked=attack.scheme) as server,
-        Innocent(server.port) as innocent,
+        ServerProcess(papers=papers, attacked=attack.scheme) as server,
+        Innocent(server.port, papers) as innocent,
         AttackerProcess(attack, server.attacked_port) as attackers,
     ):
         undisturbed = innocent.poll(0.3)
@@ -55,7 +58,7 @@ def test_an_innocent_client_loses_nothing(attack: Attack, record_property: Recor
         assert server.has_descriptors(descriptors)
         recovered = innocent.poll(0.1)
         assert (recovered.lost, recovered.wrong) == (0, 0)
-        with Innocent(server.port) as newcomer:
+        with Innocent(server.port, papers) as newcomer:
             assert newcomer.poll(0.02).wrong == 0
     note(record_property, undisturbed, attacked)
 
