@@ -22,6 +22,7 @@ import pytest
 
 import libmodbus_py
 from libmodbus_py import Device, Mapping, Server, TcpContext, pdu
+from libmodbus_py.cli.main import main
 
 ROOT = Path(__file__).parents[1]
 
@@ -125,9 +126,14 @@ GUIDE = blocks("docs/guide.md")
 
 
 @pytest.mark.parametrize("block", GUIDE, ids=range(len(GUIDE)))
-def test_code_of_the_guide_runs(block: str, names: dict[str, Any]) -> None:
+def test_code_of_the_guide_runs(
+    block: str, names: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     code, _ = compiled(at_home(block, names["url"]))
     with contextlib.redirect_stdout(io.StringIO()):
+        if ".pem" in block:
+            monkeypatch.chdir(tmp_path)
+            assert main(["certificates", "."]) == 0
         result = eval(code, names | {"must_equal": must_equal})
         if inspect.iscoroutine(result):
             asyncio.run(result)

@@ -6,6 +6,7 @@ Nothing here runs.
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any, assert_type
 
 from libmodbus_py import (
@@ -20,9 +21,11 @@ from libmodbus_py import (
     Plan,
     Read,
     RtuContext,
+    Security,
     Server,
     State,
     TcpContext,
+    TlsContext,
     Traced,
     UdpContext,
     pdu,
@@ -43,6 +46,11 @@ Context.from_url("tcp://192.0.2.10?unit=17", timeout=0.5, retries=1)
 Context.from_url("rtu:///dev/ttyUSB0", baudrate=9600, parity="N", native=False)
 AsyncClient("tcp://192.0.2.10", unit=17, max_in_flight=4, on_state=print)
 AsyncClient("tcp://192.0.2.10", retries=2, trace=print)
+OWN = Security("own.pem", "own-key.pem", trust="ca.pem", server_name="plc.example", password="x")
+Security(Path("own.pem"), pin=["device.pem", Path("other.pem"), "ab" * 32])
+TlsContext("192.0.2.10", security=OWN, unit=17, timeout=1.0)
+Context.from_url("tls://192.0.2.10", security=OWN)
+AsyncClient("tls://192.0.2.10", security=OWN)
 
 
 def told(state: State, error: ModbusError | None) -> None:

@@ -16,8 +16,10 @@ from libmodbus_py import (
     Mapping,
     Read,
     RtuContext,
+    Security,
     Server,
     TcpContext,
+    TlsContext,
     pdu,
 )
 
@@ -36,6 +38,11 @@ Context.from_url("tcp://192.0.2.10", timeout="1")  # wrong
 AsyncClient("tcp://192.0.2.10", retires=2)  # wrong
 AsyncClient("tcp://192.0.2.10", unti=2)  # wrong
 AsyncClient("tcp://192.0.2.10", native=False)  # wrong
+Security("own.pem", trust=5)  # wrong
+Security("own.pem", trust="ca.pem", password=b"x")  # wrong
+Security("own.pem", ca="ca.pem")  # wrong
+TlsContext("192.0.2.10", security="own.pem")  # wrong
+TlsContext("192.0.2.10", framing="rtu")  # wrong
 Read("coil", 0)  # wrong
 
 
