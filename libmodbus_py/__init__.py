@@ -4,10 +4,11 @@ Modbus for Python on Debian's libmodbus.
 Its folders, floor by floor. Imports run downwards only, and those on one floor do not know
 each other::
 
-    cli                 libmodbus-py: read, write, serve, demo, certificates
+    cli                 libmodbus-py: read, write, scan, serve, demo, certificates
     simulator           devices from a file, which move, wait and err
     testing             lines with a tap, for tests and the demo
     integrations        metrics for Prometheus
+    scan                who answers on a line or network, and what they have
     client   server     who asks: TcpContext, ..., AsyncClient; and who answers: Server
     ports    device     what carries bytes, and waits for them; one unit and its tables
     binding  security   the C library; who may talk, proven by certificates
@@ -54,6 +55,8 @@ from .protocol.errors import (
     ServerDeviceBusy,
     ServerDeviceFailure,
 )
+from .scan.scanning import Found, Scan, scanning
+from .scan.searching import Extent, Search, searching
 from .security.security import Security
 from .server.faults import Fault
 from .server.limits import Limits
@@ -62,15 +65,15 @@ from .simulator import device_file
 
 # fmt: off
 __all__ = [
-    "Access", "Acknowledge", "Allow", "AsciiContext", "Asked", "AsyncClient", "Caller", "Context",
-    "Device", "ExceptionResponse", "Fault", "FrameError", "GatewayPathUnavailable",
-    "GatewayTargetFailedToRespond", "Hook", "IllegalDataAddress", "IllegalDataValue",
-    "IllegalFunction",
-    "InvalidResponse", "Limits", "Mapping", "MemoryParityError", "ModbusConnectionError",
-    "ModbusError", "ModbusTimeoutError", "NegativeAcknowledge", "Plan", "Read", "RecordFile",
-    "RtuContext", "Rules", "Running", "Security", "Server", "ServerDeviceBusy",
-    "ServerDeviceFailure", "State", "TcpContext", "TlsContext", "Traced", "UdpContext",
-    "device_file", "errors", "framing", "low_level", "pdu", "values",
+    "Access", "Acknowledge", "Allow", "AsciiContext", "Asked", "AsyncClient", "Caller",
+    "Context", "Device", "ExceptionResponse", "Extent", "Fault", "Found", "FrameError",
+    "GatewayPathUnavailable", "GatewayTargetFailedToRespond", "Hook", "IllegalDataAddress",
+    "IllegalDataValue", "IllegalFunction", "InvalidResponse", "Limits", "Mapping",
+    "MemoryParityError", "ModbusConnectionError", "ModbusError", "ModbusTimeoutError",
+    "NegativeAcknowledge", "Plan", "Read", "RecordFile", "RtuContext", "Rules", "Running",
+    "Scan", "Search", "Security", "Server", "ServerDeviceBusy", "ServerDeviceFailure", "State",
+    "TcpContext", "TlsContext", "Traced", "UdpContext", "device_file", "errors", "framing",
+    "low_level", "pdu", "scanning", "searching", "values",
 ]
 # fmt: on
 

@@ -1,5 +1,5 @@
 """
-The command line: demo, serve, read, write, certificates.
+The command line: demo, serve, read, write, scan, certificates.
 
 Exit code 0; 1 when the device or the line failed; 2 for wrong usage. Errors are
 one line on stderr.
@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from typing import Any, NoReturn
 
 from ..protocol.errors import ModbusError
-from . import certificates, demo, read_write, serve
+from . import certificates, demo, read_write, scan, serve
 
 __all__ = ["main"]
 
@@ -69,5 +69,6 @@ def _parser() -> argparse.ArgumentParser:
     command.set_defaults(run=lambda options: demo.run())
     serve.add_command(commands)
     read_write.add_commands(commands)
+    scan.add_command(commands)
     certificates.add_command(commands)
     return parser
