@@ -62,7 +62,7 @@ def add_command(commands: Any) -> None:
         help="such as 1,5,9-12 (1-247; on networks 255, too)",
     )
     command.add_argument(
-        "--timeout", type=float, metavar="S", help="seconds for an answer (0.3; on networks 1)"
+        "--timeout", type=float, metavar="S", help="seconds for an answer (0.6; on networks 1)"
     )
     command.add_argument(
         "--deep",

@@ -23,9 +23,10 @@ PARITIES = ("E", "N", "O")
 # this finds devices with one stop bit as well.
 STOP_BITS = {"E": 1, "N": 2, "O": 1}
 
-# Seconds, unless told otherwise. Devices on a line answer within a tenth of a second or two;
-# behind a network may be a gateway, which waits for somebody itself.
-ON_LINES, ON_NETWORKS = 0.3, 1.0
+# Seconds, unless told otherwise. After a request to another unit a server made with libmodbus
+# takes what comes within 0.5 s for that one's answer: whoever asks sooner finds only every second
+# of them, if any. On a network may be a gateway, which waits for somebody itself.
+ON_LINES, ON_NETWORKS = 0.6, 1.0
 
 # Bits of the longest character (serial line, 2.5.1), and characters for each byte.
 CHARACTER = 11

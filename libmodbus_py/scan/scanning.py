@@ -4,11 +4,10 @@ All units at all settings, one after the other.
 
 from __future__ import annotations
 
-import contextlib
 import errno
 from collections.abc import Callable, Generator, Iterable, Iterator
 from dataclasses import dataclass, replace
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 from ..ports.endpoint import parse
 from ..protocol.checks import integer
@@ -17,6 +16,7 @@ from ..protocol.pdu import DeviceIdentification, ServerId
 from ..security.security import Security
 from .places import Place, listed, places
 from .probe import LONGEST_SIZE, PROBE_SIZE, Answer, Asker, Nothing
+from .walking import Walk, Walker
 
 __all__ = ["Found", "Progress", "Scan", "scanning"]
 
@@ -83,23 +83,35 @@ class Found:
     identification: DeviceIdentification | None = None
 
 
-class Scan:
+class Scan(Walker[Found]):
     """
     An iterator over `Found`, made by `scanning`, which can be left at any time.
 
     It asks while it is iterated, by one thread, and only reads. `close` may be called from
-    anywhere; it, the end, an exception and Ctrl-C all close the port and restore its settings.
+    anywhere; it, the end, an exception, Ctrl-C, and dropping it all close the port and restore
+    its settings.
 
     Iterating raises ModbusConnectionError if there is no connection, or none any more, and
     what `on_progress` raises.
 
     Attributes:
+        total: probes, if nobody is found.
         longest: seconds that it takes at most, if nobody is found.
         longest_found: seconds that each unit found takes more, at most.
-        total: probes, if nobody is found.
         notes: what else was seen, a line for each.
         requests: how many were sent.
     """
+
+    def __init__(self, scanned: _Places) -> None:
+        super().__init__(scanned)
+        self.total: int = scanned.total
+        self.longest: float = scanned.longest
+        self.longest_found: float = scanned.longest_found
+        self.notes: list[str] = scanned.notes
+
+
+class _Places(Walk[Found]):
+    """All places."""
 
     def __init__(
         self,
@@ -107,53 +119,26 @@ class Scan:
         units: list[int],
         on_progress: Callable[[Progress], object] | None,
     ) -> None:
+        super().__init__()
         self.notes: list[str] = []
-        self.total: int = len(asked_at) * len(units)
-        self.longest: float = sum(_longest(place, len(units)) for place in asked_at)
-        self.longest_found: float = max(MORE_ASKED * p.wait(LONGEST_SIZE) for p in asked_at)
+        self.total = len(asked_at) * len(units)
+        self.longest = sum(_longest(place, len(units)) for place in asked_at)
+        self.longest_found = max(MORE_ASKED * place.wait(LONGEST_SIZE) for place in asked_at)
         self._places = asked_at
         self._units = units
         self._on_progress = on_progress
-        self._asker: Asker | None = None
-        self._requests = 0
-        self._closed = False
         self._left = self.longest
         self._done = 0
-        self._found = self._all()
 
-    @property
-    def requests(self) -> int:
-        return self._requests + (self._asker.requests if self._asker else 0)
-
-    def __iter__(self) -> Iterator[Found]:
-        return self
-
-    def __next__(self) -> Found:
-        return next(self._found)
-
-    def close(self) -> None:
-        """Stop; any number of times, from any thread and from signal handlers."""
-        self._closed = True
-        if (asker := self._asker) is not None:
-            asker.context.close()
-        with contextlib.suppress(ValueError):  # it runs, and will see that it is closed
-            self._found.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    # --- places ---------------------------------------------------------------------------
-
-    def _all(self) -> Generator[Found, None, None]:
+    def steps(self) -> Generator[Found, None, None]:
         refused: list[ModbusConnectionError] = []
         for place in self._places:
             try:
-                yield from self._opened(place)
+                with self._asking(place) as asker:
+                    units = _Units(place, asker, self._units, self._tell, self._skip)
+                    yield from units.steps(self.notes)
             except ModbusConnectionError as error:
-                if self._closed:
+                if self.is_closed:
                     return
                 # What this port cannot be set to says nothing of the other settings.
                 if not (place.is_serial and error.errno == errno.EINVAL):
@@ -164,34 +149,18 @@ class Scan:
         if len(refused) == len(self._places):
             raise refused[0]
 
-    def _opened(self, place: Place) -> Generator[Found, None, None]:
-        asker = self._asker = Asker(place)
-        try:
-            if self._closed:
-                return
-            asker.context.connect()
-            yield from _Walk(place, asker, self._units, self._tell, self._skip).run(self.notes)
-        finally:
-            asker.context.close()
-            self._requests += asker.requests
-            self._asker = None
-
-    # --- progress -------------------------------------------------------------------------
-
     def _tell(self, place: Place, unit: int) -> None:
         if self._on_progress is not None:
             left = max(0.0, self._left)
-            told = Progress(str(place), unit, self._done, self.total, left)
-            self._on_progress(told)
-        self._done += 1
-        self._left -= _each(place)
+            self._on_progress(Progress(str(place), unit, self._done, self.total, left))
+        self._skip(place, 1)
 
     def _skip(self, place: Place, count: int) -> None:
         self._done += count
         self._left -= count * _each(place)
 
 
-class _Walk:
+class _Units:
     """All units at one place."""
 
     def __init__(
@@ -214,7 +183,7 @@ class _Walk:
         self._alike: list[tuple[int, Answer]] = []
         self._others = 0
 
-    def run(self, notes: list[str]) -> Generator[Found, None, None]:
+    def steps(self, notes: list[str]) -> Generator[Found, None, None]:
         """Ask; what was seen besides is added to the notes, also when it is left early."""
         try:
             yield from self._walk(notes)
@@ -351,7 +320,7 @@ def scanning(
         parities: likewise; "E", "N" and "O". Stop bits are those of the URL; else 2 without
             parity and 1 with it, which finds devices of either kind.
         units: 0..255; 1..247, and 255 on tcp, tls and udp. Not 0 where it is a broadcast.
-        timeout: seconds for each answer, 0.001..86400; 0.3 on serial ports, 1 elsewhere.
+        timeout: seconds for each answer, 0.001..86400; 0.6 on serial ports, 1 elsewhere.
         security: for "tls", unless the URL says it.
         on_progress: called with a `Progress` before each unit is asked.
 
@@ -367,7 +336,7 @@ def scanning(
     usual = _usual_units(asked_at[0])
     lowest = int(asked_at[0].has_broadcast)
     chosen = [integer("units", unit, lowest, 255) for unit in listed("units", units, usual)]
-    return Scan(asked_at, chosen, on_progress)
+    return Scan(_Places(asked_at, chosen, on_progress))
 
 
 def _usual_units(place: Place) -> list[int]:

@@ -4,11 +4,10 @@ The tables of one unit: which ranges of them exist.
 
 from __future__ import annotations
 
-import contextlib
 import time
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 from ..ports.endpoint import parse
 from ..protocol.checks import integer
@@ -25,6 +24,7 @@ from ..security.security import Security
 from .halving import Cells, halving
 from .places import Place, places
 from .probe import LONGEST_SIZE, NOBODY, Asker, Nothing
+from .walking import Walk, Walker
 
 __all__ = ["MOST_REQUESTS", "Extent", "Search", "Searching", "searching"]
 
@@ -77,21 +77,30 @@ class Extent:
     requests: int
 
 
-class Search:
+class Search(Walker[Extent]):
     """
     An iterator over the `Extent` of each table, made by `searching`; can be left at any time.
 
     It asks while it is iterated, by one thread, and only reads. `close` may be called from
-    anywhere; it, the end, an exception and Ctrl-C all close the connection.
+    anywhere; it, the end, an exception, Ctrl-C, and dropping it all close the connection.
 
     Iterating raises ModbusConnectionError if there is no connection, or none any more, and
     what `on_progress` raises.
 
     Attributes:
         longest: seconds that it takes at most, if nothing is answered.
-        extents: of the tables so far; the last one also while it is searched.
+        extents: of the tables so far, that of one which was left in the middle included.
         requests: how many were sent.
     """
+
+    def __init__(self, searched: _Tables) -> None:
+        super().__init__(searched)
+        self.longest: float = searched.longest
+        self.extents: list[Extent] = searched.extents
+
+
+class _Tables(Walk[Extent]):
+    """All tables of a unit."""
 
     def __init__(
         self,
@@ -100,64 +109,28 @@ class Search:
         most_requests: int,
         on_progress: Callable[[Searching], object] | None,
     ) -> None:
+        super().__init__()
         # A line must be silent for as long after a question without an answer.
-        self.longest: float = 2 * most_requests * place.wait(LONGEST_SIZE)
+        self.longest = 2 * most_requests * place.wait(LONGEST_SIZE)
         self.extents: list[Extent] = []
         self._place = place
         self._unit = unit
         self._most_requests = most_requests
         self._on_progress = on_progress
-        self._asker: Asker | None = None
-        self._requests = 0
         self._silent = 0
-        self._closed = False
-        self._steps = self._all()
 
-    @property
-    def requests(self) -> int:
-        return self._asker.requests if self._asker else self._requests
-
-    def __iter__(self) -> Iterator[Extent]:
-        return self
-
-    def __next__(self) -> Extent:
-        return next(self._steps)
-
-    def close(self) -> None:
-        """Stop; any number of times, from any thread and from signal handlers."""
-        self._closed = True
-        if (asker := self._asker) is not None:
-            asker.context.close()
-        with contextlib.suppress(ValueError):  # it runs, and will see that it is closed
-            self._steps.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    # --- tables ---------------------------------------------------------------------------
-
-    def _all(self) -> Generator[Extent, None, None]:
-        asker = self._asker = Asker(self._place)
+    def steps(self) -> Generator[Extent, None, None]:
         try:
-            if self._closed:
-                return
-            asker.context.connect()
-            for index, table in enumerate(TABLES):
-                left = self._most_requests - asker.requests
-                ended = self._table(asker, table, left // (len(TABLES) - index))
-                yield self.extents[-1]
-                if ended in (_GONE, _BUSY):
-                    return
+            with self._asking(self._place) as asker:
+                for index, table in enumerate(TABLES):
+                    left = self._most_requests - asker.requests
+                    ended = self._table(asker, table, left // (len(TABLES) - index))
+                    yield self.extents[-1]
+                    if ended in (_GONE, _BUSY):
+                        return
         except ModbusConnectionError:
-            if not self._closed:
+            if not self.is_closed:
                 raise
-        finally:
-            asker.context.close()
-            self._requests = asker.requests
-            self._asker = None
 
     def _table(self, asker: Asker, table: str, most: int) -> str:
         """Search a table with so many requests; says why it ended early."""
@@ -268,7 +241,7 @@ def searching(
 
     Args:
         url: of a client of the unit: that of `Found.url`.
-        timeout: seconds for each answer, 0.001..86400; that of the URL, or 0.3 on serial ports
+        timeout: seconds for each answer, 0.001..86400; that of the URL, or 0.6 on serial ports
             and 1 elsewhere.
         most_requests: 4..1000000, of all tables; each gets its part of what is left.
         security: for "tls", unless the URL says it.
@@ -287,4 +260,4 @@ def searching(
         raise TypeError(f"on_progress must be callable, not {type(on_progress).__name__}")
     place.context().close()  # what the URL says else is checked here
     unit = integer("unit", endpoint.client_options.get("unit", 1), int(place.has_broadcast), 255)
-    return Search(place, unit, most_requests, on_progress)
+    return Search(_Tables(place, unit, most_requests, on_progress))

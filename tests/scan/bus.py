@@ -17,14 +17,14 @@ import threading
 import time
 import tty
 from collections.abc import Callable
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 from libmodbus_py import Device, framing
 from libmodbus_py.device.device import Caller
 
 RATES = {getattr(termios, name): int(name[1:]) for name in dir(termios) if name[1:].isdigit()}
 
-# A request PDU -> the answer PDU, or None for silence.
+# A request PDU -> the answer PDU, or None for silence; EOFError takes the port away.
 Answer = Callable[[bytes], bytes | None]
 
 
@@ -61,7 +61,7 @@ class Bus:
 
     def __init__(self, units: dict[int, Member], scheme: str = "rtu") -> None:
         self._units = units
-        self._make = framing.AsciiFramer if scheme == "ascii" else framing.RtuFramer
+        self._framing: Any = scheme
         self._master, self._slave = pty.openpty()
         tty.setraw(self._slave)
         self.path = os.ttyname(self._slave)
@@ -98,13 +98,8 @@ class Bus:
         """Send without having been asked, from the next request on."""
         self._noise = every, data
 
-    def unplug(self) -> None:
-        """Take the port away."""
-        self._wake.send(b"u")
-        self._thread.join()
-
     def _serve(self) -> None:
-        framer = self._make(role="server")
+        framer = framing.make_framer(self._framing, "server")
         while True:
             now = time.monotonic()
             for due, data in list(self._timers):
@@ -116,11 +111,13 @@ class Bus:
                 [self._master, self._sleep], [], [], min(waits, default=None)
             )
             if self._sleep in ready:
-                if self._sleep.recv(1):
-                    self._close()
                 return
             if self._master in ready:
-                self._hear(framer)
+                try:
+                    self._hear(framer)
+                except EOFError:
+                    self._close()
+                    return
 
     def _write(self, data: bytes) -> None:
         os.set_blocking(self._master, False)
