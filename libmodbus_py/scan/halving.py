@@ -27,7 +27,7 @@ USUAL = (
 FINEST = 64
 
 # So far from a range its neighbours are looked for: ranges come in groups.
-DISTANCES = (*range(1, 9), 16, 32, 64)
+DISTANCES = (*range(1, 17), 32, 64)
 
 # Sent the read that is asked for, gives whether it was answered.
 Reads = Generator[range, bool, bool]

@@ -251,9 +251,11 @@ def searching(
         TypeError, ValueError: an argument, named with its range.
     """
     endpoint = parse(url)
-    told = endpoint.serial_settings if endpoint.transport == "serial" else {}
-    baudrates = [told.get("baudrate", 19200)] if told else None
-    parities = [told.get("parity", "E")] if told else None
+    baudrates = parities = None
+    if endpoint.transport == "serial":
+        # As for clients, which have one setting.
+        baudrates = [endpoint.options.get("baudrate", 19200)]
+        parities = [endpoint.options.get("parity", "E")]
     (place,) = places(endpoint, baudrates, parities, timeout, security)
     integer("most_requests", most_requests, len(TABLES), 1_000_000)
     if on_progress is not None and not callable(on_progress):
