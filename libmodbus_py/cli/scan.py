@@ -7,6 +7,7 @@ from __future__ import annotations
 import argparse
 import json
 import re
+import shutil
 import sys
 import time
 from typing import Any
@@ -166,7 +167,8 @@ class _Status:
             return
         self._next = now + REDRAWN
         self._is_shown = True
-        print(f"\r{_progress(told, found)}\x1b[K", end="", file=sys.stderr, flush=True)
+        text = _progress(told, found)[: shutil.get_terminal_size().columns - 1]
+        print(f"\r{text}\x1b[K", end="", file=sys.stderr, flush=True)
 
     def clear(self) -> None:
         if self._is_shown:

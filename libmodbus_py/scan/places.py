@@ -32,7 +32,7 @@ ON_LINES, ON_NETWORKS = 0.6, 1.0
 CHARACTER = 11
 CHARACTERS = {"rtu": 1, "ascii": 2}
 
-# So often a connection may end while units are asked: some servers close it for each unknown unit.
+# Timeouts in a row mean that units are not there, and a new connection would lose late answers.
 NEVER_DEAD = 1_000_000
 
 Item = TypeVar("Item")
@@ -95,9 +95,10 @@ class Place:
             TypeError, ValueError: the URL or its options.
         """
         told: dict[str, Any] = {"retries": 0, "busy_retries": 0, "max_pause": 0}
+        told["timeouts_before_reconnect"] = NEVER_DEAD
         if self.endpoint.framing in ("tcp", "udp"):
             # The transaction id says whose answer it is, also where all are unit 255.
-            told |= {"accept_unit": "any", "timeouts_before_reconnect": NEVER_DEAD}
+            told["accept_unit"] = "any"
         if self.security is not None:
             told["security"] = self.security
         return Context(self.endpoint, {**told, **options})

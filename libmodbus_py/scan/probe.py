@@ -27,7 +27,12 @@ from ..protocol.pdu import DeviceIdentification, ServerId
 from ..protocol.pdu.interface import identify
 from .places import Place
 
-__all__ = ["NOBODY", "PROBE", "Answer", "Asker", "Late", "Nothing", "Reading"]
+# fmt: off
+__all__ = [
+    "LONGEST_SIZE", "MOST_PAGES", "NOBODY", "PROBE", "PROBE_SIZE", "Answer", "Asker", "Late",
+    "Nothing", "Reading",
+]
+# fmt: on
 
 # All that ever leaves: nothing that writes has a place here.
 Reading = (
@@ -46,9 +51,10 @@ PROBE_SIZE, LONGEST_SIZE = 8 + 7, 8 + 256
 
 # What a gateway says of a unit that is not there (application protocol, section 7).
 NOBODY = (GatewayPathUnavailable, GatewayTargetFailedToRespond)
+NOBODY_CODES = [each.code for each in NOBODY]
 
-# So many pages have more than the objects that the specification names.
-MOST_PAGES = 8
+# Of identification that are asked for; one has what most devices tell.
+MOST_PAGES = 4
 
 # A server that ends a connection; all else says that there will not be another one.
 ENDINGS = (errno.ECONNRESET, errno.EPIPE, errno.ECONNABORTED)
@@ -113,6 +119,7 @@ class Asker:
         self.requests: int = 0
         self._place = place
         self._unit = 0
+        self._is_probing = False
         # Key of a probe without an answer so far -> its unit, and when it was sent.
         self._owed: dict[int, tuple[int, float]] = {}
         self._late: list[Late] = []
@@ -130,6 +137,7 @@ class Asker:
         """
         self._unit = unit
         started = time.monotonic()
+        self._is_probing = True
         try:
             self._carefully(unit, PROBE)
             code = None
@@ -141,6 +149,8 @@ class Asker:
             raise
         except ModbusError as error:
             return Nothing(error)
+        finally:
+            self._is_probing = False
         self._owed = {key: owed for key, owed in self._owed.items() if owed[0] != unit}
         return Answer(time.monotonic() - started, code)
 
@@ -153,18 +163,22 @@ class Asker:
         """Ask for what function 43/14 tells, in a few pages at most; None if there is nothing."""
         steps = identify("regular")
         request = next(steps)
+        told: DeviceIdentification | None = None
+        objects: dict[int, bytes] = {}
         for _ in range(MOST_PAGES):
             page = self._told(unit, request)
             if page is None:
-                return None
+                break
+            objects.update(page.objects)
+            told = DeviceIdentification(page.conformity, objects, complete=False)
             try:
                 request = steps.send(page)
             except StopIteration as done:
-                made: DeviceIdentification = done.value
-                return made
+                told = done.value
+                break
             except ModbusError:
-                return None
-        return None
+                break
+        return told
 
     def _told(self, unit: int, request: Any) -> Any:
         try:
@@ -211,7 +225,7 @@ class Asker:
     def _traced(self, traced: Traced) -> None:
         if traced.direction == "sent":
             self.requests += 1
-            if traced.function == PROBE.function:
+            if self._is_probing:
                 self._owed[self._key(traced)] = self._unit, time.monotonic()
         elif traced.unit is not None:
             self._note_late(traced)
@@ -225,17 +239,16 @@ class Asker:
         unit, asked_at = self._owed.get(key, (self._unit, 0.0))
         if unit == self._unit:
             return
-        del self._owed[key]
-        took = time.monotonic() - asked_at
+        code = None
         try:
             PROBE.decode_response(_pdu(traced, self._place))
-            self._late.append(Late(unit, Answer(took)))
-        except NOBODY:
-            pass
         except ExceptionResponse as error:
-            self._late.append(Late(unit, Answer(took, error.code)))
+            code = error.code
         except ModbusError:
-            pass  # what others say on the line
+            return  # what others say on the line
+        del self._owed[key]
+        if code not in NOBODY_CODES:
+            self._late.append(Late(unit, Answer(time.monotonic() - asked_at, code)))
 
 
 class _Ended(ModbusError):

@@ -15,7 +15,7 @@ from ..protocol.errors import ModbusConnectionError
 from ..protocol.pdu import DeviceIdentification, ServerId
 from ..security.security import Security
 from .places import Place, listed, places
-from .probe import LONGEST_SIZE, PROBE_SIZE, Answer, Asker, Nothing
+from .probe import LONGEST_SIZE, MOST_PAGES, PROBE_SIZE, Answer, Asker, Nothing
 from .walking import Walk, Walker
 
 __all__ = ["Found", "Progress", "Scan", "scanning"]
@@ -28,9 +28,9 @@ DIRECT = 255
 # Reserved (serial line, 2.2), and none that devices have for all, as 248, 254 and 255 are.
 RESERVED = (249, 252, 250, 251, 253)
 
-# Requests to one unit behind its probe: functions 17 and 43/14; after one without answer
-# the line must be silent for as long.
-MORE_ASKED = 4
+# Answers waited for behind a probe: to function 17, without which the line must be silent for as
+# long, and to 43/14.
+MORE_ASKED = 2 + MOST_PAGES
 
 
 class Progress(NamedTuple):
@@ -121,9 +121,9 @@ class _Places(Walk[Found]):
     ) -> None:
         super().__init__()
         self.notes: list[str] = []
-        self.total = len(asked_at) * len(units)
-        self.longest = sum(_longest(place, len(units)) for place in asked_at)
-        self.longest_found = max(MORE_ASKED * place.wait(LONGEST_SIZE) for place in asked_at)
+        self.total: int = len(asked_at) * len(units)
+        self.longest: float = sum(_longest(place, len(units)) for place in asked_at)
+        self.longest_found: float = max(MORE_ASKED * each.wait(LONGEST_SIZE) for each in asked_at)
         self._places = asked_at
         self._units = units
         self._on_progress = on_progress
@@ -266,10 +266,10 @@ class _Units:
         noise = [each for each in self._nothing if each[1].is_noise]
         if noise:
             unit, nothing = noise[0]
+            hint = "; something is there at another rate or parity, or others talk"
             yield (
-                f"{self._place}: {len(noise)} of the probes brought bytes that are no answer; "
-                "something is there at another rate or parity, or others talk "
-                f"(unit {unit}: {nothing.error.args[0]})"
+                f"{self._place}: {len(noise)} of the probes brought bytes that are no answer"
+                f"{hint * self._place.is_serial} (unit {unit}: {nothing.error.args[0]})"
             )
         if self._latest:
             yield (

@@ -111,7 +111,7 @@ class _Tables(Walk[Extent]):
     ) -> None:
         super().__init__()
         # A line must be silent for as long after a question without an answer.
-        self.longest = 2 * most_requests * place.wait(LONGEST_SIZE)
+        self.longest: float = 2 * most_requests * place.wait(LONGEST_SIZE)
         self.extents: list[Extent] = []
         self._place = place
         self._unit = unit

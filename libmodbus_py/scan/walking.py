@@ -21,7 +21,7 @@ class Walk(ABC, Generic[Item]):
     """The work; it knows nothing of its `Walker`, which whoever leaves it may just drop."""
 
     def __init__(self) -> None:
-        self.is_closed = False
+        self.is_closed: bool = False
         self._asker: Asker | None = None
         self._asked_before = 0
 
@@ -69,8 +69,8 @@ class Walker(Generic[Item]):
     """
 
     def __init__(self, walk: Walk[Item]) -> None:
-        self.__walk = walk
-        self.__steps = walk.steps()
+        self.__walk: Walk[Item] = walk
+        self.__steps: Generator[Item, None, None] = walk.steps()
 
     @property
     def requests(self) -> int:

@@ -14,8 +14,10 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import certificates
 import pytest
 from bus import Bus, Member, of
+from certificates import Papers
 from fake import FakeServer, FakeUnit, dead, mbap, refusing, until, url_of
 from interop import UNIT, program
 from test_interop_pymodbus import pymodbus_server
@@ -494,3 +496,38 @@ def test_what_is_wrong_is_told_before_anything_is_sent(
 ) -> None:
     with pytest.raises((TypeError, ValueError), match=message.replace(".", r"\.")):
         scanning(url, **options)
+
+
+# --- tls -------------------------------------------------------------------------------------
+
+
+def test_units_are_found_over_tls(tmp_path: Path) -> None:
+    papers = Papers(tmp_path)
+    server = Server({1: meter(), 9: meter()}, security=papers.server())
+    stranger = papers.security(certificates.self_signed())
+    with server.background("tls://127.0.0.1:0") as running:
+        url = running.urls[0]
+        assert [each.unit for each in all_of(scanning(url, security=papers.client()))] == [1, 9]
+        with pytest.raises(ModbusConnectionError):  # at once, not 248 times
+            next(scanning(url, security=stranger, timeout=PATIENT))
+        assert server.statistics.accepted < 9
+
+
+def test_identification_in_many_pages_is_cut() -> None:
+    """A device that would never come to an end costs four requests."""
+    asked: list[int] = []
+
+    def answer(request: bytes) -> list[bytes]:
+        if request[7] != 43:
+            return [mbap(request, bytes([request[7] | 0x80, 11 if request[6] > 200 else 1]))]
+        number = request[10]
+        asked.append(number)
+        page = bytes([43, 14, 2, 2, 0xFF, number + 1, 1, number, 1, 0x41])
+        return [mbap(request, page)]
+
+    with FakeServer(answer) as server:
+        (found,) = all_of(scanning(server.url, units=[5], timeout=PATIENT))
+        assert asked == [0, 1, 2, 3]
+        assert found.identification is not None
+        assert found.identification.objects == dict.fromkeys(range(4), b"A")
+        assert not found.identification.complete
