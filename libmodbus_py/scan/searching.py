@@ -136,7 +136,7 @@ class _Tables(Walk[Extent]):
         """Search a table with so many requests; says why it ended early."""
         cells = Cells(TABLES[table].most_read)
         begun = asker.requests
-        ended = "interrupted"
+        ended = _EARLY
         try:
             ended = self._halve(asker, table, cells, begun + most)
         finally:
@@ -214,6 +214,7 @@ class _Tables(Walk[Extent]):
                 raise _EndedError(_GONE)
 
 
+_EARLY = "whoever searched, or a lost connection"
 _BOUND = "the bound on requests"
 _BUSY = "the device stays busy"
 _GONE = "the unit answers no more"

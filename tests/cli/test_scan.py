@@ -160,6 +160,35 @@ def test_ctrl_c_prints_what_was_found_and_restores_the_line(as_json: bool) -> No
         assert _settings(wire.client) == before
 
 
+def test_ctrl_c_in_a_search_prints_what_was_found() -> None:
+    def answer(request: bytes) -> list[bytes]:
+        count = int.from_bytes(request[10:12], "big")
+        if request[6] != 1 or request[7] > 4:
+            return [mbap(request, bytes([request[7] | 0x80, 11]))]
+        size = (count + 7) // 8 if request[7] < 3 else 2 * count
+        time.sleep(0.01)
+        return [mbap(request, bytes([request[7], size]) + bytes(size))]
+
+    with FakeServer(answer) as server:
+        process = subprocess.Popen(
+            [*COMMAND, server.url, "--units", "1", "--deep"],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        try:
+            until(lambda: len(server.requests) > 60)
+            process.send_signal(signal.SIGINT)
+            output, errors = process.communicate(timeout=20)
+        finally:
+            process.kill()
+            process.wait()
+    assert process.returncode == 130
+    assert "Traceback" not in errors
+    assert "[[unit.coils]]\naddress = 0\ncount = 65536\n" in output
+    assert "# discrete_inputs: ended by whoever searched" in output
+
+
 def _settings(path: str) -> str:
     done = subprocess.run(["stty", "-g", "-F", path], capture_output=True, text=True, check=True)
     return done.stdout

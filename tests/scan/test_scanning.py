@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import signal
 import socket
 import subprocess
 import threading
@@ -300,6 +301,15 @@ def _hang_up(listener: socket.socket, unit: int) -> None:
                 peer.sendall(mbap(request, b"\x03\x02\0\1" if request[7] == 3 else refusal))
 
 
+@pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp"])
+def test_silence_does_not_cost_the_connection(scheme: str) -> None:
+    """Some devices take one at a time, and late answers come over the one that was asked."""
+    with FakeServer(lambda request: []) as server:
+        scan = scanning(server.url.replace("tcp", scheme), units=range(1, 9), timeout=QUICK)
+        assert all_of(scan) == []
+        assert server.connections == 1
+
+
 def test_a_dead_host_is_an_error_soon() -> None:
     with dead() as port, pytest.raises(ModbusConnectionError):
         next(scanning(f"tcp://127.0.0.1:{port}", timeout=0.1))
@@ -428,6 +438,19 @@ def test_it_can_be_closed_from_another_thread() -> None:
         timer.start()
         assert list(scan) == []
         timer.join()
+        assert bus.is_restored
+
+
+def test_it_can_be_closed_from_a_signal_handler() -> None:
+    with Bus({}) as bus, descriptors():
+        scan = scanning(bus.url, baudrates=[9600], parities="N", timeout=60)
+        before = signal.signal(signal.SIGALRM, lambda *_: scan.close())
+        try:
+            signal.setitimer(signal.ITIMER_REAL, 0.2)
+            assert list(scan) == []
+        finally:
+            signal.setitimer(signal.ITIMER_REAL, 0)
+            signal.signal(signal.SIGALRM, before)
         assert bus.is_restored
 
 
