@@ -26,8 +26,9 @@ USUAL = (
 # Cells between those that are tried in the end.
 FINEST = 64
 
-# So far from a range its neighbours are looked for: ranges come in groups.
-DISTANCES = (*range(1, 17), 32, 64)
+# So far behind and before a range its neighbours are looked for: ranges come in groups, and usual
+# addresses begin them.
+BEHIND, BEFORE = (*range(1, 17), 32, 64), (1, 2, 4, 8)
 
 # Sent the read that is asked for, gives whether it was answered.
 Reads = Generator[range, bool, bool]
@@ -92,9 +93,12 @@ def halving(cells: Cells) -> Generator[range, bool, None]:
             yield from _ask(cells, range(address, address + 1))
         ):
             last = yield from _grow(cells, address, 1)
+            # Where it is found it usually begins: one read tells, and halving takes seven.
+            if address and cells.state(address - 1) == UNKNOWN:
+                yield from _ask(cells, range(address - 1, address))
             first = yield from _grow(cells, address, -1)
-            around = [(last + each, first - each) for each in DISTANCES]
-            near += [each for pair in around for each in pair if 0 <= each < TABLE_SIZE]
+            around = [last + each for each in BEHIND] + [first - each for each in BEFORE]
+            near += [each for each in around if 0 <= each < TABLE_SIZE]
 
 
 def _places() -> Iterator[int]:
