@@ -410,6 +410,16 @@ def test_what_a_pinned_one_has_signed_is_not_pinned(
     assert "none of the pins" in caplog.text
 
 
+def test_a_pinned_one_must_be_good_for_clients(papers: Papers, device: Device) -> None:
+    """OpenSSL looks at the extended key usage, and cannot be told not to."""
+    mine = certificates.server_only()
+    security = papers.server(pin=papers.files(mine).cert)
+    with serving(papers, device, security=security) as (_, port):
+        told = context(papers, mine)
+        with TlsClient(port, told) as client, pytest.raises(ssl.SSLError, match="UNSUPPORTED"):
+            client.handshake().ask(ONE, 1)
+
+
 @VERSION
 def test_a_pinned_one_may_be_old_also_when_it_resumes(
     papers: Papers, device: Device, version: ssl.TLSVersion
