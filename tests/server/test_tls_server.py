@@ -709,6 +709,23 @@ def test_who_does_not_read_gets_all_when_he_does(papers: Papers, device: Device)
                 assert answer[2:] == MOST_ANSWER[2:]
 
 
+def test_who_says_goodbye_and_does_not_read_is_not_waited_for(
+    papers: Papers, device: Device
+) -> None:
+    limits = Limits(frame_timeout=0.5, max_unsent=2**30)
+    block = b"".join(adu(READ_MOST, number) for number in range(1365))
+    told = context(papers, certificates.client())
+    with (
+        serving(papers, device, limits=limits) as (server, port),
+        TlsClient(port, told).handshake() as client,
+    ):
+        sent = client.encrypt(*[block] * 30)  # 10 MB of answers
+        client.socket.sendall(sent + client.goodbye())
+        assert wait_until(lambda: server.statistics.connections == 0)
+        assert server.statistics.requests == 30 * 1365
+        assert server.statistics.closed_slow == 1
+
+
 @KIND
 def test_requests_per_second_hold_within_a_record(papers: Papers, kind: str) -> None:
     make_device, options = KINDS[kind]
