@@ -118,6 +118,7 @@ C_SERVER = "libmodbus, server in C"
 OUR_SERVER = "Server"
 READ_HOOK_SERVER = "Server, hook for all reads"
 WRITE_HOOK_SERVER = "Server, hook for writes"
+METERED_SERVER = "Server, metrics scraped each second"
 TRIVIAL_SERVER = "no Modbus: answers in C"
 
 DEFAULT, PYTHON = "TcpContext", "TcpContext, native=False"
@@ -162,6 +163,7 @@ SERVERS = [
     OUR_TCP_SERVER,
     Peer(READ_HOOK_SERVER, "ours-with-read-hook"),
     Peer(WRITE_HOOK_SERVER, "ours-with-write-hook"),
+    Peer(METERED_SERVER, "ours-with-metrics", "prometheus_client"),
     Peer("pymodbus", "pymodbus", "pymodbus"),
     Peer("pyModbusTCP", "pyModbusTCP", "pyModbusTCP"),
     Peer(TRIVIAL_SERVER, "answer", C),

@@ -9,7 +9,10 @@ from __future__ import annotations
 import asyncio
 import resource
 import sys
+import threading
+import time
 from collections.abc import Callable
+from typing import Any
 
 REGISTERS = 65_536
 HOST = "127.0.0.1"
@@ -19,7 +22,9 @@ def announce(port: int) -> None:
     print(port, flush=True)
 
 
-def ours(**hooks: Callable[[object], object]) -> None:
+def ours(
+    meter: Callable[[Any], object] = lambda server: None, **hooks: Callable[[object], object]
+) -> None:
     from libmodbus_py import Device, Mapping, Server
 
     mapping = Mapping(holding_registers=REGISTERS)
@@ -33,6 +38,7 @@ def ours(**hooks: Callable[[object], object]) -> None:
 
     async def serve() -> None:
         server = Server(Device(mapping, **hooks))
+        meter(server)
         async with server.serving(f"tcp://{HOST}:0") as running:
             announce(int(running.urls[0].rpartition(":")[2]))
             await asyncio.Event().wait()
@@ -46,6 +52,24 @@ def ours_with_read_hook() -> None:
 
 def ours_with_write_hook() -> None:
     ours(before_write=lambda access: None)
+
+
+def ours_with_metrics() -> None:
+    """As Prometheus scrapes it, but each second."""
+    import prometheus_client
+
+    from libmodbus_py.integrations.prometheus import collect
+
+    def scrape() -> None:
+        while True:
+            prometheus_client.generate_latest()
+            time.sleep(1)
+
+    def meter(server: Any) -> None:
+        collect(server)
+        threading.Thread(target=scrape, daemon=True).start()
+
+    ours(meter=meter)
 
 
 def pymodbus() -> None:
@@ -78,6 +102,7 @@ SERVERS: dict[str, Callable[[], None]] = {
     "ours": ours,
     "ours-with-read-hook": ours_with_read_hook,
     "ours-with-write-hook": ours_with_write_hook,
+    "ours-with-metrics": ours_with_metrics,
     "pymodbus": pymodbus,
     "pyModbusTCP": pymodbustcp,
 }

@@ -9,13 +9,14 @@ import socket
 import socketserver
 import threading
 from collections.abc import Iterator
+from typing import Any
 
 from .prometheus import REGISTRY, CollectorRegistry, MetricsHandler
 
 __all__ = ["exposing"]
 
-# Somebody who connects and asks nothing keeps all others waiting.
-PATIENCE = 2.0
+# Somebody who asks slowly, or nothing, keeps all others waiting, and the end.
+PATIENCE = 3.0
 
 
 class _Server(socketserver.TCPServer):
@@ -27,8 +28,22 @@ class _Server(socketserver.TCPServer):
         self.address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
         super().__init__((host, port), handler)
 
+    def process_request(self, request: Any, client_address: Any) -> None:
+        alarm = threading.Timer(PATIENCE, _cut, (request,))
+        alarm.daemon = True
+        alarm.start()
+        try:
+            super().process_request(request, client_address)
+        finally:
+            alarm.cancel()
+
     def handle_error(self, request: object, client_address: object) -> None:
         """Whoever asked has gone."""
+
+
+def _cut(request: socket.socket) -> None:
+    with contextlib.suppress(OSError):  # it is over already
+        request.shutdown(socket.SHUT_RDWR)
 
 
 @contextlib.contextmanager
@@ -46,8 +61,7 @@ def exposing(host: str, port: int, registry: CollectorRegistry = REGISTRY) -> It
     Raises:
         OSError: the address cannot be had.
     """
-    handler = type("Handler", (MetricsHandler,), {"registry": registry, "timeout": PATIENCE})
-    with _Server(host, port, handler) as server:
+    with _Server(host, port, MetricsHandler.factory(registry)) as server:
         thread = threading.Thread(target=server.serve_forever, args=(0.1,), name="metrics")
         thread.start()
         try:

@@ -185,17 +185,18 @@ class _Watched:
     def of(self, statistics: object) -> bool:
         return self._statistics() is statistics
 
-    def look(self) -> bool:
-        """Read the values; False if the object is gone, and those from before stay."""
+    @property
+    def is_gone(self) -> bool:
+        return self._statistics() is None
+
+    def look(self) -> None:
+        """Read the values; those of what is gone stay as they were."""
         statistics = self._statistics()
-        if statistics is None:
-            return False
-        found = self._kind.read(statistics)
-        self.values = {
-            sample._replace(labels=self.labels + sample.labels): value
-            for sample, value in found.items()
-        }
-        return True
+        if statistics is not None:
+            self.values = {
+                sample._replace(labels=self.labels + sample.labels): value
+                for sample, value in self._kind.read(statistics).items()
+            }
 
 
 class Collector(_Collector):
@@ -234,6 +235,7 @@ class Collector(_Collector):
                     kind = KINDS[type(statistics)]
                     labels = kind.labels(each, name)
                     self._watched.append(_Watched(statistics, kind, labels))
+            self._forget_gone()  # nobody may ever scrape
 
     def describe(self) -> Iterator[Metric]:
         """All metrics there may be, for a registry to know their names."""
@@ -253,19 +255,22 @@ class Collector(_Collector):
         yield from metrics.values()
 
     def _values(self) -> Values:
-        watched, self._watched = self._watched, []
-        for each in watched:
-            if each.look():
-                self._watched.append(each)
-            else:
-                past = self._past.setdefault(each.labels, {})
-                _add(past, {key: each.values[key] for key in each.values if _stays(key)})
-        present = {each.labels for each in self._watched}
-        self._past = {labels: past for labels, past in self._past.items() if labels in present}
+        for each in self._watched:
+            each.look()
+        self._forget_gone()
         values: Values = {}
         for some in [*self._past.values(), *(each.values for each in self._watched)]:
             _add(values, some)
         return values
+
+    def _forget_gone(self) -> None:
+        gone = [each for each in self._watched if each.is_gone]
+        self._watched = [each for each in self._watched if each not in gone]
+        for each in gone:
+            past = self._past.setdefault(each.labels, {})
+            _add(past, {key: each.values[key] for key in each.values if _stays(key)})
+        present = {each.labels for each in self._watched}
+        self._past = {labels: past for labels, past in self._past.items() if labels in present}
 
 
 def _stays(sample: Sample) -> bool:

@@ -272,6 +272,22 @@ def test_a_counter_does_not_fall_when_one_of_two_clients_is_dropped(
     assert not values(registry)
 
 
+def test_clients_that_come_and_go_leave_nothing_though_nobody_scrapes(
+    registry: CollectorRegistry,
+) -> None:
+    stays = Context.from_url("tcp://127.0.0.1:1")
+    collector = collect(stays, registry=registry)
+    for turn in range(200):
+        for port in ("1", "2"):
+            collect(Context.from_url(f"tcp://127.0.0.1:{port}"), registry=registry)
+        if turn in (100, 199):
+            gc.collect()
+            collect(stays, registry=registry)
+            holders = [each for each in vars(collector).values() if hasattr(each, "__len__")]
+            assert max(map(len, holders)) <= 3
+    stays.close()
+
+
 def test_a_closed_server_stays_as_long_as_somebody_has_it(registry: CollectorRegistry) -> None:
     with served() as (server, url), Context.from_url(url) as plc:
         collect(server, registry=registry)
@@ -437,6 +453,31 @@ def test_whoever_asks_nothing_does_not_keep_others_for_long(registry: CollectorR
         with socket.create_connection(("127.0.0.1", port)) as rude:
             rude.sendall(b"\0\1\2 nonsense\r\n\r\n" * 100)
         assert of(fetched(url), "modbus_server_connections") == 0
+
+
+def test_whoever_asks_slowly_does_not_keep_others_for_long(registry: CollectorRegistry) -> None:
+    """A byte now and then is no reason to wait for the next one; nor is it when all ends."""
+    server = Server(DEVICE)
+    collect(server, registry=registry)
+    done = threading.Event()
+
+    def trickle(peer: socket.socket) -> None:
+        with contextlib.suppress(OSError):
+            while not done.wait(0.05):
+                peer.sendall(b"x")
+
+    with contextlib.ExitStack() as stack:
+        with exposing("127.0.0.1", 0, registry) as url:
+            port = int(url.split(":")[2].partition("/")[0])
+            for _ in range(2):
+                peer = stack.enter_context(socket.create_connection(("127.0.0.1", port)))
+                thread = threading.Thread(target=trickle, args=(peer,))
+                thread.start()
+                stack.callback(thread.join)
+                stack.callback(done.set)
+            assert of(fetched(url), "modbus_server_connections") == 0
+            stack.enter_context(socket.create_connection(("127.0.0.1", port))).sendall(b"GET")
+        assert not done.is_set()
 
 
 COMMAND = [sys.executable, "-m", "libmodbus_py", "serve", "tcp://127.0.0.1:0"]
