@@ -218,24 +218,48 @@ class UdpPort(SocketPort):
 
     kind = socket.SOCK_DGRAM
 
+    def _preparing(self, made: socket.socket, deadline: float) -> Steps[None]:
+        yield from super()._preparing(made, deadline)
+        self._refusal = 0  # the system's number
+
     def receive(self) -> list[bytes]:
+        if self._refusal:
+            raise _refused(self._refusal)
         datagrams: list[bytes] = []
-        try:
-            while len(datagrams) < DATAGRAMS:
+        while len(datagrams) < DATAGRAMS:
+            try:
                 datagrams.append(self._socket.recv(DATAGRAM_SIZE))
-        except BlockingIOError:
-            pass
-        except OSError as error:
-            # What was received is worth more than the news that the port is closed now.
+            except BlockingIOError:
+                break
+            except OSError as error:
+                if self._refusal:
+                    break
+                self._refusal = error.errno or errno.EIO
+        if self._refusal:
+            # The system tells it once, and before what was received earlier, which is worth
+            # more: the news that the port is closed now comes with the next look.
             if not datagrams:
-                raise lost(error) from error
+                raise _refused(self._refusal)
+            self._socket.shutdown(socket.SHUT_RD)  # whoever waits has it at once
         return datagrams
 
     def send(self, adus: list[bytes], now: float) -> None:
         for adu in adus:
             try:
-                self._socket.send(adu)
+                self._send_now(adu)
             except BlockingIOError:
                 return  # lost, as any datagram may be
             except OSError as error:
                 raise lost(error) from error
+
+    def _send_now(self, adu: bytes) -> None:
+        try:
+            self._socket.send(adu)
+        except ConnectionRefusedError:
+            # Of an earlier one; answers to others may still wait to be read. If the port is
+            # closed now, the next look says so.
+            self._socket.send(adu)
+
+
+def _refused(number: int) -> ModbusConnectionError:
+    return lost(OSError(number, os.strerror(number)))
