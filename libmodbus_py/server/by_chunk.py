@@ -159,14 +159,13 @@ class ByChunk:
                 break
             start = end
             taken += 1
+        requests = self._statistics.requests - before
         self._pending = data[start:]
-        self.is_behind = taken == FOUND_AT_ONCE and start < size
+        self.is_behind = start < size and (taken == FOUND_AT_ONCE or self._is_lost(requests))
         self.is_unfinished = start < size and not self.is_behind
-        if self.is_unfinished:
-            self._check_length()
-        elif self.is_behind:
+        if self.is_behind:
             self._follow()
-        return self._statistics.requests - before
+        return requests
 
     def close(self) -> None:
         """Nothing goes on."""
@@ -195,12 +194,15 @@ class ByChunk:
             self.write(HEADER.pack(transaction, 0, 1 + len(pdu), unit) + pdu)
         return end
 
-    def _check_length(self) -> None:
+    def _is_lost(self, requests: int) -> bool:
         """A length that cannot be tells that nobody knows where the next frame begins."""
         rest = self._pending
-        if len(rest) >= 6 and not 2 <= (length := rest[4] << 8 | rest[5]) <= 1 + MAX_PDU:
+        if len(rest) < 6 or 2 <= (length := rest[4] << 8 | rest[5]) <= 1 + MAX_PDU:
+            return False
+        if not requests:  # else they count first
             self._statistics.bad_frames += 1
             raise FrameError(f"header with length {length}, not 2..254", received=rest)
+        return True
 
 
 def _is_one_frame(data: bytes) -> bool:

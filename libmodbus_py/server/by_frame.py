@@ -71,7 +71,7 @@ class Session(Protocol):
         While it is behind none come; a call without bytes goes on where the last one stopped.
 
         Raises:
-            FrameError: the stream must be closed; what could be answered was.
+            FrameError: the stream must be closed; there were no requests this time.
         """
         ...
 
@@ -130,7 +130,8 @@ class ByFrame:
 
     @property
     def is_behind(self) -> bool:
-        return bool(self._found or self._unsearched or self._is_quiet)
+        is_lost = not self._framer.in_step
+        return bool(self._found or self._unsearched or self._is_quiet or is_lost)
 
     @property
     def is_waiting(self) -> bool:
@@ -144,14 +145,15 @@ class ByFrame:
             if self._at_once is not None and len(self._unsearched) > self._at_once:
                 self._follow()
                 return 0
-        if not self._found:
+        if not self._found and self._framer.in_step:
             self._search()
         most = len(self._found) if self._at_once is None else FOUND_AT_ONCE
         now, self._found = self._found[:most], self._found[most:]
         requests = self._answer(now)
         if not (self._found or self._framer.in_step):
             self._unsearched = b""
-            raise FrameError("stream out of step")
+            if not requests:  # else they count first
+                raise FrameError("stream out of step")
         if self.is_behind:
             self._follow()
         elif self._framer.quiet and self._framer.pending and not self._is_heard:

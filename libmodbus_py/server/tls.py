@@ -13,6 +13,7 @@ import ssl
 from collections.abc import Callable
 from typing import Protocol
 
+from ..protocol.errors import FrameError
 from ..security.describing import describe
 from ..security.role import mentions_role, role_of
 from ..security.security import Security
@@ -264,6 +265,8 @@ class TlsSession:
                     return requests
         except ssl.SSLError as error:
             self._fail(error)
+        except FrameError as error:  # not to the wire: what came before it counts
+            self._be_out_of_step(str(error))
         else:
             if answer := tunnel.outgoing():  # a change of keys
                 self._wire.write(answer)
@@ -272,11 +275,14 @@ class TlsSession:
         return requests
 
     def _fail(self, error: ssl.SSLError) -> None:
-        logger.debug("%s: connection closed: %s", self.address, _reason(error))
-        self._handshakes.statistics.closed_out_of_step += 1
         if self._tunnel is not None:
             self._wire.write(self._tunnel.outgoing())  # the alert
         self._tunnel = None
+        self._be_out_of_step(_reason(error))
+
+    def _be_out_of_step(self, reason: str) -> None:
+        logger.debug("%s: connection closed: %s", self.address, reason)
+        self._handshakes.statistics.closed_out_of_step += 1
         self._finish()
 
     # --- for the session inside ---------------------------------------------------------------

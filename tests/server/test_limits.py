@@ -695,6 +695,22 @@ def test_a_new_connection_brings_nothing_new_to_ask(kind: str) -> None:
         assert server.has(connections=0)
 
 
+# A header whose length cannot be: the connection is closed.
+OUT_OF_STEP = bytes.fromhex("0001 0000 ffff 11 03")
+
+
+def test_requests_count_though_what_follows_ends_the_connection(kind: str) -> None:
+    with served(kind, requests_per_second=2) as server:
+        start = time.monotonic()
+        for _ in range(10):
+            with server.connect() as client:
+                client.sendall(2 * adu(READ_ONE) + OUT_OF_STEP)
+                time.sleep(0.02)
+        # Two are free, and a read may overdraw.
+        assert server.statistics.requests <= 2 + 2 + 2 * (time.monotonic() - start)
+        assert server.has(connections=0)
+
+
 def test_to_be_refused_brings_nothing_new_to_ask_either() -> None:
     with served("plain", requests_per_second=0.5, max_connections=1, when_full="refuse") as server:
         with server.connect() as eager:
