@@ -97,6 +97,8 @@ class ByChunk:
         singles: where requests go that come alone.
     """
 
+    takes_requests = True
+
     # fmt: off
     __slots__ = (
         "_follow", "_peer", "_pending", "_role", "_singles", "_statistics", "_units", "is_behind",

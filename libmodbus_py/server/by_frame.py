@@ -50,6 +50,11 @@ class Link(Protocol):
 
 class Session(Protocol):
     @property
+    def takes_requests(self) -> bool:
+        """Whether what comes is requests, and no handshake."""
+        ...
+
+    @property
     def is_unfinished(self) -> bool:
         """Whether a frame has begun whose end nothing but its last byte can tell."""
         ...
@@ -93,6 +98,8 @@ class ByFrame:
         at_once: how many bytes are searched for frames in one `receive`; of what is found
             then `FOUND_AT_ONCE` is answered. None for all: nobody else waits.
     """
+
+    takes_requests = True
 
     def __init__(
         self,

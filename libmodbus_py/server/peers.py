@@ -517,7 +517,7 @@ class LimitedPeer(Peer):
 
     def act(self, events: int) -> None:
         takes = not events or events & EPOLLIN
-        if takes and self.shared.is_overspent():
+        if takes and self.shared.is_overspent() and self._may_ask(events):
             self._peers.statistics.throttled += 1
             self._is_throttled = True
             self.shared.pause(self)
@@ -526,6 +526,14 @@ class LimitedPeer(Peer):
             if not events:
                 return
         super().act(events)
+
+    def _may_ask(self, events: int) -> bool:
+        """Not in a handshake, and others wait in the line behind it; nor to say goodbye."""
+        if self._descriptor < 0 or not self._session.takes_requests:
+            return False
+        with contextlib.suppress(OSError):
+            return not events or self._socket.recv(1, socket.MSG_PEEK) != b""
+        return False
 
     def _take(self, data: bytes) -> int:
         requests = super()._take(data)

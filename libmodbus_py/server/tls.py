@@ -126,6 +126,10 @@ class TlsSession:
     # --- the session of the connection --------------------------------------------------------
 
     @property
+    def takes_requests(self) -> bool:
+        return self._inner is not None
+
+    @property
     def is_unfinished(self) -> bool:
         # The handshake has a time of its own.
         inner = self._inner

@@ -12,6 +12,7 @@ import socket
 import ssl
 import struct
 import subprocess
+import threading
 import time
 import tracemalloc
 from collections.abc import Callable, Iterator
@@ -23,7 +24,8 @@ from attacks import ANSWER_ONE, PATIENCE, READ_ONE, ServerProcess, adu, connect
 from certificates import Papers
 from tls import VERSIONS, TlsClient, closed, context, serving, wait_until
 
-from libmodbus_py import Device, Limits, Mapping
+from libmodbus_py import Access, Device, Hook, Limits, Mapping, Server
+from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.server import tls as server_tls
 
 ONE = adu(READ_ONE)
@@ -440,6 +442,60 @@ def test_what_comes_and_goes_leaves_no_memory(papers: Papers, device: Device) ->
             assert tracemalloc.get_traced_memory()[0] - before < 50_000
         finally:
             tracemalloc.stop()
+
+
+# --- what an address may ask --------------------------------------------------------------------
+
+
+def test_requests_count_though_what_follows_ends_the_connection(
+    papers: Papers, device: Device
+) -> None:
+    told = context(papers, certificates.client())
+    limits = Limits(requests_per_second=2)
+    with serving(papers, device, limits=limits) as (server, port):
+        start = time.monotonic()
+        for _ in range(4):
+            with TlsClient(port, told).handshake() as client:
+                client.send(*[ONE] * 5, bytes.fromhex("0001 0000 ffff 11 03"))
+                time.sleep(0.02)
+        # Two are free, and a read may overdraw.
+        assert server.statistics.requests <= 2 + 5 + 2 * (time.monotonic() - start)
+        assert wait_until(lambda: server.statistics.connections == 0)
+
+
+def test_who_has_asked_too_much_does_not_stop_the_line(papers: Papers) -> None:
+    """Others wait for its handshake."""
+    is_blocked, goes_on = threading.Event(), threading.Event()
+
+    def block(access: Access) -> None:
+        is_blocked.set()
+        assert goes_on.wait(PATIENCE)
+
+    device = Device(Mapping(coils=1, holding_registers=1), before_read=Hook(block, coils=range(1)))
+    limits = Limits(requests_per_second=0.001, handshake_timeout=PATIENCE)
+    server = Server(device, limits=limits, security=papers.server())
+    first = hello(papers)
+    urls = ("tls://127.0.0.1:0", "tcp://127.0.0.1:0")
+    with contextlib.ExitStack() as stack, server.background(*urls) as running:
+        tls, tcp = (parse(url).port for url in running.urls)
+
+        def connect_from(host: str, port: int) -> socket.socket:
+            made = socket.create_connection(("127.0.0.1", port), PATIENCE, (host, 0))
+            return stack.enter_context(made)
+
+        busy = connect_from("127.0.0.3", tcp)
+        eager = connect_from("127.0.0.2", tcp)
+        line = [connect_from("127.0.0.2", tls) for _ in range(30)]
+        # All that follows is read in one turn.
+        busy.sendall(adu(bytes.fromhex("01 0000 0001")))
+        assert is_blocked.wait(PATIENCE)
+        for each in line:
+            each.sendall(first)
+        eager.sendall(5 * ONE)
+        goes_on.set()
+        start = time.monotonic()
+        assert is_served(papers, tls)
+        assert time.monotonic() - start < PATIENCE / 4
 
 
 # --- the end, at any time -----------------------------------------------------------------------
