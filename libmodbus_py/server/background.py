@@ -127,7 +127,7 @@ class InThread(Generic[Running]):
             self._begun.acquire()
         if self._stop is not None:
             self._stop()
-        if self._thread.ident is not None:
+        if self._thread.ident not in (None, threading.get_ident()):  # a hook cannot wait for it
             self._thread.join()
 
     def _begin(self) -> None:

@@ -195,23 +195,31 @@ class ByFrame:
     def _answer(self, found: list[Frame | FrameError]) -> int:
         adus = bytearray()
         requests = 0
-        for each in found:
-            if isinstance(each, FrameError):
-                logger.debug("%s: %s: %s", self._peer, each, each.received.hex(" "))
-                self._statistics.bad_frames += 1
-                self._units.note_damage(overrun=each.overrun)
-                continue
-            requests += 1
-            if self._delivery is not None:
-                self._answer_with_faults(each, self._delivery)
-            elif (answer := self._units.answer(each, self._peer, self._role)) is not None:
-                self._count_refusal(answer)
-                adus += self._framer.encode(answer)
-            self._follow_delimiter()
-        self._statistics.requests += requests
-        if adus:
-            self._write(bytes(adus))
+        try:
+            for each in found:
+                if isinstance(each, FrameError):
+                    self._note_damage(each)
+                else:
+                    requests += 1
+                    self._answer_one(each, adus)
+        finally:  # a hook may end the program: what it did before is answered
+            self._statistics.requests += requests
+            if adus:
+                self._write(bytes(adus))
         return requests
+
+    def _note_damage(self, error: FrameError) -> None:
+        logger.debug("%s: %s: %s", self._peer, error, error.received.hex(" "))
+        self._statistics.bad_frames += 1
+        self._units.note_damage(overrun=error.overrun)
+
+    def _answer_one(self, request: Frame, adus: bytearray) -> None:
+        if self._delivery is not None:
+            self._answer_with_faults(request, self._delivery)
+        elif (answer := self._units.answer(request, self._peer, self._role)) is not None:
+            self._count_refusal(answer)
+            adus += self._framer.encode(answer)
+        self._follow_delimiter()
 
     def _answer_with_faults(self, request: Frame, delivery: Delivery) -> None:
         fault = None

@@ -22,7 +22,7 @@ from typing import Any
 import pytest
 from attacks import PATIENCE, READ_ONE, adu, connect, receive
 
-from libmodbus_py import Access, Device, Mapping, Running, Server
+from libmodbus_py import Access, Device, Mapping, Running, Server, framing
 from libmodbus_py.device.reply import replier
 
 URLS = ("tcp://127.0.0.1:0", "udp://127.0.0.1:0")
@@ -236,6 +236,40 @@ def test_serve_forever_and_serving_raise_it(scheme: str, error: BaseException) -
         assert raised.value is error
         asking[0].join(PATIENCE)
         assert is_left(before)
+
+
+@pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp"])
+def test_what_one_asked_before_the_end_is_answered(scheme: str) -> None:
+    """In the same bytes: it was executed."""
+    framer = framing.make_framer("rtu" if scheme == "rtu+tcp" else "tcp", "server")
+    read, end = (framing.Frame(17, bytes.fromhex(pdu)) for pdu in ("03 0001 0001", "03 0063 0001"))
+    answer = framer.encode(framing.Frame(17, bytes.fromhex("03 02 0000")))
+    server = ending(SystemExit(3), "plain")
+    with pytest.raises(SystemExit), server.background(f"{scheme}://127.0.0.1:0") as running:
+        with connect(int(running.urls[0].rpartition(":")[2])) as client:
+            client.sendall(framer.encode(read) + framer.encode(end))
+            assert receive(client, 100) == answer
+    assert server.statistics.requests >= 1
+
+
+def test_a_hook_may_leave_the_block() -> None:
+    before = left()
+    raised: list[BaseException] = []
+
+    def leave(access: Access) -> None:
+        try:
+            background.__exit__()
+        except BaseException as error:
+            raised.append(error)
+
+    server = Server(Device(Mapping(holding_registers=1), before_read=leave))
+    background = server.background("tcp://127.0.0.1:0")
+    with background as running, connect(int(running.urls[0].rpartition(":")[2])) as client:
+        client.sendall(adu(READ_ONE))
+        assert receive(client, 11) == adu(bytes.fromhex("03 02 0000"))
+        assert receive(client, 1) == b""
+    assert raised == []
+    assert is_left(before)
 
 
 @pytest.mark.parametrize("error", ENDS, ids=lambda error: type(error).__name__)
