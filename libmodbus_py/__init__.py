@@ -4,12 +4,13 @@ Modbus for Python on Debian's libmodbus.
 Its folders, floor by floor. Imports run downwards only, and those on one floor do not know
 each other::
 
-    cli                 libmodbus-py: read, write, scan, serve, demo, certificates
+    cli                 libmodbus-py: read, write, scan, listen, serve, demo, certificates
     simulator           devices from a file, which move, wait and err
     testing             lines with a tap, for tests and the demo
     integrations        metrics for Prometheus
     scan                who answers on a line or network, and what they have
-    client   server     who asks: TcpContext, ..., AsyncClient; and who answers: Server
+    client   server     who asks: TcpContext, ..., AsyncClient; who answers: Server;
+    listener            and who only listens: transactions of others on a line
     ports    device     what carries bytes, and waits for them; one unit and its tables
     binding  security   the C library; who may talk, proven by certificates
     protocol            bytes and values: PDUs, frames, errors; no socket, no clock
@@ -36,6 +37,11 @@ from .device.hooks import Hook
 from .device.mapping import Mapping
 from .device.record_file import RecordFile
 from .device.rules import Allow, Rules
+from .listener.capture import CaptureError
+from .listener.listening import Listener, listening
+from .listener.separator import Separator
+from .listener.summary import Summary
+from .listener.transaction import Transaction
 from .protocol import errors, framing, pdu, values
 from .protocol.errors import (
     Acknowledge,
@@ -66,14 +72,15 @@ from .simulator import device_file
 # fmt: off
 __all__ = [
     "Access", "Acknowledge", "Allow", "AsciiContext", "Asked", "AsyncClient", "Caller",
-    "Context", "Device", "ExceptionResponse", "Extent", "Fault", "Found", "FrameError",
-    "GatewayPathUnavailable", "GatewayTargetFailedToRespond", "Hook", "IllegalDataAddress",
-    "IllegalDataValue", "IllegalFunction", "InvalidResponse", "Limits", "Mapping",
-    "MemoryParityError", "ModbusConnectionError", "ModbusError", "ModbusTimeoutError",
-    "NegativeAcknowledge", "Plan", "Read", "RecordFile", "RtuContext", "Rules", "Running",
-    "Scan", "Search", "Security", "Server", "ServerDeviceBusy", "ServerDeviceFailure", "State",
-    "TcpContext", "TlsContext", "Traced", "UdpContext", "device_file", "errors", "framing",
-    "low_level", "pdu", "scanning", "searching", "values",
+    "CaptureError", "Context", "Device", "ExceptionResponse", "Extent", "Fault", "Found",
+    "FrameError", "GatewayPathUnavailable", "GatewayTargetFailedToRespond", "Hook",
+    "IllegalDataAddress", "IllegalDataValue", "IllegalFunction", "InvalidResponse", "Limits",
+    "Listener", "Mapping", "MemoryParityError", "ModbusConnectionError", "ModbusError",
+    "ModbusTimeoutError", "NegativeAcknowledge", "Plan", "Read", "RecordFile", "RtuContext",
+    "Rules", "Running", "Scan", "Search", "Security", "Separator", "Server", "ServerDeviceBusy",
+    "ServerDeviceFailure", "State", "Summary", "TcpContext", "TlsContext", "Traced",
+    "Transaction", "UdpContext", "device_file", "errors", "framing", "listening", "low_level",
+    "pdu", "scanning", "searching", "values",
 ]
 # fmt: on
 

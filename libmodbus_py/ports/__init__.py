@@ -7,4 +7,5 @@ What carries bytes, and how to wait for it.
     sockets     TCP connections and UDP sockets
     tls         TLS connections: the handshake, and what it refuses
     serial      serial ports, which libmodbus opens and configures; RS-485, echo, locks
+    read_only   serial ports that are only read, beside whoever talks
 """

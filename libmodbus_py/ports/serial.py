@@ -20,7 +20,7 @@ from ..protocol.errors import ModbusConnectionError
 from .port import Port, Silence, lost
 from .waiting import Steps
 
-__all__ = ["LineSettings", "SerialPort", "SerialSettings"]
+__all__ = ["LineSettings", "SerialPort", "SerialSettings", "set_odd_baudrate"]
 
 Parity = Literal["N", "E", "O"]
 Rs485 = Literal["kernel", "rts-up", "rts-down"]
@@ -183,7 +183,7 @@ class SerialPort(Port):
                 raise OSError(errno.EINVAL, "the port refuses these settings")
         self._watch(lib.modbus_get_socket(self.context))
         if self.baudrate not in self.baudrates:
-            _set_odd_baudrate(self.descriptor, self.baudrate)
+            set_odd_baudrate(self.descriptor, self.baudrate)
         self._set_direction_control()
         self.discard_input()
 
@@ -358,7 +358,7 @@ _TCGETS2, _TCSETS2 = 0x802C542A, 0x402C542B
 _CBAUD, _BOTHER = 0o010017, 0o010000
 
 
-def _set_odd_baudrate(descriptor: int, baudrate: int) -> None:
+def set_odd_baudrate(descriptor: int, baudrate: int) -> None:
     """Set a rate that has no constant of its own, and see whether the port took it."""
     try:
         fields = list(_TERMIOS2.unpack(fcntl.ioctl(descriptor, _TCGETS2, bytes(_TERMIOS2.size))))

@@ -8,6 +8,7 @@ is so written once: connecting, and whatever else takes turns with the other sid
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import os
 import select
 import socket
@@ -76,6 +77,12 @@ class Waker:
         with self._lock:
             if self.descriptor >= 0:
                 os.eventfd_write(self.descriptor, 1)
+
+    def clear(self) -> None:
+        """Take it as seen that `wake` was called."""
+        with self._lock, contextlib.suppress(BlockingIOError):
+            if self.descriptor >= 0:
+                os.eventfd_read(self.descriptor)
 
     def close(self) -> None:
         """Any number of times."""

@@ -30,7 +30,7 @@ from .scan import Scan, crc16, lib
 # fmt: off
 __all__ = [
     "AsciiFramer", "Frame", "Framer", "Framing", "RtuFramer", "TcpFramer", "UdpFramer", "crc16",
-    "is_delimiter", "lrc", "make_framer",
+    "is_delimiter", "lrc", "make_framer", "scanner",
 ]
 # fmt: on
 
@@ -262,12 +262,7 @@ class RtuFramer(Framer):
         if role not in ("client", "server"):
             raise ValueError(f'role must be "client" or "server", not {role!r}')
         super().__init__()
-        is_client = role == "client"
-        self._scanner = Scan(
-            is_client,
-            {code: _in_c(request, is_client) for code, request in REQUESTS.items()},
-            response_length if is_client else request_length,
-        )
+        self._scanner = scanner(role)
         self._in_run = False  # whether the bytes before the buffer were no frame
 
     def encode(self, frame: Frame) -> bytes:
@@ -317,6 +312,16 @@ class RtuFramer(Framer):
     def _forget(self, count: int) -> None:
         del self._buffer[:count]
         self._scanner.fresh = max(self._scanner.fresh - count, -1)
+
+
+def scanner(role: Role) -> Scan:
+    """Make what finds the RTU frames of one direction by the length rules of `pdu`."""
+    is_client = role == "client"
+    return Scan(
+        is_client,
+        {code: _in_c(request, is_client) for code, request in REQUESTS.items()},
+        response_length if is_client else request_length,
+    )
 
 
 def _in_c(request: type[Request[Any]], is_client: bool) -> tuple[int, int, int]:

@@ -1,0 +1,187 @@
+"""
+Frames on a line that one only listens to: nobody says whether one is a request or a response.
+
+Bytes only; no clock. `RtuEitherWay` finds frames by both length rules of `pdu` and the CRC;
+`may_be` asks the same rules about a frame that is already cut out, as in ASCII.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from .framing import Frame, RtuFramer, scanner
+from .pdu import request_length, response_length
+from .scan import Scan, crc16
+
+__all__ = ["EitherWay", "NoFrame", "RtuEitherWay", "may_be"]
+
+MAX_ADU = RtuFramer.max_size
+
+
+class EitherWay(NamedTuple):
+    """A frame whose CRC fits, by one length rule or by both; `start` and `end` in the stream."""
+
+    start: int
+    end: int
+    frame: Frame
+    may_ask: bool
+    may_answer: bool
+
+
+class NoFrame(NamedTuple):
+    """Bytes that are none."""
+
+    start: int
+    end: int
+    data: bytes
+
+
+def may_be(pdu: bytes) -> tuple[bool, bool]:
+    """Say whether the length rules let a PDU be a request, and a response."""
+    size = len(pdu)
+    may_ask = pdu[0] < 0x80 and request_length(pdu) in (size, 0)
+    return may_ask, response_length(pdu) in (size, 0)
+
+
+class RtuEitherWay:
+    """
+    Finds RTU frames in a stream where requests and responses follow one another.
+
+    Both scans look at the same bytes. Where only one of them finds a frame, and the other may
+    still find a longer one, it is decisive what is more likely there: see `take`.
+
+    Attributes:
+        quiet: seconds without a byte after which `silence` should be called.
+        offset: where in the stream the bytes begin that are still looked at.
+    """
+
+    quiet = RtuFramer.quiet
+
+    def __init__(self) -> None:
+        self._asking, self._answering = scanner("server"), scanner("client")
+        self._buffer = bytearray()
+        self._fresh = [0]  # where frames should begin: behind silence and good frames
+        self._is_quiet = False
+        self.offset: int = 0
+
+    def feed(self, data: bytes) -> None:
+        """Take received bytes."""
+        self._buffer += data
+        self._is_quiet = False
+
+    def silence(self) -> None:
+        """Take it that the line is quiet: see what `take` makes of it."""
+        self._is_quiet = True
+        if self._fresh[-1:] != [len(self._buffer)]:
+            self._fresh.append(len(self._buffer))
+
+    @property
+    def end(self) -> int:
+        """The end of the stream so far."""
+        return self.offset + len(self._buffer)
+
+    def take(self, is_awaited: Callable[[int, int], bool]) -> EitherWay | NoFrame | None:
+        """
+        Give what comes next, None if that takes more bytes, or silence.
+
+        Args:
+            is_awaited: whether a unit was asked for a function, so that a response is likely.
+        """
+        data = bytes(self._buffer)
+        if not data:
+            return None
+        fresh = self._fresh[0] if self._fresh else -1
+        asks, asks_at = _look(self._asking, data, 0, fresh)
+        answers, answers_at = _look(self._answering, data, 0, fresh)
+        if start := min(asks_at, answers_at):
+            return self._skip(data, start)
+        awaited = len(data) > 1 and is_awaited(data[0], data[1] & 0x7F)
+        first, second = (answers, asks) if awaited else (asks, answers)
+        if first > 0 or (second > 0 and (first == 0 or self._is_quiet)):
+            end = first if first > 0 else second
+            may_ask, may_answer = asks == end, answers == end
+            if may_ask and may_answer and response_length(data[1:]) == 0:
+                end = self._end_by_crc(data, end)
+            return self._found(data, end, may_ask, may_answer) if end else None
+        if start := self._later_start(data):
+            return self._skip(data, start)
+        return None
+
+    def _end_by_crc(self, data: bytes, end: int) -> int:
+        """
+        Say where a frame ends whose length nothing tells; 0 while that is open.
+
+        Its CRC fits by chance inside such a frame once in 65536 bytes, so what follows must be
+        a frame, or silence.
+        """
+        ends = [
+            at
+            for at in range(end, min(len(data), MAX_ADU) + 1)
+            if at == end or not crc16(data[:at])
+        ]
+        for at in ends:
+            if self._complete(data, at, at) > 0:
+                return at
+        if self._is_quiet or len(data) >= MAX_ADU:
+            return ends[-1] if ends[-1] == len(data) else end
+        return 0
+
+    def _later_start(self, data: bytes) -> int:
+        """
+        Say where to go on though the front may still be completed; 0 for nowhere.
+
+        A damaged front may claim a length that no byte will ever fill. So a frame counts that
+        begins where silence ended, and in silence frames without a gap up to the end.
+        """
+        for fresh in self._fresh:
+            if 0 < fresh < len(data) and self._complete(data, fresh, fresh) > 0:
+                return fresh
+        if self._is_quiet and self._may_end_with_a_frame(data):
+            tiled = (at for at in range(1, len(data)) if self._tiles(data, at))
+            return next(tiled, 0)
+        return 0
+
+    def _may_end_with_a_frame(self, data: bytes) -> bool:
+        scans = (self._asking, self._answering)
+        for scan in scans:
+            scan.fresh = -1
+        return any(scan.next(data, 1, at_end=True) > 0 for scan in scans)
+
+    def _tiles(self, data: bytes, at: int) -> bool:
+        while 0 < at < len(data):
+            at = self._complete(data, at, -1)
+        return at == len(data)
+
+    def _complete(self, data: bytes, at: int, fresh: int) -> int:
+        """Say where a frame ends that begins just here; 0 or less if none does."""
+        for scan in (self._asking, self._answering):
+            end, start = _look(scan, data, at, fresh)
+            if start == at and end > 0:
+                return end
+        return 0
+
+    def _found(self, data: bytes, end: int, may_ask: bool, may_answer: bool) -> EitherWay:
+        frame = Frame(data[0], data[1 : end - 2])
+        start = self.offset
+        self._forget(end)
+        if self._fresh[:1] != [0]:
+            self._fresh.insert(0, 0)
+        return EitherWay(start, self.offset, frame, may_ask, may_answer)
+
+    def _skip(self, data: bytes, count: int) -> NoFrame:
+        start = self.offset
+        self._forget(count)
+        return NoFrame(start, self.offset, data[:count])
+
+    def _forget(self, count: int) -> None:
+        del self._buffer[:count]
+        self.offset += count
+        self._fresh = [at - count for at in self._fresh if at >= count]
+
+
+def _look(scan: Scan, data: bytes, at: int, fresh: int) -> tuple[int, int]:
+    """Say where the frame ends that begins here, 0 for none, and where one may begin."""
+    scan.fresh = fresh
+    end = scan.next(data, at)
+    return (end if scan.start == at else 0), scan.start
