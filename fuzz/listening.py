@@ -213,16 +213,42 @@ def heard(framing: Framing, pieces: list[Sent]) -> tuple[list[Told], list[Transa
     return named, done + separator.end()
 
 
-def compared(told: list[list[Told]], named: list[Told]) -> Result:
+class Pair(NamedTuple):
+    """A question, and whether it had an answer."""
+
+    unit: int
+    question: bytes
+    is_answered: bool
+
+
+def _pairs(done: list[Transaction]) -> list[Pair]:
+    asked = sorted((each for each in done if each.request), key=lambda each: each.time)
+    answered = ("answered", "exception")
+    return [
+        Pair(each.unit or 0, each.request.encode(), each.kind in answered)
+        for each in asked
+        if each.request and each.kind != "late"
+    ]
+
+
+def _as_pair(frames: list[Told]) -> Pair | None:
+    """None for a lone answer, whose question did not come whole."""
+    asked = frames[0].frame
+    return Pair(asked.unit, asked.pdu, len(frames) > 1) if frames[0].part == "request" else None
+
+
+def compared(told: list[list[Told]], named: list[Told], pairs: list[Pair]) -> Result:
     """
     Find what was sent in what was named, in its order.
 
     A frame is right that is named as what it was; a transaction, if all its frames that came
-    whole are. What was named and never sent (glued frames of others) is passed over.
+    whole are, and it is given as answered if its answer came whole, and else as unanswered. What
+    was named and never sent (glued frames of others) is passed over, and so are transactions of
+    which nothing came whole.
     """
     result = Result()
-    at = 0
-    for frames in told:
+    at = paired_at = 0
+    for frames in filter(None, told):
         result.transactions += 1
         right = 0
         for frame in frames:
@@ -232,16 +258,22 @@ def compared(told: list[list[Told]], named: list[Told]) -> Result:
                 right += 1
         result.frames += len(frames)
         result.right_frames += right
-        result.right_transactions += right == len(frames)
-        if right != len(frames) and len(result.examples) < 8:
+        pair = _as_pair(frames)
+        window_of_pairs = pairs[paired_at : paired_at + 12]
+        is_paired = pair in window_of_pairs
+        if is_paired:
+            paired_at += window_of_pairs.index(pair) + 1
+        is_right = right == len(frames) and is_paired
+        result.right_transactions += is_right
+        if not is_right and len(result.examples) < 8:
             result.examples.append(f"sent {frames}\n    heard {named[max(0, at - 3) : at + 4]}")
     return result
 
 
 def measure(framing: Framing, count: int, faults: float, seed: int, latency: float) -> Result:
     made = line(framing, count, faults, seed, latency)
-    named, _ = heard(framing, _glued(made.pieces, latency))
-    result = compared(made.told, named)
+    named, done = heard(framing, _glued(made.pieces, latency))
+    result = compared(made.told, named, _pairs(done))
     result.faults = made.faults
     return result
 

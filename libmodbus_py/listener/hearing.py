@@ -44,8 +44,10 @@ class Hearing(Protocol):
         """Take bytes that came at a time, in seconds; give what they are, in their order."""
         ...
 
-    def silence(self, is_awaited: IsAwaited) -> Iterator[Candidate | Damage]:
-        """Take it that the line is quiet."""
+    def silence(
+        self, is_awaited: IsAwaited, *, is_long: bool = False
+    ) -> Iterator[Candidate | Damage]:
+        """Take it that the line is quiet; for so long that no frame will be completed."""
         ...
 
 
@@ -67,8 +69,10 @@ class RtuHearing:
         self._frames.feed(data)
         yield from self._take(is_awaited)
 
-    def silence(self, is_awaited: IsAwaited) -> Iterator[Candidate | Damage]:
-        self._frames.silence()
+    def silence(
+        self, is_awaited: IsAwaited, *, is_long: bool = False
+    ) -> Iterator[Candidate | Damage]:
+        self._frames.silence(is_long=is_long)
         yield from self._take(is_awaited)
         yield from self._flush()
 
@@ -113,20 +117,26 @@ class FramerHearing:
     Frames that a framer cuts out; their times are those of the pieces that end them.
 
     Args:
-        framer: of one direction of RTU, or of ASCII, whose frames have marks of their own.
+        make_framer: for one direction of RTU, or ASCII, whose frames have marks of their own.
         is_asking: whether it is the direction of requests; None for both in one stream.
     """
 
-    def __init__(self, framer: Framer, is_asking: bool | None) -> None:
-        self._framer = framer
+    def __init__(self, make_framer: Callable[[], Framer], is_asking: bool | None) -> None:
+        self._make_framer = make_framer
+        self._framer = make_framer()
+        self._tail = b""  # what waits in the framer for the rest of its frame
         self._is_asking = is_asking
         self._began: float | None = None
-        self.quiet: float = framer.quiet or 0.0
+        self.quiet: float = self._framer.quiet or 0.0
 
     def hear(self, data: bytes, at: float, is_awaited: IsAwaited) -> Iterator[Candidate | Damage]:
         self._at = at
         began = at if self._began is None else self._began
         found = self._framer.scan(data)
+        pending, data = self._framer.pending, self._tail + data
+        self._tail = data[-pending:] if pending else b""
+        if not found and not pending:  # skipped, as what comes before a colon
+            yield Damage(began, at, data[:MAX_RECEIVED])
         for each in found:
             yield self._heard(each, began)
             began = at
@@ -135,9 +145,15 @@ class FramerHearing:
         elif self._began is None or found:
             self._began = at
 
-    def silence(self, is_awaited: IsAwaited) -> Iterator[Candidate | Damage]:
+    def silence(
+        self, is_awaited: IsAwaited, *, is_long: bool = False
+    ) -> Iterator[Candidate | Damage]:
+        began = self._at if self._began is None else self._began
         for each in self._framer.scan_silence():
-            yield self._heard(each, self._at if self._began is None else self._began)
+            yield self._heard(each, began)
+        if is_long and self._framer.pending:
+            yield Damage(began, self._at, self._tail[-self._framer.pending :])
+            self._framer = self._make_framer()
         if not self._framer.pending:
             self._began = None
 

@@ -23,6 +23,11 @@ LineFraming = Literal["rtu", "ascii"]
 Direction = Literal["client", "server"]
 
 
+# No gap inside a frame is longer: what ASCII promises (serial line, 2.5.2.1) is more than enough
+# for RTU, too.
+LONGEST_GAP = 1.0
+
+
 class Separator:
     """
     Says of the bytes on a line what they are.
@@ -46,6 +51,7 @@ class Separator:
         self._hearings: dict[Direction | None, Hearing] = {}
         self._ascii: list[AsciiFramer] = []
         self._last: dict[Direction | None, float] = {}
+        self._is_quiet: set[Direction | None] = set()
         self.quiet: float = self._hearing(None).quiet
 
     def feed(self, data: bytes, at: float, direction: Direction | None = None) -> list[Transaction]:
@@ -60,6 +66,7 @@ class Separator:
         self._wait(at)
         if data:
             self._last[direction] = at
+            self._is_quiet.discard(direction)
             found = self._hearing(direction).hear(data, at, self._pairing.is_awaited)
             self._take(found)
         return self._given()
@@ -72,8 +79,8 @@ class Separator:
 
     def end(self) -> list[Transaction]:
         """Take it that nothing more will ever come; as `feed`."""
-        for direction in self._last:
-            self._take(self._hearing(direction).silence(self._pairing.is_awaited))
+        for hearing in self._hearings.values():
+            self._take(hearing.silence(self._pairing.is_awaited, is_long=True))
         self._last.clear()
         self._pairing.end()
         return self._given()
@@ -86,9 +93,12 @@ class Separator:
     def _wait(self, at: float) -> None:
         for direction, last in list(self._last.items()):
             hearing = self._hearing(direction)
-            if at - last >= hearing.quiet:
+            is_long = at - last >= LONGEST_GAP
+            if is_long or (at - last >= hearing.quiet and direction not in self._is_quiet):
+                self._is_quiet.add(direction)
+                self._take(hearing.silence(self._pairing.is_awaited, is_long=is_long))
+            if is_long:
                 del self._last[direction]
-                self._take(hearing.silence(self._pairing.is_awaited))
 
     def _take(self, found: Iterator[Candidate | Damage]) -> None:
         for each in found:
@@ -108,11 +118,12 @@ class Separator:
     def _made(self, direction: Direction | None) -> Hearing:
         is_asking = None if direction is None else direction == "client"
         if self._framing == "ascii":
-            self._ascii.append(AsciiFramer())
-            return FramerHearing(self._ascii[-1], is_asking)
+            framer = AsciiFramer()
+            self._ascii.append(framer)
+            return FramerHearing(lambda: framer, is_asking)
         if is_asking is None:
             return RtuHearing()
-        return FramerHearing(RtuFramer("server" if is_asking else "client"), is_asking)
+        return FramerHearing(lambda: RtuFramer("server" if is_asking else "client"), is_asking)
 
     def _follow_delimiter(self, done: Transaction) -> None:
         """Function 8, sub-functions 3 and 1: another end of ASCII frames, and LF again."""

@@ -126,11 +126,13 @@ class Summary:
             )
             errors = ", ".join(f"{count} {name}" for name, count in unit.errors.most_common())
             times = unit.times
-            took = [f"{each * 1000:.1f}" for each in (times.shortest, times.mean, times.longest)]
+            took = "{:.1f} / {:.1f} / {:.1f} ms (shortest, mean, longest)".format(
+                *(each * 1000 for each in (times.shortest, times.mean, times.longest))
+            )
             lines += [
                 f"unit {number}: {unit.transactions} transactions, {unit.repeats} repeats",
                 f"  functions     {functions or '-'}",
-                f"  answer times  {' / '.join(took) if times.count else '-'} ms (shortest, mean, longest)",
+                f"  answer times  {took if times.count else '-'}",
                 f"  errors        {errors or 'none'}",
             ]
         return "\n".join(lines)

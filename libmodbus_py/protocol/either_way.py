@@ -62,17 +62,23 @@ class RtuEitherWay:
         self._asking, self._answering = scanner("server"), scanner("client")
         self._buffer = bytearray()
         self._fresh = [0]  # where frames should begin: behind silence and good frames
-        self._is_quiet = False
+        self._is_quiet = self._is_over = False
         self.offset: int = 0
 
     def feed(self, data: bytes) -> None:
         """Take received bytes."""
         self._buffer += data
-        self._is_quiet = False
+        self._is_quiet = self._is_over = False
 
-    def silence(self) -> None:
-        """Take it that the line is quiet: see what `take` makes of it."""
+    def silence(self, *, is_long: bool = False) -> None:
+        """
+        Take it that the line is quiet: see what `take` makes of it.
+
+        Args:
+            is_long: so long that nothing will be completed any more.
+        """
         self._is_quiet = True
+        self._is_over = is_long
         if self._fresh[-1:] != [len(self._buffer)]:
             self._fresh.append(len(self._buffer))
 
@@ -106,7 +112,7 @@ class RtuEitherWay:
             return self._found(data, end, may_ask, may_answer) if end else None
         if start := self._later_start(data):
             return self._skip(data, start)
-        return None
+        return self._skip(data, 1) if self._is_over else None
 
     def _end_by_crc(self, data: bytes, end: int) -> int:
         """
