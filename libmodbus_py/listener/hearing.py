@@ -74,7 +74,9 @@ class RtuHearing:
     ) -> Iterator[Candidate | Damage]:
         self._frames.silence(is_long=is_long)
         yield from self._take(is_awaited)
-        yield from self._flush()
+        # What still waits may turn out to be the end of it.
+        if self._frames.end == self._frames.offset:
+            yield from self._flush()
 
     def _take(self, is_awaited: IsAwaited) -> Iterator[Candidate | Damage]:
         while (found := self._frames.take(is_awaited)) is not None:

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 from math import sqrt
-from statistics import median
 from typing import Any, NamedTuple
 
 from ..protocol.errors import ExceptionResponse, FrameError, InvalidResponse, ModbusError
@@ -57,9 +56,10 @@ class Times:
     def limit(self, unit: int) -> float:
         """Give the seconds behind a question up to which its like is its answer."""
         slowest = max(self._answers.get(unit, ()), default=0.0)
-        # In the middle: a frame of others, merged into a damaged one, looks like a question.
-        known = len(self._patience) >= 3
-        patience = median(self._patience) if known else self.USUAL_PATIENCE
+        # One of the shortest: clients think before the next question. Not the very shortest,
+        # for a frame of others that is merged into a damaged one looks like a question.
+        known = sorted(self._patience)
+        patience = known[len(known) // 4] if len(known) >= 4 else self.USUAL_PATIENCE
         return sqrt(max(slowest, min(self.SHORTEST_ANSWER, patience / 4)) * patience)
 
 

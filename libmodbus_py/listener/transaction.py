@@ -33,7 +33,7 @@ KINDS: dict[Kind, str] = {
     "unanswered": "nothing came until the next question, or for long",
     "broadcast": "to unit 0, or a question that asks for silence: nobody answers",
     "damaged": "bytes that are no frame, instead of an answer or without a question",
-    "unasked": "an answer that no question is known of",
+    "unasked": "an answer that no question is known of, or that it has had",
 }
 
 Part = Literal["request", "response", "damage"]
