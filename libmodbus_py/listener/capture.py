@@ -85,7 +85,11 @@ class CaptureWriter:
             text = name.encode()[:1000]
             option = struct.pack("<HH", _IF_NAME, len(text)) + _padded(text) + bytes(4)
             blocks.append(_block(_INTERFACE, struct.pack("<HHI", UPPER_PDU, 0, 0) + option))
-        self._write(b"".join(blocks))
+        try:
+            self._write(b"".join(blocks))
+        except BaseException:
+            self.close()
+            raise
 
     def __enter__(self) -> Self:
         return self

@@ -110,6 +110,8 @@ class Pairing:
     def take(self, found: Candidate | Damage) -> None:
         """Take what was heard next."""
         self.tick(found.began)
+        if isinstance(found, Candidate) and not _has_function(found):
+            found = Damage(found.began, found.ended, bytes([found.frame.unit]) + found.frame.pdu)
         if isinstance(found, Damage):
             self._take_damage(found)
         elif self._is_question(found):
@@ -278,6 +280,12 @@ class Pairing:
 
     def _end_damage(self, damage: Damage) -> None:
         self.done.append(Transaction(damage.began, "damaged", error=_damaged(damage)))
+
+
+def _has_function(found: Candidate) -> bool:
+    """0 is none, and from 128 on only answers have one (application protocol, 4.1)."""
+    code = found.frame.pdu[0]
+    return 0 < code < 0x80 or (code > 0x80 and found.may_answer)
 
 
 def _decoded(frame: Frame) -> Request[Any] | None:

@@ -154,6 +154,21 @@ class TestOneTransaction:
             assert str(Transaction(0.0, kind))
 
 
+class TestNoFunction:
+    @pytest.mark.parametrize("code", ["00", "80"])
+    @pytest.mark.parametrize("direction", [None, "client", "server"])
+    def test_is_damage(self, code: str, direction: str | None) -> None:
+        separator = Separator("ascii")
+        frame = ascii_frame(f"01 {code} 01")
+        done = separator.feed(frame, 0.0, direction)  # type: ignore[arg-type]
+        assert [each.kind for each in done] == ["damaged"]
+
+    def test_a_client_that_sends_a_refusal(self) -> None:
+        separator = Separator("ascii")
+        done = separator.feed(ascii_frame("01 83 01"), 0.0, "client")
+        assert [each.kind for each in done] == ["damaged"]
+
+
 class TestRepeats:
     def test_repeats_are_counted(self) -> None:
         done = listen([(0.0, ASK), (1.0, ASK), (2.0, ASK), (2.1, ANSWER)])
