@@ -129,6 +129,7 @@ class FramerHearing:
         self._tail = b""  # what waits in the framer for the rest of its frame
         self._is_asking = is_asking
         self._began: float | None = None
+        self._at = 0.0
         self.quiet: float = self._framer.quiet or 0.0
 
     def hear(self, data: bytes, at: float, is_awaited: IsAwaited) -> Iterator[Candidate | Damage]:

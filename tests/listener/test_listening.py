@@ -1,0 +1,482 @@
+"""
+Listening for real: a line of pseudo-terminals, others' programs on it, and a tap between.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import os
+import signal
+import socket
+import stat
+import termios
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import pytest
+from bus import Bus
+from pymodbus.client import ModbusSerialClient
+from pymodbus.framer import FramerType
+from talk import rtu
+
+from libmodbus_py import (
+    Context,
+    Device,
+    IllegalDataAddress,
+    Listener,
+    Mapping,
+    ModbusConnectionError,
+    ModbusTimeoutError,
+    Server,
+    Transaction,
+    listening,
+    pdu,
+)
+from libmodbus_py.ports.read_only import ReadOnlySerialPort
+
+UNIT = 17
+
+
+class Gathering:
+    """A thread that listens, until closed."""
+
+    def __init__(self, line: Listener) -> None:
+        self.line = line
+        self.done: list[Transaction] = []
+        self._thread = threading.Thread(target=self._gather)
+        self._thread.start()
+
+    def _gather(self) -> None:
+        for each in self.line:
+            self.done.append(each)
+
+    def wait_for(self, count: int) -> list[Transaction]:
+        end = time.monotonic() + 20
+        while len(self.done) < count and time.monotonic() < end:
+            time.sleep(0.01)
+        assert len(self.done) >= count, self.done
+        return self.done
+
+    def close(self) -> None:
+        self.line.close()
+        self._thread.join(10)
+        assert not self._thread.is_alive()
+
+
+@contextmanager
+def heard(url: str, **options: str) -> Iterator[Gathering]:
+    gathering = Gathering(listening(url, **options))  # type: ignore[arg-type]
+    try:
+        yield gathering
+    finally:
+        gathering.close()
+
+
+@pytest.fixture(params=["rtu", "ascii"])
+def framing(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
+@pytest.fixture
+def bus() -> Iterator[Bus]:
+    with Bus("client", "server", "listener") as made:
+        yield made
+
+
+@pytest.fixture
+def served(bus: Bus, framing: str, device: Device) -> Iterator[Bus]:
+    with Server({UNIT: device}).background(f"{framing}://{bus.paths['server']}?baudrate=115200"):
+        yield bus
+
+
+def url_of(bus: Bus, framing: str, name: str) -> str:
+    return f"{framing}://{bus.paths[name]}?baudrate=115200"
+
+
+class TestOnALine:
+    def test_our_client_and_server(self, served: Bus, framing: str) -> None:
+        with (
+            heard(url_of(served, framing, "listener")) as hearing,
+            Context.from_url(url_of(served, framing, "client"), unit=UNIT) as client,
+        ):
+            client.read_holding_registers(100, 3)
+            client.write_register(100, 5)
+            client.write_register(100, 5)
+            client.read_file_records([(4, 7, 3)])
+            with pytest.raises(IllegalDataAddress):
+                client.read_coils(0, 1)
+            client.for_unit(0).write_register(101, 6)
+            done = hearing.wait_for(6)
+        assert [each.kind for each in done] == [
+            *(["answered"] * 4),
+            "exception",
+            "broadcast",
+        ]
+        assert done[0].request == pdu.ReadHoldingRegisters(100, 3)
+        assert done[0].response == [1000, 1001, 1002]
+        assert all((each.duration or 0) >= 0 for each in done)
+        assert abs(done[0].time - time.time()) < 60
+        assert hearing.line.summary.units[UNIT].functions[6] == 2
+        assert hearing.line.summary.units[UNIT].errors == {"exception 2": 1}
+
+    def test_the_client_of_pymodbus(self, served: Bus, framing: str) -> None:
+        client = ModbusSerialClient(
+            served.paths["client"],
+            framer=FramerType(framing),
+            baudrate=115200,
+            timeout=3,
+            retries=0,
+        )
+        with heard(url_of(served, framing, "listener")) as hearing:
+            assert client.connect()
+            try:
+                client.read_holding_registers(100, count=3, device_id=UNIT)
+                client.write_register(100, 7, device_id=UNIT)
+                client.write_coils(10, [True] * 20, device_id=UNIT)
+                client.read_coils(10, count=20, device_id=UNIT)
+                client.read_device_information(device_id=UNIT)
+            finally:
+                client.close()
+            done = hearing.wait_for(5)
+        assert [each.kind for each in done] == ["answered"] * 5
+        assert [each.function for each in done] == [3, 6, 15, 1, 43]
+        assert done[3].response == [True] * 20
+
+    def test_a_unit_that_is_not_there(self, served: Bus, framing: str) -> None:
+        with (
+            heard(url_of(served, framing, "listener")) as hearing,
+            Context.from_url(
+                url_of(served, framing, "client"), unit=9, timeout=0.3, retries=1
+            ) as client,
+        ):
+            with pytest.raises(ModbusTimeoutError):
+                client.read_holding_registers(0, 1)
+            client.for_unit(UNIT).read_holding_registers(100, 1)
+            done = hearing.wait_for(3)
+        assert [(each.unit, each.kind, each.repeats) for each in done] == [
+            (9, "unanswered", 0),
+            (9, "unanswered", 1),
+            (UNIT, "answered", 0),
+        ]
+
+    def test_asyncio(self, served: Bus, framing: str) -> None:
+        async def listen() -> list[Transaction]:
+            done = []
+            async with listening(url_of(served, framing, "listener")) as line:
+                asking = asyncio.create_task(asyncio.to_thread(ask))
+                async for each in line:
+                    done.append(each)
+                    if len(done) == 3:
+                        break
+                await asking
+            return done
+
+        def ask() -> None:
+            with Context.from_url(url_of(served, framing, "client"), unit=UNIT) as client:
+                for address in (100, 101, 102):
+                    client.read_holding_registers(address, 1)
+
+        done = asyncio.run(listen())
+        assert [each.response for each in done] == [[1000], [1001], [1002]]
+
+    def test_capture_and_back(self, served: Bus, framing: str, tmp_path: Path) -> None:
+        file = tmp_path / "x.pcapng"
+        with (
+            heard(url_of(served, framing, "listener"), capture=str(file)) as hearing,
+            Context.from_url(url_of(served, framing, "client"), unit=UNIT) as client,
+        ):
+            client.read_holding_registers(100, 3)
+            with pytest.raises(IllegalDataAddress):
+                client.read_coils(0, 1)
+            first = hearing.wait_for(2)
+        with listening(str(file)) as line:
+            again = list(line)
+        assert [(e.kind, e.unit, e.request, e.response) for e in again] == [
+            (e.kind, e.unit, e.request, e.response) for e in first
+        ]
+        assert again[0].duration == pytest.approx(first[0].duration, abs=1e-5)
+
+
+class TestPort:
+    def test_nothing_is_written_and_nothing_locked(self, bus: Bus) -> None:
+        with listening(f"rtu://{bus.paths['listener']}"):
+            port = bus.paths["listener"]
+            descriptors = [
+                int(link.name)
+                for link in Path("/proc/self/fd").iterdir()
+                if link.exists() and os.readlink(link) == port
+            ]
+            modes = {
+                int(line.split()[1], 8) & os.O_ACCMODE
+                for each in descriptors
+                for line in Path(f"/proc/self/fdinfo/{each}").read_text().splitlines()
+                if line.startswith("flags:")
+            }
+            assert os.O_RDONLY in modes
+            with Context.from_url(f"rtu://{port}", unit=1):
+                pass  # takes the lock
+
+    def test_a_port_that_is_locked(self, bus: Bus, caplog: pytest.LogCaptureFixture) -> None:
+        port = bus.paths["listener"]
+        with (
+            Server(Device(Mapping(1, 1, 1, 1))).background(f"rtu://{port}"),
+            caplog.at_level(logging.WARNING),
+            listening(f"rtu://{port}?baudrate=9600"),
+        ):
+            assert "is open in this program, too" in caplog.text
+
+    def test_settings_are_made_and_put_back(self) -> None:
+        master, slave = os.openpty()
+        path = os.ttyname(slave)
+        os.close(slave)
+        before = os.open(path, os.O_RDWR | os.O_NOCTTY)
+        old = termios.tcgetattr(before)
+        os.close(before)
+        try:
+            port = ReadOnlySerialPort(path, baudrate=38400, parity="N", stop_bits=2)
+            port.open()
+            _, _, control, local, *speeds, _ = termios.tcgetattr(port.descriptor)
+            assert speeds == [termios.B38400] * 2
+            assert control & termios.CSTOPB
+            assert not local & (termios.ICANON | termios.ECHO)
+            with pytest.raises(RuntimeError, match="only read"):
+                port.send([b"x"], 0.0)
+            port.close()
+            after = os.open(path, os.O_RDWR | os.O_NOCTTY)
+            assert termios.tcgetattr(after)[:6] == old[:6]
+            os.close(after)
+        finally:
+            os.close(master)
+
+    def test_settings_of_another_program_stay(self) -> None:
+        master, slave = os.openpty()
+        try:
+            before = termios.tcgetattr(slave)
+            port = ReadOnlySerialPort(os.ttyname(slave), baudrate=38400)
+            port.open()
+            assert termios.tcgetattr(slave) == before
+            port.close()
+            assert termios.tcgetattr(slave) == before
+        finally:
+            os.close(master)
+            os.close(slave)
+
+    def test_a_port_that_goes_and_comes_back(self, bus: Bus, tmp_path: Path) -> None:
+        link = tmp_path / "port"
+        link.symlink_to(bus.paths["listener"])
+        ask, answer = rtu("01 03 00 00 00 01"), rtu("01 03 02 00 07")
+        with heard(f"rtu://{link}") as hearing:
+            bus.say(ask)
+            time.sleep(0.05)
+            bus.say(answer)
+            hearing.wait_for(1)
+            bus.say(ask)
+            time.sleep(0.1)
+            bus.unplug("listener")
+            assert hearing.wait_for(2)[1].kind == "unanswered"
+            bus.plug("listener", str(link))
+            end = time.monotonic() + 20
+            while len(hearing.done) < 3 and time.monotonic() < end:
+                bus.say(ask)
+                time.sleep(0.05)
+                bus.say(answer)
+                time.sleep(0.3)
+            assert hearing.wait_for(3)[2].kind == "answered"
+
+    @pytest.mark.parametrize(
+        ("path", "what"),
+        [("/dev/nowhere", "No such file"), ("/dev/null", "not a serial port")],
+    )
+    def test_no_port(self, path: str, what: str) -> None:
+        count = len(os.listdir("/proc/self/fd"))
+        with pytest.raises(ModbusConnectionError, match=what):
+            listening(f"rtu://{path}")
+        assert len(os.listdir("/proc/self/fd")) == count
+
+
+class TestEnding:
+    def test_close_from_another_thread(self, bus: Bus) -> None:
+        gathering = Gathering(listening(f"rtu://{bus.paths['listener']}"))
+        time.sleep(0.1)
+        gathering.close()
+        gathering.close()
+        assert list(gathering.line) == []
+
+    def test_close_from_a_signal_handler(self, bus: Bus) -> None:
+        line = listening(f"rtu://{bus.paths['listener']}")
+        before = signal.signal(signal.SIGALRM, lambda *_: line.close())
+        try:
+            signal.setitimer(signal.ITIMER_REAL, 0.2)
+            assert list(line) == []
+        finally:
+            signal.signal(signal.SIGALRM, before)
+
+    def test_close_in_asyncio(self, bus: Bus) -> None:
+        async def listen() -> None:
+            line = listening(f"rtu://{bus.paths['listener']}")
+            asyncio.get_running_loop().call_later(0.1, line.close)
+            assert [each async for each in line] == []
+
+        asyncio.run(listen())
+
+    def test_cancelling_loses_nothing(self, bus: Bus) -> None:
+        async def listen() -> Transaction:
+            async with listening(f"rtu://{bus.paths['listener']}") as line:
+                for _ in range(5):
+                    with pytest.raises(TimeoutError):
+                        async with asyncio.timeout(0.02):
+                            await anext(line)
+                bus.say(rtu("01 03 00 00 00 01"))
+                with pytest.raises(TimeoutError):
+                    async with asyncio.timeout(0.1):
+                        await anext(line)
+                bus.say(rtu("01 03 02 00 07"))
+                return await anext(line)
+
+        assert asyncio.run(listen()).response == [7]
+
+    def test_nothing_leaks(self, bus: Bus, tmp_path: Path) -> None:
+        count = len(os.listdir("/proc/self/fd"))
+        for number in range(5):
+            capture = tmp_path / f"{number}.pcapng"
+            with listening(f"rtu://{bus.paths['listener']}", capture=capture):
+                pass
+            with listening(str(capture)) as line:
+                assert list(line) == []
+            with listening("rtu+tcp://127.0.0.1:0", between="rtu+tcp://127.0.0.1:1"):
+                pass
+        end = time.monotonic() + 10
+        while len(os.listdir("/proc/self/fd")) > count and time.monotonic() < end:
+            time.sleep(0.05)
+        assert len(os.listdir("/proc/self/fd")) == count
+
+    def test_two_at_once(self, bus: Bus) -> None:
+        gathering = Gathering(listening(f"rtu://{bus.paths['listener']}"))
+        try:
+            time.sleep(0.1)
+            with pytest.raises(RuntimeError, match="listening already"):
+                next(gathering.line)
+        finally:
+            gathering.close()
+
+    def test_rest_gives_what_is_open(self, bus: Bus) -> None:
+        with listening(f"rtu://{bus.paths['listener']}") as line:
+            bus.say(rtu("01 03 00 00 00 01") + rtu("01 03 02 00 07") + rtu("01 03 00 00 00 01"))
+            assert next(line).kind == "answered"
+            assert [each.kind for each in line.rest()] == ["unanswered"]
+
+
+@pytest.fixture(params=["rtu+tcp", "ascii+tcp"])
+def tapped(request: pytest.FixtureRequest, device: Device) -> Iterator[Gathering]:
+    with ExitStack() as stack:
+        server = Server({UNIT: device}).background(f"{request.param}://127.0.0.1:0")
+        (target,) = stack.enter_context(server).urls
+        yield stack.enter_context(heard(f"{request.param}://127.0.0.1:0", between=target))
+
+
+class TestBetween:
+    def test_both_directions(self, tapped: Gathering) -> None:
+        with Context.from_url(tapped.line.url, unit=UNIT) as client:
+            assert client.read_holding_registers(100, 2) == [1000, 1001]
+            client.write_register(100, 3)
+            with pytest.raises(IllegalDataAddress):
+                client.read_coils(0, 1)
+        done = tapped.wait_for(3)
+        assert [each.kind for each in done] == ["answered", "answered", "exception"]
+
+    def test_many_clients(self, tapped: Gathering) -> None:
+        def ask(address: int) -> None:
+            with Context.from_url(tapped.line.url, unit=UNIT) as client:
+                for _ in range(20):
+                    assert client.read_holding_registers(address, 1) == [900 + address]
+
+        threads = [threading.Thread(target=ask, args=(at,)) for at in range(100, 108)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        done = tapped.wait_for(160)
+        assert {each.kind for each in done} == {"answered"}
+        assert len(done) == 160
+
+    def test_bytes_pass_unchanged_though_nobody_looks(self) -> None:
+        """More than is kept to be shown; the iterator is never asked."""
+        device = socket.create_server(("127.0.0.1", 0))
+        data = os.urandom(3_000_000)
+        port = device.getsockname()[1]
+        with listening("rtu+tcp://127.0.0.1:0", between=f"rtu+tcp://127.0.0.1:{port}") as line:
+            client = socket.create_connection(("127.0.0.1", int(line.url.rpartition(":")[2])))
+            end, _ = device.accept()
+            sending = threading.Thread(target=lambda: (client.sendall(data), client.shutdown(1)))
+            sending.start()
+            received = b"".join(iter(lambda: end.recv(65536), b""))
+            sending.join()
+            assert received == data
+            end.sendall(b"and back")
+            end.close()
+            assert b"".join(iter(lambda: client.recv(100), b"")) == b"and back"
+            client.close()
+            assert next(line).kind == "damaged"
+        device.close()
+
+    def test_nobody_at_the_other_end(self) -> None:
+        with (
+            heard("rtu+tcp://127.0.0.1:0", between="rtu+tcp://127.0.0.1:1") as hearing,
+            socket.create_connection(
+                ("127.0.0.1", int(hearing.line.url.rpartition(":")[2]))
+            ) as client,
+        ):
+            client.settimeout(10)
+            assert client.recv(1) == b""
+
+    def test_closing_ends_connections(self, device: Device) -> None:
+        with Server({UNIT: device}).background("rtu+tcp://127.0.0.1:0") as running:
+            line = listening("rtu+tcp://127.0.0.1:0", between=running.urls[0])
+            client = socket.create_connection(("127.0.0.1", int(line.url.rpartition(":")[2])))
+            client.settimeout(10)
+            time.sleep(0.1)
+            line.close()
+            assert client.recv(1) == b""
+            client.close()
+            with pytest.raises(ConnectionError):
+                socket.create_connection(("127.0.0.1", int(line.url.rpartition(":")[2])))
+
+    def test_a_taken_port(self) -> None:
+        with socket.create_server(("127.0.0.1", 0)) as taken:
+            url = f"rtu+tcp://127.0.0.1:{taken.getsockname()[1]}"
+            with pytest.raises(ModbusConnectionError, match="cannot listen on rtu"):
+                listening(url, between="rtu+tcp://127.0.0.1:1")
+
+
+class TestArguments:
+    @pytest.mark.parametrize(
+        ("url", "between", "what"),
+        [
+            ("tcp://127.0.0.1:1502", None, "the scheme must be rtu, ascii"),
+            ("tcp://127.0.0.1:1502", "tcp://127.0.0.1:1503", "the scheme must be rtu, ascii"),
+            ("rtu+tcp://127.0.0.1:0", None, "the device is missing"),
+            ("rtu+tcp://127.0.0.1:0", "ascii+tcp://127.0.0.1:1", "the scheme must be rtu.tcp"),
+            ("rtu+tcp://127.0.0.1:0", "rtu+tcp://127.0.0.1:0", "the port of the device"),
+            ("rtu:///dev/ttyUSB0", "rtu+tcp://127.0.0.1:1", "a serial port is only read"),
+            ("rtu:///dev/ttyUSB0?timeout=1", None, "timeout is for clients"),
+            ("rtu:///dev/ttyUSB0?baudrate=0", None, "baudrate must be in 1..4000000"),
+            ("x.pcapng", "rtu+tcp://127.0.0.1:1", "nothing to be between"),
+            ("x.pcap", None, "the scheme must be one of"),
+        ],
+    )
+    def test_what_cannot_be(self, url: str, between: str | None, what: str) -> None:
+        with pytest.raises(ValueError, match=what):
+            listening(url, between=between)
+
+    def test_no_string(self) -> None:
+        with pytest.raises(TypeError, match="url must be a string"):
+            listening(5)  # type: ignore[arg-type]
+
+    def test_a_capture_that_cannot_be_written(self, bus: Bus, tmp_path: Path) -> None:
+        with pytest.raises(OSError, match="Is a directory"):
+            listening(f"rtu://{bus.paths['listener']}", capture=tmp_path)
+        assert stat.S_ISDIR(tmp_path.stat().st_mode)
