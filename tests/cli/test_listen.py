@@ -1,0 +1,226 @@
+"""
+The command listen, as a process of its own: lines, JSON, colours, captures, and how it ends.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import re
+import select
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from libmodbus_py import (
+    Context,
+    Device,
+    IllegalDataAddress,
+    Mapping,
+    ModbusTimeoutError,
+    Server,
+)
+
+COMMAND = [sys.executable, "-m", "libmodbus_py", "listen"]
+DECODED = Path(__file__).parents[1] / "listener" / "decoded.pcapng"
+
+
+def run(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([*COMMAND, *arguments], capture_output=True, text=True, timeout=30)
+
+
+@contextmanager
+def process(*arguments: str, stdout: int = subprocess.PIPE) -> Iterator[subprocess.Popen[str]]:
+    made = subprocess.Popen(
+        [*COMMAND, *arguments], stdout=stdout, stderr=subprocess.PIPE, text=True
+    )
+    try:
+        yield made
+    finally:
+        made.kill()
+        made.communicate()
+
+
+def url_of(made: subprocess.Popen[str]) -> str:
+    assert made.stderr is not None
+    line = made.stderr.readline()
+    assert line.startswith("listening on "), line
+    return line.removeprefix("listening on ").rstrip("\n")
+
+
+@pytest.fixture
+def target() -> Iterator[str]:
+    mapping = Mapping(holding_registers={0: [7, 8, 9]})
+    with Server({1: Device(mapping)}).background("rtu+tcp://127.0.0.1:0") as running:
+        yield running.urls[0]
+
+
+def ask(url: str) -> None:
+    with Context.from_url(url, unit=1, timeout=0.3) as client:
+        client.read_holding_registers(0, 3)
+        with pytest.raises(IllegalDataAddress):
+            client.read_holding_registers(3, 1)
+        with pytest.raises(ModbusTimeoutError):
+            client.for_unit(2).write_register(0, 1)
+        client.write_register(0, 1)
+
+
+def lines_of(made: subprocess.Popen[str], count: int) -> list[str]:
+    assert made.stdout is not None
+    return [made.stdout.readline().rstrip("\n") for _ in range(count)]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_line_for_each_and_a_summary(target: str, number: int) -> None:
+    with process("rtu+tcp://127.0.0.1:0", "--between", target) as made:
+        ask(url_of(made))
+        read, refused, lost, written = lines_of(made, 4)
+        time.sleep(0.1)
+        made.send_signal(number)
+        rest, errors = made.communicate(timeout=10)
+    assert made.returncode == 0
+    assert errors == ""
+    assert re.fullmatch(
+        r"\d\d:\d\d:\d\d\.\d{3}   1 +\d+\.\d ms  "
+        r"ReadHoldingRegisters\(address=0, count=3\) -> \[7, 8, 9\]",
+        read,
+    )
+    assert refused.endswith("-> illegal data address (exception 2)")
+    assert lost.endswith("WriteRegister(address=0, value=1) -> no answer")
+    assert written.endswith("WriteRegister(address=0, value=1) -> done")
+    assert rest.startswith("4 transactions, 0 runs of damaged bytes\nunit 1: 3 transactions")
+    assert "  functions     3 (2), 6 (1)" in rest
+    assert "  errors        1 exception 2" in rest
+    assert "unit 2: 1 transactions" in rest
+    assert "\x1b" not in read + refused + lost + written + rest
+
+
+def test_json(target: str) -> None:
+    with process("rtu+tcp://127.0.0.1:0", "--between", target, "--json") as made:
+        ask(url_of(made))
+        found = [json.loads(line) for line in lines_of(made, 4)]
+        made.send_signal(signal.SIGINT)
+        rest, _ = made.communicate(timeout=10)
+    assert found[0]["kind"] == "answered"
+    assert found[0]["request"] == {"name": "ReadHoldingRegisters", "address": 0, "count": 3}
+    assert found[0]["response"] == [7, 8, 9]
+    assert found[0]["duration"] >= 0
+    assert found[1]["exception"] == 2
+    assert found[2]["kind"] == "unanswered"
+    assert found[2]["response"] is None
+    summary = json.loads(rest)["summary"]
+    assert summary["transactions"] == 4
+    assert summary["units"]["1"]["functions"] == {"3": 2, "6": 1}
+
+
+def test_the_open_question_is_told_at_the_end(target: str) -> None:
+    with (
+        process("rtu+tcp://127.0.0.1:0", "--between", target) as made,
+        Context.from_url(url_of(made), unit=2, timeout=0.2) as client,
+    ):
+        with pytest.raises(ModbusTimeoutError):
+            client.read_holding_registers(0, 1)
+        time.sleep(0.2)
+        made.send_signal(signal.SIGINT)
+        rest, _ = made.communicate(timeout=10)
+    assert "-> no answer\n1 transactions" in rest
+
+
+def test_a_capture_is_read_again() -> None:
+    done = run(str(DECODED))
+    assert done.returncode == 0
+    assert done.stderr == ""
+    lines = done.stdout.splitlines()
+    assert sum("damaged: " in line for line in lines) == 3
+    assert "47 transactions, 3 runs of damaged bytes" in lines
+    everything = run(str(DECODED), "--json").stdout.splitlines()
+    assert len([json.loads(line) for line in everything]) == 47 + 3 + 1
+
+
+def test_a_capture_is_written(target: str, tmp_path: Path) -> None:
+    file = tmp_path / "x.pcapng"
+    with process("rtu+tcp://127.0.0.1:0", "--between", target, "--capture", str(file)) as made:
+        ask(url_of(made))
+        lines_of(made, 4)
+        made.send_signal(signal.SIGINT)
+        assert made.wait(10) == 0
+    assert "4 transactions" in run(str(file)).stdout
+
+
+@pytest.mark.parametrize(("variables", "coloured"), [({}, True), ({"NO_COLOR": "1"}, False)])
+def test_colour_on_a_terminal(variables: dict[str, str], coloured: bool) -> None:
+    master, slave = pty.openpty()
+    made = subprocess.Popen([*COMMAND, str(DECODED)], stdout=slave, env={**os.environ, **variables})
+    os.close(slave)
+    shown = b""
+    while select.select([master], [], [], 20)[0]:
+        try:
+            shown += os.read(master, 65536)
+        except OSError:
+            break
+    assert made.wait(10) == 0
+    os.close(master)
+    assert (b"\x1b[31mdamaged" in shown) == coloured
+    assert (b"\x1b[33millegal" in shown) == coloured
+
+
+def test_who_reads_us_has_gone() -> None:
+    """As head does: no traceback, and soon."""
+    read, write = os.pipe()
+    made = subprocess.Popen(
+        [*COMMAND, str(DECODED)], stdout=write, stderr=subprocess.PIPE, text=True
+    )
+    os.close(write)
+    os.close(read)
+    _, errors = made.communicate(timeout=20)
+    assert (made.returncode, errors) == (1, "")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "what"),
+    [
+        (["nowhere.pcapng"], 1, "nowhere.pcapng: No such file or directory"),
+        (["rtu:///dev/nowhere"], 1, "cannot open /dev/nowhere: No such file or directory"),
+        (["tcp://127.0.0.1:1502"], 2, "the scheme must be rtu, ascii"),
+        (["rtu+tcp://127.0.0.1:0"], 2, "the device is missing"),
+        (["rtu:///dev/null", "--between", "rtu+tcp://127.0.0.1:1"], 2, "only read"),
+        (["x.txt"], 2, "the scheme must be one of"),
+        ([str(DECODED), "--capture", "/dev/full"], 1, "/dev/full: No space left on device"),
+    ],
+)
+def test_errors_are_one_line(arguments: list[str], code: int, what: str) -> None:
+    done = run(*arguments)
+    assert done.returncode == code
+    assert what in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert done.stdout == ""
+
+
+def test_a_file_that_is_no_capture(tmp_path: Path) -> None:
+    file = tmp_path / "x.pcapng"
+    file.write_bytes(DECODED.read_bytes()[:-3])
+    done = run(str(file))
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert "it ends inside a block" in done.stderr
+
+
+def test_what_devices_say_cannot_move_the_terminal(target: str) -> None:
+    """Escape sequences in names of devices are shown, not sent."""
+    device = Device(Mapping(1, 1, 1, 1), identification={0: b"\x1b[2J\x07", 1: b"\n", 2: b"\r"})
+    with (
+        Server({1: device}).background("rtu+tcp://127.0.0.1:0") as running,
+        process("rtu+tcp://127.0.0.1:0", "--between", running.urls[0]) as made,
+    ):
+        with Context.from_url(url_of(made), unit=1) as client:
+            client.read_device_identification()
+        (line,) = lines_of(made, 1)
+    assert "\x1b" not in line
+    assert r"\x1b[2J\x07" in line
