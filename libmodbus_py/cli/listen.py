@@ -159,8 +159,9 @@ def _plain(value: Any) -> Any:
         return value.hex()
     if isinstance(value, enum.Enum):
         return value.value
-    if isinstance(value, tuple) and hasattr(value, "_asdict"):
-        return {name: _plain(each) for name, each in value._asdict().items()}
+    named = getattr(value, "_asdict", None)
+    if named is not None:
+        return _plain(named())
     if isinstance(value, dict):
         return {str(key): _plain(each) for key, each in value.items()}
     if isinstance(value, list | tuple):

@@ -297,21 +297,23 @@ def listening(
     """
     clock = Clock()
     source: Source | CaptureReader
-    framing: str
+    framing: LineFraming = "rtu"
     if isinstance(url, str) and url.endswith(".pcapng") and "://" not in url:
         if between is not None:
             raise ValueError("a capture has nothing to be between")
-        name, framing, source = url, "rtu", CaptureReader(url)
+        if capture is not None and os.path.exists(capture) and os.path.samefile(url, capture):
+            raise ValueError(f"{url}: a capture cannot be written over itself")
+        name, source = url, CaptureReader(url)
     else:
         endpoint = _endpoint(url)
         source, endpoint = _source(endpoint, None if between is None else _endpoint(between), clock)
-        name, framing = str(endpoint), endpoint.framing
+        name, framing = str(endpoint), "ascii" if endpoint.framing == "ascii" else "rtu"
     try:
         writer = None if capture is None else CaptureWriter(capture, name)
     except BaseException:
         source.close()
         raise
-    return Listener(name, "ascii" if framing == "ascii" else "rtu", source, writer, clock)
+    return Listener(name, framing, source, writer, clock)
 
 
 def _source(endpoint: Endpoint, target: Endpoint | None, clock: Clock) -> tuple[Source, Endpoint]:

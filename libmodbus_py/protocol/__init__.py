@@ -8,6 +8,7 @@ Bottom up:
     pdu        one class for each function: encode and decode, request and response
     scan       the CRC, and where RTU frames begin and end; in C (scan.c)
     framing    unit and PDU as bytes on TCP, UDP, RTU and ASCII lines, and back
+    either_way  frames of a line that one only listens to: requests or responses
     tables     the four tables: what they hold, and how much of it a request may carry
     values     numbers, text and bits in registers; references such as 40123
                (type_names: what type checkers know of them)

@@ -171,6 +171,18 @@ class TestReader:
         with pytest.raises(CaptureError):
             CaptureReader(file)
 
+    def test_a_file_is_not_written_over_itself(self, tmp_path: Path) -> None:
+        file = write(tmp_path / "x.pcapng")
+        with pytest.raises(ValueError, match="over itself"):
+            listening(str(file), capture=file)
+        assert file.read_bytes() == DECODED.read_bytes()
+
+    def test_a_capture_of_a_capture_is_the_same(self, tmp_path: Path) -> None:
+        copy = tmp_path / "copy.pcapng"
+        with listening(str(DECODED), capture=copy) as line:
+            first = list(line)
+        assert [str(each) for each in read(copy)] == [str(each) for each in first]
+
     def test_a_file_that_is_not_there(self) -> None:
         with pytest.raises(FileNotFoundError):
             listening("nowhere.pcapng")

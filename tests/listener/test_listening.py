@@ -10,7 +10,6 @@ import os
 import signal
 import socket
 import stat
-import termios
 import threading
 import time
 from collections.abc import Iterator
@@ -36,7 +35,6 @@ from libmodbus_py import (
     listening,
     pdu,
 )
-from libmodbus_py.ports.read_only import ReadOnlySerialPort
 
 UNIT = 17
 
@@ -228,42 +226,6 @@ class TestPort:
             listening(f"rtu://{port}?baudrate=9600"),
         ):
             assert "is open in this program, too" in caplog.text
-
-    def test_settings_are_made_and_put_back(self) -> None:
-        master, slave = os.openpty()
-        path = os.ttyname(slave)
-        os.close(slave)
-        before = os.open(path, os.O_RDWR | os.O_NOCTTY)
-        old = termios.tcgetattr(before)
-        os.close(before)
-        try:
-            port = ReadOnlySerialPort(path, baudrate=38400, parity="N", stop_bits=2)
-            port.open()
-            _, _, control, local, *speeds, _ = termios.tcgetattr(port.descriptor)
-            assert speeds == [termios.B38400] * 2
-            assert control & termios.CSTOPB
-            assert not local & (termios.ICANON | termios.ECHO)
-            with pytest.raises(RuntimeError, match="only read"):
-                port.send([b"x"], 0.0)
-            port.close()
-            after = os.open(path, os.O_RDWR | os.O_NOCTTY)
-            assert termios.tcgetattr(after)[:6] == old[:6]
-            os.close(after)
-        finally:
-            os.close(master)
-
-    def test_settings_of_another_program_stay(self) -> None:
-        master, slave = os.openpty()
-        try:
-            before = termios.tcgetattr(slave)
-            port = ReadOnlySerialPort(os.ttyname(slave), baudrate=38400)
-            port.open()
-            assert termios.tcgetattr(slave) == before
-            port.close()
-            assert termios.tcgetattr(slave) == before
-        finally:
-            os.close(master)
-            os.close(slave)
 
     def test_a_port_that_goes_and_comes_back(self, bus: Bus, tmp_path: Path) -> None:
         link = tmp_path / "port"
