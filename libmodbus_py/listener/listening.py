@@ -108,6 +108,10 @@ class Listener:
             else:
                 self._free()
 
+    def __del__(self) -> None:
+        with contextlib.suppress(Exception):  # it may not have come so far
+            self.close()
+
     def _free(self) -> None:
         for each in (self._source, self._writer, self._reader, self._epoll, self._waker):
             if each is not None:
@@ -307,7 +311,9 @@ def listening(
     else:
         endpoint = _endpoint(url)
         source, endpoint = _source(endpoint, None if between is None else _endpoint(between), clock)
-        name, framing = str(endpoint), "ascii" if endpoint.framing == "ascii" else "rtu"
+        name = str(endpoint)
+        if endpoint.framing == "ascii":
+            framing = "ascii"
     try:
         writer = None if capture is None else CaptureWriter(capture, name)
     except BaseException:

@@ -72,6 +72,9 @@ class ReadOnlySerialPort(SerialPort):
                 other,
             )
         self._watch(descriptor)
+        if other is None and self.rs485 in self.rts_modes:
+            # Opening a port sets RTS, which may make the transceiver send.
+            self._set_rts(self.rs485 != "rts-up")
 
     def _set(self, descriptor: int) -> None:
         speed = getattr(termios, f"B{self.baudrate}", None)
@@ -96,6 +99,11 @@ class ReadOnlySerialPort(SerialPort):
                 termios.tcsetattr(self._guards[0], termios.TCSANOW, self._restored)
         self._restored = None
         self.abandon()
+
+    def abandon(self) -> None:
+        # Nothing is libmodbus's here; and where garbage is collected its context may have gone.
+        self.descriptor = -1
+        self._release()
 
 
 def _other_user(device: str, descriptor: int) -> str | None:

@@ -5,8 +5,10 @@ Listening for real: a line of pseudo-terminals, others' programs on it, and a ta
 from __future__ import annotations
 
 import asyncio
+import gc
 import logging
 import os
+import resource
 import signal
 import socket
 import stat
@@ -315,6 +317,42 @@ class TestEnding:
         while len(os.listdir("/proc/self/fd")) > count and time.monotonic() < end:
             time.sleep(0.05)
         assert len(os.listdir("/proc/self/fd")) == count
+
+    def test_who_forgets_to_close_leaks_nothing(self, bus: Bus) -> None:
+        count = len(os.listdir("/proc/self/fd"))
+        for _ in range(3):
+            listening(f"rtu://{bus.paths['listener']}")
+        gc.collect()
+        assert len(os.listdir("/proc/self/fd")) == count
+
+    def test_a_forked_child_leaves_the_port_alone(self) -> None:
+        master, slave = os.openpty()
+        path = os.ttyname(slave)
+        os.close(slave)
+        with listening(f"rtu://{path}?parity=N") as line:
+            child = os.fork()
+            if child == 0:
+                line.close()
+                os._exit(0)
+            assert os.waitpid(child, 0)[1] == 0
+            os.write(master, rtu("01 03 00 00 00 01") + rtu("01 03 02 00 07"))
+            assert next(line).response == [7]
+        os.close(master)
+
+    def test_a_disk_that_is_full_is_told(self, bus: Bus, tmp_path: Path) -> None:
+        file = tmp_path / "x.pcapng"
+        with listening(f"rtu://{bus.paths['listener']}", capture=file) as line:
+            before = resource.getrlimit(resource.RLIMIT_FSIZE)
+            ignored = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+            resource.setrlimit(resource.RLIMIT_FSIZE, (200, before[1]))
+            try:
+                bus.say(rtu("01 03 00 00 00 01") + rtu("01 03 02 00 07"))
+                with pytest.raises(OSError, match="File too large") as caught:
+                    next(line)
+                assert caught.value.filename == str(file)
+            finally:
+                resource.setrlimit(resource.RLIMIT_FSIZE, before)
+                signal.signal(signal.SIGXFSZ, ignored)
 
     def test_two_at_once(self, bus: Bus) -> None:
         gathering = Gathering(listening(f"rtu://{bus.paths['listener']}"))
