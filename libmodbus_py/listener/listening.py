@@ -67,7 +67,7 @@ class Listener:
     ) -> None:
         self.url: str = url
         self.summary: Summary = Summary()
-        self._framing = framing
+        self._framing: LineFraming = framing
         self._reader = source if isinstance(source, CaptureReader) else None
         self._source = None if isinstance(source, CaptureReader) else source
         self._writer = writer
@@ -311,9 +311,7 @@ def listening(
     else:
         endpoint = _endpoint(url)
         source, endpoint = _source(endpoint, None if between is None else _endpoint(between), clock)
-        name = str(endpoint)
-        if endpoint.framing == "ascii":
-            framing = "ascii"
+        name, framing = str(endpoint), "ascii" if endpoint.framing == "ascii" else "rtu"
     try:
         writer = None if capture is None else CaptureWriter(capture, name)
     except BaseException:
