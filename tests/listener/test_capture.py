@@ -134,6 +134,7 @@ class TestReader:
             (lambda data: data[:-1], "it ends inside a block"),
             (lambda data: data[:50], "it ends inside a block"),
             (lambda data: data[:4] + b"\xff\xff\xff\x7f" + data[8:], "a block of 2147483647"),
+            (lambda data: data[:4] + b"\x1d" + data[5:24] + b"\x1d" + data[25:], "a block of 29"),
             (lambda data: data[:24] + b"\0\0\0\0" + data[28:], "two lengths differ"),
             (lambda data: data[:36] + b"\x93\0" + data[38:], "link type 147, not 252"),
             (lambda data: data.replace(b"mbtcp", b"mbxxx"), "neither mbtcp nor mbrtu"),

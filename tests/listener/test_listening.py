@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import asyncio
 import gc
+import importlib
 import logging
 import os
 import resource
@@ -37,6 +38,8 @@ from libmodbus_py import (
     listening,
     pdu,
 )
+from libmodbus_py.listener.tap import Tap
+from libmodbus_py.ports.endpoint import parse
 
 UNIT = 17
 
@@ -263,6 +266,13 @@ class TestPort:
 
 
 class TestEnding:
+    @pytest.fixture(autouse=True)
+    def _sleeps_long(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        """Else it would wake by itself, soon, and see that it was closed."""
+        monkeypatch.setattr(
+            importlib.import_module("libmodbus_py.listener.listening"), "IDLE", 99.0
+        )
+
     def test_close_from_another_thread(self, bus: Bus) -> None:
         gathering = Gathering(listening(f"rtu://{bus.paths['listener']}"))
         time.sleep(0.1)
@@ -422,6 +432,29 @@ class TestBetween:
             client.close()
             assert next(line).kind == "damaged"
         device.close()
+
+    def test_what_nobody_takes_is_bounded(self) -> None:
+        device = socket.create_server(("127.0.0.1", 0))
+        target = parse(f"rtu+tcp://127.0.0.1:{device.getsockname()[1]}")
+        tap = Tap(parse("rtu+tcp://127.0.0.1:0"), target, time.monotonic)
+        client = socket.create_connection(("127.0.0.1", tap.endpoint.port))
+        end, _ = device.accept()
+        sending = threading.Thread(target=lambda: client.sendall(bytes(5_000_000)))
+        sending.start()
+        left = 5_000_000
+        while left:
+            left -= len(end.recv(65536))
+        sending.join()
+        assert 500_000 < sum(len(piece.data) for piece in tap.receive()) <= 1 << 20
+        client.sendall(b"again")
+        assert end.recv(100) == b"again"
+        stop = time.monotonic() + 20
+        while not (pieces := tap.receive()) and time.monotonic() < stop:
+            time.sleep(0.01)
+        assert [(piece.sender, piece.data) for piece in pieces] == [("client", b"again")]
+        tap.close()
+        for each in (client, end, device):
+            each.close()
 
     def test_nobody_at_the_other_end(self) -> None:
         with (

@@ -315,6 +315,12 @@ class TestDamage:
         pieces = [(0.0, WRITE), (0.005, bad), (0.4, WRITE), (0.405, WRITE)]
         assert kinds(pieces) == ["damaged", "answered"]
 
+    def test_damage_then_the_same_write_again_at_once(self) -> None:
+        """Some clients ask again as soon as they see a wrong CRC."""
+        bad = WRITE[:-1] + bytes([WRITE[-1] ^ 1])
+        pieces = [(0.0, WRITE), (0.005, bad), (0.03, WRITE), (0.035, WRITE)]
+        assert kinds(pieces) == ["damaged", "answered"]
+
     def test_ascii_noise_is_told(self) -> None:
         ask, answer = ascii_frame("01 03 00 00 00 02"), ascii_frame("01 03 04 00 07 00 09")
         done = listen([(0.0, b"noise"), (1.0, ask), (1.1, answer)], "ascii")
