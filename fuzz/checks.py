@@ -14,6 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from libmodbus_py import Device, FrameError, InvalidResponse, Mapping, device_file, pdu
+from libmodbus_py.listener.separator import LineFraming, Separator
+from libmodbus_py.listener.transaction import Heard
 from libmodbus_py.protocol.errors import (
     ExceptionResponse,
     IllegalDataAddress,
@@ -37,6 +39,7 @@ __all__ = [
     "check_datagrams",
     "check_device",
     "check_device_file",
+    "check_listening",
     "check_request",
     "check_response",
     "check_role_value",
@@ -101,6 +104,33 @@ def check_datagrams(datagrams: Sequence[bytes]) -> None:
         assert framer.in_step
         for frame in found:
             assert isinstance(frame, FrameError) or framer.encode(frame) == datagram
+
+
+def check_listening(framing: LineFraming, pieces: Sequence[tuple[float, bytes]]) -> None:
+    """
+    Whatever is on a line and whenever it comes, nothing is raised.
+
+    On RTU each byte is part of a frame or of damage, once and in its order.
+
+    Args:
+        framing: "rtu" or "ascii".
+        pieces: bytes, and how many seconds behind the ones before them.
+    """
+    heard: list[Heard] = []
+    separator = Separator(framing, heard.append)
+    now, done = 0.0, []
+    for gap, piece in pieces:
+        now += gap
+        done += separator.feed(piece, now)
+    done += separator.tick(now + 100) + separator.end()
+    for each in done:
+        assert str(each)
+    times = [each.ended for each in heard]
+    assert times == sorted(times)
+    if framing == "rtu":
+        encode = RtuFramer("server").encode
+        parts = [encode(each.frame) if each.frame else each.data for each in heard]
+        assert b"".join(parts) == b"".join(piece for _, piece in pieces)
 
 
 def _scan(name: str, pieces: Sequence[bytes]) -> tuple[Found, int]:

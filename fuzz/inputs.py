@@ -15,6 +15,7 @@ from checks import (
     check_datagrams,
     check_device,
     check_device_file,
+    check_listening,
     check_request,
     check_response,
     check_role_value,
@@ -22,10 +23,13 @@ from checks import (
     examples,
 )
 
+from libmodbus_py.listener.separator import LineFraming
 from libmodbus_py.security.making import make
 from libmodbus_py.security.role import encode_role
 
 __all__ = ["TARGETS", "Target"]
+
+GAPS = (0.0, 0.005, 0.05, 2.0)
 
 
 def framers(data: bytes) -> None:
@@ -94,6 +98,25 @@ def some_device_files() -> list[bytes]:
     return [text, *(b"[[unit]]\n[" + table for table in tables)]
 
 
+def lines(data: bytes) -> None:
+    """The framing, the sizes and gaps of eight pieces, what is on the line."""
+    framing: LineFraming = "ascii" if data[:1] > b"\x7f" else "rtu"
+    sizes, stream = data[1:9], data[9:]
+    pieces = []
+    for size in sizes:
+        pieces.append((GAPS[size >> 6], stream[: size & 0x3F]))
+        stream = stream[size & 0x3F :]
+    check_listening(framing, [*pieces, (0.0, stream)])
+
+
+def some_lines() -> list[bytes]:
+    return [
+        head + bytes(range(8, 248, 30)) + b"".join(examples(form)[at : at + 4])
+        for head, form in ((b"\0", "rtu"), (b"\xff", "ascii"))
+        for at in range(len(examples(form)))
+    ]
+
+
 def _sized(data: bytes) -> list[bytes]:
     parts = []
     while data:
@@ -141,6 +164,7 @@ class Target(NamedTuple):
 TARGETS = {
     "framers": Target(framers, some_framers),
     "pdu": Target(pdus, some_pdus),
+    "listener": Target(lines, some_lines),
     "device": Target(devices, some_devices),
     "certificates": Target(certificates, some_certificates),
     "device_file": Target(device_files, some_device_files),

@@ -24,7 +24,7 @@ from libmodbus_py.listener.separator import Separator
 from libmodbus_py.listener.transaction import Heard, Transaction
 from libmodbus_py.protocol.framing import Frame, make_framer
 
-__all__ = ["Result", "Told", "heard", "line"]
+__all__ = ["LATENCY", "Framing", "Result", "Told", "heard", "line", "measure"]
 
 Framing = Literal["rtu", "ascii"]
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import pytest
 from checks import (
@@ -17,6 +17,7 @@ from checks import (
     check_datagrams,
     check_device,
     check_device_file,
+    check_listening,
     check_request,
     check_response,
     check_stream,
@@ -25,6 +26,7 @@ from checks import (
 from hostile import UNIT, Hostile, Innocent
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from listening import LATENCY, Framing, measure
 from transactions import known_device
 
 from libmodbus_py import Server, pdu
@@ -126,6 +128,31 @@ def test_streams(name: str, data: st.DataObject) -> None:
 )
 def test_streams_found_by_guided_fuzzing(name: str, stream: bytes, first: int) -> None:
     check_stream(name, stream, [first])
+
+
+gaps = st.sampled_from([0.0, 0.0005, 0.005, 0.05, 0.4, 2.0, 9.0])
+
+
+@pytest.mark.parametrize("framing", ["rtu", "ascii"])
+@settings(max_examples=400, deadline=None)
+@given(st.data())
+def test_lines(framing: Literal["rtu", "ascii"], data: st.DataObject) -> None:
+    pieces = st.tuples(gaps, mutated(framing) | st.binary(max_size=12))
+    check_listening(framing, data.draw(st.lists(pieces, max_size=12)))
+
+
+@pytest.mark.parametrize(
+    ("framing", "faults", "least"),
+    [
+        ("rtu", 0.0, 1.0),
+        ("rtu", 0.01, 0.99),
+        ("ascii", 0.0, 1.0),
+        ("ascii", 0.01, 0.99),
+    ],
+)
+def test_a_listener_names_most(framing: Framing, faults: float, least: float) -> None:
+    """./run listening does it for longer."""
+    assert measure(framing, 3000, faults, 5, LATENCY).share >= least
 
 
 @settings(max_examples=300, deadline=None)

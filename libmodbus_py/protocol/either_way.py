@@ -102,6 +102,8 @@ class RtuEitherWay:
         answers, answers_at = _look(self._answering, data, 0, fresh)
         if start := min(asks_at, answers_at):
             return self._skip(data, start)
+        if len(data) > 1 and not data[1] & 0x7F:  # no function (application protocol, 4.1)
+            return self._skip(data, 1)
         awaited = len(data) > 1 and is_awaited(data[0], data[1] & 0x7F)
         first, second = (answers, asks) if awaited else (asks, answers)
         if first > 0 or (second > 0 and (first == 0 or self._is_quiet)):

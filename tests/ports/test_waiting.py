@@ -283,6 +283,19 @@ def test_woken_in_a_pause(waker: Waker) -> None:
         waker.wait(-1, READ, soon(10))
 
 
+def test_what_was_seen_wakes_no_more(waker: Waker) -> None:
+    waker.clear()
+    waker.wake()
+    waker.wake()
+    waker.clear()
+    assert not waker.wait(-1, READ, time.monotonic() + 0.01)
+    waker.wake()
+    with pytest.raises(Woken):
+        waker.wait(-1, READ, time.monotonic() + 10)
+    waker.close()
+    waker.clear()
+
+
 def test_what_was_woken_before_it_waits_does_not_wait(waker: Waker) -> None:
     waker.wake()
     waker.wake()

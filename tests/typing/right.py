@@ -22,12 +22,15 @@ from libmodbus_py import (
     Read,
     RtuContext,
     Security,
+    Separator,
     Server,
     State,
     TcpContext,
     TlsContext,
     Traced,
+    Transaction,
     UdpContext,
+    listening,
     pdu,
 )
 
@@ -142,3 +145,16 @@ def serving() -> None:
     Device(mapping, before_read=Hook(told_of, input_registers=range(100)), after_write=print)
     Device(mapping, before_write=Hook(told_of, coils=[range(8)], files=[range(1, 3)]))
     Server(Device(mapping)).serve_forever("tcp://127.0.0.1:1502")
+
+
+def hearing() -> None:
+    with listening("rtu:///dev/ttyUSB0", capture="line.pcapng") as line:
+        for each in line:
+            assert_type(each, Transaction)
+    assert_type(Separator("ascii").feed(b"", 0.0, "client"), list[Transaction])
+
+
+async def hearing_in_a_loop() -> None:
+    async with listening("rtu+tcp://:1502", between="rtu+tcp://192.0.2.10") as line:
+        async for each in line:
+            assert_type(each, Transaction)

@@ -17,9 +17,11 @@ from libmodbus_py import (
     Read,
     RtuContext,
     Security,
+    Separator,
     Server,
     TcpContext,
     TlsContext,
+    listening,
     pdu,
 )
 
@@ -88,3 +90,9 @@ def serving(server: Server, mapping: Mapping) -> None:
     Hook(print, holding_regs=range(8))  # wrong
     Hook(print, coils=8)  # wrong
     Device(mapping, before_read=range(8))  # wrong
+
+
+def hearing(separator: Separator) -> None:
+    listening("rtu:///dev/ttyUSB0", betwen="rtu+tcp://192.0.2.10")  # wrong
+    Separator("tcp")  # wrong
+    separator.feed(b"", 0.0, "master")  # wrong
