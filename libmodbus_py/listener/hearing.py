@@ -54,7 +54,7 @@ class Hearing(Protocol):
 class RtuHearing:
     """Requests and responses in one stream, as on a line; each frame with its own time."""
 
-    quiet = RtuEitherWay.quiet
+    quiet: float = RtuEitherWay.quiet
 
     def __init__(self) -> None:
         self._frames = RtuEitherWay()

@@ -8,7 +8,7 @@ Bytes only; no clock. `RtuEitherWay` finds frames by both length rules of `pdu` 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 from .framing import Frame, RtuFramer, scanner
 from .pdu import request_length, response_length
@@ -56,7 +56,7 @@ class RtuEitherWay:
         offset: where in the stream the bytes begin that are still looked at.
     """
 
-    quiet = RtuFramer.quiet
+    quiet: ClassVar[float] = RtuFramer.quiet
 
     def __init__(self) -> None:
         self._asking, self._answering = scanner("server"), scanner("client")
