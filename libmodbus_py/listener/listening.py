@@ -4,6 +4,7 @@ listening(url): transactions as they pass, for a ``for`` loop or an ``async for`
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import logging
 import os
@@ -156,6 +157,8 @@ class Listener:
         found = None
         if self._enter():
             try:
+                # A flood, or a capture, never waits; others in this loop want their turn.
+                await asyncio.sleep(0)
                 found = await run_async(self._next())
             finally:
                 self._leave()

@@ -85,7 +85,10 @@ class ReadOnlySerialPort(SerialPort):
         settings[1], settings[2], settings[3] = 0, control, 0
         settings[4] = settings[5] = termios.B9600 if speed is None else speed
         settings[6][termios.VMIN], settings[6][termios.VTIME] = 0, 0
-        with contextlib.suppress(termios.error):  # a pseudo-terminal has no parity: see SerialPort
+        try:
+            termios.tcsetattr(descriptor, termios.TCSANOW, settings)
+        except termios.error:  # nothing changed, and something is lacking: see SerialPort
+            self._change_something()
             termios.tcsetattr(descriptor, termios.TCSANOW, settings)
         if speed is None:
             set_odd_baudrate(descriptor, self.baudrate)

@@ -9,6 +9,7 @@ they do not even look like frames.
 
 from __future__ import annotations
 
+import asyncio
 import random
 import struct
 from collections.abc import Iterator
@@ -171,6 +172,26 @@ class TestReader:
         file.write_bytes(b"nothing")
         with pytest.raises(CaptureError):
             CaptureReader(file)
+
+    def test_others_have_their_turn_in_a_loop(self) -> None:
+        async def read_all() -> tuple[int, int]:
+            turns = count = 0
+
+            async def take_turns() -> None:
+                nonlocal turns
+                while True:
+                    turns += 1
+                    await asyncio.sleep(0)
+
+            other = asyncio.create_task(take_turns())
+            async with listening(str(DECODED)) as line:
+                async for _ in line:
+                    count += 1
+            other.cancel()
+            return turns, count
+
+        turns, count = asyncio.run(read_all())
+        assert turns >= count > 40
 
     def test_a_file_is_not_written_over_itself(self, tmp_path: Path) -> None:
         file = write(tmp_path / "x.pcapng")

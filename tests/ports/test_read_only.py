@@ -78,6 +78,19 @@ def test_settings_of_a_program_elsewhere_stay_and_it_is_named(
         os.close(master)
 
 
+def test_a_port_that_has_the_settings_already_but_no_parity() -> None:
+    """glibc's tcsetattr calls that an error."""
+    master, slave = pty.openpty()
+    path = os.ttyname(slave)
+    os.close(slave)
+    for _ in range(2):
+        port = ReadOnlySerialPort(path, baudrate=38400, parity="E")
+        port.open()
+        port._restored = None  # as if the program had died
+        port.close()
+    os.close(master)
+
+
 @pytest.mark.parametrize("baudrate", [9600, 12345])
 def test_what_comes_is_given_with_any_baud_rate(baudrate: int) -> None:
     master, slave = pty.openpty()
