@@ -100,7 +100,7 @@ class Pairing:
         self._times = Times()
         self._current: _Asked | None = None
         self._unanswered: dict[int, _Asked] = {}  # by unit; their answers may come late
-        self._doubled: tuple[Frame, int, float] | None = None
+        self._held: Heard | None = None  # a question that may turn out to be an answer
 
     def is_awaited(self, unit: int, function: int) -> bool:
         """Whether an answer of this unit to this function is likely now."""
@@ -113,13 +113,20 @@ class Pairing:
         if isinstance(found, Candidate) and not _has_function(found):
             found = Damage(found.began, found.ended, bytes([found.frame.unit]) + found.frame.pdu)
         if isinstance(found, Damage):
+            self._note(Heard(found.began, found.ended, "damage", None, found.data))
             self._take_damage(found)
         elif self._is_question(found):
-            self._on_heard(Heard(found.began, found.ended, "request", found.frame))
             self._take_question(found)
         else:
-            self._on_heard(Heard(found.began, found.ended, "response", found.frame))
+            self._note(Heard(found.began, found.ended, "response", found.frame))
             self._take_answer(found)
+
+    def _note(self, heard: Heard | None) -> None:
+        """Tell what was held, too; in the order of the line."""
+        held, self._held = self._held, None
+        for each in (held, heard):
+            if each is not None:
+                self._on_heard(each)
 
     def tick(self, at: float) -> None:
         """Let time pass."""
@@ -141,7 +148,7 @@ class Pairing:
         if asks and answers:
             return self._is_repeated(found)
         if asks:
-            return not (self._is_late_echo(found) or self._is_doubled(found))
+            return not self._is_late_echo(found)
         return not answers and not self.is_awaited(found.frame.unit, found.frame.pdu[0] & 0x7F)
 
     def _fits(self, asked: _Asked | None, found: Candidate) -> bool:
@@ -165,26 +172,32 @@ class Pairing:
             return False
         return found.began - asked.ended <= self._times.limit(asked.frame.unit)
 
-    def _is_doubled(self, found: Candidate) -> bool:
-        """Whether it answers, once more, a question that was asked more than once."""
-        if self._current is not None or self._doubled is None:
-            return False
-        frame, count, until = self._doubled
-        if frame != found.frame or not count or found.began > until:
-            return False
-        self._doubled = frame, count - 1, until
-        return True
+    def _was_an_answer(self, asked: _Asked, at: float) -> bool:
+        """
+        Whether a question was none, now that the next one comes at this time.
+
+        It may be an answer, and nobody answered it: it came for the second time, or its question
+        was damaged. For clients wait for their answers.
+        """
+        is_open = asked.damage is None and not asked.is_certain
+        return is_open and at - asked.ended <= self._times.limit(asked.frame.unit)
 
     # --- transactions ---------------------------------------------------------------------
 
     def _take_question(self, found: Candidate) -> None:
         before = self._current
+        if before is not None and self._was_an_answer(before, found.began):
+            self._held = self._held and self._held._replace(part="response")
+            self._end_unasked(before.began, before.frame)
+            before = self._current = None
         if before is not None:
             # A guess must not teach what the next one is judged by.
             if before.damage is None and before.is_certain and not found.may_answer:
                 self._times.note_next_question(found.began - before.ended)
             self._give_up()
-        self._doubled = None
+        heard = Heard(found.began, found.ended, "request", found.frame)
+        self._note(None if found.may_answer else heard)
+        self._held = heard if found.may_answer else None
         request = _decoded(found.frame) or RawRequest.decode(found.frame.pdu)
         is_again = before is not None and before.frame == found.frame
         repeats = before.repeats + 1 if before is not None and is_again else 0
@@ -192,6 +205,7 @@ class Pairing:
             found.began, found.ended, found.frame, request, repeats, not found.may_answer
         )
         if found.frame.unit == 0 or not request.expects_response:
+            self._note(None)
             self._end(asked, "broadcast")
         else:
             self._current = asked
@@ -211,7 +225,7 @@ class Pairing:
             assert self._current is not None
             self._answer(self._current, found)
         else:
-            self._end_unasked(found)
+            self._end_unasked(found.began, found.frame)
 
     def _answer(self, asked: _Asked, found: Candidate) -> None:
         damage, asked.damage = asked.damage, None
@@ -221,14 +235,10 @@ class Pairing:
         if outcome.kind != "invalid":
             self._times.note_answer(found.frame.unit, max(found.began - asked.ended, 0.0))
             self._unanswered.pop(found.frame.unit, None)
-        if asked.repeats:
-            until = found.ended + self._times.limit(found.frame.unit)
-            self._doubled = found.frame, asked.repeats, until
         self._current = None
         self._end(asked, outcome.kind, outcome, found.ended)
 
     def _take_damage(self, damage: Damage) -> None:
-        self._on_heard(Heard(damage.began, damage.ended, "damage", None, damage.data))
         asked = self._current
         if asked is None:
             self._end_damage(damage)
@@ -240,6 +250,7 @@ class Pairing:
     def _give_up(self) -> None:
         asked, self._current = self._current, None
         assert asked is not None
+        self._note(None)
         self._unanswered[asked.frame.unit] = asked
         if asked.damage is None:
             self._end(asked, "unanswered")
@@ -267,15 +278,15 @@ class Pairing:
             )
         )
 
-    def _end_unasked(self, found: Candidate) -> None:
-        unit, pdu, _ = found.frame
+    def _end_unasked(self, began: float, frame: Frame) -> None:
+        unit, pdu, _ = frame
         function, response, error = pdu[0] & 0x7F, None, None
         if pdu[0] & 0x80 and len(pdu) == 2:
             error = ExceptionResponse.of(pdu[1], unit=unit, function=function)
         else:
             response = pdu[1:]
         self.done.append(
-            Transaction(found.began, "unasked", unit, function, response=response, error=error)
+            Transaction(began, "unasked", unit, function, response=response, error=error)
         )
 
     def _end_damage(self, damage: Damage) -> None:

@@ -227,15 +227,28 @@ class TestRepeats:
 
     def test_a_doubled_echo(self) -> None:
         pieces = [(0.0, WRITE), (1.0, WRITE), (1.01, WRITE), (1.02, WRITE)]
-        pieces += [(2.0, ASK), (2.1, ANSWER)]
+        pieces += [(1.05, ASK), (1.06, ANSWER)]
         assert kinds(pieces) == ["unanswered", "answered", "unasked", "answered"]
+        assert [part for part, _ in named(pieces)] == [
+            *("request", "request", "response", "response", "request", "response"),
+        ]
+
+    def test_the_same_write_at_once_behind_a_repeated_one(self) -> None:
+        """It is asked anew, for it is answered."""
+        pieces = [(0.0, WRITE), (1.0, WRITE), (1.01, WRITE), (1.02, WRITE), (1.03, WRITE)]
+        assert kinds(pieces) == ["unanswered", "answered", "answered"]
+
+    def test_an_answer_to_a_question_that_was_damaged_for_us_alone(self) -> None:
+        bad = b"\xff" + WRITE[1:]
+        pieces = [(0.0, bad), (0.01, WRITE), (0.02, ASK), (0.03, ANSWER)]
+        assert kinds(pieces) == ["damaged", "unasked", "answered"]
 
     def test_the_same_write_again_and_again(self) -> None:
         pieces = [piece for n in range(50) for piece in ((n, WRITE), (n + 0.01, WRITE))]
         assert kinds(pieces) == ["answered"] * 50
 
     def test_another_write_is_no_answer(self) -> None:
-        assert kinds([(0.0, WRITE), (0.05, OTHER_WRITE), (0.06, OTHER_WRITE)]) == [
+        assert kinds([(0.0, WRITE), (0.3, OTHER_WRITE), (0.31, OTHER_WRITE)]) == [
             "unanswered",
             "answered",
         ]
