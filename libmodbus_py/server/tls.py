@@ -263,7 +263,7 @@ class TlsSession:
                 if is_one or not tunnel.has_more:
                     return requests
                 left -= len(data)
-                if left <= 0:
+                if left <= 0 or inner.is_waiting:
                     self._has_more = True
                     self._wire.follow()
                     return requests
