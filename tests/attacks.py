@@ -47,8 +47,8 @@ def adu(pdu: bytes, transaction: int = 1, unit: int = UNIT) -> bytes:
     return struct.pack(">HHHB", transaction, 0, 1 + len(pdu), unit) + pdu
 
 
-def connect(port: int, host: str = "127.0.0.1") -> socket.socket:
-    connection = socket.create_connection((host, port), PATIENCE)
+def connect(port: int, host: str = "127.0.0.1", source: str = "") -> socket.socket:
+    connection = socket.create_connection((host, port), PATIENCE, (source, 0))
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     return connection
 

@@ -66,15 +66,22 @@ class TlsClient:
     """
     A connection.
 
+    Args:
+        source: the address that it comes from.
+
     Attributes:
         socket: what the records go over.
         tls: the state of TLS.
     """
 
     def __init__(
-        self, port: int, context: ssl.SSLContext, session: ssl.SSLSession | None = None
+        self,
+        port: int,
+        context: ssl.SSLContext,
+        session: ssl.SSLSession | None = None,
+        source: str = "",
     ) -> None:
-        self.socket = connect(port)
+        self.socket = connect(port, source=source)
         self._incoming, self._outgoing = ssl.MemoryBIO(), ssl.MemoryBIO()
         self.tls = context.wrap_bio(
             self._incoming, self._outgoing, server_hostname="localhost", session=session

@@ -57,6 +57,7 @@ class Handshakes:
         self.loop: asyncio.AbstractEventLoop = asyncio.get_running_loop()
         self._half_open: dict[TlsSession, None] = {}
         self._line: dict[TlsSession, None] = {}
+        self._next_step: asyncio.Handle | None = None
 
     def begin(self, session: TlsSession) -> Tunnel:
         """Make the tunnel of a connection that has sent something."""
@@ -69,25 +70,26 @@ class Handshakes:
     def end(self, session: TlsSession) -> None:
         """It is over, well or not. Any number of times."""
         self._half_open.pop(session, None)
-        self.leave(session)
+        self._line.pop(session, None)
 
     def line_up(self, session: TlsSession) -> None:
-        """Have it take a step when its turn comes."""
+        """Have it take a step when its turn comes, whether or not it may ask then."""
         self._line[session] = None
         session.follow()
-
-    def leave(self, session: TlsSession) -> None:
-        """It took its step, or will not take any: the next one's turn."""
-        if session in self._line:
-            del self._line[session]
-            if self._line:
-                next(iter(self._line)).follow()
+        if self._next_step is None:
+            self._next_step = self.loop.call_soon(self._step)
 
     def is_lined_up(self, session: TlsSession) -> bool:
         return session in self._line
 
-    def has_turn(self, session: TlsSession) -> bool:
-        return session is next(iter(self._line), None)
+    def _step(self) -> None:
+        self._next_step = None
+        session = next(iter(self._line), None)
+        if session is not None:
+            del self._line[session]
+            if self._line:
+                self._next_step = self.loop.call_soon(self._step)
+            session.take_step()
 
 
 class TlsSession:
@@ -139,7 +141,7 @@ class TlsSession:
     def is_behind(self) -> bool:
         inner = self._inner
         if inner is None:
-            return self._handshakes.has_turn(self)
+            return False
         return inner.is_behind or (self._has_more and not inner.is_waiting)
 
     @property
@@ -161,10 +163,7 @@ class TlsSession:
             if not data and inner.is_behind:
                 return inner.receive(b"")
             return self._take(tunnel, inner, is_one=is_one)
-        if data:
-            self._handshakes.line_up(self)
-        else:
-            self._shake_hands(tunnel)
+        self._handshakes.line_up(self)
         return 0
 
     def close(self) -> None:
@@ -185,6 +184,16 @@ class TlsSession:
 
     # --- the handshake --------------------------------------------------------------------------
 
+    def take_step(self) -> None:
+        """Go on as far as what was received allows."""
+        assert self._tunnel is not None
+        try:
+            self._shake_hands(self._tunnel)
+        except Exception:  # a mistake of ours must not cost the others their steps
+            logger.exception("%s: connection closed", self.address)
+            self._finish()
+        self._wire.follow()
+
     def _shake_hands(self, tunnel: Tunnel) -> None:
         certificate = b""
         try:
@@ -201,7 +210,6 @@ class TlsSession:
             self._refuse(refusal, certificate)
         elif is_done:
             self._open(tunnel)
-        self._handshakes.leave(self)
 
     def _check(self, tunnel: Tunnel) -> str | None:
         """Say what is wrong with a certificate that OpenSSL found good, and take its role."""

@@ -560,6 +560,28 @@ def test_a_mistake_in_a_hook_is_one_client_s(papers: Papers) -> None:
         assert client.ask(adu(bytes.fromhex("03 0000 0001")), 9)[7:] == bytes.fromhex("83 04")
 
 
+def test_an_address_that_has_asked_too_much_does_not_hold_up_the_handshakes_of_others(
+    papers: Papers, device: Device
+) -> None:
+    limits, first = Limits(requests_per_second=1), hello(papers)
+    told = context(papers, certificates.client())
+    with (
+        serving(papers, device, limits=limits) as (server, port),
+        TlsClient(port, told, source="127.0.0.2").handshake() as greedy,
+        contextlib.ExitStack() as stack,
+    ):
+        others = [stack.enter_context(connect(port, source="127.0.0.2")) for _ in range(60)]
+        for other in others:
+            other.sendall(first)
+        # While they wait for their turns, it gets to owe some hundred seconds.
+        greedy.send(ONE * 200)
+        assert wait_until(lambda: server.statistics.requests > 50)
+        begin = time.monotonic()
+        assert is_served(papers, port)
+        # Not even until their time is over.
+        assert time.monotonic() - begin < limits.handshake_timeout / 2
+
+
 # --- memory -------------------------------------------------------------------------------------
 
 
