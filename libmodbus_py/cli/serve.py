@@ -31,6 +31,7 @@ LIMITS: list[tuple[str, Callable[[str], Any], str, str]] = [
     ("max-connections", int, "N", "over TCP (what the descriptor limit leaves)"),
     ("connections-per-address", int, "N", "of them for one address (a tenth, but 8 at least)"),
     ("frame-timeout", float, "S", "seconds that a frame may take from its first byte (5)"),
+    ("handshake-timeout", float, "S", "seconds to the end of a TLS handshake (5)"),
     ("idle-timeout", float, "S", "seconds without a request, inf for no limit (3600)"),
     ("max-unsent", int, "BYTES", "of answers that a client does not take (65536)"),
     ("requests-per-second", float, "N", "of one address (no limit; UDP: 1000)"),
