@@ -20,9 +20,9 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import pytest
-from bus import Bus
 from pymodbus.client import ModbusSerialClient
 from pymodbus.framer import FramerType
+from shared_line import SharedLine
 from talk import rtu
 
 from libmodbus_py import (
@@ -85,23 +85,23 @@ def framing(request: pytest.FixtureRequest) -> str:
 
 
 @pytest.fixture
-def bus() -> Iterator[Bus]:
-    with Bus("client", "server", "listener") as made:
+def bus() -> Iterator[SharedLine]:
+    with SharedLine("client", "server", "listener") as made:
         yield made
 
 
 @pytest.fixture
-def served(bus: Bus, framing: str, device: Device) -> Iterator[Bus]:
+def served(bus: SharedLine, framing: str, device: Device) -> Iterator[SharedLine]:
     with Server({UNIT: device}).background(f"{framing}://{bus.paths['server']}?baudrate=115200"):
         yield bus
 
 
-def url_of(bus: Bus, framing: str, name: str) -> str:
+def url_of(bus: SharedLine, framing: str, name: str) -> str:
     return f"{framing}://{bus.paths[name]}?baudrate=115200"
 
 
 class TestOnALine:
-    def test_our_client_and_server(self, served: Bus, framing: str) -> None:
+    def test_our_client_and_server(self, served: SharedLine, framing: str) -> None:
         with (
             heard(url_of(served, framing, "listener")) as hearing,
             Context.from_url(url_of(served, framing, "client"), unit=UNIT) as client,
@@ -126,7 +126,7 @@ class TestOnALine:
         assert hearing.line.summary.units[UNIT].functions[6] == 2
         assert hearing.line.summary.units[UNIT].errors == {"exception 2": 1}
 
-    def test_the_client_of_pymodbus(self, served: Bus, framing: str) -> None:
+    def test_the_client_of_pymodbus(self, served: SharedLine, framing: str) -> None:
         client = ModbusSerialClient(
             served.paths["client"],
             framer=FramerType(framing),
@@ -149,7 +149,7 @@ class TestOnALine:
         assert [each.function for each in done] == [3, 6, 15, 1, 43]
         assert done[3].response == [True] * 20
 
-    def test_a_unit_that_is_not_there(self, served: Bus, framing: str) -> None:
+    def test_a_unit_that_is_not_there(self, served: SharedLine, framing: str) -> None:
         with (
             heard(url_of(served, framing, "listener")) as hearing,
             Context.from_url(
@@ -166,7 +166,7 @@ class TestOnALine:
             (UNIT, "answered", 0),
         ]
 
-    def test_asyncio(self, served: Bus, framing: str) -> None:
+    def test_asyncio(self, served: SharedLine, framing: str) -> None:
         async def listen() -> list[Transaction]:
             done = []
             async with listening(url_of(served, framing, "listener")) as line:
@@ -186,7 +186,7 @@ class TestOnALine:
         done = asyncio.run(listen())
         assert [each.response for each in done] == [[1000], [1001], [1002]]
 
-    def test_capture_and_back(self, served: Bus, framing: str, tmp_path: Path) -> None:
+    def test_capture_and_back(self, served: SharedLine, framing: str, tmp_path: Path) -> None:
         file = tmp_path / "x.pcapng"
         with (
             heard(url_of(served, framing, "listener"), capture=str(file)) as hearing,
@@ -205,7 +205,7 @@ class TestOnALine:
 
 
 class TestPort:
-    def test_nothing_is_written_and_nothing_locked(self, bus: Bus) -> None:
+    def test_nothing_is_written_and_nothing_locked(self, bus: SharedLine) -> None:
         with listening(f"rtu://{bus.paths['listener']}"):
             port = bus.paths["listener"]
             descriptors = [
@@ -223,7 +223,7 @@ class TestPort:
             with Context.from_url(f"rtu://{port}", unit=1):
                 pass  # takes the lock
 
-    def test_a_port_that_is_locked(self, bus: Bus, caplog: pytest.LogCaptureFixture) -> None:
+    def test_a_port_that_is_locked(self, bus: SharedLine, caplog: pytest.LogCaptureFixture) -> None:
         port = bus.paths["listener"]
         with (
             Server(Device(Mapping(1, 1, 1, 1))).background(f"rtu://{port}"),
@@ -232,7 +232,7 @@ class TestPort:
         ):
             assert "is open in this program, too" in caplog.text
 
-    def test_a_port_that_goes_and_comes_back(self, bus: Bus, tmp_path: Path) -> None:
+    def test_a_port_that_goes_and_comes_back(self, bus: SharedLine, tmp_path: Path) -> None:
         link = tmp_path / "port"
         link.symlink_to(bus.paths["listener"])
         ask, answer = rtu("01 03 00 00 00 01"), rtu("01 03 02 00 07")
@@ -273,14 +273,14 @@ class TestEnding:
             importlib.import_module("libmodbus_py.listener.listening"), "IDLE", 99.0
         )
 
-    def test_close_from_another_thread(self, bus: Bus) -> None:
+    def test_close_from_another_thread(self, bus: SharedLine) -> None:
         gathering = Gathering(listening(f"rtu://{bus.paths['listener']}"))
         time.sleep(0.1)
         gathering.close()
         gathering.close()
         assert list(gathering.line) == []
 
-    def test_close_from_a_signal_handler(self, bus: Bus) -> None:
+    def test_close_from_a_signal_handler(self, bus: SharedLine) -> None:
         line = listening(f"rtu://{bus.paths['listener']}")
         before = signal.signal(signal.SIGALRM, lambda *_: line.close())
         try:
@@ -289,7 +289,7 @@ class TestEnding:
         finally:
             signal.signal(signal.SIGALRM, before)
 
-    def test_close_in_asyncio(self, bus: Bus) -> None:
+    def test_close_in_asyncio(self, bus: SharedLine) -> None:
         async def listen() -> None:
             line = listening(f"rtu://{bus.paths['listener']}")
             asyncio.get_running_loop().call_later(0.1, line.close)
@@ -297,7 +297,7 @@ class TestEnding:
 
         asyncio.run(listen())
 
-    def test_cancelling_loses_nothing(self, bus: Bus) -> None:
+    def test_cancelling_loses_nothing(self, bus: SharedLine) -> None:
         async def listen() -> Transaction:
             async with listening(f"rtu://{bus.paths['listener']}") as line:
                 for _ in range(5):
@@ -313,7 +313,7 @@ class TestEnding:
 
         assert asyncio.run(listen()).response == [7]
 
-    def test_nothing_leaks(self, bus: Bus, tmp_path: Path) -> None:
+    def test_nothing_leaks(self, bus: SharedLine, tmp_path: Path) -> None:
         count = len(os.listdir("/proc/self/fd"))
         for number in range(5):
             capture = tmp_path / f"{number}.pcapng"
@@ -328,7 +328,7 @@ class TestEnding:
             time.sleep(0.05)
         assert len(os.listdir("/proc/self/fd")) == count
 
-    def test_who_forgets_to_close_leaks_nothing(self, bus: Bus) -> None:
+    def test_who_forgets_to_close_leaks_nothing(self, bus: SharedLine) -> None:
         count = len(os.listdir("/proc/self/fd"))
         for _ in range(3):
             listening(f"rtu://{bus.paths['listener']}")
@@ -349,7 +349,7 @@ class TestEnding:
             assert next(line).response == [7]
         os.close(master)
 
-    def test_a_disk_that_is_full_is_told(self, bus: Bus, tmp_path: Path) -> None:
+    def test_a_disk_that_is_full_is_told(self, bus: SharedLine, tmp_path: Path) -> None:
         file = tmp_path / "x.pcapng"
         with listening(f"rtu://{bus.paths['listener']}", capture=file) as line:
             before = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -364,7 +364,7 @@ class TestEnding:
                 resource.setrlimit(resource.RLIMIT_FSIZE, before)
                 signal.signal(signal.SIGXFSZ, ignored)
 
-    def test_two_at_once(self, bus: Bus) -> None:
+    def test_two_at_once(self, bus: SharedLine) -> None:
         gathering = Gathering(listening(f"rtu://{bus.paths['listener']}"))
         try:
             time.sleep(0.1)
@@ -373,7 +373,7 @@ class TestEnding:
         finally:
             gathering.close()
 
-    def test_rest_gives_what_is_open(self, bus: Bus) -> None:
+    def test_rest_gives_what_is_open(self, bus: SharedLine) -> None:
         with listening(f"rtu://{bus.paths['listener']}") as line:
             bus.say(rtu("01 03 00 00 00 01") + rtu("01 03 02 00 07") + rtu("01 03 00 00 00 01"))
             assert next(line).kind == "answered"
@@ -511,7 +511,7 @@ class TestArguments:
         with pytest.raises(TypeError, match="url must be a string"):
             listening(5)  # type: ignore[arg-type]
 
-    def test_a_capture_that_cannot_be_written(self, bus: Bus, tmp_path: Path) -> None:
+    def test_a_capture_that_cannot_be_written(self, bus: SharedLine, tmp_path: Path) -> None:
         with pytest.raises(OSError, match="Is a directory"):
             listening(f"rtu://{bus.paths['listener']}", capture=tmp_path)
         assert stat.S_ISDIR(tmp_path.stat().st_mode)

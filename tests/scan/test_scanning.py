@@ -17,10 +17,10 @@ from typing import Any
 
 import certificates
 import pytest
-from bus import Bus, Member, of
 from certificates import Papers
 from fake import FakeServer, FakeUnit, dead, mbap, refusing, until, url_of
 from interop import UNIT, program
+from serial_bus import Bus, Member, of
 from test_interop_pymodbus import pymodbus_server
 
 from libmodbus_py import (

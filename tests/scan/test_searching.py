@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from bus import Bus, Member, of
 from fake import FakeServer, mbap, refusing, url_of
 from interop import program
+from serial_bus import Bus, Member, of
 
 from libmodbus_py import (
     Device,

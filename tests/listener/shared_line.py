@@ -11,10 +11,10 @@ import threading
 import tty
 from typing import Self
 
-__all__ = ["Bus"]
+__all__ = ["SharedLine"]
 
 
-class Bus:
+class SharedLine:
     """
     Ports on one line: what is written to one comes out of all others.
 
