@@ -906,6 +906,15 @@ def test_serial_lines_are_silent_for_a_unit_without_a_device(line: str, policy: 
 # --- the command line --------------------------------------------------------------------
 
 
+def test_serve_has_an_option_for_each_limit() -> None:
+    command = [sys.executable, "-m", "libmodbus_py", "serve", "--help"]
+    told = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=True)
+    limits = [
+        f"--{each.name.replace('_', '-')}" for each in dataclasses.fields(Limits) if each.init
+    ]
+    assert [name for name in limits if name not in told.stdout] == []
+
+
 def test_serve_holds_its_clients_to_what_it_was_told() -> None:
     options = ["--max-connections", "2", "--frame-timeout", "0.3", "--idle-timeout", "inf"]
     with (
@@ -954,6 +963,7 @@ def test_serve_takes_options_of_other_kinds(options: list[str], closed: bool) ->
         ("--frame-timeout 0", "frame_timeout"),
         ("--frame-timeout inf", "frame_timeout"),
         ("--frame-timeout nan", "frame_timeout"),
+        ("--handshake-timeout 0", "handshake_timeout"),
         ("--idle-timeout -1", "idle_timeout"),
         ("--idle-timeout soon", "idle-timeout"),
         ("--max-unsent -1", "max_unsent"),
