@@ -528,7 +528,7 @@ class LimitedPeer(Peer):
         super().act(events)
 
     def _may_ask(self, events: int) -> bool:
-        """Not in a handshake, and others wait in the line behind it; nor to say goodbye."""
+        """Not in a handshake, nor to say goodbye."""
         if self._descriptor < 0 or not self._session.takes_requests:
             return False
         with contextlib.suppress(OSError):

@@ -107,8 +107,8 @@ class TlsSession:
 
     # fmt: off
     __slots__ = (
-        "_handshakes", "_has_more", "_inner", "_is_over", "_make", "_records", "_timer", "_tunnel",
-        "_wire", "address", "role",
+        "_handshakes", "_has_more", "_inner", "_make", "_records", "_timer", "_tunnel", "_wire",
+        "address", "role",
     )
     # fmt: on
 
@@ -122,7 +122,6 @@ class TlsSession:
         self._records = Records()
         self._inner: Session | None = None
         self._has_more = False  # whether something was received that nobody has looked at
-        self._is_over = False  # whether nothing is received any more
         self._timer = handshakes.loop.call_later(handshakes.timeout, self._be_late)
 
     # --- the session of the connection --------------------------------------------------------
@@ -177,7 +176,6 @@ class TlsSession:
         self._tunnel = None
 
     def _stop(self) -> None:
-        self._is_over = True
         self._has_more = False
         self._timer.cancel()
         self._handshakes.end(self)
