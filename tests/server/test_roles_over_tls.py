@@ -4,13 +4,27 @@ Roles from the certificates of clients, and what rules make of them, through TLS
 
 from __future__ import annotations
 
+import contextlib
+import threading
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from certificates import Papers
+from attacks import PATIENCE, adu
+from certificates import Papers, client
+from tls import TlsClient, context, serving
 
-from libmodbus_py import Allow, Context, Device, IllegalFunction, Mapping, Rules, Server, pdu
+from libmodbus_py import (
+    Allow,
+    Asked,
+    Context,
+    Device,
+    IllegalFunction,
+    Mapping,
+    Rules,
+    Server,
+    pdu,
+)
 
 RULES = Rules(
     {
@@ -76,3 +90,33 @@ def test_one_device_on_two_endpoints_asks_about_both(tmp_path: Path) -> None:
             for _ in range(3):
                 assert allowed(engineer.execute) == [True] * 4
                 assert allowed(anybody.execute) == [False, False, True, False]
+
+
+def test_roles_of_one_turn_are_kept_apart(tmp_path: Path) -> None:
+    """Requests that come alone are answered together."""
+    is_blocked, goes_on = threading.Event(), threading.Event()
+
+    def authorize(asked: Asked) -> bool:
+        if asked.function == 17:
+            is_blocked.set()
+            assert goes_on.wait(PATIENCE)
+        return RULES(asked)
+
+    papers = Papers(tmp_path)
+    device = Device(Mapping(holding_registers=1), authorize=authorize)
+    roles = ["Viewer", "Engineer", None, "Engineer", "Viewer"]
+    write = adu(pdu.WriteRegister(0, 5).encode())
+    with contextlib.ExitStack() as stack:
+        server, port = stack.enter_context(serving(papers, device))
+        busy, *clients = (
+            stack.enter_context(TlsClient(port, context(papers, client(role))).handshake())
+            for role in ["Engineer", *roles]
+        )
+        busy.send(adu(b"\x11"))
+        assert is_blocked.wait(PATIENCE)
+        for each in clients:
+            each.send(write)
+        goes_on.set()
+        answers = [each.receive(9)[7:] for each in clients]
+    assert answers == [write[7:9] if role == "Engineer" else b"\x86\x01" for role in roles]
+    assert (server.statistics.requests, server.statistics.unauthorized) == (6, 3)
