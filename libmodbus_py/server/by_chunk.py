@@ -50,6 +50,13 @@ class Singles:
             self._later(self._answer)
         self._waiting.append((session, request))
 
+    def take_back(self, session: ByChunk) -> list[bytes]:
+        """Give back what a session has just added, for more of it came: in records of TLS."""
+        waiting, requests = self._waiting, []
+        while waiting and waiting[-1][0] is session:
+            requests.append(waiting.pop()[1])
+        return requests[::-1]
+
     def _answer(self) -> None:
         waiting, self._waiting = self._waiting, []
         raised: BaseException | None = None
@@ -135,6 +142,8 @@ class ByChunk:
         if not self._pending and _is_one_frame(data):
             self._singles.add(self, data)
             return 1
+        if before := self._singles.take_back(self):  # it must not be overtaken, and is counted
+            return self.take(b"".join([*before, data])) - len(before)
         return self.take(data)
 
     def take(self, data: bytes) -> int:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import itertools
 import logging
 import socket
 import ssl
@@ -536,6 +537,34 @@ def test_a_record_full_of_requests_is_answered_in_order(
             assert client.receive(len(answers(count))) == answers(count)
         assert client.ask(ONE, len(ONE_ANSWER)) == ONE_ANSWER
         assert server.statistics.requests == 3 * count + 1
+
+
+@KIND
+@pytest.mark.parametrize("rate", [None, 1000])
+@pytest.mark.parametrize("cuts", [[12], [12, 24], [12, 30], [12, 36, 40]], ids=repr)
+def test_records_read_together_are_carried_out_in_order(
+    papers: Papers, kind: str, cuts: list[int], rate: int | None
+) -> None:
+    """The first holds one request and nothing else; what follows does not overtake it."""
+    pdus = ("06 0000 0005", "03 0000 0001", "06 0000 0006", "03 0000 0001")
+    answers = ("06 0000 0005", "03 02 0005", "06 0000 0006", "03 02 0006")
+    requests, expected = (
+        b"".join(adu(bytes.fromhex(pdu), number) for number, pdu in enumerate(each))
+        for each in (pdus, answers)
+    )
+    edges = [0, *cuts, len(requests)]
+    pieces = [requests[start:end] for start, end in itertools.pairwise(edges)]
+    make_device, options = KINDS[kind]
+    with (
+        serving(papers, make_device(), **options, limits=Limits(requests_per_second=rate)) as (
+            server,
+            port,
+        ),
+        TlsClient(port, context(papers, certificates.client())).handshake() as client,
+    ):
+        client.send(*pieces)
+        assert client.receive(len(expected)) == expected
+        assert server.statistics.requests == 4
 
 
 def test_a_record_full_of_requests_is_answered_in_slices(papers: Papers) -> None:
