@@ -189,7 +189,7 @@ class Security:
     def _check_server_name(self, name: str) -> None:
         try:
             self.to_server(name)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, ssl.SSLError):
             text = f"server_name must be a name or an address, not {name!r}"
             raise ValueError(text) from None
 
