@@ -644,7 +644,13 @@ def test_requests_sent_at_once_wait_and_none_is_lost(kind: str) -> None:
         assert server.has(requests=count + 50, connections=2, closed_slow=0)
 
 
+def peers_in_memory() -> int:
+    gc.collect()
+    return sum(isinstance(each, Peer) for each in gc.get_objects())
+
+
 def test_a_connection_lost_while_it_waits_leaves_nothing(kind: str) -> None:
+    before = peers_in_memory()  # errors that tests keep may hold some
     with served(kind, requests_per_second=0.001) as server:
         for number in range(20):
             with connect_from(f"127.3.0.{1 + number}", server.port) as eager:
@@ -655,8 +661,7 @@ def test_a_connection_lost_while_it_waits_leaves_nothing(kind: str) -> None:
                 # Closing resets it.
                 eager.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
             assert server.has(connections=0)
-        gc.collect()
-        assert not [each for each in gc.get_objects() if isinstance(each, Peer)]
+        assert peers_in_memory() <= before
 
 
 def rtu(pdu: bytes, unit: int = 17) -> bytes:
