@@ -178,7 +178,7 @@ class ServerStatistics:
             answers of this one that came back.
         requests: frames that were for this server to look at, other units' included.
         refused: requests that got an exception.
-        unauthorized: requests that `authorize` of a device did not allow; of a broadcast, each device's.
+        unauthorized: requests that `authorize` of a device did not allow, a broadcast for each.
         bad_frames: runs of bytes that were no frame.
         handshakes: TLS connections on which both sides took the other's certificate.
         handshakes_resumed: those of them that resumed a session.
