@@ -364,7 +364,7 @@ class Peer:
         """Do what can be done now; without events, what was left for later."""
         try:
             if events & EPOLLIN:
-                self._read()
+                self._take()
             elif events & (select.EPOLLHUP | select.EPOLLERR):
                 self.close()
             elif not events:
@@ -388,23 +388,24 @@ class Peer:
         self._is_throttled = False
         self.follow()
 
-    def _read(self) -> int:
-        """Give how many requests there were."""
-        try:
+    def _take(self, data: bytes | None = None) -> int:
+        """
+        Read and take what came, or take b"", for what was left for later; give how many requests
+        there were. One function, for every request passes it.
+        """
+        if data is None:
             size = READ_SIZE if self.is_greedy else FAIR_SIZE
-            data = self._socket.recv(size)
-        except (BlockingIOError, InterruptedError):
-            return 0
-        except OSError:
-            self.close()
-            return 0
-        if not data:  # it will not ask any more, but may still listen
-            self.end()
-            return 0
-        self.is_greedy = len(data) == size
-        return self._take(data)
-
-    def _take(self, data: bytes) -> int:
+            try:
+                data = self._socket.recv(size)
+            except (BlockingIOError, InterruptedError):
+                return 0
+            except OSError:
+                self.close()
+                return 0
+            if not data:  # it will not ask any more, but may still listen
+                self.end()
+                return 0
+            self.is_greedy = len(data) == size
         peers, session = self._peers, self._session
         try:
             requests = session.receive(data)
@@ -535,7 +536,7 @@ class LimitedPeer(Peer):
             return not events or self._socket.recv(1, socket.MSG_PEEK) != b""
         return False
 
-    def _take(self, data: bytes) -> int:
+    def _take(self, data: bytes | None = None) -> int:
         requests = super()._take(data)
         self.shared.spend(requests)
         return requests
