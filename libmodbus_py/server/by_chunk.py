@@ -13,8 +13,9 @@ from collections.abc import Callable
 from ..protocol.errors import FrameError
 from ..protocol.framing import Frame
 from ..protocol.pdu import MAX_PDU
-from .by_frame import FOUND_AT_ONCE
+from .framed import FOUND_AT_ONCE
 from .limits import ServerStatistics
+from .service import Later
 from .units import TcpUnits
 
 __all__ = ["ByChunk", "Singles"]
@@ -37,7 +38,7 @@ class Singles:
         self,
         units: TcpUnits,
         statistics: ServerStatistics,
-        later: Callable[[Callable[[], None]], None],
+        later: Later,
     ) -> None:
         self._units = units
         self._statistics = statistics
@@ -137,6 +138,10 @@ class ByChunk:
     @property
     def is_waiting(self) -> bool:
         return self.is_behind
+
+    @property
+    def is_owing(self) -> bool:
+        return False
 
     def receive(self, data: bytes) -> int:
         if not self._pending and _is_one_frame(data):

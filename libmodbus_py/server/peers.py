@@ -24,10 +24,10 @@ from select import EPOLLIN, EPOLLOUT
 
 from ..protocol.errors import FrameError
 from .addresses import Address, Addresses
-from .by_frame import ENDS, Session
 from .forking import abandoned_in_children
 from .idle import Idle, due
 from .limits import SPARE_DESCRIPTORS, Limits, ServerStatistics
+from .service import ENDS, Session
 
 __all__ = ["MakeSession", "Peer", "Peers"]
 
@@ -448,8 +448,8 @@ class Peer:
             self._unsent = b""
             if self._is_sending:
                 self._finish_sending()
-        if self._is_closing and not self._unsent:
-            self.close()
+        if self._is_closing:
+            self._close_if_done()
 
     def _wait_to_send(self, sent: int) -> None:
         self._unsent = bytearray(self._unsent[sent:])
@@ -474,12 +474,11 @@ class Peer:
         self._is_closing = True
         self.follow()
         self._peers.set_deadline(self)
-        self._peers.loop.call_soon(
-            self._close_if_sent
-        )  # what came in this turn is answered by then
+        # What came in this turn is answered by then, unless the answer must be waited for.
+        self._peers.loop.call_soon(self._close_if_done)
 
-    def _close_if_sent(self) -> None:
-        if not self._unsent:
+    def _close_if_done(self) -> None:
+        if self._descriptor >= 0 and not (self._unsent or self._session.is_owing):
             self.close()
 
     # --- reading or not -------------------------------------------------------------------

@@ -13,10 +13,9 @@ from collections.abc import Callable
 from ..ports.endpoint import Endpoint
 from ..ports.serial import SerialPort
 from ..protocol.errors import ModbusConnectionError
-from .by_frame import ENDS, ByFrame
 from .forking import abandoned_in_children
 from .limits import ServerStatistics
-from .units import SerialUnits, Units
+from .service import ENDS, Service
 
 __all__ = ["SerialServer"]
 
@@ -31,7 +30,11 @@ class SerialServer:
     Answers on one port, which is opened again when it was unplugged and comes back.
 
     Args:
+        service: who answers.
         end: closes all endpoints of the server, when a hook ends the program; None for this one.
+
+    Attributes:
+        address, role: for its session, of which it is the link.
 
     Raises:
         TypeError, ValueError: an option of the endpoint is wrong.
@@ -41,14 +44,15 @@ class SerialServer:
     def __init__(
         self,
         endpoint: Endpoint,
-        units: Units,
+        service: Service,
         statistics: ServerStatistics,
         end: Callable[[], None] | None = None,
     ) -> None:
         self._port = SerialPort(endpoint.device, **endpoint.serial_settings)
         self._endpoint = endpoint
-        self._units = SerialUnits(units)
-        self._statistics = statistics
+        self._make_session = service.sessions(endpoint, statistics)
+        self.address: str = endpoint.device
+        self.role: str | None = None
         self._end = end or self.close
         self._loop = asyncio.get_running_loop()
         self._retry: asyncio.TimerHandle | None = None
@@ -71,14 +75,7 @@ class SerialServer:
 
     def _open(self) -> None:
         self._port.open()
-        self._session = ByFrame(
-            self._units,
-            self._endpoint.framing,
-            self._endpoint.device,
-            self._statistics,
-            self._write,
-            self._follow,
-        )
+        self._session = self._make_session(self)
         self._loop.add_reader(self._port.descriptor, self._read)
 
     def _close(self) -> None:
@@ -108,7 +105,7 @@ class SerialServer:
             self._end()
             raise
 
-    def _follow(self) -> None:
+    def follow(self) -> None:
         """Silence has completed a frame; or there is an answer that a fault keeps back."""
         if self._session.is_behind:
             self._receive()
@@ -120,7 +117,7 @@ class SerialServer:
         except ModbusConnectionError:
             self._retry = self._loop.call_later(REOPEN_AFTER, self._reopen)
 
-    def _write(self, data: bytes) -> None:
+    def write(self, data: bytes) -> None:
         """Answer after the silence that ends the request (serial line, 2.5.1.1)."""
         self._unsent += data
         if self._timer is None:

@@ -11,16 +11,12 @@ import socket
 from collections.abc import Callable
 
 from ..ports.endpoint import Endpoint
-from ..protocol.framing import Framing
 from ..security.security import Security
-from .by_chunk import ByChunk, Singles
-from .by_frame import AT_ONCE, ByFrame, Link, Session
 from .forking import abandoned_in_children
-from .limits import ServerStatistics
 from .listening import bound, reason
-from .peers import MakeSession, Peers
+from .peers import Peer, Peers
+from .service import MakeSession, Service, Session
 from .tls import Handshakes, TlsSession
-from .units import SerialUnits, TcpUnits, Units
 
 __all__ = ["TcpServer"]
 
@@ -40,6 +36,7 @@ class TcpServer:
     Listens on all addresses of a host.
 
     Args:
+        service: who answers.
         security: for TLS; else None.
 
     Raises:
@@ -47,12 +44,12 @@ class TcpServer:
     """
 
     def __init__(
-        self, endpoint: Endpoint, units: Units, peers: Peers, security: Security | None = None
+        self, endpoint: Endpoint, service: Service, peers: Peers, security: Security | None = None
     ) -> None:
         self._peers = peers
         self._loop = asyncio.get_running_loop()
-        make = _maker(endpoint.framing, units, peers)
-        self._make_session: MakeSession = make
+        make = service.sessions(endpoint, peers.statistics, peers.later)
+        self._make_session: Callable[[Peer], Session] = make
         if security is not None:
             self._make_session = _secured(make, security, peers)
         self._listeners: list[socket.socket] = []
@@ -113,35 +110,6 @@ def _listener(family: socket.AddressFamily, address: tuple[str, int]) -> socket.
     return socket.create_server(address, family=family, backlog=BACKLOG)
 
 
-def _maker(framing: Framing, units: Units, peers: Peers) -> Callable[[Link], Session]:
-    statistics = peers.statistics
-    if framing != "tcp":
-        line = SerialUnits(units)
-        return lambda link: _by_frame(line.of_connection(), framing, link, statistics)
-    own = TcpUnits(units)
-    if units.faults:
-        return lambda link: _by_frame(own, framing, link, statistics)
-    singles = Singles(own, statistics, peers.later)
-    return lambda link: ByChunk(
-        own, link.address, statistics, singles, link.write, link.follow, link.role
-    )
-
-
-def _by_frame(
-    units: TcpUnits | SerialUnits, framing: Framing, link: Link, statistics: ServerStatistics
-) -> Session:
-    return ByFrame(
-        units,
-        framing,
-        link.address,
-        statistics,
-        link.write,
-        link.follow,
-        link.role,
-        at_once=AT_ONCE,
-    )
-
-
-def _secured(make: Callable[[Link], Session], security: Security, peers: Peers) -> MakeSession:
+def _secured(make: MakeSession, security: Security, peers: Peers) -> Callable[[Peer], Session]:
     handshakes = Handshakes(security, peers.limits.handshake_timeout, peers.statistics)
     return lambda peer: TlsSession(peer, handshakes, make)

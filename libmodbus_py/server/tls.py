@@ -10,7 +10,6 @@ from __future__ import annotations
 import asyncio
 import logging
 import ssl
-from collections.abc import Callable
 from typing import Protocol
 
 from ..protocol.errors import FrameError
@@ -18,8 +17,8 @@ from ..security.describing import describe
 from ..security.role import mentions_role, role_of
 from ..security.security import Security
 from ..security.tunnel import Records, Tunnel
-from .by_frame import Link, Session
 from .limits import ServerStatistics
+from .service import Link, MakeSession, Session
 
 __all__ = ["Handshakes", "TlsSession"]
 
@@ -112,7 +111,7 @@ class TlsSession:
     )
     # fmt: on
 
-    def __init__(self, wire: Wire, handshakes: Handshakes, make: Callable[[Link], Session]) -> None:
+    def __init__(self, wire: Wire, handshakes: Handshakes, make: MakeSession) -> None:
         self.address: str = wire.address
         self.role: str | None = None
         self._wire = wire
@@ -149,6 +148,10 @@ class TlsSession:
         if inner is None:
             return self._handshakes.is_lined_up(self)
         return self._has_more or inner.is_waiting
+
+    @property
+    def is_owing(self) -> bool:
+        return self._inner is not None and self._inner.is_owing
 
     def receive(self, data: bytes) -> int:
         tunnel, inner = self._tunnel, self._inner

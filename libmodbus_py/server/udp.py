@@ -10,12 +10,11 @@ import socket
 from collections.abc import Callable
 
 from ..ports.endpoint import Endpoint
-from .by_frame import ENDS, ByFrame
 from .forking import abandoned_in_children
 from .limits import ServerStatistics
 from .listening import bound
+from .service import ENDS, Service, Session
 from .sources import Sources
-from .units import TcpUnits, Units
 
 __all__ = ["UdpServer"]
 
@@ -24,7 +23,7 @@ READ_SIZE = 512
 
 ANSWERED_AT_ONCE = 16
 
-# How many answers faults may keep back; what comes meanwhile is lost.
+# How many answers may be kept back; what comes meanwhile is lost.
 WAITING_MAX = 1024
 
 
@@ -33,6 +32,7 @@ class UdpServer:
     Answers the datagrams to one address.
 
     Args:
+        service: who answers.
         sources: who is answered, at this endpoint and the others.
         end: closes all endpoints of the server, when a hook ends the program.
 
@@ -43,20 +43,19 @@ class UdpServer:
     def __init__(
         self,
         endpoint: Endpoint,
-        units: Units,
+        service: Service,
         sources: Sources,
         statistics: ServerStatistics,
         end: Callable[[], None],
     ) -> None:
         self._endpoint = endpoint
-        self._units = TcpUnits(units)
+        self._make_session = service.sessions(endpoint, statistics)
         self._sources = sources
         self._end = end
-        self._statistics = statistics
         self._loop = asyncio.get_running_loop()
         self._sockets: list[socket.socket] = []
-        # Those whose answer a fault keeps back.
-        self._waiting: set[ByFrame] = set()
+        # Those whose answer is kept back.
+        self._waiting: set[Session] = set()
         abandoned_in_children(self)
 
     async def open(self) -> Endpoint:
@@ -68,8 +67,9 @@ class UdpServer:
         return endpoint
 
     def close(self) -> None:
-        for session in self._waiting:
+        for session in list(self._waiting):
             session.close()
+        self._waiting.clear()
         for made in self._sockets:
             self._loop.remove_reader(made.fileno())
             made.close()
@@ -94,27 +94,39 @@ class UdpServer:
                     raise
 
     def _answer(self, data: bytes, local: socket.socket, address: tuple[str, int]) -> None:
-        def follow() -> None:
-            if session.is_waiting:
-                self._waiting.add(session)
-            else:
-                self._waiting.discard(session)
+        link = _Datagram(self._sources, self._waiting, local, address)
+        link.session = self._make_session(link)
+        link.session.receive(data)
+        link.follow()
 
-        def write(answer: bytes) -> None:
-            self._sources.note_answer(answer, address)
-            # An answer that does not get away is one that got lost on the way.
-            with contextlib.suppress(OSError):
-                local.sendto(answer, address)
 
-        session = ByFrame(
-            self._units,
-            "udp",
-            f"{address[0]}:{address[1]}",
-            self._statistics,
-            write,
-            follow,
-        )
-        session.receive(data)
+class _Datagram:
+    """The link of one datagram."""
+
+    role: str | None = None
+
+    def __init__(
+        self, sources: Sources, waiting: set[Session], local: socket.socket, source: tuple[str, int]
+    ) -> None:
+        self.address = f"{source[0]}:{source[1]}"
+        self.session: Session | None = None
+        self._sources = sources
+        self._waiting = waiting
+        self._local = local
+        self._source = source
+
+    def follow(self) -> None:
+        session = self.session
+        if session is not None and (session.is_waiting or session.is_owing):
+            self._waiting.add(session)
+        elif session is not None:
+            self._waiting.discard(session)
+
+    def write(self, data: bytes) -> None:
+        self._sources.note_answer(data, self._source)
+        # An answer that does not get away is one that got lost on the way.
+        with contextlib.suppress(OSError):
+            self._local.sendto(data, self._source)
 
 
 def _bound(family: socket.AddressFamily, address: tuple[str, int]) -> socket.socket:

@@ -37,6 +37,7 @@ from libmodbus_py import (
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.server import serial as serial_server
 from libmodbus_py.server.by_chunk import ByChunk, Singles
+from libmodbus_py.server.devices import Devices
 from libmodbus_py.server.faults import Faults
 from libmodbus_py.server.limits import Limits, ServerStatistics
 from libmodbus_py.server.peers import Peers
@@ -521,8 +522,8 @@ def test_ascii_ports_have_seven_data_bits(
     """Pseudo-terminals ignore them, so what the port is told is looked at."""
 
     async def made() -> SerialServer:
-        units = Units(device, Faults({}))
-        return SerialServer(parse(url.format("/dev/null")), units, ServerStatistics())
+        service = Devices(Units(device, Faults({})))
+        return SerialServer(parse(url.format("/dev/null")), service, ServerStatistics())
 
     port = asyncio.run(made())._port
     assert port.data_bits == data_bits

@@ -1,0 +1,53 @@
+"""
+The service of devices: each request is answered at once, by the device of its unit.
+"""
+
+from __future__ import annotations
+
+from ..ports.endpoint import Endpoint
+from .by_chunk import ByChunk, Singles
+from .by_frame import ByFrame
+from .framed import AT_ONCE
+from .limits import ServerStatistics
+from .service import Later, Link, MakeSession, Session
+from .units import SerialUnits, TcpUnits, Units
+
+__all__ = ["Devices"]
+
+
+class Devices:
+    """See `Service`."""
+
+    def __init__(self, units: Units) -> None:
+        self._units = units
+
+    def sessions(
+        self, endpoint: Endpoint, statistics: ServerStatistics, later: Later | None = None
+    ) -> MakeSession:
+        framing = endpoint.framing
+        at_once = None if later is None else AT_ONCE
+
+        def by_frame(units: TcpUnits | SerialUnits, link: Link) -> Session:
+            return ByFrame(
+                units,
+                framing,
+                link.address,
+                statistics,
+                link.write,
+                link.follow,
+                link.role,
+                at_once,
+            )
+
+        if framing in ("rtu", "ascii"):
+            line = SerialUnits(self._units)
+            if endpoint.transport == "serial":
+                return lambda link: by_frame(line, link)
+            return lambda link: by_frame(line.of_connection(), link)
+        own = TcpUnits(self._units)
+        if later is None or own.faults:
+            return lambda link: by_frame(own, link)
+        singles = Singles(own, statistics, later)
+        return lambda link: ByChunk(
+            own, link.address, statistics, singles, link.write, link.follow, link.role
+        )

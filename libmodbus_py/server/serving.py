@@ -1,0 +1,207 @@
+"""
+What serves: endpoints from URLs, in a loop, in a thread, or for ever.
+
+Who answers there is said by who derives from `Serving`.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import gc
+import logging
+import signal
+import threading
+from abc import ABC, abstractmethod
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping
+from contextlib import AbstractAsyncContextManager
+from dataclasses import dataclass
+
+from ..ports.endpoint import Endpoint, parse
+from ..ports.tls import security_of
+from ..security.security import Security
+from .background import Background
+from .limits import Limits, ServerStatistics
+from .peers import Peers
+from .serial import SerialServer
+from .service import Service
+from .sources import Sources
+from .tcp import TcpServer
+from .udp import UdpServer
+
+__all__ = ["Running", "Serving"]
+
+logger: logging.Logger = logging.getLogger(__name__)
+
+Handler = Callable[[], object]
+
+
+@dataclass(frozen=True)
+class Running:
+    """
+    A server that serves.
+
+    Attributes:
+        urls: its endpoints, in the order given, with the ports they got.
+    """
+
+    urls: list[str]
+
+
+class Serving(ABC):
+    """
+    Args:
+        limits: what clients may cost; None for the defaults of `Limits`.
+        security: who it is and whom it trusts, for tls; the URLs may say it instead.
+
+    Attributes:
+        statistics: what happened at all endpoints, kept up to date.
+
+    Raises:
+        TypeError: an argument is something else.
+    """
+
+    def __init__(self, limits: Limits | None = None, security: Security | None = None) -> None:
+        self.statistics: ServerStatistics = ServerStatistics()
+        if not isinstance(limits, Limits | None):
+            raise TypeError(f"limits must be Limits, not {type(limits).__name__}")
+        self._limits = limits or Limits()
+        if not isinstance(security, Security | None):
+            raise TypeError(f"security must be Security, not {type(security).__name__}")
+        self._security = security
+
+    @contextlib.asynccontextmanager
+    async def serving(self, *urls: str) -> AsyncIterator[Running]:
+        """
+        Serve while the ``async with`` block runs.
+
+        Args:
+            urls: where to listen: tcp, rtu+tcp, ascii+tcp, udp, tls with port 0 for a free
+                one; rtu, ascii for serial ports with their settings.
+
+        Raises:
+            TypeError, ValueError: a URL is wrong or has options of clients, or there is none.
+            ModbusConnectionError: an endpoint cannot be opened, with errno.
+
+        SystemExit and KeyboardInterrupt that a hook raises close all endpoints, once the requests
+        that were read are answered, and leave the loop.
+        """
+        endpoints = [_endpoint(url) for url in urls]
+        if not endpoints:
+            raise ValueError("urls must name at least one endpoint")
+        sources = Sources(self._limits, self.statistics)
+        async with self._answering(endpoints) as service:
+            with contextlib.ExitStack() as stack:
+                # At once, when a hook ends the program: others that are ready must not be called.
+                peers = Peers(self._limits, self.statistics, stack.close)
+                stack.callback(peers.close)
+                opened = []
+                for endpoint in endpoints:
+                    server = self._make(endpoint, service, peers, sources, stack.close)
+                    stack.callback(server.close)
+                    opened.append(await server.open())
+                running = Running([str(endpoint) for endpoint in opened])
+                for url in running.urls:
+                    logger.info("listening on %s", url)
+                yield running
+
+    def background(self, *urls: str) -> Background[Running]:
+        """
+        Serve in a thread of its own while the ``with`` block runs.
+
+        When it is left, by Ctrl-C too, the thread has ended and all is closed.
+
+        Arguments and exceptions as for `serving`, when the block is entered. SystemExit and
+        KeyboardInterrupt that a hook raises end the server at once, and are raised here when
+        the block is left.
+        """
+        return Background(lambda: self.serving(*urls))
+
+    def serve_forever(
+        self, *urls: str, on_listening: Callable[[Running], object] = lambda running: None
+    ) -> None:
+        """
+        Serve until SIGTERM or Ctrl-C: for a program that does nothing else.
+
+        Both end it well: it sees the clients off and returns. In another thread than
+        the main one no signal comes, and it serves as long as the process lives (daemon=True).
+        Nothing is printed; the log has ``listening on URL`` at INFO.
+
+        Args:
+            urls: as for `serving`.
+            on_listening: called once, when all endpoints are open.
+
+        Raises:
+            RuntimeError: an event loop runs in this thread: use `serving`.
+
+        Other exceptions as for `serving`, and those of `on_listening`.
+        """
+
+        self._serve_forever(urls, on_listening, {})
+
+    def _serve_forever(
+        self,
+        urls: tuple[str, ...],
+        on_listening: Callable[[Running], object],
+        on_signals: Mapping[signal.Signals, Handler],
+    ) -> None:
+        async def serve() -> None:
+            stopped = asyncio.Event()
+            ends = {signal.SIGINT: stopped.set, signal.SIGTERM: stopped.set}
+            with _signals_call({**on_signals, **ends}):
+                async with self.serving(*urls) as running:
+                    # Else every full search for garbage looks through all that was
+                    # imported: 5 ms in which nobody is answered.
+                    gc.collect()
+                    gc.freeze()
+                    on_listening(running)
+                    await stopped.wait()
+
+        asyncio.run(serve())
+
+    @abstractmethod
+    def _answering(self, endpoints: list[Endpoint]) -> AbstractAsyncContextManager[Service]:
+        """Give who answers at these endpoints, while it is entered."""
+
+    def _make(
+        self,
+        endpoint: Endpoint,
+        service: Service,
+        peers: Peers,
+        sources: Sources,
+        end: Callable[[], None],
+    ) -> TcpServer | UdpServer | SerialServer:
+        if endpoint.transport == "tcp":
+            return TcpServer(endpoint, service, peers)
+        if endpoint.transport == "tls":
+            security = security_of(endpoint, self._security)
+            return TcpServer(endpoint, service, peers, security)
+        if endpoint.transport == "udp":
+            return UdpServer(endpoint, service, sources, self.statistics, end)
+        return SerialServer(endpoint, service, self.statistics, end)
+
+
+def _endpoint(url: str) -> Endpoint:
+    endpoint = parse(url)
+    if endpoint.client_options:
+        names = ", ".join(endpoint.client_options)
+        raise ValueError(f"{url!r}: {names} is for clients, and means nothing to a server")
+    return endpoint
+
+
+@contextlib.contextmanager
+def _signals_call(handlers: Mapping[signal.Signals, Handler]) -> Iterator[None]:
+    """Have signals do this, in the main thread of a running loop."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    loop = asyncio.get_running_loop()
+    before = {number: signal.getsignal(number) for number in handlers}
+    for number, handle in handlers.items():
+        loop.add_signal_handler(number, handle)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            loop.remove_signal_handler(number)
+            signal.signal(number, handler)
