@@ -4,7 +4,7 @@ The asyncio client.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any, Self, TypeVar, Unpack, overload
 
 from ..ports.endpoint import parse
@@ -17,7 +17,7 @@ from .options import AsyncOptions, Settings, assembled
 from .plan import Item, Items, Key, Named, Plan, PlanOptions, Strict, Tolerant, Values, planned
 from .requests import Awaiting
 
-__all__ = ["AsyncClient"]
+__all__ = ["IN_FLIGHT", "AsyncClient", "Submitted"]
 
 Result = TypeVar("Result")
 
@@ -127,6 +127,28 @@ class AsyncClient(Handle[AsyncioDriver], Awaiting):
             raise result
         return result
 
+    def submit(
+        self, unit: int, request: pdu.Request[Any], on_done: Callable[[], object]
+    ) -> Submitted:
+        """
+        Send a request, and do not wait: for programs that pass on requests by the thousand, to
+        whom a task for each would be dear.
+
+        Args:
+            unit: 0..255, who is asked.
+            request: any object of `libmodbus_py.pdu`.
+            on_done: called once when its outcome is known, perhaps from here. It must neither
+                block nor raise, nor use this client: it has its reader wait.
+
+        Raises:
+            TypeError, ValueError: the request cannot be sent.
+            RuntimeError: another event loop.
+        """
+        is_broadcast = unit == 0 and self._has_broadcast
+        batch = Batch(unit, [request], self._patience, is_broadcast=is_broadcast)
+        self._driver.ask(batch, on_done)
+        return Submitted(batch, self._driver)
+
     async def execute_many(
         self,
         requests: Iterable[pdu.Request[Any]],
@@ -184,6 +206,25 @@ class AsyncClient(Handle[AsyncioDriver], Awaiting):
             return done.value
         except InvalidResponse as error:
             raise self._named(error) from None
+
+
+class Submitted:
+    """A request that was submitted."""
+
+    __slots__ = ("_batch", "_driver")
+
+    def __init__(self, batch: Batch, driver: AsyncioDriver) -> None:
+        self._batch = batch
+        self._driver = driver
+
+    @property
+    def outcome(self) -> Any:
+        """Its result, or the exception that `AsyncClient.execute` would raise, once it is known."""
+        return self._batch.outcomes[0]
+
+    def withdraw(self) -> None:
+        """Nobody waits for it any more: `on_done` is not called, and its answer dropped."""
+        self._driver.withdraw(self._batch)
 
 
 class _Life:

@@ -11,6 +11,7 @@ import asyncio
 import errno
 import math
 import warnings
+from collections.abc import Callable
 from functools import partial
 from time import monotonic
 
@@ -55,22 +56,38 @@ class AsyncioDriver:
         Raises:
             RuntimeError: the client belongs to another event loop.
         """
+        done = self._bind().create_future()
+        self.ask(batch, partial(resolve, done))
+        if batch.is_done:
+            return
+        try:
+            await done
+        finally:
+            self.withdraw(batch)
+
+    def ask(self, batch: Batch, on_done: Callable[[], object]) -> None:
+        """
+        Ask what a batch holds; `on_done` is called once when it is decided, perhaps from here.
+
+        Raises:
+            RuntimeError: the client belongs to another event loop.
+        """
         loop = self._bind()
+        batch.on_done = on_done
         self._conversation.add(batch, monotonic())
+        if batch.is_done:
+            return
+        if self._conversation.is_idle:
+            self._turn()
+        elif not self._is_due:  # all who ask in this turn of the loop go out together
+            self._is_due = True
+            loop.call_soon(self._turn)
+
+    def withdraw(self, batch: Batch) -> None:
+        """Nobody waits for a batch any more, unless it is decided."""
         if not batch.is_done:
-            done = loop.create_future()
-            batch.on_done = partial(resolve, done)
-            if self._conversation.is_idle:
-                self._turn()
-            elif not self._is_due:  # all who ask in this turn of the loop go out together
-                self._is_due = True
-                loop.call_soon(self._turn)
-            try:
-                await done
-            finally:
-                if not batch.is_done:  # cancelled
-                    self._conversation.abandon(batch, monotonic())
-                    self._turn()
+            self._conversation.abandon(batch, monotonic())
+            self._turn()
 
     async def close(self) -> None:
         """Raises RuntimeError."""

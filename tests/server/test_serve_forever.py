@@ -93,7 +93,7 @@ def test_signals_end_it_well_whatever_clients_do(number: signal.Signals) -> None
     with program(PLAIN) as (process, url), socket.socket() as half_way:
         assert process.stderr is not None
         second = process.stderr.readline()
-        assert second.startswith("INFO libmodbus_py.server.server listening on udp://127.0.0.1:")
+        assert second.startswith("INFO libmodbus_py.server.serving listening on udp://127.0.0.1:")
         assert read(url) == [555]
         half_way.connect(("127.0.0.1", parse(url).port))
         half_way.sendall(b"\0\1\0\0\0\6\1")
