@@ -4,7 +4,8 @@ Modbus for Python on Debian's libmodbus.
 Its folders, floor by floor. Imports run downwards only, and those on one floor do not know
 each other::
 
-    cli                 libmodbus-py: read, write, scan, listen, serve, demo, certificates
+    cli                 libmodbus-py: read, write, scan, listen, serve, gateway, demo, certificates
+    gateway             requests passed on from any endpoint to any line
     simulator           devices from a file, which move, wait and err
     testing             lines with a tap, for tests and the demo
     integrations        metrics for Prometheus
@@ -37,6 +38,8 @@ from .device.hooks import Hook
 from .device.mapping import Mapping
 from .device.record_file import RecordFile
 from .device.rules import Allow, Rules
+from .gateway.gateway import Gateway
+from .gateway.routes import Route
 from .listener.capture import CaptureError
 from .listener.listening import Listener, listening
 from .listener.separator import Separator
@@ -73,14 +76,14 @@ from .simulator import device_file
 __all__ = [
     "Access", "Acknowledge", "Allow", "AsciiContext", "Asked", "AsyncClient", "Caller",
     "CaptureError", "Context", "Device", "ExceptionResponse", "Extent", "Fault", "Found",
-    "FrameError", "GatewayPathUnavailable", "GatewayTargetFailedToRespond", "Hook",
+    "FrameError", "Gateway", "GatewayPathUnavailable", "GatewayTargetFailedToRespond", "Hook",
     "IllegalDataAddress", "IllegalDataValue", "IllegalFunction", "InvalidResponse", "Limits",
     "Listener", "Mapping", "MemoryParityError", "ModbusConnectionError", "ModbusError",
-    "ModbusTimeoutError", "NegativeAcknowledge", "Plan", "Read", "RecordFile", "RtuContext",
-    "Rules", "Running", "Scan", "Search", "Security", "Separator", "Server", "ServerDeviceBusy",
-    "ServerDeviceFailure", "State", "Summary", "TcpContext", "TlsContext", "Traced",
-    "Transaction", "UdpContext", "device_file", "errors", "framing", "listening", "low_level",
-    "pdu", "scanning", "searching", "values",
+    "ModbusTimeoutError", "NegativeAcknowledge", "Plan", "Read", "RecordFile", "Route",
+    "RtuContext", "Rules", "Running", "Scan", "Search", "Security", "Separator", "Server",
+    "ServerDeviceBusy", "ServerDeviceFailure", "State", "Summary", "TcpContext", "TlsContext",
+    "Traced", "Transaction", "UdpContext", "device_file", "errors", "framing", "listening",
+    "low_level", "pdu", "scanning", "searching", "values",
 ]
 # fmt: on
 

@@ -1,0 +1,17 @@
+"""
+Passes requests on: clients on any endpoints of the server, devices behind any lines of clients.
+
+In the order in which a request goes through::
+
+    gateway       Gateway: endpoints and lines, routes that change
+    switch        which way a request goes, and the sessions that wait for its answer
+    routes        Route: units, lines, what may be done; parsed and checked
+    circles       lines that lead back, or nowhere
+    passed        Passed: a request as bytes, judged by what is known of it
+    own_device    the gateway as a device: its statistics as registers
+    line          Line: one AsyncClient, and the requests that wait for it
+    turns         whose request is next
+    silent_units  units that gave no answer, and when they are tried again
+    cache         what was read before
+    statistics    what happened, by line and by unit
+"""
