@@ -12,6 +12,7 @@ each other::
     scan                who answers on a line or network, and what they have
     client   server     who asks: TcpContext, ..., AsyncClient; who answers: Server;
     listener            and who only listens: transactions of others on a line
+    toml                what files in TOML have in common
     ports    device     what carries bytes, and waits for them; one unit and its tables
     binding  security   the C library; who may talk, proven by certificates
     protocol            bytes and values: PDUs, frames, errors; no socket, no clock

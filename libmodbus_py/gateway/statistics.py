@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from ..client.batch import Statistics
+from ..client.statistics import Statistics
 
 __all__ = ["GatewayStatistics", "LineStatistics", "UnitStatistics"]
 

@@ -36,6 +36,7 @@ from array import array
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import MISSING, dataclass, fields
+from functools import partial
 from itertools import groupby, pairwise
 from os import PathLike
 from typing import Any, NamedTuple
@@ -51,10 +52,11 @@ from ..protocol.pdu.interface import OBJECT_NAMES
 from ..protocol.tables import TABLES
 from ..protocol.values import ValueType, value_type
 from ..server.faults import Fault
-from . import roles
+from ..toml import roles
+from ..toml.bounded import read_toml
+from ..toml.files import load_file
+from ..toml.lines import below, shown_key
 from .behaviour import BEHAVIOURS, BIT, Clockwork, Run
-from .bounded_toml import MAX_SIZE, read_toml
-from .toml_lines import below, line_of, path_at_start, shown_key
 
 __all__ = ["DeviceFileError", "Simulation", "load", "parse"]
 
@@ -96,22 +98,7 @@ def load(path: str | PathLike[str], *, clock: Callable[[], float] = time.monoton
     Raises:
         DeviceFileError: it cannot be read, is no TOML, or says what cannot be.
     """
-    try:
-        with open(path, "rb") as file:
-            data = file.read(MAX_SIZE + 1)
-        if len(data) > MAX_SIZE:
-            raise DeviceFileError(f"{path}: more than {MAX_SIZE} bytes")
-        text = data.decode("utf-8")
-    except OSError as error:
-        raise DeviceFileError(f"cannot read {path}: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise DeviceFileError(f"{path}: byte {error.start} is no UTF-8") from None
-    try:
-        return parse(text, clock=clock)
-    except DeviceFileError as error:
-        line = line_of(text, path_at_start(str(error)))
-        place = f"{path}, line {line}" if line else path
-        raise DeviceFileError(f"{place}: {error}") from None
+    return load_file(path, partial(parse, clock=clock), DeviceFileError)
 
 
 def parse(text: str, *, clock: Callable[[], float] = time.monotonic) -> Simulation:

@@ -10,7 +10,7 @@ import tomllib
 from typing import Any
 
 from ..protocol.checks import shown
-from .toml_lines import below
+from .lines import below
 
 __all__ = ["MAX_SIZE", "read_toml"]
 

@@ -1,5 +1,5 @@
 """
-The tables ``[roles.NAME]`` of device files: who may read and write what.
+The tables ``[roles.NAME]`` of files: who may read and write what.
 
 What stands in them is what `Allow` takes; parts of tables are TOML tables with what an
 `Access` has.
@@ -13,9 +13,9 @@ from typing import Any
 
 from ..device.access import Access
 from ..device.rules import Allow, Rules
-from .toml_lines import below
+from .lines import below
 
-__all__ = ["rules"]
+__all__ = ["part", "rules"]
 
 RIGHTS = ("read", "write", "functions")
 
@@ -44,7 +44,7 @@ def rules(where: str, given: object) -> Rules:
 def _allow(where: str, given: object) -> Allow:
     rights = _table(where, given, RIGHTS)
     converted = {
-        name: [_part(below(f"{where}.{name}", at), each) for at, each in enumerate(value)]
+        name: [part(below(f"{where}.{name}", at), each) for at, each in enumerate(value)]
         if isinstance(value, list)
         else value
         for name, value in rights.items()
@@ -55,7 +55,13 @@ def _allow(where: str, given: object) -> Allow:
         raise type(error)(f"{where}.{error}") from None
 
 
-def _part(where: str, given: object) -> Any:
+def part(where: str, given: object) -> Any:
+    """
+    Make an `Access` of a part of a table; the name of a whole one stays as it is.
+
+    Raises:
+        TypeError, ValueError: it begins with `where`.
+    """
     if not isinstance(given, dict):
         return given
     part = _table(where, given, PART)

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from libmodbus_py.simulator.device_file import DeviceFileError, load
-from libmodbus_py.simulator.toml_lines import line_of
+from libmodbus_py.toml.lines import line_of
 
 TEXT = """\
 # a comment with key = 1
