@@ -1,5 +1,5 @@
 """
-The command line: demo, serve, read, write, scan, listen, certificates.
+The command line: demo, serve, gateway, read, write, scan, listen, certificates.
 
 Exit code 0; 1 when the device or the line failed; 2 for wrong usage. Errors are
 one line on stderr.
@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from typing import Any, NoReturn
 
 from ..protocol.errors import ModbusError
-from . import certificates, demo, listen, read_write, scan, serve
+from . import certificates, demo, gateway, listen, read_write, scan, serve
 
 __all__ = ["main"]
 
@@ -70,6 +70,7 @@ def _parser() -> argparse.ArgumentParser:
     command = commands.add_parser("demo", help="watch a client and a server talk on three lines")
     command.set_defaults(run=lambda options: demo.run())
     serve.add_command(commands)
+    gateway.add_command(commands)
     read_write.add_commands(commands)
     scan.add_command(commands)
     listen.add_command(commands)

@@ -5,6 +5,8 @@ In the order in which a request goes through::
 
     gateway       Gateway: endpoints and lines, routes that change
     switch        which way a request goes, and the sessions that wait for its answer
+    config        gateway files: all of it in TOML
+    manner        how requests are dealt with, whatever way they go
     routes        Route: units, lines, what may be done; parsed and checked
     circles       lines that lead back, or nowhere
     passed        Passed: a request as bytes, judged by what is known of it

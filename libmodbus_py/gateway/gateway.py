@@ -12,15 +12,15 @@ from collections.abc import AsyncIterator, Callable, Iterable
 
 from ..device.authorization import Authorize
 from ..ports.endpoint import Endpoint
-from ..protocol.checks import integer, seconds
 from ..security.security import Security
 from ..server.limits import Limits
 from ..server.service import Service
 from ..server.serving import Running, Serving
 from .circles import check_line
 from .line import Line
+from .manner import Manner
 from .own_device import own_device
-from .routes import Route, by_unit, units_of
+from .routes import Route, by_unit
 from .statistics import GatewayStatistics, UnitStatistics
 from .switch import Answering, Switch, Way
 
@@ -77,12 +77,7 @@ class Gateway(Serving):
     ) -> None:
         super().__init__(limits, security)
         self._routes = _checked(routes)
-        self._own_units = frozenset(units_of("own_units", own_units)) if own_units else frozenset()
-        self._queue = integer("queue", queue, 1, 1024)
-        self._longest_wait = seconds("longest_wait", longest_wait)
-        if not isinstance(writes_first, bool):
-            raise TypeError(f"writes_first must be True or False, not {writes_first!r}")
-        self._writes_first = writes_first
+        self._manner = Manner(own_units, queue, longest_wait, writes_first)
         if not (authorize is None or callable(authorize)):
             raise TypeError(f"authorize must be a function, not {type(authorize).__name__}")
         self._authorize = authorize
@@ -132,12 +127,12 @@ class Gateway(Serving):
         self._listening = endpoints
         self._check_lines(self._routes)
         own = own_device(self.passed, self.statistics, self._unit_statistics)
-        answering = self._answering_now = Answering(own, self._own_units)
+        answering = self._answering_now = Answering(own, self._manner.own)
         self._loop = asyncio.get_running_loop()
         try:
             self._change_lines()
             # As many as may wait, and as many as may be in flight.
-            most = 2 * self._queue + 16
+            most = 2 * self._manner.queue + 16
             yield Switch(answering, most, self._authorize, self.passed)
         finally:
             self._loop = self._answering_now = None
@@ -171,7 +166,7 @@ class Gateway(Serving):
             closing.add_done_callback(self._closing.discard)
 
     def _line(self, route: Route) -> Line:
-        return Line(route.endpoint, self._queue, self._writes_first, self._longest_wait)
+        return Line(route.endpoint, self._manner)
 
     def _unit_statistics(self, unit: int) -> UnitStatistics | None:
         answering = self._answering_now

@@ -27,6 +27,7 @@ from ..protocol.errors import (
     ServerDeviceFailure,
 )
 from .cache import Cache
+from .manner import Manner
 from .passed import Passed
 from .silent_units import SilentUnits, Standing
 from .statistics import LineStatistics, UnitStatistics
@@ -129,30 +130,26 @@ class Line:
 
     Args:
         endpoint: where it leads, with the options of its client.
-        most_of_client: how many requests of one client may wait.
-        writes_first: whether writes overtake what only reads.
-        longest_wait: seconds after which a request does not wait for its turn any more.
+        manner: how requests wait.
 
     Raises:
         TypeError, ValueError: an option that such a client cannot have.
     """
 
-    def __init__(
-        self, endpoint: Endpoint, most_of_client: int, writes_first: bool, longest_wait: float
-    ) -> None:
+    def __init__(self, endpoint: Endpoint, manner: Manner) -> None:
         options = endpoint.client_options
         pause = options.get("max_pause", MAX_PAUSE)
         self._client = AsyncClient(endpoint.url, max_pause=pause, on_state=self._note_state)
         self._has_ids = endpoint.framing in ("tcp", "udp")
         self._limit: int = (options.get("max_in_flight") or IN_FLIGHT) if self._has_ids else 1
-        self._longest_wait = longest_wait
+        self._longest_wait = manner.longest_wait
         self._loop = asyncio.get_running_loop()
         self.url: str = str(endpoint)
         self.key: str = endpoint.url
         self.has_broadcast: bool = not self._has_ids
         self.statistics: LineStatistics = LineStatistics(self.url, self._client.statistics)
         self._turns: list[Turns[Forwarded]] = [
-            Turns(most_of_client, MOST_WAITING) for _ in range(1 + writes_first)
+            Turns(manner.queue, MOST_WAITING) for _ in range(1 + manner.writes_first)
         ]
         self._silent = SilentUnits(self._client.timeout)
         self._cache = Cache()
