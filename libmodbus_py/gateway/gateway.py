@@ -82,7 +82,6 @@ class Gateway(Serving):
             raise TypeError(f"authorize must be a function, not {type(authorize).__name__}")
         self._authorize = authorize
         self.passed: GatewayStatistics = GatewayStatistics()
-        self._listening: list[Endpoint] = []
         self._answering_now: Answering | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         self._closing: set[asyncio.Task[None]] = set()
@@ -115,7 +114,8 @@ class Gateway(Serving):
         checked = _checked(routes)
         before = {route.endpoint.url for route in self._routes}
         new = [route for route in checked if route.endpoint.url not in before]
-        self._check_lines(new if self._listening else [])
+        if self._loop is not None:
+            self._check_lines(new, self._listening)
         self._routes = checked
         if self._loop is not None:
             self._loop.call_soon_threadsafe(self._change_lines)
@@ -124,8 +124,7 @@ class Gateway(Serving):
     async def _answering(self, endpoints: list[Endpoint]) -> AsyncIterator[Service]:
         if self._answering_now is not None:
             raise RuntimeError("this gateway serves already; make one for each")
-        self._listening = endpoints
-        self._check_lines(self._routes)
+        self._check_lines(self._routes, endpoints)
         own = own_device(self.passed, self.statistics, self._unit_statistics)
         answering = self._answering_now = Answering(own, self._manner.own)
         self._loop = asyncio.get_running_loop()
@@ -136,14 +135,13 @@ class Gateway(Serving):
             yield Switch(answering, most, self._authorize, self.passed)
         finally:
             self._loop = self._answering_now = None
-            self._listening = []
             await asyncio.gather(
                 *(line.close() for line in answering.lines), *self._closing, return_exceptions=True
             )
 
-    def _check_lines(self, routes: Iterable[Route]) -> None:
+    def _check_lines(self, routes: Iterable[Route], listening: list[Endpoint]) -> None:
         for at, route in enumerate(routes):
-            check_line(f"routes[{at}].to", route.endpoint, self._listening)
+            check_line(f"routes[{at}].to", route.endpoint, listening)
 
     def _change_lines(self) -> None:
         answering = self._answering_now

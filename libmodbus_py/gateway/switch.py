@@ -298,19 +298,27 @@ class ForwardingSession(Framed):
             self._write(self._framer.encode(frame))
         self._follow()
 
+    def end(self) -> None:
+        """Whoever is gone must not cost the others turns."""
+        for forwarded in [each for each in self._asked if each.submitted is None]:
+            self._withdraw(forwarded)
+
     def close(self) -> None:
         super().close()
-        self._withdraw()
+        self._withdraw_all()
 
     def _answer(self, request: Frame) -> Frame | None:
         if self._asked and not self.has_ids:
-            self._withdraw()
+            self._withdraw_all()
         response = self._switch.ask(self, request)
         return None if response is None else request._replace(pdu=response)
 
-    def _withdraw(self) -> None:
-        asked, self._asked = self._asked, {}
-        for forwarded, line in asked.items():
-            forwarded.asker = None
-            if line is not None:
-                line.drop(forwarded)
+    def _withdraw_all(self) -> None:
+        for forwarded in list(self._asked):
+            self._withdraw(forwarded)
+
+    def _withdraw(self, forwarded: Forwarded) -> None:
+        line = self._asked.pop(forwarded)
+        forwarded.asker = None
+        if line is not None:
+            line.drop(forwarded)

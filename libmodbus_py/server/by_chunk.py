@@ -183,6 +183,9 @@ class ByChunk:
             self._follow()
         return requests
 
+    def end(self) -> None:
+        """What came is answered already."""
+
     def close(self) -> None:
         """Nothing goes on."""
 

@@ -106,6 +106,9 @@ class Framed(ABC):
             self._timer = self._loop.call_later(self._framer.quiet, self._silence)
         return requests
 
+    def end(self) -> None:  # noqa: B027  # what is answered at once is answered
+        """Nothing more comes."""
+
     def close(self) -> None:
         self._stop_timer()
 

@@ -471,7 +471,10 @@ class Peer:
 
     def end(self) -> None:
         """Close when what was asked is answered, and sent."""
+        if self._descriptor < 0:
+            return
         self._is_closing = True
+        self._session.end()
         self.follow()
         self._peers.set_deadline(self)
         # What came in this turn is answered by then, unless the answer must be waited for.

@@ -74,6 +74,9 @@ class Session(Protocol):
         """
         ...
 
+    def end(self) -> None:
+        """Nothing more comes; who asked may be gone, or still listen."""
+
     def close(self) -> None: ...
 
 

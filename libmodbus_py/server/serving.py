@@ -69,6 +69,7 @@ class Serving(ABC):
         if not isinstance(security, Security | None):
             raise TypeError(f"security must be Security, not {type(security).__name__}")
         self._security = security
+        self._listening: list[Endpoint] = []
 
     @contextlib.asynccontextmanager
     async def serving(self, *urls: str) -> AsyncIterator[Running]:
@@ -100,6 +101,7 @@ class Serving(ABC):
                     server = self._make(endpoint, service, peers, sources, stack.close)
                     stack.callback(server.close)
                     opened.append(await server.open())
+                self._listening = opened
                 running = Running([str(endpoint) for endpoint in opened])
                 for url in running.urls:
                     logger.info("listening on %s", url)

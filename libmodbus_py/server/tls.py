@@ -168,6 +168,10 @@ class TlsSession:
         self._handshakes.line_up(self)
         return 0
 
+    def end(self) -> None:
+        if self._inner is not None:
+            self._inner.end()
+
     def close(self) -> None:
         self._stop()
         if self._inner is not None:

@@ -1,0 +1,189 @@
+"""
+Gateways with the programs of others at their ends: pymodbus, libmodbus and mbpoll.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+import subprocess
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from gateways import passage
+from interop import (
+    BAUDRATE,
+    UNIT,
+    Exchange,
+    Place,
+    cells,
+    exchanges,
+    holding_register,
+    make_device,
+    program,
+    refusals,
+)
+from pymodbus.server import ModbusSerialServer, ModbusTcpServer
+from test_interop_libmodbus import C_CLIENT_CALLS, C_CLIENT_REFUSALS
+from test_interop_pymodbus import (
+    FRAMERS,
+    SERIAL_SETTINGS,
+    Asked,
+    asked,
+    asked_beside_the_tables,
+    in_background,
+    pymodbus_client,
+    simulated_device,
+)
+
+from libmodbus_py import Context, ExceptionResponse, Gateway, Route
+from libmodbus_py.ports.endpoint import parse
+from libmodbus_py.testing.wires import SerialWire
+
+# The other side is a line of another kind.
+SIDES = {"tcp": "rtu", "rtu": "tcp"}
+
+COUNTED_ON_LINES = {("rtu", 8, "restart"), ("rtu", 8, "messages")}
+
+BY_CASE = {f"{case.function}-{case.name}": case for case in (*asked(), *asked_beside_the_tables())}
+
+
+@pytest.mark.parametrize("name", BY_CASE)
+@pytest.mark.parametrize("front", SIDES)
+def test_pymodbus_client_and_a_device_agree_through_it(front: str, name: str) -> None:
+    case: Asked = BY_CASE[name]
+    if front not in case.transports:
+        pytest.skip("pymodbus cannot, or not there")
+    if (front, case.function, case.name) in COUNTED_ON_LINES:
+        pytest.skip("what a device answers on a serial line only")
+    device = make_device()
+    with passage(front, SIDES[front], {UNIT: device}) as through:
+        place = Place(parse(through.url), through.wire)  # type: ignore[arg-type]
+        with pymodbus_client(front, place) as client:
+            response = case.ask(client)
+        assert not response.isError(), response
+        if case.function not in (11, 12):  # what a device counts, a gateway's line counts, too
+            assert case.answer(response) == case.expected
+        assert case.look(device) == case.seen
+
+
+@contextlib.contextmanager
+def before_pymodbus(transport: str) -> Iterator[Context]:
+    """A context, a gateway, and a server of pymodbus on the other side."""
+    with contextlib.ExitStack() as stack:
+        framer = FRAMERS[transport]
+        if transport == "tcp":
+            server = stack.enter_context(
+                in_background(
+                    lambda: ModbusTcpServer(
+                        simulated_device(), framer=framer, address=("127.0.0.1", 0)
+                    )
+                )
+            )
+            port = server.transport.sockets[0].getsockname()[1]
+            line = f"tcp://127.0.0.1:{port}?timeout=2"
+        else:
+            wire = stack.enter_context(SerialWire())
+            stack.enter_context(
+                in_background(
+                    lambda: ModbusSerialServer(
+                        simulated_device(), framer=framer, port=wire.server, **SERIAL_SETTINGS
+                    )
+                )
+            )
+            line = f"{transport}://{wire.client}?baudrate={BAUDRATE}&timeout=2"
+        yield stack.enter_context(before(line))
+
+
+@contextlib.contextmanager
+def before(line: str) -> Iterator[Context]:
+    """A context, and a gateway to a line."""
+    with (
+        Gateway([Route(line)]).background("tcp://127.0.0.1:0") as running,
+        Context.from_url(running.urls[0], unit=UNIT, timeout=5) as context,
+    ):
+        yield context
+
+
+def check(context: Context, each: Exchange) -> None:
+    assert each.ask(context) == each.answer
+    assert each.look(context) == each.seen
+
+
+@pytest.mark.parametrize("transport", SIDES)
+@pytest.mark.parametrize(
+    "exchange", list(exchanges()), ids=lambda each: f"{each.function}-{each.name}"
+)
+def test_context_and_pymodbus_server_agree_through_it(exchange: Exchange, transport: str) -> None:
+    with before_pymodbus(transport) as context:
+        check(context, exchange)
+
+
+@contextlib.contextmanager
+def before_c_server(server: Path, transport: str) -> Iterator[Context]:
+    with contextlib.ExitStack() as stack:
+        if transport == "tcp":
+            process = stack.enter_context(program(server, "tcp", 0))
+        else:
+            wire = stack.enter_context(SerialWire())
+            process = stack.enter_context(program(server, "rtu", wire.server, BAUDRATE, UNIT))
+        assert process.stdout is not None
+        word, port = process.stdout.readline().split()
+        assert word == "ready"
+        line = f"tcp://127.0.0.1:{port}?timeout=2"
+        if transport == "rtu":
+            line = f"rtu://{wire.client}?baudrate={BAUDRATE}&timeout=2"
+        yield stack.enter_context(before(line))
+
+
+@pytest.mark.parametrize("transport", SIDES)
+def test_context_and_c_server_agree_through_it(
+    compiled: Callable[[str], Path], transport: str
+) -> None:
+    for each in exchanges():
+        with before_c_server(compiled("server"), transport) as context:
+            check(context, each)
+    with before_c_server(compiled("server"), transport) as context:
+        for each in refusals():
+            with pytest.raises(ExceptionResponse):
+                each.ask(context)
+
+
+@pytest.mark.parametrize("front", SIDES)
+def test_c_client_is_content_with_a_device_behind_it(
+    compiled: Callable[[str], Path], front: str
+) -> None:
+    with passage(front, SIDES[front]) as through:
+        end = parse(through.url)
+        where = [end.port] if front == "tcp" else [end.device, BAUDRATE]
+        command = [str(word) for word in (compiled("client"), front, *where, UNIT)]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=50)
+    said = done.stdout.splitlines()
+    for function in C_CLIENT_CALLS:
+        assert f"FC {function} ok" in said
+    for function in C_CLIENT_REFUSALS:
+        assert f"FC {function} refused" in said
+
+
+@pytest.mark.skipif(shutil.which("mbpoll") is None, reason="mbpoll is not installed")
+@pytest.mark.parametrize("front", SIDES)
+def test_mbpoll_reads_and_writes_through_it(front: str) -> None:
+    device = make_device()
+    with passage(front, SIDES[front], {UNIT: device}) as through:
+        end = parse(through.url)
+        where = ["-m", "tcp", "-p", end.port, end.host]
+        if front == "rtu":
+            where = ["-m", "rtu", "-b", BAUDRATE, "-P", "even", end.device]
+        words: list[Any] = ["mbpoll", "-a", UNIT, "-0", "-1", "-o", 5, "-t", 4]
+        options: dict[str, Any] = {"capture_output": True, "text": True, "timeout": 20}
+        options["stdin"] = subprocess.DEVNULL
+        read = [str(word) for word in (*words, "-r", 100, "-c", 125, *where)]
+        done = subprocess.run(read, **options)
+        assert done.returncode == 0, done.stdout
+        for address, value in zip(range(100, 225), cells(holding_register, 100, 125), strict=True):
+            assert f"[{address}]: \t{value}" in done.stdout
+        write = [str(word) for word in (*words, "-r", 101, *where, 4711)]
+        assert subprocess.run(write, **options).returncode == 0
+        assert device.mapping.holding_registers[101] == 4711
