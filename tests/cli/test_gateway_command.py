@@ -1,0 +1,120 @@
+"""
+The command gateway, as a process of its own.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from fake import until
+
+from libmodbus_py import Context, Device, GatewayPathUnavailable, Mapping, Server
+
+COMMAND = [sys.executable, "-m", "libmodbus_py", "gateway"]
+
+
+def run(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([*COMMAND, *arguments], capture_output=True, text=True, timeout=30)
+
+
+@contextlib.contextmanager
+def passing_on(
+    *arguments: str, count: int = 1
+) -> Iterator[tuple[subprocess.Popen[str], list[str]]]:
+    process = subprocess.Popen(
+        [*COMMAND, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    try:
+        assert process.stdout is not None
+        lines = [process.stdout.readline() for _ in range(count)]
+        assert all(line.startswith("listening on ") for line in lines)
+        yield process, [line.removeprefix("listening on ").rstrip("\n") for line in lines]
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(10) == 0
+    finally:
+        process.kill()
+        process.communicate()
+
+
+@pytest.fixture
+def behind() -> Iterator[str]:
+    device = Device(Mapping(10, 10, 10, 10))
+    device.mapping.holding_registers[0] = 555
+    with Server(device).background("tcp://127.0.0.1:0") as running:
+        yield running.urls[0]
+
+
+def test_sharing_a_device_takes_one_command(behind: str) -> None:
+    urls = ("tcp://127.0.0.1:0", "udp://127.0.0.1:0", "rtu+tcp://127.0.0.1:0")
+    with passing_on(*urls, "--to", f"{behind}?timeout=2", count=3) as (_, found):
+        for url in found:
+            with Context.from_url(url, unit=1) as context:
+                assert context.read_holding_registers(0, 1) == [555]
+
+
+def test_hangup_has_the_file_read_again_and_nobody_notices(behind: str, tmp_path: Path) -> None:
+    path = tmp_path / "gateway.toml"
+
+    def write(units: str, more: str = "") -> None:
+        path.write_text(
+            f'listen = ["tcp://127.0.0.1:0"]\n[[route]]\nto = "{behind}"\nunits = "{units}"\n{more}'
+        )
+
+    write("1")
+    with (
+        passing_on("--config", str(path)) as (process, urls),
+        Context.from_url(urls[0], unit=1, timeout=5) as context,
+    ):
+
+        def has(unit: int) -> bool:
+            try:
+                return context.for_unit(unit).read_holding_registers(0, 1) == [555]
+            except GatewayPathUnavailable:
+                return False
+
+        assert (has(1), has(2)) == (True, False)
+        write("1-2")
+        process.send_signal(signal.SIGHUP)
+        until(lambda: has(2))
+        write("1-300")
+        process.send_signal(signal.SIGHUP)
+        assert process.stderr is not None
+        assert process.stderr.readline() == f"{path}: 1 routes\n"
+        said = process.stderr.readline()
+        assert said == (
+            f"nothing is changed: {path}, line 4: route[0].units must be in 0..255, not 300\n"
+        )
+        assert has(2)
+        write("3")
+        process.send_signal(signal.SIGHUP)
+        until(lambda: has(3))
+        assert not has(1)
+        assert context.statistics.connects == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["tcp://127.0.0.1:0"], "either --to or --config must say"),
+        (
+            ["tcp://127.0.0.1:0", "--to", "1=tcp://b", "--to", "1=tcp://c"],
+            "a route for unit 1 before this",
+        ),
+        (["tcp://127.0.0.1:5020", "--to", "tcp://127.0.0.1:5020"], "the gateway itself listens"),
+        (["tcp://127.0.0.1:0", "--to", "rtu:///dev/nowhere"], "there is no port /dev/nowhere"),
+        (["--to", "tcp://192.0.2.1"], "urls must name at least one endpoint"),
+        (["tcp://127.0.0.1:0", "--to", "tcp://b", "--queue", "0"], "queue must be in 1..1024"),
+        (["--config", "/nowhere/gateway.toml"], "cannot read /nowhere/gateway.toml"),
+    ],
+)
+def test_wrong_usage_is_told_in_a_line(arguments: list[str], said: str) -> None:
+    done = run(*arguments)
+    assert done.returncode == 2
+    assert said in done.stderr
+    assert done.stderr.count("\n") == 1
