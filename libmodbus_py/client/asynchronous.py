@@ -99,6 +99,10 @@ class AsyncClient(Handle[AsyncioDriver], Awaiting):
         """
         await self._driver.close()
 
+    def abandon(self) -> None:
+        """Close its descriptors in a forked child, without a word to the line: the parent goes on."""
+        self._driver.leave()
+
     async def __aenter__(self) -> Self:
         try:
             await self.connect()

@@ -122,6 +122,10 @@ class AsyncioDriver:
         self._close_port()
         self._connection.close()
 
+    def leave(self) -> None:
+        """In a forked child: the connection is the parent's, who goes on with it."""
+        self._port.abandon()
+
     def change_timeout(self) -> None:
         """Some `Patience` has changed."""
         self._conversation.change_timeout(monotonic())

@@ -26,6 +26,7 @@ from ..protocol.errors import (
     ServerDeviceBusy,
     ServerDeviceFailure,
 )
+from ..server.forking import abandoned_in_children
 from .cache import Cache
 from .manner import Manner
 from .passed import Passed
@@ -167,6 +168,7 @@ class Line:
         self._timer: asyncio.TimerHandle | None = None
         self._was_lost = False
         self.is_closed = False
+        abandoned_in_children(self)
 
     # --- requests -----------------------------------------------------------------------------
 
@@ -232,6 +234,9 @@ class Line:
             timer.cancel()
         await self._client.close()
         self._finish()
+
+    def abandon(self) -> None:
+        self._client.abandon()
 
     def _turns_of(self, each: Forwarded) -> Turns[Forwarded]:
         return self._turns[-1 if each.request.is_read else 0]
