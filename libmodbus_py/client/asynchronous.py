@@ -100,7 +100,7 @@ class AsyncClient(Handle[AsyncioDriver], Awaiting):
         await self._driver.close()
 
     def abandon(self) -> None:
-        """Close its descriptors in a forked child, without a word to the line: the parent goes on."""
+        """In a forked child: close its descriptors without a word to the line, for the parent."""
         self._driver.leave()
 
     async def __aenter__(self) -> Self:
