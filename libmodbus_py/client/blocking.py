@@ -315,6 +315,7 @@ _KINDS: dict[tuple[str, str], type[Context]] = {
     ("tcp", "rtu"): TcpContext,
     ("tcp", "ascii"): TcpContext,
     ("udp", "udp"): UdpContext,
+    ("udp", "rtu"): UdpContext,
     ("tls", "tcp"): TlsContext,
     ("serial", "rtu"): RtuContext,
     ("serial", "ascii"): AsciiContext,

@@ -30,7 +30,7 @@ def explain(scheme: str, sent: bytes, received: bytes) -> str:
         sent: the request as it went out.
         received: what came back and was no answer.
     """
-    framing = scheme.removesuffix("+tcp")
+    framing = scheme.partition("+")[0]
     if framing in ("rtu", "ascii") and received.startswith(sent):
         return "the request itself came back; echo=True?"
     for looks_so, other in _LOOKS.items():

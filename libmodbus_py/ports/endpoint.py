@@ -3,13 +3,14 @@ Endpoints as URLs, alike for clients, servers and the command line.
 
 ::
 
-    tcp://HOST:PORT    rtu+tcp://HOST:PORT    ascii+tcp://HOST:PORT    udp://HOST:PORT
+    tcp://HOST:PORT    rtu+tcp://HOST:PORT    ascii+tcp://HOST:PORT
+    udp://HOST:PORT    rtu+udp://HOST:PORT
     tls://HOST:PORT?cert=own.pem&key=own.key&ca=authority.pem
     rtu:///dev/ttyUSB0?baudrate=19200&parity=E&data_bits=8&stop_bits=1
     ascii:///dev/ttyUSB0?baudrate=9600&parity=E&data_bits=7&stop_bits=1
 
 HOST is a name, an IPv4 address or an IPv6 address in brackets; the default port
-is 502, with tls 802. udp has one frame of Modbus/TCP in each datagram. tls takes `cert`,
+is 502, with tls 802. udp has one frame of Modbus/TCP in each datagram, rtu+udp one of RTU. tls takes `cert`,
 `key`, `ca`, `pin` and `server_name`, which are those of `Security`, and `password_env`, the
 environment variable that holds the key's password. Serial ports also take
 rs485 (kernel, rts-up, rts-down), rts_delay and silence (seconds), echo (0, 1).
@@ -39,7 +40,7 @@ DEFAULT_PORT = 502
 # Of Modbus Security.
 SECURE_PORT = 802
 
-Scheme = Literal["tcp", "rtu+tcp", "ascii+tcp", "udp", "tls", "rtu", "ascii"]
+Scheme = Literal["tcp", "rtu+tcp", "ascii+tcp", "udp", "rtu+udp", "tls", "rtu", "ascii"]
 
 Transport = Literal["tcp", "udp", "tls", "serial"]
 
@@ -48,6 +49,7 @@ SCHEMES: dict[Scheme, tuple[Framing, Transport]] = {
     "rtu+tcp": ("rtu", "tcp"),
     "ascii+tcp": ("ascii", "tcp"),
     "udp": ("udp", "udp"),
+    "rtu+udp": ("rtu", "udp"),
     "tls": ("tcp", "tls"),
     "rtu": ("rtu", "serial"),
     "ascii": ("ascii", "serial"),

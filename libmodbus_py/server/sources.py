@@ -55,9 +55,8 @@ class Sources:
             return True
         return False
 
-    def note_answer(self, datagram: bytes, source: tuple[str, int]) -> None:
+    def note_answer(self, datagram: bytes, pdu: bytes, source: tuple[str, int]) -> None:
         """Remember an answer that would be answered if it came back."""
-        pdu = datagram[7:]
         if not pdu or pdu[0] & 0x80 or request_length(pdu) not in (0, len(pdu)):
             return
         key = hash((source, datagram))

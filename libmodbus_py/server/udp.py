@@ -10,6 +10,7 @@ import socket
 from collections.abc import Callable
 
 from ..ports.endpoint import Endpoint
+from ..protocol.framing import Framing
 from .forking import abandoned_in_children
 from .limits import ServerStatistics
 from .listening import bound
@@ -22,6 +23,9 @@ __all__ = ["UdpServer"]
 READ_SIZE = 512
 
 ANSWERED_AT_ONCE = 16
+
+# Framing -> where the PDU of a datagram is.
+PDUS: dict[Framing, slice] = {"udp": slice(7, None), "rtu": slice(1, -2)}
 
 # How many answers may be kept back; what comes meanwhile is lost.
 WAITING_MAX = 1024
@@ -51,6 +55,7 @@ class UdpServer:
         self._endpoint = endpoint
         self._make_session = service.sessions(endpoint, statistics)
         self._sources = sources
+        self._pdu = PDUS[endpoint.framing]
         self._end = end
         self._loop = asyncio.get_running_loop()
         self._sockets: list[socket.socket] = []
@@ -94,9 +99,11 @@ class UdpServer:
                     raise
 
     def _answer(self, data: bytes, local: socket.socket, address: tuple[str, int]) -> None:
-        link = _Datagram(self._sources, self._waiting, local, address)
-        link.session = self._make_session(link)
-        link.session.receive(data)
+        link = _Datagram(self._sources, self._pdu, self._waiting, local, address)
+        session = link.session = self._make_session(link)
+        session.receive(data)
+        if not (session.is_waiting or session.is_owing):
+            session.close()  # the rest of a frame does not come in another datagram
         link.follow()
 
 
@@ -106,11 +113,17 @@ class _Datagram:
     role: str | None = None
 
     def __init__(
-        self, sources: Sources, waiting: set[Session], local: socket.socket, source: tuple[str, int]
+        self,
+        sources: Sources,
+        pdu: slice,
+        waiting: set[Session],
+        local: socket.socket,
+        source: tuple[str, int],
     ) -> None:
         self.address = f"{source[0]}:{source[1]}"
         self.session: Session | None = None
         self._sources = sources
+        self._pdu = pdu
         self._waiting = waiting
         self._local = local
         self._source = source
@@ -123,7 +136,7 @@ class _Datagram:
             self._waiting.discard(session)
 
     def write(self, data: bytes) -> None:
-        self._sources.note_answer(data, self._source)
+        self._sources.note_answer(data, data[self._pdu], self._source)
         # An answer that does not get away is one that got lost on the way.
         with contextlib.suppress(OSError):
             self._local.sendto(data, self._source)

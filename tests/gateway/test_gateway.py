@@ -43,7 +43,7 @@ from libmodbus_py import (
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.testing.wires import SerialWire
 
-FRONTS = ["tcp", "udp", "rtu+tcp", "ascii+tcp", "rtu", "ascii"]
+FRONTS = ["tcp", "udp", "rtu+udp", "rtu+tcp", "ascii+tcp", "rtu", "ascii"]
 SIDES = [(front, back) for front in FRONTS for back in FRONTS]
 
 READ_ONE = bytes.fromhex("03 0000 0001")

@@ -344,7 +344,7 @@ def test_however_many_sources_are_forged_little_is_remembered() -> None:
             source = (f"10.{number >> 16}.{number >> 8 & 255}.{number & 255}", 40_000)
             datagram = adu(WRITE)
             assert sources.admit(datagram, source)
-            sources.note_answer(datagram, source)
+            sources.note_answer(datagram, datagram[7:], source)
 
     tracemalloc.start()
     try:

@@ -1,0 +1,202 @@
+"""
+RTU frames in datagrams: both clients, the server, and what a datagram may not be.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+
+import pytest
+from asking import ALL, asking
+from fake import until
+from interop import UNIT, exchanges, make_device, refusals
+
+from libmodbus_py import (
+    Context,
+    Device,
+    ExceptionResponse,
+    InvalidResponse,
+    Mapping,
+    ModbusTimeoutError,
+    Server,
+    UdpContext,
+)
+from libmodbus_py.ports.endpoint import parse
+
+# A read of one register of unit 1, and its answer 555, by hand: serial line, appendix B.
+READ = bytes.fromhex("01 03 0000 0001 840a")
+ANSWER = bytes.fromhex("01 03 02 022b f93b")
+
+
+@pytest.fixture
+def device() -> Device:
+    made = Device(Mapping(10, 10, 10, 10))
+    made.mapping.holding_registers[0] = 555
+    return made
+
+
+@contextlib.contextmanager
+def bound() -> Iterator[socket.socket]:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as made:
+        made.bind(("127.0.0.1", 0))
+        made.settimeout(5)
+        yield made
+
+
+@contextlib.contextmanager
+def answering(answer: Callable[[bytes], list[bytes]]) -> Iterator[str]:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as bound:
+        bound.bind(("127.0.0.1", 0))
+
+        def serve() -> None:
+            while True:
+                data, source = bound.recvfrom(600)
+                if not data:
+                    return
+                for each in answer(data):
+                    bound.sendto(each, source)
+
+        thread = threading.Thread(target=serve)
+        thread.start()
+        try:
+            yield f"rtu+udp://127.0.0.1:{bound.getsockname()[1]}"
+        finally:
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as last:
+                last.sendto(b"", bound.getsockname())
+            thread.join()
+
+
+def test_its_url() -> None:
+    endpoint = parse("rtu+udp://192.0.2.1")
+    assert (endpoint.framing, endpoint.transport, endpoint.port) == ("rtu", "udp", 502)
+    assert str(endpoint) == "rtu+udp://192.0.2.1:502"
+    with Context.from_url("rtu+udp://127.0.0.1:1502") as context:
+        assert type(context) is UdpContext
+    with pytest.raises(ValueError, match="max_in_flight"):
+        Context.from_url("rtu+udp://192.0.2.1?max_in_flight=4")
+
+
+@ALL
+def test_every_function_over_it(kind: str) -> None:
+    for each in exchanges():
+        with (
+            Server({UNIT: make_device()}).background("rtu+udp://127.0.0.1:0") as running,
+            asking(kind, running.urls[0], unit=UNIT, timeout=5) as client,
+        ):
+            assert each.ask(client) == each.answer
+            assert each.look(client) == each.seen
+    with (
+        Server({UNIT: make_device()}).background("rtu+udp://127.0.0.1:0") as running,
+        asking(kind, running.urls[0], unit=UNIT, timeout=5) as client,
+    ):
+        for each in refusals():
+            with pytest.raises(ExceptionResponse):
+                each.ask(client)
+
+
+@ALL
+def test_the_bytes_are_those_of_a_line(kind: str) -> None:
+    seen: list[bytes] = []
+
+    def answer(request: bytes) -> list[bytes]:
+        seen.append(request)
+        return [ANSWER]
+
+    with answering(answer) as url, asking(kind, url, unit=1, timeout=5) as client:
+        assert client.read(0) == 555
+    assert seen == [READ]
+
+
+@ALL
+def test_a_late_answer_is_not_that_to_the_next_request(kind: str) -> None:
+    late = bytes.fromhex("01 03 02 0001 7984")
+    asked: list[bytes] = []
+
+    with bound() as server:
+
+        def serve() -> None:
+            _, source = server.recvfrom(600)
+            time.sleep(0.4)
+            server.sendto(late, source)
+            asked.append(server.recv(600))
+            server.sendto(ANSWER, source)
+
+        thread = threading.Thread(target=serve)
+        thread.start()
+        url = f"rtu+udp://127.0.0.1:{server.getsockname()[1]}"
+        with asking(kind, url, unit=1, timeout=0.3) as client:
+            with pytest.raises(ModbusTimeoutError):
+                client.read(0)
+            assert client.read(0) == 555
+        thread.join()
+    assert asked == [READ]
+
+
+@ALL
+def test_an_answer_in_two_datagrams_is_one(kind: str) -> None:
+    """Serial servers send on what has come so far."""
+    with (
+        answering(lambda request: [ANSWER[:3], ANSWER[3:]]) as url,
+        asking(kind, url, unit=1, timeout=5) as client,
+    ):
+        assert client.read(0) == 555
+
+
+@ALL
+def test_another_units_answer_is_none(kind: str) -> None:
+    wrong = bytes.fromhex("02 03 02 022b bd3b")
+    with (
+        answering(lambda request: [wrong]) as url,
+        asking(kind, url, unit=1, timeout=0.2) as client,
+        pytest.raises((InvalidResponse, ModbusTimeoutError)),
+    ):
+        client.read(0)
+
+
+# --- the server -------------------------------------------------------------------------------
+
+
+def test_a_datagram_is_answered_by_one(device: Device) -> None:
+    with Server({1: device}).background("rtu+udp://127.0.0.1:0") as running, bound() as client:
+        where = ("127.0.0.1", parse(running.urls[0]).port)
+        client.sendto(READ, where)
+        assert client.recv(600) == ANSWER
+        # Neither damage, nor half a frame, nor another unit; and nothing of it is left.
+        for silent in (READ[:-1] + b"\0", READ[:5], b"\x07" + READ[1:], b"", bytes(600)):
+            client.sendto(silent, where)
+        client.sendto(READ[5:], where)
+        client.sendto(READ, where)
+        assert client.recv(600) == ANSWER
+        client.settimeout(0.2)
+        with pytest.raises(TimeoutError):
+            client.recv(600)
+
+
+def test_a_broadcast_reaches_all_and_nobody_answers(device: Device) -> None:
+    second = Device(Mapping(10, 10, 10, 10))
+    server = Server({1: device, 2: second})
+    with server.background("rtu+udp://127.0.0.1:0") as running:
+        with Context.from_url(running.urls[0], unit=0) as context:
+            context.write_register(3, 9)
+        until(lambda: second.mapping.holding_registers[3] == 9)
+        assert device.mapping.holding_registers[3] == 9
+
+
+def test_two_servers_do_not_answer_each_other_for_ever(device: Device) -> None:
+    """The answer to a write of one register is that write again."""
+    write = bytes.fromhex("01 06 0000 0007 c808")
+    server = Server({1: device})
+    with server.background("rtu+udp://127.0.0.1:0") as running, bound() as client:
+        where = ("127.0.0.1", parse(running.urls[0]).port)
+        client.sendto(write, where)
+        client.settimeout(0.5)
+        with contextlib.suppress(TimeoutError):
+            for _ in range(100):
+                answer = client.recv(600)
+                assert answer == write
+                client.sendto(answer, where)
+        assert server.statistics.reflected == 1
