@@ -44,6 +44,10 @@ BUSY = ServerDeviceBusy.code
 # How long the pause between two attempts to open a port grows, unless its URL says it.
 MAX_PAUSE = 2.0
 
+# How many timeouts after it was given up an answer may still come: until then its unit is not
+# asked again, for on a line nothing would tell it from the next one.
+LATEST = 2
+
 # Requests that wait, of all clients.
 MOST_WAITING = 4096
 
@@ -152,7 +156,7 @@ class Line:
         self._turns: list[Turns[Forwarded]] = [
             Turns(manner.queue, MOST_WAITING) for _ in range(1 + manner.writes_first)
         ]
-        self._silent = SilentUnits(self._client.timeout)
+        self._silent = SilentUnits(LATEST * self._client.timeout)
         self._cache = Cache()
         # Those that try a silent unit: who waits for that, and who has been sent.
         self._trials: deque[Forwarded] = deque()

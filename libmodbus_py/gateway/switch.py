@@ -296,7 +296,8 @@ class ForwardingSession(Framed):
             self._statistics.refused += response[0] >> 7
             frame = Frame(forwarded.from_unit, response, forwarded.number)
             self._write(self._framer.encode(frame))
-        self._follow()
+        if not self._asked:
+            self._follow()
 
     def end(self) -> None:
         """Whoever is gone must not cost the others turns."""
