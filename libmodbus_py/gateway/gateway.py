@@ -51,8 +51,8 @@ class Gateway(Serving):
         limits: what clients may cost; None for the defaults of `Limits`.
         security: who the gateway is and whom it trusts, for tls; the URLs may say it instead.
         authorize: says whether a request is allowed, such as `Rules`; called with an `Asked`,
-            whose `unit` is the client's, in the loop of the gateway. Refused is answered with
-            exception 1.
+            whose `unit` is the client's, in the loop of the gateway; about requests to the
+            gateway itself, too. Refused is answered with exception 1.
 
     Attributes:
         statistics: what happened at all endpoints, kept up to date.
@@ -125,7 +125,7 @@ class Gateway(Serving):
         if self._answering_now is not None:
             raise RuntimeError("this gateway serves already; make one for each")
         self._check_lines(self._routes, endpoints)
-        own = own_device(self.passed, self.statistics, self._unit_statistics)
+        own = own_device(self.passed, self.statistics, self._unit_statistics, self._authorize)
         answering = self._answering_now = Answering(own, self._manner.own)
         self._loop = asyncio.get_running_loop()
         try:

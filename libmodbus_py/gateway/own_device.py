@@ -30,6 +30,7 @@ from collections.abc import Callable, Iterable
 from time import monotonic
 
 from ..device.access import Access
+from ..device.authorization import Authorize
 from ..device.device import Device
 from ..device.mapping import Mapping
 from ..server.limits import ServerStatistics
@@ -44,13 +45,19 @@ SIZE = UNITS + 256 * UNIT
 UnitOf = Callable[[int], UnitStatistics | None]
 
 
-def own_device(statistics: GatewayStatistics, clients: ServerStatistics, unit_of: UnitOf) -> Device:
+def own_device(
+    statistics: GatewayStatistics,
+    clients: ServerStatistics,
+    unit_of: UnitOf,
+    authorize: Authorize | None = None,
+) -> Device:
     """
     Make it.
 
     Args:
         clients: what happened at the endpoints.
         unit_of: gives the statistics of a unit as clients have it.
+        authorize: as for `Device`.
     """
     mapping = Mapping(input_registers=SIZE)
     made = monotonic()
@@ -61,7 +68,12 @@ def own_device(statistics: GatewayStatistics, clients: ServerStatistics, unit_of
                 words = [word for number in numbers for word in divmod(number % 2**32, 0x10000)]
                 mapping.input_registers[first : first + len(words)] = words
 
-    return Device(mapping, before_read=refresh, identification={"ProductCode": "Gateway"})
+    return Device(
+        mapping,
+        before_read=refresh,
+        identification={"ProductCode": "Gateway"},
+        authorize=authorize,
+    )
 
 
 def _blocks(

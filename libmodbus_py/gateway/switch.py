@@ -92,6 +92,7 @@ class Switch:
         self.most_of_session = most_of_session
         self.statistics = statistics
         self._guard = None if authorize is None else Guard(authorize)
+        self._has_failed = False
 
     def sessions(
         self, endpoint: Endpoint, statistics: ServerStatistics, later: Later | None = None
@@ -171,7 +172,9 @@ class Switch:
         except (SystemExit, KeyboardInterrupt):
             raise
         except BaseException:
-            logger.exception("authorize failed; answered with exception 4")
+            if not self._has_failed:  # once: a client must not be able to fill the log
+                self._has_failed = True
+                logger.exception("authorize failed; answered with exception 4")
             return ServerDeviceFailure.code
         if allow is not None and not _allows(allow, asked):
             self.statistics.refused += 1

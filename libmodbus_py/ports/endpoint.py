@@ -10,9 +10,9 @@ Endpoints as URLs, alike for clients, servers and the command line.
     ascii:///dev/ttyUSB0?baudrate=9600&parity=E&data_bits=7&stop_bits=1
 
 HOST is a name, an IPv4 address or an IPv6 address in brackets; the default port
-is 502, with tls 802. udp has one frame of Modbus/TCP in each datagram, rtu+udp one of RTU. tls takes `cert`,
-`key`, `ca`, `pin` and `server_name`, which are those of `Security`, and `password_env`, the
-environment variable that holds the key's password. Serial ports also take
+is 502, with tls 802. udp has one frame of Modbus/TCP in each datagram, rtu+udp one of RTU. tls
+takes `cert`, `key`, `ca`, `pin` and `server_name`, which are those of `Security`, and
+`password_env`, the environment variable that holds the key's password. Serial ports also take
 rs485 (kernel, rts-up, rts-down), rts_delay and silence (seconds), echo (0, 1).
 
 Clients take their own options from every URL: ``tcp://192.0.2.10?unit=7&timeout=0.5``.
