@@ -13,6 +13,7 @@ import socket
 import threading
 import time
 import tty
+from collections import Counter
 from collections.abc import Iterator
 from typing import Any, NamedTuple, Self
 
@@ -90,7 +91,7 @@ class Bus:
 
     Args:
         late: unit -> every so manieth answer of it comes late, by so many seconds.
-        units: those that there are.
+        units: those that there are; they may come and go.
     """
 
     def __init__(
@@ -98,8 +99,8 @@ class Bus:
     ) -> None:
         self._late = late or {}
         self._seconds = seconds
-        self._units = units
-        self._asked = dict.fromkeys(units, 0)
+        self.units = set(units)
+        self._asked: Counter[int] = Counter()
         self._due: list[tuple[float, bytes]] = []
         self._master, self._slave = pty.openpty()
         tty.setraw(self._slave)
@@ -142,7 +143,7 @@ class Bus:
                     received = received[8:]
 
     def _answer(self, unit: int, address: int) -> None:
-        if unit not in self._units:
+        if unit not in self.units:
             return
         body = bytes([unit, 3, 2]) + self.value(unit, address).to_bytes(2, "big")
         answer = body + crc(body)

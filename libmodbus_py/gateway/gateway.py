@@ -135,9 +135,10 @@ class Gateway(Serving):
             yield Switch(answering, most, self._authorize, self.passed)
         finally:
             self._loop = self._answering_now = None
-            await asyncio.gather(
-                *(line.close() for line in answering.lines), *self._closing, return_exceptions=True
-            )
+            async with contextlib.AsyncExitStack() as stack:  # each, whatever ends this
+                stack.push_async_callback(_all, list(self._closing))
+                for line in answering.lines:
+                    stack.push_async_callback(line.close)
 
     def _check_lines(self, routes: Iterable[Route], listening: list[Endpoint]) -> None:
         for at, route in enumerate(routes):
@@ -180,3 +181,8 @@ def _checked(routes: Iterable[Route]) -> list[Route]:
         raise ValueError("routes must hold at least one")
     by_unit(given)
     return given
+
+
+async def _all(tasks: list[asyncio.Task[None]]) -> None:
+    """Wait for them, however they end."""
+    await asyncio.gather(*tasks, return_exceptions=True)

@@ -186,7 +186,8 @@ class Line:
     def put(self, each: Forwarded, *, merge: bool = False) -> int:
         """Have it asked; gives 0, or the code of the exception that answers it at once."""
         unit, now = each.unit, each.since
-        if self.is_closed:
+        is_broadcast = unit == 0 and self.has_broadcast
+        if self.is_closed or (is_broadcast and not each.request.is_write):
             return NO_ANSWER
         standing = self._silent.standing(unit, now)
         if standing is Standing.RESTING:

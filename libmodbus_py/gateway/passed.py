@@ -15,7 +15,7 @@ from ..protocol.errors import ExceptionResponse, IllegalDataValue, IllegalFuncti
 __all__ = ["Passed", "passed"]
 
 # Pollers ask the same again and again.
-REMEMBERED = 4096
+REMEMBERED = 512
 
 READS = (
     pdu.ReadCoils,

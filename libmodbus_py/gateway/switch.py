@@ -205,8 +205,7 @@ class Broadcast:
     """
     A write to all units of all lines.
 
-    Who asks over TCP or UDP gets the answer of a write when all lines have sent it: no client
-    there knows of broadcasts, and all would wait.
+    It is done when all lines have sent it.
     """
 
     def __init__(self, session: ForwardingSession, frame: Frame, request: Passed) -> None:
@@ -230,13 +229,9 @@ class Broadcast:
         self._has_failed = self._has_failed or (response is not None and response[0] >= 0x80)
         if self._left:
             return
-        function = self._request.function
-        answer = (
-            bytes([function | 0x80, GatewayTargetFailedToRespond.code])
-            if self._has_failed
-            else self._request.response_to_broadcast()
-        )
-        self._whole.tell(answer if self._session.has_ids else None)
+        refusal = bytes([self._request.function | 0x80, GatewayTargetFailedToRespond.code])
+        is_told = self._has_failed and self._session.has_ids
+        self._whole.tell(refusal if is_told else None)
 
 
 # --- sessions ---------------------------------------------------------------------------------
@@ -245,6 +240,9 @@ class Broadcast:
 class ForwardingSession(Framed):
     """
     What one client asks, and the answers when they come.
+
+    Who writes over TCP or UDP what nobody answers gets the answer of a write when it was sent: no
+    client there knows of broadcasts, and all would wait.
 
     Without transaction ids the client that asks again has given up what it asked before: its
     answer is dropped, or it would be taken for that to the new request.
@@ -295,6 +293,8 @@ class ForwardingSession(Framed):
 
     def told(self, forwarded: Forwarded, response: bytes | None) -> None:
         self.forget(forwarded)
+        if response is None and self.has_ids and forwarded.request.is_write:
+            response = forwarded.request.response_to_broadcast()
         if response is not None:
             self._statistics.refused += response[0] >> 7
             frame = Frame(forwarded.from_unit, response, forwarded.number)

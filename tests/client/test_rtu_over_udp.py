@@ -176,6 +176,20 @@ def test_a_datagram_is_answered_by_one(device: Device) -> None:
             client.recv(600)
 
 
+def test_beginnings_of_frames_are_not_waited_for(device: Device) -> None:
+    """Whoever sends them could keep a server from answering others."""
+    with Server({1: device}).background("rtu+udp://127.0.0.1:0") as running, bound() as client:
+        where = ("127.0.0.1", parse(running.urls[0]).port)
+        for number in range(1200):
+            client.sendto(READ[:5], where)
+            if number % 50 == 0:  # so that none is lost in between
+                client.sendto(READ, where)
+                assert client.recv(600) == ANSWER
+        time.sleep(0.1)
+        client.sendto(READ, where)
+        assert client.recv(600) == ANSWER
+
+
 def test_a_broadcast_reaches_all_and_nobody_answers(device: Device) -> None:
     second = Device(Mapping(10, 10, 10, 10))
     server = Server({1: device, 2: second})

@@ -324,6 +324,39 @@ def test_a_broadcast_that_a_line_did_not_take_is_not_reported_done() -> None:
             context.write_register(0, 1)
 
 
+def test_a_broadcast_is_done_when_all_lines_have_sent_it() -> None:
+    """One sends it at once; the other, a server that takes unit 0 for one, never answers."""
+    device = small()
+    with (
+        SerialWire() as wire,
+        socket.create_server(("127.0.0.1", 0)) as mute,
+        Server({1: device}).background(f"rtu://{wire.server}"),
+        gateway(
+            [
+                Route(f"rtu://{wire.client}", "1"),
+                Route(f"tcp://127.0.0.1:{mute.getsockname()[1]}?timeout=0.5", "2"),
+            ]
+        ) as (_, url),
+        Context.from_url(url, unit=0, timeout=5) as context,
+    ):
+        with pytest.raises(GatewayTargetFailedToRespond):
+            context.write_register(0, 1)
+        assert device.mapping.holding_registers[0] == 1
+
+
+def test_unit_0_of_a_line_may_have_a_route() -> None:
+    device = small()
+    with (
+        passage("tcp", "rtu", {1: device}, route={"units": "0,7", "device_units": "0"}) as through,
+        through.context(7) as context,
+    ):
+        for unit in (7, 0):
+            context.for_unit(unit).write_register(0, unit + 1)
+            until(lambda unit=unit: device.mapping.holding_registers[0] == unit + 1)
+            with pytest.raises(GatewayTargetFailedToRespond):
+                context.for_unit(unit).read_holding_registers(0, 1)
+
+
 # --- no answer, late answers -------------------------------------------------------------------
 
 
@@ -371,32 +404,72 @@ def test_a_silent_unit_is_good_again_when_it_answers() -> None:
 
 
 def test_a_unit_that_is_back_is_found_on_a_line_that_never_rests() -> None:
-    devices = {1: small(), 2: small()}
-    with passage("tcp", "rtu", {1: devices[1]}, line_options="timeout=0.2") as through:
-        stop = threading.Event()
-        polls = 0
+    """Somebody asks the next thing before he has half of his answers."""
+    stop = threading.Event()
 
-        def poll() -> None:
-            nonlocal polls
-            with through.context(1) as busy, through.context(1) as busier:
-                while not stop.is_set():
-                    busy.execute_many([pdu.ReadHoldingRegisters(0, 1)] * 8)
-                    busier.read_holding_registers(0, 1)
-                    polls += 9
+    def poll(url: str) -> None:
+        request = pdu.ReadHoldingRegisters(0, 1).encode()
+        with connected(url) as client:
+            client.sendall(adu(request) * 8)
+            while not stop.is_set():
+                receive(client, 11)
+                client.sendall(adu(request))
+            receive(client, 8 * 11)
 
-        poller = threading.Thread(target=poll)
+    with (
+        Bus(units=range(1, 2)) as bus,
+        gateway([Route(f"rtu://{bus.path}?timeout=0.1")]) as (made, url),
+        Context.from_url(url, unit=2, timeout=5) as context,
+    ):
+        with pytest.raises(GatewayTargetFailedToRespond):
+            context.read_holding_registers(7, 1)
+        poller = threading.Thread(target=poll, args=[url])
         poller.start()
         try:
-            with through.context(2) as context:
-                for _ in range(3):
-                    with pytest.raises(GatewayTargetFailedToRespond):
-                        context.read_holding_registers(0, 1)
-                before = polls
-                until(lambda: polls > before + 20)
+            (line,) = made.passed.lines.values()
+            until(lambda: line.connection.responses > 20)
+            bus.units.add(2)
+
+            def answers() -> bool:
+                try:
+                    return context.read_holding_registers(7, 1) == [Bus.value(2, 7)]
+                except GatewayTargetFailedToRespond:
+                    time.sleep(0.02)
+                    return False
+
+            until(answers)
+            assert line.waiting > 0
         finally:
             stop.set()
             poller.join()
-        assert polls > 20
+
+
+def test_a_request_that_tries_a_silent_unit_makes_way_for_others() -> None:
+    with (
+        Bus() as bus,
+        gateway([Route(f"rtu://{bus.path}?timeout=1")]) as (made, url),
+        Context.from_url(url, unit=1, timeout=9) as good,
+        connected(url) as other,
+    ):
+        with pytest.raises(GatewayTargetFailedToRespond):
+            good.for_unit(9).read_holding_registers(0, 1)
+        (line,) = made.passed.lines.values()
+        silent = line.units[9]
+
+        def tries() -> bool:
+            """Whether the unit is asked again: until then it is refused at once."""
+            other.sendall(adu(READ_ONE, unit=9))
+            other.settimeout(0.1)
+            try:
+                receive(other, 9)
+            except TimeoutError:
+                return silent.requests == 2
+            return False
+
+        until(tries)
+        assert good.read_holding_registers(3, 1) == [Bus.value(1, 3)]
+        assert (silent.given_up, silent.timeouts) == (1, 1)
+        assert receive(other, 9)[7:] == b"\x83\x0b"
 
 
 def test_late_answers_are_never_anybody_elses() -> None:
