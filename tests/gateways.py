@@ -91,13 +91,19 @@ class Bus:
 
     Args:
         late: unit -> every so manieth answer of it comes late, by so many seconds.
+        damaged: units whose first answer has a wrong CRC.
         units: those that there are; they may come and go.
     """
 
     def __init__(
-        self, late: dict[int, int] | None = None, seconds: float = 0.0, units: range = range(1, 4)
+        self,
+        late: dict[int, int] | None = None,
+        seconds: float = 0.0,
+        units: range = range(1, 4),
+        damaged: tuple[int, ...] = (),
     ) -> None:
         self._late = late or {}
+        self._damaged = set(damaged)
         self._seconds = seconds
         self.units = set(units)
         self._asked: Counter[int] = Counter()
@@ -147,6 +153,9 @@ class Bus:
             return
         body = bytes([unit, 3, 2]) + self.value(unit, address).to_bytes(2, "big")
         answer = body + crc(body)
+        if unit in self._damaged:
+            self._damaged.remove(unit)
+            answer = body + b"\0\0"
         self._asked[unit] += 1
         if unit in self._late and self._asked[unit] % self._late[unit] == 0:
             self._due.append((time.monotonic() + self._seconds, answer))

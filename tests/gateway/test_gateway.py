@@ -507,6 +507,20 @@ def test_late_answers_are_never_anybody_elses() -> None:
         assert line.connection.late_answers > 0
 
 
+def test_a_damaged_answer_has_its_unit_wait_and_nobody_else() -> None:
+    """The line must be silent before that unit is asked again; others need not wait for it."""
+    with (
+        Bus(damaged=(1,)) as bus,
+        gateway([Route(f"rtu://{bus.path}?timeout=1")]) as (_, url),
+        connected(url) as client,
+    ):
+        client.sendall(adu(READ_ONE, 1, unit=1))
+        assert receive(client, 9) == adu(b"\x83\x0b", 1, unit=1)
+        client.sendall(adu(READ_ONE, 2, unit=1) + adu(READ_ONE, 3, unit=2))
+        answers = receive(client, 22)
+        assert (answers[1], answers[12]) == (3, 2)
+
+
 def test_who_asks_again_without_ids_gets_the_answer_to_that_only() -> None:
     """It has given up the first request: the answer to that would be taken for the second's."""
     device = small()
