@@ -113,7 +113,7 @@ class Listener:
     def __init__(self, name: str, hook: Hook | Callable[[Access], object]) -> None:
         if not isinstance(hook, Hook) and not callable(hook):
             raise TypeError(f"{name} must be a function or a Hook, not {reprlib.repr(hook)}")
-        self.hook = hook if isinstance(hook, Hook) else Hook(hook)
+        self.hook: Hook = hook if isinstance(hook, Hook) else Hook(hook)
         self._hears_all = self.hook.places is None
         self._call = timed(name, self.hook.call)
 

@@ -105,16 +105,16 @@ class Forwarded:
         self.asker: Asker | None = asker
         self.host: Hashable = asker.host
         self.client: Hashable = asker
-        self.number = number
-        self.from_unit = from_unit
+        self.number: int = number
+        self.from_unit: int = from_unit
         self.unit: int = unit
-        self.request = request
-        self.since = since
-        self.age = age
+        self.request: Passed = request
+        self.since: float = since
+        self.age: float = age
         self.others: list[Forwarded] = []
-        self.is_trial = False
-        self.started = 0.0
-        self.state = 0
+        self.is_trial: bool = False
+        self.started: float = 0.0
+        self.state: int = 0
         self.submitted: Submitted | None = None
 
     def tell(self, response: bytes | None) -> int:
@@ -224,7 +224,7 @@ class Line:
 
     async def close(self) -> None:
         """For good; who waits is told that there is no answer."""
-        self.is_closed = True
+        self.is_closed: bool = True
         for turns in self._turns:
             for each in list(turns):
                 turns.remove(each)

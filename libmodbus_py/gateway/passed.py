@@ -50,10 +50,10 @@ class Passed(pdu.Request[bytes]):
     # fmt: on
 
     def __init__(self, data: bytes, known: pdu.Request[Any] | None) -> None:
-        self.pdu = data
-        self.known = known
+        self.pdu: bytes = data
+        self.known: pdu.Request[Any] | None = known
         self.function: int = data[0]  # type: ignore[misc]  # here it is data, not the class's own
-        self.is_read = isinstance(known, READS)
+        self.is_read: bool = isinstance(known, READS)
         self.is_write: bool = known is not None and known.is_write  # type: ignore[misc]
         self.repeatable: bool = known is not None and known.repeatable  # type: ignore[misc]
         self._is_answered = known is None or known.expects_response

@@ -209,7 +209,7 @@ class Broadcast:
     """
 
     def __init__(self, session: ForwardingSession, frame: Frame, request: Passed) -> None:
-        self.host = session.host
+        self.host: Hashable = session.host
         self._session = session
         self._request = request
         self._whole = Forwarded(session, frame.transaction, 0, 0, request, monotonic())
