@@ -171,7 +171,7 @@ class Line:
         self._slowest = 0.0
         self._timer: asyncio.TimerHandle | None = None
         self._was_lost = False
-        self.is_closed = False
+        self.is_closed: bool = False
         abandoned_in_children(self)
 
     # --- requests -----------------------------------------------------------------------------
