@@ -224,7 +224,7 @@ class Line:
 
     async def close(self) -> None:
         """For good; who waits is told that there is no answer."""
-        self.is_closed: bool = True
+        self.is_closed = True
         for turns in self._turns:
             for each in list(turns):
                 turns.remove(each)
