@@ -5,10 +5,10 @@ Its folders, floor by floor. Imports run downwards only, and those on one floor 
 each other::
 
     cli                 libmodbus-py: read, write, scan, listen, serve, gateway, demo, certificates
+    integrations        metrics for Prometheus
     gateway             requests passed on from any endpoint to any line
     simulator           devices from a file, which move, wait and err
     testing             lines with a tap, for tests and the demo
-    integrations        metrics for Prometheus
     scan                who answers on a line or network, and what they have
     client   server     who asks: TcpContext, ..., AsyncClient; who answers: Server;
     listener            and who only listens: transactions of others on a line

@@ -12,7 +12,7 @@ from ..gateway import config
 from ..gateway.gateway import Gateway
 from ..gateway.routes import parse_route
 from ..ports.endpoint import SCHEMES
-from . import limits, security
+from . import limits, metrics, security
 from .announcing import announcing
 
 __all__ = ["add_command"]
@@ -46,6 +46,7 @@ def add_command(commands: Any) -> None:
     group.add_argument("--queue", type=int, metavar="N", help="of one client that wait (16)")
     group.add_argument("--longest-wait", type=float, metavar="S", help="for a turn (5)")
     group.add_argument("--writes-first", action="store_true", default=None, help="they overtake")
+    metrics.add_argument(command)
     limits.add_arguments(command)
     security.add_arguments(command)
     command.set_defaults(run=_gateway)
@@ -60,18 +61,20 @@ def _gateway(options: argparse.Namespace) -> int:
     given["security"] = security.told(options)
     if options.config is None:
         gateway = Gateway([parse_route(text) for text in options.to], **given)
-        gateway.serve_forever(*options.urls, on_listening=announcing(options.allow))
+        with metrics.exposed(gateway, options.metrics):
+            gateway.serve_forever(*options.urls, on_listening=announcing(options.allow))
         return 0
     file = config.load(options.config)
     urls = options.urls or file.listen
     if not urls:
         raise ValueError(f"{options.config}: listen is missing, and no URL is given")
     gateway = Gateway(file.routes, **{**file.options, **given})
-    gateway.serve_forever(
-        *urls,
-        on_listening=announcing(options.allow),
-        on_hangup=lambda: _read_again(gateway, options.config, file),
-    )
+    with metrics.exposed(gateway, options.metrics):
+        gateway.serve_forever(
+            *urls,
+            on_listening=announcing(options.allow),
+            on_hangup=lambda: _read_again(gateway, options.config, file),
+        )
     return 0
 
 

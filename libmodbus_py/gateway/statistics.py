@@ -76,7 +76,7 @@ class LineStatistics:
         return found
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, weakref_slot=True)
 class GatewayStatistics:
     """
     What happened in a gateway since it was made.

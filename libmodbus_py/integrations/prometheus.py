@@ -1,5 +1,5 @@
 """
-The statistics of clients and servers as metrics of Prometheus.
+The statistics of clients, servers and gateways as metrics of Prometheus.
 
 ::
 
@@ -15,7 +15,10 @@ Statistics are read when somebody scrapes; requests cost nothing more than witho
 * ``modbus_client_last_success_timestamp_seconds{endpoint}``: when the last answer came;
 * ``modbus_client_..._total{endpoint}`` and ``modbus_server_..._total``: the counters of
   `Statistics` (`requests` is ``modbus_client_requests_sent_total``) and `ServerStatistics`;
-* ``modbus_server_connections``: those open now.
+* ``modbus_server_connections``: those open now;
+* ``modbus_gateway_..._total``: the counters of `GatewayStatistics`, those of its lines with
+  the label ``line``, and those of their units with ``line`` and ``unit``; the lines' own
+  connections are clients, ``endpoint`` being where they lead.
 """
 
 from __future__ import annotations
@@ -32,6 +35,7 @@ from operator import add
 from typing import Any, NamedTuple, Protocol
 
 from ..client.statistics import TIME_BOUNDS, Statistics
+from ..gateway.statistics import GatewayStatistics, LineStatistics, UnitStatistics
 from ..server.limits import ServerStatistics
 
 try:
@@ -51,7 +55,7 @@ Labels = tuple[tuple[str, str], ...]
 
 
 class Counted(Protocol):
-    """A client or a server."""
+    """A client, a server or a gateway; this has `passed`, too."""
 
     @property
     def statistics(self) -> Any: ...
@@ -129,6 +133,12 @@ CLIENT = _counters("modbus_client", Statistics, (
 CLIENT["requests"] = CLIENT["requests"]._replace(name="modbus_client_requests_sent")
 SERVER = _counters("modbus_server", ServerStatistics, ())
 SERVER["connections"] = SERVER["connections"]._replace(type="gauge")
+GATEWAY = _counters("modbus_gateway", GatewayStatistics, ("lines",))
+LINE = _counters("modbus_gateway_line", LineStatistics, ("url", "connection", "units"))
+UNIT = _counters("modbus_gateway_unit", UnitStatistics, ())
+for _families, _gauges in ((LINE, ("waiting", "in_flight")), (UNIT, ("is_silent",))):
+    for _name in _gauges:
+        _families[_name] = _families[_name]._replace(type="gauge")
 
 
 def _attributes(families: dict[str, Family], statistics: Any) -> Values:
@@ -154,6 +164,25 @@ def _of_client(statistics: Statistics) -> Values:
     return values
 
 
+def _of_gateway(statistics: GatewayStatistics) -> Values:
+    values = _attributes(GATEWAY, statistics)
+    for url, line in statistics.lines.copy().items():
+        place = url.partition("?")[0]
+        _label(values, _attributes(LINE, line), ("line", place))
+        _label(values, _of_client(line.connection), ("endpoint", place))
+        for number, unit in line.units.copy().items():
+            _label(values, _attributes(UNIT, unit), ("line", place), ("unit", str(number)))
+    return values
+
+
+def _label(values: Values, more: Values, *labels: tuple[str, str]) -> None:
+    """Take these, too, with these labels before their own."""
+    _add(
+        values,
+        {sample._replace(labels=labels + sample.labels): more[sample] for sample in more},
+    )
+
+
 KINDS: dict[type, Kind] = {
     Statistics: Kind(
         [REQUESTS, DURATION, LAST_SUCCESS, *CLIENT.values()],
@@ -165,6 +194,11 @@ KINDS: dict[type, Kind] = {
         [*SERVER.values()],
         lambda statistics: _attributes(SERVER, statistics),
         lambda server, name: (("server", name),) if name else (),
+    ),
+    GatewayStatistics: Kind(
+        [*GATEWAY.values(), *LINE.values(), *UNIT.values()],
+        _of_gateway,
+        lambda gateway, name: (("server", name),) if name else (),
     ),
 }
 """Class of statistics -> what is made of them."""
@@ -201,7 +235,7 @@ class _Watched:
 
 class Collector(_Collector):
     """
-    Gives metrics of clients and servers to a registry. Safe from any thread.
+    Gives metrics of clients, servers and gateways to a registry. Safe from any thread.
 
     Objects are held weakly: one that nobody has any more disappears. Clients of the same
     endpoint, and servers of the same name, add up; what those that disappeared have
@@ -215,20 +249,25 @@ class Collector(_Collector):
 
     def add(self, *objects: Counted, name: str = "") -> None:
         """
-        Have clients and servers among the metrics; once, however often they are added.
+        Have them among the metrics; once, however often they are added.
 
         Args:
-            objects: clients, whose handles (`for_unit`) are one, and servers.
-            name: the label ``server`` of servers; empty for none.
+            objects: clients, whose handles (`for_unit`) are one, servers and gateways.
+            name: the label ``server`` of servers and gateways; empty for none.
 
         Raises:
-            TypeError: an object is neither.
+            TypeError: an object is none of them.
         """
-        watched = [(each, getattr(each, "statistics", None)) for each in objects]
+        watched = [
+            (each, statistics)
+            for each in objects
+            for statistics in (getattr(each, "statistics", None), getattr(each, "passed", None))
+            if statistics is not None or not hasattr(each, "statistics")
+        ]
         for each, statistics in watched:
             if type(statistics) not in KINDS:
                 given = type(each).__name__
-                raise TypeError(f"objects must be clients and servers, not {given}")
+                raise TypeError(f"objects must be clients, servers and gateways, not {given}")
         with self._lock:
             for each, statistics in watched:
                 if not any(other.of(statistics) for other in self._watched):
@@ -290,7 +329,7 @@ _collectors_lock = threading.Lock()
 
 def collect(*objects: Counted, name: str = "", registry: CollectorRegistry = REGISTRY) -> Collector:
     """
-    Have clients and servers among the metrics of a registry.
+    Have clients, servers and gateways among the metrics of a registry.
 
     Args:
         objects, name: as for `Collector.add`.
@@ -298,7 +337,7 @@ def collect(*objects: Counted, name: str = "", registry: CollectorRegistry = REG
             which is registered with the first objects.
 
     Raises:
-        TypeError: an object is neither client nor server.
+        TypeError: an object is none of them.
         ValueError: the registry has metrics of these names from elsewhere.
     """
     with _collectors_lock:

@@ -30,9 +30,12 @@ from libmodbus_py import (
     AsyncClient,
     Context,
     Device,
+    Gateway,
+    GatewayTargetFailedToRespond,
     IllegalDataAddress,
     Mapping,
     ModbusTimeoutError,
+    Route,
     Server,
 )
 from libmodbus_py.client.statistics import TIME_BOUNDS, Statistics
@@ -302,7 +305,7 @@ def test_a_closed_server_stays_as_long_as_somebody_has_it(registry: CollectorReg
 def test_what_is_neither_client_nor_server_is_refused(registry: CollectorRegistry) -> None:
     server = Server(DEVICE)
     for wrong in (DEVICE, None, "tcp://127.0.0.1"):
-        with pytest.raises(TypeError, match="objects must be clients and servers, not "):
+        with pytest.raises(TypeError, match="objects must be clients, servers and gateways, not "):
             collect(server, wrong, registry=registry)  # type: ignore[arg-type]
     assert not values(registry)  # not the first one without the others
 
@@ -539,3 +542,52 @@ def test_serve_says_which_extra_is_missing() -> None:
     assert (run.returncode, run.stdout) == (1, "")
     wanted = "metrics need prometheus_client: pip install 'libmodbus-py[metrics]'"
     assert run.stderr == f"libmodbus-py: {wanted}\n"
+
+
+# --- gateways ---------------------------------------------------------------------------------
+
+
+def test_a_gateway_tells_of_its_lines_and_units() -> None:
+    registry = CollectorRegistry()
+    with Server({5: DEVICE}).background("tcp://127.0.0.1:0") as behind:
+        line = behind.urls[0]
+        gateway = Gateway([Route(f"{line}?timeout=2", units=range(5, 7))])
+        collect(gateway, registry=registry, name="hall")
+        with (
+            gateway.background("tcp://127.0.0.1:0") as running,
+            Context.from_url(running.urls[0], unit=5) as plc,
+        ):
+            for _ in range(3):
+                plc.read_holding_registers(0, 1)
+            with pytest.raises(IllegalDataAddress):
+                plc.read_holding_registers(100, 1)
+            with pytest.raises(GatewayTargetFailedToRespond):
+                plc.for_unit(6).read_coils(0, 1)
+            found = values(registry)
+    of_gateway = {name: count for (name, labels), count in found.items() if not labels[1:]}
+    assert of_gateway["modbus_gateway_requests_total"] == 5
+    place = (("line", line), ("server", "hall"))
+    assert found["modbus_gateway_line_full_total", place] == 0
+    assert found["modbus_gateway_line_waiting", place] == 0
+    unit = (*place, ("unit", "5"))
+    assert found["modbus_gateway_unit_requests_total", unit] == 4
+    assert found["modbus_gateway_unit_exceptions_total", unit] == 1
+    assert found["modbus_gateway_unit_is_silent", unit] == 0
+    client = (("endpoint", line), ("server", "hall"))
+    assert found["modbus_client_connects_total", client] == 1
+    assert found["modbus_server_accepted_total", (("server", "hall"),)] == 1
+
+
+def test_a_gateway_tells_a_browser() -> None:
+    command = [sys.executable, "-m", "libmodbus_py", "gateway", "tcp://127.0.0.1:0"]
+    command += ["--to", "tcp://127.0.0.1:9", "--metrics", "127.0.0.1:0"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        address = process.stdout.readline().removeprefix("metrics on ").strip()
+        process.stdout.readline()
+        try:
+            with urllib.request.urlopen(address, timeout=20) as answer:
+                assert "modbus_gateway_requests_total 0.0" in answer.read().decode()
+        finally:
+            process.send_signal(signal.SIGTERM)
+            assert process.wait(20) == 0
