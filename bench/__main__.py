@@ -24,9 +24,10 @@ from memory import measure_memory
 from report import Report, as_json, as_text
 from results import Results, run_rounds
 from targets import TARGETS, outcome
+from tls import measure_tls
 
-MEMORY = "memory"
-ALL = [*SECTIONS, MEMORY]
+MEMORY, TLS = "memory", "tls"
+ALL = [*SECTIONS, MEMORY, TLS]
 
 
 def main() -> None:
@@ -105,11 +106,12 @@ def measure(sections: list[str], rounds: int, seconds: float, package: str, befo
                 with cells_of(section, tools) as cells:
                     run_rounds(section, cells, rounds, seconds, results)
         memory = measure_memory(tools) if MEMORY in sections else {}
+        tls = measure_tls(Path(folder), package, rounds, seconds) if TLS in sections else None
     measured = {key.section for key in results.measured}
     outcomes = [
         outcome(target, results.rate) for target in TARGETS if target.theirs.section in measured
     ]
-    return Report(rounds, seconds, results, memory, outcomes)
+    return Report(rounds, seconds, results, memory, tls, outcomes)
 
 
 if __name__ == "__main__":

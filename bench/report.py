@@ -25,6 +25,7 @@ from cells import (
 from memory import FEW, MANY, Memory
 from results import Results
 from targets import Outcome
+from tls import Tls
 
 from libmodbus_py.binding.low_level import loaded_version
 
@@ -47,6 +48,7 @@ class Report:
     seconds: float
     results: Results
     memory: dict[str, Memory | str]
+    tls: Tls | None
     outcomes: list[Outcome]
 
 
@@ -95,6 +97,8 @@ def as_text(report: Report) -> str:
             f"Resident memory of servers with {FEW} idle connections; each more, up to {MANY}",
             memory_table(report),
         ]
+    if report.tls is not None:
+        parts += ["Server, us of processor time over TLS, and plain", tls_tables(report.tls)]
     if report.outcomes:
         parts += ["Targets", target_table(report.outcomes)]
     return "\n\n".join(parts)
@@ -105,6 +109,22 @@ def head(report: Report) -> str:
     lines.append(f"medians of {report.rounds} rounds of {report.seconds:g} s each")
     lines += [f"left out, not installed: {name}" for name in absent()]
     return "\n".join(lines)
+
+
+def tls_tables(tls: Tls) -> str:
+    requests = [
+        [load, f"{plain:.1f}", f"{secure:.1f}", f"{secure / plain:.2f}"]
+        for load, (plain, secure) in tls.requests.items()
+    ]
+    handshakes = [
+        [kind, f"{cost:.0f}", f"{1e6 / cost:.0f}"] for kind, cost in tls.handshakes.items()
+    ]
+    return "\n\n".join(
+        [
+            grid(["for a request", "plain", "TLS", "ratio"], requests),
+            grid(["for a connection", "us", "a second, at most"], handshakes),
+        ]
+    )
 
 
 def grid(head: list[str], rows: list[list[str]]) -> str:
@@ -258,6 +278,7 @@ def as_json(report: Report) -> dict[str, Any]:
             name: {"failed": found} if isinstance(found, str) else asdict(found)
             for name, found in report.memory.items()
         },
+        "tls": None if report.tls is None else asdict(report.tls),
         "targets": [
             {
                 "target": target_title(outcome),

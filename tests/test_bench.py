@@ -49,6 +49,9 @@ def test_short_run_measures_whatever_is_installed(tmp_path: Path) -> None:
         assert_is_measured(cells["servers", load, "Server"])
     assert cells["servers", "8 x 16", "pymodbus"]["note"] == "answers 1 of 16"
     assert report["memory"]["Server"]["connections"] == 1000
+    assert set(report["tls"]["requests"]) == {"1 x 1", "8 x 1", "100 x 1", "1 x 16", "8 x 16"}
+    assert all(secure > 0 for _, secure in report["tls"]["requests"].values())
+    assert all(cost > 0 for cost in report["tls"]["handshakes"].values())
     assert len(report["targets"]) == text.count(">= ")
 
 
