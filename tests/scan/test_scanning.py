@@ -214,7 +214,7 @@ def test_a_rate_that_the_port_cannot_do_is_passed_over(monkeypatch: pytest.Monke
     def refuse(descriptor: int, baudrate: int) -> None:
         raise OSError(22, f"baudrate {baudrate} refused")
 
-    monkeypatch.setattr(serial, "_set_odd_baudrate", refuse)
+    monkeypatch.setattr(serial, "set_odd_baudrate", refuse)
     with Bus({1: Member(of(meter()), 9600, 2)}) as bus, descriptors():
         scan = scanning(bus.url, baudrates=[12345, 9600], parities="N", units=[1], timeout=0.2)
         assert [at(each) for each in all_of(scan)] == [(1, 9600, "N", 2)]
