@@ -709,7 +709,9 @@ def in_background(make_server: Callable[[], Any]) -> Iterator[Any]:
         await server.serve_forever(background=True)
         started.set_result((server, lambda: loop.call_soon_threadsafe(stop.set)))
         await stop.wait()
+        await asyncio.sleep(0.02)  # it forgets connections that come or end just now
         await server.shutdown()
+        await asyncio.sleep(0.02)
 
     def run() -> None:
         try:
