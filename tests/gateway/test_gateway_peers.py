@@ -45,19 +45,20 @@ from libmodbus_py.testing.wires import SerialWire
 # The other side is a line of another kind.
 SIDES = {"tcp": "rtu", "rtu": "tcp"}
 
+# What a device answers on a serial line only.
 COUNTED_ON_LINES = {("rtu", 8, "restart"), ("rtu", 8, "messages")}
 
-BY_CASE = {f"{case.function}-{case.name}": case for case in (*asked(), *asked_beside_the_tables())}
+# All that pymodbus can, there.
+CASES = [
+    pytest.param(front, case, id=f"{front}-{case.function}-{case.name}")
+    for front in SIDES
+    for case in (*asked(), *asked_beside_the_tables())
+    if front in case.transports and (front, case.function, case.name) not in COUNTED_ON_LINES
+]
 
 
-@pytest.mark.parametrize("name", BY_CASE)
-@pytest.mark.parametrize("front", SIDES)
-def test_pymodbus_client_and_a_device_agree_through_it(front: str, name: str) -> None:
-    case: Asked = BY_CASE[name]
-    if front not in case.transports:
-        pytest.skip("pymodbus cannot, or not there")
-    if (front, case.function, case.name) in COUNTED_ON_LINES:
-        pytest.skip("what a device answers on a serial line only")
+@pytest.mark.parametrize(("front", "case"), CASES)
+def test_pymodbus_client_and_a_device_agree_through_it(front: str, case: Asked) -> None:
     device = make_device()
     with passage(front, SIDES[front], {UNIT: device}) as through:
         place = Place(parse(through.url), through.wire)  # type: ignore[arg-type]

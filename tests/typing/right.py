@@ -15,11 +15,13 @@ from libmodbus_py import (
     AsyncClient,
     Context,
     Device,
+    Gateway,
     Hook,
     Mapping,
     ModbusError,
     Plan,
     Read,
+    Route,
     RtuContext,
     Security,
     Separator,
@@ -145,6 +147,15 @@ def serving() -> None:
     Device(mapping, before_read=Hook(told_of, input_registers=range(100)), after_write=print)
     Device(mapping, before_write=Hook(told_of, coils=[range(8)], files=[range(1, 3)]))
     Server(Device(mapping)).serve_forever("tcp://127.0.0.1:1502")
+
+
+def passing_on() -> None:
+    routes = [
+        Route("rtu:///dev/ttyUSB0?baudrate=9600", "1-10", cache=1.0, merge=True),
+        Route("tcp://192.0.2.10", [20], device_units=1, writable=["coils"]),
+    ]
+    with Gateway(routes, own_units=[255], writes_first=True).background("tcp://127.0.0.1:0"):
+        pass
 
 
 def hearing() -> None:

@@ -12,9 +12,11 @@ from libmodbus_py import (
     AsyncClient,
     Context,
     Device,
+    Gateway,
     Hook,
     Mapping,
     Read,
+    Route,
     RtuContext,
     Security,
     Separator,
@@ -90,6 +92,12 @@ def serving(server: Server, mapping: Mapping) -> None:
     Hook(print, holding_regs=range(8))  # wrong
     Hook(print, coils=8)  # wrong
     Device(mapping, before_read=range(8))  # wrong
+
+
+def passing_on(route: Route) -> None:
+    Gateway("tcp://192.0.2.10")  # wrong
+    Gateway([route], writesfirst=True)  # wrong
+    Route("tcp://192.0.2.10", [20], cache="1 s")  # wrong
 
 
 def hearing(separator: Separator) -> None:
