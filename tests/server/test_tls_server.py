@@ -702,7 +702,6 @@ def test_who_does_not_read_is_not_answered_for_ever(papers: Papers, kind: str) -
         serving(papers, make_device(), limits=limits, **options) as (server, port),
         TlsClient(port, told) as client,
     ):
-        client.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         client.handshake()
         statistics = server.statistics
         client.socket.settimeout(4)  # it may be slow to answer, before it stops
