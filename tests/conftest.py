@@ -4,6 +4,7 @@ What the tests share: a device with known contents, and a server for it on every
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -16,6 +17,9 @@ from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.testing.wires import SerialWire
 
 UNIT = 17
+
+# A shell's background jobs ignore Ctrl-C, and so would the programs that tests start and interrupt.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture
