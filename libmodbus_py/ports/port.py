@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import select
 from abc import ABC, abstractmethod
-from typing import ClassVar
 
 from ..protocol.errors import ModbusConnectionError
 from .waiting import Steps
@@ -54,10 +53,8 @@ class Port(ABC):
         silence: what must pass before sending.
         resume_at: when `go_on` should be called (time.monotonic), or None.
         has_unsent: whether `go_on` should be called once the port takes bytes again.
-        can_die_silently: whether it may seem open when the other side is gone.
     """
 
-    can_die_silently: ClassVar[bool]
     descriptor: int = -1
     silence: Silence
     resume_at: float | None = None

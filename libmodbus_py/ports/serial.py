@@ -76,8 +76,6 @@ class SerialPort(Port):
     Source: modbus_new_rtu, modbus_rtu_set_serial_mode, modbus_rtu_set_rts; serial line, 2.5.1.1.
     """
 
-    can_die_silently = False
-
     # libmodbus 3.1.6..3.1.12 know these; any other they silently take for 9600.
     # fmt: off
     baudrates: ClassVar[frozenset[int]] = frozenset((

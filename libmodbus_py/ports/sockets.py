@@ -44,8 +44,6 @@ class SocketPort(Port):
         TypeError, ValueError: an argument of the wrong type or range.
     """
 
-    # A UDP port cannot die, but its name may move to another host.
-    can_die_silently = True
     kind: ClassVar[socket.SocketKind]
     _socket: socket.socket
 

@@ -29,7 +29,7 @@ from .idle import Idle, due
 from .limits import SPARE_DESCRIPTORS, Limits, ServerStatistics
 from .service import ENDS, Session
 
-__all__ = ["MakeSession", "Peer", "Peers"]
+__all__ = ["MakePeerSession", "Peer", "Peers"]
 
 logger: logging.Logger = logging.getLogger(__name__)
 
@@ -54,7 +54,7 @@ ROOM_AT_MOST = 16_384
 # than to read the request.
 RESOLUTION = 0.05
 
-MakeSession = Callable[["Peer"], Session]
+MakePeerSession = Callable[["Peer"], Session]
 """Makes the session of a connection."""
 
 
@@ -108,7 +108,7 @@ class Peers:
     def __len__(self) -> int:
         return len(self._idle)
 
-    def admit(self, client: socket.socket, address: tuple[str, int], make: MakeSession) -> None:
+    def admit(self, client: socket.socket, address: tuple[str, int], make: MakePeerSession) -> None:
         """Take charge of a new connection, or close it."""
         host, port = address[:2]
         if not self.limits.allows(host):
@@ -144,7 +144,7 @@ class Peers:
         self._epoll.close()
 
     def _add(
-        self, client: socket.socket, address: str, shared: Address[Peer], make: MakeSession
+        self, client: socket.socket, address: str, shared: Address[Peer], make: MakePeerSession
     ) -> None:
         with contextlib.suppress(OSError):  # it may be gone already
             client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -324,7 +324,7 @@ class Peer:
         client: socket.socket,
         address: str,
         shared: Address[Peer],
-        make: MakeSession,
+        make: MakePeerSession,
     ) -> None:
         self.address: str = address
         self.role: str | None = None  # known to a session within TLS only

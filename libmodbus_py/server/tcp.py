@@ -8,14 +8,13 @@ import asyncio
 import errno
 import logging
 import socket
-from collections.abc import Callable
 
 from ..ports.endpoint import Endpoint
 from ..security.security import Security
 from .forking import abandoned_in_children
 from .listening import bound, reason
-from .peers import Peer, Peers
-from .service import MakeSession, Service, Session
+from .peers import MakePeerSession, Peers
+from .service import MakeSession, Service
 from .tls import Handshakes, TlsSession
 
 __all__ = ["TcpServer"]
@@ -49,7 +48,7 @@ class TcpServer:
         self._peers = peers
         self._loop = asyncio.get_running_loop()
         make = service.sessions(endpoint, peers.statistics, peers.later)
-        self._make_session: Callable[[Peer], Session] = make
+        self._make_session: MakePeerSession = make
         if security is not None:
             self._make_session = _secured(make, security, peers)
         self._listeners: list[socket.socket] = []
@@ -110,6 +109,6 @@ def _listener(family: socket.AddressFamily, address: tuple[str, int]) -> socket.
     return socket.create_server(address, family=family, backlog=BACKLOG)
 
 
-def _secured(make: MakeSession, security: Security, peers: Peers) -> Callable[[Peer], Session]:
+def _secured(make: MakeSession, security: Security, peers: Peers) -> MakePeerSession:
     handshakes = Handshakes(security, peers.limits.handshake_timeout, peers.statistics)
     return lambda peer: TlsSession(peer, handshakes, make)
