@@ -23,11 +23,12 @@ from compare import saved, side_by_side, taken_turns
 from memory import measure_memory
 from report import Report, as_json, as_text
 from results import Results, run_rounds
+from startup import STARTS, measure_startup
 from targets import TARGETS, outcome
 from tls import measure_tls
 
-MEMORY, TLS = "memory", "tls"
-ALL = [*SECTIONS, MEMORY, TLS]
+MEMORY, TLS, STARTUP = "memory", "tls", "startup"
+ALL = [*SECTIONS, MEMORY, TLS, STARTUP]
 
 
 def main() -> None:
@@ -107,11 +108,13 @@ def measure(sections: list[str], rounds: int, seconds: float, package: str, befo
                     run_rounds(section, cells, rounds, seconds, results)
         memory = measure_memory(tools) if MEMORY in sections else {}
         tls = measure_tls(Path(folder), package, rounds, seconds) if TLS in sections else None
+        starts = STARTS if rounds > 1 else 1
+        startup = measure_startup(tools, starts) if STARTUP in sections else {}
     measured = {key.section for key in results.measured}
     outcomes = [
         outcome(target, results.rate) for target in TARGETS if target.theirs.section in measured
     ]
-    return Report(rounds, seconds, results, memory, tls, outcomes)
+    return Report(rounds, seconds, results, memory, tls, startup, outcomes)
 
 
 if __name__ == "__main__":

@@ -24,6 +24,7 @@ from cells import (
 )
 from memory import FEW, MANY, Memory
 from results import Results
+from startup import MBPOLL
 from targets import Outcome
 from tls import Tls
 
@@ -49,6 +50,7 @@ class Report:
     results: Results
     memory: dict[str, Memory | str]
     tls: Tls | None
+    startup: dict[str, float]
     outcomes: list[Outcome]
 
 
@@ -99,6 +101,8 @@ def as_text(report: Report) -> str:
         ]
     if report.tls is not None:
         parts += ["Server, us of processor time over TLS, and plain", tls_tables(report.tls)]
+    if report.startup:
+        parts += ["From the start of a process to its end", startup_table(report.startup)]
     if report.outcomes:
         parts += ["Targets", target_table(report.outcomes)]
     return "\n\n".join(parts)
@@ -109,6 +113,15 @@ def head(report: Report) -> str:
     lines.append(f"medians of {report.rounds} rounds of {report.seconds:g} s each")
     lines += [f"left out, not installed: {name}" for name in absent()]
     return "\n".join(lines)
+
+
+def startup_table(startup: dict[str, float]) -> str:
+    theirs = startup.get(MBPOLL)
+    rows = [
+        [name, f"{took:.0f}", f"{took / theirs:.1f}" if theirs else "-"]
+        for name, took in startup.items()
+    ]
+    return grid(["", "ms", "of mbpoll"], rows)
 
 
 def tls_tables(tls: Tls) -> str:
@@ -279,6 +292,7 @@ def as_json(report: Report) -> dict[str, Any]:
             for name, found in report.memory.items()
         },
         "tls": None if report.tls is None else asdict(report.tls),
+        "startup": report.startup,
         "targets": [
             {
                 "target": target_title(outcome),

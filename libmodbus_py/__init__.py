@@ -5,17 +5,27 @@ Its folders, floor by floor. Imports run downwards only, and those on one floor 
 each other::
 
     cli                 libmodbus-py: read, write, scan, listen, serve, gateway, demo, certificates
-    integrations        metrics for Prometheus
+    integrations        metrics for Prometheus; a backend for Home Assistant
+    page                a live page of a server, in a browser
+    workers             machines that share the devices of a fleet
+    fleet               many devices polled, and what is read given to outputs
     gateway             requests passed on from any endpoint to any line
     simulator           devices from a file, which move, wait and err
-    testing             lines with a tap, for tests and the demo
+    testing             for tests: lines with a tap, recording servers, the pytest plugin
     scan                who answers on a line or network, and what they have
     client   server     who asks: TcpContext, ..., AsyncClient; who answers: Server;
     listener            and who only listens: transactions of others on a line
+    maps                what stands where in a device, and plans of few requests for it
     toml                what files in TOML have in common
+    engine              the way to NATS, where workers find each other
     ports    device     what carries bytes, and waits for them; one unit and its tables
     binding  security   the C library; who may talk, proven by certificates
     protocol            bytes and values: PDUs, frames, errors; no socket, no clock
+    late                public names imported when they are first asked for
+    version             a number
+
+What is public comes from there when it is first asked for; ``device_file``, ``errors``,
+``framing``, ``low_level``, ``pdu`` and ``values`` are short paths to modules.
 
 A read goes ``client`` -> ``protocol.pdu`` -> ``protocol.framing`` -> ``ports`` -> the wire ->
 ``ports`` -> ``server`` -> ``device`` -> libmodbus's modbus_reply on the tables, and back. The
@@ -24,72 +34,146 @@ docstring of each folder names its files.
 Addresses are 0-based and times are in seconds everywhere.
 """
 
-import sys
+from .late import late
+from .version import __version__ as __version__
 
-from .binding import low_level
-from .client.asynchronous import AsyncClient
-from .client.blocking import AsciiContext, Context, RtuContext, TcpContext, TlsContext, UdpContext
-from .client.plan import Plan, Read
-from .client.reconnecting import State
-from .client.trace import Traced
-from .device.access import Access
-from .device.authorization import Asked
-from .device.device import Caller, Device
-from .device.hooks import Hook
-from .device.mapping import Mapping
-from .device.record_file import RecordFile
-from .device.rules import Allow, Rules
-from .gateway.gateway import Gateway
-from .gateway.routes import Route
-from .listener.capture import CaptureError
-from .listener.listening import Listener, listening
-from .listener.separator import Separator
-from .listener.summary import Summary
-from .listener.transaction import Transaction
-from .protocol import errors, framing, pdu, values
-from .protocol.errors import (
-    Acknowledge,
-    ExceptionResponse,
-    FrameError,
-    GatewayPathUnavailable,
-    GatewayTargetFailedToRespond,
-    IllegalDataAddress,
-    IllegalDataValue,
-    IllegalFunction,
-    InvalidResponse,
-    MemoryParityError,
-    ModbusConnectionError,
-    ModbusError,
-    ModbusTimeoutError,
-    NegativeAcknowledge,
-    ServerDeviceBusy,
-    ServerDeviceFailure,
-)
-from .scan.scanning import Found, Scan, scanning
-from .scan.searching import Extent, Search, searching
-from .security.security import Security
-from .server.faults import Fault
-from .server.limits import Limits
-from .server.server import Running, Server
-from .simulator import device_file
+TYPE_CHECKING = False  # typing, which has it, takes two milliseconds
+if TYPE_CHECKING:
+    from .binding import low_level
+    from .client.asynchronous import AsyncClient
+    from .client.blocking import (
+        AsciiContext,
+        Context,
+        RtuContext,
+        TcpContext,
+        TlsContext,
+        UdpContext,
+    )
+    from .client.reconnecting import State
+    from .device.access import Access
+    from .device.authorization import Asked
+    from .device.device import Caller, Device
+    from .device.hooks import Hook
+    from .device.mapping import Mapping
+    from .device.record_file import RecordFile
+    from .device.rules import Allow, Rules
+    from .fleet.config import DeviceConfig
+    from .fleet.fleet import Fleet
+    from .fleet.readings import Reading
+    from .gateway.gateway import Gateway
+    from .gateway.routes import Route
+    from .listener.capture import CaptureError
+    from .listener.listening import Listener, listening
+    from .listener.separator import Separator
+    from .listener.summary import Summary
+    from .listener.transaction import Transaction
+    from .maps.drafts import MapError
+    from .maps.map_file import load_map
+    from .maps.plan import Plan, Read
+    from .maps.point import Point
+    from .maps.register_map import RegisterMap
+    from .page.page import Page, page_of
+    from .ports.trace import Traced
+    from .protocol import errors, framing, pdu, values
+    from .protocol.errors import (
+        Acknowledge,
+        ExceptionResponse,
+        FrameError,
+        GatewayPathUnavailable,
+        GatewayTargetFailedToRespond,
+        IllegalDataAddress,
+        IllegalDataValue,
+        IllegalFunction,
+        InvalidResponse,
+        MemoryParityError,
+        ModbusConnectionError,
+        ModbusError,
+        ModbusTimeoutError,
+        NegativeAcknowledge,
+        ServerDeviceBusy,
+        ServerDeviceFailure,
+    )
+    from .scan.scanning import Found, Scan, scanning
+    from .scan.searching import Extent, Search, searching
+    from .security.security import Security
+    from .server.faults import Fault
+    from .server.limits import Limits
+    from .server.server import Running, Server
+    from .simulator import device_file
 
 # fmt: off
 __all__ = [
     "Access", "Acknowledge", "Allow", "AsciiContext", "Asked", "AsyncClient", "Caller",
-    "CaptureError", "Context", "Device", "ExceptionResponse", "Extent", "Fault", "Found",
-    "FrameError", "Gateway", "GatewayPathUnavailable", "GatewayTargetFailedToRespond", "Hook",
-    "IllegalDataAddress", "IllegalDataValue", "IllegalFunction", "InvalidResponse", "Limits",
-    "Listener", "Mapping", "MemoryParityError", "ModbusConnectionError", "ModbusError",
-    "ModbusTimeoutError", "NegativeAcknowledge", "Plan", "Read", "RecordFile", "Route",
-    "RtuContext", "Rules", "Running", "Scan", "Search", "Security", "Separator", "Server",
-    "ServerDeviceBusy", "ServerDeviceFailure", "State", "Summary", "TcpContext", "TlsContext",
-    "Traced", "Transaction", "UdpContext", "device_file", "errors", "framing", "listening",
-    "low_level", "pdu", "scanning", "searching", "values",
+    "CaptureError", "Context", "Device", "DeviceConfig", "ExceptionResponse", "Extent", "Fault",
+    "Fleet", "Found", "FrameError", "Gateway", "GatewayPathUnavailable",
+    "GatewayTargetFailedToRespond", "Hook", "IllegalDataAddress", "IllegalDataValue",
+    "IllegalFunction", "InvalidResponse", "Limits", "Listener", "MapError", "Mapping",
+    "MemoryParityError", "ModbusConnectionError", "ModbusError", "ModbusTimeoutError",
+    "NegativeAcknowledge", "Page", "Plan", "Point", "Read", "Reading", "RecordFile",
+    "RegisterMap", "Route", "RtuContext", "Rules", "Running", "Scan", "Search", "Security",
+    "Separator", "Server", "ServerDeviceBusy", "ServerDeviceFailure", "State", "Summary",
+    "TcpContext", "TlsContext", "Traced", "Transaction", "UdpContext", "device_file", "errors",
+    "framing", "listening", "load_map", "low_level", "page_of", "pdu", "scanning", "searching",
+    "values",
 ]
+
+# Where they are; each is imported when it is first asked for, for a client needs no server.
+_HOMES = {
+    "client.asynchronous": ("AsyncClient",),
+    "client.blocking": (
+        "AsciiContext", "Context", "RtuContext", "TcpContext", "TlsContext", "UdpContext",
+    ),
+    "client.reconnecting": ("State",),
+    "device.access": ("Access",),
+    "device.authorization": ("Asked",),
+    "device.device": ("Caller", "Device"),
+    "device.hooks": ("Hook",),
+    "device.mapping": ("Mapping",),
+    "device.record_file": ("RecordFile",),
+    "device.rules": ("Allow", "Rules"),
+    "fleet.config": ("DeviceConfig",),
+    "fleet.fleet": ("Fleet",),
+    "fleet.readings": ("Reading",),
+    "gateway.gateway": ("Gateway",),
+    "gateway.routes": ("Route",),
+    "listener.capture": ("CaptureError",),
+    "listener.listening": ("Listener", "listening"),
+    "listener.separator": ("Separator",),
+    "listener.summary": ("Summary",),
+    "listener.transaction": ("Transaction",),
+    "maps.drafts": ("MapError",),
+    "maps.map_file": ("load_map",),
+    "maps.plan": ("Plan", "Read"),
+    "maps.point": ("Point",),
+    "maps.register_map": ("RegisterMap",),
+    "page.page": ("Page", "page_of"),
+    "ports.trace": ("Traced",),
+    "protocol.errors": (
+        "Acknowledge", "ExceptionResponse", "FrameError", "GatewayPathUnavailable",
+        "GatewayTargetFailedToRespond", "IllegalDataAddress", "IllegalDataValue",
+        "IllegalFunction", "InvalidResponse", "MemoryParityError",
+        "ModbusConnectionError", "ModbusError", "ModbusTimeoutError",
+        "NegativeAcknowledge", "ServerDeviceBusy", "ServerDeviceFailure",
+    ),
+    "scan.scanning": ("Found", "Scan", "scanning"),
+    "scan.searching": ("Extent", "Search", "searching"),
+    "security.security": ("Security",),
+    "server.faults": ("Fault",),
+    "server.limits": ("Limits",),
+    "server.server": ("Running", "Server"),
+}
+
+# Those that are modules; they have short paths, too: ``from libmodbus_py.pdu import ReadCoils``.
+_MODULES = {
+    "device_file": "simulator.device_file", "errors": "protocol.errors",
+    "framing": "protocol.framing", "low_level": "binding.low_level", "pdu": "protocol.pdu",
+    "values": "protocol.values",
+}
 # fmt: on
 
-__version__ = "0.1.0"
+if not TYPE_CHECKING:  # checkers would take any name for one of ours
+    __getattr__ = late(__name__, _HOMES, _MODULES)
 
-# The short paths of what programs import by name: ``from libmodbus_py.pdu import ReadCoils``.
-for _module in (device_file, errors, framing, low_level, pdu, values):
-    sys.modules[f"{__name__}.{_module.__name__.rpartition('.')[2]}"] = _module
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

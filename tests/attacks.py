@@ -18,6 +18,7 @@ import json
 import os
 import random
 import resource
+import select
 import selectors
 import signal
 import socket
@@ -40,7 +41,7 @@ READ_ONE = bytes.fromhex("03 0000 0001")
 READ_MOST = bytes.fromhex("03 0000 007d")
 
 # Seconds that a process may take to start or to stop, and an answer to come.
-PATIENCE = 20
+PATIENCE = 25.0
 
 
 def adu(pdu: bytes, transaction: int = 1, unit: int = UNIT) -> bytes:
@@ -210,10 +211,11 @@ class Innocent:
     def __exit__(self, *_: object) -> None:
         self._connection.close()
 
-    def poll(self, seconds: float) -> Polled:
+    def poll(self, seconds: float, until: Callable[[], bool] = lambda: True) -> Polled:
+        """Ask for so many seconds, and until that is true."""
         polled = Polled()
         end = time.perf_counter() + seconds
-        while time.perf_counter() < end:
+        while time.perf_counter() < end or not until():
             self._ask(polled)
             time.sleep(self.PERIOD)
         return polled
@@ -429,6 +431,7 @@ class AttackerProcess:
             text=True,
         )
         self.pid = self._process.pid
+        self._all_attack = False
         assert self._read_line() == "ready\n"
 
     def __enter__(self) -> Self:
@@ -443,11 +446,18 @@ class AttackerProcess:
         self._process.stdin.write("go\n")
         self._process.stdin.flush()
 
+    def all_attack(self) -> bool:
+        """Whether as many connections were made as there should be, and have sent what they do."""
+        if not self._all_attack and select.select([self._process.stdout], [], [], 0)[0]:
+            self._all_attack = self._read_line() == "all\n"
+        return self._all_attack
+
     def end(self) -> Done:
         assert self._process.stdin is not None
         self._process.stdin.close()
         self._process.stdin = None  # communicate() would flush it
-        return Done(*json.loads(self._read_line()))
+        line = self._read_line()
+        return Done(*json.loads(self._read_line() if line == "all\n" else line))
 
     def _read_line(self) -> str:
         assert self._process.stdout is not None
@@ -474,11 +484,19 @@ class Attackers:
         self.selector.register(until, selectors.EVENT_READ)
         for number in range(self.attack.connections):
             self.add(number)
+        is_told = False
         while self._turn():
-            pass
+            if not is_told and self._all_attack():
+                is_told = True
+                print("all", flush=True)
         for attacker in self._open:
             attacker.close()
         return Done(self.connected, self.sent, self.received)
+
+    def _all_attack(self) -> bool:
+        return self.connected >= self.attack.connections and (
+            self.sent > 0 or not self.attack.sends
+        )
 
     def add(self, number: int) -> None:
         self._open.add(Attacker(self, number))

@@ -12,9 +12,12 @@ from pathlib import Path
 import pytest
 from c_programs import SOURCES, compile_c
 from certificates import Papers, secured
+from clients import KINDS, Connect, connecting
 
 from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.testing.wires import SerialWire
+
+pytest_plugins = ["alone"]
 
 UNIT = 17
 
@@ -58,6 +61,13 @@ def url(request: pytest.FixtureRequest, device: Device, tmp_path: Path) -> Itera
             address = f"{request.param}://{wire.server}?baudrate=115200"
             stack.enter_context(Server({UNIT: device}).background(address))
             yield f"{request.param}://{wire.client}?baudrate=115200"
+
+
+@pytest.fixture(params=KINDS)
+def connect(request: pytest.FixtureRequest) -> Iterator[Connect]:
+    """Makes clients of one kind: for what holds for both, and both ways of the blocking one."""
+    with connecting(request.param) as made:
+        yield made
 
 
 @pytest.fixture(scope="session")

@@ -13,9 +13,10 @@ from collections.abc import Iterator
 from typing import Any
 
 from libmodbus_py import ModbusConnectionError, pdu
-from libmodbus_py.client.batch import Batch, Patience
+from libmodbus_py.client.batch import Batch
 from libmodbus_py.client.in_flight import InFlight
 from libmodbus_py.client.options import Settings, assembled
+from libmodbus_py.client.patience import Patience
 from libmodbus_py.ports.endpoint import parse
 
 TCP = "tcp://192.0.2.1"

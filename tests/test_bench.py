@@ -52,6 +52,7 @@ def test_short_run_measures_whatever_is_installed(tmp_path: Path) -> None:
     assert set(report["tls"]["requests"]) == {"1 x 1", "8 x 1", "100 x 1", "1 x 16", "8 x 16"}
     assert all(secure > 0 for _, secure in report["tls"]["requests"].values())
     assert all(cost > 0 for cost in report["tls"]["handshakes"].values())
+    assert report["startup"]["libmodbus-py, one read"] > report["startup"]["Python, nothing"] > 0
     assert len(report["targets"]) == text.count(">= ")
 
 

@@ -9,6 +9,7 @@ import copy
 import ctypes
 import errno
 import importlib
+import importlib.util
 import inspect
 import os
 import pickle
@@ -39,6 +40,18 @@ MODULES = {
     ".".join(path.relative_to(PACKAGE).with_suffix("").parts).removesuffix(".__init__"): path
     for path in sorted(PACKAGE.rglob("*.py"))
 }
+
+# Older Pythons than 3.13 have no modbus-connection, which one folder is about.
+LACKING = [
+    f"integrations.{name}"
+    for name in ("modbus_connection",)
+    if importlib.util.find_spec(name) is None
+]
+IMPORTABLE = [
+    name
+    for name in MODULES
+    if name not in ("__init__", "__main__") and not name.startswith(tuple(LACKING))
+]
 
 
 # --- imports ---------------------------------------------------------------------------
@@ -97,9 +110,7 @@ class TestImports:
         }
 
     def test_public_modules_do_not_hand_out_private_names(self) -> None:
-        for name in MODULES:
-            if name in ("__init__", "__main__"):
-                continue
+        for name in IMPORTABLE:
             exported = getattr(importlib.import_module(f"libmodbus_py.{name}"), "__all__", [])
             assert [each for each in exported if each.startswith("_")] == []
 
@@ -126,16 +137,51 @@ class TestMap:
 # --- public names --------------------------------------------------------------------------
 
 
+def told_to_checkers(path: Path) -> dict[str, str]:
+    """Where the names are that a package imports for type checkers."""
+    told: dict[str, str] = {}
+    for node in ast.parse(path.read_text()).body:
+        if isinstance(node, ast.If) and isinstance(node.test, ast.Name):
+            for each in node.body:
+                assert isinstance(each, ast.ImportFrom)
+                told |= {alias.name: each.module or "" for alias in each.names}
+    return told
+
+
 class TestPublicNames:
     def test_every_public_name_exists(self) -> None:
         assert sorted(set(libmodbus_py.__all__)) == sorted(libmodbus_py.__all__)
         missing = [name for name in libmodbus_py.__all__ if not hasattr(libmodbus_py, name)]
         assert missing == []
 
+    def test_where_names_come_from_is_told_checkers_and_python_alike(self) -> None:
+        """Twice, for checkers follow imports only, and these would import all."""
+        for package, modules in ((libmodbus_py, libmodbus_py._MODULES), (pdu, {})):
+            told = told_to_checkers(Path(package.__file__))
+            assert sorted(told) == sorted(package.__all__)
+            homes = {name: home for home, names in package._HOMES.items() for name in names}
+            assert {name: home for name, home in told.items() if name not in modules} == homes
+            assert {name: f"{told[name]}.{name}" for name in modules} == modules
+
+    @pytest.mark.parametrize("package", [libmodbus_py, pdu])
+    def test_everything_is_there_for_whoever_asks_in_any_way(self, package: Any) -> None:
+        names: dict[str, object] = {}
+        exec(f"from {package.__name__} import *", names)
+        assert set(package.__all__) <= set(names)
+        assert set(package.__all__) <= set(dir(package))
+        with pytest.raises(AttributeError, match="has no attribute 'TcpContex'"):
+            _ = package.TcpContex
+        with pytest.raises(ImportError, match="cannot import name 'TcpContex'"):
+            exec(f"from {package.__name__} import TcpContex")
+
+    @pytest.mark.parametrize("name", libmodbus_py._MODULES)
+    def test_short_paths_lead_to_the_modules_themselves(self, name: str) -> None:
+        home = importlib.import_module(f"libmodbus_py.{libmodbus_py._MODULES[name]}")
+        assert importlib.import_module(f"libmodbus_py.{name}") is home
+        assert getattr(libmodbus_py, name) is home
+
     def test_every_public_name_of_every_module_exists(self) -> None:
-        for name in MODULES:
-            if name in ("__init__", "__main__"):
-                continue
+        for name in IMPORTABLE:
             module = importlib.import_module(f"libmodbus_py.{name}")
             missing = [each for each in getattr(module, "__all__", []) if not hasattr(module, each)]
             assert missing == [], name
@@ -204,7 +250,11 @@ class TestPublicNames:
             for name, value in inspect.getmembers(Context)
             if inspect.isfunction(value) and re.match(r"(read|write|mask|report)_", name)
         }
-        lacking = names - {"ReadMany", "ReadValues", "WriteValues"} - set(pdu.__all__)
+        lacking = (
+            names
+            - {"ReadMany", "ReadMap", "ReadValues", "WriteMap", "WriteValues"}
+            - set(pdu.__all__)
+        )
         assert not lacking
         assert {"diagnostics", "encapsulated_transport", "execute"} < set(dir(Context))
 
@@ -230,6 +280,95 @@ class TestPublicNames:
 
     def test_types_are_published(self) -> None:
         assert (PACKAGE / "py.typed").exists()
+
+
+# --- what an import brings ------------------------------------------------------------------
+
+SLOW = {"asyncio", "ssl", "logging", "random", "argparse", "subprocess", "hashlib"}
+"""Modules of Python that take longer than what they would be imported for."""
+
+
+def imported_by(program: str) -> set[str]:
+    """Without site, which imports what editable installations need."""
+    code = (
+        f"import sys; sys.path = {[str(PACKAGE.parent), *sys.path]!r}\n"
+        f"before = set(sys.modules)\n{program}\n"
+        "print(*sorted(set(sys.modules) - before))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-I", "-S", "-c", code], capture_output=True, text=True, timeout=30
+    )
+    assert done.returncode == 0, done.stderr
+    return set(done.stdout.split())
+
+
+class TestLateImports:
+    """Programs that start often, such as one read in a shell, pay for each module each time."""
+
+    @pytest.mark.parametrize(
+        ("program", "wanted", "unwanted"),
+        [
+            ("import libmodbus_py", {"late"}, {"client", "ports", "protocol"}),
+            (
+                "from libmodbus_py import TcpContext",
+                # The compiled modules are wanted, so that it fails at once where they lack.
+                {"client.requests", "binding._libmodbus", "protocol._scan"},
+                {
+                    *("client.options", "client.conversation", "client.asyncio_driver"),
+                    *("maps", "ports.endpoint", "ports.serial", "ports.tls", "security"),
+                    *("protocol.pdu.reads", "protocol.pdu.writes", "protocol.pdu.interface"),
+                    *("protocol.values", "protocol.tables"),
+                },
+            ),
+            (
+                "from libmodbus_py import TcpContext; TcpContext('127.0.0.1').close()",
+                {"client.options", "ports.endpoint"},
+                {"client.in_turn", "maps", "ports.serial", "protocol.pdu.reads"},
+            ),
+            (
+                "from libmodbus_py import RtuContext; RtuContext('/dev/null').close()",
+                {"ports.serial", "protocol.pdu.function_codes"},
+                {"maps", "protocol.values", "client.asyncio_driver"},
+            ),
+            (
+                "from libmodbus_py import pdu; pdu.ReadHoldingRegisters(0, 1).encode()",
+                {"protocol.pdu.reads"},
+                {"client", "protocol.pdu.writes", "protocol.pdu.serial", "protocol.framing"},
+            ),
+        ],
+    )
+    def test_what_comes_with_what(self, program: str, wanted: set[str], unwanted: set[str]) -> None:
+        found = imported_by(program)
+        assert not found & SLOW
+        assert wanted <= {name.removeprefix("libmodbus_py.") for name in found}
+        assert not {f"libmodbus_py.{name}" for name in unwanted} & found
+
+    def test_a_client_that_is_not_made_needs_no_dataclasses(self) -> None:
+        """They bring inspect, and with it half of what compiles Python."""
+        found = imported_by("from libmodbus_py import TcpContext")
+        assert not found & {"dataclasses", "inspect", "urllib.parse"}
+
+    def test_one_read_brings_one_kind_of_request(self) -> None:
+        found = imported_by(
+            "import socket, threading\n"
+            "from libmodbus_py import TcpContext\n"
+            "there = socket.create_server(('127.0.0.1', 0))\n"
+            "def answer():\n"
+            "    here, _ = there.accept()\n"
+            "    asked = here.recv(12)\n"
+            "    here.sendall(asked[:4] + bytes([0, 5]) + asked[6:8] + bytes([2, 1, 2]))\n"
+            "thread = threading.Thread(target=answer)\n"
+            "thread.start()\n"
+            "with TcpContext('127.0.0.1', there.getsockname()[1], timeout=20) as plc:\n"
+            "    assert plc.read_holding_registers(0, 1) == [0x102]\n"
+            "thread.join()\n"
+        )
+        kinds = {name for name in found if name.startswith("libmodbus_py.protocol.pdu.")}
+        own = ("fields", "request", "reads")
+        assert kinds == {f"libmodbus_py.protocol.pdu.{name}" for name in own}
+
+    def test_tls_brings_ssl(self) -> None:
+        assert "ssl" in imported_by("from libmodbus_py import Security")
 
 
 # --- libmodbus -------------------------------------------------------------------------------
@@ -352,7 +491,7 @@ def import_from(directory: Path) -> subprocess.CompletedProcess[str]:
     """Without site, so that no editable installation lends its compiled module."""
     backend = importlib.import_module("_cffi_backend").__file__ or ""
     return subprocess.run(
-        [sys.executable, "-S", "-c", "import libmodbus_py"],
+        [sys.executable, "-S", "-c", "from libmodbus_py import TcpContext"],
         cwd=directory,
         env={**os.environ, "PYTHONPATH": str(Path(backend).parent)},
         capture_output=True,

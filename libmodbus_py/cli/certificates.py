@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from ..security.making import Identity, make, write
+from .help import VerbatimHelp
 
 __all__ = ["add_command"]
 
@@ -22,13 +23,23 @@ ENDPOINT = "tls://127.0.0.1:1802"
 """In the commands that are shown: port 802 is root's alone."""
 
 
+EXAMPLES = """\
+examples:
+  libmodbus-py certificates papers
+  libmodbus-py certificates papers --host plc.example --host 192.0.2.10
+  libmodbus-py certificates papers --role Operator --role Engineer --days 30
+  libmodbus-py serve tls://127.0.0.1:1802 --cert papers/server.pem --key papers/server-key.pem \\
+      --ca papers/ca.pem"""
+
+
 def add_command(commands: Any) -> None:
     """Tell argparse of it."""
     command = commands.add_parser(
         "certificates",
-        help="make certificates to try Modbus Security (tls://) with",
         description="Makes an authority, a server, clients with roles and one without. They are "
-        "for trying things out: the authority's key lies beside the others.",
+        "for trying\nthings out: the authority's key lies beside the others.",
+        epilog=EXAMPLES,
+        formatter_class=VerbatimHelp,
     )
     command.add_argument("directory", metavar="DIR", type=Path, help="nothing in it is overwritten")
     command.add_argument(

@@ -7,6 +7,7 @@ bytes shown are those that a tap on the wire saw.
 
 from __future__ import annotations
 
+import argparse
 import os
 import sys
 import textwrap
@@ -26,7 +27,12 @@ from ..protocol.values import parse_reference
 from ..server.server import Server
 from ..testing.wires import SerialWire, TcpWire
 
-__all__ = ["run"]
+__all__ = ["add_command"]
+
+
+def add_command(commands: Any) -> None:
+    """Tell argparse of it."""
+    commands.add_parser("demo").set_defaults(run=_demo)
 
 
 @dataclass(frozen=True)
@@ -123,7 +129,7 @@ LINES: dict[str, Callable[[], Any]] = {
 }
 
 
-def run() -> int:
+def _demo(_: argparse.Namespace) -> int:
     """Show every example on every line; 0 if all answers were what the examples say, else 1."""
     version = ".".join(map(str, loaded_version()))
     print(f"libmodbus {version}: a client and a server with a register mapping, on three lines")

@@ -11,9 +11,11 @@ from typing import Any
 from ..gateway import config
 from ..gateway.gateway import Gateway
 from ..gateway.routes import parse_route
-from ..ports.endpoint import SCHEMES
+from ..ports.schemes import SCHEMES
 from . import limits, metrics, security
 from .announcing import announcing
+from .hangup import unless_closed
+from .help import VerbatimHelp
 
 __all__ = ["add_command"]
 
@@ -25,13 +27,21 @@ OPTIONS = ("own_units", "queue", "longest_wait", "writes_first")
 ROUTE = "[UNITS[:DEVICE_UNITS]=]URL"
 
 
+EXAMPLES = """\
+examples:
+  libmodbus-py gateway tcp://0.0.0.0:502 --to rtu:///dev/ttyUSB0
+  libmodbus-py gateway tcp://127.0.0.1:1502 --to "1-10=rtu:///dev/ttyUSB0?baudrate=9600&parity=N"
+  libmodbus-py gateway tcp://0.0.0.0:502 --to 1-10=tcp://192.0.2.10 --to 11:1=tcp://192.0.2.11
+  libmodbus-py gateway --config gateway.toml --metrics 127.0.0.1:9400"""
+
+
 def add_command(commands: Any) -> None:
     """Tell argparse of it."""
     command = commands.add_parser(
         "gateway",
-        help="pass requests on from any endpoint to the devices of any line",
-        epilog=f"URLs: {' '.join(f'{scheme}://...' for scheme in SCHEMES)}; those of --to take"
-        " options of clients, such as ?timeout=0.5",
+        epilog=f"{EXAMPLES}\n\nURLs: {' '.join(f'{scheme}://...' for scheme in SCHEMES)};\n"
+        "those of --to take options of clients, such as ?timeout=0.5",
+        formatter_class=VerbatimHelp,
     )
     command.add_argument("urls", metavar="URL", nargs="*", help="such as tcp://0.0.0.0:502")
     command.add_argument(
@@ -73,7 +83,7 @@ def _gateway(options: argparse.Namespace) -> int:
         gateway.serve_forever(
             *urls,
             on_listening=announcing(options.allow),
-            on_hangup=lambda: _read_again(gateway, options.config, file),
+            on_hangup=unless_closed(lambda: _read_again(gateway, options.config, file)),
         )
     return 0
 

@@ -20,6 +20,8 @@ from ..listener.listening import Listener, listening
 from ..listener.transaction import Transaction
 from ..protocol.errors import ExceptionResponse
 from ..protocol.pdu import Request
+from .connecting import url_of
+from .help import VerbatimHelp
 
 __all__ = ["add_command"]
 
@@ -33,14 +35,25 @@ _shown.maxlist = _shown.maxtuple = _shown.maxdict = 16
 _shown.maxstring = _shown.maxother = 200
 
 
+EXAMPLES = """\
+examples:
+  libmodbus-py listen /dev/ttyUSB0
+  libmodbus-py listen "rtu:///dev/ttyUSB0?baudrate=9600&parity=N" --capture line.pcapng
+  libmodbus-py listen rtu+tcp://127.0.0.1:1502 --between rtu+tcp://192.0.2.10:502 --json
+  libmodbus-py listen line.pcapng
+
+URL: rtu:///dev/ttyUSB0?baudrate=19200&parity=E or ascii:///dev/...; or just /dev/ttyUSB0;
+     rtu+tcp://HOST:PORT or ascii+tcp://HOST:PORT with --between; or the path of a capture.
+     In quotes where there is an &, which has a meaning in a shell."""
+
+
 def add_command(commands: Any) -> None:
     """Tell argparse of it."""
     command = commands.add_parser(
         "listen",
-        help="show what others say on a line",
         description="Shows every transaction on a line, and a summary after Ctrl-C.",
-        epilog="URL: rtu:///dev/ttyUSB0?baudrate=19200, ascii:///dev/...; rtu+tcp://... or "
-        "ascii+tcp://... with --between; or the path of a capture",
+        epilog=EXAMPLES,
+        formatter_class=VerbatimHelp,
     )
     command.add_argument("url", metavar="URL", help="where to listen; FILE.pcapng reads a capture")
     command.add_argument(
@@ -56,7 +69,9 @@ def _listen(options: argparse.Namespace) -> int:
     write = _print_json if options.json else _print_line
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        with listening(options.url, between=options.between, capture=options.capture) as line:
+        with listening(
+            _place(options.url), between=options.between, capture=options.capture
+        ) as line:
             _write_all(line, write, is_live=not options.url.endswith(".pcapng"))
             if options.json:
                 print(json.dumps({"summary": line.summary.as_dict()}), flush=True)
@@ -65,6 +80,11 @@ def _listen(options: argparse.Namespace) -> int:
     finally:
         signal.signal(signal.SIGTERM, before)
     return 0
+
+
+def _place(typed: str) -> str:
+    """What has no scheme is a capture, unless it is a device."""
+    return url_of(typed) if typed.startswith("/dev/") else typed
 
 
 def _write_all(line: Listener, write: Any, *, is_live: bool) -> None:

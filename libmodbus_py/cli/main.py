@@ -1,24 +1,24 @@
 """
-The command line: demo, serve, gateway, read, write, scan, listen, certificates.
+The command line: what was typed, and with which exit code it ends.
 
-Exit code 0; 1 when the device or the line failed; 2 for wrong usage. Errors are
-one line on stderr.
+Exit code 0; 1 when the device or the line failed; 2 for wrong usage; 130 on Ctrl-C. Errors
+are one line on stderr.
 """
 
 from __future__ import annotations
 
-import argparse
-import re
+import os
 import sys
-from collections.abc import Sequence
-from typing import Any, NoReturn
 
-from ..protocol.errors import ModbusError
-from . import certificates, demo, gateway, listen, read_write, scan, serve
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Sequence
 
-__all__ = ["main"]
+__all__ = ["INTERRUPTED", "main"]
 
-PROGRAM = "libmodbus-py"
+INTERRUPTED = 130
+"""As shells have it for Ctrl-C."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -30,49 +30,50 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     Returns:
         The exit code.
+
+    Raises:
+        SystemExit: after --help and --version, with 0; for wrong usage, with 2.
     """
-    parser = _parser()
-    options = parser.parse_args(arguments)
+    # All imports are in here, where Ctrl-C is caught.
     try:
-        code: int = options.run(options)
-    except (ModbusError, read_write.UndecodableError, ImportError) as error:
-        print(f"{PROGRAM}: {error}", file=sys.stderr)
-        return 1
-    except (ValueError, TypeError) as error:
-        parser.error(str(error))
+        from . import output
+
+        output.prepare()
+        try:
+            return _run(arguments)
+        finally:
+            sys.stdout.flush()  # here, where a full disk is caught
     except KeyboardInterrupt:
-        return 130
-    except BrokenPipeError:
-        # The reader of our output has gone, as `head` does; nothing is left to say.
-        sys.stderr.close()
-        return 1
-    except OSError as error:
-        print(f"{PROGRAM}: {error.filename}: {error.strerror}", file=sys.stderr)
-        return 1
-    return code
+        return INTERRUPTED
+    except Exception as error:
+        if _is_interrupt(error):
+            return INTERRUPTED
+        from .failing import failed
+
+        return failed(error)
 
 
-class _Parser(argparse.ArgumentParser):
-    def __init__(self, **options: Any) -> None:
-        super().__init__(**options)
-        # argparse's own takes -1e5 and -inf for options.
-        self._negative_number_matcher = re.compile(r"-(\.?[0-9]|inf|nan)", re.IGNORECASE)
+def _run(arguments: Sequence[str] | None) -> int:
+    from .commands import parsed
 
-    def error(self, message: str) -> NoReturn:
-        self.exit(2, f"{PROGRAM}: {message} (see {PROGRAM} --help)\n")
+    if "_ARGCOMPLETE" in os.environ:
+        from .completion import complete
+
+        complete()
+    options = parsed(sys.argv[1:] if arguments is None else arguments)
+    try:
+        return int(options.run(options))
+    except (ValueError, TypeError) as error:
+        parser: argparse.ArgumentParser = options.parser
+        parser.error(str(error))
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = _Parser(
-        prog=PROGRAM, description="Modbus on libmodbus: try, serve, read, write, listen."
-    )
-    commands = parser.add_subparsers(metavar="COMMAND", required=True)
-    command = commands.add_parser("demo", help="watch a client and a server talk on three lines")
-    command.set_defaults(run=lambda options: demo.run())
-    serve.add_command(commands)
-    gateway.add_command(commands)
-    read_write.add_commands(commands)
-    scan.add_command(commands)
-    listen.add_command(commands)
-    certificates.add_command(commands)
-    return parser
+def _is_interrupt(error: BaseException | None) -> bool:
+    """Whether Ctrl-C is behind it: where Python makes a class, another error takes its place."""
+    seen: set[int] = set()  # errors that are raised again can have each other for a cause
+    while error is not None and id(error) not in seen:
+        if isinstance(error, KeyboardInterrupt):
+            return True
+        seen.add(id(error))
+        error = error.__cause__ or error.__context__
+    return False

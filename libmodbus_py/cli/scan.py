@@ -7,9 +7,7 @@ from __future__ import annotations
 import argparse
 import json
 import re
-import shutil
 import sys
-import time
 from typing import Any
 
 from ..protocol.pdu import DeviceIdentification, ServerId
@@ -17,9 +15,12 @@ from ..protocol.pdu.interface import OBJECT_NAMES
 from ..scan.places import BAUDRATES, PARITIES
 from ..scan.scanning import Found, Progress, Scan, scanning
 from ..scan.searching import MOST_REQUESTS, Extent, Search, Searching, searching
-from . import security
+from . import connecting, security
+from .help import VerbatimHelp
+from .main import INTERRUPTED
+from .status import Status
 
-__all__ = ["add_command"]
+__all__ = ["add_command", "missing", "progress"]
 
 MOST_IN_ALL = 10 * MOST_REQUESTS
 """Requests of all searches together."""
@@ -27,20 +28,24 @@ MOST_IN_ALL = 10 * MOST_REQUESTS
 MOST_SHOWN = 60
 """Characters of what a device says about itself."""
 
-REDRAWN = 0.1
-"""Seconds between two states of the progress, at least."""
 
-INTERRUPTED = 130
+EXAMPLES = """\
+examples:
+  libmodbus-py scan /dev/ttyUSB0
+  libmodbus-py scan /dev/ttyUSB0 --baudrates 9600,19200 --parities E --units 1-20,42
+  libmodbus-py scan 192.0.2.10 --units 1,17,255 --json
+  libmodbus-py scan "rtu:///dev/ttyUSB0?baudrate=9600&parity=N" --deep"""
 
 
 def add_command(commands: Any) -> None:
     """Tell argparse of it."""
     command = commands.add_parser(
         "scan",
-        help="find the units that answer, and at which settings of a serial port",
         description="Asks each unit for one register at each setting, and writes nothing. "
-        "What the URL says of baud rate, parity, unit and timeout holds unless told otherwise.",
-        epilog="exit code 0 if a unit was found, 1 if none was or the line failed, 130 on Ctrl-C",
+        "What\nthe URL says of baud rate, parity, unit and timeout holds unless told otherwise.",
+        epilog="exit code 0 if a unit was found, 1 if none was or the line failed, 130 on Ctrl-C"
+        f"\n\n{EXAMPLES}\n\n{connecting.URLS}",
+        formatter_class=VerbatimHelp,
     )
     command.add_argument("url", metavar="URL", help="such as rtu:///dev/ttyUSB0 or tcp://192.0.2.1")
     command.add_argument(
@@ -119,10 +124,10 @@ class _Report:
         self.extents: dict[str, list[Extent]] = {}
         self.notes: list[str] = []
         self._as_json = as_json
-        self._status = _Status()
+        self._status = Status()
 
     def progress(self, told: Progress | Searching) -> None:
-        self._status.show(told, len(self.found))
+        self._status.show(progress(told, len(self.found)))
 
     def say(self, text: str) -> None:
         """To whoever started it."""
@@ -153,30 +158,8 @@ class _Report:
             print(text, flush=True)
 
 
-class _Status:
-    """One line on a terminal; nothing elsewhere."""
-
-    def __init__(self) -> None:
-        self._is_wanted = sys.stderr.isatty()
-        self._is_shown = False
-        self._next = 0.0
-
-    def show(self, told: Progress | Searching, found: int) -> None:
-        now = time.monotonic()
-        if not self._is_wanted or now < self._next:
-            return
-        self._next = now + REDRAWN
-        self._is_shown = True
-        text = _progress(told, found)[: shutil.get_terminal_size().columns - 1]
-        print(f"\r{text}\x1b[K", end="", file=sys.stderr, flush=True)
-
-    def clear(self) -> None:
-        if self._is_shown:
-            self._is_shown = False
-            print("\r\x1b[K", end="", file=sys.stderr, flush=True)
-
-
-def _progress(told: Progress | Searching, found: int) -> str:
+def progress(told: Progress | Searching, found: int = 0) -> str:
+    """How far it is."""
     if isinstance(told, Searching):
         table = told.table.replace("_", " ")
         return f"unit {told.unit}, {table}: request {told.requests} of {told.most_requests}"
@@ -190,7 +173,7 @@ def _scan(options: argparse.Namespace) -> int:
     report = _Report(options.json)
     secured = security.told(options)
     scan = scanning(
-        options.url,
+        connecting.url_of(options.url),
         baudrates=options.baudrates,
         parities=options.parities,
         units=options.units,
@@ -287,7 +270,7 @@ def _toml(found: Found, extents: list[Extent], requests: int) -> str:
     """As a device file has it."""
     where = "" if found.baudrate is None else f" at {_setting(found)}"
     lines = [f"\n# unit {found.unit}{where}: {requests} requests"]
-    lines += [f"# {extent.table}: {text}" for extent in extents if (text := _missing(extent))]
+    lines += [f"# {extent.table}: {text}" for extent in extents if (text := missing(extent))]
     lines += ["[[unit]]"] + [f"id = {found.unit}"] * (not found.is_any)
     for extent in extents:
         for each in extent.ranges:
@@ -296,7 +279,7 @@ def _toml(found: Found, extents: list[Extent], requests: int) -> str:
     return "\n".join(lines)
 
 
-def _missing(extent: Extent) -> str:
+def missing(extent: Extent) -> str:
     """What a reader must know of what is not there."""
     told = [f"ended by {extent.ended}"] * bool(extent.ended)
     if extent.unseen:

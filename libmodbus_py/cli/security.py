@@ -5,9 +5,10 @@ Who one is and whom one trusts, for tls:// URLs, as told by options.
 from __future__ import annotations
 
 import argparse
+from typing import TYPE_CHECKING
 
-from ..ports.tls import named_security
-from ..security.security import Security
+if TYPE_CHECKING:
+    from ..security.security import Security
 
 __all__ = ["add_arguments", "told"]
 
@@ -45,4 +46,8 @@ def told(options: argparse.Namespace) -> Security | None:
     given = {name: value for name in names if (value := getattr(options, name)) is not None}
     if options.pin:
         given["pin"] = ",".join(options.pin)
-    return named_security("the command line", given) if given else None
+    if not given:
+        return None
+    from ..ports.tls import named_security
+
+    return named_security("the command line", given)

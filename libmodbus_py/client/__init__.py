@@ -9,6 +9,7 @@ From the caller to the wire:
     asynchronous       AsyncClient
     options            what both take, and the parts made of it
     batch              what one caller asks, and what became of it
+    patience           how long a caller waits
     blocking_driver    waits by polling, for any thread; forks, Ctrl-C
     asyncio_driver     waits in an event loop, with one reader and one timer
     shortcut           the short way, when nothing needs deciding
@@ -20,7 +21,4 @@ From the caller to the wire:
       hints            what bytes that answer nothing look like
     reconnecting       when to connect again; State
     statistics         what happened, counted; Statistics
-    trace              what goes over the wire, for whoever wants to see it
-
-Beside it: plan, which makes few requests of many reads.
 """

@@ -7,6 +7,18 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import Any, Self, TypeVar, Unpack, overload
 
+from ..maps.plan import (
+    Item,
+    Items,
+    Key,
+    Named,
+    Plan,
+    PlanOptions,
+    Strict,
+    Tolerant,
+    Values,
+    planned,
+)
 from ..ports.endpoint import parse
 from ..protocol import pdu
 from ..protocol.errors import InvalidResponse, ModbusError
@@ -14,8 +26,7 @@ from .asyncio_driver import AsyncioDriver
 from .batch import Batch, raised
 from .handle import Handle
 from .options import AsyncOptions, Settings, assembled
-from .plan import Item, Items, Key, Named, Plan, PlanOptions, Strict, Tolerant, Values, planned
-from .requests import Awaiting
+from .requests import Awaiting, Several
 
 __all__ = ["IN_FLIGHT", "AsyncClient", "Submitted"]
 
@@ -71,10 +82,11 @@ class AsyncClient(Handle[AsyncioDriver], Awaiting):
 
     def __init__(self, url: str, **options: Unpack[AsyncOptions]) -> None:
         endpoint = parse(url)
-        settings = Settings.of(endpoint, options, max_pause=MAX_PAUSE)
+        settings = Settings.of(endpoint, options, max_pause=MAX_PAUSE, may_send=None)
         parts = assembled(endpoint, settings, IN_FLIGHT)
         patience = settings.patience
-        super().__init__(parts, settings, AsyncioDriver(parts, patience), patience)
+        driver = AsyncioDriver(parts, patience, settings.may_send)
+        super().__init__(parts, settings, driver, patience)
         self._life = _Life(self._driver)
 
     async def connect(self) -> None:
@@ -123,7 +135,7 @@ class AsyncClient(Handle[AsyncioDriver], Awaiting):
     ) -> Result:
         patience = self._patience
         if timeout is not None or retries is not None:
-            patience = self._patience_for(timeout, retries)
+            patience = self._patience.but(timeout, retries)
         batch = Batch(self.unit, [request], patience, is_broadcast=self._is_broadcast)
         await self._driver.run(batch)
         result: Result = batch.outcomes[0]
@@ -203,13 +215,21 @@ class AsyncClient(Handle[AsyncioDriver], Awaiting):
         """Carry out a procedure."""
         steps = make(self, *arguments, **named)
         try:
-            request = next(steps)
+            step = next(steps)
             while True:
-                request = steps.send(await self.execute(request))
+                step = steps.send(await self._take(step))
         except StopIteration as done:
             return done.value
         except InvalidResponse as error:
             raise self._named(error) from None
+
+    async def _take(self, step: pdu.Request[Any] | Several) -> Any:
+        if not isinstance(step, Several):
+            return await self.execute(step)
+        requests, max_in_flight, return_exceptions = step
+        return await self.execute_many(
+            requests, max_in_flight=max_in_flight, return_exceptions=return_exceptions
+        )
 
 
 class Submitted:

@@ -9,19 +9,23 @@ from __future__ import annotations
 
 import asyncio
 import errno
+import logging
 import math
 import warnings
 from collections.abc import Callable
 from functools import partial
 from time import monotonic
 
-from ..ports.waiting import resolve, run_async
+from ..ports.waiting_async import resolve, run_async
 from ..protocol.errors import ModbusConnectionError
-from .batch import Batch, Patience
+from .batch import Batch
 from .options import Parts
+from .patience import Patience
 from .reconnecting import State
 
 __all__ = ["AsyncioDriver"]
+
+logger: logging.Logger = logging.getLogger(__name__)
 
 
 class AsyncioDriver:
@@ -31,14 +35,18 @@ class AsyncioDriver:
     Args:
         parts: of the client.
         patience: whose timeout an attempt to connect has.
+        may_send: as of `AsyncOptions`.
     """
 
-    def __init__(self, parts: Parts, patience: Patience) -> None:
+    def __init__(
+        self, parts: Parts, patience: Patience, may_send: Callable[[], bool] | None = None
+    ) -> None:
         self._port = parts.port
         self._conversation = parts.conversation
         self._connection = parts.connection
         self._endpoint = str(parts.endpoint)
         self._patience = patience
+        self._may_send = may_send
         self._loop: asyncio.AbstractEventLoop | None = None
         self._attempt: asyncio.Task[None] | None = None
         self._retry: asyncio.TimerHandle | None = None
@@ -160,6 +168,8 @@ class AsyncioDriver:
         self._set_timer()
 
     def _send(self, now: float) -> None:
+        if self._is_forbidden():
+            return
         adus = self._conversation.start(now)
         if not adus:
             return
@@ -172,6 +182,21 @@ class AsyncioDriver:
             self._follow_port(now)
         if not self._is_reading:
             self._read_on()
+
+    def _is_forbidden(self) -> bool:
+        """Whether nothing may be sent now; then whoever waits is told so."""
+        if self._may_send is None or not self._conversation.is_wanted or self._allows():
+            return False
+        self._conversation.refuse(_forbidden())
+        return True
+
+    def _allows(self) -> bool:
+        assert self._may_send is not None
+        try:
+            return self._may_send()
+        except Exception:
+            logger.exception("may_send failed; nothing is sent")
+            return False
 
     def _set_timer(self) -> None:
         """Only if it must ring sooner: one that rings too early does no harm."""
@@ -244,6 +269,9 @@ class AsyncioDriver:
 
     def _go_on(self) -> None:
         now = monotonic()
+        if self._port.has_unsent and self._may_send is not None and not self._allows():
+            self._lose(_forbidden(), by_itself=False)  # and what it had not sent with it
+            return
         try:
             self._port.go_on(now)
             self._follow_port(now)
@@ -285,7 +313,7 @@ class AsyncioDriver:
     def _start_attempt(self) -> None:
         assert self._loop is not None
         self._retry = None
-        if not self._conversation.is_wanted:
+        if not self._conversation.is_wanted or self._is_forbidden():
             return
         opening = self._port.opening(monotonic() + self._patience.timeout)
         self._attempt = self._loop.create_task(run_async(opening))
@@ -314,3 +342,7 @@ class AsyncioDriver:
         if self._connection.state is State.CONNECTING:
             self._connection.given_up()
             self._conversation.refuse(error)
+
+
+def _forbidden() -> ModbusConnectionError:
+    return ModbusConnectionError("may_send allows no request now", errno=errno.EPERM)

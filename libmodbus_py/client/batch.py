@@ -5,11 +5,13 @@ What one caller asks, and what became of it.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from ..protocol.errors import ModbusError
 from ..protocol.pdu import MAX_PDU, Request
+
+if TYPE_CHECKING:
+    from .patience import Patience
 
 __all__ = [
     "MAX_IN_FLIGHT",
@@ -17,7 +19,6 @@ __all__ = [
     "Asked",
     "Batch",
     "Found",
-    "Patience",
     "raised",
 ]
 
@@ -30,22 +31,6 @@ MAX_IN_FLIGHT = 256
 
 # The PDU that answers a request, or why there is none.
 Found = bytes | ModbusError
-
-
-@dataclass(slots=True)
-class Patience:
-    """
-    How long to wait, and how often to ask again.
-
-    Attributes:
-        timeout: seconds for one request.
-        retries: after no answer, a damaged one, or a connection lost meanwhile.
-        busy_retries: after a refusal because the device is busy.
-    """
-
-    timeout: float
-    retries: int
-    busy_retries: int
 
 
 class Asked:

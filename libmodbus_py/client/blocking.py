@@ -5,31 +5,42 @@ The blocking client: a context for each kind of endpoint.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
-from typing import Any, Literal, Self, TypeVar, Unpack, overload
+from typing import TYPE_CHECKING, Any, Literal, Self, TypeVar, Unpack, overload
 
-from ..ports.endpoint import DEFAULT_PORT, SECURE_PORT, Endpoint, parse
-from ..ports.serial import LineSettings, SerialSettings
+from ..ports.schemes import DEFAULT_PORT, SECURE_PORT, SERIAL_OPTIONS
 from ..protocol import pdu
 from ..protocol.errors import InvalidResponse, ModbusError
 from .batch import MAX_IN_FLIGHT, Batch, raised
 from .blocking_driver import BlockingDriver
 from .handle import Handle
-from .options import ContextOptions, Settings, assembled
-from .plan import Item, Items, Key, Named, Plan, PlanOptions, Strict, Tolerant, Values, planned
-from .requests import Blocking
+from .requests import Blocking, Several
+
+if TYPE_CHECKING:
+    from ..maps.plan import (
+        Item,
+        Items,
+        Key,
+        Named,
+        Plan,
+        PlanOptions,
+        Strict,
+        Tolerant,
+        Values,
+    )
+    from ..ports.endpoint import Endpoint
+    from ..ports.serial import LineSettings, SerialSettings
+    from .options import ContextOptions
+
+    class RtuOptions(ContextOptions, LineSettings, total=False):
+        """The options of contexts on a serial line."""
+
+    class UrlOptions(ContextOptions, SerialSettings, total=False):
+        """The options of a context of any kind."""
+
 
 __all__ = ["AsciiContext", "Context", "RtuContext", "TcpContext", "TlsContext", "UdpContext"]
 
 Result = TypeVar("Result")
-
-
-class RtuOptions(ContextOptions, LineSettings, total=False):
-    """The options of contexts on a serial line."""
-
-
-class UrlOptions(ContextOptions, SerialSettings, total=False):
-    """The options of a context of any kind."""
 
 
 class Context(Handle[BlockingDriver], Blocking):
@@ -67,6 +78,9 @@ class Context(Handle[BlockingDriver], Blocking):
     """
 
     def __init__(self, endpoint: Endpoint, options: Mapping[str, Any]) -> None:
+        # What a client is made of is the greater half of it: programs that make none go without.
+        from .options import Settings, assembled
+
         settings = Settings.of(endpoint, options, native=True)
         parts = assembled(endpoint, settings, MAX_IN_FLIGHT)
         # ASCII, echoes and pauses are for the conversation.
@@ -87,10 +101,14 @@ class Context(Handle[BlockingDriver], Blocking):
         Raises:
             TypeError, ValueError: the URL or an option is wrong.
         """
+        from dataclasses import replace
+
+        from ..ports.endpoint import parse
+
         endpoint = parse(address)
         if endpoint.transport == "serial":
             settings = {**endpoint.options}
-            for name in SerialSettings.__annotations__.keys() & options.keys():
+            for name in SERIAL_OPTIONS.keys() & options.keys():
                 settings[name] = options.pop(name)  # type: ignore[misc]
             endpoint = replace(endpoint, options=settings)
         kind: type[Context] = _KINDS[endpoint.transport, endpoint.framing]
@@ -138,7 +156,7 @@ class Context(Handle[BlockingDriver], Blocking):
     ) -> Result:
         patience = self._patience
         if timeout is not None or retries is not None:
-            patience = self._patience_for(timeout, retries)
+            patience = self._patience.but(timeout, retries)
         is_broadcast = self._has_broadcast and self.unit == 0
         result: Result = self._driver.ask(self.unit, request, patience, is_broadcast)
         return result
@@ -182,6 +200,8 @@ class Context(Handle[BlockingDriver], Blocking):
         return_exceptions: bool = False,
         **options: Unpack[PlanOptions],
     ) -> Any:
+        from ..maps.plan import planned
+
         plan = planned(items, options)
         return plan.results(
             self.execute_many(
@@ -193,13 +213,21 @@ class Context(Handle[BlockingDriver], Blocking):
         """Carry out a procedure."""
         steps = make(self, *arguments, **named)
         try:
-            request = next(steps)
+            step = next(steps)
             while True:
-                request = steps.send(self.execute(request))
+                step = steps.send(self._take(step))
         except StopIteration as done:
             return done.value
         except InvalidResponse as error:
             raise self._named(error) from None
+
+    def _take(self, step: pdu.Request[Any] | Several) -> Any:
+        if not isinstance(step, Several):
+            return self.execute(step)
+        requests, max_in_flight, return_exceptions = step
+        return self.execute_many(
+            requests, max_in_flight=max_in_flight, return_exceptions=return_exceptions
+        )
 
 
 class TcpContext(Context):
@@ -224,8 +252,8 @@ class TcpContext(Context):
     ) -> None:
         if framing not in ("tcp", "rtu", "ascii"):
             raise ValueError(f"framing must be one of tcp, rtu, ascii, not {framing!r}")
-        scheme: Any = framing if framing == "tcp" else f"{framing}+tcp"
-        super().__init__(Endpoint(scheme, host=host, port=port), options)
+        scheme = framing if framing == "tcp" else f"{framing}+tcp"
+        super().__init__(_endpoint(scheme, host=host, port=port), options)
 
 
 class TlsContext(Context):
@@ -246,7 +274,7 @@ class TlsContext(Context):
     def __init__(
         self, host: str, port: int = SECURE_PORT, **options: Unpack[ContextOptions]
     ) -> None:
-        super().__init__(Endpoint("tls", host=host, port=port), options)
+        super().__init__(_endpoint("tls", host=host, port=port), options)
 
 
 class UdpContext(Context):
@@ -266,7 +294,7 @@ class UdpContext(Context):
     def __init__(
         self, host: str, port: int = DEFAULT_PORT, **options: Unpack[ContextOptions]
     ) -> None:
-        super().__init__(Endpoint("udp", host=host, port=port), options)
+        super().__init__(_endpoint("udp", host=host, port=port), options)
 
 
 class RtuContext(Context):
@@ -300,14 +328,20 @@ class AsciiContext(Context):
         super().__init__(*_on_line("ascii", device, baudrate, options))
 
 
+def _endpoint(scheme: Any, **where: Any) -> Endpoint:
+    from ..ports.endpoint import Endpoint
+
+    return Endpoint(scheme, **where)
+
+
 def _on_line(
     scheme: Literal["rtu", "ascii"], device: str, baudrate: int, options: RtuOptions
 ) -> tuple[Endpoint, Mapping[str, Any]]:
     settings: dict[str, Any] = {"baudrate": baudrate}
     others: dict[str, Any] = {}
     for name, value in options.items():
-        (settings if name in SerialSettings.__annotations__ else others)[name] = value
-    return Endpoint(scheme, device=device, options=settings), others
+        (settings if name in SERIAL_OPTIONS else others)[name] = value
+    return _endpoint(scheme, device=device, options=settings), others
 
 
 _KINDS: dict[tuple[str, str], type[Context]] = {

@@ -13,15 +13,18 @@ import threading
 import time
 import weakref
 from time import monotonic
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..ports.waiting import READ, WRITE, Waker, Woken, run
 from ..protocol.errors import ModbusConnectionError
 from ..protocol.pdu import Request
-from .batch import Batch, Patience, raised
-from .options import Parts
+from .batch import Batch, raised
 from .reconnecting import State
 from .shortcut import Shortcut
+
+if TYPE_CHECKING:
+    from .options import Parts
+    from .patience import Patience
 
 __all__ = ["BlockingDriver"]
 

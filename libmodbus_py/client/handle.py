@@ -6,16 +6,18 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterable
-from dataclasses import replace
-from typing import Any, Generic, Protocol, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Protocol, Self, TypeVar
 
 from ..protocol import pdu
 from ..protocol.checks import integer, seconds
 from ..protocol.errors import InvalidResponse, ModbusError
-from .batch import MAX_IN_FLIGHT, Batch, Patience
-from .options import Parts, Settings
+from .batch import MAX_IN_FLIGHT, Batch
 from .reconnecting import State
-from .statistics import Statistics
+
+if TYPE_CHECKING:
+    from .options import Parts, Settings
+    from .patience import Patience
+    from .statistics import Statistics
 
 __all__ = ["Handle"]
 
@@ -65,7 +67,7 @@ class Handle(Generic[Driving]):
         """
         handle = copy.copy(self)
         handle.unit = integer("unit", unit, 0, 255)
-        handle._patience = self._patience_for(timeout, retries)
+        handle._patience = self._patience.but(timeout, retries)
         return handle
 
     @property
@@ -185,14 +187,6 @@ class Handle(Generic[Driving]):
     @property
     def _is_broadcast(self) -> bool:
         return self.unit == 0 and self._has_broadcast
-
-    def _patience_for(self, timeout: float | None, retries: int | None) -> Patience:
-        patience = self._patience
-        if timeout is not None:
-            patience = replace(patience, timeout=seconds("timeout", timeout))
-        if retries is not None:
-            patience = replace(patience, retries=integer("retries", retries, 0, 100))
-        return patience
 
     def _batch(
         self, requests: Iterable[pdu.Request[Any]], max_in_flight: int, go_on: bool

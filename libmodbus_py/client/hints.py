@@ -12,7 +12,7 @@ __all__ = ["explain", "shown"]
 
 MAX_SHOWN = 32
 
-ASCII_FRAME = re.compile(rb":[0-9A-Fa-f]{6}")
+ASCII_FRAME = rb":[0-9A-Fa-f]{6}"
 
 
 def shown(data: bytes) -> str:
@@ -43,7 +43,7 @@ def explain(scheme: str, sent: bytes, received: bytes) -> str:
 
 
 def _looks_ascii(data: bytes) -> bool:
-    return ASCII_FRAME.search(data) is not None
+    return re.search(ASCII_FRAME, data) is not None
 
 
 def _looks_tcp(data: bytes) -> bool:

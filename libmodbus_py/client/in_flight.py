@@ -125,10 +125,12 @@ class InFlight(Conversation):
 
     def _other_unit(self, frame: Frame) -> InvalidResponse:
         self.statistics.invalid += 1
-        return InvalidResponse(
+        error = InvalidResponse(
             f'unit {frame.unit} answered; accept_unit="any" would take it',
             received=self._framer.encode(frame),
         )
+        error.answers_another = True
+        return error
 
     def _blame(self, error: FrameError) -> None:
         """Find whose answer it should have been: all, when nothing can be understood any more."""
@@ -166,6 +168,7 @@ class InFlight(Conversation):
         number, other = (int.from_bytes(each[:2], "big") for each in (asked.adu, self._strays))
         if number != other:
             error.args = (f"{error.args[0]}: id {other}, not {number}",)
+            error.answers_another = True
         return error
 
     def _abandon(self, number: int) -> None:

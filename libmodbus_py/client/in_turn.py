@@ -216,6 +216,7 @@ class InTurn(Conversation):
         else:
             self.statistics.invalid += 1
             self._wrong = InvalidResponse(f"unit {unit} answered")
+            self._wrong.answers_another = True
 
     def _is_echo(self, asked: Asked, pdu: bytes) -> bool:
         """Whether it is the request, and no answer that repeats it as some do."""

@@ -8,7 +8,6 @@ import os
 
 from ..binding.library import ffi, lib
 from ..ports.port import Port, lost
-from ..ports.serial import SerialPort
 from ..protocol.errors import ModbusConnectionError
 from ..protocol.framing import crc16
 
@@ -27,7 +26,7 @@ class NativeCarrier:
         self._port = port
         self._exchange = ffi.new("exchange_t *")
         self._answer = ffi.buffer(self._exchange.answer)
-        if isinstance(port, SerialPort):
+        if port.context is not None:
             self._exchange.context = port.context
 
     def carry(self, unit: int, number: int, pdu: bytes, timeout: float, waker: int) -> bytes | None:

@@ -4,28 +4,33 @@ What every client takes, checked once, and the parts made of it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
-from typing import Any, Literal, TypedDict
+from typing import TYPE_CHECKING, Any, Literal, TypedDict
 
 from ..ports.endpoint import Endpoint
 from ..ports.port import Port
-from ..ports.serial import SerialPort
 from ..ports.sockets import TcpPort, UdpPort
-from ..ports.tls import TlsPort, security_of
+from ..ports.trace import OnTraced, Trace
 from ..protocol.checks import integer, seconds
 from ..protocol.framing import is_delimiter
-from ..security.security import Security
-from .batch import MAX_IN_FLIGHT, Patience
+from .batch import MAX_IN_FLIGHT
 from .conversation import Conversation
 from .in_flight import InFlight
-from .in_turn import InTurn
+from .patience import Patience
 from .reconnecting import OnState, Reconnecting
 from .statistics import Statistics
-from .trace import OnTraced, Trace
 from .turns import Pace
 
+if TYPE_CHECKING:  # ssl, which it needs, takes longer to import than the rest of a client
+    from ..security.given import GivenContext
+    from ..security.security import Security
+
 __all__ = ["AsyncOptions", "ContextOptions", "Options", "Parts", "Settings", "assembled"]
+
+
+OF_ONE_KIND = ("native", "may_send")
+"""Options that not all clients have."""
 
 
 class Options(TypedDict, total=False):
@@ -62,11 +67,13 @@ class Options(TypedDict, total=False):
         delimiter: the byte behind CR in ASCII frames, LF (10) unless the device was told
             otherwise; `diagnostics(3, ...)` is followed.
         security: who one is and whom one trusts, for "tls" and only there; the URL may say
-            it instead.
+            it instead. `GivenContext` is for programs that must use a context of theirs.
         trace: called with a `Traced` for every ADU sent and received; the logger
             ``libmodbus_py.wire`` has the same at DEBUG.
         on_state: called with each new `State`, and the ModbusError that led to it or
             None. It must not block.
+        statistics: where to count, for programs that make one client after the other for the
+            same place; a new one by default.
     """
 
     unit: int
@@ -82,9 +89,10 @@ class Options(TypedDict, total=False):
     keepalive: float | None
     accept_unit: Literal["same", "any"]
     delimiter: int
-    security: Security | None
+    security: Security | GivenContext | None
     trace: OnTraced | None
     on_state: OnState | None
+    statistics: Statistics | None
 
 
 class ContextOptions(Options, total=False):
@@ -101,7 +109,16 @@ class ContextOptions(Options, total=False):
 
 
 class AsyncOptions(Options, total=False):
-    """The options of `AsyncClient`."""
+    """
+    The options of `AsyncClient`.
+
+    Keys:
+        may_send: asked right before bytes go out, and before connecting; while it gives
+            False requests fail unsent, with ModbusConnectionError (EPERM). For programs of
+            which one at a time may ask. It must not block.
+    """
+
+    may_send: Callable[[], bool] | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,10 +138,12 @@ class Settings:
     keepalive: float | None = 30.0
     accept_unit: str = "same"
     delimiter: int = 0x0A
-    security: Security | None = None
+    security: Security | GivenContext | None = None
     trace: OnTraced | None = None
     on_state: OnState | None = None
+    statistics: Statistics | None = None
     native: bool = True
+    may_send: Callable[[], bool] | None = None
 
     def __post_init__(self) -> None:
         integer("unit", self.unit, 0, 255)
@@ -147,12 +166,14 @@ class Settings:
             raise ValueError(
                 f"delimiter must be an ASCII code with no other use, not {self.delimiter}"
             )
-        if not isinstance(self.security, Security | None):
-            raise TypeError(f"security must be Security, not {type(self.security).__name__}")
-        for name in ("trace", "on_state"):
+        if self.security is not None:
+            _check_security(self.security)
+        for name in ("trace", "on_state", "may_send"):
             hook = getattr(self, name)
             if hook is not None and not callable(hook):
                 raise TypeError(f"{name} must be callable, not {type(hook).__name__}")
+        if self.statistics is not None and not isinstance(self.statistics, Statistics):
+            raise TypeError(f"statistics must be Statistics, not {type(self.statistics).__name__}")
         if not isinstance(self.native, bool):
             raise TypeError(f"native must be True or False, not {self.native!r}")
 
@@ -164,7 +185,8 @@ class Settings:
         Raises:
             TypeError, ValueError: an option of the wrong name, type or range.
         """
-        known = [field.name for field in fields(cls) if field.name != "native" or "native" in usual]
+        names = [field.name for field in fields(cls)]
+        known = [name for name in names if name not in OF_ONE_KIND or name in usual]
         for name in options:
             if name not in known:
                 raise TypeError(f"{name!r} must be one of {', '.join(known)}")
@@ -173,6 +195,14 @@ class Settings:
     @property
     def patience(self) -> Patience:
         return Patience(float(self.timeout), self.retries, self.busy_retries)
+
+
+def _check_security(security: object) -> None:
+    from ..security.given import GivenContext
+    from ..security.security import Security
+
+    if not isinstance(security, Security | GivenContext):
+        raise TypeError(f"security must be Security, not {type(security).__name__}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,7 +227,7 @@ def assembled(endpoint: Endpoint, settings: Settings, most: int) -> Parts:
         TypeError, ValueError: the endpoint, or an option that it cannot have.
     """
     port = _port(endpoint, settings)
-    statistics = Statistics()
+    statistics = Statistics() if settings.statistics is None else settings.statistics
     connection = Reconnecting(str(port), settings.max_pause, statistics, settings.on_state)
     pace = Pace(
         settings.turnaround,
@@ -213,6 +243,8 @@ def assembled(endpoint: Endpoint, settings: Settings, most: int) -> Parts:
         limit = settings.max_in_flight or most
         conversation = InFlight(endpoint, limit, *common, any_unit=any_unit)
     else:
+        from .in_turn import InTurn
+
         _refuse_ids(endpoint, settings)
         conversation = InTurn(
             endpoint, 1, *common, silence=port.silence, delimiter=settings.delimiter
@@ -230,11 +262,15 @@ def _refuse_ids(endpoint: Endpoint, settings: Settings) -> None:
 
 def _port(endpoint: Endpoint, settings: Settings) -> Port:
     if endpoint.transport == "tls":
+        from ..ports.tls import TlsPort, security_of
+
         security = security_of(endpoint, settings.security)
         return TlsPort(endpoint.host, endpoint.port, settings.keepalive, security)
     if settings.security is not None:
         raise ValueError(f"security is for tls://, and means nothing on {endpoint.scheme}")
     if endpoint.transport == "serial":
+        from ..ports.serial import SerialPort
+
         return SerialPort(endpoint.device, **endpoint.serial_settings)
     if endpoint.transport == "udp":
         return UdpPort(endpoint.host, endpoint.port)

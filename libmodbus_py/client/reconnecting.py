@@ -8,16 +8,15 @@ from __future__ import annotations
 
 import enum
 import errno
-import logging
-import random
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 from ..protocol.errors import ModbusConnectionError, ModbusError
-from .statistics import Statistics
+
+if TYPE_CHECKING:
+    from .statistics import Statistics
 
 __all__ = ["OnState", "Reconnecting", "State"]
-
-logger: logging.Logger = logging.getLogger(__name__)
 
 FIRST_PAUSE = 0.1
 
@@ -119,6 +118,8 @@ class Reconnecting:
             self._change(State.CLOSED)
 
     def _back_off(self, error: ModbusConnectionError, now: float) -> None:
+        import random  # no sooner than needed: most connections are never lost
+
         pause = min(self._max_pause, FIRST_PAUSE * 2 ** min(self.fruitless - 1, 20))
         self.next_attempt = now + pause * random.uniform(0.8, 1.0)
         self._last_failure = error
@@ -132,7 +133,9 @@ class Reconnecting:
             try:
                 self._on_state(state, error)
             except Exception:
-                logger.exception("on_state(%s) failed", state.name)
+                import logging
+
+                logging.getLogger(__name__).exception("on_state(%s) failed", state.name)
 
 
 def _because_of(cause: ModbusConnectionError, reason: str) -> ModbusConnectionError:

@@ -1,33 +1,52 @@
 """
 Every method of both clients, once.
 
-A method makes a request (`asks`), or is a procedure that yields requests and is sent
-results (`follows`). A blocking client carries it out at once; an awaiting one gives a coroutine.
+A method makes a request (`asks`), or is a procedure that yields requests, one or `Several`,
+and is sent results (`follows`). A blocking client carries it out at once; an awaiting one
+gives a coroutine.
 """
 
 from __future__ import annotations
 
-import inspect
-from collections.abc import Callable, Coroutine, Generator, Iterable, Sequence
+from collections.abc import Callable, Coroutine, Generator, Iterable, Mapping, Sequence
 from functools import update_wrapper
-from typing import TYPE_CHECKING, Any, Concatenate, Generic, ParamSpec, TypeVar, Unpack, overload
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    Concatenate,
+    Generic,
+    NamedTuple,
+    ParamSpec,
+    TypeVar,
+    Unpack,
+    overload,
+)
 
 from ..protocol import pdu
 from ..protocol.checks import integer
-from ..protocol.pdu.interface import identify
-from ..protocol.tables import TABLES, RegisterTable, WritableTable
-from ..protocol.values import Order, TextOptions, TypeName, value_type
 
-__all__ = ["Awaiting", "Blocking", "Requests", "Steps"]
+__all__ = ["Awaiting", "Blocking", "Requests", "Several", "Steps"]
 
 Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")
 
-Steps = Generator[pdu.Request[Any], Any, Result]
 
-REGISTER_TABLES = [name for name, rules in TABLES.items() if not rules.is_bits]
+class Several(NamedTuple):
+    """Requests that a procedure makes together, as `execute_many` takes them."""
 
+    requests: Sequence[pdu.Request[Any]]
+    max_in_flight: int
+    return_exceptions: bool
+
+
+Steps = Generator[pdu.Request[Any] | Several, Any, Result]
+
+# What only some methods need is imported by them.
 if TYPE_CHECKING:
+    from ..maps.plan import PlanOptions
+    from ..maps.register_map import RegisterMap
+    from ..protocol.tables import RegisterTable, WritableTable
+    from ..protocol.type_names import Order, TextOptions, TypeName
 
     class _Method(Generic[Arguments, Result]):
         """How type checkers see a method of both: it gives a result, or one to await."""
@@ -71,12 +90,10 @@ else:
 
     def _dressed(method, make):
         """As the method is told of: with its result, not with what is made on the way."""
-        update_wrapper(method, make)
-        del method.__wrapped__
-        result = make.__annotations__["return"].partition("[")[2].removesuffix("]")
-        method.__annotations__ = {**make.__annotations__, "return": result}
-        method.__signature__ = inspect.signature(make).replace(return_annotation=result)
-        return method
+        told = make.__annotations__["return"]
+        make.__annotations__["return"] = told.partition("[")[2].removesuffix("]")
+        method.__annotations__ = make.__annotations__
+        return update_wrapper(method, make)
 
 
 class Requests:
@@ -232,6 +249,8 @@ class Requests:
             InvalidResponse: the device would never come to an end, and what was
                 asked for is not all there.
         """
+        from ..protocol.pdu.interface import identify
+
         return (yield from identify(level))
 
     @asks
@@ -273,6 +292,9 @@ class Requests:
             order: ABCD, CDAB, BADC or DCBA.
             text: encoding and padding of strings.
         """
+        from ..protocol.tables import REGISTER_TABLES, TABLES
+        from ..protocol.values import value_type
+
         if table not in REGISTER_TABLES:
             raise ValueError(f"table must be one of {', '.join(REGISTER_TABLES)}, not {table!r}")
         kind = value_type(type, order=order, **text)
@@ -303,8 +325,83 @@ class Requests:
         """
         if table != "holding_registers":
             raise ValueError(f"table must be holding_registers, not {table!r}")
+        from ..protocol.values import value_type
+
         cells = value_type(type, order=order, **text).encode_many(values)
         yield pdu.WriteRegisters(address, cells)  # type: ignore[arg-type]
+
+    # --- register maps ------------------------------------------------------------------
+
+    @follows
+    def read_map(
+        self,
+        map: RegisterMap,
+        names: Iterable[str] | None = None,
+        *,
+        max_in_flight: int = 16,
+        return_exceptions: bool = False,
+        **options: Unpack[PlanOptions],
+    ) -> Steps[dict[str, Any]]:
+        """
+        Read points of a register map, in few requests.
+
+        Points that touch or overlap share a request; cells that are in no point are read with
+        a `gap` only. A device refuses a whole request for one cell that it lacks, and with it
+        the neighbours that share it.
+
+        Args:
+            map: such as `load_map` gives it.
+            names: of points; None for all that can be read. A program that polls some of
+                them at a high rate makes a `RegisterMap` of these.
+            max_in_flight: as for `execute_many`.
+            return_exceptions: whether a point that could not be read has its ModbusError
+                in place of a value, and one whose registers hold no such value a ValueError;
+                else the first of them is raised.
+            options: of `Plan`: `gap`, `forbidden`, `max_registers`, `max_bits`.
+
+        Returns:
+            Values by name, scaled, as of `Point.decode`.
+
+        Raises:
+            TypeError, ValueError: no such point, or one that cannot be read; as of `Plan`;
+                registers that hold no such value.
+        """
+        plan = _checked_map(map).plan(names, **options)
+        answers = yield Several(plan.requests, max_in_flight, return_exceptions)
+        return plan.results(answers, return_exceptions=return_exceptions)
+
+    @follows
+    def write_map(
+        self, map: RegisterMap, values: Mapping[str, Any], *, multiple: bool = False
+    ) -> Steps[None]:
+        """
+        Write values to points of a register map.
+
+        All is checked before the first byte is sent: names, access, types and ranges. The
+        requests follow each other in the order of the map; neighbours share one. A failed
+        one is raised, and those behind it are not sent.
+
+        Args:
+            map: such as `load_map` gives it.
+            values: by name, such as ``{"setpoint": 21.5}``; each becomes the nearest that its
+                scale can tell (`Point.encode`).
+            multiple: whether single coils and registers are written with functions 15 and
+                16, too, for devices that lack 5 and 6.
+
+        Raises:
+            TypeError, ValueError: no such point, or one that cannot be written; a value that
+                it cannot have; points that share cells.
+        """
+        yield from _checked_map(map).writes(values, multiple=multiple)
+
+
+def _checked_map(given: object) -> RegisterMap:
+    # Who has one has paid for the import; others should not.
+    from ..maps.register_map import RegisterMap
+
+    if not isinstance(given, RegisterMap):
+        raise TypeError(f"map must be a RegisterMap, not {type(given).__name__}")
+    return given
 
 
 class Blocking(Requests):

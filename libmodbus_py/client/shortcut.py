@@ -11,18 +11,19 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from time import monotonic
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from ..ports.port import Port
-from ..ports.serial import SerialPort
-from ..ports.tls import TlsPort
 from ..ports.waiting import Woken
 from ..protocol.errors import ModbusConnectionError
 from ..protocol.framing import Frame, Framer, make_framer, mbap
 from ..protocol.pdu import Request
-from .batch import Batch, Patience
+from .batch import Batch
 from .libmodbus import NativeCarrier, pdu_on_line
-from .options import Parts
+
+if TYPE_CHECKING:
+    from .options import Parts
+    from .patience import Patience
 
 __all__ = ["KNOWN", "Carrier", "IsReady", "Shortcut"]
 
@@ -107,8 +108,8 @@ class Shortcut:
         self._encode = framer.encode
         self._is_line = framer.has_broadcast
         self._carrier: Carrier
-        in_clear = not isinstance(parts.port, TlsPort)  # C reads and writes the descriptor itself
-        if native and in_clear and (not self._is_line or isinstance(parts.port, SerialPort)):
+        in_clear = parts.endpoint.transport != "tls"  # C reads and writes the descriptor itself
+        if native and in_clear and (not self._is_line or parts.port.context is not None):
             self._carrier = NativeCarrier(parts.port)
         else:
             self._carrier = PythonCarrier(parts.port, framer, is_ready)

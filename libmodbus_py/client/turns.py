@@ -10,12 +10,12 @@ from collections import deque
 from dataclasses import dataclass
 
 from ..ports.endpoint import Endpoint
+from ..ports.trace import Trace
 from ..protocol.errors import ModbusConnectionError, ModbusError
 from ..protocol.framing import Framer, Framing
 from .batch import Asked, Batch, Found
 from .reconnecting import Reconnecting
 from .statistics import Statistics
-from .trace import Trace
 
 __all__ = ["Pace", "Turns"]
 

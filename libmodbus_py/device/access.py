@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from ..protocol import pdu
 from .mapping import Mapping
 
-__all__ = ["ACCESSES", "Access", "Kind", "Touched"]
+__all__ = ["ACCESSES", "Access", "Kind", "Touched", "Who", "touched", "touched_by"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,3 +141,21 @@ ACCESSES: dict[type[pdu.Request[Any]], Kind] = {
     pdu.ReadFifoQueue: Kind(_read_fifo, reads="fifo"),
 }
 """Request class -> what its requests touch."""
+
+# What a masked write changes is not known without the device.
+_NOWHERE = Mapping()
+
+
+def touched(request: pdu.Request[Any] | None, who: Who = (0, "", None)) -> Touched:
+    """Say what a request touches, whatever device it is for; None touches nothing."""
+    kind = ACCESSES.get(type(request))  # type: ignore[arg-type]
+    return Touched() if kind is None else kind.find(request, _NOWHERE, who)
+
+
+def touched_by(data: bytes) -> Touched:
+    """Say what a request PDU touches; what cannot be decoded touches nothing."""
+    try:
+        request = pdu.decode_request(data)
+    except Exception:
+        return Touched()
+    return touched(request)

@@ -256,6 +256,24 @@ class Device:
         log.note_response(pdu, refusal, silent=False)
         return refusal
 
+    def refresh(self, table: str, address: int, count: int) -> None:
+        """
+        Have `before_read` compute values, for a program that looks at them without a request.
+
+        It is called in this thread, with an `Access` of nobody. Without one nothing happens.
+
+        Args:
+            table: "coils", "discrete_inputs", "holding_registers" or "input_registers".
+            address: the first one, 0-based.
+            count: how many.
+
+        Raises:
+            whatever it raises: an ExceptionResponse where clients may not read.
+        """
+        if self._before_read is not None:
+            with self.mapping.lock:
+                self._before_read.tell((Access(table, address, count),))
+
     def _log_of(self, caller: Caller) -> EventLog:
         """The notes about a line, which has its frames counted; or about TCP, with this frame."""
         if caller.log is not None:

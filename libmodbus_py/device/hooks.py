@@ -162,7 +162,7 @@ def _joined(name: str, given: Any) -> tuple[range, ...]:
     """In order; what overlaps or touches is one."""
     joined: list[range] = []
     for each in sorted(_ranges(name, given), key=lambda each: each.start):
-        if each.step != 1 or each.start < 0 or max(each, default=0) >= TABLE_SIZE:
+        if each.step != 1 or each.start < 0 or (each and each[-1] >= TABLE_SIZE):
             raise ValueError(f"{name} must be within 0..{TABLE_SIZE - 1}, step 1, not {each}")
         if joined and each.start <= joined[-1].stop:
             joined[-1] = range(joined[-1].start, max(joined[-1].stop, each.stop))

@@ -27,7 +27,7 @@ from ..server.limits import Limits
 from ..toml import roles
 from ..toml.bounded import read_toml
 from ..toml.files import load_file
-from ..toml.lines import below
+from ..toml.tables import checked_table
 from .circles import check_line
 from .manner import Manner
 from .routes import Route, by_unit
@@ -91,7 +91,7 @@ def parse(text: str, known: Iterable[Route] = ()) -> GatewayFile:
         GatewayFileError: it is no TOML, or says what cannot be; it begins with the key.
     """
     with _inside():
-        given = _table("", read_toml(text), KEYS)
+        given = checked_table("", read_toml(text), KEYS)
         listen = tuple(_listen(given.get("listen", [])))
         routes = [_route(f"route[{at}]", each) for at, each in enumerate(_routes(given))]
         with _renamed("routes", "route"):
@@ -127,16 +127,6 @@ def _renamed(name: str, key: str) -> Iterator[None]:
         raise type(error)(re.sub(rf"\b{name}\b", key, str(error))) from None
 
 
-def _table(where: str, given: object, allowed: Iterable[str]) -> Mapping[str, Any]:
-    if not isinstance(given, dict):
-        raise TypeError(f"{where} must be a table, not {reprlib.repr(given)}")
-    for key in given:
-        if key not in allowed:
-            named = below(where, key)
-            raise ValueError(f"{named}: no such key; allowed are {', '.join(allowed)}")
-    return given
-
-
 def _listen(given: object) -> Iterator[str]:
     if not isinstance(given, list):
         raise TypeError(f"listen must be a list of URLs, not {reprlib.repr(given)}")
@@ -161,7 +151,7 @@ def _routes(given: Mapping[str, Any]) -> list[Any]:
 
 
 def _route(where: str, given: object) -> Route:
-    options = dict(_table(where, given, ROUTE))
+    options = dict(checked_table(where, given, ROUTE))
     if "to" not in options:
         raise ValueError(f"{where}.to is missing")
     writable = options.get("writable")
@@ -179,7 +169,7 @@ def _route(where: str, given: object) -> Route:
 
 def _limits(given: object) -> Limits:
     try:
-        return Limits(**_table("limits", given, LIMITS))
+        return Limits(**checked_table("limits", given, LIMITS))
     except (TypeError, ValueError) as error:
         message = str(error)
         raise type(error)(

@@ -7,15 +7,15 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-import signal
-from collections.abc import AsyncIterator, Callable, Iterable
+from collections.abc import AsyncIterator, Iterable
 
 from ..device.authorization import Authorize
 from ..ports.endpoint import Endpoint
+from ..ports.trace import OnTraced
 from ..security.security import Security
 from ..server.limits import Limits
 from ..server.service import Service
-from ..server.serving import Running, Serving
+from ..server.serving import Serving
 from .circles import check_line
 from .line import Line
 from .manner import Manner
@@ -53,6 +53,7 @@ class Gateway(Serving):
         authorize: says whether a request is allowed, such as `Rules`; called with an `Asked`,
             whose `unit` is the client's, in the loop of the gateway; about requests to the
             gateway itself, too. Refused is answered with exception 1.
+        trace: called with a `Traced` for every ADU that clients send and get, as of `Server`.
 
     Attributes:
         statistics: what happened at all endpoints, kept up to date.
@@ -74,8 +75,9 @@ class Gateway(Serving):
         limits: Limits | None = None,
         security: Security | None = None,
         authorize: Authorize | None = None,
+        trace: OnTraced | None = None,
     ) -> None:
-        super().__init__(limits, security)
+        super().__init__(limits, security, trace)
         self._routes = _checked(routes)
         self._manner = Manner(own_units, queue, longest_wait, writes_first)
         if not (authorize is None or callable(authorize)):
@@ -85,21 +87,6 @@ class Gateway(Serving):
         self._answering_now: Answering | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         self._closing: set[asyncio.Task[None]] = set()
-
-    def serve_forever(
-        self,
-        *urls: str,
-        on_listening: Callable[[Running], object] = lambda running: None,
-        on_hangup: Callable[[], object] | None = None,
-    ) -> None:
-        """
-        Serve until SIGTERM or Ctrl-C; see `Server.serve_forever`.
-
-        Args:
-            on_hangup: called for SIGHUP; such as to `change_routes`.
-        """
-        handlers = {} if on_hangup is None else {signal.SIGHUP: on_hangup}
-        self._serve_forever(urls, on_listening, handlers)
 
     def change_routes(self, routes: Iterable[Route]) -> None:
         """

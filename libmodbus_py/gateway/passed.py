@@ -7,8 +7,7 @@ from __future__ import annotations
 from functools import lru_cache
 from typing import Any
 
-from ..device.access import ACCESSES, Touched
-from ..device.mapping import Mapping
+from ..device.access import Touched, Who, touched
 from ..protocol import pdu
 from ..protocol.errors import ExceptionResponse, IllegalDataValue, IllegalFunction
 
@@ -24,10 +23,6 @@ READS = (
     pdu.ReadInputRegisters,
 )
 """What changes nothing, and may be answered with what was read before."""
-
-# So that what is touched can be asked of a request without its device; a masked write changes
-# what is not known here.
-NOWHERE = Mapping()
 
 
 class Passed(pdu.Request[bytes]):
@@ -62,10 +57,9 @@ class Passed(pdu.Request[bytes]):
     def expects_response(self) -> bool:
         return self._is_answered
 
-    def touches(self, who: tuple[int, str, str | None]) -> Touched:
+    def touches(self, who: Who) -> Touched:
         """What it writes and reads in tables."""
-        kind = ACCESSES.get(type(self.known))  # type: ignore[arg-type]
-        return Touched() if kind is None else kind.find(self.known, NOWHERE, who)
+        return touched(self.known, who)
 
     def encode(self) -> bytes:
         return self.pdu

@@ -1,5 +1,5 @@
 """
-The statistics of clients, servers and gateways as metrics of Prometheus.
+The statistics of clients, servers, gateways and fleets as metrics of Prometheus.
 
 ::
 
@@ -18,7 +18,11 @@ Statistics are read when somebody scrapes; requests cost nothing more than witho
 * ``modbus_server_connections``: those open now;
 * ``modbus_gateway_..._total``: the counters of `GatewayStatistics`, those of its lines with
   the label ``line``, and those of their units with ``line`` and ``unit``; the lines' own
-  connections are clients, ``endpoint`` being where they lead.
+  connections are clients, ``endpoint`` being where they lead;
+* ``modbus_fleet_...``: the counters of `FleetStatistics`, those of its outputs with the label
+  ``output``, and how late polls began, a histogram;
+* ``modbus_fleet_value{device,name,unit}``: the last values of a fleet that are numbers and good
+  (`LastValues`), with the labels of their devices.
 """
 
 from __future__ import annotations
@@ -28,13 +32,16 @@ import re
 import threading
 import time
 import weakref
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import fields
 from itertools import accumulate
 from operator import add
 from typing import Any, NamedTuple, Protocol
 
 from ..client.statistics import TIME_BOUNDS, Statistics
+from ..fleet.outputs.last_values import KeptReadings
+from ..fleet.readings import Reading
+from ..fleet.statistics import LATENESS_BOUNDS, FleetStatistics, OutputStatistics
 from ..gateway.statistics import GatewayStatistics, LineStatistics, UnitStatistics
 from ..server.limits import ServerStatistics
 
@@ -134,9 +141,28 @@ CLIENT["requests"] = CLIENT["requests"]._replace(name="modbus_client_requests_se
 SERVER = _counters("modbus_server", ServerStatistics, ())
 SERVER["connections"] = SERVER["connections"]._replace(type="gauge")
 GATEWAY = _counters("modbus_gateway", GatewayStatistics, ("lines",))
+FLEET = _counters(
+    "modbus_fleet",
+    FleetStatistics,
+    (
+        "lateness",
+        "late_seconds",
+        "outputs",
+        "worst",
+    ),
+)
+OUTPUT = _counters("modbus_fleet_output", OutputStatistics, ("buffer", "trouble"))
+OUTPUT["dropped"] = Family("modbus_fleet_output_dropped", "counter", "For too many waited.")
+OUTPUT["waiting"] = Family("modbus_fleet_output_waiting", "gauge", "Those that wait now.")
+LATENESS = Family("modbus_fleet_lateness_seconds", "histogram", "How late polls began.")
+VALUE = Family("modbus_fleet_value", "gauge", "The last value of a point.", max)
 LINE = _counters("modbus_gateway_line", LineStatistics, ("url", "connection", "units"))
 UNIT = _counters("modbus_gateway_unit", UnitStatistics, ())
-for _families, _gauges in ((LINE, ("waiting", "in_flight")), (UNIT, ("is_silent",))):
+for _families, _gauges in (
+    (LINE, ("waiting", "in_flight")),
+    (UNIT, ("is_silent",)),
+    (FLEET, ("devices", "up", "down")),
+):
     for _name in _gauges:
         _families[_name] = _families[_name]._replace(type="gauge")
 
@@ -154,14 +180,47 @@ def _of_client(statistics: Statistics) -> Values:
     for (function, result), count in statistics.results.copy().items():
         labels = (("function", str(function)), ("result", result))
         values[Sample(REQUESTS, "_total", labels)] = count
-    counts = list(accumulate(statistics.answer_times.copy()))
-    for bound, count in zip([*map(str, TIME_BOUNDS), "+Inf"], counts, strict=True):
-        values[Sample(DURATION, "_bucket", (("le", bound),))] = count
-    values[Sample(DURATION, "_count", ())] = counts[-1]
-    values[Sample(DURATION, "_sum", ())] = statistics.answer_seconds
+    times, seconds = statistics.answer_times, statistics.answer_seconds
+    values |= _histogram(DURATION, TIME_BOUNDS, times, seconds)
     if (last := statistics.last_success) is not None:
         values[Sample(LAST_SUCCESS, "", ())] = time.time() - (time.monotonic() - last)
     return values
+
+
+def _histogram(
+    family: Family, bounds: Iterable[float], counts: list[int], seconds: float
+) -> Values:
+    sums = list(accumulate(counts.copy()))
+    buckets = zip([*map(str, bounds), "+Inf"], sums, strict=True)
+    values = {Sample(family, "_bucket", (("le", bound),)): float(sum_) for bound, sum_ in buckets}
+    values[Sample(family, "_count", ())] = sums[-1]
+    values[Sample(family, "_sum", ())] = seconds
+    return values
+
+
+def _of_fleet(statistics: FleetStatistics) -> Values:
+    values = _attributes(FLEET, statistics)
+    values |= _histogram(LATENESS, LATENESS_BOUNDS, statistics.lateness, statistics.late_seconds)
+    for name, output in statistics.outputs.copy().items():
+        _label(values, _attributes(OUTPUT, output), ("output", name))
+    return values
+
+
+def _of_readings(kept: KeptReadings) -> Values:
+    return {
+        Sample(VALUE, "", _labels_of(each, kept.labels)): float(each.value)
+        for each in kept.by_name.copy().values()
+        if isinstance(each.value, int | float)
+    }
+
+
+def _labels_of(reading: Reading, labels: Mapping[str, Mapping[str, str]]) -> Labels:
+    own = {"device": reading.device, "name": reading.name, "unit": reading.unit}
+    others = {
+        re.sub(r"^(?=\d)|\W", "_", key, flags=re.ASCII): value
+        for key, value in labels.get(reading.device, {}).items()
+    }
+    return tuple({**others, **own}.items())
 
 
 def _of_gateway(statistics: GatewayStatistics) -> Values:
@@ -200,6 +259,12 @@ KINDS: dict[type, Kind] = {
         _of_gateway,
         lambda gateway, name: (("server", name),) if name else (),
     ),
+    FleetStatistics: Kind(
+        [*FLEET.values(), *OUTPUT.values(), LATENESS],
+        _of_fleet,
+        lambda fleet, name: (("fleet", name),) if name else (),
+    ),
+    KeptReadings: Kind([VALUE], _of_readings, lambda values, name: ()),
 }
 """Class of statistics -> what is made of them."""
 
@@ -235,7 +300,7 @@ class _Watched:
 
 class Collector(_Collector):
     """
-    Gives metrics of clients, servers and gateways to a registry. Safe from any thread.
+    Gives metrics of clients, servers, gateways and fleets to a registry. Safe from any thread.
 
     Objects are held weakly: one that nobody has any more disappears. Clients of the same
     endpoint, and servers of the same name, add up; what those that disappeared have
@@ -252,8 +317,10 @@ class Collector(_Collector):
         Have them among the metrics; once, however often they are added.
 
         Args:
-            objects: clients, whose handles (`for_unit`) are one, servers and gateways.
-            name: the label ``server`` of servers and gateways; empty for none.
+            objects: clients, whose handles (`for_unit`) are one, servers, gateways, fleets, and
+                what keeps the `LastValues` of one.
+            name: the label ``server`` of servers and gateways, ``fleet`` of fleets; empty for
+                none.
 
         Raises:
             TypeError: an object is none of them.
@@ -329,7 +396,7 @@ _collectors_lock = threading.Lock()
 
 def collect(*objects: Counted, name: str = "", registry: CollectorRegistry = REGISTRY) -> Collector:
     """
-    Have clients, servers and gateways among the metrics of a registry.
+    Have clients, servers, gateways and fleets among the metrics of a registry.
 
     Args:
         objects, name: as for `Collector.add`.

@@ -16,7 +16,8 @@ from functools import partial
 from typing import Self
 
 from ..ports.endpoint import Endpoint, parse
-from ..ports.waiting import READ, Ready, Steps, Waker, Woken, run, run_async
+from ..ports.waiting import READ, Ready, Steps, Waker, Woken, run
+from ..ports.waiting_async import run_async
 from ..protocol.errors import ModbusConnectionError
 from .capture import CaptureReader, CaptureWriter
 from .separator import LineFraming, Separator

@@ -11,12 +11,13 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 from math import sqrt
-from typing import Any, NamedTuple
+from typing import Any
 
-from ..protocol.errors import ExceptionResponse, FrameError, InvalidResponse, ModbusError
+from ..protocol.errors import ExceptionResponse
 from ..protocol.framing import Frame
-from ..protocol.pdu import RawRequest, Request, decode_request
+from ..protocol.pdu import RawRequest, Request
 from .hearing import Candidate, Damage
+from .outcome import Outcome, answered, damaged, decoded
 from .transaction import Heard, Kind, OnHeard, Transaction
 
 __all__ = ["Pairing", "Times"]
@@ -74,14 +75,6 @@ class _Asked:
     repeats: int
     is_certain: bool  # whether it can be nothing else
     damage: Damage | None = None
-
-
-class _Outcome(NamedTuple):
-    """How an answer decodes."""
-
-    kind: Kind
-    response: Any
-    error: ModbusError | None
 
 
 class Pairing:
@@ -143,7 +136,7 @@ class Pairing:
     def _is_question(self, found: Candidate) -> bool:
         if found.may_ask != found.may_answer:
             return found.may_ask
-        asks = found.may_ask and _decoded(found.frame) is not None
+        asks = found.may_ask and decoded(found.frame.pdu) is not None
         answers = found.may_answer and self._fits(self._current, found)
         if asks and answers:
             return self._is_repeated(found)
@@ -154,7 +147,7 @@ class Pairing:
     def _fits(self, asked: _Asked | None, found: Candidate) -> bool:
         if asked is None or asked.frame.unit != found.frame.unit:
             return False
-        return _answered(asked, found.frame.pdu).kind != "invalid"
+        return answered(asked.request, found.frame.pdu).kind != "invalid"
 
     def _is_repeated(self, found: Candidate) -> bool:
         """What fits both ways is a question if it comes too late for an answer."""
@@ -198,7 +191,7 @@ class Pairing:
         heard = Heard(found.began, found.ended, "request", found.frame)
         self._note(None if found.may_answer else heard)
         self._held = heard if found.may_answer else None
-        request = _decoded(found.frame) or RawRequest.decode(found.frame.pdu)
+        request = decoded(found.frame.pdu) or RawRequest.decode(found.frame.pdu)
         is_again = before is not None and before.frame == found.frame
         repeats = before.repeats + 1 if before is not None and is_again else 0
         asked = _Asked(
@@ -219,7 +212,7 @@ class Pairing:
             self._answer(asked, found)
         elif late is not None and found.began - late.ended < LATEST and self._fits(late, found):
             del self._unanswered[found.frame.unit]
-            outcome = _answered(late, found.frame.pdu)
+            outcome = answered(late.request, found.frame.pdu)
             self._end(late, "late", outcome, found.ended)
         elif self.is_awaited(found.frame.unit, found.frame.pdu[0] & 0x7F):
             assert self._current is not None
@@ -231,7 +224,7 @@ class Pairing:
         damage, asked.damage = asked.damage, None
         if damage is not None:
             self._end_damage(damage)
-        outcome = _answered(asked, found.frame.pdu)
+        outcome = answered(asked.request, found.frame.pdu)
         if outcome.kind != "invalid":
             self._times.note_answer(found.frame.unit, max(found.began - asked.ended, 0.0))
             self._unanswered.pop(found.frame.unit, None)
@@ -256,13 +249,12 @@ class Pairing:
             self._end(asked, "unanswered")
         else:
             damage, asked.damage = asked.damage, None
-            outcome = _Outcome("damaged", None, _damaged(damage))
-            self._end(asked, "damaged", outcome, damage.ended)
+            self._end(asked, "damaged", damaged(damage.data), damage.ended)
 
     # --- what is given --------------------------------------------------------------------
 
     def _end(
-        self, asked: _Asked, kind: Kind, outcome: _Outcome | None = None, ended: float | None = None
+        self, asked: _Asked, kind: Kind, outcome: Outcome | None = None, ended: float | None = None
     ) -> None:
         self.done.append(
             Transaction(
@@ -290,36 +282,10 @@ class Pairing:
         )
 
     def _end_damage(self, damage: Damage) -> None:
-        self.done.append(Transaction(damage.began, "damaged", error=_damaged(damage)))
+        self.done.append(Transaction(damage.began, "damaged", error=damaged(damage.data).error))
 
 
 def _has_function(found: Candidate) -> bool:
     """0 is none, and from 128 on only answers have one (application protocol, 4.1)."""
     code = found.frame.pdu[0]
     return 0 < code < 0x80 or (code > 0x80 and found.may_answer)
-
-
-def _decoded(frame: Frame) -> Request[Any] | None:
-    """As a server does; what has no class is taken as it is, and what a server refuses is None."""
-    try:
-        return decode_request(frame.pdu)
-    except ExceptionResponse as refusal:
-        if refusal.code == 1 and 0 < frame.pdu[0] < 0x80:
-            return RawRequest.decode(frame.pdu)
-        return None
-
-
-def _answered(asked: _Asked, pdu: bytes) -> _Outcome:
-    try:
-        return _Outcome("answered", asked.request.decode_response(pdu), None)
-    except ExceptionResponse as refusal:
-        return _Outcome("exception", None, refusal)
-    except InvalidResponse as error:
-        error.received = pdu
-        return _Outcome("invalid", None, error)
-
-
-def _damaged(damage: Damage) -> FrameError:
-    size = len(damage.data)
-    why = f"{size} bytes that are no frame" if size > 1 else "a byte that is no frame"
-    return FrameError(why, received=damage.data)

@@ -21,83 +21,31 @@ Clients take their own options from every URL: ``tcp://192.0.2.10?unit=7&timeout
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
-from urllib.parse import SplitResult, parse_qsl, quote, unquote, urlsplit
+from typing import TYPE_CHECKING, Any
 
-from ..protocol.framing import Framing
-
-# fmt: off
-__all__ = [
-    "CLIENT_OPTIONS", "DEFAULT_PORT", "SCHEMES", "SECURE_PORT", "SECURITY_OPTIONS",
-    "SERIAL_OPTIONS", "Endpoint", "parse",
-]
-# fmt: on
-
-DEFAULT_PORT = 502
-
-# Of Modbus Security.
-SECURE_PORT = 802
-
-Scheme = Literal["tcp", "rtu+tcp", "ascii+tcp", "udp", "rtu+udp", "tls", "rtu", "ascii"]
-
-Transport = Literal["tcp", "udp", "tls", "serial"]
-
-SCHEMES: dict[Scheme, tuple[Framing, Transport]] = {
-    "tcp": ("tcp", "tcp"),
-    "rtu+tcp": ("rtu", "tcp"),
-    "ascii+tcp": ("ascii", "tcp"),
-    "udp": ("udp", "udp"),
-    "rtu+udp": ("rtu", "udp"),
-    "tls": ("tcp", "tls"),
-    "rtu": ("rtu", "serial"),
-    "ascii": ("ascii", "serial"),
-}
-"""Scheme -> framing, and what carries the bytes."""
-
-# Converts a text; and what the text must be.
-Option = tuple[Callable[[str], Any], str]
-
-INTEGER: Option = (int, "a number")
-SECONDS: Option = (float, "a number")
-TEXT: Option = (str, "text")
-SWITCH: Option = (lambda text: ("0", "1", "false", "true").index(text.lower()) % 2 == 1, "0 or 1")
-
-SERIAL_OPTIONS: dict[str, Option] = {
-    "baudrate": INTEGER,
-    "parity": TEXT,
-    "data_bits": INTEGER,
-    "stop_bits": INTEGER,
-    "rs485": TEXT,
-    "rts_delay": SECONDS,
-    "echo": SWITCH,
-    "silence": SECONDS,
-}
-
-SECURITY_OPTIONS: dict[str, Option] = dict.fromkeys(
-    ("cert", "key", "ca", "pin", "server_name", "password_env"), TEXT
+from .schemes import (
+    CLIENT_OPTIONS,
+    DEFAULT_PORT,
+    SCHEMES,
+    SECURE_PORT,
+    SECURITY_OPTIONS,
+    SERIAL_OPTIONS,
+    Option,
+    Scheme,
+    Transport,
 )
 
-CLIENT_OPTIONS: dict[str, Option] = {
-    "unit": INTEGER,
-    "timeout": SECONDS,
-    "retries": INTEGER,
-    "busy_retries": INTEGER,
-    "max_in_flight": INTEGER,
-    "turnaround": SECONDS,
-    "request_spacing": SECONDS,
-    "connect_delay": SECONDS,
-    "timeouts_before_reconnect": INTEGER,
-    "keepalive": (lambda text: None if text == "none" else float(text), "a number or none"),
-    "max_pause": SECONDS,
-    "native": SWITCH,
-    "accept_unit": TEXT,
-    "delimiter": (lambda text: int(text, 0), "a number such as 10 or 0x0A"),
-}
+if TYPE_CHECKING:
+    from urllib.parse import SplitResult
+
+    from ..protocol.framing import Framing
+
+__all__ = ["Endpoint", "parse"]
 
 # Of no use here, but it may be written, and should be in no log.
-PASSWORD = re.compile("(?<=password=)[^&#]+|(?<=:)[^/@:]+(?=@)")
+PASSWORD = "(?<=password=)[^&#]+|(?<=:)[^/@:]+(?=@)"
 
 USUAL: dict[Framing, dict[str, Any]] = {"ascii": {"data_bits": 7, "silence": 0.0}}
 """Serial settings unless told otherwise: ASCII frames are text, and have marks of their own."""
@@ -147,6 +95,8 @@ class Endpoint:
         return self._shown(self.options if self.transport == "serial" else {})
 
     def _shown(self, options: dict[str, Any]) -> str:
+        from urllib.parse import quote
+
         host = f"[{self.host}]" if ":" in self.host else self.host
         place = self.device if self.transport == "serial" else f"{host}:{self.port}"
         query = "&".join(f"{name}={quote(_text(value))}" for name, value in options.items())
@@ -167,8 +117,10 @@ def parse(url: str) -> Endpoint:
     """
     if not isinstance(url, str):
         raise TypeError(f"url must be a string, not {type(url).__name__}")
+    from urllib.parse import urlsplit
+
     parts = urlsplit(url)
-    url = PASSWORD.sub("***", url)  # from here on it is for errors only
+    url = re.sub(PASSWORD, "***", url)  # from here on it is for errors only
     if parts.scheme not in SCHEMES:
         raise ValueError(f"{url!r}: the scheme must be one of {', '.join(SCHEMES)}")
     if parts.fragment or parts.username is not None:
@@ -194,6 +146,8 @@ def _parse_network(url: str, scheme: Scheme, parts: SplitResult) -> Endpoint:
 
 
 def _parse_serial(url: str, scheme: Scheme, parts: SplitResult) -> Endpoint:
+    from urllib.parse import unquote
+
     device = unquote(parts.path)
     if parts.netloc or not device.strip("/"):
         raise ValueError(f"{url!r}: a device is missing, as in {scheme}:///dev/ttyUSB0")
@@ -205,6 +159,8 @@ def _options(
     url: str, query: str, own: Mapping[str, Option]
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """Those of the endpoint itself, and those of clients."""
+    from urllib.parse import parse_qsl
+
     allowed = {**own, **CLIENT_OPTIONS}
     options: dict[str, Any] = {}
     for name, text in parse_qsl(query, keep_blank_values=True):

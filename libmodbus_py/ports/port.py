@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import select
 from abc import ABC, abstractmethod
+from typing import Any
 
 from ..protocol.errors import ModbusConnectionError
 from .waiting import Steps
@@ -50,12 +51,14 @@ class Port(ABC):
 
     Attributes:
         descriptor: for whoever waits; -1 while closed.
+        context: libmodbus's, where it opens the port; else None.
         silence: what must pass before sending.
         resume_at: when `go_on` should be called (time.monotonic), or None.
         has_unsent: whether `go_on` should be called once the port takes bytes again.
     """
 
     descriptor: int = -1
+    context: Any = None
     silence: Silence
     resume_at: float | None = None
     has_unsent = False

@@ -12,7 +12,7 @@ import select
 import struct
 import termios
 from collections.abc import Iterator
-from typing import Any, ClassVar, Literal, TypedDict, Unpack
+from typing import ClassVar, Literal, TypedDict, Unpack
 
 from ..binding.library import check, ffi, lib, make
 from ..protocol.checks import integer, seconds
@@ -105,7 +105,7 @@ class SerialPort(Port):
         self._guards: list[int] = []
         self._number = 0
         self._process = 0
-        self.context: Any = make(
+        self.context = make(
             lib.modbus_new_rtu(
                 os.fsencode(device),
                 self.baudrate if self.baudrate in self.baudrates else 9600,
@@ -247,7 +247,7 @@ class SerialPort(Port):
         if self._process != os.getpid():
             self.abandon()
         else:
-            self.descriptor = -1
+            self.descriptor: int = -1
             lib.modbus_close(self.context)  # restores the settings, too
             self._release()
 

@@ -11,15 +11,19 @@ import socket
 import ssl
 import time
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, TypeVar
 
 from ..protocol.errors import ModbusConnectionError
 from ..security.describing import describe
+from ..security.given import GivenContext
 from ..security.security import Security
 from ..security.tunnel import READ_SIZE, Tunnel
 from .endpoint import Endpoint
 from .sockets import TcpPort
 from .waiting import READ, WRITE, Ready, Steps
+
+ClientSecurity = Security | GivenContext
+Given = TypeVar("Given", bound=ClientSecurity)
 
 __all__ = ["TlsPort", "named_security", "security_of"]
 
@@ -52,7 +56,7 @@ CHAFF_OF_BYTE = 64
 NAMES = {"cert": "certificate", "key": "key", "ca": "trust", "server_name": "server_name"}
 
 
-def security_of(endpoint: Endpoint, given: Security | None) -> Security:
+def security_of(endpoint: Endpoint, given: Given | None) -> Security | Given:
     """
     Find who we are at a `tls://` endpoint: in its URL or as given.
 
@@ -110,7 +114,9 @@ class TlsPort(TcpPort):
         security: who we are, and whom we trust.
     """
 
-    def __init__(self, host: str, port: int, keepalive: float | None, security: Security) -> None:
+    def __init__(
+        self, host: str, port: int, keepalive: float | None, security: ClientSecurity
+    ) -> None:
         super().__init__(host, port, keepalive)
         self._security = security
         self._session: ssl.SSLSession | None = None
@@ -163,8 +169,8 @@ class TlsPort(TcpPort):
         reason = error.reason or str(error)
         words = MEANINGS.get(reason) or reason.lower().replace("_", " ")
         if reason.endswith(OF_OUR_CERTIFICATE):
-            own = describe(self._security.own)
-            text = f"{self} refused our certificate ({words}): {own}"
+            own = f": {describe(self._security.own)}" if self._security.own else ""
+            text = f"{self} refused our certificate ({words}){own}"
             made = ModbusConnectionError(text, errno=errno.EKEYREJECTED)
         else:
             made = ModbusConnectionError(f"no TLS with {self}: {words}", errno=errno.EPROTO)

@@ -1,13 +1,12 @@
 """
 Steps that wait: a generator yields what it waits for, and whoever runs it decides how.
 
-`run` polls, for blocking clients; `run_async` uses the event loop. What the steps do
-is so written once: connecting, and whatever else takes turns with the other side.
+`run` polls, for blocking clients; `waiting_async` has the event loop wait. What the steps
+do is so written once: connecting, and whatever else takes turns with the other side.
 """
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import os
 import select
@@ -19,8 +18,8 @@ from typing import Any, NamedTuple, TypeVar
 
 # fmt: off
 __all__ = [
-    "READ", "WRITE", "Ready", "Resolve", "Steps", "Waker", "Woken", "milliseconds", "resolve",
-    "run", "run_async",
+    "READ", "WRITE", "Ready", "Resolve", "Steps", "Waker", "Woken", "as_os_error", "milliseconds",
+    "numeric", "run",
 ]
 # fmt: on
 
@@ -154,15 +153,16 @@ def run(steps: Steps[Result], waker: Waker) -> Result:
 
 def _wait(wanted: Ready | Resolve, waker: Waker) -> Any:
     if isinstance(wanted, Resolve):
-        return _numeric(wanted) or _look_up(wanted, waker)
+        return numeric(wanted) or _look_up(wanted, waker)
     return waker.wait(*wanted)
 
 
-def _numeric(wanted: Resolve) -> list[Any]:
+def numeric(wanted: Resolve) -> list[Any]:
     """An address needs no look-up, and so no thread."""
     try:
+        # As bytes, for Python would import what knows of names in other scripts.
         return socket.getaddrinfo(
-            wanted.host, wanted.port, type=wanted.kind, flags=socket.AI_NUMERICHOST
+            wanted.host.encode(), wanted.port, type=wanted.kind, flags=socket.AI_NUMERICHOST
         )
     except (OSError, UnicodeError):
         return []
@@ -184,68 +184,10 @@ def _look_up(wanted: Resolve, waker: Waker) -> list[Any]:
     if not waker.wait(done.descriptor, READ, wanted.deadline):
         raise TimeoutError
     if isinstance(found[0], Exception):
-        raise _as_os_error(found[0])
+        raise as_os_error(found[0])
     addresses: list[Any] = found[0]
     return addresses
 
 
-def _as_os_error(error: Exception) -> OSError:
+def as_os_error(error: Exception) -> OSError:
     return error if isinstance(error, OSError) else OSError(None, str(error))
-
-
-async def run_async(steps: Steps[Result]) -> Result:
-    """Run steps to their end in the event loop; cancelling closes them."""
-    try:
-        wanted = next(steps)
-        while True:
-            try:
-                found = await _wait_async(wanted)
-            except OSError as error:
-                wanted = steps.throw(error)
-            else:
-                wanted = steps.send(found)
-    except StopIteration as done:
-        result: Result = done.value
-        return result
-    finally:
-        steps.close()
-
-
-async def _wait_async(wanted: Ready | Resolve) -> Any:
-    if isinstance(wanted, Resolve):
-        return _numeric(wanted) or await _look_up_async(wanted)
-    return await _ready(wanted)
-
-
-async def _look_up_async(wanted: Resolve) -> list[Any]:
-    loop = asyncio.get_running_loop()
-    try:
-        async with asyncio.timeout(wanted.deadline - time.monotonic()):
-            return await loop.getaddrinfo(wanted.host, wanted.port, type=wanted.kind)
-    except UnicodeError as error:
-        raise _as_os_error(error) from error
-
-
-def resolve(future: asyncio.Future[None]) -> None:
-    """Let whoever awaits it go on, if he still does."""
-    if not future.done():
-        future.set_result(None)
-
-
-async def _ready(wanted: Ready) -> bool:
-    loop = asyncio.get_running_loop()
-    ready = loop.create_future()
-    add, remove = (
-        (loop.add_reader, loop.remove_reader)
-        if wanted.events == READ
-        else (loop.add_writer, loop.remove_writer)
-    )
-    add(wanted.descriptor, resolve, ready)
-    try:
-        async with asyncio.timeout(wanted.deadline - time.monotonic()):
-            await ready
-    except TimeoutError:
-        return False
-    finally:
-        remove(wanted.descriptor)
-    return True

@@ -12,4 +12,5 @@ Bottom up:
     tables     the four tables: what they hold, and how much of it a request may carry
     values     numbers, text and bits in registers; references such as 40123
                (type_names: what type checkers know of them)
+    spelling   values as people read and type them
 """

@@ -5,9 +5,10 @@ The check of numbers that callers pass; its errors name the argument and its ran
 from __future__ import annotations
 
 import reprlib
+from collections.abc import Sequence
 from operator import index
 
-__all__ = ["integer", "seconds", "shown"]
+__all__ = ["are_registers", "integer", "seconds", "shown"]
 
 
 def shown(number: object) -> str:
@@ -35,6 +36,11 @@ def integer(name: str, value: object, low: int, high: int) -> int:
     if not low <= number <= high:
         raise ValueError(f"{name} must be in {low}..{high}, not {shown(number)}")
     return number
+
+
+def are_registers(values: Sequence[object]) -> bool:
+    """Whether all are plain ints in 0..65535, told at once: bulk reads do little else."""
+    return set(map(type, values)) == {int} and min(values) >= 0 and max(values) <= 0xFFFF  # type: ignore[type-var, operator]
 
 
 def seconds(name: str, value: object, low: float = 0.001, high: float = 86_400.0) -> float:

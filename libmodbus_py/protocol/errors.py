@@ -62,9 +62,13 @@ class ModbusError(Exception):
         endpoint: URL of the connection, such as "tcp://192.0.2.10:502", or empty.
         sent: the request as it went out, header and check bytes included, or empty.
         received: what came back until the error, its first 600 bytes, or empty.
+        answers_another: whether that answers another request: of another unit, function or
+            transaction id.
 
     ``str()`` is one line for messages; ``repr()`` says all of the above.
     """
+
+    answers_another: bool = False
 
     def __init__(self, reason: str = "", **transaction: Unpack[_Transaction]) -> None:
         super().__init__(reason)

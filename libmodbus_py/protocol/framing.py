@@ -22,9 +22,9 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any, ClassVar, Literal, NamedTuple
 
+from . import pdu
 from .errors import MAX_RECEIVED, FrameError
-from .pdu import MAX_PDU, REQUESTS, Request, request_length, response_length
-from .pdu.fields import IN_C
+from .pdu.fields import IN_C, MAX_PDU
 from .scan import Scan, crc16, lib
 
 # fmt: off
@@ -36,6 +36,7 @@ __all__ = [
 
 Role = Literal["client", "server"]
 Framing = Literal["tcp", "rtu", "ascii", "udp"]
+"""What is put around a PDU."""
 
 # In a row, in one scan: who floods a line must not be answered with a flood of errors.
 MOST_ERRORS = 8
@@ -319,12 +320,12 @@ def scanner(role: Role) -> Scan:
     is_client = role == "client"
     return Scan(
         is_client,
-        {code: _in_c(request, is_client) for code, request in REQUESTS.items()},
-        response_length if is_client else request_length,
+        {code: _in_c(request, is_client) for code, request in pdu.REQUESTS.items()},
+        pdu.response_length if is_client else pdu.request_length,
     )
 
 
-def _in_c(request: type[Request[Any]], is_client: bool) -> tuple[int, int, int]:
+def _in_c(request: type[pdu.Request[Any]], is_client: bool) -> tuple[int, int, int]:
     rule = request.response_length if is_client else request.request_length
     return IN_C.get(rule, (lib.BY_PYTHON, 0, 0))
 

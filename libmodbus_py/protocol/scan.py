@@ -17,7 +17,8 @@ try:
 except ImportError as error:
     raise ImportError(f"{NOT_BUILT} ({error})") from error
 
-MAX_PDU = 253  # application protocol, section 4.1
+MAX_PDU = 253
+"""Bytes of a PDU, function code included (application protocol, section 4.1)."""
 
 __all__ = ["MAX_PDU", "NOT_BUILT", "Scan", "crc16", "lib"]
 

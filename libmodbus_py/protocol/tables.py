@@ -8,9 +8,14 @@ from collections.abc import Callable
 from typing import Any, Literal, NamedTuple
 
 from . import pdu
-from .pdu.fields import TABLE_SIZE
+from .pdu.fields import MOST_COILS_WRITTEN, MOST_REGISTERS_WRITTEN, TABLE_SIZE
 
-__all__ = ["TABLES", "TABLE_SIZE", "RegisterTable", "Table", "TableRules", "WritableTable"]
+# fmt: off
+__all__ = [
+    "REGISTER_TABLES", "TABLES", "TABLE_SIZE", "RegisterTable", "Table", "TableRules",
+    "WritableTable",
+]
+# fmt: on
 
 WritableTable = Literal["holding_registers"]
 RegisterTable = Literal[WritableTable, "input_registers"]
@@ -35,11 +40,14 @@ class TableRules(NamedTuple):
 
 
 TABLES: dict[str, TableRules] = {
-    "coils": TableRules(pdu.ReadCoils, True, pdu.ReadCoils.limit, pdu.WriteCoils.limit),
+    "coils": TableRules(pdu.ReadCoils, True, pdu.ReadCoils.limit, MOST_COILS_WRITTEN),
     "discrete_inputs": TableRules(pdu.ReadDiscreteInputs, True, pdu.ReadDiscreteInputs.limit),
     "holding_registers": TableRules(
-        pdu.ReadHoldingRegisters, False, pdu.ReadHoldingRegisters.limit, pdu.WriteRegisters.limit
+        pdu.ReadHoldingRegisters, False, pdu.ReadHoldingRegisters.limit, MOST_REGISTERS_WRITTEN
     ),
     "input_registers": TableRules(pdu.ReadInputRegisters, False, pdu.ReadInputRegisters.limit),
 }
 """Name -> rules; the names are those of `Table`."""
+
+REGISTER_TABLES = [name for name, rules in TABLES.items() if not rules.is_bits]
+"""The names of `RegisterTable`."""

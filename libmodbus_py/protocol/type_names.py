@@ -9,12 +9,15 @@ from typing import Literal, TypedDict
 __all__ = ["BitsType", "Layout", "NumberType", "Order", "TextOptions", "TextType", "TypeName"]
 
 Order = Literal["ABCD", "CDAB", "BADC", "DCBA"]
+"""The orders of bytes, by the names that hold for every width."""
 # fmt: off
 NumberType = Literal[
     "int16", "int32", "int64", "uint16", "uint32", "uint64",
     "float16", "float32", "float64", "bcd16", "bcd32", "bcd64",
 ]
+"""Types whose values are numbers."""
 BitsType = Literal["bits16", "bits32", "bits64"]
+"""Types whose values are lists of True and False."""
 TextType = Literal[
     "string:1", "string:2", "string:3", "string:4", "string:5", "string:6", "string:7", "string:8",
     "string:9", "string:10", "string:11", "string:12", "string:13", "string:14", "string:15",
@@ -57,8 +60,10 @@ TextType = Literal[
     "string:244", "string:245", "string:246", "string:247", "string:248", "string:249",
     "string:250",
 ]
+"""Types whose values are text, of 1 to 250 bytes."""
 # fmt: on
 TypeName = Literal[NumberType, BitsType, TextType]
+"""All of them."""
 
 
 class TextOptions(TypedDict, total=False):

@@ -42,7 +42,7 @@ from encodings import normalize_encoding
 from encodings.aliases import aliases
 from typing import Any, NamedTuple, SupportsFloat, SupportsIndex
 
-from .checks import integer, shown
+from .checks import are_registers, integer, shown
 from .type_names import BitsType, Layout, NumberType, Order, TextOptions, TextType, TypeName
 
 # fmt: off
@@ -87,10 +87,13 @@ def _order(order: object, kind: ValueType) -> str:
 
 def _reorder(data: bytes, words: bool, swap: bool) -> bytes:
     """Each order undoes itself, so that one function serves both ways."""
-    pairs = [data[at : at + 2] for at in range(0, len(data), 2)]
     if words:
-        pairs.reverse()
-    return b"".join(pair[::-1] if swap else pair for pair in pairs)
+        data = data[::-1]  # which swaps the bytes of each, too
+    if words == swap:
+        return data
+    swapped = bytearray(data)
+    swapped[0::2], swapped[1::2] = data[1::2], data[0::2]
+    return bytes(swapped)
 
 
 # --- types -------------------------------------------------------------------------
@@ -160,7 +163,7 @@ class ValueType:
             raise ValueError(
                 f"registers must hold {self.registers} for {self.name}, not {len(cells)}"
             )
-        return self._from_registers(cells, 0)
+        return self._from_registers(cells)[0]
 
     def decode_many(self, registers: Iterable[int]) -> list[Any]:
         """
@@ -176,21 +179,36 @@ class ValueType:
                 f"registers must hold a multiple of {self.registers} for {self.name},"
                 f" not {len(cells)}"
             )
-        return [self._from_registers(cells, at) for at in range(0, len(cells), self.registers)]
+        return self._from_registers(cells)
 
     def _to_registers(self, name: str, value: object) -> list[int]:
         data = self._reordered(self._pack(name, value))
         return list(struct.unpack(f">{self.registers}H", data))
 
-    def _from_registers(self, cells: list[int], at: int) -> Any:
-        end = at + self.registers
-        data = struct.pack(f">{self.registers}H", *cells[at:end])
+    def _from_registers(self, cells: list[int]) -> list[Any]:
+        data = struct.pack(f">{len(cells)}H", *cells)
+        size = 2 * self.registers
+        return [self._from_part(data[at : at + size], at // 2) for at in range(0, len(data), size)]
+
+    def _from_part(self, data: bytes, at: int) -> Any:
         try:
-            return self._unpack(self._reordered(data))
+            return self.from_bytes(data)
         except ValueError as error:
+            end = at + self.registers
             raise ValueError(f"registers[{at}:{end}] hold no {self.name}: {error}") from None
 
+    def from_bytes(self, data: bytes) -> Any:
+        """
+        Turn the bytes of one value, as answers carry its registers, into that value.
+
+        Raises:
+            ValueError: they hold no such value.
+        """
+        return self._unpack(self._reordered(data))
+
     def _reordered(self, data: bytes) -> bytes:
+        if self.order == "ABCD":
+            return data
         words, swap = ORDERS[self.order]
         return _reorder(data, words and not self.is_text, swap)
 
@@ -204,8 +222,10 @@ def _items(name: str, values: object) -> list[Any]:
 
 
 def _cells(registers: object) -> list[int]:
-    given = enumerate(_items("registers", registers))
-    return [integer(f"registers[{at}]", cell, 0, 0xFFFF) for at, cell in given]
+    given = registers if type(registers) is list else _items("registers", registers)
+    if are_registers(given):
+        return given
+    return [integer(f"registers[{at}]", cell, 0, 0xFFFF) for at, cell in enumerate(given)]
 
 
 def _integers(bits: int, signed: bool) -> ValueType:

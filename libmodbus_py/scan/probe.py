@@ -13,7 +13,7 @@ import time
 from typing import Any, NamedTuple
 
 from ..client.blocking import Context
-from ..client.trace import Traced
+from ..ports.trace import Traced
 from ..protocol import pdu
 from ..protocol.errors import (
     ExceptionResponse,

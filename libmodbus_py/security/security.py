@@ -11,7 +11,7 @@ import ssl
 from collections.abc import Iterable
 from typing import Any
 
-from .tunnel import Tunnel
+from .tunnel import Tunnel, name_of
 
 __all__ = ["Security"]
 
@@ -117,7 +117,7 @@ class Security:
             session: of an earlier tunnel there, to resume.
         """
         name = host if self._server_name is None else self._server_name
-        return Tunnel(self._client, server_name=_server_name(name), session=session)
+        return Tunnel(self._client, server_name=name_of(name), session=session)
 
     def check_server(self) -> None:
         """
@@ -222,10 +222,6 @@ class Security:
         assert self._trust is not None
         for certificate in _certificates("trust", self._trust):
             context.load_verify_locations(cadata=certificate)
-
-
-def _server_name(host: str) -> str:
-    return host.partition("%")[0]  # an IPv6 address's zone is no part of its name
 
 
 def _certificates(name: str, file: File) -> list[bytes]:

@@ -9,7 +9,7 @@ import ssl
 import time
 from collections.abc import Callable
 
-__all__ = ["READ_SIZE", "Records", "Tunnel"]
+__all__ = ["READ_SIZE", "Records", "Tunnel", "name_of"]
 
 # As much as a record carries.
 READ_SIZE = 16_384
@@ -125,6 +125,11 @@ class Tunnel:
     def session(self) -> ssl.SSLSession | None:
         """What a client can resume."""
         return self._tls.session
+
+
+def name_of(host: str) -> str:
+    """Give the name that a host's certificate must have."""
+    return host.partition("%")[0]  # an IPv6 address's zone is no part of it
 
 
 class Records:

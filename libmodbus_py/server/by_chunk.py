@@ -11,8 +11,10 @@ import struct
 from collections.abc import Callable
 
 from ..protocol.errors import FrameError
-from ..protocol.framing import Frame
+from ..protocol.framing import Frame, TcpFramer
 from ..protocol.pdu import MAX_PDU
+from .delivery import Delivery
+from .faulty import FaultyAnswers
 from .framed import FOUND_AT_ONCE
 from .limits import ServerStatistics
 from .service import Later
@@ -82,7 +84,7 @@ class Singles:
     ) -> tuple[int, int]:
         """Answer those of one unit that follow each other, in C; give how many, and the rest."""
         unit = chunk[start + 6]
-        device = self._units.device(unit)
+        device = self._units.without_faults(unit)
         if device is None or chunk[start + HEADER.size] not in device.in_c:
             return 0, start
         start, answers, count, refused = device.answer_chunk(chunk, start, unit)
@@ -99,18 +101,21 @@ class Singles:
 class ByChunk:
     """
     Arguments as for `ByFrame`; there is nothing to wait for but its own turn, where requests are
-    not answered in C.
+    not answered in C, and answers that faults keep back.
 
     Args:
         singles: where requests go that come alone.
+
+    Attributes:
+        write: sends answers, after those that are kept back.
     """
 
     takes_requests = True
 
     # fmt: off
     __slots__ = (
-        "_follow", "_peer", "_pending", "_role", "_singles", "_statistics", "_units", "is_behind",
-        "is_unfinished", "write",
+        "_faulty", "_follow", "_hang_up", "_peer", "_pending", "_role", "_send", "_singles",
+        "_statistics", "_units", "is_behind", "is_unfinished", "write",
     )
     # fmt: on
 
@@ -123,8 +128,12 @@ class ByChunk:
         write: Callable[[bytes], None],
         follow: Callable[[], None] = lambda: None,
         role: str | None = None,
+        hang_up: Callable[[], bool] = lambda: False,
     ) -> None:
         self._units = units
+        self._hang_up = hang_up
+        self._send = write
+        self._faulty: FaultyAnswers | None = None  # until something happens here
         self._peer = peer
         self._role = role
         self._statistics = statistics
@@ -137,7 +146,7 @@ class ByChunk:
 
     @property
     def is_waiting(self) -> bool:
-        return self.is_behind
+        return self.is_behind or (self._faulty is not None and self._faulty.delivery.is_waiting)
 
     @property
     def is_owing(self) -> bool:
@@ -159,7 +168,7 @@ class ByChunk:
         start, size, taken = 0, len(data), 0
         while size - start > HEADER.size:
             unit, function = data[start + 6], data[start + HEADER.size]
-            device = self._units.device(unit)
+            device = self._units.without_faults(unit)
             if device is not None and function in device.in_c:
                 end, answers, count, refused = device.answer_chunk(data, start, unit)
                 if end > start:
@@ -173,7 +182,7 @@ class ByChunk:
             if end == start:
                 taken = 0
                 break
-            start = end
+            start = size if self._is_over else end
             taken += 1
         requests = self._statistics.requests - before
         self._pending = data[start:]
@@ -187,7 +196,9 @@ class ByChunk:
         """What came is answered already."""
 
     def close(self) -> None:
-        """Nothing goes on."""
+        if self._faulty is not None:
+            self._faulty.delivery.close()
+            self._faulty = None  # which knows us: a circle would have to be looked for (gc)
 
     def _count(self, requests: int, refused: int) -> None:
         self._statistics.requests += requests
@@ -204,6 +215,11 @@ class ByChunk:
             self._statistics.bad_frames += 1
             return end
         frame = Frame(unit, data[start + 7 : end], transaction)
+        faults = self._units.faults
+        if faults is not None and faults.concern(unit):
+            self._statistics.requests += 1
+            self._answers_with_faults().answer(frame)
+            return end
         answer = self._units.answer(frame, self._peer, self._role)
         if answer is None:
             self._count(1, 0)
@@ -212,6 +228,26 @@ class ByChunk:
             self._count(1, pdu[0] >> 7)
             self.write(HEADER.pack(transaction, 0, 1 + len(pdu), unit) + pdu)
         return end
+
+    @property
+    def _is_over(self) -> bool:
+        """Whether a fault has closed the connection: what is asked behind it is not executed."""
+        return self._faulty is not None and self._faulty.delivery.is_over
+
+    def _answers_with_faults(self) -> FaultyAnswers:
+        if self._faulty is None:
+            delivery = Delivery(self._send, self._follow_delivery, self._hang_up)
+            self._faulty = FaultyAnswers(
+                self._units, TcpFramer(), self._peer, self._role, self._statistics, delivery
+            )
+        return self._faulty
+
+    def _follow_delivery(self) -> None:
+        """What faults do not happen to waits behind what they keep back."""
+        if self._faulty is not None:
+            delivery = self._faulty.delivery
+            self.write = delivery.send_bytes if delivery.is_waiting else self._send
+        self._follow()
 
     def _is_lost(self, requests: int) -> bool:
         """A length that cannot be tells that nobody knows where the next frame begins."""

@@ -6,8 +6,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from ..protocol.framing import AsciiFramer, Frame, Framing, TcpFramer
-from .faults import Delivery, pieces
+from ..protocol.errors import FrameError
+from ..protocol.framing import AsciiFramer, Frame, Framing
+from .delivery import Delivery
+from .faulty import FaultyAnswers
 from .framed import Framed
 from .limits import ServerStatistics
 from .units import SerialUnits, TcpUnits
@@ -22,6 +24,7 @@ class ByFrame(Framed):
     Args:
         units: who answers.
         framing, peer, statistics, write, follow, role, at_once: as of `Framed`.
+        hang_up: as of `Link`.
     """
 
     def __init__(
@@ -34,40 +37,39 @@ class ByFrame(Framed):
         follow: Callable[[], None] = lambda: None,
         role: str | None = None,
         at_once: int | None = None,
+        hang_up: Callable[[], bool] = lambda: False,
     ) -> None:
         super().__init__(framing, peer, statistics, write, follow, role, at_once)
         self._units = units
-        # Only with faults do answers leave at other times than they are found.
-        self._delivery = Delivery(write, follow) if units.faults else None
+        self._hang_up = hang_up
+        # With faults answers leave at other times than they are found.
+        self._faulty: FaultyAnswers | None = None
         self._end_request()
 
     @property
     def is_waiting(self) -> bool:
-        return self.is_behind or (self._delivery is not None and self._delivery.is_waiting)
+        return self.is_behind or (self._faulty is not None and self._faulty.delivery.is_waiting)
 
     def close(self) -> None:
         super().close()
-        if self._delivery is not None:
-            self._delivery.close()
+        if self._faulty is not None:
+            self._faulty.delivery.close()
+
+    def _take(self, found: list[Frame | FrameError]) -> int:
+        # Not in the middle of these, for what is answered at once is sent behind them all; and
+        # for ever, as what faults keep back comes before what follows.
+        if self._faulty is None and self._units.faults is not None:
+            delivery = Delivery(self._write, self._follow, self._hang_up)
+            self._faulty = FaultyAnswers(
+                self._units, self._framer, self._peer, self._role, self._statistics, delivery
+            )
+        return super()._take(found)
 
     def _answer(self, request: Frame) -> Frame | None:
-        if self._delivery is not None:
-            self._answer_with_faults(request, self._delivery)
-            return None
-        return self._units.answer(request, self._peer, self._role)
-
-    def _answer_with_faults(self, request: Frame, delivery: Delivery) -> None:
-        fault = None
-        if self._units.faults is not None and self._units.answers(request):
-            has_transaction = isinstance(self._framer, TcpFramer)
-            fault = self._units.faults.due(request, has_transaction=has_transaction)
-        if fault is not None and fault.code is not None:
-            answer: Frame | None = self._units.refuse(request, fault.code)
-        else:
-            answer = self._units.answer(request, self._peer, self._role)
-        if answer is not None:
-            self._statistics.refused += answer.pdu[0] >> 7
-            delivery.send(pieces(fault, answer, self._framer))
+        if self._faulty is None:
+            return self._units.answer(request, self._peer, self._role)
+        self._faulty.answer(request)
+        return None
 
     def _note_damage(self, *, overrun: bool) -> None:
         self._units.note_damage(overrun=overrun)

@@ -20,6 +20,13 @@ class Devices:
 
     def __init__(self, units: Units) -> None:
         self._units = units
+        self._of_endpoints: list[TcpUnits | SerialUnits] = []
+
+    def change(self, units: Units) -> None:
+        """Have others answer from the next request on, on all connections; in their loop."""
+        self._units = units
+        for each in self._of_endpoints:
+            each.change(units)
 
     def sessions(
         self, endpoint: Endpoint, statistics: ServerStatistics, later: Later | None = None
@@ -37,17 +44,27 @@ class Devices:
                 link.follow,
                 link.role,
                 at_once,
+                link.hang_up,
             )
 
         if framing in ("rtu", "ascii"):
             line = SerialUnits(self._units)
+            self._of_endpoints.append(line)
             if endpoint.transport == "serial":
                 return lambda link: by_frame(line, link)
             return lambda link: by_frame(line.of_connection(), link)
         own = TcpUnits(self._units)
-        if later is None or own.faults:
+        self._of_endpoints.append(own)
+        if later is None:
             return lambda link: by_frame(own, link)
         singles = Singles(own, statistics, later)
         return lambda link: ByChunk(
-            own, link.address, statistics, singles, link.write, link.follow, link.role
+            own,
+            link.address,
+            statistics,
+            singles,
+            link.write,
+            link.follow,
+            link.role,
+            link.hang_up,
         )

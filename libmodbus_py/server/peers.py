@@ -480,6 +480,10 @@ class Peer:
         # What came in this turn is answered by then, unless the answer must be waited for.
         self._peers.loop.call_soon(self._close_if_done)
 
+    def hang_up(self) -> bool:
+        self.end()
+        return True
+
     def _close_if_done(self) -> None:
         if self._descriptor >= 0 and not (self._unsent or self._session.is_owing):
             self.close()

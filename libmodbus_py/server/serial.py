@@ -110,6 +110,9 @@ class SerialServer:
         if self._session.is_behind:
             self._receive()
 
+    def hang_up(self) -> bool:
+        return False
+
     def _reopen(self) -> None:
         try:
             self._open()

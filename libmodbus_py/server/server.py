@@ -8,15 +8,18 @@ arrival. Nobody waits for anybody.
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 from collections.abc import AsyncIterator, Iterable, Mapping
 
 from ..device.device import Device
 from ..device.reply import replier
 from ..ports.endpoint import Endpoint
+from ..ports.trace import OnTraced
 from ..security.security import Security
 from .devices import Devices
-from .faults import Fault, Faults
+from .faults import Fault
+from .faults_due import Faults
 from .limits import Limits
 from .service import Service
 from .serving import Running, Serving
@@ -43,9 +46,15 @@ class Server(Serving):
             units 0 and 255, too, unless they have devices of their own. One device alone
             always does. None: none of them.
         security: who it is and whom it trusts, for tls; the URLs may say it instead.
+        trace: called in the server's loop with a `Traced` for every ADU received and sent; the
+            logger ``libmodbus_py.wire`` has the same at DEBUG. Whether anybody wants to see
+            them is asked when a connection is made, or a port opened. One that fails or takes
+            long is logged once, and harms no request; SystemExit and KeyboardInterrupt end the
+            server.
 
     Attributes:
         statistics: what happened at all endpoints, kept up to date.
+        devices, faults: as given, or as put in their place by `replace`.
 
     Raises:
         TypeError, ValueError: an argument is something else.
@@ -59,15 +68,84 @@ class Server(Serving):
         unknown_unit: UnknownUnit = "refuse",
         own_unit: int | None = None,
         security: Security | None = None,
+        trace: OnTraced | None = None,
     ) -> None:
-        super().__init__(limits, security)
-        made = Faults({} if faults is None else faults)
-        self._units = Units(devices, made, unknown_unit, own_unit, self._note_unauthorized)
+        super().__init__(limits, security, trace)
+        self._unknown_unit: UnknownUnit = unknown_unit
+        self._own_unit = own_unit
+        self._answering_now: list[tuple[asyncio.AbstractEventLoop, Devices]] = []
+        self._take(devices, faults, None)
+
+    def replace(
+        self,
+        devices: Device | Mapping[int, Device],
+        faults: Mapping[int | None, Iterable[Fault]] | None = None,
+    ) -> None:
+        """
+        Have other devices and faults, from any thread, also while it serves.
+
+        Connections stay. In the server's own loop this holds from the next request on; from
+        elsewhere it does as soon as the requests are answered that were read already. Answers
+        that a fault keeps back still come. `own_unit` and all other arguments are as when the
+        server was made. Faults that are equal to those before go on counting, and notes about
+        a serial line (functions 8, 11 and 12) stay with their unit.
+
+        Args:
+            devices, faults: as for `Server`; None is no faults.
+
+        Raises:
+            TypeError, ValueError: as when it was made. Then nothing changes.
+        """
+        self._take(devices, faults, self._counted)
+        for loop, answering in list(self._answering_now):
+            if loop is _running_loop():
+                answering.change(self._units)
+            else:
+                with contextlib.suppress(RuntimeError):  # it has just ended
+                    loop.call_soon_threadsafe(self._renew, answering)
+
+    def _take(
+        self,
+        devices: Device | Mapping[int, Device],
+        faults: Mapping[int | None, Iterable[Fault]] | None,
+        before: Faults | None,
+    ) -> None:
+        given = {unit: list(each) for unit, each in _listed(faults).items()}
+        counted = Faults(given, before)
+        units = Units(devices, counted, self._unknown_unit, self._own_unit, self._note_unauthorized)
+        self._counted, self._units = counted, units
+        self.devices: Device | Mapping[int, Device] = devices
+        self.faults: Mapping[int | None, list[Fault]] = given
+
+    def _renew(self, answering: Devices) -> None:
+        answering.change(self._units)
 
     @contextlib.asynccontextmanager
     async def _answering(self, endpoints: list[Endpoint]) -> AsyncIterator[Service]:
         replier()  # its descriptors, before clients take the last ones
-        yield Devices(self._units)
+        answering = Devices(self._units)
+        now = asyncio.get_running_loop(), answering
+        self._answering_now.append(now)
+        try:
+            self._renew(answering)  # another thread may have replaced them in between
+            yield answering
+        finally:
+            self._answering_now.remove(now)
 
     def _note_unauthorized(self) -> None:
         self.statistics.unauthorized += 1
+
+
+def _listed(faults: object) -> Mapping[int | None, Iterable[Fault]]:
+    if faults is None:
+        return {}
+    if not isinstance(faults, Mapping):
+        given = type(faults).__name__
+        raise TypeError(f"faults must be {{unit or None: [Fault, ...]}}, not {given}")
+    return faults
+
+
+def _running_loop() -> asyncio.AbstractEventLoop | None:
+    with contextlib.suppress(RuntimeError):
+        return asyncio.get_running_loop()
+    return None

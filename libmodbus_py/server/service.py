@@ -34,6 +34,10 @@ class Link(Protocol):
     def follow(self) -> None:
         """Look again whether the session is behind, or waiting."""
 
+    def hang_up(self) -> bool:
+        """Close the connection when what was written is sent; False if there is none."""
+        ...
+
 
 class Session(Protocol):
     """What one connection or one port received, and the answers to it."""

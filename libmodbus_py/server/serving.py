@@ -14,11 +14,12 @@ import signal
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import AsyncIterator, Callable, Iterator, Mapping
-from contextlib import AbstractAsyncContextManager
+from contextlib import AbstractAsyncContextManager, AbstractContextManager
 from dataclasses import dataclass
 
 from ..ports.endpoint import Endpoint, parse
 from ..ports.tls import security_of
+from ..ports.trace import OnTraced
 from ..security.security import Security
 from .background import Background
 from .limits import Limits, ServerStatistics
@@ -27,6 +28,7 @@ from .serial import SerialServer
 from .service import Service
 from .sources import Sources
 from .tcp import TcpServer
+from .tracing import TracedService, Traces
 from .udp import UdpServer
 
 __all__ = ["Running", "Serving"]
@@ -53,6 +55,10 @@ class Serving(ABC):
     Args:
         limits: what clients may cost; None for the defaults of `Limits`.
         security: who it is and whom it trusts, for tls; the URLs may say it instead.
+        trace: called in the loop with a `Traced` for every ADU received and sent; the logger
+            ``libmodbus_py.wire`` has the same at DEBUG. Whether anybody wants to see them is
+            asked when a connection is made, or a port opened. One that fails or takes long is
+            logged once, and harms no request; SystemExit and KeyboardInterrupt end the server.
 
     Attributes:
         statistics: what happened at all endpoints, kept up to date.
@@ -61,7 +67,12 @@ class Serving(ABC):
         TypeError: an argument is something else.
     """
 
-    def __init__(self, limits: Limits | None = None, security: Security | None = None) -> None:
+    def __init__(
+        self,
+        limits: Limits | None = None,
+        security: Security | None = None,
+        trace: OnTraced | None = None,
+    ) -> None:
         self.statistics: ServerStatistics = ServerStatistics()
         if not isinstance(limits, Limits | None):
             raise TypeError(f"limits must be Limits, not {type(limits).__name__}")
@@ -69,6 +80,7 @@ class Serving(ABC):
         if not isinstance(security, Security | None):
             raise TypeError(f"security must be Security, not {type(security).__name__}")
         self._security = security
+        self._traces = Traces(None if trace is None else _checked(trace))
         self._listening: list[Endpoint] = []
 
     @contextlib.asynccontextmanager
@@ -91,7 +103,8 @@ class Serving(ABC):
         if not endpoints:
             raise ValueError("urls must name at least one endpoint")
         sources = Sources(self._limits, self.statistics)
-        async with self._answering(endpoints) as service:
+        async with self._answering(endpoints) as answering:
+            service = TracedService(answering, self._traces)
             with contextlib.ExitStack() as stack:
                 # At once, when a hook ends the program: others that are ready must not be called.
                 peers = Peers(self._limits, self.statistics, stack.close)
@@ -120,7 +133,10 @@ class Serving(ABC):
         return Background(lambda: self.serving(*urls))
 
     def serve_forever(
-        self, *urls: str, on_listening: Callable[[Running], object] = lambda running: None
+        self,
+        *urls: str,
+        on_listening: Callable[[Running], object] = lambda running: None,
+        on_hangup: Callable[[], object] | None = None,
     ) -> None:
         """
         Serve until SIGTERM or Ctrl-C: for a program that does nothing else.
@@ -132,6 +148,8 @@ class Serving(ABC):
         Args:
             urls: as for `serving`.
             on_listening: called once, when all endpoints are open.
+            on_hangup: called in the loop for SIGHUP, such as to `Server.replace` devices or to
+                `Gateway.change_routes`; None leaves SIGHUP as it is.
 
         Raises:
             RuntimeError: an event loop runs in this thread: use `serving`.
@@ -139,18 +157,15 @@ class Serving(ABC):
         Other exceptions as for `serving`, and those of `on_listening`.
         """
 
-        self._serve_forever(urls, on_listening, {})
-
-    def _serve_forever(
-        self,
-        urls: tuple[str, ...],
-        on_listening: Callable[[Running], object],
-        on_signals: Mapping[signal.Signals, Handler],
-    ) -> None:
         async def serve() -> None:
             stopped = asyncio.Event()
-            ends = {signal.SIGINT: stopped.set, signal.SIGTERM: stopped.set}
-            with _signals_call({**on_signals, **ends}):
+            handlers: dict[signal.Signals, Handler] = {
+                signal.SIGINT: stopped.set,
+                signal.SIGTERM: stopped.set,
+            }
+            if on_hangup is not None:
+                handlers[signal.SIGHUP] = on_hangup
+            with _signals_call(handlers):
                 async with self.serving(*urls) as running:
                     # Else every full search for garbage looks through all that was
                     # imported: 5 ms in which nobody is answered.
@@ -160,6 +175,21 @@ class Serving(ABC):
                     await stopped.wait()
 
         asyncio.run(serve())
+
+    def tracing(self, callback: OnTraced) -> AbstractContextManager[None]:
+        """
+        Tell another one of every ADU, as `trace` is told, while the ``with`` block runs.
+
+        It sees connections that are made meanwhile, and those before only if somebody traced
+        them already.
+
+        Args:
+            callback: called in the server's loop with a `Traced`.
+
+        Raises:
+            TypeError: it is no function.
+        """
+        return self._traces.with_another(_checked(callback))
 
     @abstractmethod
     def _answering(self, endpoints: list[Endpoint]) -> AbstractAsyncContextManager[Service]:
@@ -181,6 +211,12 @@ class Serving(ABC):
         if endpoint.transport == "udp":
             return UdpServer(endpoint, service, sources, self.statistics, end)
         return SerialServer(endpoint, service, self.statistics, end)
+
+
+def _checked(trace: OnTraced) -> OnTraced:
+    if not callable(trace):
+        raise TypeError(f"trace must be a function, not {type(trace).__name__}")
+    return trace
 
 
 def _endpoint(url: str) -> Endpoint:

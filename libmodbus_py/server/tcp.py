@@ -8,6 +8,7 @@ import asyncio
 import errno
 import logging
 import socket
+from collections.abc import Callable
 
 from ..ports.endpoint import Endpoint
 from ..security.security import Security
@@ -45,12 +46,10 @@ class TcpServer:
     def __init__(
         self, endpoint: Endpoint, service: Service, peers: Peers, security: Security | None = None
     ) -> None:
+        self._service = service
         self._peers = peers
         self._loop = asyncio.get_running_loop()
-        make = service.sessions(endpoint, peers.statistics, peers.later)
-        self._make_session: MakePeerSession = make
-        if security is not None:
-            self._make_session = _secured(make, security, peers)
+        self._secured = _plain if security is None else _within_tls(security, peers)
         self._listeners: list[socket.socket] = []
         self._retries: dict[socket.socket, asyncio.TimerHandle] = {}
         self._is_short = False  # of descriptors or memory
@@ -60,6 +59,8 @@ class TcpServer:
     async def open(self) -> Endpoint:
         """Give the endpoint with the port it got."""
         self._listeners, endpoint = await bound(self._endpoint, socket.SOCK_STREAM, _listener)
+        make = self._service.sessions(endpoint, self._peers.statistics, self._peers.later)
+        self._make_session = self._secured(make)
         for listener in self._listeners:
             self._loop.add_reader(listener.fileno(), self._accept, listener)
         return endpoint
@@ -109,6 +110,10 @@ def _listener(family: socket.AddressFamily, address: tuple[str, int]) -> socket.
     return socket.create_server(address, family=family, backlog=BACKLOG)
 
 
-def _secured(make: MakeSession, security: Security, peers: Peers) -> MakePeerSession:
+def _plain(make: MakeSession) -> MakePeerSession:
+    return make
+
+
+def _within_tls(security: Security, peers: Peers) -> Callable[[MakeSession], MakePeerSession]:
     handshakes = Handshakes(security, peers.limits.handshake_timeout, peers.statistics)
-    return lambda peer: TlsSession(peer, handshakes, make)
+    return lambda make: lambda peer: TlsSession(peer, handshakes, make)

@@ -318,6 +318,10 @@ class TlsSession:
     def follow(self) -> None:
         self._wire.follow()
 
+    def hang_up(self) -> bool:
+        self._finish()
+        return True
+
 
 def _reason(error: ssl.SSLError) -> str:
     if isinstance(error, ssl.SSLCertVerificationError):

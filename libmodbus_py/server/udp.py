@@ -53,7 +53,8 @@ class UdpServer:
         end: Callable[[], None],
     ) -> None:
         self._endpoint = endpoint
-        self._make_session = service.sessions(endpoint, statistics)
+        self._service = service
+        self._statistics = statistics
         self._sources = sources
         self._pdu = PDUS[endpoint.framing]
         self._end = end
@@ -66,6 +67,7 @@ class UdpServer:
     async def open(self) -> Endpoint:
         """Give the endpoint with the port it got."""
         self._sockets, endpoint = await bound(self._endpoint, socket.SOCK_DGRAM, _bound)
+        self._make_session = self._service.sessions(endpoint, self._statistics)
         self._sources.ports.add(endpoint.port)
         for made in self._sockets:
             self._loop.add_reader(made.fileno(), self._read, made)
@@ -134,6 +136,9 @@ class _Datagram:
             self._waiting.add(session)
         elif session is not None:
             self._waiting.discard(session)
+
+    def hang_up(self) -> bool:
+        return False
 
     def write(self, data: bytes) -> None:
         self._sources.note_answer(data, data[self._pdu], self._source)

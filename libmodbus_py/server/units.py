@@ -6,7 +6,7 @@ Finds the device of a frame, by the rules of its kind of line.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from copy import copy
 from typing import Literal, get_args
 
@@ -16,7 +16,7 @@ from ..protocol.checks import integer
 from ..protocol.errors import GatewayTargetFailedToRespond
 from ..protocol.framing import Frame
 from ..protocol.pdu import Diagnostics
-from .faults import Faults
+from .faults_due import Faults
 
 __all__ = ["UNKNOWN_UNIT_POLICIES", "SerialUnits", "TcpUnits", "Units", "UnknownUnit"]
 
@@ -93,16 +93,34 @@ class TcpUnits:
     delimiter = None
 
     def __init__(self, units: Units) -> None:
+        self.change(units)
+
+    def change(self, units: Units) -> None:
+        """Have others answer from the next request on."""
         self.faults: Faults | None = units.faults
         own = {} if units.own is None else dict.fromkeys(SERVER_ITSELF, units.own)
         self._units: dict[int, Device] = {**own, **units.devices}
         self._any = units.any
         self._refuses = units.unknown == "refuse"
         self._on_unauthorized = units.on_unauthorized
+        self._without_faults: dict[int, Device | None] = {**self._units}
+        self._any_without_faults = units.any
+        if self.faults is not None:
+            self._leave_out(self.faults)
+
+    def _leave_out(self, faults: Faults) -> None:
+        """Those that faults happen to: None, so that none answers for all of them either."""
+        for unit in range(0x100):
+            if faults.concern(unit):
+                self._without_faults[unit] = None
 
     def device(self, unit: int) -> Device | None:
         """Who answers a unit, if somebody does."""
         return self._units.get(unit, self._any)
+
+    def without_faults(self, unit: int) -> Device | None:
+        """Who answers a unit, if nothing can happen to the answers."""
+        return self._without_faults.get(unit, self._any_without_faults)
 
     def answers(self, frame: Frame) -> bool:
         """Whether a request is answered."""
@@ -132,6 +150,24 @@ class TcpUnits:
         """TCP has no counters of a line."""
 
 
+class SerialLine:
+    """What all connections of a serial line share: who is on it."""
+
+    def __init__(self, units: Units) -> None:
+        self.stations: dict[int, Station] = {}
+        self.change(units)
+
+    def change(self, units: Units) -> None:
+        """Have others answer from the next request on; who was there keeps notes of the line."""
+        self.faults: Faults | None = units.faults
+        self.answers_all: bool = units.any is not None
+        self.on_unauthorized: Callable[[], object] = units.on_unauthorized
+        given = units.devices if units.any is None else {EVERY_UNIT: units.any}
+        before = {unit: log for unit, (_, log) in self.stations.items()}
+        logs = {unit: EventLog(is_serial=True) for unit in given} | before
+        self.stations = {unit: (device, logs[unit]) for unit, device in given.items()}
+
+
 class SerialUnits:
     """
     The units of a serial line, or of one over TCP: silence for others, broadcasts,
@@ -139,16 +175,14 @@ class SerialUnits:
     """
 
     def __init__(self, units: Units) -> None:
-        self.faults: Faults | None = units.faults
-        given = units.devices if units.any is None else {EVERY_UNIT: units.any}
-        self._line: dict[int, Station] = {
-            unit: (device, EventLog(is_serial=True)) for unit, device in given.items()
-        }
-        self._answers_all = units.any is not None
-        # Those that a connection does not share with the others.
-        self._own: dict[int, Station] | None = None
+        self._line = SerialLine(units)
+        # The notes that a connection does not share with the others.
+        self._own: dict[int, EventLog] | None = None
         self.delimiter: int | None = LINE_FEED
-        self._on_unauthorized = units.on_unauthorized
+
+    def change(self, units: Units) -> None:
+        """Have others answer from the next request on, on all connections."""
+        self._line.change(units)
 
     def of_connection(self) -> SerialUnits:
         """
@@ -158,6 +192,10 @@ class SerialUnits:
         made = copy(self)
         made._own = {}
         return made
+
+    @property
+    def faults(self) -> Faults | None:
+        return self._line.faults
 
     def answers(self, frame: Frame) -> bool:
         """Whether a request is answered, by somebody here."""
@@ -176,17 +214,17 @@ class SerialUnits:
 
     def answer(self, frame: Frame, peer: str, role: str | None = None) -> Frame | None:
         self._note_frame()
+        on_unauthorized = self._line.on_unauthorized
         if frame.unit == 0:
             for device, log in self._all():
-                caller = Caller(0, peer, log, True, role, self._on_unauthorized)
-                device.answer(frame.pdu, caller)
+                device.answer(frame.pdu, Caller(0, peer, log, True, role, on_unauthorized))
             return None
         station = self._station(frame.unit, to_change=frame.pdu[0] == Diagnostics.function)
         if station is None:
             return None
         device, log = station
         before = log.delimiter
-        caller = Caller(frame.unit, peer, log, False, role, self._on_unauthorized)
+        caller = Caller(frame.unit, peer, log, False, role, on_unauthorized)
         response = device.answer(frame.pdu, caller)
         if log.delimiter != before:
             self.delimiter = log.delimiter
@@ -197,19 +235,21 @@ class SerialUnits:
             log.note_damage(overrun=overrun)
 
     def _note_frame(self) -> None:
-        for _, log in self._line.values():
+        for _, log in self._line.stations.values():
             log.note_frame()
 
     def _station(self, unit: int, *, to_change: bool = False) -> Station | None:
-        if self._answers_all:
+        if self._line.answers_all:
             unit = EVERY_UNIT
-        station = self._line.get(unit)
+        station = self._line.stations.get(unit)
         if station is None or self._own is None:
             return station
+        device, log = station
         if to_change and unit not in self._own:
-            device, log = station
-            self._own[unit] = device, log.of_connection()
-        return self._own.get(unit, station)
+            self._own[unit] = log.of_connection()
+        return device, self._own.get(unit, log)
 
-    def _all(self) -> Iterable[Station]:
-        return {**self._line, **self._own}.values() if self._own else self._line.values()
+    def _all(self) -> list[Station]:
+        own = self._own or {}
+        stations = self._line.stations.items()
+        return [(device, own.get(unit, log)) for unit, (device, log) in stations]

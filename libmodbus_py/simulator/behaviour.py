@@ -1,33 +1,21 @@
 """
 Values that move by themselves: counters, waves, random walks, copies.
-
-A value is computed from the time since the start, in the moment it is read: a
-simulator that nobody asks does nothing.
 """
 
 from __future__ import annotations
 
 import math
-import random
-import time
-from bisect import bisect_right
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
-from ..device.mapping import Mapping
 from ..protocol.checks import integer, seconds
-from ..protocol.errors import ServerDeviceFailure
 from ..protocol.tables import TABLES
-from ..protocol.values import ValueType
+from .runs import Behaviour, Compute, Run, Runs, ScaledType
 
-__all__ = ["BEHAVIOURS", "BIT", "Behaviour", "Clockwork", "Copy", "Counter", "RandomWalk", "Run"]
-__all__ += ["Sine"]
+__all__ = ["BEHAVIOURS", "Copy", "Counter", "RandomWalk", "Sine"]
 
 Number = int | float
-
-# Computes the values with these indices in their run at a time, in seconds since the start.
-Compute = Callable[[range, float], list[Any]]
 
 # With more of them a walk would go on for longer than any clock.
 MOST_WAVES = 16
@@ -37,76 +25,6 @@ MOST_COPIES = 8
 
 # So that sums and products of them are numbers, too.
 LARGEST = 1e100
-
-
-# --- values --------------------------------------------------------------------------
-
-
-def _pack_bit(name: str, value: object) -> bytes:
-    if value not in (0, 1) or isinstance(value, float):
-        raise ValueError(f"{name} must be true or false, not {value!r}")
-    return bytes([0, value == 1])
-
-
-BIT = ValueType("bit", 1, _pack_bit, lambda data: data[1], limits=(0, 1))
-"""What coils and discrete inputs hold: True and False, or 1 and 0."""
-
-
-def _fitting(kind: ValueType, value: Any) -> Any:
-    """Give the number of this kind that is nearest; 0 for nan. What is no number fits."""
-    if kind.limits is None:
-        return value
-    if value != value:  # nan; math.isnan cannot take the largest integers
-        return 0
-    low, high = kind.limits
-    nearest = min(max(value, low), high)
-    return round(nearest) if isinstance(low, int) else float(nearest)
-
-
-@dataclass(frozen=True, slots=True)
-class Run:
-    """
-    Values of one kind, one after the other in a table.
-
-    Attributes:
-        table: its name, as in `Mapping`.
-        first: the address where the first value begins, 0..65535.
-        count: how many values.
-        kind: what they are.
-        behaviour: how they move; None if they do not.
-    """
-
-    table: str
-    first: int
-    count: int
-    kind: ValueType
-    behaviour: Behaviour | None = None
-
-    @property
-    def stop(self) -> int:
-        """The address behind the last value."""
-        return self.first + self.count * self.kind.registers
-
-    def place(self, indices: range) -> slice:
-        """The addresses from the first of these values to the last."""
-        width = self.kind.registers
-        return slice(self.first + indices[0] * width, self.first + (indices[-1] + 1) * width)
-
-
-# --- behaviours ----------------------------------------------------------------------
-
-
-class Behaviour(Protocol):
-    """How the values of a run move. TypeError, ValueError: an attribute that cannot be."""
-
-    def begin(self, run: Run, clockwork: Clockwork) -> Compute:
-        """
-        Say how the values of a run are computed.
-
-        Raises:
-            ValueError: this does not go with what the run's values are.
-        """
-        ...
 
 
 def _number(name: str, value: object) -> None:
@@ -132,6 +50,13 @@ def _numeric(run: Run, **numbers: Number) -> tuple[Number, Number]:
         if not low <= number <= high:
             raise ValueError(f"{name} must be in {low}..{high} for {run.kind.name}, not {number}")
     return run.kind.limits
+
+
+def _step(run: Run) -> Number:
+    """What lies between two values of a run; 0 for floats."""
+    if isinstance(run.kind, ScaledType):
+        return run.kind.step
+    return int(run.kind.limits is not None and isinstance(run.kind.limits[0], int))
 
 
 @dataclass(frozen=True)
@@ -165,13 +90,14 @@ class Counter:
                 side = "above" if self.step > 0 else "below"
                 raise ValueError(f"wrap must be {side} start, which is {self.start}")
 
-    def begin(self, run: Run, clockwork: Clockwork) -> Compute:
+    def begin(self, run: Run, runs: Runs) -> Compute:
         low, high = _numeric(run, start=self.start)
         wrap = self.wrap
-        if wrap is None and isinstance(high, int):
-            wrap = high + 1 if self.step > 0 else low - 1
-        elif wrap is not None and not low - 1 <= wrap <= high + 1:
-            span = f"{low - 1}..{high + 1} for {run.kind.name}"
+        beyond = _step(run)
+        if wrap is None and beyond:
+            wrap = high + beyond if self.step > 0 else low - beyond
+        elif wrap is not None and not low - (beyond or 1) <= wrap <= high + (beyond or 1):
+            span = f"{low - (beyond or 1)}..{high + (beyond or 1)} for {run.kind.name}"
             raise ValueError(f"wrap must be in {span}, not {wrap}")
 
         def compute(indices: range, now: float) -> list[Number]:
@@ -201,7 +127,7 @@ class Sine:
         _check_between(self.low, self.high)
         seconds("period", self.period)
 
-    def begin(self, run: Run, clockwork: Clockwork) -> Compute:
+    def begin(self, run: Run, runs: Runs) -> Compute:
         _numeric(run, low=self.low, high=self.high)
 
         def compute(indices: range, now: float) -> list[Number]:
@@ -240,15 +166,16 @@ class RandomWalk:
         if self.seed is not None:
             integer("seed", self.seed, 0, (1 << 64) - 1)
 
-    def begin(self, run: Run, clockwork: Clockwork) -> Compute:
+    def begin(self, run: Run, runs: Runs) -> Compute:
         _numeric(run, low=self.low, high=self.high)
-        seed = random.getrandbits(64) if self.seed is None else self.seed
+        place = _mixed(list(TABLES).index(run.table), run.first)
         low, high, span = self.low, self.high, self.high - self.low
         waves = [self.step * 3 / 8]
         while waves[-1] < span and len(waves) < MOST_WAVES:
             waves.append(4 * waves[-1])
 
         def compute(indices: range, now: float) -> list[Number]:
+            seed = _mixed(runs.seed, place) if self.seed is None else self.seed
             moves = int(now / self.interval)
             ways = [span / 2 + _way(_mixed(seed, index), moves, waves) for index in indices]
             # At the limits it turns round, as often as it must.
@@ -315,48 +242,48 @@ class Copy:
             raise ValueError(f"table must be one of {', '.join(TABLES)}, not {self.table!r}")
         _number("scale", self.scale)
 
-    def begin(self, run: Run, clockwork: Clockwork) -> Compute:
-        self._check(run, clockwork)
+    def begin(self, run: Run, runs: Runs) -> Compute:
+        self._check(run, runs)
 
         def compute(indices: range, now: float) -> list[Any]:
             values: list[Any] = []
-            for source, places in self._sources(indices, clockwork):
-                found = clockwork.values(source, places, now)
+            for source, places in self._sources(indices, runs):
+                found = runs.values(source, places, now)
                 is_number = source.kind.limits is not None
                 values += [value * self.scale for value in found] if is_number else found
             return values
 
         return compute
 
-    def _check(self, run: Run, clockwork: Clockwork) -> None:
-        for source, _ in self._sources(range(run.count), clockwork):
+    def _check(self, run: Run, runs: Runs) -> None:
+        for source, _ in self._sources(range(run.count), runs):
             is_number = source.kind.limits is not None and run.kind.limits is not None
             if not is_number and (source.kind.name != run.kind.name or self.scale != 1):
                 raise ValueError(
                     f"{source.kind.name} cannot become {run.kind.name}; what is no number is copied"
                     " to its own type, without scale"
                 )
-        self._check_row(range(run.count), clockwork, 1)
+        self._check_row(range(run.count), runs, 1)
 
-    def _check_row(self, indices: range, clockwork: Clockwork, copies: int) -> None:
+    def _check_row(self, indices: range, runs: Runs, copies: int) -> None:
         if copies > MOST_COPIES:
             raise ValueError(f"more than {MOST_COPIES} copies in a row, or a circle of them")
-        for source, places in self._sources(indices, clockwork):
+        for source, places in self._sources(indices, runs):
             if isinstance(source.behaviour, Copy):
-                source.behaviour._check_row(places, clockwork, copies + 1)
+                source.behaviour._check_row(places, runs, copies + 1)
 
-    def _sources(self, indices: range, clockwork: Clockwork) -> Iterator[tuple[Run, range]]:
+    def _sources(self, indices: range, runs: Runs) -> Iterator[tuple[Run, range]]:
         """
         Find the values that some of the run follow: runs, and indices in them.
 
         Raises:
             ValueError: there is none.
         """
-        first = clockwork.find(self.table, self.address)
+        first = runs.find(self.table, self.address)
         width = first.kind.registers if first is not None else 1
         while indices:
             address = self.address + indices[0] * width
-            source = clockwork.find(self.table, address)
+            source = runs.find(self.table, address)
             if source is None or (address - source.first) % source.kind.registers:
                 raise ValueError(f"in {self.table} no value begins at {address}")
             at = (address - source.first) // source.kind.registers
@@ -375,88 +302,3 @@ BEHAVIOURS: dict[str, Callable[..., Behaviour]] = {
     "copy": Copy,
 }
 """Name -> class."""
-
-
-class Clockwork:
-    """
-    Keeps the moving values of a mapping up to date: those that are looked at.
-
-    Args:
-        mapping: holds the values.
-        runs: all values of it, which do not overlap.
-        clock: gives seconds; the time of the call is the start.
-    """
-
-    def __init__(
-        self, mapping: Mapping, runs: Iterable[Run], clock: Callable[[], float] = time.monotonic
-    ) -> None:
-        self._mapping = mapping
-        self._clock = clock
-        self._start = clock()
-        self._runs: dict[str, list[Run]] = {table: [] for table in TABLES}
-        for run in sorted(runs, key=lambda run: run.first):
-            self._runs[run.table].append(run)
-        self._moving: dict[tuple[str, int], Compute] = {}
-
-    def start(self, run: Run) -> None:
-        """
-        Let the values of a run move, if they have a behaviour.
-
-        Raises:
-            ValueError: the behaviour does not go with them.
-        """
-        if run.behaviour is not None:
-            self._moving[run.table, run.first] = run.behaviour.begin(run, self)
-
-    def find(self, table: str, address: int) -> Run | None:
-        """Give the run that has an address."""
-        runs = self._runs[table]
-        at = bisect_right(runs, address, key=lambda run: run.first) - 1
-        return runs[at] if at >= 0 and address < runs[at].stop else None
-
-    def refresh(self, table: str, address: int, count: int) -> None:
-        """
-        Compute what is about to be read.
-
-        Raises:
-            ServerDeviceFailure: what is copied is no value of its type.
-        """
-        if not self._moving:
-            return
-        now = self._clock() - self._start
-        stop = address + count
-        runs = self._runs[table]
-        at = max(bisect_right(runs, address, key=lambda run: run.first) - 1, 0)
-        while at < len(runs) and runs[at].first < stop:
-            run = runs[at]
-            first = max(address - run.first, 0) // run.kind.registers
-            last = (min(stop, run.stop) - run.first - 1) // run.kind.registers
-            self._refresh(run, range(first, last + 1), now)
-            at += 1
-
-    def values(self, run: Run, indices: range, now: float) -> list[Any]:
-        """Give some values, at a time since the start."""
-        self._refresh(run, indices, now)
-        width = run.kind.registers
-        cells = list(map(int, self._table(run)[run.place(indices)]))
-        if indices.step > 1:
-            starts = range(0, len(cells), width * indices.step)
-            cells = [cell for start in starts for cell in cells[start : start + width]]
-        try:
-            return run.kind.decode_many(cells)
-        except ValueError as error:
-            raise ServerDeviceFailure(str(error)) from None
-
-    def _refresh(self, run: Run, indices: range, now: float) -> None:
-        compute = self._moving.get((run.table, run.first))
-        if compute is None:
-            return
-        values = [_fitting(run.kind, value) for value in compute(indices, now)]
-        if indices.step == 1:
-            self._table(run)[run.place(indices)] = run.kind.encode_many(values)
-        else:
-            for index, value in zip(indices, values, strict=True):
-                self._table(run)[run.place(range(index, index + 1))] = run.kind.encode(value)
-
-    def _table(self, run: Run) -> Any:
-        return getattr(self._mapping, run.table)

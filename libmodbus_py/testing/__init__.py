@@ -1,5 +1,9 @@
 """
 What tests and the demo use, and other programs' tests may.
 
-    wires    a serial line and a TCP relay with a tap, which record what passes
+    wires           a serial line and a TCP relay with a tap, which record what passes
+    plugin          for pytest: fixtures, and transactions in the reports of tests that fail
+    recording       servers that are there at once, and keep what passed
+    fault_switch    what goes wrong with them, on and off
+    exchanges       what a server received and sent, as transactions
 """

@@ -40,10 +40,10 @@ _HEADER = re.compile(r"^[ \t]*\[", re.MULTILINE)
 _LONG_NUMBER = re.compile(r"[0-9][0-9_]{4300}")
 
 
-def read_toml(text: str) -> dict[str, Any]:
+def read_toml(text: str, max_text: int = MAX_TEXT) -> dict[str, Any]:
     """
     Read a TOML document of at most 512 KiB, with at most 10000 headers, ten levels, texts of
-    250 characters and integers of 64 bits.
+    `max_text` characters and integers of 64 bits.
 
     Raises:
         ValueError: it is no TOML, or more than that; with the path of a value that is.
@@ -63,7 +63,7 @@ def read_toml(text: str) -> dict[str, Any]:
         if found := _LONG_NUMBER.search(text):
             raise ValueError(f"more digits than a number has (at {_line(text, found)})") from None
         raise
-    _check(content)
+    _check(content, max_text)
     return content
 
 
@@ -71,7 +71,7 @@ def _line(text: str, found: re.Match[str]) -> str:
     return f"line {text.count(chr(10), 0, found.start()) + 1}"
 
 
-def _check(content: dict[str, Any]) -> None:
+def _check(content: dict[str, Any], max_text: int) -> None:
     to_check: list[tuple[str, int, Any]] = [("", 1, content)]
     while to_check:
         path, depth, holder = to_check.pop()
@@ -80,8 +80,8 @@ def _check(content: dict[str, Any]) -> None:
         for key, value in holder.items() if isinstance(holder, dict) else enumerate(holder):
             if isinstance(value, dict | list):
                 to_check.append((below(path, key), depth + 1, value))
-            elif isinstance(value, str) and len(value) > MAX_TEXT:
-                wanted = f"0..{MAX_TEXT} characters"
+            elif isinstance(value, str) and len(value) > max_text:
+                wanted = f"0..{max_text} characters"
                 raise ValueError(f"{below(path, key)} must have {wanted}, not {len(value)}")
             elif isinstance(value, int) and not LOWEST <= value <= HIGHEST:
                 wanted = f"{LOWEST}..{HIGHEST}"

@@ -7,13 +7,12 @@ What stands in them is what `Allow` takes; parts of tables are TOML tables with 
 
 from __future__ import annotations
 
-import reprlib
-from collections.abc import Iterable, Mapping
 from typing import Any
 
 from ..device.access import Access
 from ..device.rules import Allow, Rules
 from .lines import below
+from .tables import checked_table
 
 __all__ = ["part", "rules"]
 
@@ -33,7 +32,7 @@ def rules(where: str, given: object) -> Rules:
     """
     if isinstance(given, Rules):
         return given
-    named = _table(where, given, None)
+    named = checked_table(where, given)
     roles = {name or None: _allow(below(where, name), each) for name, each in named.items()}
     try:
         return Rules(roles)
@@ -42,7 +41,7 @@ def rules(where: str, given: object) -> Rules:
 
 
 def _allow(where: str, given: object) -> Allow:
-    rights = _table(where, given, RIGHTS)
+    rights = checked_table(where, given, RIGHTS)
     converted = {
         name: [part(below(f"{where}.{name}", at), each) for at, each in enumerate(value)]
         if isinstance(value, list)
@@ -64,17 +63,8 @@ def part(where: str, given: object) -> Any:
     """
     if not isinstance(given, dict):
         return given
-    part = _table(where, given, PART)
+    part = checked_table(where, given, PART)
     for key in PART[:3]:
         if key not in part:
             raise ValueError(f"{where}.{key} is missing")
     return Access(**part)
-
-
-def _table(where: str, given: object, allowed: Iterable[str] | None) -> Mapping[str, Any]:
-    if not isinstance(given, dict):
-        raise TypeError(f"{where} must be a table, not {reprlib.repr(given)}")
-    for key in given:
-        if allowed is not None and key not in allowed:
-            raise ValueError(f"{below(where, key)}: no such key; allowed are {', '.join(allowed)}")
-    return given

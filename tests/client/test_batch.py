@@ -10,7 +10,8 @@ from typing import Any
 import pytest
 
 from libmodbus_py import ModbusTimeoutError, pdu
-from libmodbus_py.client.batch import NOT_ASKED, Batch, Patience, raised
+from libmodbus_py.client.batch import NOT_ASKED, Batch, raised
+from libmodbus_py.client.patience import Patience
 
 LATE = ModbusTimeoutError("late")
 

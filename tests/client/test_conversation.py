@@ -24,7 +24,7 @@ from libmodbus_py import (
     pdu,
 )
 from libmodbus_py.client.batch import NOT_ASKED, Batch
-from libmodbus_py.client.trace import Traced
+from libmodbus_py.ports.trace import Traced
 
 BOTH = pytest.mark.parametrize("url", [TCP, LINE])
 

@@ -253,3 +253,20 @@ def test_all_that_a_read_touches_is_given() -> None:
     device.answer(b"\3\0\0\0\x14")
     device.answer(b"\3\0\6\0\4")
     assert [(access.address, access.count) for access in seen] == [(0, 20)]
+
+
+def test_who_looks_from_inside_has_values_computed() -> None:
+    mapping = Mapping(holding_registers=8, input_registers=8)
+    seen: list[Access] = []
+
+    def compute(access: Access) -> None:
+        seen.append(access)
+        mapping.input_registers[access.address] = 7
+
+    device = Device(mapping, before_read=Hook(compute, input_registers=range(4)))
+    device.refresh("input_registers", 2, 3)
+    device.refresh("holding_registers", 2, 3)
+    device.refresh("input_registers", 4, 3)
+    assert mapping.input_registers[:] == [0, 0, 7, 0, 0, 0, 0, 0]
+    assert seen == [Access("input_registers", 2, 3)]
+    Device(mapping).refresh("coils", 0, 1)

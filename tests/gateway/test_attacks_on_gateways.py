@@ -67,7 +67,7 @@ def test_an_innocent_client_loses_nothing(attack: Attack) -> None:
         innocent.poll(0.3)
         descriptors, resident = gateway.descriptors(), gateway.resident()
         attackers.begin()
-        attacked = innocent.poll(1)
+        attacked = innocent.poll(1, until=attackers.all_attack)
         grown = gateway.resident() - resident
         attackers.end()
         assert attacked.requests > 0

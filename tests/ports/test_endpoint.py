@@ -9,7 +9,8 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py.ports.endpoint import CLIENT_OPTIONS, SCHEMES, SERIAL_OPTIONS, Endpoint, parse
+from libmodbus_py.ports.endpoint import Endpoint, parse
+from libmodbus_py.ports.schemes import CLIENT_OPTIONS, SCHEMES, SERIAL_OPTIONS
 
 
 @pytest.mark.parametrize(

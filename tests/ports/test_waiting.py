@@ -28,8 +28,8 @@ from libmodbus_py.ports.waiting import (
     Woken,
     milliseconds,
     run,
-    run_async,
 )
+from libmodbus_py.ports.waiting_async import run_async
 
 Drive = Callable[[Steps[Any]], Any]
 

@@ -45,7 +45,7 @@ def test_an_innocent_client_loses_nothing(
         undisturbed = innocent.poll(0.3)
         descriptors, resident = server.descriptors(), server.resident()
         attackers.begin()
-        attacked = innocent.poll(1)
+        attacked = innocent.poll(1, until=attackers.all_attack)
         grown = server.resident() - resident
         done = attackers.end()
 

@@ -11,9 +11,11 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
+from certificates import Papers, secured
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -25,14 +27,18 @@ from libmodbus_py import (
     GatewayTargetFailedToRespond,
     InvalidResponse,
     Mapping,
+    ModbusConnectionError,
     ModbusTimeoutError,
     Server,
     ServerDeviceBusy,
+    ServerDeviceFailure,
     pdu,
 )
 from libmodbus_py.protocol.framing import AsciiFramer, Frame, Framer, RtuFramer, TcpFramer
 from libmodbus_py.server.by_frame import ByFrame
-from libmodbus_py.server.faults import KINDS, MAX_WAITING, Delivery, Fault, Faults, Piece, pieces
+from libmodbus_py.server.delivery import MAX_WAITING, Delivery, Piece, pieces
+from libmodbus_py.server.faults import KINDS, Fault
+from libmodbus_py.server.faults_due import Faults
 from libmodbus_py.server.limits import ServerStatistics
 from libmodbus_py.server.units import TcpUnits, Units
 from libmodbus_py.testing.wires import SerialWire
@@ -97,20 +103,32 @@ SEEN: dict[str, tuple[Fault, type[Exception]]] = {
     "wrong_unit": (Fault("wrong_unit", every=2), InvalidResponse),
     "trickle": (Fault("trickle", every=2, seconds=0.03), ModbusTimeoutError),
     "truncate": (Fault("truncate", every=2, length=5), ModbusTimeoutError),
+    "disconnect": (Fault("disconnect", every=2), ModbusConnectionError),
+    "disconnect midway": (Fault("disconnect", every=2, length=5), ModbusConnectionError),
+    "garbage": (Fault("garbage", every=2, data=bytes(9)), FrameError),
+    "garbage instead": (Fault("garbage", every=2, length=3, place="instead"), ModbusTimeoutError),
 }
+# Where no connection can be closed it is silence.
+ON_LINES = {"disconnect": ModbusTimeoutError, "disconnect midway": ModbusTimeoutError}
 
-SERIAL = [name for name in SEEN if name not in ("wrong_transaction", "unknown exception")]
+# On serial lines clients skip noise before an answer.
+SERIAL = [
+    name for name in SEEN if name not in ("wrong_transaction", "unknown exception", "garbage")
+]
 
 CASES = [
     *(("tcp", name) for name in SEEN),
     *((scheme, name) for scheme in ("rtu", "ascii") for name in SERIAL),
     *((scheme, "wrong_check") for scheme in ("rtu+tcp", "ascii+tcp")),
+    *((scheme, "disconnect midway") for scheme in ("rtu+tcp", "ascii+tcp")),
 ]
 
 
 @pytest.mark.parametrize(("scheme", "name"), CASES)
 def test_a_client_sees_the_fault_and_the_next_request_succeeds(scheme: str, name: str) -> None:
     fault, error = SEEN[name]
+    if scheme in ("rtu", "ascii"):
+        error = ON_LINES.get(name, error)
     if scheme == "ascii" and name == "trickle":
         # Twice the bytes; and a line must not be noisy for longer than two timeouts.
         fault = replace(fault, seconds=0.015)
@@ -173,6 +191,14 @@ BYTES: list[tuple[Fault, Framer, list[tuple[float, str]]]] = [
         [(0, b":110306022B00000064AA\r\n".hex())],
     ),
     (Fault("truncate", length=8), AsciiFramer(), [(0, ASCII.hex())]),
+    (Fault("disconnect"), TcpFramer(), [(0, "")]),
+    (Fault("disconnect", length=0), TcpFramer(), [(0, "")]),
+    (Fault("disconnect", length=8), AsciiFramer(), [(0, ASCII.hex())]),
+    (Fault("disconnect", length=512), TcpFramer(), [(0, TCP.hex())]),
+    (Fault("garbage", data=b"\xff\0"), TcpFramer(), [(0, "ff00" + TCP.hex())]),
+    (Fault("garbage", data=b"\xff", place="before"), TcpFramer(), [(0, "ff" + TCP.hex())]),
+    (Fault("garbage", data=b"\xff\0", place="instead"), TcpFramer(), [(0, "ff00")]),
+    (Fault("garbage", data=b"\xff\0", place="behind"), TcpFramer(), [(0, TCP.hex() + "ff00")]),
 ]
 
 
@@ -182,6 +208,99 @@ def test_bytes_of_each_fault(
 ) -> None:
     sent = [(piece.wait, piece.data.hex()) for piece in pieces(fault, ANSWER, framer)]
     assert sent == expected
+
+
+@pytest.mark.parametrize("length", [None, 5, 512])
+@pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp"])
+def test_what_comes_before_the_connection_closes(scheme: str, length: int | None) -> None:
+    fault = Fault("disconnect", function=3, length=length)
+    with serving(scheme, {1: [fault]}) as url, connect(url) as connection:
+        if scheme == "tcp":
+            connection.sendall(adu(b"\x01\0\0\0\x01", 7) + adu(READ, 8))
+            before, answer = adu(b"\x01\x01\0", 7), adu(b"\x03\x02\x02\x2b", 8)
+        else:
+            framer = RtuFramer("client")
+            connection.sendall(framer.encode(Frame(1, READ)))
+            before, answer = b"", framer.encode(Frame(1, b"\x03\x02\x02\x2b"))
+        assert receive(connection, 100) == before + answer[: length or 0]
+
+
+def test_what_is_asked_behind_a_closed_connection_is_not_executed() -> None:
+    device, other = made_device(), made_device()
+    write = b"\x06\0\x01\0\x09"
+    with (
+        serving("tcp", {1: [Fault("disconnect", function=3)]}, units={1: device, 2: other}) as url,
+        connect(url) as connection,
+    ):
+        requests = adu(write.replace(b"\1", b"\0")) + adu(READ) + adu(write) + adu(write, 1, 2)
+        connection.sendall(requests)
+        assert receive(connection, 100) == adu(b"\x06\0\0\0\x09")
+        # The server answers others, so it has dealt with these.
+        with client_of(url, 2, timeout=5) as client:
+            client.read_coils(0, 1)
+    assert device.mapping.holding_registers[0:2] == [9, 0]
+    assert other.mapping.holding_registers[1] == 0
+
+
+def test_a_disconnect_comes_after_answers_that_are_kept_back() -> None:
+    faults = [Fault("delay", function=1, seconds=0.1), Fault("disconnect", function=3, length=512)]
+    with serving("tcp", {1: faults}) as url, connect(url) as connection:
+        connection.sendall(adu(b"\x01\0\0\0\x01", 1) + adu(READ, 2) + adu(READ, 3))
+        expected = adu(b"\x01\x01\0", 1) + adu(b"\x03\x02\x02\x2b", 2)
+        assert receive(connection, 100) == expected
+
+
+@pytest.mark.parametrize("scheme", ["rtu", "ascii"])
+def test_noise_before_an_answer_is_skipped_on_lines(scheme: str) -> None:
+    with (
+        serving(scheme, {1: [Fault("garbage", data=b"\xff\xfe")]}) as url,
+        client_of(url) as client,
+    ):
+        assert client.read_holding_registers(0, 3) == [555, 0, 100]
+
+
+def test_garbage_and_disconnects_of_datagrams() -> None:
+    faults = [
+        Fault("garbage", function=3, data=b"\xaa", place="behind"),
+        Fault("disconnect", function=1, length=4),
+    ]
+    device = made_device()
+    with (
+        Server(device, {1: faults}).background("udp://127.0.0.1:0") as running,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as datagrams,
+    ):
+        datagrams.settimeout(5)
+        datagrams.connect(("127.0.0.1", int(running.urls[0].rpartition(":")[2])))
+        datagrams.send(adu(READ, 5))
+        assert datagrams.recv(100) == adu(b"\x03\x02\x02\x2b", 5) + b"\xaa"
+        datagrams.send(adu(b"\x01\0\0\0\x01", 6))
+        assert datagrams.recv(100) == adu(b"\x01\x01\0", 6)[:4]
+
+
+def test_a_disconnect_closes_a_tunnel(tmp_path: Path) -> None:
+    server = Server({1: made_device()}, {1: [Fault("disconnect", every=2, length=5)]})
+    with (
+        secured(server, Papers(tmp_path)) as url,
+        Context.from_url(url, unit=1, timeout=5) as client,
+    ):
+        assert client.read_holding_registers(0, 1) == [555]
+        with pytest.raises(ModbusConnectionError):
+            client.read_holding_registers(0, 1)
+        assert client.read_holding_registers(0, 1) == [555]
+        assert server.statistics.handshakes == 2
+
+
+def test_random_bytes_are_the_same_with_a_seed() -> None:
+    def made(seed: int | None) -> list[bytes | None]:
+        faults = Faults({1: [Fault("garbage", length=6, seed=seed)]})
+        due = [faults.due(REQUEST, has_transaction=True) for _ in range(3)]
+        return [each.data if each else None for each in due]
+
+    first = made(7)
+    assert all(data is not None and len(data) == 6 for data in first)
+    assert len(set(first)) == 3
+    assert made(7) == first
+    assert made(None) != first
 
 
 @pytest.mark.parametrize(("unit", "other"), [(0, 1), (1, 2), (246, 247), (247, 1), (255, 9)])
@@ -402,6 +521,83 @@ def test_only_the_unit_and_the_function_are_hit_and_counted() -> None:
     assert hits(faults, 1) == [1]
 
 
+# What a fault is for, a request, and whether it is hit.
+RANGES: list[tuple[dict[str, Any], pdu.Request[Any], bool]] = [
+    ({"address": 10}, pdu.ReadHoldingRegisters(10, 1), True),
+    ({"address": 10}, pdu.ReadHoldingRegisters(9, 1), False),
+    ({"address": 10}, pdu.ReadHoldingRegisters(11, 1), False),
+    ({"address": 10}, pdu.ReadHoldingRegisters(0, 11), True),
+    ({"address": 10}, pdu.ReadCoils(10, 1), True),
+    ({"address": 10}, pdu.WriteCoil(10, True), True),
+    ({"address": 10, "count": 3}, pdu.ReadInputRegisters(12, 5), True),
+    ({"address": 10, "count": 3}, pdu.ReadInputRegisters(13, 5), False),
+    ({"address": 0, "count": 65536}, pdu.ReadDiscreteInputs(65535, 1), True),
+    ({"address": 10, "table": "coils"}, pdu.ReadHoldingRegisters(10, 1), False),
+    ({"address": 10, "table": "coils"}, pdu.WriteCoils(3, [True] * 8), True),
+    ({"table": "holding_registers"}, pdu.WriteRegisters(500, [1]), True),
+    ({"table": "holding_registers"}, pdu.MaskWriteRegister(500, 1, 1), True),
+    ({"table": "holding_registers"}, pdu.ReadInputRegisters(500, 1), False),
+    ({"address": 10}, pdu.ReadWriteRegisters(10, 1, 20, [1]), True),
+    ({"address": 20}, pdu.ReadWriteRegisters(10, 1, 20, [1]), True),
+    ({"address": 15}, pdu.ReadWriteRegisters(10, 1, 20, [1]), False),
+    ({"address": 10, "function": 6}, pdu.WriteRegister(10, 1), True),
+    ({"address": 10, "function": 6}, pdu.ReadHoldingRegisters(10, 1), False),
+    ({"address": 0}, pdu.ReportServerId(), False),
+    ({"address": 10}, pdu.ReadFifoQueue(10), False),
+    ({"address": 10}, pdu.ReadFileRecords([(1, 10, 1)]), False),
+]
+
+
+@pytest.mark.parametrize(("where", "request_", "is_hit"), RANGES, ids=str)
+def test_only_requests_that_touch_the_range_are_hit_and_counted(
+    where: dict[str, Any], request_: pdu.Request[Any], is_hit: bool
+) -> None:
+    faults = Faults({1: [Fault("no_answer", every=2, **where)]})
+    asked = Frame(1, request_.encode())
+    assert hits(faults, 4, asked) == ([2, 4] if is_hit else [])
+
+
+def test_what_cannot_be_decoded_touches_nothing() -> None:
+    faults = Faults({1: [Fault("no_answer", address=0, count=65536)]})
+    for data in (b"\x03", b"\x03\0\0\xff\xff", b"\x63"):
+        assert hits(faults, 2, Frame(1, data)) == []
+
+
+def test_a_range_that_fails_leaves_the_rest_of_the_device_alone() -> None:
+    bad = Fault("exception", code=4, table="holding_registers", address=2)
+    with serving("tcp", {1: [bad]}) as url, client_of(url, timeout=5) as client:
+        assert client.read_holding_registers(0, 2) == [555, 0]
+        with pytest.raises(ServerDeviceFailure):
+            client.read_holding_registers(0, 3)
+        client.write_register(1, 7)
+        assert client.read_coils(2, 1) == [False]
+
+
+def test_units_without_faults_are_answered_in_c(monkeypatch: pytest.MonkeyPatch) -> None:
+    quick, slow = made_device(), made_device()
+    for device in (quick, slow):
+        monkeypatch.setattr(device, "answer", lambda *_: pytest.fail("not in C"))
+    faults: dict[int | None, list[Fault]] = {2: [Fault("exception", code=6)]}
+    with (
+        serving("tcp", faults, units={1: quick, 2: slow}) as url,
+        client_of(url, timeout=5) as client,
+    ):
+        assert client.read_holding_registers(0, 3) == [555, 0, 100]
+        with pytest.raises(ServerDeviceBusy):
+            client.for_unit(2).read_coils(0, 1)
+
+
+def test_what_is_answered_in_c_waits_behind_what_a_fault_keeps_back() -> None:
+    faults: dict[int | None, list[Fault]] = {2: [Fault("delay", seconds=0.1)]}
+    with serving("tcp", faults) as url, connect(url) as connection:
+        coil = b"\x01\0\0\0\x01"
+        for requests in (adu(coil, 1, 1), adu(coil, 2, 2) + adu(coil, 3, 1) + adu(coil, 4, 2)):
+            connection.sendall(requests)
+        answers = [(1, 1), (2, 2), (3, 1), (4, 2)]
+        expected = b"".join(adu(b"\x01\x01\0", *each) for each in answers)
+        assert receive(connection, len(expected)) == expected
+
+
 def test_the_first_fault_that_is_due_happens_and_all_count() -> None:
     own = [Fault("delay", every=2, seconds=1), Fault("no_answer", every=3)]
     faults = Faults({None: [Fault("exception", code=4)], 1: own})
@@ -466,7 +662,7 @@ def test_a_refused_write_is_not_executed_and_all_others_are() -> None:
             continue
         device = made_device()
         settings: dict[str, Any] = {"code": 6} if kind == "exception" else {}
-        settings |= {"length": 3} if kind == "truncate" else {}
+        settings |= {"length": 3} if kind in ("truncate", "garbage") else {}
         with (
             serving("tcp", {1: [Fault(kind, **settings)]}, units={1: device}) as url,
             connect(url) as connection,
@@ -526,6 +722,23 @@ def test_a_reserved_function_gets_no_answer_and_no_fault() -> None:
         ({"kind": "no_answer", "probability": True}, r"probability must be a number in 0..1"),
         ({"kind": "no_answer", "seed": 1}, "seed means nothing without probability"),
         ({"kind": "no_answer", "probability": 0.5, "seed": -1}, "seed must be in 0"),
+        ({"kind": "disconnect", "length": 513}, r"length must be in 0..512, not 513"),
+        ({"kind": "disconnect", "seconds": 1}, "seconds means nothing for disconnect"),
+        ({"kind": "garbage"}, "data or length is missing, and garbage needs one of them, not"),
+        ({"kind": "garbage", "data": b"1", "length": 1}, "needs one of them, not both"),
+        ({"kind": "garbage", "data": "1"}, "data must be bytes, not str"),
+        ({"kind": "garbage", "data": b""}, r"data must have 1..512 bytes, not 0"),
+        ({"kind": "garbage", "length": 0}, r"length must be in 1..512, not 0"),
+        (
+            {"kind": "garbage", "length": 1, "place": "after"},
+            "place must be one of before, instead, behind, not 'after'",
+        ),
+        ({"kind": "garbage", "data": b"1", "seed": 1}, "seed means nothing without probability"),
+        ({"kind": "delay", "seconds": 1, "place": "before"}, "place means nothing for delay"),
+        ({"kind": "no_answer", "table": "coil"}, "table must be one of coils, .*, not 'coil'"),
+        ({"kind": "no_answer", "address": 65536}, r"address must be in 0..65535, not 65536"),
+        ({"kind": "no_answer", "count": 1}, "count means nothing without address"),
+        ({"kind": "no_answer", "address": 1, "count": 0}, r"count must be in 1..65536, not 0"),
     ],
 )
 def test_a_fault_that_cannot_be_is_refused(settings: dict[str, Any], message: str) -> None:

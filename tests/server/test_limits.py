@@ -37,7 +37,7 @@ from attacks import (
 
 from libmodbus_py import Access, Device, Fault, Mapping, Server, framing
 from libmodbus_py.server.by_frame import ByFrame
-from libmodbus_py.server.faults import Faults
+from libmodbus_py.server.faults_due import Faults
 from libmodbus_py.server.limits import Allowance, Limits, ServerStatistics
 from libmodbus_py.server.peers import Peer, Peers
 from libmodbus_py.server.units import TcpUnits, Units
@@ -488,13 +488,15 @@ def test_who_never_reads_is_not_read_and_later_gets_every_answer(
         sending(connection, pipelined(MANY)),
     ):
         assert server.has(paused=1)
+        time.sleep(0.2)  # the system takes some more
         before = server.statistics.requests
         for _ in range(20):
             ask(other)
             time.sleep(0.005)
-        assert server.statistics.requests == before + 20
+        one_read = 1024 // len(adu(READ_MOST))
+        assert before + 20 <= server.statistics.requests <= before + 20 + one_read
         # One read more than the limit, and what the system took.
-        most = max_unsent + 1024 // len(adu(READ_MOST)) * MOST_ANSWER + most_in_the_system()
+        most = max_unsent + one_read * MOST_ANSWER + most_in_the_system()
         assert before * MOST_ANSWER <= most
         receive_all(connection, MANY)
         ask(connection)
@@ -624,6 +626,7 @@ def test_one_by_one_requests_take_their_time(kind: str) -> None:
         assert server.has(requests=33, connections=2)
 
 
+@pytest.mark.alone
 def test_requests_sent_at_once_wait_and_none_is_lost(kind: str) -> None:
     """For longer than a frame may take, and one of them is cut where reading stopped."""
     count = 300

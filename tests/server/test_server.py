@@ -38,7 +38,7 @@ from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.server import serial as serial_server
 from libmodbus_py.server.by_chunk import ByChunk, Singles
 from libmodbus_py.server.devices import Devices
-from libmodbus_py.server.faults import Faults
+from libmodbus_py.server.faults_due import Faults
 from libmodbus_py.server.limits import Limits, ServerStatistics
 from libmodbus_py.server.peers import Peers
 from libmodbus_py.server.serial import SerialServer

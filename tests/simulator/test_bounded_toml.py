@@ -4,6 +4,7 @@ Device files that cost too much: each is devices or an error, soon and in little
 
 from __future__ import annotations
 
+import os
 import re
 import subprocess
 import sys
@@ -167,6 +168,50 @@ HOSTILE = {
         numbered(lambda at: f"{{address={at % 65536}}},", UNIT + "coils = [", "]"),
         "devices",
     ),
+    "many names": (
+        numbered(lambda at: f"{{address={at},name='n{at}'}},", UNIT + "coils = [", "]"),
+        "more than 10000 points in one file",
+    ),
+    "ten thousand scaled names": (
+        numbered(
+            lambda at: (
+                f"{{address={at},name='n{at}',scale=0.1,value={at}.3}},{'#' * 12}\n"
+                if at < 6000
+                else "#" * 70 + "\n"
+            ),
+            UNIT + "holding_registers = [",
+            "]",
+        ),
+        "devices",
+    ),
+    "many scaled values": (
+        HOLDING + f"scale = 0.1\nvalues = [{','.join(f'{at}.{at % 10}' for at in range(6000))}]",
+        "devices",
+    ),
+    "more scaled values": (
+        filled("6553.5,", HOLDING + "scale = 0.1\nvalues = [", "]"),
+        "more than 524288 cells in one file|ends at",
+    ),
+    "scales that cannot be": (
+        numbered(lambda at: f"{{address={at},scale=1e31}},", UNIT + "holding_registers = [", "]"),
+        r"holding_registers\[0\].scale must be in",
+    ),
+    "many maps": (
+        UNIT + f"map = [{','.join(chr(39) + f'{at}.csv' + chr(39) for at in range(9999))}]",
+        r"map\[0\]: cannot read 0.csv",
+    ),
+    "one map again and again": (
+        UNIT + "map = [" + "'/dev/zero.csv', " * 9999 + "]",
+        r"map\[0\]: cannot read /dev/zero.csv",
+    ),
+    "defaults that cannot be": (
+        filled("a", "[defaults]\ntype = '", "'"),
+        "defaults.type must have 0..250 characters",
+    ),
+    "garbage": (
+        UNIT + "[[unit.fault]]\nkind = 'garbage'\n" + filled("1,", "data = [", "]"),
+        r"fault\[0\].data must have 1..512 bytes, not",
+    ),
     "too long": (filled("#" * 80 + "\n") + "#" * 100_000, "more than 524288 characters"),
     "a date": (
         HOLDING + "value = 2024-01-01T00:00:00Z",
@@ -190,9 +235,24 @@ def test_a_hostile_file_costs_little(name: str) -> None:
     assert int(kilobytes) < 150_000
 
 
-def test_a_file_without_end_is_not_read_to_its_end() -> None:
-    with pytest.raises(DeviceFileError, match=r"^/dev/zero: more than 524288 bytes$"):
-        load("/dev/zero")
+def test_a_file_without_end_is_not_read_to_its_end(tmp_path: Path) -> None:
+    path = tmp_path / "long.toml"
+    path.touch()
+    os.truncate(path, 1 << 40)
+    with pytest.raises(DeviceFileError, match=r"/long.toml: more than 524288 bytes$"):
+        load(path)
+
+
+def test_what_is_no_file_is_not_waited_for(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe.csv"
+    os.mkfifo(pipe)
+    for path in (str(pipe), "/dev/zero", "/dev/ptmx"):
+        with pytest.raises(DeviceFileError, match=rf"^{path}: no regular file$"):
+            load(path)
+    device = tmp_path / "device.toml"
+    device.write_text(UNIT + "map = 'pipe.csv'")
+    with pytest.raises(DeviceFileError, match=r"unit\[0\].map: .*pipe.csv: no regular file$"):
+        load(device)
 
 
 def test_as_much_as_is_allowed_is_taken(tmp_path: Path) -> None:
@@ -210,3 +270,33 @@ def test_as_much_as_is_allowed_is_taken(tmp_path: Path) -> None:
 def test_comments_and_numbers_are_no_deep_keys() -> None:
     parse(UNIT + "# see 192.0.2.1, 1.2.3.4.5.6.7.8 and ................ a.b.c\nid = 1")
     parse(HOLDING + f"type = 'float64'\nvalues = [{', '.join(['1.5'] * 50)}]")
+
+
+def test_maps_are_read_within_bounds(tmp_path: Path) -> None:
+    """Each is read once, whatever its path is called; and there are not too many of them."""
+    head = "name,table,address\n"
+    full = head + "".join(f"p{at},holding,{at}\n" for at in range(5000))
+    (tmp_path / "full.csv").write_text(full)
+    units = "".join(f"[[unit]]\nid = {at}\nmap = './x/../full.csv'\n" for at in range(3))
+    path = tmp_path / "plant.toml"
+    path.write_text(units)
+    with pytest.raises(DeviceFileError, match=r"unit\[2\].map: more than 10000 points in one file"):
+        load(path)
+    for at in range(51):
+        (tmp_path / f"{at}.csv").write_text(head + f"p{at},coil,{at}\n")
+    path.write_text(UNIT + f"map = {[f'{at}.csv' for at in range(50)]}")
+    load(path)
+    path.write_text(UNIT + f"map = {[f'{at}.csv' for at in range(51)]}")
+    with pytest.raises(DeviceFileError, match=r"map\[50\]: more than 50 register maps in one file"):
+        load(path)
+
+
+def test_points_that_share_all_cells_cost_little(tmp_path: Path) -> None:
+    head = "name,table,address,count\n"
+    same = head + "".join(f"p{at},holding,0,65536\n" for at in range(5000))
+    (tmp_path / "same.csv").write_text(same)
+    path = tmp_path / "plant.toml"
+    path.write_text(UNIT + "map = 'same.csv'\n")
+    device = load(path).devices
+    assert not isinstance(device, dict)
+    assert len(device.points) == 5000

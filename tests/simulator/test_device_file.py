@@ -10,6 +10,7 @@ import os
 import re
 import resource
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -30,6 +31,7 @@ from libmodbus_py import (
     FrameError,
     IllegalDataAddress,
     InvalidResponse,
+    ModbusConnectionError,
     ModbusTimeoutError,
     Server,
     ServerDeviceBusy,
@@ -37,17 +39,11 @@ from libmodbus_py import (
     pdu,
     values,
 )
-from libmodbus_py.server.faults import KINDS, Fault
+from libmodbus_py.server.faults import KINDS, PLACES, Fault
+from libmodbus_py.simulator import example_files
 from libmodbus_py.simulator.behaviour import BEHAVIOURS, Counter, RandomWalk
-from libmodbus_py.simulator.device_file import (
-    FIFO,
-    RANGES,
-    SERVER_ID,
-    UNIT,
-    DeviceFileError,
-    load,
-    parse,
-)
+from libmodbus_py.simulator.device_file import DeviceFileError, load, parse
+from libmodbus_py.simulator.keys import DEFAULTS, FIFO, FILE, RANGES, SERVER_ID, UNIT
 from libmodbus_py.testing.wires import SerialWire
 
 PLANT = Path(__file__).parents[2] / "examples" / "plant.toml"
@@ -707,8 +703,8 @@ BROKEN = [
     ("unit = []", "unit must hold at least one"),
     ("[unit]", "unit must be a list of tables: [[unit]]"),
     ("unit = [1]", "unit[0] must be a table, not 1"),
-    ("units = []", "units: no such key; allowed are unit, fault, roles"),
-    ("'my unit' = []", "'my unit': no such key; allowed are unit, fault, roles"),
+    ("units = []", "units: no such key; allowed are unit, fault, roles, defaults"),
+    ("'my unit' = []", "'my unit': no such key; allowed are unit, fault, roles, defaults"),
     ("[[unit]]\nid = 248", "unit[0].id must be in 0..247, or 255, not 248"),
     ("[[unit]]\nid = -1", "unit[0].id must be in 0..255, not -1"),
     ("[[unit]]\nid = '1'", "unit[0].id must be an integer in 0..255, not str"),
@@ -720,9 +716,10 @@ BROKEN = [
     ),
     ("[[unit]]\n[[unit]]", "unit[0].id is missing; only a single unit can be without"),
     (
-        "[[unit]]\nname = 'x'",
-        "unit[0].name: no such key; allowed are id, exception_status, server_id, identification,"
-        " coils, discrete_inputs, holding_registers, input_registers, file, fifo, fault, roles",
+        "[[unit]]\nnames = 'x'",
+        "unit[0].names: no such key; allowed are id, name, description, exception_status,"
+        " server_id, identification, defaults, map, values, moves, coils, discrete_inputs,"
+        " holding_registers, input_registers, file, fifo, fault, roles",
     ),
     ("[[unit]]\nexception_status = 256", "unit[0].exception_status must be in 0..255, not 256"),
     ("[[unit]]\nserver_id = 1", "unit[0].server_id must be a table, not 1"),
@@ -771,7 +768,7 @@ BROKEN = [
     (
         "[[unit]]\n[[unit.coils]]\naddress = 0\ntype = 'int16'",
         "unit[0].coils[0].type: no such key; allowed are address, count, value, values, access,"
-        " counter, sine, random_walk, copy",
+        " counter, sine, random_walk, copy, name, description",
     ),
     (
         "[[unit]]\n[[unit.coils]]\naddress = 0\nvalues = [true, 2]",
@@ -780,7 +777,7 @@ BROKEN = [
     (
         "[[unit]]\n[[unit.discrete_inputs]]\naddress = 0\naccess = 'read'",
         "unit[0].discrete_inputs[0].access: no such key; allowed are address, count, value,"
-        " values, counter, sine, random_walk, copy",
+        " values, counter, sine, random_walk, copy, name, description",
     ),
     (
         "[[unit]]\n[[unit.holding_registers]]\naddress = 65536",
@@ -976,13 +973,13 @@ BROKEN = [
     (
         FAULT + "kind = 'slow'",
         "unit[0].fault[0].kind must be one of delay, no_answer, exception, wrong_check,"
-        " wrong_transaction, wrong_unit, trickle, truncate, not 'slow'",
+        " wrong_transaction, wrong_unit, trickle, truncate, disconnect, garbage, not 'slow'",
     ),
     (FAULT + "kind = 'delay'", "unit[0].fault[0].seconds is missing, which delay needs"),
     (
         FAULT + "kind = 'delay'\ndelay = 1",
         "unit[0].fault[0].delay: no such key; allowed are kind, function, every, probability,"
-        " seed, seconds, code, length",
+        " seed, seconds, code, length, table, address, count, data, place",
     ),
     (
         "[[unit]]\n[[fault]]\nkind = 'no_answer'\nevery = 0",
@@ -1182,10 +1179,22 @@ def test_the_rarer_faults_of_the_example(plant: str) -> None:
             except ServerDeviceBusy:
                 refused += 1
         assert 5 < refused < 60
+    with Context.from_url(plant, unit=2, timeout=5, native=False) as client:
+        assert client.read_write_registers(0, 1, 0, [1]) == [1]
+        with pytest.raises(ModbusConnectionError):
+            client.read_write_registers(0, 1, 0, [1])
+        client.connect()
+        assert client.read_write_registers(2, 1, 1, [1]) == [0]
+    host, _, port = plant.removeprefix("tcp://").partition(":")
+    mask = bytes.fromhex("0000 0000 0008 02 16 0003 000F 0000")
+    with socket.create_connection((host, int(port)), 30) as connection:
+        connection.sendall(2 * mask)
+        with connection.makefile("rb") as answers:
+            assert answers.read(2 * len(mask) + 2) == 2 * mask + b"\0\xff"
 
 
-def test_the_example_has_every_key_once() -> None:
-    text = PLANT.read_text()
+def test_the_examples_have_every_key() -> None:
+    text = PLANT.read_text() + Path(example_files.path_of("meter")).read_text()
     keys = set(re.findall(r"^(\w+) =|[{,] (\w+) =", text, re.MULTILINE))
     present = {one or other for one, other in keys}
     present |= set(re.findall(r"^\[+(?:unit\.)?(\w+)[].]", text, re.MULTILINE))
@@ -1195,6 +1204,16 @@ def test_the_example_has_every_key_once() -> None:
         assert set(behaviour.__dataclass_fields__) <= present  # type: ignore[attr-defined]
     for kind in KINDS:
         assert f'kind = "{kind}"' in text
+
+
+def test_the_page_about_the_simulator_explains_every_key() -> None:
+    text = (PLANT.parents[1] / "docs" / "how-to" / "simulator.md").read_text()
+    text = text[text.index("## All keys") :]
+    explained = set(re.findall(r"\w+", " ".join(re.findall(r"`([^`]+)`", text))))
+    expected = [FILE, UNIT, SERVER_ID, FIFO, DEFAULTS, *RANGES.values(), KINDS, PLACES]
+    expected += [each.__dataclass_fields__ for each in (Fault, *BEHAVIOURS.values())]  # type: ignore[attr-defined]
+    for keys in expected:
+        assert set(keys) <= explained
 
 
 def test_the_example_is_served_on_a_serial_line() -> None:

@@ -20,7 +20,9 @@ from libmodbus_py import (
     Mapping,
     ModbusError,
     Plan,
+    Point,
     Read,
+    RegisterMap,
     Route,
     RtuContext,
     Security,
@@ -33,6 +35,7 @@ from libmodbus_py import (
     Transaction,
     UdpContext,
     listening,
+    load_map,
     pdu,
 )
 
@@ -50,7 +53,9 @@ RtuContext("/dev/ttyUSB0", rs485=None, rts_delay=None, echo=True, busy_retries=3
 Context.from_url("tcp://192.0.2.10?unit=17", timeout=0.5, retries=1)
 Context.from_url("rtu:///dev/ttyUSB0", baudrate=9600, parity="N", native=False)
 AsyncClient("tcp://192.0.2.10", unit=17, max_in_flight=4, on_state=print)
+AsyncClient("tcp://192.0.2.10", may_send=lambda: True)
 AsyncClient("tcp://192.0.2.10", retries=2, trace=print)
+AsyncClient("tcp://192.0.2.10", statistics=AsyncClient("tcp://192.0.2.11").statistics)
 OWN = Security("own.pem", "own-key.pem", trust="ca.pem", server_name="plc.example", password="x")
 Security(Path("own.pem"), pin=["device.pem", Path("other.pem"), "ab" * 32])
 TlsContext("192.0.2.10", security=OWN, unit=17, timeout=1.0)
@@ -117,7 +122,20 @@ def many(plc: TcpContext) -> None:
     assert_type(plc.execute_many([pdu.ReadCoils(0, 8), pdu.ReportServerId()]), list[Any])
 
 
+def named(plc: TcpContext) -> None:
+    meter = load_map(Path("meter.csv"))
+    assert_type(meter["level"], Point)
+    assert_type(plc.read_map(meter), dict[str, Any])
+    plc.read_map(meter, ["level"], return_exceptions=True, gap=4)
+    plc.write_map(meter, {"setpoint": 21.5, "run": True}, multiple=True)
+    made = RegisterMap([Point("level", "holding_registers", 100, type="float32", scale=0.1)])
+    assert_type(plc.read_many(made.plan(["level"])), Any)
+    assert_type(made["level"].decode([0, 0]), Any)
+
+
 async def asking(plc: AsyncClient) -> None:
+    assert_type(await plc.read_map(load_map("meter.toml")), dict[str, Any])
+    await plc.write_map(load_map("meter.toml"), {"setpoint": 21.5})
     assert_type(await plc.read_coils(0, 8), list[bool])
     assert_type(await plc.read_holding_registers(address=0, count=8), list[int])
     assert_type(await plc.read_device_identification("regular"), pdu.DeviceIdentification)
@@ -146,7 +164,7 @@ def serving() -> None:
     Server({1: Device(mapping), 2: Device(Mapping(coils=8))}, unknown_unit="silent")
     Device(mapping, before_read=Hook(told_of, input_registers=range(100)), after_write=print)
     Device(mapping, before_write=Hook(told_of, coils=[range(8)], files=[range(1, 3)]))
-    Server(Device(mapping)).serve_forever("tcp://127.0.0.1:1502")
+    Server(Device(mapping), trace=print).serve_forever("tcp://127.0.0.1:1502")
 
 
 def passing_on() -> None:

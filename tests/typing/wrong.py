@@ -15,6 +15,7 @@ from libmodbus_py import (
     Gateway,
     Hook,
     Mapping,
+    Point,
     Read,
     Route,
     RtuContext,
@@ -24,6 +25,7 @@ from libmodbus_py import (
     TcpContext,
     TlsContext,
     listening,
+    load_map,
     pdu,
 )
 
@@ -42,6 +44,7 @@ Context.from_url("tcp://192.0.2.10", timeout="1")  # wrong
 AsyncClient("tcp://192.0.2.10", retires=2)  # wrong
 AsyncClient("tcp://192.0.2.10", unti=2)  # wrong
 AsyncClient("tcp://192.0.2.10", native=False)  # wrong
+AsyncClient("tcp://192.0.2.10", statistics={})  # wrong
 Security("own.pem", trust=5)  # wrong
 Security("own.pem", trust="ca.pem", password=b"x")  # wrong
 Security("own.pem", ca="ca.pem")  # wrong
@@ -64,6 +67,11 @@ def blocking(plc: TcpContext) -> None:
     plc.read_many([("holding_registers", 0, 1, "flaot32")])  # wrong
     plc.read_many([("holding_registers", 0, 1, "float32", "ABDC")])  # wrong
     plc.read_many([("coils", 0, 8)], gpa=4)  # wrong
+    meter = load_map("meter.csv")
+    plc.read_map(meter, gpa=4)  # wrong
+    plc.write_map(meter, ["setpoint"])  # wrong
+    Point("level", "coil", 0)  # wrong
+    Point("level", "coils", 0, access="rw")  # wrong
     plc.for_unit(3, timeuot=0.3)  # wrong
     plc.execute(pdu.ReadCoils(0, 8), timeout="0.1")  # wrong
     print(plc.statistics.late_answer)  # wrong
@@ -78,6 +86,7 @@ async def asking(plc: AsyncClient) -> None:
     await plc.read_values("holding_regs", 0, "float32")  # wrong
     await plc.read_coils("0", 8)  # wrong
     await plc.read_many({"level": ("coil", 0, 8)})  # wrong
+    await plc.read_map("meter.csv")  # wrong
 
 
 def forgotten_await(plc: AsyncClient) -> list[bool]:
@@ -89,6 +98,7 @@ def serving(server: Server, mapping: Mapping) -> None:
     mapping.holding_registers.write(0, 1.5, "flaot32")  # wrong
     Mapping(holding_registers="100")  # wrong
     Server(mapping)  # wrong
+    Server(Device(mapping), trace="wire.log")  # wrong
     Hook(print, holding_regs=range(8))  # wrong
     Hook(print, coils=8)  # wrong
     Device(mapping, before_read=range(8))  # wrong

@@ -9,11 +9,15 @@ from collections.abc import Iterable, Mapping, Sequence, Set
 from itertools import islice
 from typing import Any, Protocol
 
-from ..checks import integer
+from ..checks import are_registers, integer
 from ..scan import MAX_PDU as MAX_PDU
 from ..scan import lib
 
 TABLE_SIZE = 65536  # section 4.4: addresses are 16 bits
+
+# Sections 6.11 and 6.12. Here, so that who only reads need not import what writes.
+MOST_COILS_WRITTEN = 1968
+MOST_REGISTERS_WRITTEN = 123
 
 
 class LengthRule(Protocol):
@@ -47,10 +51,6 @@ def _are_bits(values: tuple[Any, ...]) -> bool:
     return set(map(type, values)) == {bool}
 
 
-def _are_registers(values: tuple[Any, ...]) -> bool:
-    return set(map(type, values)) == {int} and min(values) >= 0 and max(values) <= 0xFFFF
-
-
 def checked_sequence(name: str, values: object, limit: int) -> tuple[Any, ...]:
     # Text, sets and mappings are iterable, but never a run of registers.
     unfit = isinstance(values, str | bytes | bytearray | Set | Mapping)
@@ -73,7 +73,7 @@ def checked_bits(name: str, values: object, limit: int) -> tuple[bool, ...]:
 
 def checked_registers(name: str, values: object, limit: int) -> tuple[int, ...]:
     taken = checked_sequence(name, values, limit)
-    if _are_registers(taken):
+    if are_registers(taken):
         return taken
     return tuple(checked_register(f"{name}[{at}]", value) for at, value in enumerate(taken))
 
@@ -125,6 +125,17 @@ def pack_registers(values: Sequence[int]) -> bytes:
 
 def unpack_registers(data: bytes) -> tuple[int, ...]:
     return _REGISTERS[len(data) // 2].unpack(data)
+
+
+def exactly(count: int, values: tuple[Any, ...]) -> tuple[Any, ...]:
+    if len(values) != count:
+        raise ValueError(f"result must hold {count} values, not {len(values)}")
+    return values
+
+
+def encode_registers(function: int, result: Sequence[int], count: int) -> bytes:
+    data = pack_registers(exactly(count, checked_registers("result", result, count)))
+    return bytes([function, len(data)]) + data
 
 
 # Rule -> the same for scan.c: how, `base` and `at`. It asks Python for all others.

@@ -1,5 +1,5 @@
 """
-File records: functions 20 and 21.
+File records and queues: functions 20, 21 and 24.
 """
 
 from __future__ import annotations
@@ -12,20 +12,25 @@ from typing import ClassVar, Self
 
 from ..checks import integer
 from ..errors import in_hex
+from ..scan import lib
 from .fields import (
     MAX_PDU,
     AddressError,
     LengthRule,
     checked_registers,
     checked_sequence,
+    checked_span,
     counted,
+    fixed,
+    in_c,
     pack_registers,
     store,
     unpack_registers,
 )
 from .request import Echoed, Request
 
-RECORDS_PER_FILE = 10_000  # section 6.14: records 0..9999
+RECORDS_PER_FILE = 10_000
+"""Records are 0..9999 (section 6.14)."""
 FILE_REFERENCE_TYPE = 6  # section 6.14
 
 
@@ -189,3 +194,41 @@ def _check_reference_types(kinds: Iterable[int]) -> None:
     for kind in kinds:
         if kind != FILE_REFERENCE_TYPE:
             raise AddressError(f"reference type must be {FILE_REFERENCE_TYPE}, not {kind}")
+
+
+def _counted_wide(head: bytes) -> int | None:
+    return 3 + int.from_bytes(head[1:3], "big") if len(head) >= 3 else None
+
+
+@dataclass(frozen=True, slots=True)
+class ReadFifoQueue(Request[list[int]]):
+    """Function 24, section 6.18: the 0..31 registers of the queue at `address`; it keeps them."""
+
+    address: int
+
+    function = 0x18
+    repeatable = True
+    request_length: ClassVar[LengthRule] = fixed(3)
+    response_length: ClassVar[LengthRule] = in_c(_counted_wide, lib.COUNTED_WIDE, 3, 1)
+    max_count: ClassVar[int] = 31
+
+    def __post_init__(self) -> None:
+        store(self, address=checked_span("address", self.address, "", 1))
+
+    def encode(self) -> bytes:
+        return struct.pack(">BH", self.function, self.address)
+
+    @classmethod
+    def decode(cls, pdu: bytes) -> Self:
+        return cls(*struct.unpack(">H", pdu[1:]))
+
+    def encode_response(self, result: Sequence[int]) -> bytes:
+        values = checked_registers("result", result, self.max_count) if len(result) else ()
+        head = struct.pack(">BHH", self.function, 2 + 2 * len(values), len(values))
+        return head + pack_registers(values)
+
+    def _decode_response(self, pdu: bytes) -> list[int]:
+        count = int.from_bytes(pdu[3:5], "big")
+        if count > self.max_count or len(pdu) != 5 + 2 * count:
+            raise self._invalid(f"{count} registers in {len(pdu)} bytes")
+        return list(unpack_registers(pdu[5:]))

@@ -1,16 +1,14 @@
 """
-What every request has in common; those that are echoed, and those sent as they are.
+What every request has in common; those that are echoed, and those without arguments.
 """
 
 from __future__ import annotations
 
 import reprlib
-from dataclasses import dataclass, fields
 from typing import ClassVar, Generic, Self, TypeVar
 
-from ..checks import integer
 from ..errors import ExceptionResponse, InvalidResponse, in_hex
-from .fields import MAX_PDU, LengthRule, checked_data, fixed, unknown_length
+from .fields import LengthRule, fixed
 
 Result = TypeVar("Result")
 
@@ -97,12 +95,16 @@ class Request(Generic[Result]):
     def _refusal(self, pdu: bytes) -> ExceptionResponse | InvalidResponse:
         if len(pdu) == 2 and pdu[0] == self.function | 0x80:
             return ExceptionResponse.of(pdu[1], function=self.function, asked=str(self))
-        return self._invalid(f"response {pdu[:8].hex(' ') or 'without a byte'}")
+        error = self._invalid(f"response {pdu[:8].hex(' ') or 'without a byte'}")
+        error.answers_another = bool(pdu) and pdu[0] & 0x7F != self.function
+        return error
 
     def _invalid(self, what: str) -> InvalidResponse:
         return InvalidResponse(f"answered with {what}", function=self.function, asked=str(self))
 
     def __str__(self) -> str:
+        from dataclasses import fields
+
         shown = (
             f"{field.name}={reprlib.repr(getattr(self, field.name))}"
             for field in fields(self)  # type: ignore[arg-type]
@@ -139,36 +141,3 @@ class Bare(Request[Result]):
     @classmethod
     def decode(cls, pdu: bytes) -> Self:
         return cls()
-
-
-@dataclass(frozen=True, slots=True)
-class RawRequest(Request[bytes]):
-    """
-    Any function code, 1..127, with `data` of up to 252 bytes that are sent as they are.
-
-    The result is what follows the function code of the response. On RTU lines the end
-    of a response without a length rule is where its CRC fits.
-    """
-
-    function: int  # type: ignore[misc]  # here it is data, not the class's own
-    data: bytes = b""
-
-    request_length: ClassVar[LengthRule] = unknown_length
-    response_length: ClassVar[LengthRule] = unknown_length
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "function", integer("function", self.function, 1, 127))
-        checked_data("data", self.data, MAX_PDU - 1)
-
-    def encode(self) -> bytes:
-        return bytes([self.function]) + self.data
-
-    @classmethod
-    def decode(cls, pdu: bytes) -> Self:
-        return cls(pdu[0], pdu[1:])
-
-    def encode_response(self, result: bytes) -> bytes:
-        return bytes([self.function]) + checked_data("result", result, MAX_PDU - 1)
-
-    def _decode_response(self, pdu: bytes) -> bytes:
-        return pdu[1:]

@@ -1,0 +1,182 @@
+"""
+A fleet on this machine: ./run fleet-bench
+
+10 000 devices, ten behind each of 1 000 connections to servers of this package in two other
+processes; 20 registers of each are read every 5 s. Wanted: 99 of 100 polls begin within
+100 ms of their time, with less than 25 KiB of memory for each device. Nobody else should use
+the machine meanwhile.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import gc
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+
+from children import resident_memory
+from memory import raise_descriptor_limit
+
+from libmodbus_py import Device, DeviceConfig, Fleet, Limits, Mapping, Point, RegisterMap, Server
+from libmodbus_py.fleet.outputs.json_lines import JsonLines
+from libmodbus_py.fleet.statistics import LATENESS_BOUNDS
+
+ON_TIME, WANTED_ON_TIME = 0.1, 0.99
+WANTED_MEMORY = 25 * 1024
+
+SERVERS = 2
+
+REGISTERS = 20
+
+
+def main() -> None:
+    options = parse()
+    raise_descriptor_limit()
+    if options.serve:
+        asyncio.run(serve(options.serve, options.units))
+        return
+    with ExitStack() as stack:
+        share = options.connections // SERVERS
+        urls = [
+            url
+            for _ in range(SERVERS)
+            for url in stack.enter_context(servers(share, options.units))
+        ]
+        figures = asyncio.run(measure(urls, options))
+    print(told(figures))
+    if options.json:
+        print(json.dumps(figures))
+    sys.exit(0 if figures["on_time"] >= WANTED_ON_TIME and figures["memory"] < WANTED_MEMORY else 1)
+
+
+def parse() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        prog="./run fleet-bench",
+        description=__doc__,
+        formatter_class=argparse.RawTextHelpFormatter,
+    )
+    parser.add_argument("--connections", type=int, default=1000, metavar="N", help="(1000)")
+    parser.add_argument("--units", type=int, default=10, metavar="N", help="behind each (10)")
+    parser.add_argument("--interval", type=float, default=5.0, metavar="S", help="seconds (5)")
+    parser.add_argument("--seconds", type=float, default=60.0, metavar="S", help="measured (60)")
+    parser.add_argument(
+        "--output", metavar="PATH", help="have all readings written there, as lines of JSON, too"
+    )
+    parser.add_argument("--json", action="store_true", help="print the figures as JSON, too")
+    parser.add_argument("--serve", type=int, default=0, help=argparse.SUPPRESS)
+    return parser.parse_args()
+
+
+# --- the devices ------------------------------------------------------------------------------
+
+
+async def serve(connections: int, units: int) -> None:
+    devices = {unit: Device(Mapping(holding_registers=REGISTERS)) for unit in range(1, units + 1)}
+    limits = Limits(max_connections=2 * connections, connections_per_address=2 * connections)
+    places = ["tcp://127.0.0.1:0"] * connections
+    async with Server(devices, limits=limits).serving(*places) as running:
+        gc.collect()
+        gc.freeze()
+        print(*running.urls, flush=True)
+        moving = 0
+        while True:
+            await asyncio.sleep(1)
+            moving = (moving + 1) % 1000
+            for device in devices.values():  # half of the values move
+                device.mapping.holding_registers[: REGISTERS // 2] = range(
+                    moving, moving + REGISTERS // 2
+                )
+
+
+@contextmanager
+def servers(connections: int, units: int) -> Iterator[list[str]]:
+    program = [sys.executable, __file__, "--serve", str(connections), "--units", str(units)]
+    with subprocess.Popen(program, stdout=subprocess.PIPE, text=True) as child:
+        try:
+            assert child.stdout is not None
+            yield child.stdout.readline().split()
+        finally:
+            child.kill()
+
+
+# --- the fleet --------------------------------------------------------------------------------
+
+
+async def measure(urls: list[str], options: argparse.Namespace) -> dict[str, float]:
+    points = RegisterMap(
+        Point(f"p{at}", "holding_registers", at, scale=0.1) for at in range(REGISTERS)
+    )
+    gc.collect()
+    before = resident_memory("self")
+    devices = [
+        DeviceConfig(f"device {at}-{unit}", url, points, unit=unit, interval=options.interval)
+        for at, url in enumerate(urls)
+        for unit in range(1, options.units + 1)
+    ]
+    outputs = [JsonLines(options.output)] if options.output else []
+    fleet = Fleet(devices, outputs=outputs)
+    async with fleet:
+        gc.collect()
+        gc.freeze()
+        await wait(fleet, 2 * options.interval, "connecting")
+        statistics = fleet.statistics
+        statistics.take_worst()
+        statistics.lateness[:] = [0] * len(statistics.lateness)
+        polls, skipped = statistics.polls, statistics.skipped
+        start, cpu = time.monotonic(), time.process_time()
+        await wait(fleet, options.seconds, "measuring")
+        seconds = time.monotonic() - start
+        return {
+            "devices": statistics.devices,
+            "up": statistics.up,
+            "polls": (statistics.polls - polls) / seconds,
+            "skipped": statistics.skipped - skipped,
+            "on_time": statistics.within(ON_TIME),
+            "half": percentile(statistics.lateness, 0.5),
+            "most": percentile(statistics.lateness, 0.99),
+            "worst": statistics.take_worst(),
+            "cpu": (time.process_time() - cpu) / seconds,
+            "memory": (resident_memory("self") - before) / len(devices),
+            "dropped": sum(each.dropped for each in statistics.outputs.values()),
+        }
+
+
+async def wait(fleet: Fleet, seconds: float, what: str) -> None:
+    for _ in range(round(seconds)):
+        await asyncio.sleep(1)
+        if sys.stderr.isatty():
+            text = f"{what}: {fleet.statistics.up} of {fleet.statistics.devices} devices up"
+            print(f"\r\x1b[K{text}", end="", file=sys.stderr, flush=True)
+    if sys.stderr.isatty():
+        print("\r\x1b[K", end="", file=sys.stderr, flush=True)
+
+
+def percentile(counts: list[int], share: float) -> float:
+    """The bound below which so many are."""
+    left = share * sum(counts)
+    for bound, count in zip((*LATENESS_BOUNDS, float("inf")), counts, strict=True):
+        left -= count
+        if left <= 0:
+            return bound
+    return float("inf")
+
+
+def told(figures: dict[str, float]) -> str:
+    return (
+        f"{figures['up']:.0f} of {figures['devices']:.0f} devices up,"
+        f" {figures['polls']:.0f} polls a second, {figures['skipped']:.0f} skipped\n"
+        f"{figures['on_time']:.2%} began within 100 ms of their time (wanted: 99 %);"
+        f" half within {figures['half'] * 1000:g} ms, 99 % within {figures['most'] * 1000:g} ms,"
+        f" the worst {figures['worst'] * 1000:.0f} ms late\n"
+        f"{figures['memory'] / 1024:.1f} KiB of memory for each device (wanted: less than 25),"
+        f" {figures['cpu']:.0%} of a processor"
+    )
+
+
+if __name__ == "__main__":
+    main()

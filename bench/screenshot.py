@@ -1,0 +1,83 @@
+"""
+Takes the picture of the live page for README.md: ``./run screenshot [FILE]``.
+
+The example meter and the example plant are served together, and a client talks to them.
+"""
+
+from __future__ import annotations
+
+import sys
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT / "tests" / "page"))
+
+from browsers import browser, missing  # noqa: E402
+from watching import until  # noqa: E402
+
+from libmodbus_py import Context, Fault, ModbusError, Server, device_file, page_of  # noqa: E402
+
+WIDTH, HEIGHT = 1200, 700
+MOST_BYTES = 200_000
+EXAMPLES = ROOT / "libmodbus_py" / "simulator" / "examples"
+# The meter of the examples has none.
+FAULTS = [
+    Fault("disconnect", table="input_registers", address=0, count=1, length=5, every=5),
+    Fault("garbage", data=b"\0\xff", place="behind", probability=0.01),
+]
+
+
+def main() -> int:
+    file = Path(sys.argv[1]) if len(sys.argv) > 1 else ROOT / "docs" / "page.png"
+    if lacking := missing():
+        print(f"screenshot: {lacking}", file=sys.stderr)
+        return 1
+    meter = device_file.load(EXAMPLES / "meter.toml")
+    plant = device_file.load(EXAMPLES / "plant.toml")
+    server = Server({7: meter.devices, **plant.devices}, {**plant.faults, 7: FAULTS})
+    is_over = threading.Event()
+    with (
+        page_of(server) as page,
+        server.background("tcp://127.0.0.1:0") as running,
+        Context.from_url(running.urls[0], unit=7) as plc,
+        browser(WIDTH, HEIGHT) as driver,
+    ):
+        driver.get(f"{page.url}#7/points")
+        client = threading.Thread(target=talk, args=(plc, is_over.wait))
+        client.start()
+        until(
+            lambda: driver.execute_script(
+                "return document.querySelector('#log').children.length > 30"
+            )
+        )
+        file.write_bytes(driver.get_screenshot_as_png())
+        is_over.set()
+        client.join()
+    size = file.stat().st_size
+    print(f"{file}: {size} bytes")
+    return 0 if size < MOST_BYTES else 1
+
+
+def talk(plc: Any, wait: Callable[[float], bool]) -> None:
+    """Read, write, and once in a while what there is not, on a line with faults."""
+    boiler = plc.for_unit(1)
+    requests: list[Callable[[int], object]] = [
+        lambda number: plc.read_input_registers(0, 7),
+        lambda number: boiler.write_registers(100, [number % 1000, 17, 100]),
+        lambda number: boiler.read_input_registers(0, 4),
+        lambda number: plc.write_register(0, 2300 + number % 200),
+        lambda number: boiler.read_coils(60, 1),
+    ]
+    for number in range(10_000):
+        with suppress(ModbusError):
+            requests[number % len(requests)](number)
+        if wait(0.1):
+            return
+
+
+if __name__ == "__main__":
+    sys.exit(main())

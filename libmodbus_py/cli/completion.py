@@ -1,0 +1,83 @@
+"""
+The command completion, and what is completed when the shell asks.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+from typing import Any
+
+from .commands import COMMANDS, PROGRAM, whole_parser
+from .help import VerbatimHelp
+
+__all__ = ["add_command", "complete"]
+
+SHELLS = ("bash", "zsh", "fish")
+
+EXAMPLES = """\
+examples:
+  eval "$(libmodbus-py completion bash)"                        # in ~/.bashrc
+  eval "$(libmodbus-py completion zsh)"                         # in ~/.zshrc
+  libmodbus-py completion fish | source                         # in ~/.config/fish/config.fish
+  libmodbus-py completion bash > ~/.local/share/bash-completion/completions/libmodbus-py"""
+
+
+def add_command(commands: Any) -> None:
+    """Tell argparse of it."""
+    command = commands.add_parser(
+        "completion",
+        description="Prints what a shell must know to complete commands, options and names.",
+        epilog=EXAMPLES,
+        formatter_class=VerbatimHelp,
+    )
+    command.add_argument("shell", choices=SHELLS, metavar="SHELL", help=", ".join(SHELLS))
+    command.set_defaults(run=_print)
+
+
+def _print(options: argparse.Namespace) -> int:
+    argcomplete = _argcomplete()
+    print(argcomplete.shellcode([PROGRAM], shell=options.shell))
+    return 0
+
+
+def complete() -> None:
+    """
+    Answer the shell that asks by the environment, and end.
+
+    Raises:
+        ImportError: argcomplete is not installed.
+    """
+    words = os.environ.get("COMP_LINE", "").split()
+    asked = [word for word in words[1:2] if word in COMMANDS]
+    parser = whole_parser(asked)
+    for action in _actions(parser):
+        if action.dest == "what":
+            action.completer = _whats
+    _argcomplete().autocomplete(parser, always_complete_options="long")
+
+
+def _argcomplete() -> Any:
+    try:
+        import argcomplete
+    except ImportError:
+        raise ImportError(
+            "completion needs argcomplete: pip install 'libmodbus-py[completion]'"
+        ) from None
+    return argcomplete
+
+
+def _actions(parser: argparse.ArgumentParser) -> list[Any]:
+    commands = [each.choices for each in parser._actions if isinstance(each.choices, dict)]
+    return [action for each in commands for sub in each.values() for action in sub._actions]
+
+
+def _whats(parsed_args: argparse.Namespace, **_: Any) -> list[str]:
+    """Tables, and the names of the map that was given."""
+    from .items import TABLE_WORDS, map_of
+
+    names: list[str] = []
+    with contextlib.suppress(OSError, ValueError):
+        names = list(map_of(parsed_args.map)) if parsed_args.map else []
+    return [*TABLE_WORDS, *names]

@@ -1,0 +1,269 @@
+"""
+What is typed to say what to read or write: tables and addresses, references, names.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+from collections import deque
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from ..maps.plan import Read
+from ..protocol.spelling import number_of
+from ..protocol.tables import TABLE_SIZE, TABLES
+from ..protocol.values import ValueType, parse_reference, value_type
+
+if TYPE_CHECKING:
+    from ..maps.point import Point
+    from ..maps.register_map import RegisterMap
+
+__all__ = ["ALL", "REGISTERS", "TABLE_WORDS", "Item", "Words", "map_of"]
+
+TABLE_WORDS = {
+    "coils": "coils",
+    "discrete": "discrete_inputs",
+    "holding": "holding_registers",
+    "input": "input_registers",
+    "file": "file",
+    "fifo": "fifo_queue",
+}
+"""What is typed -> the table's name."""
+
+WORD_OF = {table: word for word, table in TABLE_WORDS.items()}
+
+# Sections 6.14 and 6.15; the answer to 6.18 has as many as there are.
+REGISTERS = {
+    name: (rules.most_read, rules.most_written)
+    for name, rules in TABLES.items()
+    if not rules.is_bits
+} | {"file": (124, 122)}
+"""Table of registers -> how many of them one request reads, and writes."""
+
+USUAL = {"order": "ABCD", "encoding": "ascii", "padding": "\0"}
+"""Of a type's options."""
+
+ALL = "all"
+"""The type that shows every reading."""
+
+
+@dataclass(frozen=True)
+class Item:
+    """
+    Some values of one table, or a point of a map.
+
+    Attributes:
+        table: a value of `TABLE_WORDS`.
+        address: the first cell, from 0.
+        count: how many values.
+        kind: what they are; None for cells as they are.
+        layout: name, order, encoding and padding of the kind, as a plan takes them.
+        file: of "file".
+        point: of a map, which says all the others.
+        first: the number that its first cell is shown with.
+        typed: the word that said the address, for hints.
+    """
+
+    table: str
+    address: int
+    count: int = 1
+    kind: ValueType | None = None
+    layout: tuple[Any, ...] = ()
+    file: int = 0
+    point: Point | None = None
+    first: int = 0
+    typed: str = ""
+
+    @property
+    def size(self) -> int:
+        """The cells of one value."""
+        return 1 if self.kind is None else self.kind.registers
+
+    @property
+    def cells(self) -> int:
+        """How many there are."""
+        return self.count * self.size
+
+    @property
+    def word(self) -> str:
+        """The table as it is typed."""
+        return f"file:{self.file}" if self.table == "file" else WORD_OF[self.table]
+
+    @property
+    def read(self) -> Read:
+        """What a plan takes; of the four tables only."""
+        if self.point is not None:
+            return self.point.read
+        return Read(self.table, self.address, self.count, *self.layout)  # type: ignore[arg-type]
+
+    @property
+    def hint(self) -> str:
+        """What may be wrong with the address, if it looks like a reference."""
+        return _hint(self.word, self.table, self.typed)
+
+
+class Words:
+    """
+    What was typed, word by word.
+
+    Args:
+        options: of the command: `type`, `order`, `encoding`, `padding`, `map`,
+            `count_from_1`.
+        words: that say what to read or write.
+
+    Attributes:
+        map: the register map, or None.
+
+    Raises:
+        ValueError: options that do not fit together; the map's file.
+    """
+
+    def __init__(self, options: argparse.Namespace, words: list[str]) -> None:
+        self.map: RegisterMap | None = map_of(options.map) if options.map is not None else None
+        self._words = deque(words)
+        self._base = 1 if options.count_from_1 else 0
+        self._has_type = options.type is not None
+        self._layout = _layout(options)
+        self._kind = value_type(self._layout[0], **_named(self._layout)) if self._layout else None
+
+    def __bool__(self) -> bool:
+        return bool(self._words)
+
+    def whole_map(self) -> list[Item]:
+        """Give all that can be read."""
+        points = self.map.values() if self.map is not None else ()
+        return [self._of_point(point) for point in points if point.is_readable]
+
+    # --- places --------------------------------------------------------------------------
+
+    def take_item(self) -> Item:
+        """
+        Take ``TABLE ADDRESS``, a reference, or a name.
+
+        Raises:
+            ValueError: what it is instead.
+        """
+        first = self._words.popleft()
+        if (name := first.partition(":")[0]) in TABLE_WORDS:
+            return self._in_table(first, name)
+        if self.map is not None and first in self.map:
+            return self._named(first, self.map)
+        if first.isdecimal():
+            return self._referred(first)
+        if self.map is not None:
+            self.map.plan([first])  # which says what it may have meant
+        raise ValueError(
+            f"{first!r} must be one of {', '.join(TABLE_WORDS)}, or such as 40123;"
+            " or a name, with --map FILE"
+        )
+
+    def take_count(self, item: Item) -> int:
+        """Take the count of an item if there is one, else 1."""
+        if self._words and re.match("[+-]?[0-9]", self._words[0]) and not self._has_next(item):
+            return number_of("count", self._words.popleft())
+        return 1
+
+    def take_values(self) -> list[str]:
+        """Take all up to the next table or name."""
+        values = []
+        while self._words and not self._begins_item(self._words[0]):
+            values.append(self._words.popleft())
+        return values
+
+    def _begins_item(self, word: str) -> bool:
+        is_table = word.partition(":")[0] in TABLE_WORDS
+        return is_table or (self.map is not None and word in self.map)
+
+    def _has_next(self, item: Item) -> bool:
+        """Behind a reference five or six digits are the next one, and no count."""
+        word = self._words[0]
+        return not item.typed and word.isdecimal() and len(word) in (5, 6)
+
+    def _in_table(self, first: str, name: str) -> Item:
+        file = first.partition(":")[2]
+        if (name == "file") != bool(file):
+            raise ValueError(f"{first!r}: a file, and only a file, has a number, as in file:4")
+        if not self._words:
+            raise ValueError(f"{first} lacks an address")
+        typed = self._words.popleft()
+        table, number = TABLE_WORDS[name], number_of("file", file) if file else 0
+        base = 0 if table == "file" else self._base
+        try:
+            shown = number_of("address", typed)
+            if not base <= shown < TABLE_SIZE + base:
+                span = f"{base}..{TABLE_SIZE - 1 + base}"
+                raise ValueError(f"address must be in {span}, not {shown}")
+        except ValueError as error:
+            raise ValueError(f"{error}{_hint(name, table, typed)}") from None
+        return self._item(table, shown - base, shown, file=number, typed=typed)
+
+    def _referred(self, first: str) -> Item:
+        table, address = parse_reference(first)
+        if table == "file":
+            raise ValueError(f"{first!r} lacks the file's number: write file:N {address}")
+        return self._item(table, address, address + self._base)
+
+    def _named(self, name: str, points: RegisterMap) -> Item:
+        if self._has_type:
+            raise ValueError(f"{name} has its type from the map, and no --type")
+        return self._of_point(points[name])
+
+    def _of_point(self, point: Point) -> Item:
+        return Item(point.table, point.address, point.count, point.read.kind, point=point)
+
+    def _item(self, table: str, address: int, first: int, **others: Any) -> Item:
+        if self._has_type and table not in REGISTERS:
+            allowed = ", ".join(word for word, name in TABLE_WORDS.items() if name in REGISTERS)
+            raise ValueError(f"{table.replace('_', ' ')} have no --type, only {allowed} have")
+        layout = self._layout
+        return Item(table, address, kind=self._kind, layout=layout, first=first, **others)
+
+
+def map_of(file: str) -> RegisterMap:
+    """
+    Load a register map: a file, or an example by its name, which has no suffix.
+
+    Raises:
+        ValueError: it cannot be read, the first mistake in it, or there is no such example.
+    """
+    from ..maps.map_file import load_map
+
+    if os.path.basename(file) == file and not os.path.splitext(file)[1]:
+        from ..simulator import example_files
+
+        file = example_files.map_of(file)
+    return load_map(file)
+
+
+def _layout(options: argparse.Namespace) -> tuple[Any, ...]:
+    """Name, order, encoding and padding of a type; nothing without one."""
+    given = {name: getattr(options, name) for name in USUAL}
+    told = [name for name, value in given.items() if value is not None]
+    if options.type is None:
+        for name in told:
+            raise ValueError(f"--{name} needs --type, for it is of a value's bytes")
+        return ()
+    if options.type == ALL and options.can_show_all:
+        for name in told:
+            raise ValueError(f"--type all shows every reading, and has no --{name}")
+        return ()
+    return (options.type, *(given[name] or usual for name, usual in USUAL.items()))
+
+
+def _named(layout: tuple[Any, ...]) -> dict[str, Any]:
+    return dict(zip(USUAL, layout[1:], strict=True))
+
+
+def _hint(word: str, table: str, typed: str) -> str:
+    try:
+        reference = parse_reference(typed)
+    except ValueError:
+        return ""
+    if reference.table != table:
+        return ""
+    return (
+        f" ({word} {typed} counts from 0; the reference {typed}, which is address"
+        f" {reference.address}, is typed without {word})"
+    )

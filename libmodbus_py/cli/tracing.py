@@ -1,0 +1,54 @@
+"""
+What -v shows: every frame, both ways, in columns.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+
+from ..ports.trace import Traced
+from ..protocol.pdu import REQUESTS
+
+__all__ = ["Tracing", "in_columns"]
+
+
+class Tracing:
+    """A `trace` that prints to stderr: time, direction, unit, function, how long it took, bytes."""
+
+    def __init__(self) -> None:
+        self._sent = 0.0
+
+    def __call__(self, traced: Traced) -> None:
+        took = None
+        if traced.direction == "sent":
+            self._sent = traced.time
+        else:
+            took = traced.time - self._sent
+        print(in_columns(traced, took), file=sys.stderr, flush=True)
+
+
+def in_columns(traced: Traced, took: float | None) -> str:
+    """
+    Give one line.
+
+    Args:
+        took: seconds since the request.
+    """
+    seconds, part = divmod(round(traced.time * 1000), 1000)
+    clock = time.strftime("%H:%M:%S", time.localtime(seconds))
+    arrow = ">" if traced.direction == "sent" else "<"
+    unit = "" if traced.unit is None else traced.unit
+    late = "" if took is None else f"{took * 1000:.1f} ms"
+    is_text = traced.endpoint.startswith("ascii") and traced.adu.isascii()
+    shown = repr(traced.adu.decode())[1:-1] if is_text else traced.adu.hex(" ")
+    return f"{clock}.{part:03} {arrow} {unit:>3}  {_function(traced):<24} {late:>9}  {shown}"
+
+
+def _function(traced: Traced) -> str:
+    if traced.function is None:
+        return "no frame"
+    request = REQUESTS.get(traced.function & 0x7F)
+    if traced.function & 0x80 and traced.direction == "received":
+        return "refused" if request is None else f"refused {request.__name__}"
+    return f"function {traced.function}" if request is None else request.__name__

@@ -1,0 +1,10 @@
+"""
+The short path of `simulator.device_file`: whoever imports this has that very module.
+"""
+
+import sys
+
+from .simulator import device_file
+from .simulator.device_file import *  # noqa: F403 (for type checkers)
+
+sys.modules[__name__] = device_file

@@ -1,0 +1,255 @@
+"""
+Key-value buckets and streams of JetStream: made, checked, watched, written to on conditions.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from .troubles import EngineError, explained
+
+if TYPE_CHECKING:
+    from nats.aio.client import Client
+    from nats.aio.msg import Msg
+    from nats.js import JetStreamContext
+    from nats.js.client import JetStreamContext as Js
+    from nats.js.kv import KeyValue
+
+__all__ = ["Bucket", "Change", "Watch", "keep_stream", "make_bucket", "open_bucket"]
+
+# Seconds until the server forgets who watched and is gone.
+FORGOTTEN = 30.0
+
+# Seconds for an answer of the server.
+PATIENCE = 2.0
+
+# A server alone takes one, and says so.
+REPLICAS = 3
+NOT_IN_A_CLUSTER = 10074
+
+
+class Change(NamedTuple):
+    """
+    A change of a key.
+
+    Attributes:
+        value: None when it was deleted.
+        revision: of the bucket.
+    """
+
+    key: str
+    value: bytes | None
+    revision: int
+
+
+class Bucket:
+    """
+    A key-value bucket.
+
+    Args:
+        client: connected.
+        keys: the bucket, as nats-py has it.
+        name: of it.
+    """
+
+    def __init__(self, client: Client, js: JetStreamContext, keys: KeyValue, name: str) -> None:
+        self.client = client
+        self.js = js
+        self.name: str = name
+        self._keys = keys
+
+    async def put(self, key: str, value: bytes | None, last: int) -> int:
+        """
+        Write, if the key still has the revision `last`; 0 if it must not be there. Gives the
+        new revision; 0 if it was not written. Deletions have none: 1.
+
+        Raises:
+            EngineError: it may have been, or not.
+        """
+        import nats.js.errors as js
+
+        with explained(self.name):
+            try:
+                if value is None:
+                    await self._keys.delete(key, last)
+                    return 1
+                return await self._keys.update(key, value, last)
+            except js.KeyWrongLastSequenceError:
+                return 0
+            except js.BadRequestError as error:
+                # A deletion does not tell it apart.
+                if error.err_code not in (10071, 10164):
+                    raise
+        return 0
+
+    async def watch(self, on_change: Callable[[Change | None], None]) -> Watch:
+        """
+        Tell of all keys, then None, then of each change.
+
+        Raises:
+            EngineError
+        """
+        watch = Watch(self.name, on_change)
+        with explained(self.name):
+            await watch.begin(self.js)
+        return watch
+
+
+class Watch:
+    """
+    All changes of a bucket, in their order; without a gap, or it says so.
+
+    Args:
+        name: of the bucket.
+        on_change: called with each; with None when all that was there has been told.
+
+    Attributes:
+        is_broken: whether something is missing: begin another one.
+    """
+
+    def __init__(self, name: str, on_change: Callable[[Change | None], None]) -> None:
+        self.is_broken: bool = False
+        self._prefix = f"$KV.{name}."
+        self._stream = f"KV_{name}"
+        self._on_change = on_change
+        self._last = 0
+        self._is_synced = False
+        self._subscription: Js.PushSubscription | None = None
+
+    async def begin(self, js: JetStreamContext) -> None:
+        from nats.js import api
+
+        # No consumer that nats-py keeps in order: what it mends in silence, we must know of.
+        config = api.ConsumerConfig(
+            deliver_policy=api.DeliverPolicy.LAST_PER_SUBJECT,
+            ack_policy=api.AckPolicy.NONE,
+            inactive_threshold=FORGOTTEN,
+            mem_storage=True,
+            num_replicas=1,
+        )
+        self._subscription = await js.subscribe(
+            f"{self._prefix}>", stream=self._stream, config=config, cb=self._note
+        )
+        info = await self._subscription.consumer_info()
+        if not (info.num_pending or self._last or (info.delivered and info.delivered.consumer_seq)):
+            self._sync()
+
+    async def _note(self, message: Msg) -> None:
+        if self.is_broken:
+            return
+        at = message.metadata
+        if at.sequence.consumer != self._last + 1:
+            self.is_broken = True
+            return
+        self._last = at.sequence.consumer
+        operation = (message.headers or {}).get("KV-Operation")
+        value = None if operation in ("DEL", "PURGE") else message.data
+        self._on_change(Change(message.subject[len(self._prefix) :], value, at.sequence.stream))
+        if not at.num_pending:
+            self._sync()
+
+    def _sync(self) -> None:
+        if not self._is_synced:
+            self._is_synced = True
+            self._on_change(None)
+
+    async def end(self) -> None:
+        """Tell no more."""
+        self.is_broken = True
+        if self._subscription is not None:
+            with contextlib.suppress(Exception):
+                await asyncio.wait_for(self._subscription.unsubscribe(), PATIENCE)
+
+
+async def open_bucket(client: Client, name: str) -> Bucket:
+    """
+    Give a bucket that is there.
+
+    Raises:
+        EngineError: it is not, or has other settings than `make_bucket` gives it.
+    """
+    js = client.jetstream(timeout=PATIENCE)
+    with explained(name):
+        await js.account_info()
+        keys = await js.key_value(name)
+        status = await keys.status()
+    config = status.stream_info.config
+    wrong = [
+        f"{key} {value}, not {wanted}"
+        for key, value, wanted in (
+            ("history", config.max_msgs_per_subject, 1),
+            ("time to live", config.max_age or 0, 0),
+        )
+        if value != wanted
+    ]
+    if wrong:
+        raise EngineError(f"bucket {name} has other settings than ours: {', '.join(wrong)}")
+    return Bucket(client, js, keys, name)
+
+
+async def make_bucket(client: Client, name: str) -> Bucket:
+    """
+    Give a bucket, and make it if it is not there: on three servers, or on the only one.
+
+    Raises:
+        EngineError
+    """
+    import nats.js.errors as js_errors
+    from nats.js import api
+
+    js = client.jetstream(timeout=PATIENCE)
+    with explained(name):
+        await js.account_info()
+        try:
+            await js.key_value(name)
+        except js_errors.BucketNotFoundError:
+            config = api.KeyValueConfig(name, history=1, storage=api.StorageType.FILE)
+            await _replicated(
+                lambda replicas: js.create_key_value(config.evolve(replicas=replicas))
+            )
+    return await open_bucket(client, name)
+
+
+async def keep_stream(client: Client, name: str, subjects: str, limits: dict[str, Any]) -> None:
+    """
+    Have a stream that drops the oldest beyond its limits.
+
+    Args:
+        limits: as nats-py has them, such as max_age in seconds and max_bytes.
+
+    Raises:
+        EngineError
+    """
+    import nats.js.errors as js_errors
+    from nats.js import api
+
+    js = client.jetstream(timeout=PATIENCE)
+    config = api.StreamConfig(
+        name,
+        subjects=[subjects],
+        discard=api.DiscardPolicy.OLD,
+        storage=api.StorageType.FILE,
+        **limits,
+    )
+    with explained(name):
+        try:
+            known = (await js.stream_info(name)).config
+        except js_errors.NotFoundError:
+            await _replicated(lambda replicas: js.add_stream(config.evolve(num_replicas=replicas)))
+            return
+        if any(getattr(known, key) != value for key, value in limits.items()):
+            await js.update_stream(known.evolve(**limits))
+
+
+async def _replicated(make: Callable[[int], Any]) -> None:
+    import nats.js.errors as js_errors
+
+    try:
+        await make(REPLICAS)
+    except js_errors.APIError as error:
+        if error.err_code != NOT_IN_A_CLUSTER:
+            raise
+        await make(1)

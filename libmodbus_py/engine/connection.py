@@ -1,0 +1,195 @@
+"""
+A connection to NATS. Needs nats-py (the extra ``nats``).
+
+Who one is, and whom one trusts, stands in the environment, as the tools of NATS have it, where
+other users of the machine do not see it: NATS_USER, NATS_PASSWORD, NATS_TOKEN; NATS_CREDS and
+NATS_NKEY, files; NATS_CA, NATS_CERT and NATS_KEY, files for TLS.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import ssl
+from collections.abc import Callable, Mapping
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Any
+from urllib.parse import urlsplit
+
+from .troubles import EngineError, EngineGone, explained, what
+
+if TYPE_CHECKING:
+    from nats.aio.client import Client
+
+__all__ = ["OLDEST", "connected", "disconnect", "parse_servers", "shown"]
+
+OLDEST = (2, 9)
+"""Version of nats-server; older ones lack what watching needs."""
+
+SCHEMES = ("nats", "tls")
+
+# Seconds for one server; and between two tries when a connection was lost.
+PATIENCE = 3.0
+PAUSE = 0.25
+
+# Options of nats-py, whose types want whole seconds.
+TIMES: dict[str, Any] = {
+    "connect_timeout": PATIENCE,
+    "reconnect_time_wait": PAUSE,
+    "max_reconnect_attempts": 1,
+    "ping_interval": PATIENCE,
+    "max_outstanding_pings": 1,
+    # What was not sent is old when it could be.
+    "pending_size": -1,
+}
+
+MOST_SERVERS = 32
+
+
+def parse_servers(text: str) -> list[str]:
+    """
+    Read where an engine is: URLs with commas between them, ``nats://HOST[:4222]`` or ``tls://``.
+
+    Raises:
+        ValueError: it says what cannot be.
+    """
+    servers = [part.strip() for part in text.split(",") if part.strip()]
+    if not 1 <= len(servers) <= MOST_SERVERS:
+        raise ValueError(f"engine: 1..{MOST_SERVERS} URLs such as nats://192.0.2.1, not {text!r}")
+    for server in servers:
+        _check(server)
+    return servers
+
+
+def _check(server: str) -> None:
+    parts = urlsplit(server)
+    if parts.scheme not in SCHEMES or not parts.hostname or parts.path not in ("", "/"):
+        raise ValueError(
+            f"engine: {_bare(server)!r} must be nats://HOST[:PORT] or tls://HOST[:PORT]"
+        )
+    try:
+        port = parts.port
+    except ValueError:
+        port = 0
+    if port == 0:
+        raise ValueError(f"engine: {_bare(server)!r}: the port must be in 1..65535")
+
+
+def shown(servers: list[str]) -> str:
+    """Where an engine is, without passwords."""
+    return ",".join(_bare(server) for server in servers)
+
+
+def _bare(server: str) -> str:
+    scheme, mark, rest = server.partition("://")
+    return f"{scheme}{mark}{rest.rpartition('@')[2]}"
+
+
+async def connected(
+    servers: list[str],
+    *,
+    name: str,
+    on_change: Callable[[], None] = lambda: None,
+    environment: Mapping[str, str] = os.environ,
+) -> Client:
+    """
+    Connect; what is lost later is connected again for ever, to any of the servers.
+
+    Args:
+        servers: URLs.
+        name: what the servers call this client.
+        on_change: called when the connection was lost, stands again, or is over for good.
+
+    Raises:
+        EngineError: nobody is there, or not with these credentials; it is too old.
+    """
+    try:
+        from nats.aio.client import Client
+    except ImportError:
+        raise EngineError("NATS needs nats-py: pip install 'libmodbus-py[nats]'") from None
+
+    where = shown(servers)
+    failures: list[Exception] = []
+
+    async def note(error: Exception) -> None:
+        failures.append(error)
+        del failures[:-MOST_SERVERS]
+
+    async def changed() -> None:
+        on_change()
+
+    options = _identity(environment) | _trust(servers, environment)
+    client = Client()
+    with explained(where):
+        try:
+            async with asyncio.timeout(PATIENCE * (len(servers) + 1)):
+                await client.connect(
+                    servers,
+                    name=name,
+                    error_cb=note,
+                    disconnected_cb=changed,
+                    reconnected_cb=changed,
+                    closed_cb=changed,
+                    **TIMES,
+                    **options,
+                )
+        except BaseException as error:
+            # nats-py leaves its socket open when its connect() ends too early.
+            await disconnect(client)
+            if not isinstance(error, Exception):
+                raise
+            told = [each for each in (*failures, error) if not _is_empty(each)]
+            raise EngineGone(f"{where}: {what((told or [error])[0])}") from None
+    client.options["max_reconnect_attempts"] = -1
+    if "tls" in options and not client._server_info.get("tls_required"):
+        await disconnect(client)
+        raise EngineError(f"{where}: it speaks no TLS; what was sent there went in the clear")
+    version = client.connected_server_version
+    if (version.major, version.minor) < OLDEST:
+        await disconnect(client)
+        wanted = ".".join(map(str, OLDEST))
+        known = f"{version.major}.{version.minor}.{version.patch}"
+        raise EngineError(f"{where}: nats-server {known} is too old; {wanted} or newer is needed")
+    return client
+
+
+async def disconnect(client: Client) -> None:
+    """Close a connection, within a second whatever its server does."""
+    with contextlib.suppress(Exception):
+        async with asyncio.timeout(1.0):
+            await client.close()
+
+
+def _is_empty(error: Exception) -> bool:
+    import nats.errors
+
+    return isinstance(error, nats.errors.NoServersError | TimeoutError)
+
+
+def _identity(environment: Mapping[str, str]) -> dict[str, Any]:
+    names = {
+        "NATS_USER": "user",
+        "NATS_PASSWORD": "password",
+        "NATS_TOKEN": "token",
+        "NATS_CREDS": "user_credentials",
+        "NATS_NKEY": "nkeys_seed",
+    }
+    for name in ("NATS_CREDS", "NATS_NKEY"):
+        if environment.get(name) and find_spec("nkeys") is None:
+            raise EngineError(f"{name} needs nkeys: pip install nkeys")
+    return {key: environment[name] for name, key in names.items() if environment.get(name)}
+
+
+def _trust(servers: list[str], environment: Mapping[str, str]) -> dict[str, Any]:
+    ca, cert, key = (environment.get(name) for name in ("NATS_CA", "NATS_CERT", "NATS_KEY"))
+    if not (ca or cert or any(server.startswith("tls:") for server in servers)):
+        return {}
+    try:
+        context = ssl.create_default_context(cafile=ca or None)
+        if cert:
+            context.load_cert_chain(cert, key or None)
+    except OSError as error:
+        files = ", ".join(filter(None, (ca, cert, key)))
+        raise EngineError(f"NATS_CA, NATS_CERT, NATS_KEY: {files}: {what(error)}") from None
+    return {"tls": context}

@@ -1,0 +1,108 @@
+"""
+What is wrong with an engine, in one line.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import ssl
+from collections.abc import Iterator
+from typing import Any
+
+__all__ = ["EngineError", "EngineGone", "NothingThere", "explained", "what"]
+
+# Errors of JetStream, by their numbers, that pass: no leader is elected, servers are not up yet.
+NO_PEERS, NO_LEADER, NOT_LEADER, NO_ROOM = 10005, 10008, 10009, 10023
+TRANSIENT = (NO_PEERS, NO_LEADER, NOT_LEADER, NO_ROOM)
+
+
+class EngineError(Exception):
+    """An engine that cannot be used as it is; the message says where it is and what is wrong."""
+
+
+class NothingThere(EngineError):
+    """There is no such bucket."""
+
+
+class EngineGone(EngineError):
+    """It gives no answer now, and may later."""
+
+
+@contextlib.contextmanager
+def explained(where: str) -> Iterator[None]:
+    """
+    Turn whatever nats-py raises into an `EngineError`.
+
+    Args:
+        where: what the message begins with.
+    """
+    import nats.errors
+    import nats.js.errors as js
+
+    try:
+        yield
+    except EngineError:
+        raise
+    except js.BucketNotFoundError:
+        raise NothingThere(f"{where}: there is no fleet yet; put it there with --push") from None
+    except js.APIError as error:
+        kind = EngineGone if error.err_code in TRANSIENT else EngineError
+        raise kind(f"{where}: {_of_jetstream(error)}") from None
+    except (js.NoStreamResponseError, nats.errors.NoRespondersError):
+        raise EngineError(
+            f"{where}: JetStream is off, or what was there is gone; nats-server needs -js"
+        ) from None
+    except (nats.errors.TimeoutError, TimeoutError):
+        raise EngineGone(f"{where}: no answer; are most of its servers up?") from None
+    except (nats.errors.Error, OSError) as error:
+        raise EngineGone(f"{where}: {what(error)}") from None
+
+
+def _away(errors: Any) -> tuple[type[Exception], ...]:
+    return (
+        errors.NoServersError,
+        errors.OutboundBufferLimitError,
+        errors.ConnectionClosedError,
+        errors.ConnectionReconnectingError,
+        errors.StaleConnectionError,
+    )
+
+
+def what(error: BaseException) -> str:
+    """Say what nats-py means."""
+    import nats.errors
+
+    if isinstance(error, ssl.SSLCertVerificationError):
+        return f"its certificate is not trusted: {error.verify_message}; NATS_CA names an authority"
+    if isinstance(error, ssl.SSLError):
+        return f"no TLS with it: {error.reason or error}"
+    if isinstance(error, TimeoutError):
+        return "no answer"
+    if isinstance(error, ConnectionError) and not error.args:
+        return "the connection was lost"
+    if isinstance(error, _away(nats.errors)):
+        return "nobody answers there"
+    if "authorization violation" in str(error).lower():
+        return "it refuses these credentials; see NATS_USER, NATS_PASSWORD, NATS_CREDS"
+    if isinstance(error, OSError) and error.errno:
+        # asyncio puts the address in place of the reason.
+        return os.strerror(error.errno) if error.errno > 0 else str(error.strerror)
+    return str(error).removeprefix("nats: ").strip("'\" ") or type(error).__name__
+
+
+# By the numbers of JetStream's errors.
+_NUMBERS = {
+    NO_PEERS: "too few of its servers are up to keep what they are given three times",
+    NO_LEADER: "JetStream has no leader now; are most of its servers up?",
+    NO_ROOM: "JetStream has no room for it, or too few servers",
+    10039: "JetStream is off for this account",
+    10047: "JetStream has no room left on its disk",
+    10076: "JetStream is off; nats-server needs -js",
+}
+
+
+def _of_jetstream(error: object) -> str:
+    number = getattr(error, "err_code", None)
+    text = getattr(error, "description", None) or "JetStream is off or not ready"
+    return _NUMBERS.get(number or 0, text)

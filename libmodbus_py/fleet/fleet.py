@@ -1,0 +1,436 @@
+"""
+The fleet: devices on many lines, polled when they are due, and what is read told to outputs.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import time
+import weakref
+from collections.abc import AsyncIterator, Iterable, Mapping, Sequence
+from os import PathLike
+from typing import Any, Self
+
+from .buffer import MOST_KEPT, Buffer
+from .commands import Commands
+from .config import DeviceConfig, by_connection, checked
+from .files import load
+from .line import Line, MayAsk
+from .outputs.output import Commanded, Output
+from .outputs.pump import Pump
+from .poller import Poller, Reads, Standing
+from .readings import Reading
+from .schedule import Timetable, first_time, next_time
+from .statistics import FleetStatistics
+
+__all__ = ["Fleet", "Readings"]
+
+logger: logging.Logger = logging.getLogger(__name__)
+
+# What is due within so many seconds is polled together: a timer for each would be dear.
+TOGETHER = 0.002
+
+# Polls that begin before others have their turn in the event loop.
+MOST_AT_ONCE = 200
+
+# How many devices are asked a second at most, where each is asked once.
+ONCE_A_SECOND = 1000.0
+
+
+class Fleet:
+    """
+    Polls many devices, each at its interval, for asyncio.
+
+    Devices with the same URL share a connection. Their phases are spread: thousands do not
+    begin at once. One that gives no answer rests, longer each time up to a minute, and costs
+    the others of its line no more than one answer. A poll whose time comes while the one
+    before is still on its way is skipped and counted.
+
+    ::
+
+        async with Fleet(devices) as fleet:
+            async for reading in fleet.readings():
+                print(reading.device, reading.name, reading.value)
+
+    Args:
+        devices: to begin with.
+        outputs: that are given all readings.
+        may_ask: called with the `connection_key` of a device right before bytes go out to
+            it, and before it is connected; while it gives False nothing does, and polls are
+            counted as `held`. It must not block.
+
+    Attributes:
+        statistics: what happened.
+
+    Raises:
+        TypeError, ValueError: two devices of one name, or one place with two URLs.
+    """
+
+    def __init__(
+        self,
+        devices: Iterable[DeviceConfig] = (),
+        *,
+        outputs: Sequence[Output] = (),
+        may_ask: MayAsk | None = None,
+    ) -> None:
+        self._devices: dict[str, DeviceConfig] = {each.name: each for each in checked(devices)}
+        self._outputs = list(outputs)
+        self._may_ask = may_ask
+        self.statistics: FleetStatistics = FleetStatistics()
+        self._pumps: list[Pump] = []
+        self._buffers: weakref.WeakSet[Buffer] = weakref.WeakSet()
+        self._lines: dict[str, Line] = {}
+        self._pollers: dict[str, Poller] = {}
+        self._timetable: Timetable[Poller] = Timetable()
+        # By map and what is read of it; lives as long as a device has it, and with it its map.
+        self._reads: weakref.WeakValueDictionary[tuple[Any, ...], Reads] = (
+            weakref.WeakValueDictionary()
+        )
+        self._closing: set[asyncio.Task[None]] = set()
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._timer: asyncio.TimerHandle | None = None
+        self._timer_at = 0.0
+        self._once: set[str] | None = None
+        self._all_once: asyncio.Event | None = None
+        # So that phases are the same on all machines, and a clock that is set moves nothing.
+        self._wall = 0.0
+
+    @classmethod
+    def from_file(cls, path: str | PathLike[str], *, may_ask: MayAsk | None = None) -> Self:
+        """
+        Make the fleet that a file describes, with its outputs.
+
+        Raises:
+            FleetFileError: a ValueError, with file, line, key and what is allowed.
+        """
+        file = load(path)
+        return cls(file.devices, outputs=file.made_outputs(), may_ask=may_ask)
+
+    # --- life -------------------------------------------------------------------------------
+
+    async def __aenter__(self) -> Self:
+        await self._start()
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await self._stop()
+
+    async def run(self, *, once: bool = False) -> None:
+        """
+        Poll until cancelled.
+
+        Args:
+            once: whether each device is polled once, and that is all.
+
+        Raises:
+            OutputError: an output is gone for good.
+        """
+        if once:
+            self._once = set(self._devices)
+            self._all_once = asyncio.Event()
+        async with self:
+            if not (once and not self._devices):
+                await self._until_over()
+
+    async def _until_over(self) -> None:
+        ends: list[asyncio.Future[Any]] = [
+            asyncio.ensure_future(each.ended()) for each in self._pumps
+        ]
+        event = self._all_once or asyncio.Event()
+        ends.append(asyncio.ensure_future(event.wait()))
+        try:
+            done, _ = await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
+            for each in done:
+                each.result()
+        finally:
+            for each in ends:
+                each.cancel()
+            await asyncio.gather(*ends, return_exceptions=True)
+
+    async def _start(self) -> None:
+        if self._loop is not None:
+            raise RuntimeError("this fleet polls already; make one for each")
+        self._loop = asyncio.get_running_loop()
+        self._wall = time.time() - self._loop.time()
+        for output in self._outputs:
+            if isinstance(output, Commanded) and output.takes_commands:
+                output.attach(Commands(self))
+            pump = Pump(output)
+            self.statistics.outputs[pump.name] = pump.statistics
+            self._pumps.append(pump)
+            pump.start()
+        for device in self._devices.values():
+            self._begin(device)
+
+    async def _stop(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+        for key in list(self._lines):
+            self._end_line(key)
+        for buffer in self._buffers:
+            buffer.close()
+        for pump in self._pumps:
+            pump.close()
+        try:
+            # Whoever cancels this a second time has no more patience.
+            await _all([*self._closing, *(pump.task for pump in self._pumps)])
+        finally:
+            for pump in self._pumps:
+                pump.task.cancel()
+            self._pumps = []
+            self._loop = None
+
+    # --- devices ------------------------------------------------------------------------------
+
+    @property
+    def devices(self) -> Mapping[str, Poller]:
+        """How each device stands, by name, while it is polled."""
+        return self._pollers
+
+    def add(self, devices: Iterable[DeviceConfig]) -> None:
+        """
+        Poll these, too.
+
+        Raises:
+            TypeError, ValueError: as when it was made; then nothing changes.
+        """
+        self.replace([*self._devices.values(), *devices])
+
+    def remove(self, connection_key: str) -> None:
+        """Poll the devices of a connection no more; when this returns nothing is sent there."""
+        self.replace(
+            [each for each in self._devices.values() if each.connection_key != connection_key]
+        )
+
+    def replace(self, devices: Iterable[DeviceConfig]) -> None:
+        """
+        Poll these, and no others. What has not changed is not touched.
+
+        Raises:
+            TypeError, ValueError: as when it was made; then nothing changes.
+        """
+        after = {each.name: each for each in checked(devices)}
+        before, self._devices = self._devices, after
+        if self._loop is None:
+            return
+        moved = self._moved(after)
+        for name, device in before.items():
+            if after.get(name) != device or device.connection_key in moved:
+                self._end(device)
+        for device in after.values():
+            if device.name not in self._pollers:
+                self._begin(device)
+        used = {each.connection_key for each in after.values()}
+        for key in [key for key in self._lines if key not in used]:
+            self._end_line(key)
+
+    def _moved(self, devices: Mapping[str, DeviceConfig]) -> set[str]:
+        """Connections that have other options now."""
+        moved: set[str] = set()
+        for key, group in by_connection(devices.values()).items():
+            if key in self._lines and self._lines[key].url != group[0].endpoint.url:
+                moved.add(key)
+        for key in moved:
+            self._end_line(key)
+        return moved
+
+    def _begin(self, device: DeviceConfig) -> None:
+        poller = self._pollers[device.name] = Poller(device, self._reads_of(device))
+        self._line(device).add(poller)
+        self.statistics.devices += 1
+        assert self._loop is not None
+        now = self._loop.time()
+        interval = device.interval
+        if self._once is not None:
+            interval = min(interval, len(self._devices) / ONCE_A_SECOND)
+        poller.at = first_time(device.name, interval, now, now + self._wall)
+        self._put(poller)
+
+    def _end(self, device: DeviceConfig) -> None:
+        poller = self._pollers.pop(device.name, None)
+        if poller is None:
+            return
+        self._timetable.remove(poller)
+        line = self._lines.get(device.connection_key)
+        if line is not None and device.name in line.pollers:
+            line.remove(device.name)
+        self._count(poller.standing, -1)
+        self.statistics.devices -= 1
+
+    def _end_line(self, key: str) -> None:
+        line = self._lines.pop(key)
+        line.stop()
+        for poller in list(line.pollers.values()):
+            self._end(poller.config)
+        assert self._loop is not None
+        closing = self._loop.create_task(line.close())
+        self._closing.add(closing)
+        closing.add_done_callback(self._closing.discard)
+
+    def _line(self, device: DeviceConfig) -> Line:
+        key = device.connection_key
+        line = self._lines.get(key)
+        if line is None:
+            line = self._lines[key] = Line(
+                key, device.endpoint, self._may_ask, self.statistics, self._polled, self._back
+            )
+        return line
+
+    def _reads_of(self, device: DeviceConfig) -> Reads:
+        key = (id(device.map), device.items, device.gap, device.max_registers)
+        reads = self._reads.get(key)
+        if reads is None:
+            reads = self._reads[key] = Reads(device)
+        return reads
+
+    # --- polls ----------------------------------------------------------------------------------
+
+    def _put(self, poller: Poller) -> None:
+        self._timetable.put(poller, poller.at)
+        if self._timer is None or poller.at < self._timer_at:
+            self._set_timer(poller.at)
+
+    def _set_timer(self, at: float) -> None:
+        assert self._loop is not None
+        if self._timer is not None:
+            self._timer.cancel()
+        self._timer_at = at
+        self._timer = self._loop.call_at(at, self._ring)
+
+    def _ring(self) -> None:
+        assert self._loop is not None
+        self._timer = None
+        now = self._loop.time()
+        for at, poller in self._timetable.due(now, MOST_AT_ONCE):
+            if self._once is None:
+                poller.at, missed = next_time(at, poller.config.interval, now)
+                self.statistics.skipped += missed
+                self._timetable.put(poller, poller.at)
+            self._lines[poller.config.connection_key].due(poller, at)
+        next_at = self._timetable.next_at
+        if next_at is not None:
+            self._set_timer(max(next_at, self._loop.time() + TOGETHER))
+
+    def _polled(self, poller: Poller, was_sent: bool) -> None:
+        if was_sent:
+            self._note(poller)
+            readings = poller.readings(time.time())
+            if readings:
+                self._tell(readings)
+            if poller.misses:
+                self._let_rest(poller)
+        if self._once is not None:
+            self._once.discard(poller.name)
+            if not self._once and self._all_once is not None:
+                self._all_once.set()
+
+    def _note(self, poller: Poller) -> None:
+        statistics = self.statistics
+        statistics.polls += 1
+        statistics.failures += poller.misses > 0
+        statistics.refusals += poller.is_refused
+        if poller.told_standing is not poller.standing:
+            self._count(poller.told_standing, -1)
+            self._count(poller.standing, 1)
+            poller.told_standing = poller.standing
+            if poller.standing is Standing.DOWN:
+                logger.info("%s is down: %s", poller.name, poller.error)
+            else:
+                logger.info("%s is up", poller.name)
+
+    def _count(self, standing: Standing, by: int) -> None:
+        if standing is Standing.UP:
+            self.statistics.up += by
+        elif standing is Standing.DOWN:
+            self.statistics.down += by
+
+    def _let_rest(self, poller: Poller) -> None:
+        assert self._loop is not None
+        if self._once is None:
+            until = self._loop.time() + poller.pause
+            if poller.at < until:
+                poller.at, _ = next_time(poller.at, poller.config.interval, until)
+                self._put(poller)
+
+    def _back(self, pollers: list[Poller]) -> None:
+        """Their connection stands again: they need not rest any more."""
+        assert self._loop is not None
+        if self._once is None:
+            for poller in pollers:
+                now, interval = self._loop.time(), poller.config.interval
+                poller.at -= max(0, (poller.at - now) // interval) * interval
+                self._put(poller)
+
+    # --- what is read ----------------------------------------------------------------------
+
+    def _tell(self, readings: list[Reading]) -> None:
+        self.statistics.readings += len(readings)
+        for pump in self._pumps:
+            pump.buffer.put(readings)
+        for buffer in self._buffers:
+            buffer.put(readings)
+
+    def readings(self, buffer: int = MOST_KEPT) -> Readings:
+        """
+        Give what is read from now on, until the fleet stops: ``async for``.
+
+        Args:
+            buffer: readings that wait for whoever iterates; then the oldest are dropped.
+
+        Raises:
+            TypeError, ValueError: by name.
+        """
+        kept = Buffer(buffer)
+        self._buffers.add(kept)
+        return Readings(kept)
+
+    async def write(self, device: str, values: Mapping[str, Any]) -> None:
+        """
+        Write values to points of a device, by their names.
+
+        Raises:
+            KeyError: no such device.
+            TypeError, ValueError: no such point, or one that cannot be written; a value that
+                it cannot have. Nothing was sent.
+            ModbusError: as `AsyncClient`.
+        """
+        poller = self._pollers[device]
+        requests = poller.config.map.writes(values)
+        line = self._lines[poller.config.connection_key]
+        client = line.client_of(poller).for_unit(poller.config.unit)
+        await client.execute_many(requests, max_in_flight=1)
+
+
+class Readings(AsyncIterator[Reading]):
+    """
+    What a fleet reads, one after the other.
+
+    Args:
+        buffer: where they wait.
+    """
+
+    def __init__(self, buffer: Buffer) -> None:
+        self._buffer = buffer
+
+    @property
+    def dropped(self) -> int:
+        """How many were, for too many waited."""
+        return self._buffer.dropped
+
+    def __aiter__(self) -> Self:
+        return self
+
+    async def __anext__(self) -> Reading:
+        while not self._buffer.is_over:
+            if found := await self._buffer.take(1):
+                return found[0]
+        raise StopAsyncIteration
+
+
+async def _all(tasks: Iterable[asyncio.Task[None]]) -> None:
+    """Wait for them, however they end."""
+    with contextlib.suppress(asyncio.InvalidStateError):
+        await asyncio.gather(*tasks, return_exceptions=True)

@@ -1,0 +1,29 @@
+"""
+A row of CSV for each reading.
+"""
+
+from __future__ import annotations
+
+from ..buffer import MOST_KEPT
+from ..readings import Reading
+from .forms import as_csv
+from .text_file import TextFile
+
+__all__ = ["CsvRows"]
+
+HEADER = f"{','.join(Reading._fields)}\n".encode()
+
+
+class CsvRows(TextFile):
+    """
+    Appends readings to a file, which begins with the names of its columns.
+
+    Args:
+        path, buffer: as for `JsonLines`.
+
+    Raises:
+        TypeError: `path` is no text.
+    """
+
+    def __init__(self, path: str = "-", buffer: int = MOST_KEPT) -> None:
+        super().__init__("csv", path, as_csv, HEADER, buffer)

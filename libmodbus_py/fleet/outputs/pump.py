@@ -1,0 +1,118 @@
+"""
+What moves readings from a buffer to an output, whatever becomes of that.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+
+from ..buffer import MOST_KEPT, Buffer
+from ..readings import Reading
+from ..statistics import OutputStatistics
+from .output import Output, OutputError
+
+__all__ = ["Pump"]
+
+logger: logging.Logger = logging.getLogger(__name__)
+
+MOST_AT_ONCE = 500
+
+FIRST_PAUSE, LONGEST_PAUSE = 0.5, 30.0
+
+# Without readings an output is asked so often whether it is still there.
+LONGEST_SILENCE = 1.0
+
+# How long the end of a program may take, for outputs that are slow.
+LAST_WORDS = 2.0
+
+
+class Pump:
+    """
+    Gives an output what waits for it.
+
+    Args:
+        output: where it goes.
+        most: readings that may wait.
+    """
+
+    def __init__(self, output: Output, most: int = MOST_KEPT) -> None:
+        self.name: str = output.name
+        self.buffer: Buffer = Buffer(getattr(output, "buffer", most))
+        self.statistics: OutputStatistics = OutputStatistics(self.buffer)
+        self._output = output
+        self._pause = FIRST_PAUSE
+        self._closing = asyncio.Event()
+
+    def start(self) -> None:
+        """Begin, in a task."""
+        self.task: asyncio.Task[None] = asyncio.create_task(self._run(), name=self.name)
+
+    async def ended(self) -> None:
+        """
+        Wait for its end.
+
+        Raises:
+            OutputError: the output is gone for good.
+        """
+        await asyncio.shield(self.task)
+
+    def close(self) -> None:
+        """Give what waits, within two seconds, and end."""
+        self.buffer.close()
+        self._closing.set()
+        asyncio.get_running_loop().call_later(LAST_WORDS, self.task.cancel)
+
+    async def _run(self) -> None:
+        try:
+            while not await self._give():
+                await self._rest()
+        finally:
+            self.buffer.give_up()
+
+    async def _give(self) -> bool:
+        """Until a failure; says whether all is over."""
+        try:
+            await self._output.open()
+            while not self.buffer.is_over:
+                await self._write(await self.buffer.take(MOST_AT_ONCE, LONGEST_SILENCE))
+            return True
+        except OutputError:
+            raise
+        except Exception as error:
+            self._note_trouble(error)
+            return self._closing.is_set()
+        finally:
+            await self._output.close()
+
+    async def _write(self, batch: list[Reading]) -> None:
+        try:
+            await self._output.write(batch)
+        except BaseException:
+            self.buffer.put_back(batch)
+            raise
+        self.statistics.written += len(batch)
+        if self.statistics.trouble:
+            self.statistics.trouble = ""
+            self._pause = FIRST_PAUSE
+            logger.warning("%s takes readings again", self.name)
+
+    def _note_trouble(self, error: Exception) -> None:
+        self.statistics.failures += 1
+        told = _told(error)
+        if told != self.statistics.trouble:
+            is_usual = isinstance(error, OSError)
+            logger.warning("%s: %s", self.name, told, exc_info=None if is_usual else error)
+        self.statistics.trouble = told
+
+    async def _rest(self) -> None:
+        try:
+            await asyncio.wait_for(self._closing.wait(), self._pause)
+        except TimeoutError:
+            self._pause = min(2 * self._pause, LONGEST_PAUSE)
+
+
+def _told(error: Exception) -> str:
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
+    return str(error) or type(error).__name__

@@ -1,0 +1,75 @@
+"""
+Readings to a stream of JetStream, which keeps them for whoever comes.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import groupby
+from typing import TYPE_CHECKING, Any
+
+from ...engine.buckets import PATIENCE, keep_stream
+from ...engine.troubles import EngineError, explained
+from ..readings import Reading
+from .forms import payload
+from .subjects import READINGS, readings_of
+
+if TYPE_CHECKING:
+    from nats.aio.client import Client
+
+__all__ = ["LIMITS", "STREAM", "Stream"]
+
+STREAM = "modbus-readings"
+
+LIMITS: dict[str, Any] = {"max_age": 86_400.0, "max_bytes": 1 << 30}
+"""Of the stream, unless the fleet file says otherwise: seconds, and bytes."""
+
+
+class Stream:
+    """
+    An output: one message for each poll of a device, ``{"device": ..., "values": {NAME: {...}}}``.
+
+    Args:
+        client: connected; None for one that connects itself, before `open`.
+        limits: of the stream; those of `LIMITS` are missing ones.
+    """
+
+    def __init__(self, client: Client | None, limits: Mapping[str, Any]) -> None:
+        self.name: str = "nats"
+        self._client = client
+        self._limits = {**LIMITS, **limits}
+
+    async def open(self) -> None:
+        assert self._client is not None
+        try:
+            await keep_stream(self._client, STREAM, f"{READINGS}.>", self._limits)
+        except EngineError as error:
+            raise OSError(str(error)) from None
+        self._js = self._client.jetstream(timeout=PATIENCE)
+
+    async def write(self, readings: Sequence[Reading]) -> None:
+        try:
+            with explained(STREAM):
+                async with asyncio.timeout(PATIENCE):
+                    acknowledged = [
+                        # The same message a second time is dropped by the server.
+                        await self._js.publish_async(
+                            subject, data, headers={"Nats-Msg-Id": f"{subject} {mark}"}
+                        )
+                        for subject, mark, data in _messages(readings)
+                    ]
+                    await asyncio.gather(*acknowledged)
+        except EngineError as error:
+            raise OSError(str(error)) from None
+
+    async def close(self) -> None:
+        pass
+
+
+def _messages(readings: Sequence[Reading]) -> Iterator[tuple[str, str, bytes]]:
+    for (device, time), group in groupby(readings, lambda each: (each.device, each.time)):
+        values = {each.name: payload(each) for each in group}
+        told = json.dumps({"device": device, "values": values}, ensure_ascii=False)
+        yield readings_of(device), f"{time} {len(values)} {next(iter(values))}", told.encode()

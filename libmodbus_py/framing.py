@@ -1,0 +1,10 @@
+"""
+The short path of `protocol.framing`: whoever imports this has that very module.
+"""
+
+import sys
+
+from .protocol import framing
+from .protocol.framing import *  # noqa: F403 (for type checkers)
+
+sys.modules[__name__] = framing

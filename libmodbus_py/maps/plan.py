@@ -1,0 +1,371 @@
+"""
+A poll plan: many small reads merged into few requests, made once and run often.
+
+Only numbers; no I/O. The clients run a plan (``read_many``); who has a transport
+of their own sends ``plan.requests`` and gives the answers to ``plan.results``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from heapq import heapify, heappop, heappush
+from typing import Any, Literal, NamedTuple, Required, TypedDict, TypeVar
+
+from ..protocol import pdu
+from ..protocol.checks import integer
+from ..protocol.errors import ModbusError
+from ..protocol.pdu.fields import checked_span, store
+from ..protocol.tables import TABLE_SIZE, TABLES, Table
+from ..protocol.values import Order, TypeName, ValueType, value_type
+
+# fmt: off
+__all__ = [
+    "Forbidden", "Item", "Items", "Key", "Named", "Plan", "PlanOptions", "Read", "Strict",
+    "Tolerant", "Values", "planned",
+]
+# fmt: on
+
+
+@dataclass(frozen=True)
+class Read:
+    """
+    Some cells of one table, or some values in its registers.
+
+    Args:
+        table: "coils", "discrete_inputs", "holding_registers" or "input_registers".
+        address: the first cell, 0..65535.
+        count: how many cells or values, 1 or more, up to the end of the table.
+        type: None for the cells themselves; such as "float32" for what they
+            mean (`libmodbus_py.values`), in registers only.
+        order, encoding, padding: of the type, as for `values.value_type`.
+
+    Attributes:
+        kind: the type that `type` names, or None.
+
+    Raises:
+        TypeError, ValueError: an argument of the wrong type or range.
+    """
+
+    table: Table
+    address: int
+    count: int = 1
+    type: TypeName | None = None
+    order: Order = "ABCD"
+    encoding: str = "ascii"
+    padding: str = "\0"
+    kind: ValueType | None = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.table, str) or self.table not in TABLES:
+            raise ValueError(f"table must be one of {', '.join(TABLES)}, not {self.table!r}")
+        store(self, kind=self._find_kind())
+        count = integer("count", self.count, 1, TABLE_SIZE // self.size)
+        name = "count" if self.size == 1 else f"{self.size} * count"
+        address = checked_span("address", self.address, name, count * self.size)
+        store(self, address=address, count=count)
+
+    def _find_kind(self) -> ValueType | None:
+        if self.type is None:
+            if (self.order, self.encoding, self.padding) != ("ABCD", "ascii", "\0"):
+                raise ValueError("type must be given with order, encoding or padding")
+            return None
+        if TABLES[self.table].is_bits:
+            raise ValueError(f"type must be None for {self.table}, not {self.type!r}")
+        return value_type(self.type, order=self.order, encoding=self.encoding, padding=self.padding)
+
+    @cached_property
+    def size(self) -> int:
+        """The cells of one value."""
+        return 1 if self.kind is None else self.kind.registers
+
+    @cached_property
+    def cells(self) -> range:
+        """The addresses of all cells."""
+        return range(self.address, self.address + self.count * self.size)
+
+    def decode(self, cells: Sequence[Any]) -> list[Any]:
+        """
+        Turn all cells into values.
+
+        Raises:
+            TypeError, ValueError: not as many as `cells`, or such that hold no such value.
+        """
+        if len(cells) != len(self.cells):
+            raise ValueError(f"cells must be {len(self.cells)}, not {len(cells)}")
+        return list(cells) if self.kind is None else self.kind.decode_many(cells)
+
+
+Key = TypeVar("Key")
+Item = (
+    Read
+    | tuple[Table, int]
+    | tuple[Table, int, int]
+    | tuple[Table, int, int, TypeName | None]
+    | tuple[Table, int, int, TypeName, Order, *tuple[str, ...]]
+)
+"""A `Read`, or its arguments."""
+
+Named = Mapping[Key, Item]
+Items = Iterable[Item] | Mapping[Any, Item]
+Forbidden = Iterable[tuple[Table, range]]
+Values = list[Any]
+
+
+class PlanOptions(TypedDict, total=False):
+    """How a `Plan` merges; see there."""
+
+    gap: int
+    forbidden: Forbidden
+    max_registers: int
+    max_bits: int
+
+
+class Strict(PlanOptions, total=False):
+    """What `read_many` takes where each failure is raised."""
+
+    max_in_flight: int
+    return_exceptions: Literal[False]
+
+
+class Tolerant(PlanOptions, total=False):
+    """And where it gives a ModbusError in place."""
+
+    max_in_flight: int
+    return_exceptions: Required[Literal[True]]
+
+
+class _Part(NamedTuple):
+    """Where a piece of an item lies: answers[request][start:stop]."""
+
+    request: int
+    start: int
+    stop: int
+
+
+class _Piece(NamedTuple):
+    """What is left of an item; `step` cells of it must stay together."""
+
+    start: int
+    stop: int
+    place: int
+    step: int
+
+
+@dataclass
+class _Window:
+    """The cells that one request reads."""
+
+    start: int
+    stop: int
+
+
+class Plan:
+    """
+    Reads of one unit, merged.
+
+    Items of a table become one request where they touch or overlap, or lie no
+    further apart than `gap`, and as few requests as that allows. What one request
+    can hold is never torn: all cells of such an item are of one moment. A larger
+    item is split, but never inside of a typed value, half of which would
+    then be older than the other.
+
+    A device may refuse a request for cells that it lacks or hides, and with it all that
+    was merged into it. A smaller `gap`, or the cells named in `forbidden`, is the cure.
+
+    Args:
+        items: each a `Read`, or a tuple of its arguments, such as
+            ("coils", 10, 3) or ("holding_registers", 100, 2, "float32"); or a
+            mapping of names to such.
+        gap: how many cells in a row that nobody asked for may be read to save a
+            request, 0..2000.
+        forbidden: pairs (table, range of addresses) that must never be read,
+            such as ("holding_registers", range(40, 50)).
+        max_registers: the most a request may ask of this device, 1..125.
+        max_bits: the same for coils and discrete inputs, 1..2000.
+
+    Attributes:
+        requests: request objects of `libmodbus_py.pdu`, table by table, each in the order
+            of addresses.
+
+    Raises:
+        TypeError, ValueError: an argument of the wrong type or range; an item that
+            touches a forbidden range; a value longer than `max_registers`. Items are named.
+    """
+
+    requests: tuple[pdu.Request[list[Any]], ...]
+
+    def __init__(
+        self,
+        items: Items,
+        *,
+        gap: int = 0,
+        forbidden: Forbidden = (),
+        max_registers: int = 125,
+        max_bits: int = 2000,
+    ) -> None:
+        self._gap = integer("gap", gap, 0, 2000)
+        self._forbidden = _checked_forbidden(forbidden)
+        registers = integer("max_registers", max_registers, 1, 125)
+        bits = integer("max_bits", max_bits, 1, 2000)
+        self._reads = _checked_items(items)
+        self._is_named = isinstance(items, Mapping)
+        self._parts: dict[Any, list[_Part]] = {name: [] for name in self._reads}
+        self._requests: list[pdu.Request[list[Any]]] = []
+        self._check_reads(registers)
+        for table, rules in TABLES.items():
+            self._merge(table, bits if rules.is_bits else registers)
+        self.requests = tuple(self._requests)
+
+    def results(self, answers: Iterable[Sequence[Any] | ModbusError]) -> Any:
+        """
+        Give what was asked for.
+
+        Args:
+            answers: what came back for each of `requests`, in their order: a list
+                of cells, or a ModbusError in place of one.
+
+        Returns:
+            The values of each item, always a list, in the order of the items; a dict
+            by name where they have names. An item that was to come with a failed
+            request has the ModbusError instead.
+
+        Raises:
+            ValueError: answers that are not to these requests; registers that
+                hold no such value, such as a bcd16 with the digit F.
+        """
+        given = self._checked_answers(list(answers))
+        found = {name: self._values(name, given) for name in self._reads}
+        return found if self._is_named else list(found.values())
+
+    def _values(self, name: Any, answers: list[Any]) -> Any:
+        cells: list[Any] = []
+        for request, start, stop in self._parts[name]:
+            answer = answers[request]
+            if isinstance(answer, ModbusError):
+                return answer
+            cells += answer[start:stop]
+        return self._decoded(name, cells)
+
+    def _decoded(self, name: Any, cells: list[Any]) -> Any:
+        try:
+            return self._reads[name].decode(cells)
+        except ValueError as error:
+            raise ValueError(f"items[{name!r}]: {error}") from None
+
+    def _checked_answers(self, answers: list[Any]) -> list[Any]:
+        if len(answers) != len(self.requests):
+            raise ValueError(
+                f"answers must hold one for each of {len(self.requests)} requests,"
+                f" not {len(answers)}"
+            )
+        for at, (answer, request) in enumerate(zip(answers, self.requests, strict=True)):
+            count: int = request.count  # type: ignore[attr-defined]
+            if not isinstance(answer, ModbusError) and len(answer) != count:
+                raise ValueError(f"answers[{at}] must hold {count} values, not {len(answer)}")
+        return answers
+
+    def _check_reads(self, max_registers: int) -> None:
+        for name, read in self._reads.items():
+            if read.kind is not None and read.size > max_registers:
+                raise ValueError(
+                    f"items[{name!r}]: {read.type} takes {read.size} registers, which is more"
+                    f" than max_registers, {max_registers}"
+                )
+            for closed in self._forbidden[read.table]:
+                if _overlap(read.cells, closed):
+                    raise ValueError(f"items[{name!r}]: {read} touches the forbidden {closed}")
+
+    def _merge(self, table: str, limit: int) -> None:
+        """
+        Cover the items of a table with the fewest requests, from the lowest cell on.
+
+        No request begins before it must: at the lowest cell that is in none yet.
+        """
+        pieces = [
+            _Piece(cells.start, cells.stop, place, len(cells) if len(cells) <= limit else size)
+            for place, (cells, size) in enumerate(self._spans(table))
+        ]
+        windows: list[_Window] = []
+        parts = self._parts_of(table)
+        heapify(pieces)
+        while pieces:
+            start, stop, place, step = heappop(pieces)
+            if not windows or not self._fits(table, windows[-1], start, start + step, limit):
+                windows.append(_Window(start, start))
+            window = windows[-1]
+            reached = min(stop, start + (window.start + limit - start) // step * step)
+            window.stop = max(window.stop, reached)
+            number = len(self._requests) + len(windows) - 1
+            parts[place].append(_Part(number, start - window.start, reached - window.start))
+            if reached < stop:
+                heappush(pieces, _Piece(reached, stop, place, step))
+        make = TABLES[table].read
+        self._requests += [make(window.start, window.stop - window.start) for window in windows]
+
+    def _spans(self, table: str) -> list[tuple[range, int]]:
+        return [(read.cells, read.size) for read in self._reads.values() if read.table == table]
+
+    def _parts_of(self, table: str) -> list[list[_Part]]:
+        return [self._parts[name] for name, read in self._reads.items() if read.table == table]
+
+    def _fits(self, table: str, window: _Window, start: int, stop: int, limit: int) -> bool:
+        between = range(window.stop, start)
+        return (
+            stop <= window.start + limit
+            and len(between) <= self._gap
+            and not any(_overlap(between, closed) for closed in self._forbidden[table])
+        )
+
+
+def planned(items: Plan | Items, options: PlanOptions) -> Plan:
+    """
+    Give the plan itself, or make one of items.
+
+    Raises:
+        TypeError, ValueError: as of `Plan`; options beside a plan, which has its own.
+    """
+    if not isinstance(items, Plan):
+        return Plan(items, **options)
+    if options:
+        raise ValueError(f"{', '.join(options)} must be given to the plan, not beside it")
+    return items
+
+
+def _overlap(first: range, second: range) -> bool:
+    return max(first.start, second.start) < min(first.stop, second.stop)
+
+
+def _checked_items(items: object) -> dict[Any, Read]:
+    if isinstance(items, Mapping):
+        return {name: _checked_item(name, item) for name, item in items.items()}
+    if isinstance(items, Read | str | bytes) or not isinstance(items, Iterable):
+        raise TypeError(f"items must be a list of reads, not {type(items).__name__}")
+    return {name: _checked_item(name, item) for name, item in enumerate(items)}
+
+
+def _checked_item(name: object, item: object) -> Read:
+    if isinstance(item, Read):
+        return item
+    if not isinstance(item, tuple) or not 2 <= len(item) <= 7:
+        raise TypeError(f"items[{name!r}] must be a Read or a tuple of its arguments, not {item!r}")
+    try:
+        return Read(*item)
+    except (TypeError, ValueError) as error:
+        raise type(error)(f"items[{name!r}]: {error}") from None
+
+
+def _checked_forbidden(forbidden: object) -> dict[str, list[range]]:
+    closed: dict[str, list[range]] = {table: [] for table in TABLES}
+    pairs = list(forbidden) if isinstance(forbidden, Iterable) else [forbidden]
+    for at, pair in enumerate(pairs):
+        if not isinstance(pair, tuple) or len(pair) != 2 or not isinstance(pair[1], range):
+            raise TypeError(f"forbidden[{at}] must be a pair (table, range), not {pair!r}")
+        table, cells = pair
+        if table not in TABLES:
+            raise ValueError(f"forbidden[{at}]: table must be one of {', '.join(TABLES)}")
+        if cells.step != 1 or cells.start < 0 or cells.stop > TABLE_SIZE:
+            raise ValueError(f"forbidden[{at}]: the range must lie in 0..65535 without steps")
+        closed[table] += [cells] if cells else []
+    return closed

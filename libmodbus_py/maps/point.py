@@ -1,0 +1,256 @@
+"""
+One named value of a device: where it lies, and what its cells mean.
+"""
+
+from __future__ import annotations
+
+import reprlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from ..protocol.checks import shown
+from ..protocol.pdu.fields import checked_bit, checked_sequence, store
+from ..protocol.tables import TABLES, Table
+from ..protocol.values import Order, TypeName, ValueType
+from .plan import Read
+from .scaling import Scaling, number
+
+__all__ = ["ACCESSES", "MAX_DESCRIPTION", "Point", "Rights"]
+
+Rights = Literal["read", "write", "read_write"]
+
+ACCESSES = ("read", "write", "read_write")
+
+MAX_NAME, MAX_UNIT, MAX_DESCRIPTION = 100, 50, 2000
+
+
+@dataclass(frozen=True)
+class Point:
+    """
+    One named value of a device, or several of one kind.
+
+    Args:
+        name: unique in its map; 1..100 printable characters.
+        table: "coils", "discrete_inputs", "holding_registers" or "input_registers".
+        address: its first cell, 0..65535.
+        count: how many values; 1 for the value itself, more for a list of them.
+        type: what registers mean, such as "float32" (`libmodbus_py.values`), uint16 unless
+            given; None in tables of bits, whose values are True and False.
+        order, encoding, padding: of the type, as for `values.value_type`.
+        scale, offset: value = raw * scale + offset, for numbers, as exact as they are
+            written: 2305 times 0.1 is 230.5. Integers stay integers where both are whole.
+            Each -1e30..1e30; the scale not nearer to 0 than 1e-30.
+        unit: of the value, such as "V" or "kWh", not a Modbus unit; up to 50 characters.
+        access: "read", "write" or "read_write": what clients may do. Unless given
+            "read_write", and "read" for discrete inputs and input registers, which
+            nobody can write.
+        minimum, maximum: what may be written, both included, in scaled values; None for
+            no bound but the type's.
+        description: up to 2000 characters.
+
+    Attributes:
+        read: what to ask for, as a `Plan` takes it.
+
+    Raises:
+        TypeError, ValueError: an argument of the wrong type or range; the message begins
+            with its name.
+    """
+
+    name: str
+    table: Table
+    address: int
+    count: int = 1
+    type: TypeName | None = None
+    order: Order = "ABCD"
+    encoding: str = "ascii"
+    padding: str = "\0"
+    scale: float = 1
+    offset: float = 0
+    unit: str = ""
+    access: Rights | None = None
+    minimum: float | None = None
+    maximum: float | None = None
+    description: str = ""
+    read: Read = field(init=False, repr=False, compare=False)
+    _scaling: Scaling | None = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        for name, least, most in (
+            ("name", 1, MAX_NAME),
+            ("unit", 0, MAX_UNIT),
+            ("description", 0, MAX_DESCRIPTION),
+        ):
+            _check_text(name, getattr(self, name), least, most)
+        for name in ("encoding", "padding"):
+            _check_string(name, getattr(self, name))
+        if self.type is None and not _is_bits(self.table):
+            store(self, type="uint16")
+        text = {"encoding": self.encoding, "padding": self.padding}
+        read = Read(self.table, self.address, self.count, self.type, self.order, **text)
+        order = "ABCD" if read.kind is None else read.kind.order
+        store(self, read=read, address=read.address, count=read.count, order=order)
+        store(self, access=self._checked_access(), _scaling=self._checked_scaling())
+        self._check_bounds()
+
+    # --- what it is ----------------------------------------------------------------------
+
+    @property
+    def is_readable(self) -> bool:
+        """Whether clients may read it."""
+        return self.access != "write"
+
+    @property
+    def is_writable(self) -> bool:
+        """Whether clients may write it."""
+        return self.access != "read"
+
+    @property
+    def cells(self) -> range:
+        """The addresses of all its cells."""
+        return self.read.cells
+
+    @property
+    def to_value(self) -> Callable[[Any], Any] | None:
+        """What makes its value of a raw one; None where they are the same."""
+        return None if self._scaling is None else self._scaling.to_value
+
+    # --- what its cells mean ---------------------------------------------------------------
+
+    def decode(self, cells: Sequence[Any]) -> Any:
+        """
+        Turn its cells into its value.
+
+        Args:
+            cells: True and False, or registers 0..65535: as many as `cells`.
+
+        Returns:
+            The value, scaled: an int, a float, True or False, a string, a list of bits;
+            a list of such unless `count` is 1.
+
+        Raises:
+            TypeError, ValueError: other cells, or such that hold no such value; it names
+                the point.
+        """
+        try:
+            values = self.read.decode(cells)
+        except (TypeError, ValueError) as error:
+            raise _named(self.name, error) from None
+        if self._scaling is not None:
+            values = [self._scaling.to_value(raw) for raw in values]
+        return values[0] if self.count == 1 else values
+
+    def encode(self, value: Any) -> list[Any]:
+        """
+        Turn a value into its cells.
+
+        Of scaled integers the nearest one is taken, of two the even one: 21.57 at a scale of
+        0.1 is 216. Where nothing is scaled an integer must be one.
+
+        Args:
+            value: as `decode` gives it; numbers may be of any kind.
+
+        Raises:
+            TypeError, ValueError: it does not fit the type, `count`, `minimum` or `maximum`; it
+                names the point.
+        """
+        try:
+            given = [value] if self.count == 1 else self._checked_values(value)
+            return [cell for each in given for cell in self._cells_of(each)]
+        except (TypeError, ValueError) as error:
+            raise _named(self.name, error) from None
+
+    def _checked_values(self, values: object) -> Sequence[Any]:
+        taken = checked_sequence("value", values, self.count)
+        if len(taken) != self.count:
+            raise ValueError(f"value must be a list of {self.count}, not of {len(taken)}")
+        return taken
+
+    def _cells_of(self, value: Any) -> list[Any]:
+        kind = self.read.kind
+        if kind is None:
+            return [checked_bit("value", value)]
+        if kind.limits is None:
+            return kind.encode(value)
+        raw = value if self._scaling is None else self._raw(kind, self._scaling, value)
+        cells = kind.encode(raw)
+        low, high = self.minimum, self.maximum
+        if (low is not None and not value >= low) or (high is not None and not value <= high):
+            raise ValueError(f"value must be in {_span(low, high)}, not {shown(value)}")
+        return cells
+
+    def _raw(self, kind: ValueType, scaling: Scaling, value: object) -> float:
+        if kind.limits is None or isinstance(kind.limits[0], float):
+            return scaling.to_float(value)
+        raw = scaling.to_whole(value)
+        if not kind.limits[0] <= raw <= kind.limits[1]:
+            span = _span(*sorted(map(scaling.to_value, kind.limits)))
+            raise ValueError(f"value must be in {span}, not {shown(value)}")
+        return raw
+
+    # --- checks ------------------------------------------------------------------------------
+
+    def _checked_access(self) -> Rights:
+        can_be_written = TABLES[self.table].most_written > 0
+        if self.access is None:
+            return "read_write" if can_be_written else "read"
+        if self.access not in ACCESSES:
+            given = reprlib.repr(self.access)
+            raise ValueError(f"access must be one of {', '.join(ACCESSES)}, not {given}")
+        if self.access != "read" and not can_be_written:
+            raise ValueError(f"access must be read for {self.table}, not {self.access!r}")
+        return self.access
+
+    def _checked_scaling(self) -> Scaling | None:
+        for name, plain in (("scale", 1), ("offset", 0)):
+            if number(name, getattr(self, name)) != plain and not self._is_number:
+                raise ValueError(f"{name} must be {plain} for {self._what}, which has no numbers")
+        return None if self.scale == 1 and self.offset == 0 else Scaling(self.scale, self.offset)
+
+    def _check_bounds(self) -> None:
+        low, high = self.minimum, self.maximum
+        for name, bound in (("minimum", low), ("maximum", high)):
+            if bound is not None and not self._is_number:
+                raise ValueError(f"{name} must be left out for {self._what}, which has no numbers")
+            if bound is not None:
+                number(name, bound)
+        if low is not None and high is not None and low > high:
+            raise ValueError(f"minimum must not be above maximum, {shown(high)}: {shown(low)}")
+
+    @property
+    def _is_number(self) -> bool:
+        return self.read.kind is not None and self.read.kind.limits is not None
+
+    @property
+    def _what(self) -> str:
+        return self.type or self.table
+
+
+def _is_bits(table: object) -> bool:
+    """Whether it is one of bits; what is no table is refused elsewhere."""
+    return not isinstance(table, str) or table not in TABLES or TABLES[table].is_bits
+
+
+def _check_string(name: str, value: object) -> None:
+    if not isinstance(value, str):
+        raise TypeError(f"{name} must be a string, not {type(value).__name__}")
+
+
+def _check_text(name: str, value: Any, least: int, most: int) -> None:
+    _check_string(name, value)
+    if not least <= len(value) <= most:
+        raise ValueError(f"{name} must have {least}..{most} characters, not {len(value)}")
+    unfit = [each for each in value if not each.isprintable() and each not in "\n\t"]
+    if unfit or (name != "description" and value != value.strip()):
+        raise ValueError(
+            f"{name} must be printable characters, without spaces around: {reprlib.repr(value)}"
+        )
+
+
+def _span(low: float | None, high: float | None) -> str:
+    return f"{'' if low is None else low}..{'' if high is None else high}"
+
+
+def _named(name: str, error: Exception) -> Exception:
+    kind: Callable[[str], Exception] = TypeError if isinstance(error, TypeError) else ValueError
+    return kind(f"{name}: {error}")

@@ -1,0 +1,120 @@
+"""
+Raw numbers and what they stand for, without the noise of binary fractions: 2305 * 0.1 is 230.5.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any, SupportsFloat, SupportsIndex
+
+from ..protocol.checks import shown
+
+if TYPE_CHECKING:
+    # Imported where needed: it takes as long as a read, and most programs scale nothing.
+    from fractions import Fraction
+
+__all__ = ["Scaling", "number"]
+
+# Far beyond what anything is measured in, and small enough to compute with exactly.
+LARGEST = 1e30
+SMALLEST = 1e-30
+
+
+def number(name: str, value: object) -> int | float:
+    """
+    Check a number of a map.
+
+    Raises:
+        TypeError: no int or float; True and False are none here.
+        ValueError: not in -1e30..1e30.
+    """
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise TypeError(f"{name} must be a number, not {type(value).__name__}")
+    if not -LARGEST <= value <= LARGEST:
+        raise ValueError(f"{name} must be in -{LARGEST:g}..{LARGEST:g}, not {shown(value)}")
+    return int(value) if isinstance(value, int) else float(value)
+
+
+class Scaling:
+    """
+    value = raw * scale + offset, computed exactly and rounded once, to the nearest float.
+
+    Scale and offset are taken as they are written: 0.1 is a tenth. Where both are whole,
+    integers give integers.
+
+    Args:
+        scale: -1e30..1e30, not nearer to 0 than 1e-30.
+        offset: -1e30..1e30.
+
+    Raises:
+        TypeError, ValueError: one of them is not; the message begins with its name.
+    """
+
+    __slots__ = ("_divisor", "_factor", "_shift")
+
+    def __init__(self, scale: float, offset: float) -> None:
+        if abs(number("scale", scale)) < SMALLEST:
+            raise ValueError(f"scale must not be nearer to 0 than {SMALLEST:g}: {shown(scale)}")
+        times, plus = _exact(scale), _exact(number("offset", offset))
+        self._divisor = math.lcm(times.denominator, plus.denominator)
+        self._factor = int(times * self._divisor)
+        self._shift = int(plus * self._divisor)
+
+    def to_value(self, raw: float) -> int | float:
+        """Give what a raw number stands for; infinity and nan stand for such."""
+        if not isinstance(raw, float):
+            scaled = raw * self._factor + self._shift
+            # Python divides integers exactly, and rounds once.
+            return scaled if self._divisor == 1 else scaled / self._divisor
+        if not math.isfinite(raw):
+            return raw * self._factor
+        above, below = raw.as_integer_ratio()
+        scaled = above * self._factor + below * self._shift
+        try:
+            return scaled / (below * self._divisor)
+        except OverflowError:
+            return math.copysign(math.inf, scaled)
+
+    def to_whole(self, value: object) -> int:
+        """
+        Give the nearest raw number, of two the even one.
+
+        Raises:
+            TypeError, ValueError: no number, or not a finite one.
+        """
+        return round(self._to_raw(value))
+
+    def to_float(self, value: object) -> float:
+        """
+        Give the raw number as a float; infinity and nan for such.
+
+        Raises:
+            TypeError: no number.
+        """
+        if isinstance(value, float) and not math.isfinite(value):
+            return value * self._factor
+        try:
+            return float(self._to_raw(value))
+        except OverflowError:
+            raise ValueError(f"value is too large: {shown(value)}") from None
+
+    def _to_raw(self, value: object) -> Fraction:
+        return (_exact(value) * self._divisor - self._shift) / self._factor
+
+
+def _exact(value: Any) -> Fraction:
+    """A number as it is written; floats as Python writes them."""
+    from fractions import Fraction
+
+    if isinstance(value, bool) or not isinstance(value, SupportsFloat | SupportsIndex):
+        raise TypeError(f"value must be a number, not {type(value).__name__}")
+    if isinstance(value, SupportsIndex):
+        return Fraction(value.__index__())
+    if not math.isfinite(value):
+        raise ValueError(f"value must be a finite number, not {value}")
+    # Decimals are written so, too; and Fractions have a numerator.
+    return Fraction(str(value) if _is_exact(value) else repr(float(value)))
+
+
+def _is_exact(value: object) -> bool:
+    return hasattr(value, "as_tuple") or hasattr(value, "numerator")

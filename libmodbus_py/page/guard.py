@@ -1,0 +1,91 @@
+"""
+Who may ask: whoever has the token, came to this address by its own name, and from this page.
+
+Another program's page in the same browser has none of these: a name that it lets point here
+(DNS rebinding) stands in the Host, its own address in the Origin.
+"""
+
+from __future__ import annotations
+
+import hmac
+import secrets
+from collections.abc import Iterator
+from email.message import Message
+from ipaddress import ip_address
+from urllib.parse import parse_qs
+
+__all__ = ["Guard"]
+
+
+class Guard:
+    """
+    Args:
+        host: where it listens, as it was given.
+        address: the same as the system has it, with the port.
+    """
+
+    def __init__(self, host: str, address: tuple[str, int]) -> None:
+        self.token: str = secrets.token_urlsafe(24)
+        self._port = address[1]
+        self._is_any = ip_address(address[0].partition("%")[0]).is_unspecified
+        is_here = self._is_any or ip_address(address[0].partition("%")[0]).is_loopback
+        self._names = {host.lower(), address[0].lower()} | ({"localhost"} if is_here else set())
+        self._cookie = f"libmodbus_page_{self._port}"
+
+    @property
+    def cookie(self) -> str:
+        """What a browser is given with the page: it says the token from then on."""
+        return f"{self._cookie}={self.token}; Path=/; HttpOnly; SameSite=Strict"
+
+    def refusal(self, query: str, headers: Message, *, is_change: bool) -> str:
+        """Say why somebody may not; nothing if they may."""
+        host = headers.get("Host", "")
+        if len(headers.get_all("Host", [])) != 1 or not self._is_own(host):
+            return "the Host is not the address of this page"
+        origin = headers.get("Origin")
+        if (is_change and origin is None) or origin not in (None, f"http://{host}"):
+            return "the Origin is not this page"
+        if not self._has_token(query, headers):
+            return "the token is missing or wrong: open the address that was printed"
+        return ""
+
+    def _is_own(self, host: str) -> bool:
+        name, _, port = host.rpartition(":") if not host.endswith("]") else (host, "", "")
+        if not name:
+            name, port = host, ""
+        if port != str(self._port) and not (port == "" and self._port == 80):
+            return False
+        plain = name.lower().removeprefix("[").removesuffix("]")
+        return plain in self._names or (self._is_any and _is_address(plain))
+
+    def _has_token(self, query: str, headers: Message) -> bool:
+        given = [*_tokens(query), *self._kept(headers)]
+        return any(hmac.compare_digest(each.encode(), self.token.encode()) for each in given)
+
+    def _kept(self, headers: Message) -> Iterator[str]:
+        """
+        What is in the cookie, whatever stands beside it.
+
+        Pages on all ports of a machine share their cookies, and `http.cookies` stops at the first
+        that it finds odd, such as one with JSON in it.
+        """
+        for header in headers.get_all("Cookie", []):
+            for each in header.split(";"):
+                name, _, value = each.strip().partition("=")
+                if name == self._cookie:
+                    yield value
+
+
+def _tokens(query: str) -> list[str]:
+    try:
+        return parse_qs(query, max_num_fields=8).get("token", [])
+    except ValueError:  # there are more fields
+        return []
+
+
+def _is_address(name: str) -> bool:
+    try:
+        ip_address(name.partition("%")[0])
+    except ValueError:
+        return False
+    return True

@@ -1,0 +1,301 @@
+"""
+The page over HTTP: a few paths, each request checked first and bounded in size and time.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import http.client
+import json
+import select
+import socket
+import socketserver
+import threading
+import time
+from collections.abc import Callable
+from http.server import BaseHTTPRequestHandler
+from importlib import resources
+from typing import Any
+from urllib.parse import urlsplit
+
+from .actions import Actions
+from .guard import Guard
+from .streams import FullError, Stream, Streams
+
+__all__ = ["WebServer"]
+
+# Whoever is slower than that, in all, has gone.
+PATIENCE = 10.0
+
+# How often those are looked for, which is how long the end waits, too.
+SWEEP = 0.2
+
+# How long nothing is sent before a sign of life is.
+HEARTBEAT = 5.0
+
+MOST_CONNECTIONS = 64
+MOST_HEAD = 16_384
+MOST_BODY = 65_536
+
+FOLDER = resources.files(__package__ or "")
+
+SCRIPT = "text/javascript; charset=utf-8"
+
+FILES = {
+    "/": ("page.html", "text/html; charset=utf-8"),
+    "/page.css": ("page.css", "text/css; charset=utf-8"),
+    "/icon.svg": ("icon.svg", "image/svg+xml"),
+} | {
+    f"/scripts/{each.name}": (f"scripts/{each.name}", SCRIPT)
+    for each in FOLDER.joinpath("scripts").iterdir()
+    if each.name.endswith(".js")
+}
+"""Path -> the file here, and its type."""
+
+HEADERS = {
+    "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self';"
+    " img-src 'self'; connect-src 'self'; base-uri 'none'; form-action 'none';"
+    " frame-ancestors 'none'",
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Cache-Control": "no-store",
+}
+
+
+class WebServer(socketserver.ThreadingMixIn, socketserver.TCPServer):
+    """
+    A thread for each connection, of which there are not many.
+
+    Raises:
+        OSError: the address cannot be had.
+    """
+
+    allow_reuse_address = True
+    request_queue_size = 64
+
+    def __init__(self, host: str, port: int, streams: Streams) -> None:
+        (family, *_, address), *_ = socket.getaddrinfo(
+            host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
+        )
+        self.address_family: int = family
+        self.streams = streams
+        self.actions: Actions = Actions(streams)
+        # Socket -> when its request must have come and been answered; None for streams.
+        self._open: dict[socket.socket, float | None] = {}
+        self._lock = threading.Lock()
+        super().__init__((str(address[0]), port), Handler)
+        self.guard: Guard = Guard(host, (str(self.server_address[0]), int(self.server_address[1])))
+        shown = f"[{host}]" if ":" in host else host
+        self.url: str = f"http://{shown}:{self.server_address[1]}/?token={self.guard.token}"
+        self._thread = threading.Thread(
+            target=self.serve_forever, args=(SWEEP,), name="page web", daemon=True
+        )
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def end(self) -> None:
+        """Close everything, whatever anybody waits for."""
+        self.shutdown()
+        self._thread.join()
+        with self._lock:
+            left = list(self._open)
+        for each in left:
+            _cut(each)
+        self.server_close()
+
+    # --- connections -------------------------------------------------------------------------
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        with self._lock:
+            if len(self._open) >= MOST_CONNECTIONS:
+                self._make_room()
+            self._open[request] = time.monotonic() + PATIENCE
+        super().process_request(request, client_address)
+
+    def shutdown_request(self, request: Any) -> None:
+        with self._lock:
+            self._open.pop(request, None)
+        super().shutdown_request(request)
+
+    def service_actions(self) -> None:
+        """Whoever trickles has as long as who says nothing."""
+        now = time.monotonic()
+        with self._lock:
+            late = [each for each, until in self._open.items() if until and until < now]
+        for each in late:
+            _cut(each)
+
+    def keep(self, request: socket.socket) -> None:
+        """It is a stream now."""
+        with self._lock:
+            self._open[request] = None
+
+    def handle_error(self, request: object, client_address: object) -> None:
+        """Whoever asked has gone, or never meant it."""
+
+    def _make_room(self) -> None:
+        """The oldest that has not got anywhere goes; its thread ends, and forgets it."""
+        oldest = next((each for each, until in self._open.items() if until), None)
+        if oldest is not None:
+            self._open.pop(oldest)
+            _cut(oldest)
+
+
+def _cut(request: socket.socket) -> None:
+    with contextlib.suppress(OSError):  # it is over already
+        request.shutdown(socket.SHUT_RDWR)
+
+
+class Head:
+    """The beginning of a request, which is not longer than it may be."""
+
+    def __init__(self, file: Any) -> None:
+        self._file = file
+        self._left = MOST_HEAD
+
+    def readline(self, size: int = -1) -> bytes:
+        most = self._left + 1
+        line: bytes = self._file.readline(min(size, most) if size >= 0 else most)
+        self._left -= len(line)
+        if self._left < 0:
+            raise http.client.LineTooLong("head")
+        return line
+
+    def read(self, size: int) -> bytes:
+        data: bytes = self._file.read(size)
+        return data
+
+    def close(self) -> None:
+        self._file.close()
+
+
+class Refused(Exception):
+    """A request that is answered with this status and text."""
+
+    def __init__(self, status: int, text: str) -> None:
+        super().__init__(text)
+        self.status = status
+
+
+class Handler(BaseHTTPRequestHandler):
+    """One request, for a connection carries no more than one."""
+
+    server: WebServer
+    server_version = "libmodbus-py"
+    sys_version = ""
+    timeout = PATIENCE
+
+    def setup(self) -> None:
+        super().setup()
+        self.rfile = Head(self.rfile)  # type: ignore[assignment]
+
+    def do_GET(self) -> None:
+        self._answer(self._get)
+
+    def do_POST(self) -> None:
+        self._answer(self._post)
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """Nobody wants to know."""
+
+    def end_headers(self) -> None:
+        for name, value in HEADERS.items():
+            self.send_header(name, value)
+        super().end_headers()
+
+    def _answer(self, answer: Callable[[str], None]) -> None:
+        try:
+            path, query = self._split()
+            why = self.server.guard.refusal(query, self.headers, is_change=self.command != "GET")
+            if why:
+                raise Refused(403, why)
+            answer(path)
+        except Refused as refusal:
+            self._send(refusal.status, "application/json", _json({"error": str(refusal)}))
+
+    def _split(self) -> tuple[str, str]:
+        try:
+            parts = urlsplit(self.path)
+        except ValueError:
+            raise Refused(400, "no such path") from None
+        return parts.path, parts.query
+
+    def _get(self, path: str) -> None:
+        if path == "/events":
+            self._stream()
+            return
+        if path not in FILES:
+            raise Refused(404, "there is nothing here")
+        name, kind = FILES[path]
+        data = FOLDER.joinpath(name).read_bytes()
+        self._send(200, kind, data, with_cookie=path == "/")
+
+    def _post(self, path: str) -> None:
+        action = self.server.actions.by_path.get(path)
+        if action is None:
+            raise Refused(404, "there is nothing here")
+        try:
+            found = action(self._body())
+        except (TypeError, ValueError, KeyError) as error:
+            text = str(error) if not isinstance(error, KeyError) else f"{error} is missing"
+            raise Refused(400, text) from None
+        self._send(200, "application/json", _json(found or {}))
+
+    def _body(self) -> dict[str, Any]:
+        if self.headers.get_content_type() != "application/json":
+            raise Refused(415, "only JSON is taken")
+        length = self.headers.get("Content-Length", "")
+        if not (length.isascii() and length.isdigit()) or "Transfer-Encoding" in self.headers:
+            raise Refused(411, "Content-Length is missing")
+        if len(length) > 9 or int(length) > MOST_BODY:
+            raise Refused(413, f"there are more than {MOST_BODY} bytes")
+        data = self.rfile.read(int(length))
+        try:
+            found = json.loads(data)
+        except (ValueError, RecursionError):
+            raise Refused(400, "that is no JSON") from None
+        if not isinstance(found, dict):
+            raise Refused(400, "that is no JSON object")
+        return found
+
+    def _send(self, status: int, kind: str, data: bytes, *, with_cookie: bool = False) -> None:
+        self.send_response(status)
+        self.send_header("Content-Type", kind)
+        self.send_header("Content-Length", str(len(data)))
+        if with_cookie:
+            self.send_header("Set-Cookie", self.server.guard.cookie)
+        self.end_headers()
+        if self.command != "HEAD":
+            self.wfile.write(data)
+
+    # --- the stream ----------------------------------------------------------------------------
+
+    def _stream(self) -> None:
+        try:
+            with self.server.streams.opened() as stream:
+                self.server.keep(self.connection)
+                self.send_response(200)
+                self.send_header("Content-Type", "text/event-stream; charset=utf-8")
+                self.end_headers()
+                self._feed(stream)
+        except FullError as error:
+            raise Refused(503, str(error)) from None
+
+    def _feed(self, stream: Stream) -> None:
+        """Until it goes away, or does not take what it is sent."""
+        poll = select.poll()
+        poll.register(self.connection, select.POLLIN | select.POLLHUP)
+        poll.register(stream.wake, select.POLLIN)
+        while True:
+            ready = dict(poll.poll(HEARTBEAT * 1000))
+            if self.connection.fileno() in ready:  # it has nothing to say but goodbye
+                return
+            message = stream.take() if ready else ": \n\n"
+            self.wfile.write(message.encode())
+
+
+def _json(found: object) -> bytes:
+    return json.dumps(found).encode()

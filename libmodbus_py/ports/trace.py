@@ -1,0 +1,108 @@
+"""
+Every ADU that a client or a server sends and receives, for whoever wants to see it.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Literal, NamedTuple
+
+__all__ = ["OnTraced", "Trace", "Traced", "is_traced"]
+
+if TYPE_CHECKING:
+    from logging import Logger
+
+WIRE = "libmodbus_py.wire"
+DEBUG = 10  # of logging
+
+_wire: Logger | None = None
+
+
+class Traced(NamedTuple):
+    """
+    One ADU that passed.
+
+    Attributes:
+        time: seconds since the epoch (time.time).
+        endpoint: URL of the connection; of a server, where it listens.
+        direction: "sent" or "received".
+        adu: all its bytes, or those that are no frame.
+        unit, function: what it says; None for bytes that are no frame.
+        peer: of a server, who asks: "192.0.2.7:51234", or the serial port; None for clients.
+    """
+
+    time: float
+    endpoint: str
+    direction: Literal["sent", "received"]
+    adu: bytes
+    unit: int | None
+    function: int | None
+    peer: str | None = None
+
+    def __str__(self) -> str:
+        arrow = ">" if self.direction == "sent" else "<"
+        where = self.endpoint if self.peer is None else f"{self.endpoint} {self.peer}"
+        what = "" if self.unit is None else f"unit {self.unit}, function {self.function}: "
+        return f"{where} {arrow} {what}{self.adu.hex(' ')}"
+
+
+OnTraced = Callable[[Traced], object]
+
+
+def is_traced(callback: OnTraced | None) -> bool:
+    """Whether anybody wants to see something."""
+    return callback is not None or _is_logged()
+
+
+class Trace:
+    """
+    Tells a callback, and the logger ``libmodbus_py.wire`` at DEBUG.
+
+    A callback that fails is logged, and harms no request.
+    """
+
+    def __init__(self, endpoint: str, callback: OnTraced | None, peer: str | None = None) -> None:
+        self._endpoint = endpoint
+        self._callback = callback
+        self._peer = peer
+
+    @property
+    def is_on(self) -> bool:
+        return is_traced(self._callback)
+
+    def tell(
+        self,
+        direction: Literal["sent", "received"],
+        adu: bytes,
+        unit: int | None = None,
+        function: int | None = None,
+    ) -> None:
+        traced = Traced(time.time(), self._endpoint, direction, adu, unit, function, self._peer)
+        if _is_logged() and _wire is not None:
+            _wire.debug("%s", traced)
+        if self._callback is not None:
+            try:
+                self._callback(traced)
+            except Exception:
+                import logging
+
+                logging.getLogger(__name__).exception("trace(%s) failed", traced)
+
+
+def _is_logged() -> bool:
+    """
+    Whether the logger is at DEBUG.
+
+    It is imported no sooner than by the program, for that takes an eighth of what the whole
+    client takes: where nobody has it, nobody has asked for DEBUG.
+    """
+    global _wire
+    if _wire is None:
+        if "logging" not in sys.modules:
+            return False
+        import logging
+
+        _wire = logging.getLogger(WIRE)
+    return _wire.isEnabledFor(DEBUG)

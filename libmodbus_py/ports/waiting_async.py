@@ -1,0 +1,73 @@
+"""
+Steps that wait, run by the event loop: apart, for blocking clients need no asyncio.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from typing import Any, TypeVar
+
+from .waiting import READ, Ready, Resolve, Steps, as_os_error, numeric
+
+__all__ = ["resolve", "run_async"]
+
+Result = TypeVar("Result")
+
+
+async def run_async(steps: Steps[Result]) -> Result:
+    """Run steps to their end in the event loop; cancelling closes them."""
+    try:
+        wanted = next(steps)
+        while True:
+            try:
+                found = await _wait_async(wanted)
+            except OSError as error:
+                wanted = steps.throw(error)
+            else:
+                wanted = steps.send(found)
+    except StopIteration as done:
+        result: Result = done.value
+        return result
+    finally:
+        steps.close()
+
+
+async def _wait_async(wanted: Ready | Resolve) -> Any:
+    if isinstance(wanted, Resolve):
+        return numeric(wanted) or await _look_up_async(wanted)
+    return await _ready(wanted)
+
+
+async def _look_up_async(wanted: Resolve) -> list[Any]:
+    loop = asyncio.get_running_loop()
+    try:
+        async with asyncio.timeout(wanted.deadline - time.monotonic()):
+            return await loop.getaddrinfo(wanted.host, wanted.port, type=wanted.kind)
+    except UnicodeError as error:
+        raise as_os_error(error) from error
+
+
+def resolve(future: asyncio.Future[None]) -> None:
+    """Let whoever awaits it go on, if he still does."""
+    if not future.done():
+        future.set_result(None)
+
+
+async def _ready(wanted: Ready) -> bool:
+    loop = asyncio.get_running_loop()
+    ready = loop.create_future()
+    add, remove = (
+        (loop.add_reader, loop.remove_reader)
+        if wanted.events == READ
+        else (loop.add_writer, loop.remove_writer)
+    )
+    add(wanted.descriptor, resolve, ready)
+    try:
+        async with asyncio.timeout(wanted.deadline - time.monotonic()):
+            await ready
+    except TimeoutError:
+        return False
+    finally:
+        remove(wanted.descriptor)
+    return True

@@ -1,0 +1,143 @@
+"""
+The function codes that framers, clients and servers know: `REQUESTS`, and what asks it.
+"""
+
+from __future__ import annotations
+
+from typing import Any, TypeVar
+
+from ..errors import IllegalDataAddress, IllegalDataValue, IllegalFunction
+from .fields import AddressError
+from .files import ReadFifoQueue, ReadFileRecords, WriteFileRecords
+from .interface import EncapsulatedTransport
+from .reads import ReadCoils, ReadDiscreteInputs, ReadHoldingRegisters, ReadInputRegisters
+from .request import Request
+from .serial import (
+    Diagnostics,
+    ReadCommEventCounter,
+    ReadCommEventLog,
+    ReadExceptionStatus,
+    ReportServerId,
+)
+from .writes import (
+    MaskWriteRegister,
+    ReadWriteRegisters,
+    WriteCoil,
+    WriteCoils,
+    WriteRegister,
+    WriteRegisters,
+)
+
+__all__ = ["REQUESTS", "decode_request", "register", "request_length", "response_length"]
+
+Kind = TypeVar("Kind", bound=type[Request[Any]])
+
+REQUESTS: dict[int, type[Request[Any]]] = {
+    request.function: request
+    for request in (
+        ReadCoils,
+        ReadDiscreteInputs,
+        ReadHoldingRegisters,
+        ReadInputRegisters,
+        WriteCoil,
+        WriteRegister,
+        ReadExceptionStatus,
+        Diagnostics,
+        ReadCommEventCounter,
+        ReadCommEventLog,
+        WriteCoils,
+        WriteRegisters,
+        ReportServerId,
+        ReadFileRecords,
+        WriteFileRecords,
+        MaskWriteRegister,
+        ReadWriteRegisters,
+        ReadFifoQueue,
+        EncapsulatedTransport,
+    )
+}
+"""Function code -> request class."""
+
+
+def register(request: Kind) -> Kind:
+    """
+    Make a request class of your own known to framers, clients and servers.
+
+    Usable as a decorator. The class derives from `Request`, has a `function`,
+    the two length rules (`fixed`, `counted`, `unknown_length`, or a function),
+    `encode`, `decode`, `encode_response` and `_decode_response`. RTU framers that
+    are made later know it; rules by `fixed` and `counted` cost them nothing.
+
+    Args:
+        request: the class; its function is 65..72 or 100..110, or another one
+            that has no class yet.
+
+    Raises:
+        TypeError: no such class.
+        ValueError: the function is none, or is taken.
+    """
+    if not (isinstance(request, type) and issubclass(request, Request)):
+        raise TypeError(f"request must be a class derived from Request, not {request!r}")
+    function = getattr(request, "function", 0)
+    if function not in range(1, 128):
+        raise ValueError(f"{request.__name__}: function must be in 1..127, not {function!r}")
+    taken = REQUESTS.get(function)
+    if taken is not None and taken is not request:
+        raise ValueError(f"{request.__name__}: function {function} is {taken.__name__}")
+    REQUESTS[function] = request
+    return request
+
+
+def decode_request(pdu: bytes) -> Request[Any]:
+    """
+    Decode any request PDU, as a server does.
+
+    Checks everything that needs no device, in the order of the per-function
+    diagrams of section 6: function, length, quantities and constants, address
+    range.
+
+    Args:
+        pdu: 1..253 bytes.
+
+    Raises:
+        IllegalFunction: no such function in `REQUESTS`, no such MEI type.
+        IllegalDataValue: wrong length, quantity, byte count or constant.
+        IllegalDataAddress: address + quantity passes 65536, or a file or
+            record that cannot exist.
+        ValueError: `pdu` is empty.
+    """
+    if not pdu:
+        raise ValueError("pdu must hold at least the function code")
+    request = REQUESTS.get(pdu[0])
+    if request is None:
+        raise IllegalFunction(f"no function {pdu[0]}", function=pdu[0])
+    try:
+        if request.request_length(pdu) not in (len(pdu), 0):
+            raise ValueError(f"a request of {len(pdu)} bytes")
+        return request.decode(pdu)
+    except AddressError as error:
+        raise IllegalDataAddress(str(error), function=pdu[0]) from None
+    except ValueError as error:
+        raise IllegalDataValue(str(error), function=pdu[0]) from None
+
+
+def request_length(head: bytes) -> int | None:
+    """
+    Say how long the request PDU is that begins with these bytes.
+
+    Args:
+        head: one byte or more.
+
+    Returns:
+        The length; None while more bytes are needed; 0 if nothing in it tells.
+    """
+    request = REQUESTS.get(head[0])
+    return 0 if request is None else request.request_length(head)
+
+
+def response_length(head: bytes) -> int | None:
+    """Say how long a response PDU is; as `request_length`. Exception responses are 2 bytes."""
+    if head[0] & 0x80:
+        return 2
+    request = REQUESTS.get(head[0])
+    return 0 if request is None else request.response_length(head)

@@ -1,0 +1,116 @@
+"""
+Reads of coils, discrete inputs and registers: functions 1-4.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar, Self, TypeVar
+
+from ..checks import integer
+from .fields import (
+    TABLE_SIZE,
+    LengthRule,
+    checked_bits,
+    checked_span,
+    counted,
+    encode_registers,
+    exactly,
+    fixed,
+    pack_bits,
+    store,
+    unpack_bits,
+    unpack_registers,
+)
+from .request import Request
+
+Values = TypeVar("Values", list[bool], list[int])
+
+
+@dataclass(frozen=True, slots=True)
+class _Read(Request[Values]):
+    """`count` items, up to `limit`, from `address`."""
+
+    address: int
+    count: int
+
+    limit: ClassVar[int]
+    repeatable = True
+    request_length: ClassVar[LengthRule] = fixed(5)
+    response_length: ClassVar[LengthRule] = counted(2, at=1)
+
+    def __post_init__(self) -> None:
+        address, number = self.address, self.count
+        if (
+            type(address) is int
+            and type(number) is int
+            and 0 <= address <= TABLE_SIZE - number
+            and 1 <= number <= self.limit
+        ):
+            return  # the usual case, in a fifth of the time that it takes to say what is wrong
+        count = integer("count", self.count, 1, self.limit)
+        store(self, address=checked_span("address", self.address, "count", count), count=count)
+
+    def encode(self) -> bytes:
+        return struct.pack(">BHH", self.function, self.address, self.count)
+
+    @classmethod
+    def decode(cls, pdu: bytes) -> Self:
+        return cls(*struct.unpack(">HH", pdu[1:]))
+
+
+class _ReadBits(_Read[list[bool]]):
+    __slots__ = ()
+    limit = 2000
+
+    def encode_response(self, result: Sequence[bool]) -> bytes:
+        data = pack_bits(exactly(self.count, checked_bits("result", result, self.count)))
+        return bytes([self.function, len(data)]) + data
+
+    def _decode_response(self, pdu: bytes) -> list[bool]:
+        if pdu[1] != (self.count + 7) // 8:
+            raise self._invalid(f"{pdu[1]} bytes of data")
+        return unpack_bits(pdu[2:], self.count)
+
+
+class _ReadRegisters(_Read[list[int]]):
+    __slots__ = ()
+    limit = 125
+
+    def encode_response(self, result: Sequence[int]) -> bytes:
+        return encode_registers(self.function, result, self.count)
+
+    def _decode_response(self, pdu: bytes) -> list[int]:
+        if pdu[1] != 2 * self.count:
+            raise self._invalid(f"{pdu[1]} bytes of data")
+        return list(unpack_registers(pdu[2:]))
+
+
+class ReadCoils(_ReadBits):
+    """Function 1, section 6.1: `count` coils, 1..2000, from `address`."""
+
+    __slots__ = ()
+    function = 0x01
+
+
+class ReadDiscreteInputs(_ReadBits):
+    """Function 2, section 6.2: `count` discrete inputs, 1..2000, from `address`."""
+
+    __slots__ = ()
+    function = 0x02
+
+
+class ReadHoldingRegisters(_ReadRegisters):
+    """Function 3, section 6.3: `count` holding registers, 1..125, from `address`."""
+
+    __slots__ = ()
+    function = 0x03
+
+
+class ReadInputRegisters(_ReadRegisters):
+    """Function 4, section 6.4: `count` input registers, 1..125, from `address`."""
+
+    __slots__ = ()
+    function = 0x04

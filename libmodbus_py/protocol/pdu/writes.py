@@ -1,0 +1,251 @@
+"""
+Writes of coils and registers: functions 5, 6, 15, 16, 22 and 23, which reads as well.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+from ..checks import integer
+from .fields import (
+    MOST_COILS_WRITTEN,
+    MOST_REGISTERS_WRITTEN,
+    LengthRule,
+    checked_bit,
+    checked_bits,
+    checked_register,
+    checked_registers,
+    checked_span,
+    counted,
+    encode_registers,
+    fixed,
+    pack_bits,
+    pack_registers,
+    store,
+    unpack_bits,
+    unpack_registers,
+)
+from .request import Echoed, Request
+
+
+@dataclass(frozen=True, slots=True)
+class WriteCoil(Echoed):
+    """Function 5, section 6.5: one coil; `value` True, False, 1 or 0."""
+
+    address: int
+    value: bool
+
+    function = 0x05
+    request_length: ClassVar[LengthRule] = fixed(5)
+    response_length: ClassVar[LengthRule] = fixed(5)
+    echoed = 5
+    wire_values: ClassVar[dict[int, bool]] = {0x0000: False, 0xFF00: True}
+
+    def __post_init__(self) -> None:
+        store(
+            self,
+            value=checked_bit("value", self.value),
+            address=checked_span("address", self.address, "", 1),
+        )
+
+    def encode(self) -> bytes:
+        return struct.pack(">BHH", self.function, self.address, 0xFF00 if self.value else 0)
+
+    @classmethod
+    def decode(cls, pdu: bytes) -> Self:
+        address, value = struct.unpack(">HH", pdu[1:])
+        if value not in cls.wire_values:
+            raise ValueError(f"value must be 0000 or FF00, not {value:04X}")
+        return cls(address, cls.wire_values[value])
+
+
+@dataclass(frozen=True, slots=True)
+class WriteRegister(Echoed):
+    """Function 6, section 6.6: one holding register; `value` 0..65535."""
+
+    address: int
+    value: int
+
+    function = 0x06
+    request_length: ClassVar[LengthRule] = fixed(5)
+    response_length: ClassVar[LengthRule] = fixed(5)
+    echoed = 5
+
+    def __post_init__(self) -> None:
+        store(
+            self,
+            value=checked_register("value", self.value),
+            address=checked_span("address", self.address, "", 1),
+        )
+
+    def encode(self) -> bytes:
+        return struct.pack(">BHH", self.function, self.address, self.value)
+
+    @classmethod
+    def decode(cls, pdu: bytes) -> Self:
+        return cls(*struct.unpack(">HH", pdu[1:]))
+
+
+@dataclass(frozen=True, slots=True)
+class WriteCoils(Echoed):
+    """Function 15, section 6.11: 1..1968 coils from `address`."""
+
+    address: int
+    values: tuple[bool, ...]
+
+    limit: ClassVar[int] = MOST_COILS_WRITTEN
+    function = 0x0F
+    request_length: ClassVar[LengthRule] = counted(6, at=5)
+    response_length: ClassVar[LengthRule] = fixed(5)
+    echoed = 5
+
+    def __post_init__(self) -> None:
+        values = checked_bits("values", self.values, self.limit)
+        store(
+            self,
+            values=values,
+            address=checked_span("address", self.address, "len(values)", len(values)),
+        )
+
+    def encode(self) -> bytes:
+        data = pack_bits(self.values)
+        head = struct.pack(">BHHB", self.function, self.address, len(self.values), len(data))
+        return head + data
+
+    @classmethod
+    def decode(cls, pdu: bytes) -> Self:
+        address, count, size = struct.unpack(">HHB", pdu[1:6])
+        if not 1 <= count <= cls.limit or size != (count + 7) // 8:
+            raise ValueError(f"byte count {size} does not hold {count} coils, 1..{cls.limit}")
+        return cls(address, tuple(unpack_bits(pdu[6:], count)))
+
+
+@dataclass(frozen=True, slots=True)
+class WriteRegisters(Echoed):
+    """Function 16, section 6.12: 1..123 holding registers from `address`."""
+
+    address: int
+    values: tuple[int, ...]
+
+    limit: ClassVar[int] = MOST_REGISTERS_WRITTEN
+    function = 0x10
+    request_length: ClassVar[LengthRule] = counted(6, at=5)
+    response_length: ClassVar[LengthRule] = fixed(5)
+    echoed = 5
+
+    def __post_init__(self) -> None:
+        values = checked_registers("values", self.values, self.limit)
+        store(
+            self,
+            values=values,
+            address=checked_span("address", self.address, "len(values)", len(values)),
+        )
+
+    def encode(self) -> bytes:
+        data = pack_registers(self.values)
+        head = struct.pack(">BHHB", self.function, self.address, len(self.values), len(data))
+        return head + data
+
+    @classmethod
+    def decode(cls, pdu: bytes) -> Self:
+        address, count, size = struct.unpack(">HHB", pdu[1:6])
+        if size != 2 * count:
+            raise ValueError(f"byte count {size} does not hold {count} registers, 1..{cls.limit}")
+        return cls(address, unpack_registers(pdu[6:]))
+
+
+@dataclass(frozen=True, slots=True)
+class MaskWriteRegister(Echoed):
+    """
+    Function 22, section 6.16: one holding register becomes
+    (current AND `and_mask`) OR (`or_mask` AND NOT `and_mask`).
+    """
+
+    address: int
+    and_mask: int
+    or_mask: int
+
+    function = 0x16
+    request_length: ClassVar[LengthRule] = fixed(7)
+    response_length: ClassVar[LengthRule] = fixed(7)
+    echoed = 7
+
+    def __post_init__(self) -> None:
+        store(
+            self,
+            and_mask=checked_register("and_mask", self.and_mask),
+            or_mask=checked_register("or_mask", self.or_mask),
+            address=checked_span("address", self.address, "", 1),
+        )
+
+    def encode(self) -> bytes:
+        return struct.pack(">BHHH", self.function, self.address, self.and_mask, self.or_mask)
+
+    @classmethod
+    def decode(cls, pdu: bytes) -> Self:
+        return cls(*struct.unpack(">HHH", pdu[1:]))
+
+
+@dataclass(frozen=True, slots=True)
+class ReadWriteRegisters(Request[list[int]]):
+    """
+    Function 23, section 6.17: write 1..121 holding registers, then read 1..125.
+
+    The write is done first, so registers in both ranges read back new.
+    """
+
+    read_address: int
+    read_count: int
+    write_address: int
+    values: tuple[int, ...]
+
+    function = 0x17
+    repeatable = True
+    request_length: ClassVar[LengthRule] = counted(10, at=9)
+    response_length: ClassVar[LengthRule] = counted(2, at=1)
+
+    def __post_init__(self) -> None:
+        count = integer("read_count", self.read_count, 1, 125)
+        values = checked_registers("values", self.values, 121)
+        store(
+            self,
+            read_address=checked_span("read_address", self.read_address, "read_count", count),
+            read_count=count,
+            write_address=checked_span(
+                "write_address", self.write_address, "len(values)", len(values)
+            ),
+            values=values,
+        )
+
+    def encode(self) -> bytes:
+        data = pack_registers(self.values)
+        return (
+            struct.pack(
+                ">BHHHHB",
+                self.function,
+                self.read_address,
+                self.read_count,
+                self.write_address,
+                len(self.values),
+                len(data),
+            )
+            + data
+        )
+
+    @classmethod
+    def decode(cls, pdu: bytes) -> Self:
+        read_address, read_count, write_address, count, size = struct.unpack(">HHHHB", pdu[1:10])
+        if size != 2 * count:
+            raise ValueError(f"byte count {size} does not hold {count} registers, 1..121")
+        return cls(read_address, read_count, write_address, unpack_registers(pdu[10:]))
+
+    def encode_response(self, result: Sequence[int]) -> bytes:
+        return encode_registers(self.function, result, self.read_count)
+
+    def _decode_response(self, pdu: bytes) -> list[int]:
+        if pdu[1] != 2 * self.read_count:
+            raise self._invalid(f"{pdu[1]} bytes of data")
+        return list(unpack_registers(pdu[2:]))

@@ -1,0 +1,127 @@
+"""
+Values as people read and type them.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import reprlib
+from collections.abc import Callable
+from typing import Any
+
+from .values import ValueType
+
+__all__ = ["bit_of", "decimal_of", "number_of", "shown", "value_of"]
+
+BITS = {"0": False, "1": True, "off": False, "on": True, "false": False, "true": True}
+
+
+def _family(kind: ValueType) -> str:
+    return kind.name.rstrip("0123456789")
+
+
+# --- shown ---------------------------------------------------------------------------
+
+
+# From as many digits as every value keeps to as many as tell every two values apart (IEEE 754).
+DIGITS = {"float16": range(3, 6), "float32": range(6, 10), "float64": range(15, 18)}
+
+
+def _shortest(value: float, kind: ValueType) -> str:
+    """The shortest number with the same bits: 3.14, not 3.140000104904175."""
+    if not math.isfinite(value):  # a nan's sign is in its bits, and in no text
+        return str(value)
+    numbers = (float(f"{value:.{digits}g}") for digits in DIGITS[kind.name])
+    return str(next(number for number in numbers if kind.encode(number) == kind.encode(value)))
+
+
+def _digits(value: list[bool], kind: ValueType) -> str:
+    return "".join(str(int(bit)) for bit in value)
+
+
+def _quoted(value: str, kind: ValueType) -> str:
+    return repr(value)
+
+
+SHOWN: dict[str, Callable[[Any, ValueType], str]] = {
+    "float": _shortest,
+    "bits": _digits,
+    "string:": _quoted,
+}
+"""Family of types -> how a value of it is printed; others as numbers."""
+
+
+def shown(value: Any, kind: ValueType) -> str:
+    """Give a value of a type as text: the shortest number, the lowest bit first, quoted text."""
+    show = SHOWN.get(_family(kind))
+    return show(value, kind) if show else str(value)
+
+
+# --- typed ---------------------------------------------------------------------------
+
+
+def number_of(name: str, text: str) -> int:
+    """
+    Read an integer as Python writes them, such as 31 or 0x1F.
+
+    Raises:
+        ValueError: it is none; the message begins with `name`.
+    """
+    try:
+        return int(text, 0)
+    except ValueError:
+        raise ValueError(f"{name} must be a number, not {text!r}") from None
+
+
+def bit_of(text: str) -> bool:
+    """
+    Read one of 0, 1, off, on, false, true.
+
+    Raises:
+        ValueError: it is none of them.
+    """
+    try:
+        return BITS[text.lower()]
+    except KeyError:
+        raise ValueError(f"value must be one of {', '.join(BITS)}, not {text!r}") from None
+
+
+def decimal_of(text: str) -> float:
+    """
+    Read a number such as 21.5, inf or nan.
+
+    Raises:
+        ValueError: it is none, or one too large for a float; the message begins with "value".
+    """
+    try:
+        value = float(text)
+    except ValueError:
+        raise ValueError(f"value must be a number, not {text!r}") from None
+    if math.isinf(value) and "inf" not in text.lower():  # such as 1e400, which is not meant so
+        raise ValueError(f"value is too large: {reprlib.repr(text)}")
+    return value
+
+
+def _integer(text: str) -> int:
+    return number_of("value", text)
+
+
+def _bits(text: str) -> list[int]:
+    if not re.fullmatch("[01]+", text):
+        raise ValueError(f"value must be digits 0 and 1, lowest bit first, not {text!r}")
+    return [int(digit) for digit in text]
+
+
+PARSERS: dict[str, Callable[[str], Any]] = {"float": decimal_of, "bits": _bits, "string:": str}
+"""Family of types -> how a value of it is typed; others as numbers."""
+
+
+def value_of(text: str, kind: ValueType) -> Any:
+    """
+    Read a value of a type, as `shown` gives it; text without quotes.
+
+    Raises:
+        ValueError: it is none; the message begins with "value".
+    """
+    return PARSERS.get(_family(kind), _integer)(text)

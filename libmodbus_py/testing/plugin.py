@@ -1,0 +1,92 @@
+"""
+The pytest plugin: fixtures with servers, and what passed in the reports of tests that fail.
+
+Every run of pytest imports this file, where the package is installed: so it imports nothing but
+pytest, and each fixture what it needs when a test asks for it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Iterator
+from typing import TYPE_CHECKING
+
+import pytest
+
+if TYPE_CHECKING:
+    from ..listener.transaction import Transaction
+    from .fault_switch import FaultSwitch
+    from .recording import RecordingServer, ServerMaker
+    from .wires import SerialWire
+
+# Of a test, while it runs.
+SERVERS = pytest.StashKey["list[RecordingServer]"]()
+
+# Transactions of each server in a report.
+SHOWN = 50
+
+# Of one transaction there: characters, and seconds from which on it is said how long it took.
+WIDTH = 160
+LATE = 0.05
+
+
+@pytest.fixture
+def make_modbus_server(request: pytest.FixtureRequest) -> Iterator[ServerMaker]:
+    """Make any number of servers: make_modbus_server("rtu+tcp://127.0.0.1:0", devices=device)."""
+    from .recording import ServerMaker
+
+    with ServerMaker() as maker:
+        request.node.stash[SERVERS] = maker.servers
+        yield maker
+
+
+@pytest.fixture
+def modbus_server(make_modbus_server: ServerMaker) -> RecordingServer:
+    """A server that answers every unit, on a free port; all four tables, all zero."""
+    return make_modbus_server()
+
+
+@pytest.fixture
+def modbus_faults(modbus_server: RecordingServer) -> FaultSwitch:
+    """What goes wrong with modbus_server: with modbus_faults.switch_on(Fault("no_answer")): ..."""
+    return modbus_server.faults
+
+
+@pytest.fixture
+def modbus_serial_line(make_modbus_server: ServerMaker) -> Iterator[SerialWire]:
+    """Two serial ports, joined: their paths are .client and .server."""
+    from .wires import SerialWire
+
+    with SerialWire() as line:
+        yield line
+        make_modbus_server.close()  # before its port is gone
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(
+    item: pytest.Item,
+) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    report = yield
+    servers = item.stash.get(SERVERS, [])
+    if servers and report.failed:
+        report.sections.append(("modbus transactions", "\n".join(map(_told, servers))))
+    if servers and report.when == "teardown":
+        del item.stash[SERVERS]
+    return report
+
+
+def _told(server: RecordingServer) -> str:
+    """Tell what passed, a line for each; whatever classes of requests do, which users write."""
+    try:
+        lines = [_line(each) for each in server.transactions]
+    except Exception as error:
+        lines = [f"cannot be shown: {error!r}"]
+    left_out = [f"... {len(lines) - SHOWN} before these"] if len(lines) > SHOWN else []
+    return "\n".join([server.url, *left_out, *lines[-SHOWN:]] if lines else [f"{server.url} none"])
+
+
+def _line(transaction: Transaction) -> str:
+    text = str(transaction)
+    if len(text) > WIDTH:
+        text = f"{text[:WIDTH]}..."
+    duration = transaction.duration or 0.0
+    return f"{text} after {duration:.3f} s" if duration >= LATE else text

@@ -1,0 +1,53 @@
+"""
+Who should have which slots: all of a zone have about equally many, and few move. Whoever sees
+the same comes to the same answer.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Collection, Mapping
+
+from .records import Slot
+
+__all__ = ["share"]
+
+
+def share(
+    slots: Collection[Slot], holders: Mapping[Slot, str], zones: Mapping[str, Collection[str]]
+) -> dict[Slot, str]:
+    """
+    Give each slot a worker; those that nobody may take are left out.
+
+    Args:
+        holders: who has them now; others than in `zones` do not count.
+        zones: the workers that may have slots, and whose devices each of them takes.
+    """
+    pools: defaultdict[tuple[str, ...], list[Slot]] = defaultdict(list)
+    for slot in sorted(slots):
+        pools[tuple(sorted(worker for worker in zones if slot.zone in zones[worker]))].append(slot)
+    shared: dict[Slot, str] = {}
+    for workers, pool in sorted(pools.items()):
+        if workers:
+            shared.update(_pool(pool, holders, workers))
+    return shared
+
+
+def _pool(
+    slots: list[Slot], holders: Mapping[Slot, str], workers: tuple[str, ...]
+) -> dict[Slot, str]:
+    has: dict[str, list[Slot]] = {worker: [] for worker in workers}
+    homeless: list[Slot] = []
+    for slot in slots:
+        has.get(holders.get(slot, ""), homeless).append(slot)
+    least, more = divmod(len(slots), len(workers))
+    # Who has most may keep one more, so that fewer move.
+    by_size = sorted(workers, key=lambda worker: (-len(has[worker]), worker))
+    quota = {worker: least + (at < more) for at, worker in enumerate(by_size)}
+    for worker, its in has.items():
+        homeless += its[quota[worker] :]
+        del its[quota[worker] :]
+    for worker, its in has.items():
+        while len(its) < quota[worker]:
+            its.append(homeless.pop())
+    return {slot: worker for worker, its in has.items() for slot in its}

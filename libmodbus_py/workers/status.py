@@ -1,0 +1,136 @@
+"""
+What workers do, for people: who is there, who has what, and what nobody serves.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections import Counter, defaultdict
+from typing import Any
+
+from ..engine.buckets import Bucket
+from ..engine.troubles import EngineError
+from .pushing import seen_now
+from .records import Member
+from .view import View
+
+__all__ = ["fleet_status", "tables"]
+
+# Of a lease: two values of each worker that is there.
+LOOK = 0.25
+
+# Of what workers report, for all of them.
+SUMS = ("connections", "devices", "up", "down", "polls")
+
+
+async def fleet_status(bucket: Bucket) -> dict[str, Any]:
+    """
+    Look twice, and say what became of the workers between; takes a quarter of a lease.
+
+    Raises:
+        EngineError: the bucket cannot be read, or holds no fleet of this version.
+    """
+    before = await seen_now(bucket)
+    if before.settings is None:
+        why = before.unreadable.get("settings", "there is no fleet yet; put it there with --push")
+        raise EngineError(f"{bucket.name}: {why}")
+    await asyncio.sleep(before.settings.lease * LOOK)
+    return _document(before, await seen_now(bucket))
+
+
+def _document(before: View, view: View) -> dict[str, Any]:
+    slots = Counter(view.holders[slot] for slot in view.used_slots if slot in view.holders)
+    workers = [
+        _worker(member, _state(member, before, view), slots[member.id])
+        for member in sorted(view.members.values(), key=lambda each: each.id)
+    ]
+    here = [each for each in workers if each["state"] == "here"]
+    reports = [each["report"] for each in here]
+    return {
+        "lease": view.settings.lease if view.settings else None,
+        "on_engine_loss": view.settings.on_engine_loss if view.settings else None,
+        "totals": {key: round(sum(_number(each, key) for each in reports), 1) for key in SUMS},
+        "workers": workers,
+        "zones": _zones(view, {each["id"] for each in here}),
+        "unreadable": sorted(view.unreadable.values()),
+    }
+
+
+def _state(member: Member, before: View, view: View) -> str:
+    """A worker that is there has told of itself since."""
+    known = before.seen.get(member.bucket_key)
+    is_new = known is None or known.revision < view.seen[member.bucket_key].revision
+    return member.state if member.state == "ended" or is_new else "silent"
+
+
+def _worker(member: Member, state: str, slots: int) -> dict[str, Any]:
+    return {
+        "id": member.id,
+        "name": member.name,
+        "state": state,
+        "zones": [zone for zone in member.zones if zone],
+        "slots": slots,
+        "report": dict(member.report),
+    }
+
+
+def _zones(view: View, here: set[str]) -> dict[str, Any]:
+    """By zone; the empty one is that of devices without."""
+    connections = Counter(each.zone for each in view.connections)
+    used, served = Counter[str](), Counter[str]()
+    for slot in view.used_slots:
+        used[slot.zone] += 1
+        served[slot.zone] += view.holders.get(slot) in here
+    workers: defaultdict[str, int] = defaultdict(int)
+    for member in view.members.values():
+        for zone in member.zones:
+            workers[zone] += member.id in here
+    return {
+        zone: {
+            "connections": connections[zone],
+            "slots": used[zone],
+            "served_slots": served[zone],
+            "workers": workers[zone],
+        }
+        for zone in sorted(used)
+    }
+
+
+def _number(report: dict[str, Any], key: str) -> float:
+    value = report.get(key, 0)
+    return value if isinstance(value, int | float) and value == value else 0
+
+
+WORKERS = "{:<28} {:<7} {:>5} {:>11} {:>7} {:>6} {:>6} {:>8}  {}"
+
+ZONES = "{:<28} {:>7} {:>11} {:>5} {:>6}  {}"
+
+
+def tables(status: dict[str, Any]) -> str:
+    """The same, to be read."""
+    lines = [
+        WORKERS.format(
+            "worker", "state", "slots", "connections", "devices", "up", "down", "polls/s", "zones"
+        )
+    ]
+    for each in status["workers"]:
+        numbers = [f"{_number(each['report'], key):g}" for key in SUMS]
+        zones = ", ".join(each["zones"])
+        lines.append(
+            WORKERS.format(each["id"][:28], each["state"], each["slots"], *numbers, zones).rstrip()
+        )
+    lines += ["", ZONES.format("zone", "workers", "connections", "slots", "served", "").rstrip()]
+    for name, each in status["zones"].items():
+        missing = each["slots"] - each["served_slots"]
+        remark = "" if not missing else "nobody serves it" if not each["workers"] else "moving"
+        lines.append(
+            ZONES.format(
+                name[:28] or "(none)",
+                each["workers"],
+                each["connections"],
+                each["slots"],
+                each["served_slots"],
+                remark,
+            ).rstrip()
+        )
+    return "\n".join([*lines, *(f"unreadable: {each}" for each in status["unreadable"])])

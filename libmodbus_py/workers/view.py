@@ -1,0 +1,187 @@
+"""
+What one has seen of the bucket, and when, on one's own clock. No socket, no clock.
+
+The bucket is one stream: all see its changes in the same order, if not at the same time.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from .records import Connection, Member, RecordError, Settings, Slot, decode, digest_of, slot_of
+
+__all__ = ["Entry", "Seen", "View"]
+
+
+class Entry(NamedTuple):
+    """
+    A change of the bucket.
+
+    Attributes:
+        value: None when the key was deleted.
+        revision: of the bucket; counts up with each change of any key.
+    """
+
+    key: str
+    value: bytes | None
+    revision: int
+
+
+class Seen(NamedTuple):
+    """When a key became what it is: which revision, and the first time that one saw it."""
+
+    revision: int
+    at: float
+
+
+NEVER = Seen(0, float("-inf"))
+
+
+class View:
+    """
+    The bucket, up to a revision.
+
+    Attributes:
+        revision: of the last change that is in here.
+        last_touched: the last revision that all should say they have heeded.
+        settings, members, holders: what is known; members by their ids, holders by slots.
+        seen: when each key became what it is.
+        vanished: workers that are not there any more, but never said that they ended; and when.
+        uncertain: the keys of slots that changed hands although nobody who had them is known
+            to have given them up; and when, as a revision.
+        unreadable: the keys whose values nobody can read, with the reason; those that told
+            of others before are forgotten.
+    """
+
+    def __init__(self) -> None:
+        self.revision: int = 0
+        self.settings: Settings | None = None
+        self.members: dict[str, Member] = {}
+        self.holders: dict[Slot, str] = {}
+        self.seen: dict[str, Seen] = {}
+        self.vanished: dict[str, float] = {}
+        self.unreadable: dict[str, str] = {}
+        self.uncertain: dict[str, int] = {}
+        # By digest and zone: nearly always there is one zone.
+        self._connections: dict[str, dict[str, tuple[int, Connection]]] = {}
+        self._touched: dict[str, int] = {}
+        self.last_touched: int = 0
+        self._in_slot: Counter[Slot] = Counter()
+
+    def add(self, entry: Entry, at: float) -> bool:
+        """
+        Heed a change, unless it is known; says whether it was new.
+
+        Args:
+            at: when it was seen, in seconds of any one clock.
+        """
+        if entry.revision <= self.seen.get(entry.key, NEVER).revision:
+            return False
+        self.seen[entry.key] = Seen(entry.revision, at)
+        self.revision = max(self.revision, entry.revision)
+        before = self._forget(entry, at)
+        if entry.value is not None:
+            self._learn(entry.key, entry.value, entry.revision, before)
+        return True
+
+    def keep_times(self, before: View, at: float) -> None:
+        """Take over when things were first seen from a view that this one replaces."""
+        for key, seen in before.seen.items():
+            mine = self.seen.get(key)
+            if mine is None:
+                # Gone, and nobody said when.
+                self.seen[key] = Seen(0, at)
+                self._touch(key, self.revision)
+            elif mine.revision == seen.revision:
+                self.seen[key] = seen
+                if before.uncertain.get(key) is None:
+                    self.uncertain.pop(key, None)
+        for name, member in before.members.items():
+            if name not in self.members and member.state != "ended":
+                self.vanished[name] = at
+        self.vanished = {**before.vanished, **self.vanished}
+
+    @property
+    def connections(self) -> Iterator[Connection]:
+        """Of a connection that stands in two zones, the newer one counts."""
+        return (max(zones.values(), key=_first)[1] for zones in self._connections.values())
+
+    @property
+    def all_connections(self) -> Iterator[Connection]:
+        """Also those that stand in two zones."""
+        return (pair[1] for zones in self._connections.values() for pair in zones.values())
+
+    def touched_at(self, connection: Connection) -> int:
+        """The revision that others must have heeded before a connection is asked anew."""
+        touched = self._touched.get(digest_of(connection.key), 0)
+        return max(touched, self.uncertain.get(connection.slot.key, 0))
+
+    @property
+    def used_slots(self) -> list[Slot]:
+        """Those that have connections."""
+        return [slot for slot, count in self._in_slot.items() if count]
+
+    def holder(self, slot: Slot) -> Member | None:
+        """Who has a slot, if it is a worker that is known."""
+        return self.members.get(self.holders.get(slot, ""))
+
+    def seen_at(self, key: str) -> Seen:
+        return self.seen.get(key, NEVER)
+
+    def _forget(self, entry: Entry, at: float) -> str:
+        """Gives who had the slot, if it is one."""
+        self.unreadable.pop(entry.key, None)
+        kind, _, rest = entry.key.partition(".")
+        if kind == "worker":
+            member = self.members.pop(rest, None)
+            if member is not None and member.state != "ended":
+                self.vanished[rest] = at
+        elif kind == "slot":
+            zone, _, number = rest.partition(".")
+            if number.isdecimal() and len(number) <= 3:
+                return self.holders.pop(Slot("" if zone == "_" else zone, int(number)), "")
+        elif kind == "connection":
+            self._touch(entry.key, entry.revision)
+            token, _, digest = rest.partition(".")
+            zone = "" if token == "_" else token
+            if self._connections.get(digest, {}).pop(zone, None):
+                self._in_slot[slot_of(zone, digest)] -= 1
+                if not self._connections[digest]:
+                    del self._connections[digest]
+        return ""
+
+    def _touch(self, key: str, revision: int) -> None:
+        kind, _, rest = key.partition(".")
+        if kind == "connection":
+            self._touched[rest.rpartition(".")[2]] = revision
+            self.last_touched = max(self.last_touched, revision)
+
+    def _learn(self, key: str, value: bytes, revision: int, before: str) -> None:
+        try:
+            record = decode(key, value)
+        except RecordError as error:
+            self.unreadable[key] = str(error)
+            return
+        if isinstance(record, Settings):
+            self.settings = record
+        elif isinstance(record, Member):
+            self.members[record.id] = record
+            self.vanished.pop(record.id, None)
+        elif isinstance(record, Connection):
+            digest = key.rpartition(".")[2]
+            self._connections.setdefault(digest, {})[record.zone] = (revision, record)
+            self._in_slot[record.slot] += 1
+        else:
+            self.holders[record.slot] = record.holder
+            had = self.members.get(before)
+            if (before and record.by == before) or (had is not None and had.state == "ended"):
+                self.uncertain.pop(key, None)
+            else:
+                self.uncertain[key] = revision
+                self.last_touched = max(self.last_touched, revision)
+
+
+def _first(pair: tuple[int, Connection]) -> int:
+    return pair[0]

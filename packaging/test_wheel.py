@@ -1,0 +1,172 @@
+"""
+The sdist and the wheel that were made: what is in them, and that they work alone.
+
+`./run wheel` calls it, with both in the environment as SDIST and WHEEL.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tarfile
+import venv
+import zipfile
+from pathlib import Path
+
+import libmodbus
+import pytest
+
+SDIST, WHEEL = Path(os.environ["SDIST"]), Path(os.environ["WHEEL"])
+
+# Says which libmodbus is loaded: its version, and every file of this name in the process.
+WHICH = """
+from libmodbus_py.binding.library import loaded_version
+files = {line.split()[-1] for line in open("/proc/self/maps") if "libmodbus" in line.split("/")[-1]}
+print(loaded_version(), *sorted(file for file in files if "libmodbus-" in file or ".so.5" in file))
+"""
+
+
+@pytest.fixture(scope="module")
+def names() -> list[str]:
+    with zipfile.ZipFile(WHEEL) as wheel:
+        return wheel.namelist()
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A virtual environment that has the wheel, and what it depends on."""
+    place = tmp_path_factory.mktemp("wheel")
+    venv.create(place, with_pip=True)
+    run(place / "bin" / "pip", "install", "-q", "--disable-pip-version-check", WHEEL)
+    return place
+
+
+def run(*command: object) -> str:
+    # Nothing of the folder that this is started in, or of the caller's Python, is imported.
+    env = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    done = subprocess.run(
+        [str(each) for each in command], cwd="/", env=env, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def text_of(ending: str) -> str:
+    with zipfile.ZipFile(WHEEL) as wheel:
+        (name,) = (name for name in wheel.namelist() if name.endswith(ending))
+        return wheel.read(name).decode()
+
+
+# --- what is in the wheel ------------------------------------------------------------------
+
+
+def test_there_is_nothing_that_only_a_compiler_reads(names: list[str]) -> None:
+    allowed = r"\.(py|so|so\.[0-9.]+|toml|csv|html|css|js|svg)$|/py\.typed$|\.dist-info/"
+    assert [name for name in names if not re.search(allowed, name)] == []
+
+
+def test_all_licences_are_there(names: list[str]) -> None:
+    found = [name.partition("/licenses/")[2] for name in names if "/licenses/" in name]
+    assert sorted(found) == ["LICENSE", "libmodbus/COPYING.LESSER", "libmodbus/NOTICE"]
+    metadata = text_of("/METADATA")
+    assert re.findall("License-File: (.*)", metadata) == [
+        "libmodbus/COPYING.LESSER",
+        "libmodbus/NOTICE",
+        "LICENSE",
+    ]
+    assert "License-Expression: MIT AND LGPL-2.1-or-later\n" in metadata
+    assert "GNU LESSER GENERAL PUBLIC LICENSE" in text_of("/COPYING.LESSER")
+
+
+def test_the_notice_names_the_library_and_offers_its_source(names: list[str]) -> None:
+    notice = text_of("/NOTICE")
+    (library,) = (name for name in names if name.startswith("libmodbus_py.libs/libmodbus-"))
+    for said in (library, libmodbus.VERSION, libmodbus.SHA256, libmodbus.NAME, "three years"):
+        assert said in notice
+    with tarfile.open(SDIST) as sdist:
+        (source,) = (each for each in sdist if each.name.endswith(f"packaging/{libmodbus.NAME}"))
+        data = sdist.extractfile(source)
+        assert data is not None
+        assert hashlib.sha256(data.read()).hexdigest() == libmodbus.SHA256
+
+
+def test_it_fits_every_python_from_311_on() -> None:
+    assert re.search(r"-cp311-abi3-(many|musl)linux", WHEEL.name)
+
+
+# --- that it works alone -------------------------------------------------------------------
+
+
+def test_it_loads_its_own_library(home: Path) -> None:
+    version, *files = run(home / "bin" / "python", "-c", WHICH).rsplit(") ", 1)
+    assert version == f"({libmodbus.VERSION.replace('.', ', ')}"
+    assert len(files) == 1
+    assert files[0].startswith(str(home))
+
+
+def test_it_runs_the_demonstration(home: Path) -> None:
+    assert "all answers as they should be" in run(home / "bin" / "libmodbus-py", "demo")
+
+
+def test_it_has_the_examples(home: Path) -> None:
+    loads = (
+        "from libmodbus_py.device_file import load\n"
+        "from libmodbus_py.simulator import example_files as these\n"
+        "for name in these.described(): print(name, load(these.path_of(name)))"
+    )
+    told = run(home / "bin" / "python", "-c", loads)
+    assert [line.split()[0] for line in told.splitlines()] == sorted(
+        path.stem
+        for path in (Path(__file__).parents[1] / "examples").glob("*.toml")
+        if path.stem not in ("fleet", "gateway")
+    )
+
+
+def test_the_library_can_be_exchanged(home: Path, tmp_path: Path) -> None:
+    """As its licence wants: for one that somebody changed, under the same name."""
+
+    def changed(source: Path) -> None:
+        file = source / "configure.ac"
+        text = file.read_text()
+        assert "[libmodbus_version_micro], [11]" in text
+        file.write_text(text.replace("_micro], [11]", "_micro], [99]"))
+
+    libmodbus.build(tmp_path, changed)
+    (own,) = home.glob("lib/python*/site-packages/libmodbus_py.libs/libmodbus-*")
+    kept = tmp_path / "kept"
+    shutil.copy(own, kept)
+    try:
+        shutil.copy(tmp_path / "lib" / "libmodbus.so.5", own)
+        assert run(home / "bin" / "python", "-c", WHICH).startswith("(3, 1, 99) ")
+        assert "all answers as they should be" in run(home / "bin" / "libmodbus-py", "demo")
+    finally:
+        shutil.copy(kept, own)
+
+
+# --- the sdist -----------------------------------------------------------------------------
+
+
+def test_the_sdist_has_what_its_own_tests_need(tmp_path: Path) -> None:
+    with tarfile.open(SDIST) as sdist:
+        inside = {each.name.partition("/")[2] for each in sdist if each.isfile()}
+    listed = subprocess.run(
+        ["git", "ls-files"], cwd=Path(__file__).parents[1], capture_output=True, text=True
+    )
+    if listed.returncode:
+        pytest.skip("this is no clone, so nobody knows which files belong to it")
+    missing = set(listed.stdout.split("\n")) - inside - {"", ".gitignore"}
+    assert sorted(missing) == []
+
+
+def test_the_sdist_passes_tests_of_its_own(tmp_path: Path) -> None:
+    """Some, for all take ten minutes: unpacked elsewhere, ./run test runs them all."""
+    with tarfile.open(SDIST) as sdist:
+        sdist.extractall(tmp_path, filter="data") if sys.version_info >= (3, 12) else (
+            sdist.extractall(tmp_path)
+        )
+    (tree,) = tmp_path.iterdir()
+    run("sh", "-c", f"cd {tree} && ./run test -q tests/protocol tests/test_package.py")

@@ -1,0 +1,407 @@
+"""
+read and write: items, ranges, names, and how they are shown.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from typing_in import typed
+
+from libmodbus_py import Device, Mapping, Server
+
+METER = """\
+name,table,address,count,type,scale,unit,access,minimum,maximum
+voltage,input_registers,0,1,uint16,0.1,V,read,,
+phases,input_registers,10,3,int16,1,A,read,,
+label,holding_registers,20,1,string:4,,,read_write,,
+setpoint,holding_registers,30,1,int16,0.1,C,read_write,0,90
+pump,coils,3,1,,,,read_write,,
+"""
+
+
+@pytest.fixture
+def mapping() -> Mapping:
+    mapping = Mapping(coils=100, discrete_inputs=16, holding_registers=600, input_registers=20)
+    mapping.holding_registers[0:4] = [1, 2, 3, 0xFFFC]
+    mapping.holding_registers[500:503] = [500, 501, 502]
+    mapping.holding_registers[20:22] = [0x6162, 0x6364]
+    mapping.input_registers[0] = 2305
+    mapping.input_registers[10:13] = [1, 2, 0xFFFF]
+    mapping.coils[5] = True
+    return mapping
+
+
+@pytest.fixture
+def url(mapping: Mapping) -> Iterator[str]:
+    device = Device(mapping, files={4: [7, 8, 9] + [0] * 400}, fifos={40: [5, 6]})
+    with Server({1: device}).background("tcp://127.0.0.1:0") as running:
+        yield running.urls[0]
+
+
+@pytest.fixture
+def meter(tmp_path: Path) -> str:
+    path = tmp_path / "meter.csv"
+    path.write_text(METER)
+    return str(path)
+
+
+@pytest.mark.parametrize(
+    ("words", "printed"),
+    [
+        ("holding 0 2", "    0  1\n    1  2\n"),
+        (
+            "holding 0 2 coils 5 file:4 0 2",
+            "holding      0  1\nholding      1  2\ncoils        5  1\n"
+            "file:4       0  7\nfile:4       1  8\n",
+        ),
+        ("40001 40502 2", "holding      0    1\nholding    501  501\nholding    502  502\n"),
+        ("holding 0x1F4", "  500  500\n"),
+        ("holding 0 4 --hex", "    0  0x0001\n    1  0x0002\n    2  0x0003\n    3  0xFFFC\n"),
+        ("coils 5 --hex", "    5  1\n"),
+        ("--count-from-1 holding 1 2", "    1  1\n    2  2\n"),
+        ("--count-from-1 40001", "    1  1\n"),
+        ("holding 0 --type int16 --order BADC 2", "    0  256\n    1  512\n"),
+        ("holding 20 --type string:4 --encoding utf-8", "   20  'abcd'\n"),
+        ("holding 20 --type string:4 --padding d", "   20  'abc'\n"),
+        ("fifo 40", "   40  5\n   41  6\n"),
+        ("file:4 0 200 --type uint32 --json", None),
+    ],
+)
+def test_what_is_read_is_shown(url: str, words: str, printed: str | None) -> None:
+    done = typed("read", url, *words.split())
+    assert (done.code, done.err) == (0, "")
+    if printed is not None:
+        assert done.out == printed
+
+
+def test_ranges_take_as_many_requests_as_they_must(url: str) -> None:
+    done = typed("read", url, "holding", "0", "600", "coils", "0", "100", "-v")
+    assert done.out.count("\n") == 700
+    requests = [line for line in done.err.splitlines() if " > " in line]
+    assert len(requests) == 6  # 600 registers of 125, and 100 coils of 2000
+    assert "holding    500    500\n" in done.out
+    done = typed("read", url, "file:4", "0", "403", "--json")
+    assert json.loads(done.out)["values"][:3] == [7, 8, 9]
+
+
+def test_names_of_a_map(url: str, meter: str) -> None:
+    done = typed("read", url, "--map", meter, "voltage", "pump", "label")
+    assert done.out == "voltage  230.5 V\npump         0\nlabel    'abcd'\n"
+    done = typed("read", "--map", meter, url, "phases", "holding", "0")
+    assert done.out.splitlines() == [
+        "phases[0]        1 A",
+        "phases[1]        2 A",
+        "phases[2]       -1 A",
+        "holding      0   1",
+    ]
+    whole = json.loads(typed("read", url, "--map", meter, "--json").out)
+    assert whole["values"] == {
+        "voltage": 230.5, "phases": [1, 2, -1], "label": "abcd", "setpoint": 0, "pump": 0,
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("words", "values"),
+    [
+        ("holding 0 3", {"address": 0, "table": "holding_registers", "values": [1, 2, 3]}),
+        ("coils 5", {"address": 5, "table": "coils", "values": [1]}),
+        (
+            "coils 5 fifo 40",
+            {
+                "items": [
+                    {"table": "coils", "address": 5, "values": [1]},
+                    {"table": "fifo_queue", "address": 40, "values": [5, 6]},
+                ]
+            },
+        ),
+    ],
+)
+def test_json(url: str, words: str, values: dict[str, object]) -> None:
+    assert json.loads(typed("read", url, *words.split(), "--json").out) == {"unit": 1, **values}
+
+
+def test_csv(url: str, meter: str) -> None:
+    out = typed("read", url, "--map", meter, "--csv").out
+    header, row = csv.reader(io.StringIO(out))
+    assert header == [
+        "time", "voltage", "phases[0]", "phases[1]", "phases[2]", "label", "setpoint", "pump",
+        "error",
+    ]  # fmt: skip
+    assert row[1:] == ["230.5", "1", "2", "-1", "abcd", "0.0", "0", ""]
+    out = typed("read", url, "holding", "0", "2", "coils", "5", "--csv").out
+    assert out.startswith("time,holding 0,holding 1,coils 5,error\n")
+
+
+def test_one_item_that_is_refused_does_not_hinder_the_others(url: str) -> None:
+    done = typed("read", url, "holding", "0", "holding", "5000", "input", "0")
+    assert done.code == 1
+    assert done.out == "holding      0     1\ninput        0  2305\n"
+    assert done.err.count("\n") == 1
+    assert "illegal data address (exception 2)" in done.err
+    done = typed("read", url, "holding", "0", "holding", "5000", "--json")
+    first, second = json.loads(done.out)["items"]
+    assert first["values"] == [1]
+    assert "exception 2" in second["error"]
+    header, row = csv.reader(
+        io.StringIO(typed("read", url, "holding", "0", "coils", "900", "--csv").out)
+    )
+    assert header == ["time", "holding 0", "coils 900", "error"]
+    assert row[1:3] == ["1", ""]
+    assert "exception 2" in row[3]
+
+
+@pytest.mark.parametrize(
+    ("words", "hint"),
+    [
+        ("holding 40101", "the reference 40101, which is address 100, is typed without holding"),
+        ("input 30001", "the reference 30001, which is address 0,"),
+        ("holding 400101", "not 400101 (holding 400101 counts from 0; the reference"),
+        ("coils 00012", "not '00012' (coils 00012 counts from 0; the reference 00012"),
+        ("holding 40101 input 0", "the reference 40101, which is address 100"),
+    ],
+)
+def test_references_typed_as_addresses_are_explained(url: str, words: str, hint: str) -> None:
+    done = typed("read", url, *words.split())
+    assert done.code in (1, 2)
+    assert hint in done.err
+    assert done.err.count("\n") == 1
+
+
+def test_addresses_that_look_like_no_reference_are_not(url: str) -> None:
+    assert "reference" not in typed("read", url, "holding", "5000").err
+    assert "reference" not in typed("read", url, "coils", "40101").err
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        ("", "WHAT is missing"),
+        ("holding 0 voltage", "'voltage' must be one of coils"),
+        ("holding 0 1 2 3", "'2' must have 5 or 6 digits"),
+        ("--count-from-1 holding 0", "address must be in 1..65536, not 0"),
+        ("holding 0 1 coils", "coils lacks an address"),
+        ("fifo 40 2", "fifo has no count"),
+        ("file:4 0 0", "count must be 1 or more"),
+        ("holding 0 --encoding utf-8", "--encoding needs --type"),
+        ("holding 0 --type all --padding x", "has no --padding"),
+        ("holding 0 --type string:4 --encoding klingon", "klingon"),
+        ("holding 0 --type all --csv", "--type all has no --csv"),
+        ("fifo 40 --csv", "--csv"),
+        ("holding 0 --csv --json", "not allowed with"),
+        ("holding 0 --watch nan", "seconds"),
+        ("holding 0 --watch 0", "0.01..86400"),
+        ("--watch holding 0", "goes to the end"),
+        ("holding 0 --map /dev/null/none", "/dev/null/none"),
+        ("holding 0 --map none", "'none' is no file of a register map, which ends with .csv or "),
+        ("holding 0 --map plant", "and no example, which are iem3155, meter, "),
+    ],
+)
+def test_wrong_usage_is_one_line(url: str, words: str, named: str) -> None:
+    done = typed("read", url, *words.split())
+    assert done.code in (1, 2)
+    assert done.out == ""
+    assert done.err.count("\n") == 1
+    assert named in done.err
+
+
+def test_names_that_a_map_lacks_are_guessed(url: str, meter: str) -> None:
+    done = typed("read", url, "--map", meter, "setpont")
+    assert (done.code, done.out) == (2, "")
+    assert "no point 'setpont'; close to it are setpoint" in done.err
+    done = typed("read", url, "--map", meter, "pump", "--type", "int16")
+    assert "pump has its type from the map" in done.err
+
+
+# --- write -------------------------------------------------------------------------------
+
+
+def frames(err: str) -> list[str]:
+    """The PDUs that -v shows as sent."""
+    return [line.split("  ")[-1].strip()[21:] for line in err.splitlines() if " > " in line]
+
+
+@pytest.mark.parametrize(
+    ("words", "pdus"),
+    [
+        # Sections 6.5, 6.6, 6.11, 6.12, 6.16 and 6.17.
+        ("holding 1 3", ["06 00 01 00 03"]),
+        ("holding 1 3 --multiple", ["10 00 01 00 01 02 00 03"]),
+        ("coils 7 on", ["05 00 07 ff 00"]),
+        ("coils 7 on --multiple", ["0f 00 07 00 01 01 01"]),
+        ("holding 4 --mask 0xF2 0x25", ["16 00 04 00 f2 00 25"]),
+        ("holding 14 255 255 255 --and-read 3 6",
+         ["17 00 03 00 06 00 0e 00 03 06 00 ff 00 ff 00 ff"]),
+        ("holding 1 2 3 coils 0 1 0 file:4 1 6",
+         ["10 00 01 00 02 04 00 02 00 03", "0f 00 00 00 02 01 01",
+          "15 09 06 00 04 00 01 00 01 00 06"]),
+        ("--count-from-1 holding 1 3", ["06 00 00 00 03"]),
+        ("40002 -1", ["06 00 01 ff ff"]),
+    ],
+)  # fmt: skip
+def test_writes_are_these_bytes(url: str, words: str, pdus: list[str]) -> None:
+    done = typed("write", url, *words.split(), "-v")
+    assert done.code == 0, done.err
+    assert frames(done.err) == pdus
+    dry = typed("write", url, *words.split(), "--dry-run")
+    shown = [line.split("  ")[0][2 + 21 :] for line in dry.out.splitlines()]
+    assert shown == pdus
+
+
+def test_a_dry_run_sends_nothing_and_needs_nobody() -> None:
+    done = typed("write", "127.0.0.1:1", "-u", "7", "holding", "1", "3", "--dry-run")
+    assert (done.code, done.err) == (0, "")
+    assert done.out == (
+        "> 00 01 00 00 00 06 07 06 00 01 00 03  unit 7, WriteRegister(address=1, value=3)\n"
+    )
+    done = typed("write", "rtu:///dev/none", "holding", "1", "3", "--dry-run")
+    assert done.out.startswith("> 01 06 00 01 00 03 98 0b  ")
+    done = typed("write", "ascii:///dev/none", "holding", "1", "3", "--dry-run")
+    assert done.out.startswith(r"> :010600010003F5\r\n  ")
+
+
+def test_names_are_written_scaled_and_checked(url: str, meter: str, mapping: Mapping) -> None:
+    done = typed("write", url, "--map", meter, "setpoint", "21.5", "pump", "on", "label", "xyz")
+    assert (done.code, done.out, done.err) == (0, "", "")
+    assert mapping.holding_registers[30] == 215
+    assert mapping.coils[3] == 1
+    assert typed("read", url, "--map", meter, "setpoint").out == "setpoint  21.5 C\n"
+    for words, named in (
+        ("setpoint 99", "setpoint: value must be in 0..90, not 99"),
+        ("setpoint warm", "setpoint: "),
+        ("voltage 3", "voltage cannot be written"),
+        ("pump 2", "pump: value must be one of 0, 1"),
+        ("setpoint 0x1F", "setpoint: value must be a number, not '0x1F'"),
+        ("setpoint", "setpoint takes a value behind its name, and 0 are there"),
+        ("setpoint 1 2", "setpoint takes a value behind its name, and 2 are there"),
+        ("setpoint 1 --mask 1 2", "no name"),
+        ("holding 0 1 holding 2", "no value to write to holding 2"),
+        ("input 0 1", "can only be read"),
+        ("holding 0 1 --mask 1 2", "in place of values"),
+        ("coils 0 --mask 1 2", "for holding registers"),
+        ("holding 1 1 holding 2 3 --and-read 0 1", "one item"),
+    ):
+        done = typed("write", url, "--map", meter, *words.split())
+        assert (done.code, done.out) == (2, ""), words
+        assert named in done.err
+        assert done.err.count("\n") == 1
+    assert mapping.holding_registers[30] == 215
+
+
+def test_names_and_places_are_written_as_typed(url: str, meter: str) -> None:
+    words = "setpoint 1 holding 0 7 pump on setpoint 2"
+    done = typed("write", url, "--map", meter, *words.split(), "-v")
+    assert done.code == 0, done.err
+    assert frames(done.err) == [
+        "06 00 1e 00 0a",
+        "06 00 00 00 07",
+        "05 00 03 ff 00",
+        "06 00 1e 00 14",
+    ]
+
+
+def test_what_is_read_behind_a_write_is_shown_as_it_was_typed(url: str) -> None:
+    words = "holding 1 77 --and-read 1 2 --count-from-1"
+    done = typed("write", url, *words.split())
+    assert [line.split()[0] for line in done.out.splitlines()] == ["1", "2"]
+    assert done.out.split()[1] == "77"
+
+
+# --- whom to ask ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("where", "said"),
+    [
+        (["127.0.0.1:1"], "cannot connect to 127.0.0.1:1"),
+        (["localhost:1"], "cannot connect to localhost:1"),
+        (["[::1]:1"], "cannot connect to [::1]:1"),
+        (["127.0.0.1:1?unit=9"], "unit 9: cannot connect"),
+        (["127.0.0.1:1?unit=9", "-u", "8"], "unit 8: cannot connect"),
+        (["/dev/no-such", "-b", "9600", "-p", "none", "-s", "2"], "cannot open /dev/no-such"),
+        (["./no-such"], "no-such: No such file"),
+        (["127.0.0.1:1", "-b", "9600"], "--baudrate is for serial ports"),
+        (["tcp://127.0.0.1:1", "-s", "2"], "--stop-bits is for serial ports"),
+        (["/dev/no-such", "-p", "mark"], "must be none, even or odd"),
+        (["http://127.0.0.1"], "scheme must be one of"),
+        (["a b:c:d"], "'a b:c:d'"),
+        (["user@host"], "must be a URL"),
+        ([""], "must be a URL"),
+    ],
+)
+def test_endpoints_without_a_scheme(where: list[str], said: str) -> None:
+    done = typed("read", *where, "holding", "0")
+    assert done.code in (1, 2)
+    assert said in done.err
+    assert done.err.count("\n") == 1
+
+
+@pytest.mark.parametrize("name", ["certificates", "completion", "gateway", "listen", "scan"])
+def test_help_of_others_has_four_examples(name: str) -> None:
+    text = typed(name, "--help").out
+    examples = text.partition("examples:\n")[2].partition("\n\n")[0].splitlines()
+    assert len([line for line in examples if "libmodbus-py" in line]) == 4
+    assert name in text
+
+
+@pytest.mark.parametrize("name", ["read", "write", "identify", "diagnose", "raw"])
+def test_help_has_four_examples_and_the_urls(name: str) -> None:
+    text = typed(name, "--help").out
+    examples = [line for line in text.splitlines() if line.startswith(f"  libmodbus-py {name} ")]
+    assert len(examples) == 4
+    assert '"tcp://192.0.2.10?unit=7&timeout=2"' in text
+    for each in examples:
+        assert "&" not in each.replace("'tcp://192.0.2.10?unit=7&timeout=0.5'", "").replace(
+            "'rtu:///dev/ttyUSB0?baudrate=9600&unit=7'", ""
+        )
+
+
+# --- the other functions --------------------------------------------------------------------
+
+
+def test_identify(url: str) -> None:
+    done = typed("identify", url)
+    assert done.code == 0
+    assert "VendorName          libmodbus-py\n" in done.out
+    assert "running             True\n" in done.out
+    found = json.loads(typed("identify", url, "--level", "0", "--json").out)
+    assert found["VendorName"] == "libmodbus-py"
+    assert "ProductCode" not in found
+    assert typed("identify", url, "--level", "all").code == 2
+
+
+def test_diagnose(url: str) -> None:
+    done = typed("diagnose", url)
+    assert "exception status               00000000\n" in done.out
+    assert "bus message count " in done.out
+    assert typed("diagnose", url, "return-query-data", "0x1234").out == "4660\n"
+    assert typed("diagnose", url, "0", "7", "--json").out == '{"return query data": 7}\n'
+    assert typed("diagnose", url, "99").code == 1
+    assert "one of return-query-data" in typed("diagnose", url, "nonsense").err
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        ("3 0000 0002", 0, "03 04 00 01 00 02\n"),
+        ("3 0000 0002", 0, "ReadHoldingRegisters(address=0, count=2): [1, 2]\n"),
+        ("0x2B 0E0100", 0, "2b 0e 01"),
+        ("7", 0, "07 00\n"),
+        ("43 0D0102", 1, "illegal function (exception 1)"),
+        ("100 00", 1, "illegal function (exception 1)"),
+        ("3 1388 0001", 1, "illegal data address (exception 2)"),
+        ("3 xyz", 2, "HEX must be pairs of hex digits, not 'xyz'"),
+        ("200", 2, "function must be in 1..127"),
+        ("three", 2, "function must be a number"),
+    ],
+)
+def test_raw(url: str, words: str, code: int, said: str) -> None:
+    done = typed("raw", url, *words.split())
+    assert done.code == code
+    assert said in (done.out if code == 0 else done.err)
+    assert done.err.count("\n") == (code != 0)

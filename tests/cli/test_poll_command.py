@@ -1,0 +1,252 @@
+"""
+The command poll, as a process of its own.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import signal
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from fake import dead
+
+from libmodbus_py import Device, Mapping, Server
+
+COMMAND = [sys.executable, "-m", "libmodbus_py", "poll"]
+
+LONGEST = 30
+
+METER = """name,table,address,scale,unit
+voltage,holding_registers,0,0.1,V
+current,holding_registers,1,0.01,A
+"""
+
+
+def run(*arguments: object, **options: object) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(  # type: ignore[call-overload, no-any-return]
+        [*COMMAND, *map(str, arguments)], capture_output=True, text=True, timeout=LONGEST, **options
+    )
+
+
+@pytest.fixture
+def fleet(tmp_path: Path) -> Iterator[Path]:
+    """Two devices that answer and one that does not, each 0.1 s."""
+    device = Device(Mapping(holding_registers={0: [2305, 150]}))
+    with Server({1: device, 2: device}).background("tcp://127.0.0.1:0") as running:
+        (tmp_path / "meter.csv").write_text(METER)
+        (tmp_path / "fleet.toml").write_text(
+            f"""
+            [defaults]
+            map = "meter.csv"
+            interval = 0.1
+            [[device]]
+            name = "one"
+            url = "{running.urls[0]}"
+            labels = {{ site = "here" }}
+            [[device]]
+            name = "two"
+            url = "{running.urls[0]}"
+            unit = 2
+            [[device]]
+            name = "gone"
+            url = "tcp://127.0.0.1:1"
+            """
+        )
+        yield tmp_path / "fleet.toml"
+
+
+def started(*arguments: object, **options: object) -> subprocess.Popen[str]:
+    return subprocess.Popen(  # type: ignore[call-overload, no-any-return]
+        [*COMMAND, *map(str, arguments)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        **options,
+    )
+
+
+def test_once(fleet: Path) -> None:
+    done = run(fleet, "--once")
+    told = [json.loads(line) for line in done.stdout.splitlines()]
+    assert sorted((each["device"], each["name"], each["value"]) for each in told) == [
+        ("gone", "current", None),
+        ("gone", "voltage", None),
+        ("one", "current", 1.5),
+        ("one", "voltage", 230.5),
+        ("two", "current", 1.5),
+        ("two", "voltage", 230.5),
+    ]
+    assert done.returncode == 1  # one gave no answer
+    assert done.stderr == ""
+
+
+def test_check_prints_a_table_and_what_is_too_much(fleet: Path) -> None:
+    text = fleet.read_text() + (
+        '[[device]]\nname = "slow"\nurl = "rtu:///dev/nowhere?baudrate=1200"\ninterval = 0.05\n'
+    )
+    fleet.write_text(text)
+    done = run(fleet, "--check")
+    head, *rows = done.stdout.splitlines()
+    assert head.split() == ["device", "url", "unit", "requests", "took", "interval", "result"]
+    found = {row.split()[0]: row for row in rows}
+    assert found.keys() == {"one", "two", "gone", "slow"}
+    assert found["one"].endswith(" ok")
+    assert "Connection refused" in found["gone"]
+    # 8 bytes of request, 9 of answer, twice 3.5 characters of silence; 11 bits each.
+    assert done.stderr.splitlines() == [
+        "libmodbus-py: line rtu:///dev/nowhere at 1200: 0.22 s of requests each 0.05 s",
+        "libmodbus-py: 2 of 4 devices failed",
+    ]
+    assert done.returncode == 1
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_it_with_a_summary(fleet: Path, number: signal.Signals) -> None:
+    with started(fleet) as polling:
+        assert polling.stdout is not None
+        first = json.loads(polling.stdout.readline())
+        assert first["device"] in ("one", "two", "gone")
+        polling.send_signal(number)
+        _, error = polling.communicate(timeout=LONGEST)
+    assert polling.returncode == 0
+    summary, output = error.splitlines()
+    assert " polls in " in summary
+    assert "within 100 ms of their time" in summary
+    assert output.startswith("json: ")
+    assert output.endswith(" written, 0 dropped")
+
+
+def test_a_signal_while_all_wait_ends_it(tmp_path: Path) -> None:
+    """For answers and for a connection, a minute each."""
+    (tmp_path / "meter.csv").write_text(METER)
+    path = tmp_path / "fleet.toml"
+    with dead() as port, socket.create_server(("127.0.0.1", 0)) as silent:
+        path.write_text(
+            "[defaults]\nmap = 'meter.csv'\ninterval = 0.1\n"
+            f"[[device]]\nname = 'a'\nurl = 'tcp://127.0.0.1:{port}?timeout=60'\n"
+            f"[[device]]\nname = 'b'\nurl = 'tcp://127.0.0.1:{silent.getsockname()[1]}?timeout=60'\n"
+        )
+        with started(path) as polling:
+            silent.settimeout(LONGEST)
+            peer, _ = silent.accept()
+            with peer:
+                assert peer.recv(100)
+                time.sleep(0.2)
+                start = time.monotonic()
+                polling.send_signal(signal.SIGINT)
+                polling.communicate(timeout=LONGEST)
+                assert time.monotonic() - start < 10
+    assert polling.returncode == 0
+
+
+def test_a_reader_that_goes_ends_it_quietly(fleet: Path) -> None:
+    with started(fleet) as polling:
+        assert polling.stdout is not None
+        polling.stdout.readline()
+        polling.stdout.close()
+        polling.wait(LONGEST)
+        assert polling.stderr is not None
+        assert polling.stderr.read() == ""
+    assert polling.returncode == 1
+
+
+@pytest.mark.parametrize("form", ["--json", "--csv"])
+def test_a_full_disk_is_one_line(fleet: Path, form: str) -> None:
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(
+            [*COMMAND, str(fleet), form],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            timeout=LONGEST,
+        )
+    assert done.returncode == 1
+    assert done.stderr == "libmodbus-py: standard output: No space left on device\n"
+
+
+def test_files_and_metrics(fleet: Path) -> None:
+    pytest.importorskip("prometheus_client")
+    rows = fleet.parent / "readings.csv"
+    with started(fleet, "--csv", rows, "--metrics", "127.0.0.1:0") as polling:
+        assert polling.stderr is not None
+        told = polling.stderr.readline()
+        assert told.startswith("metrics on http://127.0.0.1:")
+        url = told.split()[-1]
+        end = time.monotonic() + LONGEST
+        while True:
+            with urllib.request.urlopen(url, timeout=LONGEST) as page:
+                metrics = page.read().decode()
+            if "modbus_fleet_up 2.0" in metrics and "modbus_fleet_down 1.0" in metrics:
+                break
+            assert time.monotonic() < end
+            time.sleep(0.05)
+        polling.terminate()
+        out, _ = polling.communicate(timeout=LONGEST)
+    assert out == ""
+    assert 'modbus_fleet_value{device="one",name="voltage",site="here",unit="V"} 230.5' in metrics
+    assert 'modbus_fleet_value{device="two",name="voltage",unit="V"} 230.5' in metrics
+    assert 'device="gone"' not in metrics
+    assert "modbus_fleet_devices 3.0" in metrics
+    assert "modbus_fleet_polls_total" in metrics
+    assert 'modbus_fleet_output_dropped_total{output="metrics"} 0.0' in metrics
+    assert 'modbus_fleet_lateness_seconds_bucket{le="+Inf"}' in metrics
+    assert len(rows.read_text().splitlines()) > 4
+
+
+def test_a_status_line_on_a_terminal(fleet: Path) -> None:
+    master, slave = pty.openpty()
+    polling = subprocess.Popen([*COMMAND, str(fleet)], stdout=slave, stderr=slave)
+    os.close(slave)
+    seen = b""
+    while b"2 up, 1 down" not in seen:
+        seen += os.read(master, 4096)
+    polling.send_signal(signal.SIGINT)
+    polling.wait(LONGEST)
+    os.close(master)
+    assert b"3 devices: 2 up, 1 down; " in seen
+    assert b" polls a second, at most " in seen
+    assert b'"device"' not in seen  # values are for files and pipes
+
+
+def test_sighup_reads_the_file_again(fleet: Path) -> None:
+    with started(fleet) as polling:
+        assert polling.stdout is not None
+        assert polling.stderr is not None
+        polling.stdout.readline()
+        text = fleet.read_text()
+        fleet.write_text("nothing")
+        polling.send_signal(signal.SIGHUP)
+        assert polling.stderr.readline().startswith("nothing is changed: ")
+        fleet.write_text(text.replace('"two"', '"renamed"'))
+        polling.send_signal(signal.SIGHUP)
+        assert polling.stderr.readline() == f"{fleet}: 3 devices\n"
+        while json.loads(polling.stdout.readline())["device"] != "renamed":
+            pass
+        polling.terminate()
+        polling.communicate(timeout=LONGEST)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["/nowhere/fleet.toml"], "cannot read /nowhere/fleet.toml: No such file or directory"),
+        (["FLEET", "--once", "--check"], "not allowed with argument --once"),
+        (["FLEET", "--json", "--csv"], "only one output may be the standard output"),
+        (["FLEET", "--metrics", "x"], "must be HOST:PORT"),
+    ],
+)
+def test_wrong_usage_is_one_line(fleet: Path, arguments: list[str], said: str) -> None:
+    done = run(*(str(fleet) if each == "FLEET" else each for each in arguments))
+    assert done.returncode == 2
+    assert said in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+    assert done.stdout == ""

@@ -1,0 +1,165 @@
+"""
+What a start of the command line costs and survives: the modules it brings, its output, Ctrl-C.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import socket
+import subprocess
+import sys
+
+import pytest
+from typing_in import typed
+
+from libmodbus_py import ModbusConnectionError
+from libmodbus_py.cli import main as main_file
+from libmodbus_py.cli.commands import COMMANDS, parser_of
+
+COMMAND = [sys.executable, "-m", "libmodbus_py"]
+
+
+def modules_after(*arguments: str) -> set[str]:
+    """Those in memory when the command ends."""
+    program = (
+        "import atexit, sys\n"
+        "from libmodbus_py.cli.main import main\n"
+        "atexit.register(lambda: print('MODULES', *sys.modules, file=sys.stderr))\n"
+        "sys.exit(main(sys.argv[1:]))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program, *arguments], capture_output=True, text=True, timeout=30
+    )
+    return set(done.stderr.partition("MODULES ")[2].split())
+
+
+@pytest.mark.parametrize(
+    "arguments", [["--version"], ["--help"], [], ["reed"], ["--unit", "3"]], ids=" ".join
+)
+def test_what_needs_no_client_brings_none(arguments: list[str]) -> None:
+    found = modules_after(*arguments)
+    folders = {name.split(".")[1] for name in found if name.startswith("libmodbus_py.")}
+    assert folders == {"cli", "late", "version"}
+    assert "argparse" in found
+    assert not found & {"asyncio", "ssl", "socket", "logging", "dataclasses"}
+
+
+@pytest.mark.parametrize("arguments", [["read"], ["write", "--help"], ["raw", "-b", "x"]])
+def test_wrong_usage_and_help_of_a_client_bring_none(arguments: list[str]) -> None:
+    found = modules_after(*arguments)
+    assert not any(name.startswith(("libmodbus_py.client", "libmodbus_py.ports")) for name in found)
+    assert not found & {"asyncio", "ssl", "socket", "logging", "dataclasses"}
+
+
+def test_a_read_brings_a_blocking_client() -> None:
+    found = modules_after("read", "127.0.0.1:1", "holding", "0")
+    assert "libmodbus_py.client.blocking" in found
+    assert not found & {"asyncio", "ssl", "logging", "csv", "datetime", "json"}
+    assert not found & {"libmodbus_py.server", "libmodbus_py.protocol.pdu.writes"}
+    assert "libmodbus_py.maps.point" not in found
+
+
+def test_version_and_help() -> None:
+    done = subprocess.run([*COMMAND, "--version"], capture_output=True, text=True, timeout=30)
+    assert done.stdout == "libmodbus-py 0.1.0\n"
+    done = subprocess.run([*COMMAND, "--help"], capture_output=True, text=True, timeout=30)
+    for name, (_, about) in COMMANDS.items():
+        assert name in done.stdout
+        assert about.split()[0] in done.stdout
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_is_in_its_file(name: str) -> None:
+    with pytest.raises(SystemExit) as ended:
+        parser_of(name).parse_args(["--help"])
+    assert ended.value.code == 0
+
+
+@pytest.mark.parametrize("arguments", [["--version"], ["--help"], ["read", "--help"], ["demo"]])
+def test_a_full_disk_is_one_line(arguments: list[str]) -> None:
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(
+            [*COMMAND, *arguments], stdout=full, stderr=subprocess.PIPE, text=True, timeout=30
+        )
+    assert done.returncode == 1
+    assert done.stderr == "libmodbus-py: standard output: No space left on device\n"
+
+
+@pytest.mark.parametrize("closed", [">&-", "2>&-", ">&- 2>&-"])
+def test_closed_streams_hurt_nobody(closed: str) -> None:
+    line = f"'{sys.executable}' -m libmodbus_py --version {closed}"
+    done = subprocess.run(["sh", "-c", line], capture_output=True, text=True, timeout=30)
+    assert done.returncode == 0
+    assert done.stderr == ""
+
+
+def test_a_reader_that_goes_away_hurts_nobody() -> None:
+    line = f"'{sys.executable}' -m libmodbus_py read --help | true"
+    done = subprocess.run(["sh", "-c", line], capture_output=True, text=True, timeout=30)
+    assert done.stderr == ""
+
+
+def test_ctrl_c_while_it_starts_shows_nothing_of_python() -> None:
+    """From the first line of ours on; what is before that is Python's own."""
+    program = (
+        "import os, signal, sys, threading, time\n"
+        "def interrupt():\n"
+        "    while 'libmodbus_py.cli.output' not in sys.modules: pass\n"
+        "    time.sleep(float(sys.argv[1])); os.kill(os.getpid(), signal.SIGINT)\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # a shell may have it ignored
+        "threading.Thread(target=interrupt, daemon=True).start()\n"
+        "from libmodbus_py.cli.main import main\n"
+        "sys.exit(main(['read', sys.argv[2], 'holding', '0']))"
+    )
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        url = f"tcp://127.0.0.1:{silent.getsockname()[1]}?timeout=20"
+        for delay in ("0.001", "0.005", "0.02", "0.1", "0.5"):
+            done = subprocess.run(
+                [sys.executable, "-c", program, delay, url],
+                capture_output=True,
+                text=True,
+                timeout=30,
+            )
+            assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
+
+
+@pytest.mark.parametrize(("cause", "code"), [(KeyboardInterrupt(), 130), (None, 1)])
+def test_ctrl_c_that_became_another_error_is_still_one(
+    monkeypatch: pytest.MonkeyPatch, cause: BaseException | None, code: int
+) -> None:
+    """As in `__set_name__`, while a class is made; a mistake of ours is one line."""
+
+    def fail(_: object) -> None:
+        raise RuntimeError("Error calling __set_name__") from cause
+
+    monkeypatch.setattr("libmodbus_py.cli.commands.parsed", fail)
+    done = typed("read")
+    assert done.code == code
+    assert done.err.startswith("libmodbus-py: unexpected RuntimeError" if code == 1 else "")
+    assert done.err.count("\n") == (code == 1)
+
+
+def test_what_the_terminal_cannot_show_is_written_in_ascii() -> None:
+    program = (
+        "import sys; from libmodbus_py.cli import output; output.prepare(); print('21.5 \\u00b0C')"
+    )
+    done = subprocess.run(
+        [sys.executable, "-X", "utf8=0", "-c", program],
+        env=os.environ | {"LC_ALL": "C", "PYTHONCOERCECLOCALE": "0"},
+        capture_output=True,
+        text=True,
+        timeout=30,
+    )
+    assert done.stdout == "21.5 \\xb0C\n"
+
+
+@pytest.mark.timeout(20)
+def test_errors_that_cause_each_other_end_it_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    def run(arguments: object) -> int:
+        first, second = OSError(errno.EPIPE, "gone"), ModbusConnectionError("lost")
+        first.__cause__, second.__cause__ = second, first
+        raise first
+
+    monkeypatch.setattr(main_file, "_run", run)
+    assert main_file.main([]) == 1

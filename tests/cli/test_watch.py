@@ -1,0 +1,275 @@
+"""
+read --watch: on terminals and in pipes, whatever the server, the reader and the user do.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+import signal
+import socket
+import subprocess
+import threading
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from datetime import datetime
+
+import pytest
+from typing_in import PROGRAM, on_terminal, typed
+
+from libmodbus_py import Device, Mapping, Server
+from libmodbus_py.server.server import Running
+
+WATCH = ["--watch", "0.05"]
+
+
+@pytest.fixture
+def mapping() -> Mapping:
+    return Mapping(coils=10, holding_registers=100)
+
+
+@pytest.fixture
+def running(mapping: Mapping) -> Iterator[Running]:
+    with Server(Device(mapping)).background("tcp://127.0.0.1:0") as running:
+        yield running
+
+
+@contextmanager
+def piped(*arguments: str) -> Iterator[subprocess.Popen[str]]:
+    process = subprocess.Popen(
+        [*PROGRAM, *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        # A shell may have given us Ctrl-C ignored.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def interrupted(process: subprocess.Popen[str]) -> str:
+    """Press Ctrl-C; gives stderr."""
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=20)
+    assert process.returncode == 130
+    return err
+
+
+def test_a_pipe_gets_a_line_for_each_poll_at_once(running: Running, mapping: Mapping) -> None:
+    with piped("read", running.urls[0], "holding", "0", "2", *WATCH) as process:
+        assert process.stdout is not None
+        assert re.fullmatch(r"\d{4}-\d\d-\d\dT[\d:.+-]+  0 0\n", process.stdout.readline())
+        mapping.holding_registers[1] = 7
+        while not process.stdout.readline().endswith("  0 7\n"):
+            pass
+        assert interrupted(process) == ""
+
+
+def test_csv_and_json(running: Running) -> None:
+    with piped("read", running.urls[0], "holding", "0", "coils", "1", "--csv", *WATCH) as process:
+        assert process.stdout is not None
+        rows = csv.reader(process.stdout)
+        assert next(rows) == ["time", "holding 0", "coils 1", "error"]
+        assert [next(rows)[1:], next(rows)[1:]] == [["0", "0", ""]] * 2
+        interrupted(process)
+    with piped("read", running.urls[0], "holding", "0", "--json", *WATCH) as process:
+        assert process.stdout is not None
+        first, second = (json.loads(process.stdout.readline()) for _ in range(2))
+        assert first["values"] == second["values"] == [0]
+        assert first["time"] < second["time"]
+        interrupted(process)
+
+
+def test_a_server_that_goes_and_comes_back_is_shown(mapping: Mapping) -> None:
+    with ExitStack() as stack:
+        running = stack.enter_context(Server(Device(mapping)).background("tcp://127.0.0.1:0"))
+        url = running.urls[0]
+        with piped("read", url, "holding", "0", "--json", *WATCH) as watching:
+            assert watching.stdout is not None
+            assert json.loads(watching.stdout.readline())["values"] == [0]
+            stack.close()
+            while "error" not in json.loads(watching.stdout.readline()):
+                pass
+            with Server(Device(mapping)).background(url):
+                while "values" not in json.loads(watching.stdout.readline()):
+                    pass
+                interrupted(watching)
+
+
+def test_the_pace_is_kept(running: Running) -> None:
+    arguments = ["read", running.urls[0], "holding", "0", "--json", "--watch", "0.3"]
+    with piped(*arguments) as process:
+        assert process.stdout is not None
+        times = [
+            datetime.fromisoformat(json.loads(process.stdout.readline())["time"]) for _ in range(4)
+        ]
+        assert (times[3] - times[0]).total_seconds() > 0.5
+        interrupted(process)
+
+
+def test_who_answers_nothing_is_not_asked_for_the_rest() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        url = f"tcp://127.0.0.1:{silent.getsockname()[1]}"
+        done = typed("read", url, "holding", "0", "60000", "coils", "0", "--timeout", "0.1", "-v")
+    assert (done.code, done.out) == (1, "")
+    assert done.err.count(" > ") == 1
+    assert "no answer" in done.err
+
+
+def test_polls_that_are_late_are_left_out() -> None:
+    """A server that never answers: each poll takes longer than the interval."""
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        url = f"tcp://127.0.0.1:{silent.getsockname()[1]}"
+        arguments = ["holding", "0", "--timeout", "0.25", "--json", "--watch", "0.1"]
+        with piped("read", url, *arguments) as process:
+            assert process.stdout is not None
+            told = [json.loads(process.stdout.readline()) for _ in range(3)]
+            assert all("no answer" in each["error"] for each in told)
+            interrupted(process)
+
+
+FLOODS = {
+    "flood": b"\xff" * 65536,
+    "trickle": b"\0",
+    "nothing": b"",
+    "answers nobody asked for": b"\0\x63\0\0\0\5\1\3\2\0\7" * 1000,
+}
+
+
+@pytest.mark.parametrize("data", FLOODS.values(), ids=FLOODS)
+def test_hostile_servers_are_one_line_for_each_poll(data: bytes) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        done = threading.Event()
+
+        def serve() -> None:
+            while not done.is_set():
+                try:
+                    link, _ = listening.accept()
+                except OSError:
+                    return
+                with link:
+                    link.settimeout(0.2)
+                    try:
+                        while not done.wait(0.02) and data:
+                            link.sendall(data)
+                    except OSError:
+                        pass
+
+        thread = threading.Thread(target=serve)
+        thread.start()
+        try:
+            url = f"tcp://127.0.0.1:{listening.getsockname()[1]}"
+            arguments = ["holding", "0", "--timeout", "0.2", "--json", *WATCH]
+            with piped("read", url, *arguments) as process:
+                assert process.stdout is not None
+                for _ in range(3):
+                    assert "error" in json.loads(process.stdout.readline())
+                assert interrupted(process) == ""
+        finally:
+            done.set()
+            listening.shutdown(socket.SHUT_RDWR)
+            thread.join()
+
+
+def test_a_reader_that_goes_away_ends_it(running: Running) -> None:
+    line = " ".join(f"'{word}'" for word in PROGRAM)
+    command = f"{line} read {running.urls[0]} holding 0 --watch 0.05 | head -1"
+    done = subprocess.run(["sh", "-c", command], capture_output=True, text=True, timeout=30)
+    assert done.stdout.count("\n") == 1
+    assert done.stderr == ""
+
+
+def test_sigterm_ends_it_without_a_word(running: Running) -> None:
+    with piped("read", running.urls[0], "holding", "0", *WATCH) as process:
+        assert process.stdout is not None
+        process.stdout.readline()
+        process.send_signal(signal.SIGTERM)
+        _, err = process.communicate(timeout=20)
+        assert (process.returncode, err) == (-signal.SIGTERM, "")
+
+
+def test_a_full_disk_ends_it_with_a_line(running: Running) -> None:
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(
+            [*PROGRAM, "read", running.urls[0], "holding", "0", *WATCH],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            timeout=30,
+        )
+    assert done.returncode == 1
+    assert done.stderr == "libmodbus-py: standard output: No space left on device\n"
+
+
+# --- on a terminal ---------------------------------------------------------------------------
+
+
+def test_a_terminal_has_a_table_that_is_drawn_in_place(running: Running, mapping: Mapping) -> None:
+    with on_terminal("read", running.urls[0], "holding", "0", "3", *WATCH) as terminal:
+        terminal.until(lambda shown: shown.count("\x1b[4A\r\x1b[J") >= 2)
+        assert "\x1b[1m" not in terminal.output
+        mapping.holding_registers[1] = 7
+        terminal.until(lambda shown: "\x1b[1m*     1  7\x1b[0m" in shown)
+        terminal.until(lambda shown: shown.count("      1  7") >= 1)  # and then it is old
+        terminal.process.send_signal(signal.SIGINT)
+        assert terminal.process.wait(20) == 130
+        assert terminal.output.rstrip().endswith("0")
+        assert "Traceback" not in terminal.output
+
+
+@pytest.mark.parametrize(
+    ("environment", "in_place", "bold"),
+    [({"NO_COLOR": "1"}, True, False), ({"TERM": "dumb"}, False, False)],
+)
+def test_terminals_that_want_less(
+    running: Running, mapping: Mapping, environment: dict[str, str], in_place: bool, bold: bool
+) -> None:
+    arguments = ["read", running.urls[0], "holding", "0", *WATCH]
+    with on_terminal(*arguments, environment=environment) as terminal:
+        terminal.until(lambda shown: shown.count("\n") >= 4)
+        mapping.holding_registers[0] = 7
+        terminal.until(lambda shown: "  7" in shown)
+        assert ("\x1b[2A" in terminal.output) == in_place
+        assert ("\x1b[1m" in terminal.output) == bold
+        assert ("*     0  7" in terminal.output) == in_place
+
+
+def test_narrow_and_low_terminals_get_what_fits(running: Running) -> None:
+    arguments = ["read", running.urls[0], "holding", "0", "100", *WATCH]
+    with on_terminal(*arguments, columns=20) as terminal:
+        terminal.until(lambda shown: "... 79 more" in shown)
+        for line in re.sub(r"\x1b\[\d*[A-Za-z]", "", terminal.output).splitlines():
+            assert len(line) < 20
+        terminal.resize(40, rows=5)
+        terminal.until(lambda shown: "... 98 more" in shown)
+        terminal.resize(1, rows=1)
+        seen = len(terminal.output)
+        terminal.until(lambda shown: len(shown) > seen + 20)
+        assert terminal.process.poll() is None
+
+
+def test_failures_stand_in_place_of_values(mapping: Mapping) -> None:
+    with ExitStack() as stack:
+        running = stack.enter_context(Server(Device(mapping)).background("tcp://127.0.0.1:0"))
+        with on_terminal("read", running.urls[0], "holding", "0", *WATCH) as terminal:
+            terminal.until(lambda shown: "      0  0" in shown)
+            stack.close()
+            terminal.until(lambda shown: "refused" in shown and "1 failed" in shown)
+
+
+def test_long_reads_show_how_far_they_are() -> None:
+    wide = Mapping(holding_registers=65536)
+    url_options = "?request_spacing=0.02"
+    with Server(Device(wide)).background("tcp://127.0.0.1:0") as running:
+        url = f"{running.urls[0]}{url_options}"
+        with on_terminal("read", url, "holding", "0", "9000", "--csv") as terminal:
+            terminal.until(
+                lambda shown: re.search(r"\r\d+ of 72 requests\x1b\[K", shown) is not None
+            )
+            terminal.until(lambda _: terminal.process.poll() is not None)
+            assert terminal.process.returncode == 0

@@ -1,0 +1,59 @@
+"""
+Answers that are for somebody else: another unit, another function, another transaction id.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+from fake import FakeServer, FakeUnit, echo, mbap
+
+from libmodbus_py import Context, ModbusError
+from libmodbus_py.protocol.framing import crc16
+
+Answer = Callable[[bytes], bytes]
+
+
+def rtu(*body: int) -> Answer:
+    frame = bytes(body)
+    return lambda request: frame + crc16(frame).to_bytes(2, "little")
+
+
+TCP: dict[str, tuple[Answer, bool]] = {
+    "unit": (lambda request: echo(request, unit=9), True),
+    "id": (lambda request: echo(request, transaction=request[1] + 7), True),
+    "function": (lambda request: mbap(request, b"\x04\x02\0\7"), True),
+    "refusal of another function": (lambda request: mbap(request, b"\x84\x02"), True),
+    "its own refusal": (lambda request: mbap(request, b"\x83\x02"), False),
+    "too much for a refusal": (lambda request: mbap(request, b"\x83\x02\x02"), False),
+    "too short": (lambda request: mbap(request, b"\x03\x02\0"), False),
+    "no answer": (lambda request: b"", False),
+}
+
+RTU: dict[str, tuple[Answer, bool]] = {
+    "unit": (rtu(9, 3, 2, 0, 7), True),
+    "function": (rtu(1, 4, 2, 0, 7), True),
+    "too much": (rtu(1, 3, 4, 0, 7, 0, 7), False),
+}
+
+
+def failure(url: str) -> ModbusError:
+    with (
+        Context.from_url(url, unit=1, timeout=0.2, native=False) as plc,
+        pytest.raises(ModbusError) as caught,
+    ):
+        plc.read_holding_registers(7, 1)
+    return caught.value
+
+
+@pytest.mark.parametrize(("answer", "is_so"), TCP.values(), ids=TCP)
+def test_error_says_whether_it_answers_another_request(answer: Answer, is_so: bool) -> None:
+    with FakeServer(lambda request: [answer(request)]) as server:
+        assert failure(server.url).answers_another is is_so
+
+
+@pytest.mark.parametrize(("answer", "is_so"), RTU.values(), ids=RTU)
+def test_error_says_so_on_lines(answer: Answer, is_so: bool) -> None:
+    with FakeUnit(lambda request: [answer(request)]) as unit:
+        assert failure(f"rtu://{unit.path}").answers_another is is_so

@@ -1,0 +1,107 @@
+"""
+Programs that bring statistics and a TLS context of their own.
+"""
+
+from __future__ import annotations
+
+import ssl
+from pathlib import Path
+from typing import Any
+
+import certificates
+import pytest
+from certificates import Papers, expired
+from clients import Connect
+from fake import FakeServer, echo
+from tls import context
+from tls_peers import TlsServer, context_of
+
+from libmodbus_py import Device, Mapping, ModbusConnectionError, Server, TcpContext
+from libmodbus_py.client.statistics import Statistics
+from libmodbus_py.security.given import GivenContext
+
+
+def test_clients_one_after_the_other_count_in_the_same_place(connect: Connect) -> None:
+    counted = Statistics()
+    with FakeServer(lambda request: [echo(request)]) as server:
+        for _ in range(3):
+            with connect(server.url, statistics=counted) as plc:
+                assert plc.read_holding_registers(7, 1) == [7]
+                assert plc.statistics is counted
+    assert (counted.connects, counted.requests, counted.responses) == (3, 3, 3)
+
+
+def test_statistics_must_be_some() -> None:
+    with pytest.raises(TypeError, match="statistics must be Statistics, not dict"):
+        TcpContext("127.0.0.1", statistics={})  # type: ignore[typeddict-item]
+
+
+@pytest.fixture
+def papers(tmp_path: Path) -> Papers:
+    return Papers(tmp_path)
+
+
+def unverified(papers: Papers) -> ssl.SSLContext:
+    made = ssl.create_default_context()
+    made.check_hostname = False
+    made.verify_mode = ssl.CERT_NONE
+    return made
+
+
+def test_a_given_context_serves_several_connections(papers: Papers, connect: Connect) -> None:
+    given = GivenContext(context(papers, certificates.client()))
+    device = Device(Mapping(holding_registers={7: [5579]}))
+    with Server(device, security=papers.server()).background("tls://127.0.0.1:0") as running:
+        for _ in range(2):
+            with connect(running.urls[0], security=given) as plc:
+                assert plc.read_holding_registers(7, 1) == [5579]
+
+
+def test_a_given_context_may_trust_everybody(papers: Papers, connect: Connect) -> None:
+    stranger = context_of(papers, certificates.self_signed(), verify_mode=ssl.CERT_NONE)
+    with (
+        TlsServer(stranger) as server,
+        connect(server.url, security=GivenContext(unverified(papers))) as plc,
+    ):
+        assert plc.read_holding_registers(7, 1) == [7]
+
+
+def test_what_a_given_context_refuses_is_named(papers: Papers, connect: Connect) -> None:
+    bad = context_of(papers, certificates.server(**expired()), verify_mode=ssl.CERT_NONE)
+    with (
+        TlsServer(bad) as server,
+        pytest.raises(ModbusConnectionError, match=r"cannot trust .*expired: 'CN=") as caught,
+        connect(server.url, security=GivenContext(context(papers))) as plc,
+    ):
+        plc.read_holding_registers(7, 1)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_refusal_of_ours_names_no_certificate(papers: Papers, connect: Connect) -> None:
+    """No context says which one it shows."""
+    given = GivenContext(context(papers))
+    with (
+        Server(Device(Mapping()), security=papers.server()).background("tls://127.0.0.1:0") as at,
+        pytest.raises(ModbusConnectionError, match="certificate") as caught,
+        connect(at.urls[0], security=given) as plc,
+    ):
+        plc.read_holding_registers(7, 1)
+    assert "SHA-256" not in str(caught.value)
+
+
+WRONG: dict[str, tuple[Any, type[Exception]]] = {
+    "none": (None, TypeError),
+    "a path": ("own.pem", TypeError),
+    "a server's": (ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER), ValueError),
+}
+
+
+@pytest.mark.parametrize(("given", "error"), WRONG.values(), ids=WRONG)
+def test_a_context_must_be_a_clients(given: Any, error: type[Exception]) -> None:
+    with pytest.raises(error, match="context must be"):
+        GivenContext(given)
+
+
+def test_a_server_takes_security_only(papers: Papers) -> None:
+    with pytest.raises(TypeError, match="security"):
+        Server(Device(Mapping()), security=GivenContext(context(papers)))  # type: ignore[arg-type]

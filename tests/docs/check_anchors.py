@@ -1,0 +1,48 @@
+"""
+Compare what is public with what the built documentation has: ``check_anchors.py site``.
+
+Ends with 1 if a public name has no place in the API pages.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import sys
+from pathlib import Path
+
+PUBLIC = [
+    "libmodbus_py",
+    "libmodbus_py.device_file",
+    "libmodbus_py.errors",
+    "libmodbus_py.framing",
+    "libmodbus_py.integrations.prometheus",
+    "libmodbus_py.low_level",
+    "libmodbus_py.protocol.pdu",  # where griffe finds what `libmodbus_py.pdu` stands for
+    "libmodbus_py.values",
+]
+
+if importlib.util.find_spec("modbus_connection"):  # older Pythons than 3.13 have none
+    PUBLIC.append("libmodbus_py.integrations.modbus_connection")
+
+
+def anchors(site: Path) -> set[str]:
+    pages = (site / "api").rglob("*.html")
+    return {name for page in pages for name in re.findall(r'id="([\w.]+)"', page.read_text())}
+
+
+def public() -> list[str]:
+    return [
+        f"{module}.{name}" for module in PUBLIC for name in importlib.import_module(module).__all__
+    ]
+
+
+def main(site: str) -> int:
+    missing = sorted({*public()} - anchors(Path(site)))
+    for name in missing:
+        print(f"{name} is public, and has no place in docs/api", file=sys.stderr)
+    return 1 if missing else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(*sys.argv[1:]))

@@ -1,0 +1,66 @@
+"""
+The documents of the repository, cut into what of them is run.
+
+Fences of Python and shell run; one with ``title="NAME"`` is a file, which the rest of its document
+finds; ``<!-- not run: REASON -->`` above a fence says why it is neither. The other fences are
+pictures, for whoever reads.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from sybil import Document, Example, Region, Sybil
+from sybil.parsers.markdown.lexers import DirectiveInHTMLCommentLexer, RawFencedCodeBlockLexer
+
+__all__ = ["DOCUMENTS", "ROOT", "Examples", "blocks", "not_run", "read"]
+
+ROOT = Path(__file__).parents[2]
+DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+
+RUN = {"python", "console", "sh"}
+
+_INFO = re.compile(r'(?P<language>\w*)(?:[^\n]*\btitle="(?P<title>[^"\n]+)")?[^\n]*\n')
+_NOT_RUN = re.compile(r"<!-- not run: (.+?) -->\s*\Z")
+
+Evaluate = Callable[[Example], None]
+
+
+@dataclass(frozen=True)
+class Examples:
+    """How to evaluate what there is: a fence by its language, and files."""
+
+    python: Evaluate
+    console: Evaluate
+    sh: Evaluate
+    file: Evaluate
+
+    def __call__(self, document: Document) -> Iterator[Region]:
+        """Find them, as a parser of Sybil."""
+        for region in blocks(document):
+            title, language = region.lexemes.get("title"), region.lexemes["language"]
+            if not_run(document, region) or not (title or language in RUN):
+                continue
+            region.parsed = region.lexemes["source"]
+            region.evaluator = self.file if title else getattr(self, language)
+            yield region
+
+
+def read(path: Path, examples: Examples) -> Document:
+    return Sybil([examples]).parse(path)
+
+
+def blocks(document: Document) -> Iterator[Region]:
+    """Every fence, and what readers do not see: ``<!--- invisible-code-block: python``."""
+    yield from RawFencedCodeBlockLexer(_INFO)(document)
+    hidden = {"arguments": "language", "source": "source"}
+    yield from DirectiveInHTMLCommentLexer("invisible-code-block", "python", hidden)(document)
+
+
+def not_run(document: Document, region: Region) -> str:
+    """Say why a block is not run, or nothing."""
+    found = _NOT_RUN.search(document.text, 0, region.start)
+    return found[1] if found else ""

@@ -1,0 +1,166 @@
+"""
+Blocks of shell, as somebody would type them.
+
+In ``console`` every command stands behind ``$ ``, with what it prints (standard output and error)
+below it: ``...`` is anything, and a line of it any number of lines. A command that ends with ``&``
+runs until the document ends; what is below it must come before the next one is typed. ``^C`` in a
+line of its own interrupts the command after what stands above it. What prints nothing must succeed.
+In ``sh`` every line is a command, which must succeed, whatever it prints.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import shlex
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from python_blocks import matches
+
+__all__ = ["Command", "Shell", "of_console", "of_sh"]
+
+PATIENCE = 30.0
+"""Seconds that a command may take: the machine may be busy."""
+
+_TYPED = re.compile(r"^\$ (.*(?:(?<=\\)\n> .*)*)\n?((?:(?!\$ ).*\n?)*)", re.MULTILINE)
+
+# What of a shell the next command finds: variables, folder, $?.
+_KEEP = """code=$?
+{{ export -p; pwd | sed "s/.*/cd '&'/"; echo "(exit $code)"; }} >{state}
+exit $code"""
+
+
+@dataclass(frozen=True)
+class Command:
+    """
+    Attributes:
+        text: what is typed.
+        expected: what it prints, or None if nobody says.
+        line: where it stands in its block, from 1.
+    """
+
+    text: str
+    expected: str | None
+    line: int
+
+    @property
+    def stays(self) -> bool:
+        return self.text.endswith("&")
+
+    @property
+    def interrupted(self) -> bool:
+        return self.expected is not None and self.expected.endswith("^C\n")
+
+
+def of_console(source: str) -> Iterator[Command]:
+    """Cut a block with prompts. Lines that go on end with a backslash, their next begins with >."""
+    for typed in _TYPED.finditer(source):
+        line = source.count("\n", 0, typed.start()) + 1
+        yield Command(re.sub(r"\\\n> ", "", typed[1]), typed[2], line)
+
+
+def of_sh(source: str) -> Iterator[Command]:
+    for typed in re.finditer(r"^(?!#).*\S.*(?:(?<=\\)\n.*)*", source, re.MULTILINE):
+        line = source.count("\n", 0, typed.start()) + 1
+        yield Command(re.sub(r"\s+#\s.*", "", typed[0].replace("\\\n", "")), None, line)
+
+
+class Shell:
+    """
+    Types commands in a folder, and keeps what stays.
+
+    Args:
+        folder: where it begins; ``cd`` and ``export`` hold for what follows.
+        here, there: put addresses of this machine in, and out again.
+    """
+
+    def __init__(
+        self, folder: Path, here: Callable[[str], str], there: Callable[[str], str]
+    ) -> None:
+        self._here, self._there = here, there
+        self._state = folder / ".shell"
+        self._state.write_text(f"cd {shlex.quote(str(folder))}\n")
+        self._staying: list[subprocess.Popen[bytes]] = []
+        path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
+        self._environment = {**os.environ, "PATH": path, "PYTHONUNBUFFERED": "1", "COLUMNS": "100"}
+        self._environment.pop("PYTEST_ADDOPTS", None)  # of whoever runs these tests
+
+    def close(self) -> None:
+        """Interrupt what stays; it must end."""
+        for process in self._staying:
+            _interrupt(process)
+
+    def type(self, command: Command) -> None:
+        output = self._state.with_name(f".output-{time.monotonic_ns()}")
+        with output.open("wb") as writing:
+            process = self._start(command, writing.fileno())
+        if command.stays:
+            self._staying.append(process)
+            self._await(process, output, command.expected or "")
+        elif command.interrupted:
+            self._await(process, output, (command.expected or "").removesuffix("^C\n"))
+            _interrupt(process)
+        else:
+            self._finish(process, output, command)
+
+    def _start(self, command: Command, output: int) -> subprocess.Popen[bytes]:
+        text = self._here(command.text.rstrip("& "))
+        if command.stays or command.interrupted:
+            script = f". {self._state}\nexec {text}"
+        else:
+            script = f". {self._state}\n{text}\n{_KEEP.format(state=self._state)}"
+        return subprocess.Popen(
+            ["bash", "-c", script],
+            stdin=subprocess.DEVNULL,
+            stdout=output,
+            stderr=output,
+            env=self._environment,
+            start_new_session=True,
+        )
+
+    def _await(self, process: subprocess.Popen[bytes], output: Path, expected: str) -> None:
+        """Wait until it has printed so much."""
+        end = time.monotonic() + PATIENCE
+        while not matches(f"{self._pattern(expected)}...", self._read(output)):
+            assert process.poll() is None, f"ended: {self._read(output)}"
+            assert time.monotonic() < end, f"printed {self._read(output)!r}, not {expected!r}"
+            time.sleep(0.02)
+
+    def _finish(self, process: subprocess.Popen[bytes], output: Path, command: Command) -> None:
+        try:
+            code = process.wait(PATIENCE)
+        except subprocess.TimeoutExpired:
+            os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+            raise AssertionError(f"does not end: {self._read(output)}") from None
+        printed = self._read(output)
+        assert code == 0 or command.expected, f"exit code {code}: {printed}"
+        if command.expected is not None:
+            fits = matches(self._pattern(command.expected), printed)
+            assert fits, f"printed:\n{printed}\nand not:\n{command.expected}"
+
+    def _read(self, output: Path) -> str:
+        return self._there(output.read_text(errors="replace"))
+
+    def _pattern(self, expected: str) -> str:
+        """What a whole line of ``...`` stands for has its own line end."""
+        same = self._there(self._here(expected))
+        return re.sub(r"^\.\.\.\n", "...", same, flags=re.MULTILINE)
+
+
+def _interrupt(process: subprocess.Popen[bytes]) -> None:
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGINT)
+    try:
+        process.wait(PATIENCE)
+    except subprocess.TimeoutExpired:
+        os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+        raise

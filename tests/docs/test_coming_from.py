@@ -1,0 +1,45 @@
+"""
+The pages for who comes from a peer: pairs of snippets, which give the same.
+
+That both sides run, and give what they say, is seen where all documents run.
+"""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from documents import ROOT, blocks
+from python_blocks import comments_of, is_value
+from sybil import Document
+
+PAGES = sorted((ROOT / "docs" / "coming-from").glob("*.md"))
+PAIR = '<div class="grid" markdown>'
+
+
+def pairs(path: Path) -> Iterator[list[str]]:
+    for part in path.read_text().split(PAIR)[1:]:
+        document = Document(part.partition("</div>")[0], str(path))
+        yield [region.lexemes["source"] for region in blocks(document)]
+
+
+def said(source: str) -> list[object]:
+    """The values that comments name; a value alone and a list of it are one to readers."""
+    values = [text for text in comments_of(source).values() if is_value(text)]
+    found = [ast.literal_eval(text) for text in values]
+    return [each[0] if isinstance(each, list) and len(each) == 1 else each for each in found]
+
+
+@pytest.mark.parametrize("path", PAGES, ids=lambda path: path.stem)
+def test_both_sides_of_ten_pairs_give_the_same(path: Path) -> None:
+    found = list(pairs(path))
+    assert len(found) >= 10
+    for theirs, ours in found:
+        assert said(theirs)[-1] == said(ours)[-1], ours
+        assert "libmodbus_py" not in theirs
+
+
+def test_there_are_four_peers() -> None:
+    assert len(PAGES) == 4

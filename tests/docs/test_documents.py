@@ -1,0 +1,115 @@
+"""
+What README.md and docs say runs, and gives what it says it does.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+import tomllib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from documents import DOCUMENTS, ROOT, blocks, not_run
+from python_blocks import Comparing
+from sybil import Document, Region
+
+NAMES = [str(path.relative_to(ROOT)) for path in DOCUMENTS]
+
+
+@pytest.mark.parametrize("path", DOCUMENTS, ids=NAMES)
+def test_what_a_document_says_runs(path: Path, run: Callable[[Path], None]) -> None:
+    run(path)
+
+
+def everything() -> Iterator[tuple[Document, Region]]:
+    for path in DOCUMENTS:
+        document = Document(path.read_text(), str(path))
+        for region in blocks(document):
+            yield document, region
+
+
+def test_comments_and_outputs_are_compared() -> None:
+    """Else the test above would prove less than it says."""
+    compared = 0
+    for document, region in everything():
+        source = region.lexemes["source"]
+        if region.lexemes["language"] == "python" and not not_run(document, region):
+            comparing = Comparing(source)
+            comparing.visit(ast.parse(source))
+            compared += comparing.compared
+    assert compared >= 70
+
+
+REASONS = (
+    "installs packages",
+    "needs a program that may be missing",
+    "needs a real serial port",
+    "takes long",
+    "this repository's own commands",
+)
+
+
+def test_what_is_not_run_says_why() -> None:
+    reasons = [not_run(document, region) for document, region in everything()]
+    assert [reason for reason in reasons if reason and not reason.startswith(REASONS)] == []
+    assert len([reason for reason in reasons if reason]) <= 20
+
+
+def in_nav(entry: object) -> Iterator[str]:
+    """Give the pages below an entry of the navigation."""
+    if isinstance(entry, str):
+        yield entry
+    for below in entry if isinstance(entry, list) else getattr(entry, "values", list)():
+        yield from in_nav(below)
+
+
+def test_every_page_is_in_the_navigation() -> None:
+    """A page that is not there is missing, too: Zensical says nothing of either."""
+    project = tomllib.loads((ROOT / "zensical.toml").read_text())["project"]
+    pages = [str(path.relative_to(ROOT / "docs")) for path in DOCUMENTS[1:]]
+    assert sorted(in_nav(project["nav"])) == pages
+
+
+def headings(path: Path) -> set[str]:
+    return {
+        re.sub(r"[^\w\- ]", "", line.lstrip("# ").lower()).replace(" ", "-")
+        for line in path.read_text().splitlines()
+        if line.startswith("#")
+    }
+
+
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+# Where files of this repository are seen, and the bare ones, such as pictures.
+SEEN = re.compile(
+    PROJECT["urls"]["Source"].replace("//github.com", r"//(?:github|raw\.githubusercontent)\.com")
+    + "/(?:blob/|tree/|raw/)?main/"
+)
+LINK = re.compile(r"""\]\(([^)\s]*)\)|^\[[^]]+\]:\s*(\S+)|(?:src|href)="([^"]*)\"""", re.MULTILINE)
+
+
+def links_of(text: str) -> list[str]:
+    return ["".join(found) for found in LINK.findall(text)]
+
+
+@pytest.mark.parametrize("path", DOCUMENTS, ids=NAMES)
+def test_links_lead_somewhere(path: Path) -> None:
+    for link in links_of(path.read_text()):
+        inside = SEEN.match(link)
+        if re.match(r"\w+:", link) and not inside:
+            continue
+        target, _, heading = link[inside.end() if inside else 0 :].partition("#")
+        found = (ROOT if inside else path.parent) / target if target else path
+        assert found.exists(), link
+        if heading and found.suffix == ".md":
+            assert heading in headings(found), link
+
+
+def test_links_of_the_first_page_hold_on_an_index() -> None:
+    """There it stands alone; and a picture is what GitHub gives, not its page about it."""
+    assert PROJECT["readme"] == "README.md"
+    links = links_of((ROOT / PROJECT["readme"]).read_text())
+    assert [link for link in links if not link.startswith(("https://", "#"))] == []
+    pictures = [link for link in links if link.endswith((".png", ".svg"))]
+    assert [link for link in pictures if "/blob/" in link] == []

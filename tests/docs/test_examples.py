@@ -1,0 +1,133 @@
+"""
+The runner of documents: what it takes, and what it does not let pass.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from documents import Examples, read
+from python_blocks import matches
+from shell_blocks import of_console, of_sh
+
+Run = Callable[[Path], None]
+
+GOOD = """
+```console
+$ printf 'listening on tcp://127.0.0.1:1502\\n'; sleep 60 &
+listening on tcp://127.0.0.1:1502
+$ libmodbus-py read tcp://127.0.0.1:1 \\
+> 40123
+libmodbus-py: unit 1: cannot connect to 127.0.0.1:1: ...
+$ echo $?
+1
+$ mkdir -p below && cd below && export VALUE="seven or 7"
+$ pwd; echo $VALUE; printf '1\\n2\\n3\\n'
+./below
+seven or 7
+...
+3
+$ sh -c 'echo begun; sleep 60'
+begun
+^C
+```
+
+```toml title="plant.toml"
+url = "tcp://127.0.0.1:1502"
+```
+
+```sh
+cat ../plant.toml   # where it was written
+```
+
+<!--- invisible-code-block: python
+hidden = at_end.enter_context(open("plant.toml"))
+--->
+
+```python
+text = hidden.read()
+print(text)  # url = "tcp://127.0.0.1:1502"...
+print(url)  # tcp://192.0.2.10
+plc.write_registers(100, [555, 0])
+plc.read_holding_registers(100, 2)  # [555, 0]
+plc.statistics  # Statistics(requests=2, ...)
+await asyncio.sleep(0, 0.5)  # 0.5
+with RtuContext("/dev/ttyUSB0", unit=3) as line:
+    line.read_holding_registers(100, 2)  # [555, 0]
+with TcpContext("192.0.2.10") as other:
+    other.read_coils(0, 2)  # [False, False]
+```
+
+<!-- not run: because -->
+```python
+nobody.knows
+```
+"""
+
+
+def test_a_document_runs(tmp_path: Path, run: Run) -> None:
+    path = tmp_path / "good.md"
+    path.write_text(GOOD)
+    run(path)
+
+
+@pytest.mark.parametrize(
+    ("block", "what"),
+    [
+        ("```python\n1 + 1  # 3\n```", "2 is not 3"),
+        ("```python\nx = 1 + 1  # 3\n```", "2 is not 3"),
+        ("```python\nprint(1 + 1)  # 3\n```", "printed is '2', not '3'"),
+        ("```python\n[1, 2]  # [..., 3]\n```", "is not"),
+        ("```python\nfor i in range(2):\n    i  # 0\n```", "1 is not 0"),
+        ("```python\nnobody\n```", "not defined"),
+        ("```console\n$ echo 1\n2\n```", "and not:\n2"),
+        ("```console\n$ echo 1\n```", "and not"),
+        ("```console\n$ false\n```", "exit code 1"),
+        ("```console\n$ true &\nready\n```", "ended"),
+        ("```sh\ntrue\nfalse\n```", "exit code 1"),
+    ],
+)
+def test_a_lie_is_noticed(tmp_path: Path, run: Run, block: str, what: str) -> None:
+    path = tmp_path / "lie.md"
+    path.write_text(f"Text.\n\n{block}\n")
+    with pytest.raises((AssertionError, NameError)) as caught:
+        run(path)
+    assert what in str(caught.value)
+
+
+def test_a_failure_says_where(tmp_path: Path, run: Run) -> None:
+    path = tmp_path / "lie.md"
+    path.write_text("Text.\n\n```console\n$ true\n$ false\n```\n")
+    with pytest.raises(AssertionError) as caught:
+        run(path)
+    assert caught.value.__notes__ == [f"{path}:5: false"]
+
+
+@pytest.mark.parametrize(
+    ("expected", "found", "fits"),
+    [
+        ("a  b", "a      b", True),
+        ("a b", "ab", False),
+        ("a...z", "a\nb\nz", True),
+        ("...", "", True),
+        ("a.c", "abc", False),
+        ("a", "a\n", False),
+    ],
+)
+def test_texts_are_compared(expected: str, found: str, fits: bool) -> None:
+    assert matches(expected, found) is fits
+
+
+def test_commands_are_cut() -> None:
+    console = [(each.text, each.expected) for each in of_console("$ a \\\n> b\n1\n2\n$ c &\n$ d")]
+    assert console == [("a b", "1\n2\n"), ("c &", ""), ("d", "")]
+    shell = [(each.text, each.expected, each.line) for each in of_sh("# x\na   # y\n\nb \\\n  c\n")]
+    assert shell == [("a", None, 2), ("b   c", None, 4)]
+
+
+def test_only_examples_are_read(tmp_path: Path, examples: Examples) -> None:
+    path = tmp_path / "some.md"
+    path.write_text('```\nx\n```\n\n```text\ny\n```\n\n```json title="z.json"\n{}\n```\n')
+    assert len(list(read(path, examples).examples())) == 1

@@ -1,0 +1,76 @@
+"""
+The frames that pages show are worked examples, and those this package makes.
+"""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+from documents import ROOT, blocks
+from sybil import Document
+from vectors import FRAMES, REFERENCES, FrameVector
+
+from libmodbus_py import framing, pdu, values
+
+PAGES = ROOT / "docs" / "protocol"
+LINE = re.compile(
+    r"(request|response|exception)\s+(pdu|tcp|rtu|ascii)\s+(:\w+|(?:[0-9A-F]{2}\b ?)+)"
+)
+ROW = re.compile(r"\| (\d+)(?:/\d+)? \| [^|]+ \| `([0-9A-F ]+)` \| `([0-9A-F ]+)` \|")
+
+Shown = tuple[str, str, str]  # kind, form, as it is written
+
+
+def shown() -> list[Shown]:
+    found: list[Shown] = []
+    for path in sorted(PAGES.glob("*.md")):
+        for region in blocks(Document(path.read_text(), str(path))):
+            if region.lexemes["language"] == "frame":
+                lines = region.lexemes["source"].strip().splitlines()
+                found += [(line[1], line[2], line[3]) for line in map(LINE.match, lines) if line]
+                assert len(lines) == len([line for line in lines if LINE.match(line)])
+    for row in ROW.finditer((PAGES / "functions.md").read_text()):
+        found += [("request", "pdu", row[2]), ("response", "pdu", row[3])]
+    return found
+
+
+def as_bytes(form: str, text: str) -> bytes:
+    return f"{text}\r\n".encode() if form == "ascii" else bytes.fromhex(text)
+
+
+def vector(kind: str, form: str, text: str) -> FrameVector:
+    data = as_bytes(form, text)
+    return next(each for each in FRAMES if each.kind == kind and getattr(each, form) == data)
+
+
+@pytest.mark.parametrize("example", shown(), ids=" ".join)
+def test_a_frame_is_a_worked_example(example: Shown) -> None:
+    assert vector(*example)
+
+
+@pytest.mark.parametrize("example", [each for each in shown() if each[1] != "pdu"], ids=" ".join)
+def test_the_package_makes_the_same_frame(example: Shown) -> None:
+    kind, form, text = example
+    found = vector(*example)
+    role = "server" if kind == "request" else "client"
+    framer = framing.make_framer(form, role)  # type: ignore[arg-type]
+    frame = found.tcp_frame if form == "tcp" else found.frame
+    assert framer.encode(frame) == as_bytes(form, text)
+    assert [(each.unit, each.pdu) for each in framer.feed(as_bytes(form, text))] == [
+        (found.unit, found.pdu)
+    ]
+
+
+def test_every_function_has_a_row() -> None:
+    codes = {int(row[1]) for row in ROW.finditer((PAGES / "functions.md").read_text())}
+    assert codes == set(pdu.REQUESTS) - {code for code in pdu.REQUESTS if code >= 65}
+
+
+def test_references_are_parsed_as_the_page_says() -> None:
+    text = (PAGES / "addresses.md").read_text()
+    rows = re.findall(r"^\| (\d{5,6}) \| ([\w ]+) \| (\d+) \|", text, re.MULTILINE)
+    assert len(rows) >= 8
+    for reference, table, address in rows:
+        assert values.parse_reference(reference) == (table.replace(" ", "_"), int(address))
+    assert {"40108", "40123", "30009", "10102"} <= {each.reference for each in REFERENCES}

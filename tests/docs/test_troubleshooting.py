@@ -1,0 +1,194 @@
+"""
+The messages that the page on troubleshooting explains are those a client makes of such lines.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import socket
+import subprocess
+import sys
+from collections.abc import Callable
+from contextlib import ExitStack
+
+import pytest
+from documents import ROOT
+from fake import FakeServer, FakeUnit, dead, mbap, refusing, url_of
+from python_blocks import matches
+from talk import ascii_frame, rtu
+
+from libmodbus_py import Context, ModbusError
+
+PAGE = (ROOT / "docs" / "troubleshooting.md").read_text()
+NAMED = re.findall(r"^\| `(.*?)` \|", PAGE, re.MULTILINE)
+
+ANSWER = "11 03 06 022B 0000 0064"  # registers 555, 0 and 100 of unit 17
+GOOD = rtu(ANSWER)
+
+# What came -> what the client says of it.
+Came = Callable[[bytes], bytes]
+RTU: dict[str, Came] = {
+    "no answer within 0.3 s": lambda request: b"",
+    "no complete answer within 0.3 s, but 11 03 06 02 2b": lambda request: GOOD[:5],
+    "bytes without a fitting CRC": lambda request: GOOD[:-1] + b"\0",
+    "bytes without a fitting CRC; only noise; baud rate, parity, A and B swapped?": (
+        lambda request: bytes.fromhex("00 FE 00 FE FC")
+    ),
+    "bytes without a fitting CRC; the request itself came back; echo=True?": lambda request: (
+        request
+    ),
+    "this looks like ascii://": lambda request: ascii_frame(ANSWER),
+    "unit 18 answered": lambda request: rtu("12 03 06 022B 0000 0064"),
+    "answered with response 04 06 02 2b 00 00 00 64": lambda request: rtu(
+        "11 04 06 022B 0000 0064"
+    ),
+    "answered with 4 bytes of data": lambda request: rtu("11 03 04 022B 0000"),
+}
+ASCII: dict[str, Came] = {"this looks like rtu://": lambda request: GOOD}
+TCP: dict[str, Came | None] = {
+    "closed by the other side": None,
+    "this looks like rtu+tcp://": lambda request: GOOD,
+    "header with length 12081, not 2..254": lambda request: b"HTTP/1.1 400 Bad Request\r\n\r\n",
+    'unit 255 answered; accept_unit="any" would take it': (
+        lambda request: mbap(request, bytes.fromhex("0306022B00000064"), unit=255)
+    ),
+    ": id 77, not 1": (
+        lambda request: mbap(request, bytes.fromhex("0306022B00000064"), transaction=77)
+    ),
+}
+
+
+def refused(code: int) -> Came:
+    return lambda request: mbap(request, bytes([0x83, code]))
+
+
+TCP |= {
+    f"{name} (exception {code})": refused(code)
+    for name, code in {
+        "illegal function": 1,
+        "illegal data address": 2,
+        "illegal data value": 3,
+        "server device failure": 4,
+        "server device busy": 6,
+        "gateway path unavailable": 10,
+        "gateway target device failed to respond": 11,
+    }.items()
+}
+LINE: dict[str, Came] = {
+    "this looks like tcp://": lambda request: bytes.fromhex(f"000100000009{ANSWER}")
+}
+OTHERS = {
+    "cannot open /dev/ttyUSB0: No such file or directory",
+    "cannot open /dev/ttyUSB0: Permission denied; is this user in the group dialout?",
+    "cannot open /dev/ttyUSB0: in use by another program",
+    "cannot open /dev/ttyUSB0: in use by this program itself; "
+    "for_unit() gives another unit on the same line",
+    "cannot open /dev/ttyUSB0: not a serial port",
+    "Connection refused",
+    "Connection timed out",
+    "cannot resolve host 'no-such-host.invalid'",
+    "count must be in 1..125, not 126",
+    "address must be in 0..65535, not 65536",
+}
+
+
+def said(url: str, address: int = 107, count: int = 3) -> str:
+    with (
+        pytest.raises((ModbusError, ValueError)) as caught,
+        Context.from_url(url, unit=17, timeout=0.3) as plc,
+    ):
+        plc.read_holding_registers(address, count)
+    return str(caught.value)
+
+
+def ends_so(message: str, text: str) -> bool:
+    return matches(f"...{message}", text)
+
+
+def test_each_message_of_the_page_is_tried_here() -> None:
+    assert {*NAMED} == {*RTU, *ASCII, *TCP, *LINE, *OTHERS}
+
+
+@pytest.mark.parametrize(
+    ("scheme", "message", "came"),
+    [("rtu", *case) for case in RTU.items()] + [("ascii", *case) for case in ASCII.items()],
+)
+def test_on_a_serial_line(scheme: str, message: str, came: Came) -> None:
+    with FakeUnit(lambda request: [came(request)]) as unit:
+        assert ends_so(message, said(f"{scheme}://{unit.path}"))
+
+
+@pytest.mark.parametrize(
+    ("scheme", "message", "came"),
+    [("tcp", *case) for case in TCP.items()]
+    + [("rtu+tcp", *case) for case in LINE.items()]
+    + [("tcp", "no answer within 0.3 s", lambda request: b"")],
+)
+def test_on_a_network(scheme: str, message: str, came: Came | None) -> None:
+    with FakeServer(came and (lambda request: [came(request)])) as server:
+        assert ends_so(message, said(f"{scheme}://127.0.0.1:{server.port}"))
+
+
+HOLD = """
+from libmodbus_py import Context
+plc = Context.from_url({!r})
+plc.connect()
+print("held", flush=True)
+input()
+"""
+
+
+def port(path: str, number: int) -> str:
+    message: str = NAMED[number]
+    return message.replace("/dev/ttyUSB0", path)
+
+
+def test_ports_that_cannot_be_opened(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert ends_so(port("/dev/no-such-port", 0), said("rtu:///dev/no-such-port"))
+    assert ends_so(port("/dev/null", 4), said("rtu:///dev/null"))
+    with FakeUnit(lambda request: []) as unit:
+        url = f"rtu://{unit.path}"
+        hold = HOLD.format(url)
+        with subprocess.Popen(
+            [sys.executable, "-c", hold], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+        ) as other:
+            assert other.stdout is not None
+            assert other.stdin is not None
+            assert other.stdout.readline() == b"held\n"
+            assert ends_so(port(unit.path, 2), said(url))
+            other.stdin.write(b"\n")
+        with Context.from_url(url):
+            assert ends_so(port(unit.path, 3), said(url))
+
+        def refuse(*_: object) -> int:
+            raise PermissionError(13, "Permission denied")  # which root never sees
+
+        monkeypatch.setattr(os, "open", refuse)
+        text = said(url)
+        monkeypatch.undo()
+        assert ends_so(port(unit.path, 1), text)
+
+
+def test_hosts_that_cannot_be_reached(monkeypatch: pytest.MonkeyPatch) -> None:
+    with ExitStack() as stack:
+        assert ends_so("Connection refused", said(url_of(stack.enter_context(refusing()))))
+        assert ends_so(
+            "Connection timed out", said(f"tcp://127.0.0.1:{stack.enter_context(dead())}")
+        )
+
+    def unknown(*_: object, **__: object) -> None:
+        raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")  # nobody is asked
+
+    monkeypatch.setattr(socket, "getaddrinfo", unknown)
+    assert matches(
+        "...cannot resolve host 'no-such-host.invalid'...", said("tcp://no-such-host.invalid")
+    )
+
+
+def test_arguments_are_looked_at_before_anything_is_sent() -> None:
+    with FakeServer(None) as server:
+        url = f"tcp://127.0.0.1:{server.port}"
+        assert ends_so("count must be in 1..125, not 126", said(url, 0, 126))
+        assert ends_so("address must be in 0..65535, not 65536", said(url, 65536, 1))
+        assert server.requests == []

@@ -1,0 +1,122 @@
+"""
+What tests of fleets share: devices, maps, and waiting for what must happen.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager, suppress
+from typing import Any, Self
+
+from scripted import all_accepted
+
+from libmodbus_py import Device, DeviceConfig, Fleet, Mapping, Point, Reading, RegisterMap
+
+METER = RegisterMap(
+    [
+        Point("voltage", "holding_registers", 0, scale=0.1, unit="V", access="read"),
+        Point("power", "holding_registers", 1, type="int16", unit="W", access="read"),
+        Point("setpoint", "holding_registers", 2, minimum=10, maximum=30, unit="C"),
+    ]
+)
+
+LONGEST = 20.0
+"""Seconds that anything may take on a busy machine."""
+
+
+def meter(name: str, url: str, **keys: Any) -> DeviceConfig:
+    return DeviceConfig(**{"name": name, "url": url, "map": METER, "interval": 0.1, **keys})
+
+
+def simulated(voltage: int = 2305) -> Device:
+    return Device(Mapping(holding_registers={0: [voltage, 0xFFFF, 20]}))
+
+
+@asynccontextmanager
+async def polling(
+    *devices: DeviceConfig, **options: Any
+) -> AsyncIterator[tuple[Fleet, list[Reading]]]:
+    """A fleet that polls, and all that it reads."""
+    readings: list[Reading] = []
+
+    async def collect() -> None:
+        async for reading in kept:
+            readings.append(reading)
+
+    fleet = Fleet(devices, **options)
+    kept = fleet.readings()
+    collecting = asyncio.create_task(collect())
+    try:
+        async with fleet:
+            yield fleet, readings
+    finally:
+        await asyncio.wait_for(collecting, LONGEST)
+
+
+async def until(is_so: Callable[[], object]) -> None:
+    """Wait for it."""
+    async with asyncio.timeout(LONGEST):
+        while not is_so():
+            await asyncio.sleep(0.01)
+
+
+class Peer:
+    """
+    A Modbus/TCP server of any manners, in the same event loop.
+
+    Args:
+        answer: gives the bytes to send for a request, in its own time; None for nothing.
+    """
+
+    def __init__(self, answer: Callable[[bytes], Awaitable[bytes | None]] | None = None) -> None:
+        self._answer = answer or good
+        self.requests: list[bytes] = []
+        self.connections: list[asyncio.StreamWriter] = []
+        self._tasks: set[asyncio.Task[None]] = set()
+
+    @property
+    def units(self) -> list[int]:
+        return [request[6] for request in self.requests]
+
+    async def __aenter__(self) -> Self:
+        self._server = await asyncio.start_server(self._serve, "127.0.0.1", 0)
+        self.port: int = self._server.sockets[0].getsockname()[1]
+        self.url = f"tcp://127.0.0.1:{self.port}"
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await all_accepted()
+        self._server.close()
+        for writer in self.connections:
+            writer.close()
+        for task in self._tasks:
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+        await self._server.wait_closed()
+
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self.connections.append(writer)
+        with suppress(asyncio.IncompleteReadError, OSError):
+            while True:
+                head = await reader.readexactly(6)
+                request = head + await reader.readexactly(int.from_bytes(head[4:], "big"))
+                self.requests.append(request)
+                task = asyncio.create_task(self._reply(request, writer))
+                self._tasks.add(task)
+                task.add_done_callback(self._tasks.discard)
+        writer.close()
+
+    async def _reply(self, request: bytes, writer: asyncio.StreamWriter) -> None:
+        answer = await self._answer(request)
+        if answer is not None:
+            writer.write(answer)
+
+
+async def good(request: bytes) -> bytes:
+    """The answer to a read of registers, each 7; to a write its echo."""
+    if request[7] != 3:
+        return request[:12].replace(request[4:6], b"\0\6", 1)
+    count = int.from_bytes(request[10:12], "big")
+    body = bytes([request[6], 3, 2 * count]) + b"\0\7" * count
+    return request[:4] + len(body).to_bytes(2, "big") + body

@@ -1,0 +1,399 @@
+"""
+Poll plans: against a table of cells, against the fewest requests there can be, on every transport.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import pairwise
+from typing import Any
+
+import pytest
+from fake import FakeServer, mbap
+from hypothesis import given
+from hypothesis import strategies as st
+
+from libmodbus_py import (
+    Context,
+    IllegalDataAddress,
+    InvalidResponse,
+    Mapping,
+    ModbusTimeoutError,
+    TcpContext,
+    pdu,
+    values,
+)
+from libmodbus_py.maps.plan import Plan, Read, planned
+
+UNIT = 17
+REGISTERS = {
+    pdu.ReadHoldingRegisters: "holding_registers",
+    pdu.ReadInputRegisters: "input_registers",
+}
+BITS = {pdu.ReadCoils: "coils", pdu.ReadDiscreteInputs: "discrete_inputs"}
+TABLES = {**BITS, **REGISTERS}
+
+
+def cell(table: str, address: int) -> Any:
+    """Every register tells where it is, and has two bytes of ASCII."""
+    return bool(address % 3) if table in BITS.values() else (address % 100) << 8 | address // 100
+
+
+def spans(plan: Plan) -> list[tuple[str, range]]:
+    return [
+        (TABLES[type(each)], range(each.address, each.address + each.count))  # type: ignore[attr-defined,index]
+        for each in plan.requests
+    ]
+
+
+def answers(plan: Plan) -> list[list[Any]]:
+    return [[cell(table, address) for address in cells] for table, cells in spans(plan)]
+
+
+# --- examples ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("items", "options", "expected"),
+    [
+        ([("coils", 5)], {}, [pdu.ReadCoils(5, 1)]),
+        ([("coils", 5, 3), ("coils", 8, 2)], {}, [pdu.ReadCoils(5, 5)]),
+        ([("coils", 8, 2), ("coils", 5, 4)], {}, [pdu.ReadCoils(5, 5)]),
+        ([("coils", 5, 3), ("coils", 9, 2)], {}, [pdu.ReadCoils(5, 3), pdu.ReadCoils(9, 2)]),
+        ([("coils", 5, 3), ("coils", 9, 2)], {"gap": 1}, [pdu.ReadCoils(5, 6)]),
+        (
+            [("coils", 5, 3), ("coils", 9, 2)],
+            {"gap": 9, "forbidden": [("coils", range(8, 9))]},
+            [pdu.ReadCoils(5, 3), pdu.ReadCoils(9, 2)],
+        ),
+        (
+            [("coils", 5, 3), ("coils", 9, 2)],
+            {"gap": 9, "forbidden": [("discrete_inputs", range(8, 9)), ("coils", range(8, 8))]},
+            [pdu.ReadCoils(5, 6)],
+        ),
+        (
+            [("input_registers", 0, 100), ("input_registers", 100, 100)],
+            {},
+            [pdu.ReadInputRegisters(0, 100), pdu.ReadInputRegisters(100, 100)],
+        ),
+        (
+            [("holding_registers", 0, 125), ("holding_registers", 10, 100)],
+            {},
+            [pdu.ReadHoldingRegisters(0, 125)],
+        ),
+        (
+            [("holding_registers", 0, 260)],
+            {},
+            [
+                pdu.ReadHoldingRegisters(0, 125),
+                pdu.ReadHoldingRegisters(125, 125),
+                pdu.ReadHoldingRegisters(250, 10),
+            ],
+        ),
+        (
+            [("holding_registers", 0, 100, "float32")],
+            {"max_registers": 125},
+            [pdu.ReadHoldingRegisters(0, 124), pdu.ReadHoldingRegisters(124, 76)],
+        ),
+        (
+            [("holding_registers", 0, 250), ("holding_registers", 250, 5)],
+            {"max_registers": 120},
+            [
+                pdu.ReadHoldingRegisters(0, 120),
+                pdu.ReadHoldingRegisters(120, 120),
+                pdu.ReadHoldingRegisters(240, 15),
+            ],
+        ),
+        (
+            [("coils", 65535), ("coils", 0, 2001)],
+            {},
+            [pdu.ReadCoils(0, 2000), pdu.ReadCoils(2000, 1), pdu.ReadCoils(65535, 1)],
+        ),
+        ([], {}, []),
+    ],
+)
+def test_requests(items: Any, options: Any, expected: list[pdu.Request[Any]]) -> None:
+    plan = Plan(items, **options)
+    assert list(plan.requests) == expected
+    reads = [item if isinstance(item, Read) else Read(*item) for item in items]
+    if all(read.type is None for read in reads):
+        assert plan.results(answers(plan)) == [
+            [cell(read.table, read.address + at) for at in range(read.count)] for read in reads
+        ]
+
+
+def test_results_are_values_by_name() -> None:
+    plan = Plan(
+        {
+            "level": ("holding_registers", 10, 2, "float32", "CDAB"),
+            "name": Read("holding_registers", 14, 1, "string:4", padding=" "),
+            "raw": ("holding_registers", 12, 3),
+        }
+    )
+    assert plan.requests == (pdu.ReadHoldingRegisters(10, 6),)
+    registers = values.value_type("float32", order="CDAB").encode_many([1.5, -2.25])
+    registers += values.value_type("string:4", padding=" ").encode("ab")
+    assert plan.results([registers]) == {
+        "level": [1.5, -2.25],
+        "name": ["ab"],
+        "raw": registers[2:5],
+    }
+
+
+def test_failed_request_stands_in_for_its_items_only() -> None:
+    plan = Plan([("coils", 0, 2), ("coils", 1, 2), ("coils", 9, 1), ("coils", 100, 3000)])
+    assert len(plan.requests) == 4
+    error = ModbusTimeoutError("no answer")
+    good = answers(plan)
+    assert plan.results([error, *good[1:]]) == [error, error, [cell("coils", 9)], good[2] + good[3]]
+    assert plan.results([*good[:3], error])[2:] == [[cell("coils", 9)], error]
+
+
+def test_results_are_made_anew_each_time() -> None:
+    plan = Plan([("coils", 0, 2), ("coils", 0, 2)])
+    answer = [[True, False]]
+    first, second = plan.results(answer)
+    first.append(1)
+    assert second == [True, False]
+    assert answer == [[True, False]]
+
+
+# --- arguments ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("items", "options", "kind", "named"),
+    [
+        ("coils", {}, TypeError, "items must be a list"),
+        (5, {}, TypeError, "items must be a list"),
+        (Read("coils", 1), {}, TypeError, "items must be a list"),
+        ([("coils", 0), "coils"], {}, TypeError, r"items\[1\]"),
+        ([("coils",)], {}, TypeError, r"items\[0\]"),
+        ([("coil", 0)], {}, ValueError, r"items\[0\]: table must be one of coils"),
+        ([([], 0)], {}, ValueError, r"items\[0\]: table"),
+        ({"a": ("coils", -1)}, {}, ValueError, r"items\['a'\]: address must be in 0..65535"),
+        ([("coils", 0, 0)], {}, ValueError, r"count must be in 1..65536"),
+        ([("coils", 0, True)], {}, TypeError, "count"),
+        ([("coils", 1, 65536)], {}, ValueError, "must not pass 65536"),
+        ([("holding_registers", 65535, 1, "float32")], {}, ValueError, "must not pass 65536"),
+        ([("holding_registers", 0, 1, "float31")], {}, ValueError, r"items\[0\]: type must be"),
+        ([("holding_registers", 0, 1, None, "CDAB")], {}, ValueError, "type must be given"),
+        ([("coils", 0, 1, "bits16")], {}, ValueError, "type must be None for coils"),
+        ([], {"gap": -1}, ValueError, "gap must be in 0..2000"),
+        ([], {"gap": None}, TypeError, "gap"),
+        ([], {"max_registers": 126}, ValueError, "max_registers must be in 1..125"),
+        ([], {"max_bits": 2001}, ValueError, "max_bits must be in 1..2000"),
+        ([], {"forbidden": [("coils", 5)]}, TypeError, r"forbidden\[0\]"),
+        ([], {"forbidden": {"coils": range(5)}}, TypeError, r"forbidden\[0\]"),
+        ([], {"forbidden": 5}, TypeError, r"forbidden\[0\]"),
+        ([], {"forbidden": [("coil", range(5))]}, ValueError, r"forbidden\[0\]: table"),
+        ([], {"forbidden": [("coils", range(0, 5, 2))]}, ValueError, "0..65535"),
+        ([], {"forbidden": [("coils", range(65537))]}, ValueError, "0..65535"),
+        (
+            {"tank": ("coils", 5, 3)},
+            {"forbidden": [("coils", range(7, 9))]},
+            ValueError,
+            r"items\['tank'\].*address=5.*forbidden range\(7, 9\)",
+        ),
+        (
+            [("holding_registers", 0, 1, "float64")],
+            {"max_registers": 3},
+            ValueError,
+            r"items\[0\]: float64 takes 4 registers.*max_registers, 3",
+        ),
+    ],
+)
+def test_bad_argument_is_named(items: Any, options: Any, kind: type[Exception], named: str) -> None:
+    with pytest.raises(kind, match=named):
+        Plan(items, **options)
+
+
+@pytest.mark.parametrize(
+    ("given", "named"),
+    [
+        ([], "one for each of 2 requests, not 0"),
+        ([[True], [True], [True]], "one for each of 2 requests, not 3"),
+        ([[True], [True]], r"answers\[1\] must hold 2 values, not 1"),
+    ],
+)
+def test_answers_to_other_requests_are_refused(given: Any, named: str) -> None:
+    with pytest.raises(ValueError, match=named):
+        Plan([("coils", 0), ("coils", 5, 2)]).results(given)
+
+
+def test_registers_that_are_no_such_value_name_the_item() -> None:
+    plan = Plan({"total": ("holding_registers", 0, 1, "bcd16")})
+    with pytest.raises(ValueError, match=r"items\['total'\]: registers\[0:1\] hold no bcd16"):
+        plan.results([[0x00FF]])
+
+
+def test_options_beside_a_plan_are_refused() -> None:
+    plan = Plan([])
+    assert planned(plan, {}) is plan
+    for options in ({"gap": 1}, {"forbidden": [("coils", range(5))]}):
+        with pytest.raises(ValueError, match="given to the plan"):
+            planned(plan, options)  # type: ignore[arg-type]
+
+
+# --- any items ---------------------------------------------------------------------------
+
+SIZES = {None: 1, "float32": 2, "int64": 4, "string:5": 3}
+
+
+@st.composite
+def any_items(draw: st.DrawFn) -> list[Read]:
+    made = []
+    for _ in range(draw(st.integers(0, 8))):
+        table = draw(st.sampled_from(["coils", "holding_registers"]))
+        kinds = [None] if table == "coils" else list(SIZES)
+        made.append(
+            Read(
+                table,
+                draw(st.integers(0, 40)),
+                draw(st.integers(1, 12)),
+                draw(st.sampled_from(kinds)),
+            )
+        )
+    return made
+
+
+def cells_of(read: Read) -> range:
+    return range(read.address, read.address + read.count * SIZES[read.type])
+
+
+def fewest(reads: list[Read], limit: int, gap: int, closed: set[int]) -> int:
+    """Try the ends of each request: what must stay together, and where one must begin."""
+    wanted = {address for read in reads for address in cells_of(read)}
+    together = []
+    for read in reads:
+        cells = cells_of(read)
+        step = len(cells) if len(cells) <= limit else SIZES[read.type]
+        together += [(at, at + step) for at in range(cells.start, cells.stop, step)]
+
+    def allowed(start: int, stop: int) -> bool:
+        edges = [start - 1, *sorted(wanted & set(range(start, stop))), stop]
+        holes = max(second - first - 1 for first, second in pairwise(edges))
+        return holes <= gap and not closed & set(range(start, stop))
+
+    count = 0
+    while together:
+        start = min(each[0] for each in together)
+        stops = [
+            stop
+            for stop in range(start + 1, start + limit + 1)
+            if stop - 1 in wanted and allowed(start, stop)
+        ]
+        left = [[each for each in together if each[0] < start or each[1] > stop] for stop in stops]
+        together = min(left, key=len)
+        count += 1
+    return count
+
+
+@given(
+    reads=any_items(),
+    gap=st.integers(0, 6),
+    limit=st.integers(4, 30),
+    closed=st.sets(st.integers(0, 90), max_size=6),
+)
+def test_plan_of_any_items(reads: list[Read], gap: int, limit: int, closed: set[int]) -> None:
+    asked = {
+        table: {at for read in reads if read.table == table for at in cells_of(read)}
+        for table in ("coils", "holding_registers")
+    }
+    hidden = {table: closed - cells for table, cells in asked.items()}
+    plan = Plan(
+        reads,
+        gap=gap,
+        forbidden=[(table, range(at, at + 1)) for table, cells in hidden.items() for at in cells],
+        max_registers=limit,
+        max_bits=limit,
+    )
+
+    for table, cells in asked.items():
+        requests = [span for name, span in spans(plan) if name == table]
+        assert requests == sorted(requests, key=lambda span: span.start)
+        for span in requests:
+            assert 1 <= len(span) <= limit
+            assert not hidden[table] & set(span)
+            assert {span[0], span[-1]} <= cells
+            inside = [at for at in span if at in cells]
+            assert all(second - first - 1 <= gap for first, second in pairwise(inside))
+        own = [read for read in reads if read.table == table]
+        assert len(requests) == fewest(own, limit, gap, hidden[table])
+        assert len(requests) <= sum(-(-read.count // (limit // SIZES[read.type])) for read in own)
+
+    for read, found in zip(reads, plan.results(answers(plan)), strict=True):
+        registers = [cell(read.table, at) for at in cells_of(read)]
+        assert repr(found) == repr(decoded(read, registers))
+        step = len(registers) if len(registers) <= limit else SIZES[read.type]
+        for at in range(read.address, read.address + len(registers), step):
+            together = range(at, at + step)
+            assert any(
+                table == read.table and set(together) <= set(span) for table, span in spans(plan)
+            ), "torn"
+
+
+def decoded(read: Read, registers: list[Any]) -> list[Any]:
+    return registers if read.type is None else values.value_type(read.type).decode_many(registers)
+
+
+# --- read_many ---------------------------------------------------------------------------
+
+
+@pytest.fixture
+def context(url: str) -> Iterator[Context]:
+    with Context.from_url(url, unit=UNIT) as made:
+        yield made
+
+
+def test_read_many_on_every_transport(context: Context, mapping: Mapping) -> None:
+    mapping.holding_registers[120:122] = values.value_type("float32").encode(2.5)
+    plan = Plan(
+        {
+            "valves": ("coils", 10, 3),
+            "doors": ("discrete_inputs", 20, 2),
+            "levels": ("holding_registers", 100, 3),
+            "flow": ("holding_registers", 120, 1, "float32"),
+            "last": ("holding_registers", 103),
+            "inputs": ("input_registers", 200, 130),
+        },
+        gap=20,
+    )
+    assert len(plan.requests) == 5
+    for _ in range(2):
+        found = context.read_many(plan)
+        assert found.pop("inputs")[:11] == [*range(2000, 2010), 0]
+        assert found == {
+            "valves": [True, False, True],
+            "doors": [False, True],
+            "levels": [1000, 1001, 1002],
+            "flow": [2.5],
+            "last": [1003],
+        }
+    assert context.read_many([("coils", 10, 2), ("holding_registers", 101)]) == [
+        [True, False],
+        [1001],
+    ]
+
+
+def test_read_many_is_refused_as_a_whole_or_in_part(context: Context) -> None:
+    items = [("coils", 10, 2), ("holding_registers", 99), ("holding_registers", 102)]
+    with pytest.raises(IllegalDataAddress, match=r"address=99, count=4"):
+        context.read_many(items, gap=2)
+    with pytest.raises(IllegalDataAddress, match=r"address=99, count=1"):
+        context.read_many(items, gap=2, forbidden=[("holding_registers", range(100, 102))])
+    valves, refused, level = context.read_many(items, return_exceptions=True)
+    assert (valves, level) == ([True, False], [1002])
+    assert isinstance(refused, IllegalDataAddress)
+
+
+def test_gaps_are_on_the_wire() -> None:
+    def three(request: bytes) -> list[bytes]:
+        return [mbap(request, bytes.fromhex("03 06 0001 0002 0003"))]
+
+    with FakeServer(three) as server, TcpContext("127.0.0.1", server.port) as context:
+        items = [("holding_registers", 7), ("holding_registers", 9)]
+        assert context.read_many(items, gap=1) == [[1], [3]]
+        assert [request[7:] for request in server.requests] == [bytes.fromhex("03 0007 0003")]
+        with pytest.raises(InvalidResponse):
+            context.read_many([("holding_registers", 7, 2)])

@@ -1,0 +1,217 @@
+"""
+Points: what their cells mean, computed by hand or with exact fractions, and what they refuse.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import struct
+from decimal import Decimal
+from fractions import Fraction
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from libmodbus_py import Point
+
+H = "holding_registers"
+
+
+def point(**keys: Any) -> Point:
+    return Point(**{"name": "it", "table": H, "address": 0, **keys})
+
+
+# What a point has, its cells, and the value they stand for.
+READ = [
+    ({}, [2305], 2305),
+    ({"scale": 0.1}, [2305], 230.5),
+    ({"scale": 0.01, "type": "int16"}, [0xFFFF], -0.01),
+    ({"scale": 0.1, "offset": -40}, [655], 25.5),
+    ({"scale": 0.001, "type": "uint32", "order": "CDAB"}, [0x5678, 0x1234], 305419.896),
+    ({"scale": 10}, [7], 70),
+    ({"scale": 1.0, "offset": 100.0}, [7], 107),
+    ({"scale": -0.5}, [3], -1.5),
+    ({"scale": 0.1, "count": 3}, [1, 2, 3], [0.1, 0.2, 0.3]),
+    ({"type": "float32"}, [0x3E20, 0x0000], 0.15625),
+    ({"type": "float32", "scale": 0.1}, [0x4510, 0x1000], 230.5),
+    ({"type": "float32", "scale": 0.1}, [0x7F80, 0x0000], math.inf),
+    ({"type": "float32", "scale": -0.1}, [0x7F80, 0x0000], -math.inf),
+    ({"type": "bcd16", "scale": 0.01}, [0x1234], 12.34),
+    ({"type": "uint64", "scale": 0.001}, [0, 0x1234, 0x5678, 0x9ABC], 20015998343.868),
+    ({"type": "string:4"}, [0x4162, 0x6300], "Abc"),
+    ({"type": "string:2", "count": 2}, [0x4142, 0x4344], ["AB", "CD"]),
+    ({"type": "bits16"}, [5], [True, False, True] + [False] * 13),
+    ({"table": "coils"}, [True], True),
+    ({"table": "discrete_inputs", "count": 2}, [True, False], [True, False]),
+]
+
+
+@pytest.mark.parametrize(("keys", "cells", "value"), READ)
+def test_cells_stand_for_values(keys: dict[str, Any], cells: list[Any], value: Any) -> None:
+    made = point(**keys)
+    assert repr(made.decode(cells)) == repr(value)
+    assert len(made.cells) == len(cells)
+    assert made.encode(value) == cells
+
+
+def test_nan_stays_nan() -> None:
+    made = point(type="float32", scale=0.1)
+    assert math.isnan(made.decode([0x7FC0, 0]))
+    assert math.isnan(made.decode(made.encode(math.nan)))
+
+
+# What is written, and the nearest raw number: of two the even one.
+ROUNDED = [
+    (21.5, 0.1, 215),
+    (21.57, 0.1, 216),
+    (0.15, 0.1, 2),
+    (0.25, 0.1, 2),
+    (Decimal("0.35"), 0.1, 4),
+    (Fraction(1, 3), 0.1, 3),
+    (230.10000000000002, 0.1, 2301),
+    (24, 10, 2),
+    (25, 10, 2),
+    (35, 10, 4),
+]
+
+
+@pytest.mark.parametrize(("value", "scale", "raw"), ROUNDED)
+def test_the_nearest_raw_number_is_written(value: Any, scale: float, raw: int) -> None:
+    assert point(scale=scale).encode(value) == [raw]
+
+
+INTEGERS = {"int16": (16, True), "uint16": (16, False), "int32": (32, True), "uint64": (64, False)}
+
+
+@settings(deadline=None)
+@given(
+    st.sampled_from(sorted(INTEGERS)),
+    st.decimals(min_value="0.00001", max_value=1000, places=5),
+    st.decimals(min_value=-1000, max_value=1000, places=3),
+    st.data(),
+)
+def test_scaled_integers_are_exact_and_come_back(
+    name: str, scale: Decimal, offset: Decimal, data: st.DataObject
+) -> None:
+    bits, signed = INTEGERS[name]
+    low, high = (-(1 << bits - 1), (1 << bits - 1) - 1) if signed else (0, (1 << bits) - 1)
+    # More than this a float does not tell.
+    raw = data.draw(st.integers(max(low, -(10**9)), min(high, 10**9)))
+    made = point(type=name, scale=float(scale), offset=float(offset))
+    cells = list(struct.unpack(f">{bits // 16}H", raw.to_bytes(bits // 8, "big", signed=signed)))
+    value = made.decode(cells)
+    exact = raw * Fraction(scale) + Fraction(offset)
+    assert value == (exact.numerator / exact.denominator)
+    assert made.encode(value) == cells
+
+
+@settings(deadline=None)
+@given(
+    st.floats(width=32, allow_nan=False, allow_infinity=False),
+    st.sampled_from([0.1, 10, -3.5, 1e-6]),
+)
+def test_scaled_floats_come_back(raw: float, scale: float) -> None:
+    made = point(type="float32", scale=scale)
+    cells = list(struct.unpack(">2H", struct.pack(">f", raw)))
+    back = made.encode(made.decode(cells))
+    assert struct.unpack(">f", struct.pack(">2H", *back))[0] == pytest.approx(raw, rel=1e-6)
+
+
+def test_what_is_not_given() -> None:
+    assert (point().type, point().access) == ("uint16", "read_write")
+    assert point(table="input_registers").access == "read"
+    assert point(table="coils").type is None
+    assert point() == point(type="uint16", access="read_write")
+    assert hash(point(scale=0.1)) == hash(point(scale=0.1))
+    assert not point(access="write").is_readable
+    assert not point(access="read").is_writable
+
+
+# What a point cannot have, and what the error says.
+REFUSED = [
+    ({"name": ""}, "name must have 1..100 characters, not 0"),
+    ({"name": 7}, "name must be a string, not int"),
+    ({"name": "a\nb\x1b[2J"}, "name must be printable characters"),
+    ({"name": " a"}, "name must be printable characters"),
+    ({"table": "coil"}, "table must be one of coils, discrete_inputs, "),
+    ({"table": ["coils"]}, "table must be one of coils, discrete_inputs, "),
+    ({"address": 65536}, "address must be in 0..65535, not 65536"),
+    ({"address": 65535, "type": "float32"}, "address + 2 * count must not pass 65536"),
+    ({"address": True}, "address must be an integer in 0..65535"),
+    ({"count": 0}, "count must be in 1..65536, not 0"),
+    ({"type": "flaot32"}, "type must be one of int16, "),
+    ({"table": "coils", "type": "uint16"}, "type must be None for coils"),
+    ({"order": "ABDC"}, "order must be one of ABCD, CDAB, BADC, DCBA"),
+    ({"scale": 0}, "scale must not be nearer to 0 than 1e-30: 0"),
+    ({"scale": 1e-31}, "scale must not be nearer to 0 than 1e-30"),
+    ({"scale": math.nan}, "scale must be in -1e+30..1e+30, not nan"),
+    ({"scale": 10**5000}, "scale must be in -1e+30..1e+30, not one of 16610 bits"),
+    ({"scale": "0.1"}, "scale must be a number, not str"),
+    ({"scale": True}, "scale must be a number, not bool"),
+    ({"offset": math.inf}, "offset must be in -1e+30..1e+30, not inf"),
+    ({"table": "coils", "scale": 2}, "scale must be 1 for coils, which has no numbers"),
+    ({"type": "string:8", "offset": 2}, "offset must be 0 for string:8, which has no numbers"),
+    ({"type": "bits16", "minimum": 2}, "minimum must be left out for bits16"),
+    ({"minimum": 2, "maximum": 1}, "minimum must not be above maximum, 1: 2"),
+    ({"minimum": "2"}, "minimum must be a number, not str"),
+    ({"unit": "V" * 51}, "unit must have 0..50 characters, not 51"),
+    ({"access": "RW"}, "access must be one of read, write, read_write, not 'RW'"),
+    ({"table": "input_registers", "access": "write"}, "access must be read for input_registers"),
+    ({"table": "discrete_inputs", "access": "read_write"}, "access must be read for discrete"),
+    ({"description": "x" * 2001}, "description must have 0..2000 characters"),
+]
+
+
+@pytest.mark.parametrize(("keys", "message"), REFUSED)
+def test_a_point_that_cannot_be(keys: dict[str, Any], message: str) -> None:
+    with pytest.raises((TypeError, ValueError), match=f"^{re.escape(message)}"):
+        point(**keys)
+
+
+# What is written to which point, and what the error says.
+UNFIT = [
+    ({"scale": 0.1}, 6553.6, "it: value must be in 0.0..6553.5, not 6553.6"),
+    ({"scale": 0.1}, -0.1, "it: value must be in 0.0..6553.5, not -0.1"),
+    ({"scale": -1}, 1, "it: value must be in -65535..0, not 1"),
+    ({"scale": 0.1}, "21.5", "it: value must be a number, not str"),
+    ({"scale": 0.1}, True, "it: value must be a number, not bool"),
+    ({"scale": 0.1}, math.nan, "it: value must be a finite number, not nan"),
+    ({"scale": 0.1}, None, "it: value must be a number, not NoneType"),
+    ({}, 65536, "it: value must be in 0..65535, not 65536"),
+    ({}, 21.5, "it: value must be an integer in 0..65535, not float"),
+    ({"minimum": 5, "maximum": 30, "scale": 0.5}, 30.5, "it: value must be in 5..30, not 30.5"),
+    ({"minimum": 5}, 4, "it: value must be in 5.., not 4"),
+    ({"type": "float32", "maximum": 5}, math.nan, "it: value must be in ..5, not nan"),
+    ({"type": "float32", "minimum": 5}, math.nan, "it: value must be in 5.., not nan"),
+    ({"type": "float32"}, 1e39, "it: value must be in -3.4028235e+38..3.4028235e+38"),
+    ({"type": "float32", "scale": 1e-30}, 1e30, "it: value must be in -3.40"),
+    ({"type": "float64", "scale": 1e-30}, 1e300, "it: value is too large: 1e+300"),
+    ({"type": "string:2"}, "abc", "it: value must have 0..2 bytes in ascii, not 'abc' with 3"),
+    ({"table": "coils"}, 2, "it: value must be in 0..1, not 2"),
+    ({"table": "coils"}, "on", "it: value must be an integer in 0..1, not str"),
+    ({"count": 2}, [1], "it: value must be a list of 2, not of 1"),
+    ({"count": 2}, [1, 2, 3], "it: value must hold 1..2 values, not more than 2"),
+    ({"count": 2}, 1, "it: value must be a sequence of 1..2 values, not int"),
+]
+
+
+@pytest.mark.parametrize(("keys", "value", "message"), UNFIT)
+def test_a_value_that_a_point_cannot_have(keys: dict[str, Any], value: Any, message: str) -> None:
+    with pytest.raises((TypeError, ValueError), match=f"^{re.escape(message)}"):
+        point(**keys).encode(value)
+
+
+@pytest.mark.parametrize(
+    ("keys", "cells", "message"),
+    [
+        ({"type": "bcd16"}, [0xF], "it: registers[0:1] hold no bcd16: 000F has other than decimal"),
+        ({"type": "string:2"}, [0xFFFF], "it: registers[0:1] hold no string:2: FF FF is no ascii"),
+        ({}, [1, 2], "it: cells must be 1, not 2"),
+    ],
+)
+def test_cells_that_hold_no_value(keys: dict[str, Any], cells: list[int], message: str) -> None:
+    with pytest.raises(ValueError, match=f"^{re.escape(message)}"):
+        point(**keys).decode(cells)

@@ -1,0 +1,308 @@
+"""
+Register maps on both clients: what is read and written, in which requests, and what is refused
+before a byte is sent.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import pytest
+from clients import Connect
+
+from libmodbus_py import (
+    Device,
+    Hook,
+    IllegalDataAddress,
+    Mapping,
+    ModbusConnectionError,
+    Point,
+    RegisterMap,
+    Server,
+    ServerDeviceBusy,
+    pdu,
+)
+
+H = "holding_registers"
+
+METER = RegisterMap(
+    [
+        Point("setpoint", H, 100, scale=0.1, unit="°C", minimum=5, maximum=30),
+        Point("energy", H, 101, type="uint32", order="CDAB", scale=0.001, unit="kWh"),
+        Point("name", H, 103, type="string:6"),
+        Point("flow", H, 110, type="float32", access="read"),
+        Point("key", H, 120, access="write"),
+        Point("volts", "input_registers", 0, 3, scale=0.1, unit="V"),
+        Point("run", "coils", 7),
+        Point("alarms", "discrete_inputs", 0, 3),
+    ]
+)
+
+VALUES = {
+    "setpoint": 21.5,
+    "energy": 123456.789,
+    "name": "boiler",
+    "flow": 0.15625,
+    "volts": [230.5, 231.0, 0.1],
+    "run": True,
+    "alarms": [False, True, False],
+}
+
+
+@contextmanager
+def serving(connect: Connect, device: Device) -> Iterator[Any]:
+    """A client of the device."""
+    with (
+        Server(device).background("tcp://127.0.0.1:0") as running,
+        connect(running.urls[0], timeout=5) as plc,
+    ):
+        yield plc
+
+
+@pytest.fixture
+def tables() -> Mapping:
+    energy = 123456789
+    name = [0x626F, 0x696C, 0x6572]
+    return Mapping(
+        coils=range(20),
+        discrete_inputs={0: [False, True, False]},
+        holding_registers={
+            100: [215, energy & 0xFFFF, energy >> 16, *name],
+            110: [0x3E20, 0],
+            120: [0],
+        },
+        input_registers={0: [2305, 2310, 1]},
+    )
+
+
+@pytest.fixture
+def asked() -> list[Any]:
+    return []
+
+
+@pytest.fixture
+def meter(tables: Mapping, asked: list[Any]) -> Iterator[str]:
+    tables.coils[7] = True
+
+    def note(access: Any) -> None:
+        asked.append((access.table, access.address, access.count))
+
+    with Server(Device(tables, before_write=note)).background("tcp://127.0.0.1:0") as running:
+        yield running.urls[0]
+
+
+def test_names_become_scaled_values(connect: Connect, meter: str) -> None:
+    with connect(meter, timeout=5) as plc:
+        assert repr(plc.read_map(METER)) == repr(VALUES)
+        assert plc.read_map(METER, ["run", "setpoint"]) == {"run": True, "setpoint": 21.5}
+        assert list(plc.read_map(METER, ["run", "setpoint"])) == ["run", "setpoint"]
+        assert plc.for_unit(3).read_map(METER, ("volts",), gap=4) == {"volts": VALUES["volts"]}
+        assert plc.read_map(METER, []) == {}
+        assert plc.read_many(METER.plan()) == VALUES
+
+
+def test_values_are_written_and_neighbours_together(
+    connect: Connect, meter: str, tables: Mapping, asked: list[Any]
+) -> None:
+    changed = {"run": False, "energy": 7.5, "setpoint": 5, "key": 99, "name": "x"}
+    with connect(meter, timeout=5) as plc:
+        assert plc.write_map(METER, changed) is None
+        assert asked == [(H, 100, 6), (H, 120, 1), ("coils", 7, 1)]
+        assert tables.holding_registers[100:106] == [50, 7500, 0, 0x7800, 0, 0]
+        assert tables.holding_registers[120] == 99
+        assert tables.coils[7] is False
+        plc.write_map(METER, {})
+        assert len(asked) == 3
+        plc.for_unit(9).write_map(METER, {"setpoint": 29.97})
+        assert plc.read_map(METER, ["setpoint"]) == {"setpoint": 30.0}
+
+
+WRITES = [
+    ({"key": 1}, {}, [pdu.WriteRegister(120, 1)]),
+    ({"key": 1}, {"multiple": True}, [pdu.WriteRegisters(120, [1])]),
+    ({"run": 1}, {}, [pdu.WriteCoil(7, True)]),
+    ({"run": False}, {"multiple": True}, [pdu.WriteCoils(7, [False])]),
+    ({"name": "ab", "setpoint": 5}, {}, [
+        pdu.WriteRegister(100, 50), pdu.WriteRegisters(103, [0x6162, 0, 0]),
+    ]),
+    ({"energy": 0.001, "setpoint": 5}, {}, [pdu.WriteRegisters(100, [50, 1, 0])]),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("values", "options", "requests"), WRITES)
+def test_what_is_sent(values: Any, options: Any, requests: list[Any]) -> None:
+    assert METER.writes(values, **options) == requests
+
+
+def test_long_writes_are_cut_between_values() -> None:
+    long = RegisterMap(
+        [
+            Point("head", H, 0),
+            Point("block", H, 1, 61, "uint32"),
+            Point("tail", H, 123, 100, "uint32"),
+            Point("bits", "coils", 0, 2000),
+        ]
+    )
+    values = {"head": 7, "block": [1] * 61, "tail": [2] * 100, "bits": [True] * 2000}
+    sent = [(each.address, len(each.values)) for each in long.writes(values)]  # type: ignore[attr-defined]
+    # 123 registers at most; `tail` is longer than a request, and begins one of its own.
+    assert sent == [(0, 123), (123, 122), (245, 78), (0, 1968), (1968, 32)]
+
+
+def test_what_a_request_holds_is_not_torn() -> None:
+    blocks = RegisterMap([Point("first", H, 0, 100), Point("second", H, 100, 50)])
+    sent = blocks.writes({"first": [1] * 100, "second": [2] * 50})
+    assert sent == [pdu.WriteRegisters(0, [1] * 100), pdu.WriteRegisters(100, [2] * 50)]
+
+
+# What is written, and why nothing of it is sent.
+REFUSED = [
+    ({"setpiont": 1}, ValueError, "the map has no point 'setpiont'; close to it are setpoint"),
+    ({7: 1}, ValueError, "the map has no point 7"),
+    ({"setpoint": 5, "flow": 1.0}, ValueError, "flow cannot be written: its access is read"),
+    ({"volts": [1, 2, 3]}, ValueError, "volts cannot be written: its access is read"),
+    ({"key": 1, "setpoint": 4.9}, ValueError, "setpoint: value must be in 5..30, not 4.9"),
+    ({"key": 1, "name": 7}, TypeError, "name: value must be a string, not int"),
+    ([("key", 1)], TypeError, "values must be by names, not list"),
+]
+
+
+def test_nothing_is_sent_of_what_cannot_be_written(
+    connect: Connect, meter: str, asked: list[Any]
+) -> None:
+    with connect(meter, timeout=5) as plc:
+        for values, kind, message in REFUSED:
+            with pytest.raises(kind, match=f"^{re.escape(message)}$"):
+                plc.write_map(METER, values)
+        assert plc.statistics.requests == 0
+    assert asked == []
+
+
+UNREADABLE = [
+    (["volt"], ValueError, "the map has no point 'volt'; close to it are volts"),
+    (["key"], ValueError, "key cannot be read: its access is write"),
+    ("volts", TypeError, "names must be a list of names, not str"),
+    (7, TypeError, "names must be a list of names, not int"),
+]
+
+
+def test_names_that_cannot_be_read(connect: Connect, meter: str) -> None:
+    with connect(meter, timeout=5) as plc:
+        for names, kind, message in UNREADABLE:
+            with pytest.raises(kind, match=f"^{re.escape(message)}$"):
+                plc.read_map(METER, names)
+        for call in (plc.read_map, plc.write_map):
+            with pytest.raises(TypeError, match=r"^map must be a RegisterMap, not dict$"):
+                call({}, {})
+
+
+OVERLAPPING = RegisterMap([Point("whole", H, 0, type="uint32"), Point("low", H, 1)])
+
+
+def test_points_may_overlap_but_not_in_one_write(connect: Connect) -> None:
+    device = Device(Mapping(holding_registers={0: [1, 2]}))
+    with serving(connect, device) as plc:
+        assert plc.read_map(OVERLAPPING) == {"whole": 65538, "low": 2}
+        with pytest.raises(ValueError, match="whole and low share holding_registers 1: "):
+            plc.write_map(OVERLAPPING, {"low": 1, "whole": 2})
+        plc.write_map(OVERLAPPING, {"low": 5})
+        assert plc.read_map(OVERLAPPING, ["whole"]) == {"whole": 65541}
+
+
+def test_a_point_that_failed_has_its_error(connect: Connect) -> None:
+    """Beside neighbours that hold, wherever they are in no request with it."""
+    holes = RegisterMap(
+        [
+            Point("there", H, 0),
+            Point("missing", H, 5),
+            Point("spoilt", H, 6),
+            Point("digits", H, 10, type="bcd16"),
+        ]
+    )
+    # 6 is there, but touches 5, which is not.
+    device = Device(Mapping(holding_registers={0: [7], 6: [8], 10: [0xF]}))
+    with serving(connect, device) as plc:
+        found = plc.read_map(holes, return_exceptions=True)
+        assert found["there"] == 7
+        assert isinstance(found["missing"], IllegalDataAddress)
+        assert found["spoilt"] is found["missing"]
+        assert isinstance(found["digits"], ValueError)
+        assert str(found["digits"]).startswith("digits: registers[0:1] hold no bcd16")
+        with pytest.raises(IllegalDataAddress):
+            plc.read_map(holes)
+        with pytest.raises(ValueError, match=r"^digits: "):
+            plc.read_map(holes, ["there", "digits"])
+        # A gap reads what nobody asked for, and loses what lies behind it.
+        with pytest.raises(IllegalDataAddress):
+            plc.read_map(holes, ["there", "spoilt"], gap=5)
+        assert plc.read_map(holes, ["there", "spoilt"]) == {"there": 7, "spoilt": 8}
+
+
+def test_each_point_has_the_error_of_a_line_that_is_gone(connect: Connect) -> None:
+    with serving(connect, Device(Mapping(holding_registers=9))) as plc:
+        plc.close()
+        found = plc.read_map(METER, ["setpoint", "run"], return_exceptions=True)
+        assert [type(error) for error in found.values()] == [ModbusConnectionError] * 2
+        with pytest.raises(ModbusConnectionError):
+            plc.read_map(METER)
+        with pytest.raises(ModbusConnectionError):
+            plc.write_map(METER, {"setpoint": 20})
+
+
+def test_nobody_answers_a_broadcast(connect: Connect) -> None:
+    device = Device(Mapping(holding_registers=200, coils=9))
+    with (
+        Server(device).background("rtu+tcp://127.0.0.1:0") as running,
+        connect(running.urls[0], unit=0, timeout=5) as plc,
+    ):
+        plc.write_map(METER, {"setpoint": 20, "run": True})
+        with pytest.raises(ValueError, match="unit 0 is a broadcast"):
+            plc.read_map(METER)
+        assert plc.for_unit(1).read_map(METER, ["setpoint", "run"]) == {
+            "setpoint": 20.0,
+            "run": True,
+        }
+
+
+def test_what_follows_a_refused_write_is_not_sent(connect: Connect) -> None:
+    def refuse(access: Any) -> None:
+        raise ServerDeviceBusy
+
+    hook = Hook(refuse, holding_registers=[range(2, 3)])
+    device = Device(Mapping(holding_registers=10), before_write=hook)
+    steps = RegisterMap([Point(f"p{at}", H, at) for at in (4, 2, 0)])
+    with serving(connect, device) as plc:
+        with pytest.raises(ServerDeviceBusy):
+            plc.write_map(steps, {"p0": 1, "p2": 1, "p4": 1})
+        assert plc.read_holding_registers(0, 5) == [0, 0, 0, 0, 1]
+
+
+def test_the_plan_is_kept() -> None:
+    assert METER.plan() is METER.plan()
+    assert METER.plan(["run"], gap=2) is METER.plan(iter(["run"]), gap=2)
+    assert METER.plan(["run"], gap=2) is not METER.plan(["run"])
+    closed = [("coils", range(7, 8))]
+    METER.plan(["volts"], forbidden=closed)
+    closed.append(("input_registers", range(1, 2)))
+    with pytest.raises(ValueError, match="touches the forbidden"):
+        METER.plan(["volts"], forbidden=closed)
+
+
+def test_a_map_is_a_mapping_that_never_changes() -> None:
+    assert list(METER)[:2] == ["setpoint", "energy"]
+    assert METER["run"] == Point("run", "coils", 7)
+    assert len(METER) == 8
+    assert repr(RegisterMap([METER["run"]])) == "<RegisterMap of 1 points: ['run']>"
+    with pytest.raises(TypeError):
+        METER["run"] = METER["key"]  # type: ignore[index]
+    with pytest.raises(AttributeError):
+        METER.more = 1  # type: ignore[attr-defined]
+    with pytest.raises(AttributeError):
+        METER["run"].address = 8  # type: ignore[misc]
+    with pytest.raises(ValueError, match=r"^name 'run' is there twice$"):
+        RegisterMap([METER["run"], METER["run"]])
+    with pytest.raises(TypeError, match=r"^points must be Points, not str$"):
+        RegisterMap(["run"])  # type: ignore[list-item]

@@ -1,0 +1,155 @@
+"""
+Whoever watches a page without a browser: requests as bytes or by http.client, and its stream.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import http.client
+import json
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
+
+from libmodbus_py import Device, Mapping, Server, page_of
+from libmodbus_py.maps.point import Point
+
+__all__ = ["Visitor", "made_server", "shown", "until"]
+
+POINTS = (
+    Point("temperature", "holding_registers", 0, type="float32", order="CDAB", unit="°C"),
+    Point("level", "holding_registers", 2, scale=0.1, unit="m", minimum=0, maximum=100),
+    Point("label", "holding_registers", 3, type="string:8"),
+    Point("limits", "holding_registers", 7, count=2, type="int16"),
+    Point("pump", "coils", 0),
+    Point("flow", "input_registers", 0, type="uint32"),
+)
+
+
+class NamedDevice(Device):
+    """As devices of device files have names."""
+
+    name = "tank <script>alert(1)</script>"
+    description = "a & b"
+    points = {each.name: each for each in POINTS}  # noqa: RUF012
+
+
+def made_server(**options: Any) -> Server:
+    mapping = Mapping(
+        coils=16,
+        discrete_inputs=4,
+        holding_registers=[range(20), range(100, 110)],
+        input_registers=8,
+    )
+    mapping.holding_registers.write(0, 21.5, "float32", order="CDAB")
+    mapping.holding_registers.write(3, "abc", "string:8")
+    return Server({1: NamedDevice(mapping), 2: Device(Mapping(holding_registers=8))}, **options)
+
+
+def until(true: Callable[[], Any], seconds: float = 15) -> Any:
+    """Give what it gives when that is something."""
+    end = time.monotonic() + seconds
+    while not (found := true()):
+        assert time.monotonic() < end, "waited in vain"
+        time.sleep(0.01)
+    return found
+
+
+class Visitor:
+    """
+    Asks as the page does.
+
+    Attributes:
+        seen: what the stream has told so far, one on the other.
+    """
+
+    def __init__(self, url: str) -> None:
+        parts = urlsplit(url)
+        self.host = parts.netloc
+        self.address = (parts.hostname or "", parts.port or 0)
+        self.token = parse_qs(parts.query)["token"][0]
+        self.headers = {
+            "Cookie": f"libmodbus_page_{self.address[1]}={self.token}",
+            "Origin": f"http://{self.host}",
+            "Content-Type": "application/json",
+        }
+        self.seen: dict[str, Any] = {"points": {}, "cells": {}, "log": [], "written": []}
+
+    def ask(
+        self, method: str, path: str, body: Any = None, **headers: str | None
+    ) -> tuple[int, dict[str, str], bytes]:
+        """Give status, headers and body; a header that is None is left out."""
+        given = {**self.headers, **{name.replace("_", "-"): each for name, each in headers.items()}}
+        connection = http.client.HTTPConnection(*self.address, timeout=20)
+        with contextlib.closing(connection):
+            data = body if body is None or isinstance(body, bytes) else json.dumps(body).encode()
+            connection.putrequest(method, path, skip_host="Host" in given)
+            for name, each in given.items():
+                if each is not None:
+                    connection.putheader(name, each)
+            if data is not None and "Content-Length" not in given:
+                connection.putheader("Content-Length", str(len(data)))
+            connection.endheaders(data)
+            response = connection.getresponse()
+            return response.status, dict(response.getheaders()), response.read()
+
+    def post(self, path: str, **body: Any) -> Any:
+        """Give what is answered, or the text of the refusal."""
+        status, _, data = self.ask("POST", path, body)
+        found = json.loads(data)
+        return found if status == 200 else found["error"]
+
+    @contextlib.contextmanager
+    def watching(self) -> Iterator[Visitor]:
+        """Open the stream; `receive` takes from it."""
+        connection = http.client.HTTPConnection(*self.address, timeout=20)
+        with contextlib.closing(connection):
+            connection.request("GET", "/events", headers=self.headers)
+            self._response = connection.getresponse()
+            assert self._response.status == 200, self._response.read()
+            try:
+                self.receive(lambda: "stream" in self.seen)
+                yield self
+            finally:
+                self._response.close()
+
+    def receive(self, enough: Callable[[], Any], seconds: float = 15) -> Any:
+        """Take messages until this gives something, and give that."""
+        end = time.monotonic() + seconds
+        while not (found := enough()):
+            assert time.monotonic() < end, f"waited in vain; seen: {self.seen}"
+            line = self._response.readline()
+            assert line, "the stream has ended"
+            if line.startswith(b"data: "):
+                self._take(json.loads(line[6:]))
+        return found
+
+    def _take(self, message: dict[str, Any]) -> None:
+        for name, value in message.items():
+            if name in ("log", "written"):
+                self.seen[name] += value
+            elif name == "points":
+                self.seen[name].update(value)
+            elif name == "counters":
+                self.seen[name] = {**self.seen.get(name, {}), **value}
+            elif name == "cells":
+                for first, cells in value.items():
+                    for at, cell in enumerate(cells):
+                        self.seen[name][int(first) + at] = cell
+            else:
+                self.seen[name] = value
+
+    def look(self, unit: int | None, what: str, first: int, stop: int) -> None:
+        found = self.post(
+            "/view", stream=self.seen["stream"], unit=unit, what=what, first=first, stop=stop
+        )
+        assert found == {}, found
+
+
+@contextlib.contextmanager
+def shown(**options: Any) -> Iterator[tuple[Server, str, Visitor]]:
+    """A server that serves, its Modbus URL, and who visits its page."""
+    server = made_server(**options)
+    with page_of(server) as page, server.background("tcp://127.0.0.1:0") as running:
+        yield server, running.urls[0], Visitor(page.url)

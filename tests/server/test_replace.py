@@ -1,0 +1,297 @@
+"""
+Other devices and faults while a server serves: who is connected stays, and sees the new ones.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import os
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from certificates import Papers, secured
+
+from libmodbus_py import (
+    AsyncClient,
+    Context,
+    Device,
+    Fault,
+    GatewayTargetFailedToRespond,
+    Hook,
+    Mapping,
+    ModbusConnectionError,
+    ModbusTimeoutError,
+    Server,
+    ServerDeviceBusy,
+    pdu,
+)
+from libmodbus_py.testing.wires import SerialWire
+
+SCHEMES = ["tcp", "rtu+tcp", "ascii+tcp", "tls", "udp", "rtu", "ascii"]
+
+
+def holding(value: int) -> Device:
+    return Device(Mapping(holding_registers={0: [value]}))
+
+
+@contextmanager
+def connected(scheme: str, server: Server, tmp_path: Path, **options: Any) -> Iterator[Context]:
+    """A client of unit 1."""
+    with ExitStack() as stack:
+        if scheme == "tls":
+            url = stack.enter_context(secured(server, Papers(tmp_path)))
+        elif scheme in ("rtu", "ascii"):
+            wire = stack.enter_context(SerialWire())
+            stack.enter_context(server.background(f"{scheme}://{wire.server}?baudrate=115200"))
+            url = f"{scheme}://{wire.client}?baudrate=115200"
+        else:
+            url = stack.enter_context(server.background(f"{scheme}://127.0.0.1:0")).urls[0]
+        client = Context.from_url(url, unit=1, native=False, **{"timeout": 2, **options})
+        yield stack.enter_context(client)
+
+
+def until(is_so: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 20
+    while not is_so():
+        assert time.monotonic() < deadline
+        time.sleep(0.005)
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_a_connection_sees_other_devices_and_faults_come_and_go(
+    scheme: str, tmp_path: Path
+) -> None:
+    server = Server({1: holding(1)})
+    with connected(scheme, server, tmp_path) as client:
+        assert client.read_holding_registers(0, 1) == [1]
+        server.replace({1: holding(2), 2: holding(3)})
+        until(lambda: client.read_holding_registers(0, 1) == [2])
+        assert client.for_unit(2).read_holding_registers(0, 1) == [3]
+        server.replace(server.devices, {1: [Fault("exception", code=6)]})
+        until(lambda: refuses(client))
+        assert client.for_unit(2).read_holding_registers(0, 1) == [3]
+        server.replace(holding(4))
+        until(lambda: not refuses(client))
+        assert client.read_holding_registers(0, 1) == [4]
+        assert client.for_unit(9).read_holding_registers(0, 1) == [4]
+        if scheme not in ("udp", "rtu", "ascii"):
+            assert server.statistics.accepted == 1
+
+
+def refuses(client: Context) -> bool:
+    try:
+        client.read_holding_registers(0, 1)
+    except ServerDeviceBusy:
+        return True
+    return False
+
+
+def test_what_a_server_has_is_told() -> None:
+    first, fault = holding(1), Fault("no_answer")
+    server = Server(first, {None: (fault,)})
+    assert server.devices is first
+    assert server.faults == {None: [fault]}
+    devices = {3: holding(2)}
+    server.replace(devices)
+    assert server.devices is devices
+    assert server.faults == {}
+
+
+@pytest.mark.parametrize(
+    ("devices", "faults", "message"),
+    [
+        ({2: 5}, None, r"devices\[2\] must be a Device"),
+        ({256: holding(1)}, None, r"unit must be in 0..255, not 256"),
+        ({2: holding(1)}, None, r"own_unit must be a unit that has a device \(2\), not 1"),
+        (holding(1), None, "own_unit means nothing"),
+        ({1: holding(1)}, {1: [5]}, "faults must be"),
+        ({1: holding(1)}, [], "faults must be"),
+    ],
+)
+def test_what_cannot_be_changes_nothing(devices: Any, faults: Any, message: str) -> None:
+    before = {1: holding(1)}
+    server = Server(before, {1: [Fault("exception", code=6, every=2)]}, own_unit=1)
+    with server.background("tcp://127.0.0.1:0") as running:
+        with pytest.raises((TypeError, ValueError), match=message):
+            server.replace(devices, faults)
+        assert server.devices is before
+        with Context.from_url(running.urls[0], unit=1) as client:
+            assert client.read_holding_registers(0, 1) == [1]
+            assert refuses(client)
+
+
+def test_the_servers_own_unit_is_that_of_the_new_devices() -> None:
+    server = Server({1: holding(1), 2: holding(2)}, own_unit=2)
+    with (
+        server.background("tcp://127.0.0.1:0") as running,
+        Context.from_url(running.urls[0], unit=255) as client,
+    ):
+        assert client.read_holding_registers(0, 1) == [2]
+        server.replace({2: holding(3), 4: holding(4)})
+        until(lambda: client.read_holding_registers(0, 1) == [3])
+        with pytest.raises(GatewayTargetFailedToRespond):
+            client.for_unit(1).read_holding_registers(0, 1)
+
+
+def test_faults_that_stay_go_on_counting() -> None:
+    third, other = Fault("exception", code=6, every=3), Fault("delay", seconds=0.001)
+    server = Server(holding(1), {1: [third]})
+    with (
+        server.background("tcp://127.0.0.1:0") as running,
+        Context.from_url(running.urls[0], unit=1) as client,
+    ):
+        seen = []
+        for _ in range(9):
+            seen.append(refuses(client))
+            server.replace(holding(1), {1: [third, other]})
+            until(lambda: len(server.faults[1]) == 2)
+    assert seen == [False, False, True] * 3
+
+
+def test_a_broadcast_goes_to_the_new_devices(tmp_path: Path) -> None:
+    server = Server({1: holding(1), 2: holding(1)})
+    with connected("rtu", server, tmp_path) as client:
+        client.read_holding_registers(0, 1)
+        devices = {1: holding(0), 3: holding(0)}
+        server.replace(devices)
+        until(lambda: client.read_holding_registers(0, 1) == [0])
+        client.for_unit(0).write_register(0, 7)
+        assert client.for_unit(3).read_holding_registers(0, 1) == [7]
+        with pytest.raises(ModbusTimeoutError):
+            client.for_unit(2).read_holding_registers(0, 1)
+
+
+@pytest.mark.parametrize("scheme", ["rtu", "rtu+tcp"])
+def test_notes_about_a_line_stay_with_their_unit(scheme: str, tmp_path: Path) -> None:
+    server = Server({1: holding(1)})
+    with connected(scheme, server, tmp_path) as client:
+        count = client.diagnostics
+        for _ in range(3):
+            client.read_holding_registers(0, 1)
+        assert count(pdu.SubFunction.SERVER_MESSAGE_COUNT) == 4
+        server.replace({1: holding(2)})
+        until(lambda: client.read_holding_registers(0, 1) == [2])
+        assert count(pdu.SubFunction.SERVER_MESSAGE_COUNT) > 5
+
+
+def test_an_answer_that_is_kept_back_still_comes(tmp_path: Path) -> None:
+    server = Server({1: holding(1)}, {1: [Fault("delay", seconds=0.5)]})
+    with connected("tcp", server, tmp_path, timeout=10) as client:
+        assert client.read_holding_registers(0, 1) == [1]
+        asked: list[Any] = []
+        thread = threading.Thread(target=lambda: asked.extend(client.read_holding_registers(0, 1)))
+        requests = server.statistics.requests
+        thread.start()
+        until(lambda: server.statistics.requests > requests)
+        server.replace({1: holding(2)})
+        thread.join()
+        assert asked == [1]
+        assert client.read_holding_registers(0, 1) == [2]
+
+
+def test_a_hook_may_replace_what_calls_it() -> None:
+    """In the middle of a chunk: what is asked behind it sees the new ones, in order."""
+
+    def swap(_: object) -> None:
+        server.replace({1: holding(9)}, {1: [Fault("exception", code=6, function=1)]})
+
+    mapping = Mapping(holding_registers={0: [1, 2]}, coils=1)
+    server = Server({1: Device(mapping, before_read=Hook(swap, holding_registers=range(1, 2)))})
+    for scheme in ("tcp", "rtu+tcp"):
+        server.replace({1: Device(mapping, before_read=Hook(swap, holding_registers=range(1, 2)))})
+        with server.background(f"{scheme}://127.0.0.1:0") as running:
+            url = running.urls[0]
+            with Context.from_url(url, unit=1, timeout=5) as client:
+                assert client.read_holding_registers(0, 1) == [1]
+                assert client.read_holding_registers(1, 1) == [2]
+                assert client.read_holding_registers(0, 1) == [9]
+                with pytest.raises(ServerDeviceBusy):
+                    client.read_coils(0, 1)
+
+
+def test_replaced_again_and_again_while_a_hundred_clients_read() -> None:
+    """Nobody is disconnected, or gets anything but an answer of one of the devices."""
+    server = Server({1: holding(0)})
+    seen: set[int] = set()
+
+    async def poll(url: str, stopped: asyncio.Event) -> int:
+        count = 0
+        async with AsyncClient(url, unit=1, timeout=30) as client:
+            while not stopped.is_set():
+                try:
+                    (value,) = await client.read_holding_registers(0, 1)
+                    seen.add(value)
+                except ServerDeviceBusy:
+                    pass
+                count += 1
+        return count
+
+    async def all_of_it(url: str) -> list[int]:
+        stopped = asyncio.Event()
+        polls = [asyncio.create_task(poll(url, stopped)) for _ in range(100)]
+        for number in range(200):
+            faults = {1: [Fault("exception", code=6, every=3)]} if number % 2 else None
+            server.replace({1: holding(number)}, faults)  # type: ignore[arg-type]
+            await asyncio.sleep(0.001)
+        await asyncio.sleep(0.2)
+        stopped.set()
+        return await asyncio.gather(*polls)
+
+    with server.background("tcp://127.0.0.1:0") as running:
+        descriptors = len(os.listdir("/proc/self/fd"))
+        counts = asyncio.run(all_of_it(running.urls[0]))
+        assert min(counts) > 0
+        assert server.statistics.accepted == 100
+        assert 199 in seen
+        until(lambda: server.statistics.connections == 0)
+        assert len(os.listdir("/proc/self/fd")) <= descriptors
+    gc.collect()
+    assert sum(isinstance(each, Device) for each in gc.get_objects()) < 100
+
+
+def test_replacing_while_it_ends_is_harmless() -> None:
+    server = Server(holding(1))
+    stopped = threading.Event()
+    failed: list[BaseException] = []
+
+    def replace() -> None:
+        try:
+            while not stopped.is_set():
+                server.replace(holding(2))
+        except BaseException as error:
+            failed.append(error)
+
+    thread = threading.Thread(target=replace)
+    thread.start()
+    try:
+        for _ in range(20):
+            with server.background("tcp://127.0.0.1:0") as running:
+                port = int(running.urls[0].rpartition(":")[2])
+                socket.create_connection(("127.0.0.1", port), 5).close()
+    finally:
+        stopped.set()
+        thread.join()
+    assert failed == []
+    assert server._answering_now == []
+
+
+def test_a_traced_connection_sees_faults_and_is_closed_by_one() -> None:
+    traced: list[str] = []
+    server = Server(holding(1), trace=lambda each: traced.append(each.direction))
+    with (
+        server.background("tcp://127.0.0.1:0") as running,
+        Context.from_url(running.urls[0], unit=1, timeout=5) as client,
+    ):
+        assert client.read_holding_registers(0, 1) == [1]
+        server.replace(holding(2), {1: [Fault("disconnect")]})
+        with pytest.raises(ModbusConnectionError):
+            until(lambda: client.read_holding_registers(0, 1) == [2])
+        until(lambda: server.statistics.connections == 0)
+    assert traced[:2] == ["received", "sent"]

@@ -1,0 +1,373 @@
+"""
+``Server(trace=...)``: every ADU as it was on the wire, whatever becomes of it, and whatever the
+callback does.
+"""
+
+from __future__ import annotations
+
+import logging
+import socket
+import threading
+import time
+import tracemalloc
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+from attacks import connect
+from certificates import Papers, secured
+from talk import ascii_frame, rtu
+
+from libmodbus_py import (
+    Context,
+    Device,
+    Fault,
+    Gateway,
+    Hook,
+    Mapping,
+    ModbusError,
+    Route,
+    Server,
+    Traced,
+)
+from libmodbus_py.testing.wires import SerialWire
+
+READ = bytes.fromhex("0001 0000 0006 11 03 0000 0002")
+ANSWER = bytes.fromhex("0001 0000 0007 11 03 04 0007 0008")
+REFUSED = bytes.fromhex("0001 0000 0003 11 83 02")
+BEYOND = bytes.fromhex("0001 0000 0006 11 03 FFFF 0001")
+
+
+def made_device(**options: Any) -> Device:
+    return Device(Mapping(holding_registers={0: [7, 8]}), **options)
+
+
+def port_of(url: str) -> int:
+    return int(url.rpartition(":")[2])
+
+
+def until(true: Callable[[], object], seconds: float = 10) -> None:
+    end = time.monotonic() + seconds
+    while not true():
+        assert time.monotonic() < end, "waited in vain"
+        time.sleep(0.005)
+
+
+def ask(connection: socket.socket, request: bytes, answer: bytes) -> None:
+    connection.sendall(request)
+    received = b""
+    while len(received) < len(answer) and (piece := connection.recv(4096)):
+        received += piece
+    assert received == answer
+
+
+@contextmanager
+def connected(
+    told: Callable[[Traced], object] | None, url: str = "tcp://127.0.0.1:0", **options: Any
+) -> Iterator[tuple[socket.socket, str]]:
+    """A server of unit 17, a connection to it, and its URL."""
+    units = options.pop("units", None) or {17: made_device()}
+    with (
+        Server(units, trace=told, **options).background(url) as running,
+        connect(port_of(running.urls[0])) as one,
+    ):
+        yield one, running.urls[0]
+
+
+def said(told: list[Traced]) -> list[tuple[str, bytes]]:
+    return [(each.direction, each.adu) for each in told]
+
+
+FRAMED: dict[str, Callable[[str], bytes]] = {
+    "tcp": lambda body: b"\0\1\0\0" + len(bytes.fromhex(body)).to_bytes(2) + bytes.fromhex(body),
+    "udp": lambda body: b"\0\1\0\0" + len(bytes.fromhex(body)).to_bytes(2) + bytes.fromhex(body),
+    "rtu+tcp": rtu,
+    "ascii+tcp": ascii_frame,
+}
+
+
+@pytest.mark.parametrize("scheme", FRAMED)
+def test_what_passes_is_told_as_it_is_on_the_wire(scheme: str) -> None:
+    told: list[Traced] = []
+    frame = FRAMED[scheme]
+    request, answer = frame("11 03 0000 0002"), frame("11 03 04 0007 0008")
+    beyond, refused = frame("11 03 FFFF 0001"), frame("11 83 02")
+    kind = socket.SOCK_DGRAM if scheme == "udp" else socket.SOCK_STREAM
+    server = Server({17: made_device()}, trace=told.append)
+    before = time.time()
+    with (
+        server.background(f"{scheme}://127.0.0.1:0") as running,
+        socket.socket(socket.AF_INET, kind) as connection,
+    ):
+        connection.settimeout(10)
+        connection.connect(("127.0.0.1", port_of(running.urls[0])))
+        here = "{}:{}".format(*connection.getsockname())
+        ask(connection, request, answer)
+        ask(connection, beyond, refused)
+        until(lambda: len(told) == 4)
+    assert said(told) == [
+        ("received", request),
+        ("sent", answer),
+        ("received", beyond),
+        ("sent", refused),
+    ]
+    assert [(each.unit, each.function) for each in told] == [(17, 3)] * 3 + [(17, 0x83)]
+    assert {(each.endpoint, each.peer) for each in told} == {(running.urls[0], here)}
+    assert all(one.time <= other.time for one, other in pairwise(told))
+    assert before <= told[0].time <= time.time()
+
+
+@pytest.mark.parametrize("scheme", ["rtu", "ascii"])
+def test_a_serial_port_is_traced_with_its_name(scheme: str) -> None:
+    told: list[Traced] = []
+    with SerialWire() as wire:
+        url = f"{scheme}://{wire.server}?baudrate=115200"
+        client = Context.from_url(f"{scheme}://{wire.client}?baudrate=115200", unit=17)
+        with Server({17: made_device()}, trace=told.append).background(url), client as plc:
+            assert plc.read_holding_registers(0, 2) == [7, 8]
+    assert [(each.direction, each.peer) for each in told] == [
+        ("received", wire.server),
+        ("sent", wire.server),
+    ]
+
+
+def test_of_tls_it_shows_what_is_inside(tmp_path: Path) -> None:
+    told: list[Traced] = []
+    papers = Papers(tmp_path)
+    server = Server({17: made_device()}, trace=told.append)
+    with secured(server, papers) as url, Context.from_url(url, unit=17) as plc:
+        assert plc.read_holding_registers(0, 2) == [7, 8]
+    assert [each.adu[6:] for each in told] == [READ[6:], ANSWER[6:]]
+
+
+@pytest.mark.parametrize("faults", [{}, {17: [Fault("delay", seconds=0.001, every=10**6)]}])
+def test_requests_that_come_together_are_told_one_by_one(faults: dict[int, list[Fault]]) -> None:
+    told: list[Traced] = []
+    server = Server({17: made_device()}, faults, trace=told.append)
+    with server.background("tcp://127.0.0.1:0") as running:
+        with connect(port_of(running.urls[0])) as one:
+            ask(one, READ * 40, ANSWER * 40)
+        with connect(port_of(running.urls[0])) as slow:
+            for at in range(len(READ)):
+                slow.sendall(READ[at : at + 1])
+                time.sleep(0.001)
+            ask(slow, b"", ANSWER)
+    assert sorted(said(told)) == sorted([("received", READ), ("sent", ANSWER)] * 41)
+
+
+SPOILT = {
+    "no_answer": ([], {}),
+    "truncate": ([ANSWER[:5]], {"length": 5}),
+    "trickle": ([ANSWER], {"seconds": 0.001}),
+    "wrong_check": ([ANSWER[:4] + b"\0\0" + ANSWER[6:]], {}),
+    "wrong_unit": ([ANSWER[:6] + b"\x12" + ANSWER[7:]], {}),
+    "exception": ([ANSWER[:4] + bytes.fromhex("0003 11 83 06")], {"code": 6}),
+}
+
+
+@pytest.mark.parametrize("kind", SPOILT)
+def test_a_spoilt_answer_is_told_as_it_went_out_and_the_next_one_whole(kind: str) -> None:
+    answers, settings = SPOILT[kind]
+    told: list[Traced] = []
+    faults = {17: [Fault(kind, every=2, **settings)]}
+    with connected(told.append, faults=faults) as (one, _):
+        ask(one, READ, ANSWER)
+        ask(one, READ, b"".join(answers))
+        ask(one, READ, ANSWER)
+    sent = [each for each in told if each.direction == "sent"]
+    assert [each.adu for each in sent] == [ANSWER, *answers, ANSWER]
+    assert (sent[-1].unit, sent[-1].function) == (17, 3)
+
+
+@pytest.mark.parametrize(
+    ("scheme", "noise"),
+    [
+        ("tcp", bytes.fromhex("0001 0000 FFFF 11 03")),
+        ("tcp", READ[:9]),
+        ("udp", READ + b"!"),
+        ("rtu+tcp", b"\x11\x03\x00\x00"),
+        ("ascii+tcp", b":11030000"),
+        ("ascii+tcp", b":11030000ZZ\r\n"),
+    ],
+)
+def test_what_is_no_frame_is_told_too(scheme: str, noise: bytes) -> None:
+    told: list[Traced] = []
+    kind = socket.SOCK_DGRAM if scheme == "udp" else socket.SOCK_STREAM
+    server = Server({17: made_device()}, trace=told.append)
+    with server.background(f"{scheme}://127.0.0.1:0") as running:
+        with socket.socket(socket.AF_INET, kind) as connection:
+            connection.connect(("127.0.0.1", port_of(running.urls[0])))
+            connection.sendall(noise)
+            until(lambda: scheme == "udp" or server.statistics.accepted == 1)
+        until(lambda: told)
+    assert [(each.adu, each.unit, each.function) for each in told] == [(noise, None, None)]
+
+
+def test_silence_ends_what_began_on_a_line() -> None:
+    told: list[Traced] = []
+    with connected(told.append, "ascii+tcp://127.0.0.1:0") as (one, _):
+        one.sendall(b":1103")
+        until(lambda: told)  # a second
+        ask(one, ascii_frame("11 03 0000 0002"), ascii_frame("11 03 04 0007 0008"))
+    assert said(told)[0] == ("received", b":1103")
+    assert len(told) == 3
+
+
+def test_another_end_of_ascii_frames_is_followed() -> None:
+    told: list[Traced] = []
+    change, restart = ascii_frame("11 08 0003 3B00"), ascii_frame("11 08 0001 0000")
+    read, answer = ascii_frame("11 03 0000 0002"), ascii_frame("11 03 04 0007 0008")
+    with connected(told.append, "ascii+tcp://127.0.0.1:0") as (one, _):
+        ask(one, change, change)
+        ask(one, read[:-1] + b";", answer[:-1] + b";")
+        ask(one, restart[:-1] + b";", restart[:-1] + b";")
+        ask(one, read, answer)
+    assert [each.adu[-1:] for each in told] == [b"\n"] * 2 + [b";"] * 4 + [b"\n"] * 2
+    assert {each.unit for each in told} == {17}
+
+
+def test_a_gateway_tells_what_its_clients_say() -> None:
+    told: list[Traced] = []
+    with Server({5: made_device()}).background("tcp://127.0.0.1:0") as behind:
+        gateway = Gateway([Route(behind.urls[0], "17", 5)], trace=told.append)
+        with (
+            gateway.background("tcp://127.0.0.1:0") as running,
+            connect(port_of(running.urls[0])) as one,
+        ):
+            ask(one, READ, ANSWER)
+    assert said(told) == [("received", READ), ("sent", ANSWER)]
+    assert {each.endpoint for each in told} == set(running.urls)
+
+
+def test_the_logger_has_the_same(caplog: pytest.LogCaptureFixture) -> None:
+    with connected(None) as (one, url):
+        ask(one, READ, ANSWER)
+        assert not [each for each in caplog.records if each.name == "libmodbus_py.wire"]
+        caplog.set_level(logging.DEBUG, "libmodbus_py.wire")
+        with connect(port_of(url)) as another:
+            here = "{}:{}".format(*another.getsockname())
+            ask(another, READ, ANSWER)
+    lines = [each.getMessage() for each in caplog.records if each.name == "libmodbus_py.wire"]
+    assert lines == [
+        f"{url} {here} < unit 17, function 3: {READ.hex(' ')}",
+        f"{url} {here} > unit 17, function 3: {ANSWER.hex(' ')}",
+    ]
+
+
+def test_others_come_and_go() -> None:
+    first: list[Traced] = []
+    second: list[Traced] = []
+    server = Server({17: made_device()})
+    with (
+        server.tracing(first.append),
+        server.background("tcp://127.0.0.1:0") as running,
+        connect(port_of(running.urls[0])) as one,
+    ):
+        ask(one, READ, ANSWER)
+        with server.tracing(second.append):
+            ask(one, READ, ANSWER)
+        ask(one, READ, ANSWER)
+    assert said(first) == [("received", READ), ("sent", ANSWER)] * 3
+    assert said(second) == [("received", READ), ("sent", ANSWER)]
+    with pytest.raises(TypeError, match="trace must be a function, not NoneType"):
+        server.tracing(None)  # type: ignore[arg-type]
+
+
+def test_a_trace_must_be_a_function() -> None:
+    with pytest.raises(TypeError, match="trace must be a function, not int"):
+        Server(made_device(), trace=1)  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match="trace must be a function, not str"):
+        Gateway([Route("tcp://127.0.0.1:1")], trace="x")  # type: ignore[arg-type]
+
+
+# --- attacks ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("error", [ValueError("mine"), GeneratorExit(), ModbusError("no")])
+def test_one_that_fails_costs_no_answer_and_is_logged_once(
+    error: BaseException, caplog: pytest.LogCaptureFixture
+) -> None:
+    def broken(traced: Traced) -> None:
+        raise error
+
+    with Server({17: made_device()}, trace=broken).background("tcp://127.0.0.1:0") as running:
+        for _ in range(3):
+            with connect(port_of(running.urls[0])) as one:
+                ask(one, READ * 5, ANSWER * 5)
+    assert [each.getMessage().endswith("this is said once") for each in caplog.records] == [True]
+
+
+@pytest.mark.parametrize("direction", ["received", "sent"])
+@pytest.mark.parametrize("error", [SystemExit, KeyboardInterrupt])
+def test_one_that_ends_the_program_does_after_the_answers(
+    error: type[BaseException], direction: str
+) -> None:
+    def ending(traced: Traced) -> None:
+        if traced.direction == direction:
+            raise error("enough")
+
+    def run() -> None:
+        with connected(ending) as (one, _):
+            ask(one, READ, ANSWER)
+            assert one.recv(1) == b""
+
+    with pytest.raises(error):
+        run()
+
+
+def test_one_that_is_slow_is_named_once(caplog: pytest.LogCaptureFixture) -> None:
+    def slow(traced: Traced) -> None:
+        time.sleep(0.11)
+
+    with connected(slow) as (one, _):
+        ask(one, READ, ANSWER)
+    assert [each.getMessage()[:6] for each in caplog.records] == ["trace "]
+
+
+@pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp"])
+def test_one_that_closes_the_server_is_obeyed(scheme: str) -> None:
+    closed = threading.Event()
+    stack = ExitStack()
+
+    def closing(traced: Traced) -> None:
+        stack.close()
+        closed.set()
+
+    background: AbstractContextManager[Any]
+    background = Server({17: made_device()}, trace=closing).background(f"{scheme}://127.0.0.1:0")
+    with stack:
+        running = stack.enter_context(background)
+        with connect(port_of(running.urls[0])) as one:
+            one.sendall(FRAMED[scheme]("11 03 0000 0002"))
+            while one.recv(100):
+                pass
+    assert closed.is_set()
+
+
+def test_a_flood_takes_no_memory() -> None:
+    """What is told is the callback's to keep; the server keeps nothing."""
+    latest: deque[Traced] = deque(maxlen=10)
+    with connected(latest.append) as (one, _):
+        ask(one, READ * 100, ANSWER * 100)
+        tracemalloc.start()
+        try:
+            for _ in range(30):
+                ask(one, READ * 100, ANSWER * 100)
+            kept, _ = tracemalloc.get_traced_memory()
+        finally:
+            tracemalloc.stop()
+    assert kept < 100_000
+
+
+def test_hooks_and_c_alike_are_told() -> None:
+    """One unit is answered in C, the other by a hook's way."""
+    told: list[Traced] = []
+    units = {17: made_device(), 18: made_device(before_read=Hook(lambda access: None))}
+    with connected(told.append, units=units) as (one, _):
+        ask(one, READ, ANSWER)
+        ask(one, READ[:6] + b"\x12" + READ[7:], ANSWER[:6] + b"\x12" + ANSWER[7:])
+    assert [each.unit for each in told] == [17, 17, 18, 18]
