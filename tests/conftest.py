@@ -17,7 +17,7 @@ from clients import KINDS, Connect, connecting
 from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.testing.wires import SerialWire
 
-pytest_plugins = ["alone"]
+pytest_plugins = ["alone", "inexcusable"]
 
 UNIT = 17
 

@@ -25,6 +25,7 @@ from typing import Any
 import pytest
 from asking import ALL, BLOCKING, NATIVE, answer, asking
 from fake import FakeServer, FakeUnit
+from pace import LATE
 from scripted import Scripted, echo
 from scripted import run as run_watched
 
@@ -39,8 +40,6 @@ from libmodbus_py import (
     TcpContext,
     pdu,
 )
-
-LATE = 0.25
 
 
 def tcp(request: bytes) -> list[bytes]:
@@ -420,7 +419,7 @@ def test_handles_with_their_own_timeouts_share_a_connection(kind: str) -> None:
         asking(
             kind,
             f"tcp://127.0.0.1:{server.port}",
-            timeout=2,
+            timeout=20,
             timeouts_before_reconnect=1000,
         ) as client,
     ):

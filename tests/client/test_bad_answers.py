@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 from clients import Connect
 from fake import Answer, FakeServer, FakeUnit, mbap
+from pace import LATE
 
 from libmodbus_py import (
     ExceptionResponse,
@@ -180,7 +181,7 @@ def test_trickling_answer_does_not_extend_the_deadline(connect: Connect) -> None
         start = time.monotonic()
         with pytest.raises(ModbusTimeoutError):
             read(context)
-        assert time.monotonic() - start < 0.2 + 0.05
+        assert time.monotonic() - start < 0.2 + LATE
 
 
 def test_timeout_is_kept(connect: Connect) -> None:
@@ -192,7 +193,7 @@ def test_timeout_is_kept(connect: Connect) -> None:
             start = time.monotonic()
             with pytest.raises(ModbusTimeoutError, match=r"no answer within 0\.2 s"):
                 read(context)
-            assert 0.19 < time.monotonic() - start < 0.25
+            assert 0.19 < time.monotonic() - start < 0.2 + LATE
 
 
 def test_connection_closed_in_mid_answer(connect: Connect) -> None:
@@ -206,14 +207,14 @@ def test_connection_closed_in_mid_answer(connect: Connect) -> None:
 
     with (
         FakeServer(good_tcp, half_and_close, good_tcp) as server,
-        connect(server.url, timeout=2) as context,
+        connect(server.url, timeout=20) as context,
     ):
         read(context)
         start = time.monotonic()
         with pytest.raises(ModbusConnectionError) as caught:
             read(context)
         assert caught.value.errno
-        assert time.monotonic() - start < 0.5
+        assert time.monotonic() - start < LATE
         assert read(context) == VALUES
         assert server.connections == 2
 
@@ -384,4 +385,4 @@ def test_serial_timeout_is_kept(connect: Connect, kind: str) -> None:
         start = time.monotonic()
         with pytest.raises(ModbusTimeoutError):
             read(context)
-        assert TIMEOUT - 0.01 < time.monotonic() - start < TIMEOUT + 0.05
+        assert TIMEOUT - 0.01 < time.monotonic() - start < TIMEOUT + LATE

@@ -24,6 +24,7 @@ from typing import Any
 import pytest
 from asking import ALL, BLOCKING, NATIVE, answer, asking
 from fake import FakeServer, FakeUnit, mbap
+from pace import LATE
 from scripted import Scripted, echo
 from scripted import run as run_watched
 
@@ -42,9 +43,6 @@ from libmodbus_py import (
     framing,
 )
 from libmodbus_py.testing.wires import SerialWire
-
-# Of a machine that is busy with other tests; what is measured on one that is not, is below 0.05.
-LATE = 0.25
 
 
 def rtu(request: bytes) -> bytes:
@@ -401,32 +399,33 @@ def test_anything_raised_while_it_connects_leaves_a_client_that_can(
         context.close()
 
 
-def slow_look_up(monkeypatch: pytest.MonkeyPatch, seconds: float) -> None:
-    """As of a name server that does not answer; numbers need none."""
-    look_up = socket.getaddrinfo
+@pytest.fixture
+def answers(monkeypatch: pytest.MonkeyPatch) -> Iterator[threading.Event]:
+    """Look-ups are as of a name server that does not answer, until it does; numbers need none."""
+    look_up, answers = socket.getaddrinfo, threading.Event()
 
     def slow(
         host: Any, port: Any, family: int = 0, type: int = 0, proto: int = 0, flags: int = 0
     ) -> Any:
         if not flags & socket.AI_NUMERICHOST and host == "slow.invalid":
-            time.sleep(seconds)
+            answers.wait(30)
         return look_up(host, port, family, type, proto, flags | socket.AI_NUMERICHOST)
 
     monkeypatch.setattr(socket, "getaddrinfo", slow)
+    yield answers
+    answers.set()
 
 
 @ALL
-def test_the_timeout_includes_the_look_up_of_the_name(
-    kind: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    slow_look_up(monkeypatch, 1)
+def test_the_timeout_includes_the_look_up_of_the_name(kind: str, answers: threading.Event) -> None:
+    if kind == "asyncio":  # an event loop ends only after its look-ups
+        threading.Timer(1, answers.set).start()
     start = time.monotonic()
     with (
         pytest.raises(ModbusConnectionError, match=r"slow\.invalid"),
         asking(kind, "tcp://slow.invalid:502", timeout=0.2),
     ):
         pass
-    # An event loop ends only after its look-ups.
     assert time.monotonic() - start < (1 if kind == "asyncio" else 0.2) + LATE
 
 
@@ -445,10 +444,8 @@ def full() -> Iterator[int]:
 
 @BLOCKING
 @pytest.mark.parametrize("named", [False, True])
-def test_close_does_not_wait_for_a_connection_that_is_being_made(
-    named: bool, kind: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    slow_look_up(monkeypatch, 1)
+@pytest.mark.usefixtures("answers")
+def test_close_does_not_wait_for_a_connection_that_is_being_made(named: bool, kind: str) -> None:
     with full() as port:
         host = "slow.invalid" if named else "127.0.0.1"
         context = TcpContext(host, port, timeout=10, native=kind == "native")
@@ -533,20 +530,20 @@ def waiting_context(place: str, native: bool) -> Iterator[tuple[Context, Callabl
     if place == "tcp":
         good = lambda request: [answer(request, "tcp")]  # noqa: E731
         with FakeServer(good, good, lambda request: []) as server:
-            context = TcpContext("127.0.0.1", server.port, timeout=3, native=native)
+            context = TcpContext("127.0.0.1", server.port, timeout=20, native=native)
             context.read_holding_registers(1, 1)
             context.read_holding_registers(1, 1)
             yield context, lambda: context.read_holding_registers(1, 1)
     elif place == "rtu":
         line = lambda request: [rtu(request)]  # noqa: E731
         with FakeUnit(line, line, lambda request: []) as unit:
-            context = RtuContext(unit.path, 115200, timeout=3, native=native)
+            context = RtuContext(unit.path, 115200, timeout=20, native=native)
             context.read_holding_registers(1, 1)
             context.read_holding_registers(1, 1)
             yield context, lambda: context.read_holding_registers(1, 1)
     else:
         with full() as port:
-            context = TcpContext("127.0.0.1", port, timeout=3, native=native)
+            context = TcpContext("127.0.0.1", port, timeout=20, native=native)
             yield context, context.connect
     context.close()
 
@@ -807,7 +804,7 @@ def test_an_idle_client_that_is_flooded_rests(scheme: str) -> None:
                 await asyncio.sleep(0.1)
                 before = time.process_time()
                 await asyncio.sleep(0.5)
-                assert time.process_time() - before < 0.1
+                assert time.process_time() - before < 0.2
                 assert await client.read_holding_registers(4, 1) == [4]
 
         run_watched(main())
@@ -823,7 +820,7 @@ def test_an_idle_client_on_a_noisy_line_rests() -> None:
                 await asyncio.sleep(0.3)
                 before = time.process_time()
                 await asyncio.sleep(0.5)
-                assert time.process_time() - before < 0.1
+                assert time.process_time() - before < 0.2
 
         run_watched(main())
 
@@ -894,8 +891,8 @@ def test_the_framer_of_rtu_costs_little_for_each_byte(pattern: bytes) -> None:
         before = time.process_time()
         framer.scan(data[at : at + 4096])
         longest = max(longest, time.process_time() - before)
-    assert time.process_time() - start < 0.1  # 1.5 us a byte; it was 8 to 17
-    assert longest < 0.05
+    assert time.process_time() - start < 0.4  # 1.5 us a byte; it was 8 to 17
+    assert longest < 0.2
 
 
 # --- noise, dead units, strange devices ----------------------------------------------------------

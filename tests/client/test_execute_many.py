@@ -24,6 +24,7 @@ from c_programs import SOURCES, compile_c
 from clients import Connect
 from fake import FakeServer, FakeUnit, dead, echo, mbap
 from interop import program
+from pace import LATE
 
 from libmodbus_py import (
     Context,
@@ -313,7 +314,7 @@ def test_request_without_an_answer_times_out_alone(talking_to: Talking) -> None:
     with talking_to(play, timeout=0.3, unit=9) as (context, server):
         start = time.monotonic()
         found = context.execute_many(reads(40), return_exceptions=True)
-        assert 0.1 <= time.monotonic() - start < 1
+        assert 0.1 <= time.monotonic() - start < 0.3 + LATE
         silent = [found[3], found[20]]
         found[3], found[20] = [3], [20]
         assert found == echoes(40)
@@ -351,7 +352,7 @@ def test_trickle_does_not_extend_the_timeout(talking_to: Talking) -> None:
         start = time.monotonic()
         with pytest.raises(ModbusTimeoutError):
             context.execute_many(reads(3))
-        assert time.monotonic() - start < 1
+        assert time.monotonic() - start < 0.6 + LATE
 
 
 def test_late_answers_reach_nobody(talking_to: Talking) -> None:
@@ -454,7 +455,7 @@ def test_flood_of_answers_does_not_hold_up_the_next_batch(talking_to: Talking) -
         assert context.execute_many(reads(1)) == [[0]]
         with contextlib.suppress(ModbusTimeoutError):
             assert context.execute_many(reads(20)) == echoes(20)
-        assert time.monotonic() - start < 5
+        assert time.monotonic() - start < LATE
 
 
 @pytest.mark.alone
@@ -545,7 +546,7 @@ def test_failure_is_raised_without_waiting_for_what_comes_after_it(talking_to: T
         start = time.monotonic()
         with pytest.raises(IllegalDataAddress, match="address=1,"):
             context.execute_many(reads(30))
-        assert time.monotonic() - start < 5
+        assert time.monotonic() - start < LATE
         assert context.execute_many(reads(30)) == echoes(30)
 
 
@@ -691,11 +692,11 @@ def test_dead_host_costs_one_attempt(connect: Connect, max_in_flight: int) -> No
         found = context.execute_many(
             reads(800), max_in_flight=max_in_flight, return_exceptions=True
         )
-        assert 0.1 <= time.monotonic() - start < 1
+        assert 0.1 <= time.monotonic() - start < 0.1 + LATE
         assert {each.errno for each in found} == {errno.ETIMEDOUT}
         with pytest.raises(ModbusConnectionError, match="address=0,"):
             context.execute_many(reads(800), max_in_flight=max_in_flight)
-        assert time.monotonic() - start < 2
+        assert time.monotonic() - start < 0.2 + LATE
         context.close()
 
 
@@ -792,7 +793,7 @@ def test_close_ends_a_batch_that_another_thread_waits_for(talking_to: Talking) -
         start = time.monotonic()
         context.close()
         found = waiting.result()
-        assert time.monotonic() - start < 1
+        assert time.monotonic() - start < LATE
         assert all(isinstance(each, ModbusConnectionError) for each in found)
         assert server.connections == 1
         with pytest.raises(ModbusConnectionError, match="closed"):
@@ -815,11 +816,11 @@ def test_ctrl_c_in_a_batch_leaves_a_usable_context(talking_to: Talking) -> None:
             os.kill(os.getpid(), signal.SIGINT)
         good(peer)
 
-    with talking_to(play, timeout=5) as (context, _):
+    with talking_to(play, timeout=20) as (context, _):
         start = time.monotonic()
         with pytest.raises(KeyboardInterrupt):
             context.execute_many(reads(50))
-        assert time.monotonic() - start < 1
+        assert time.monotonic() - start < LATE
         assert context.execute_many(reads(50)) == echoes(50)
         assert context.read_holding_registers(4, 1) == [4]
 

@@ -19,6 +19,7 @@ from typing import Any
 import pytest
 from clients import Connect
 from fake import FakeServer, FakeUnit, dead, echo, refusing, until, url_of
+from pace import LATE
 
 from libmodbus_py import (
     Device,
@@ -143,7 +144,7 @@ def test_timeouts_of_the_client_the_handle_and_the_request(connect: Connect) -> 
             start = time.monotonic()
             with pytest.raises(ModbusTimeoutError, match=f"within {timeout} s"):
                 ask()
-            assert timeout <= time.monotonic() - start < timeout + 0.1
+            assert timeout <= time.monotonic() - start < timeout + LATE
         plc.timeout = 0.07
         assert plc.for_unit(3).timeout == 0.07
         with pytest.raises(ModbusTimeoutError, match=r"within 0.07 s"):
@@ -237,18 +238,18 @@ def test_a_request_that_nobody_answers_is_not_waited_for(connect: Connect) -> No
     with FakeServer(silent, good) as server, connect(server.url, timeout=5, turnaround=0.02) as plc:
         start = time.monotonic()
         assert plc.diagnostics(pdu.SubFunction.FORCE_LISTEN_ONLY) == 0
-        assert 0.02 <= time.monotonic() - start < 1
+        assert 0.02 <= time.monotonic() - start < LATE
         assert plc.read_holding_registers(5, 1) == [5]
         assert plc.statistics.timeouts == 0
 
 
 def test_broadcast_waits_for_no_answer_and_reads_are_refused(connect: Connect) -> None:
-    url = "rtu://{}?baudrate=115200&timeout=3&turnaround=0.05&unit=0"
+    url = "rtu://{}?baudrate=115200&timeout=10&turnaround=0.05&unit=0"
     with FakeUnit(silent) as unit, connect(url.format(unit.path)) as everyone:
         start = time.monotonic()
         everyone.write_register(1, 2)
         everyone.write_coils(1, [True])
-        assert 0.1 <= time.monotonic() - start < 1
+        assert 0.1 <= time.monotonic() - start < LATE
         with pytest.raises(ValueError, match="broadcast"):
             everyone.read_coils(0, 1)
     assert unit.requests[0][:6] == bytes.fromhex("000600010002")
@@ -271,7 +272,7 @@ def test_connection_error_comes_at_once_and_says_why(
     start = time.monotonic()
     with pytest.raises(ModbusConnectionError) as caught:
         connect(f"tcp://{host}", timeout=5).read_coils(0, 1)
-    assert time.monotonic() - start < 2
+    assert time.monotonic() - start < LATE
     assert caught.value.__cause__ is not None
     assert number is None or caught.value.errno in (number, errno.ENETUNREACH)
     assert host[:20] in str(caught.value)
@@ -284,7 +285,7 @@ def test_connecting_counts_within_the_timeout(connect: Connect) -> None:
             start = time.monotonic()
             with pytest.raises(ModbusConnectionError) as caught:
                 attempt()
-            assert time.monotonic() - start < 0.4
+            assert time.monotonic() - start < 0.3 + LATE
             assert caught.value.errno == errno.ETIMEDOUT
         plc.close()
 
@@ -384,7 +385,7 @@ def test_unplugged_port_is_a_connection_error_and_is_opened_again(
         wire.unplug()
         with pytest.raises(ModbusConnectionError) as caught:
             waiting.result()
-        assert time.monotonic() - start < 1
+        assert time.monotonic() - start < LATE
         assert caught.value.errno == errno.EIO
     path.unlink()
     with pytest.raises(ModbusConnectionError):
@@ -493,4 +494,4 @@ def test_close_ends_what_others_wait_for(somebody_waits: Any) -> None:
         for each in waiting:
             with pytest.raises(ModbusConnectionError):
                 each.result()
-        assert time.monotonic() - start < 1
+        assert time.monotonic() - start < LATE

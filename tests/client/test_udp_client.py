@@ -16,6 +16,7 @@ from typing import Any, Self
 import pytest
 from clients import Connect
 from fake import echo, mbap
+from pace import LATE
 
 from libmodbus_py import (
     Context,
@@ -184,7 +185,7 @@ def test_lost_request_times_out_and_its_late_answer_reaches_nobody(connect: Conn
         start = time.monotonic()
         with pytest.raises(ModbusTimeoutError) as caught:
             context.read_holding_registers(2, 1)
-        assert 0.2 <= time.monotonic() - start < 1
+        assert 0.2 <= time.monotonic() - start < 0.2 + LATE
         assert caught.value.sent == server.requests[1]
         assert context.read_holding_registers(3, 1) == [3]
         assert context.read_holding_registers(4, 1) == [4]
@@ -234,7 +235,7 @@ def test_damaged_datagrams_are_no_answer(connect: Connect) -> None:
         start = time.monotonic()
         with pytest.raises(ModbusTimeoutError, match="no complete answer") as caught:
             context.read_holding_registers(1, 1)
-        assert 0.2 <= time.monotonic() - start < 1
+        assert 0.2 <= time.monotonic() - start < 0.2 + LATE
         assert echo(server.requests[0])[:-1] in caught.value.received
         with pytest.raises(ModbusTimeoutError):
             context.execute_many(reads(4))
@@ -255,12 +256,12 @@ def test_flood_of_datagrams_does_not_extend_the_timeout(connect: Connect) -> Non
         start = time.monotonic()
         with pytest.raises(ModbusTimeoutError):
             context.read_holding_registers(1, 1)
-        assert time.monotonic() - start < 1
+        assert time.monotonic() - start < 0.2 + LATE
         with pytest.raises(ModbusTimeoutError):
             context.read_holding_registers(1, 1)
         with pytest.raises(ModbusTimeoutError):
             context.execute_many(reads(4))
-        assert time.monotonic() - start < 3
+        assert time.monotonic() - start < 0.6 + LATE
         stop.set()
 
 
@@ -359,7 +360,7 @@ def test_port_where_nobody_listens_is_a_connection_error_at_once(
             assert caught.value.errno == errno.ECONNREFUSED
         found = context.execute_many(reads(800), return_exceptions=True)
         assert {each.errno for each in found} == {errno.ECONNREFUSED}
-        assert time.monotonic() - start < 2
+        assert time.monotonic() - start < LATE
 
 
 def test_port_that_comes_back_is_used_again(connect: Connect) -> None:

@@ -15,6 +15,7 @@ from typing import Any
 
 import pytest
 from fake import dead, until
+from pace import LATE
 
 from libmodbus_py import ModbusConnectionError
 from libmodbus_py.ports.sockets import TcpPort, UdpPort
@@ -75,7 +76,7 @@ def test_what_is_ready_is_told(drive: Drive, pair: tuple[socket.socket, socket.s
 
     start = time.monotonic()
     assert drive(steps()) == [False, True, True]
-    assert 0.05 <= time.monotonic() - start < 0.2
+    assert 0.05 <= time.monotonic() - start < 0.05 + LATE
 
 
 def test_a_deadline_that_has_passed_is_none_to_wait_for(
@@ -165,7 +166,7 @@ def test_a_look_up_ends_at_its_deadline(drive: Drive, stuck: threading.Event) ->
         assert isinstance(found, TimeoutError)
         return time.monotonic() - start
 
-    assert 0.1 <= drive(steps()) < 0.5
+    assert 0.1 <= drive(steps()) < 0.1 + LATE
 
 
 def test_a_look_up_that_takes_too_long_is_a_connection_error(
@@ -192,8 +193,8 @@ def test_a_dead_address_leaves_the_others_their_share_of_the_time(
         addresses(monkeypatch, port, listener.getsockname()[1])
         made = TcpPort("two-addresses.invalid", 502, None)
         start = time.monotonic()
-        drive(made.opening(start + 0.4))
-        assert 0.2 <= time.monotonic() - start < 0.35
+        drive(made.opening(start + 2))
+        assert 1 <= time.monotonic() - start < 2
         assert made.descriptor >= 0
         made.close()
 
@@ -206,7 +207,7 @@ def test_all_addresses_together_take_no_longer_than_the_deadline(
         start = time.monotonic()
         with pytest.raises(ModbusConnectionError, match="Connection timed out") as caught:
             drive(TcpPort("dead.invalid", 502, None).opening(start + 0.3))
-        assert 0.3 <= time.monotonic() - start < 0.4
+        assert 0.3 <= time.monotonic() - start < 0.3 + LATE
         assert isinstance(caught.value.__cause__, TimeoutError)
 
 
@@ -216,8 +217,8 @@ def test_a_refused_address_costs_no_time(drive: Drive, monkeypatch: pytest.Monke
         addresses(monkeypatch, refusing.getsockname()[1], listener.getsockname()[1])
         made = TcpPort("two-addresses.invalid", 502, None)
         start = time.monotonic()
-        drive(made.opening(start + 5))
-        assert time.monotonic() - start < 1
+        drive(made.opening(start + 20))
+        assert time.monotonic() - start < LATE
         made.close()
 
 
@@ -262,7 +263,7 @@ def woken_after(waker: Waker, condition: Callable[[], object] = lambda: True) ->
     thread.start()
     with pytest.raises(Woken):
         yield
-    assert time.monotonic() - start < 1
+    assert time.monotonic() - start < LATE
     thread.join()
     assert descriptors() == before
 
@@ -317,7 +318,7 @@ def test_a_waker_may_be_closed_and_woken_any_number_of_times() -> None:
 def test_a_pause_without_waking_ends_at_its_deadline(waker: Waker) -> None:
     start = time.monotonic()
     assert waker.wait(-1, READ, start + 0.05) is False
-    assert 0.05 <= time.monotonic() - start < 0.2
+    assert 0.05 <= time.monotonic() - start < 0.05 + LATE
 
 
 # --- cancelling ------------------------------------------------------------------------
@@ -348,7 +349,7 @@ def test_cancelling_a_look_up_does_not_wait_for_it(stuck: threading.Event) -> No
         start = time.monotonic()
         with pytest.raises(asyncio.CancelledError):
             await opening
-        assert time.monotonic() - start < 0.5
+        assert time.monotonic() - start < LATE
         stuck.set()
 
     asyncio.run(main())

@@ -9,7 +9,7 @@ import socket
 import struct
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -668,7 +668,8 @@ def test_a_refused_write_is_not_executed_and_all_others_are() -> None:
             connect(url) as connection,
         ):
             connection.sendall(adu(b"\x06\0\0\0\x09"))
-            connection.shutdown(socket.SHUT_WR)
+            with suppress(OSError):  # what closes may have closed before
+                connection.shutdown(socket.SHUT_WR)
             while connection.recv(100):
                 pass
         assert device.mapping.holding_registers[0] == (555 if kind == "exception" else 9), kind

@@ -19,7 +19,9 @@ from typing import Any
 
 import pytest
 from asked_devices import UNITS, Workers, asked_devices, fleet_file, until
+from doubled import none_doubled
 from nats_servers import NatsServers, free_ports
+from pace import LATE
 
 from libmodbus_py.cli.main import main
 
@@ -246,8 +248,8 @@ def test_results_commands_changes_and_status(tmp_path):
                 "1 new, 0 changed, 0 gone"
                 in run("poll", str(file), "--engine", server.urls, "--push").stdout
             )
-            took = until(lambda: len(asked.peers) == 2 * UNITS, 10)
-            assert took < 2  # a second is promised; seeing it takes an interval, and a connection
+            # A second is promised; seeing it takes an interval, and a connection.
+            until(lambda: len(asked.peers) == 2 * UNITS, 1.5 + LATE)
             assert before.items() <= asked.peers.items()
 
             # What cannot be read is told, and harms nobody.
@@ -270,7 +272,7 @@ def test_results_commands_changes_and_status(tmp_path):
             workers.start("b", server.urls, "--zone", "north")
             now = time.monotonic()
             until(lambda: asked.since(now) == 2 * UNITS, 15)
-            assert asked.doubles == 0
+            none_doubled(asked)
 
 
 @pytest.mark.alone
@@ -294,7 +296,7 @@ def test_it_goes_on_without_the_engine_when_told_so_and_keeps_what_it_read(tmp_p
                 return sum(gone + 1 < each < back for each in times) >= 5
 
             until(kept, 20)
-            assert asked.doubles == 0
+            none_doubled(asked)
 
 
 async def _times(url: str, subject: str) -> list[float]:

@@ -17,6 +17,7 @@ from typing import Any
 
 import pytest
 from asked_devices import Asked, Workers, asked_devices, fleet_file, until
+from doubled import none_doubled
 from nats_servers import NatsServers, Way
 
 from libmodbus_py.cli.main import main
@@ -33,7 +34,7 @@ LEASE = 1.5
 INTERVAL = 0.4
 
 # What a busy machine may take longer; no promise hangs on it.
-SLACK = 3.0
+SLACK = 10.0
 
 CONNECTIONS = 30
 DEVICES = 300
@@ -97,9 +98,11 @@ def three_workers(directory: Path, count: int, lease: float) -> Iterator[Trial]:
             until(lambda: asked.polls > 0, 90)
             workers.start("b", servers.urls)
             workers.start("c", servers.urls)
-            trial.settle()
-            yield trial
-            assert asked.doubles == 0
+            try:
+                trial.settle()
+                yield trial
+            finally:
+                none_doubled(asked)
 
 
 @pytest.mark.timeout(150)
@@ -124,14 +127,14 @@ def test_whoever_dies_stops_or_leaves_none_is_asked_by_two(tmp_path):
         trial.all_asked(LEASE + 1.5 + SLACK)
         workers.signal("b", signal.SIGCONT)
         trial.settle()
-        assert asked.doubles == 0
+        none_doubled(asked)
 
         trial.way.is_cut = True
         time.sleep(LEASE + 1)
         trial.all_asked(LEASE + SLACK)
         trial.way.is_cut = False
         trial.settle()
-        assert asked.doubles == 0
+        none_doubled(asked)
 
         trial.servers.kill()
         until(lambda: asked.since(time.monotonic() - 2 * INTERVAL) == 0, LEASE + SLACK)
@@ -192,4 +195,4 @@ def test_a_worker_waits_for_an_engine_whose_servers_are_still_starting(tmp_path)
             told = workers.said("b").splitlines()
             assert any("too few of its servers are up" in line for line in told)
             assert len(told) == len(set(told))
-            assert asked.doubles == 0
+            none_doubled(asked)
