@@ -16,7 +16,7 @@ Run = Callable[[Path], None]
 
 GOOD = """
 ```console
-$ printf 'listening on tcp://127.0.0.1:1502\\n'; sleep 60 &
+$ sh -c 'echo listening on tcp://127.0.0.1:1502; sleep 60' &
 listening on tcp://127.0.0.1:1502
 $ libmodbus-py read tcp://127.0.0.1:1 \\
 > 40123
