@@ -92,7 +92,7 @@ WORDS += [
 ]
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=150, deadline=None)
 @given(st.lists(st.sampled_from(WORDS) | st.text(max_size=3), max_size=25))
 def test_device_files(words: list[str]) -> None:
     """Parts of the example in any order."""
@@ -111,7 +111,7 @@ def test_device_files_with_an_odd_value(odd: str) -> None:
 
 
 @pytest.mark.parametrize("name", FRAMERS)
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=200, deadline=None)
 @given(st.data())
 def test_streams(name: str, data: st.DataObject) -> None:
     check_stream(name, data.draw(streams(FORMS[name])), data.draw(sizes))
@@ -134,7 +134,7 @@ gaps = st.sampled_from([0.0, 0.0005, 0.005, 0.05, 0.4, 2.0, 9.0])
 
 
 @pytest.mark.parametrize("framing", ["rtu", "ascii"])
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=200, deadline=None)
 @given(st.data())
 def test_lines(framing: Literal["rtu", "ascii"], data: st.DataObject) -> None:
     pieces = st.tuples(gaps, mutated(framing) | st.binary(max_size=12))
@@ -155,7 +155,7 @@ def test_a_listener_names_most(framing: Framing, faults: float, least: float) ->
     assert measure(framing, 3000, faults, 5, LATENCY).share >= least
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=150, deadline=None)
 @given(st.lists(mutated("tcp") | st.binary(max_size=270), max_size=8))
 def test_datagrams(datagrams: list[bytes]) -> None:
     check_datagrams(datagrams)
@@ -165,21 +165,21 @@ def near_pdus() -> st.SearchStrategy[bytes]:
     return mutated("pdu").map(lambda data: data[: pdu.MAX_PDU])
 
 
-@settings(max_examples=1500, deadline=None)
+@settings(max_examples=750, deadline=None)
 @given(near_pdus())
 def test_requests(data: bytes) -> None:
     check_request(data)
 
 
 @pytest.mark.parametrize("request_", REQUEST_OBJECTS, ids=lambda each: type(each).__name__)
-@settings(max_examples=250, deadline=None)
+@settings(max_examples=125, deadline=None)
 @given(data=near_pdus(), matching=st.booleans())
 def test_responses(request_: pdu.Request[Any], data: bytes, matching: bool) -> None:
     """Also those to other requests, as if they were to this one."""
     check_response(request_, bytes([request_.function]) + data[1:] if matching else data)
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=200, deadline=None)
 @given(st.lists((near_pdus() | st.binary(max_size=20)).filter(bool), max_size=12))
 def test_devices(requests: list[bytes]) -> None:
     check_device(requests)

@@ -816,7 +816,7 @@ def test_ctrl_c_in_a_batch_leaves_a_usable_context(talking_to: Talking) -> None:
             os.kill(os.getpid(), signal.SIGINT)
         good(peer)
 
-    with talking_to(play, timeout=20) as (context, _):
+    with talking_to(play, timeout=5) as (context, _):
         start = time.monotonic()
         with pytest.raises(KeyboardInterrupt):
             context.execute_many(reads(50))

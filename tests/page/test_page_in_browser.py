@@ -16,7 +16,7 @@ from libmodbus_py import Context, Device, Fault, Mapping, Server, ServerDeviceBu
 
 pytestmark = [
     pytest.mark.skipif(bool(missing()), reason=missing()),
-    pytest.mark.timeout(180),  # Chromium on a busy machine
+    pytest.mark.timeout(300),  # Chromium on a busy machine
 ]
 
 

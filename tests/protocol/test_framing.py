@@ -1031,8 +1031,8 @@ class TestWhateverComes:
             assert all(isinstance(each, FrameError) for each in found)
             assert all(len(each.received) <= 600 for each in found)  # type: ignore[union-attr]
             assert framer.pending <= PENDING[type(framer)]
-        # Some 0.2 us a byte, and 2 us a call; the rest is for slow and busy machines.
-        assert time.process_time() - began < 0.2 + 10e-6 * len(flood) / size
+        # At most 3 us a byte, and 4 us a call; the rest is for slow and busy machines.
+        assert time.process_time() - began < 1 + 40e-6 * len(flood) / size
 
     def test_errors_are_left_out_in_one_row_only(self) -> None:
         bad, good = b":1103006B00037F\r\n", b":1103006B00037E\r\n"

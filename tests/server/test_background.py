@@ -132,7 +132,6 @@ print(raised, threading.active_count(), len(os.listdir("/proc/self/fd")) - befor
 """
 
 
-@pytest.mark.timeout(120)
 def test_ctrl_c_once_or_twice_leaves_nothing() -> None:
     done = subprocess.run([sys.executable, "-c", CTRL_C], capture_output=True, text=True)
     assert done.stdout == "400 1 0\n", done.stderr

@@ -623,7 +623,7 @@ def test_faults_of_all_units_also_hit_units_that_do_not_exist() -> None:
 def test_on_serial_lines_what_nobody_answers_is_not_counted() -> None:
     with (
         serving("rtu", {None: [Fault("exception", code=6, every=2)]}) as url,
-        client_of(url, timeout=0.5) as client,
+        client_of(url, timeout=2) as client,
     ):
         client.for_unit(0).write_register(0, 7)
         with pytest.raises(ModbusTimeoutError):

@@ -17,7 +17,7 @@ import sys
 import threading
 import time
 import tty
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict
 from pathlib import Path
@@ -77,8 +77,17 @@ class Served:
 
     def has(self, **expected: int) -> bool:
         """Whether the statistics become that, soon."""
+        return self._comes(lambda: all(self._now(name) == expected[name] for name in expected))
+
+    def has_at_least(self, **expected: int) -> bool:
+        return self._comes(lambda: all(self._now(name) >= expected[name] for name in expected))
+
+    def _now(self, name: str) -> int:
+        return int(getattr(self.statistics, name))
+
+    def _comes(self, is_so: Callable[[], bool]) -> bool:
         deadline = time.monotonic() + PATIENCE
-        while any(getattr(self.statistics, name) != value for name, value in expected.items()):
+        while not is_so():
             if time.monotonic() > deadline:
                 return False
             time.sleep(0.005)
@@ -637,7 +646,7 @@ def test_requests_sent_at_once_wait_and_none_is_lost(kind: str) -> None:
     ):
         start = time.monotonic()
         eager.sendall(b"".join(adu(READ_ONE, number) for number in range(count)))
-        assert server.has(throttled=1)
+        assert server.has_at_least(throttled=1)
         for number in range(50):
             ask(other, number)
         expected = b"".join(adu(ANSWER_ONE, number) for number in range(count))
@@ -693,13 +702,14 @@ def test_connections_of_an_address_share_what_it_may_ask(kind: str) -> None:
 
 
 def test_a_new_connection_brings_nothing_new_to_ask(kind: str) -> None:
-    with served(kind, requests_per_second=2) as server:
+    with served(kind, requests_per_second=5) as server:
         start = time.monotonic()
         for _ in range(40):
             with server.connect() as client:
                 client.sendall(adu(READ_ONE))
                 time.sleep(0.02)
-        assert server.statistics.requests <= 3 + 2 * (time.monotonic() - start)
+        # Five are free, and a read may overdraw.
+        assert server.statistics.requests <= 5 + 1 + 5 * (time.monotonic() - start)
         assert server.has(connections=0)
 
 
@@ -708,14 +718,14 @@ OUT_OF_STEP = bytes.fromhex("0001 0000 ffff 11 03")
 
 
 def test_requests_count_though_what_follows_ends_the_connection(kind: str) -> None:
-    with served(kind, requests_per_second=2) as server:
+    with served(kind, requests_per_second=5) as server:
         start = time.monotonic()
-        for _ in range(10):
+        for _ in range(20):
             with server.connect() as client:
                 client.sendall(2 * adu(READ_ONE) + OUT_OF_STEP)
                 time.sleep(0.02)
-        # Two are free, and a read may overdraw.
-        assert server.statistics.requests <= 2 + 2 + 2 * (time.monotonic() - start)
+        # Five are free, and a read may overdraw.
+        assert server.statistics.requests <= 5 + 2 + 5 * (time.monotonic() - start)
         assert server.has(connections=0)
 
 
@@ -733,7 +743,7 @@ def test_to_be_refused_brings_nothing_new_to_ask_either() -> None:
         before = server.statistics.throttled
         with server.connect() as again:
             again.sendall(adu(READ_ONE))
-            assert server.has(throttled=before + 1)
+            assert server.has_at_least(throttled=before + 1)
 
 
 def test_all_connections_that_wait_are_answered_in_the_end(kind: str) -> None:

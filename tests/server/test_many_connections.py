@@ -42,7 +42,6 @@ CYCLES = 6_000
 REQUESTS = 600_000
 
 
-@pytest.mark.timeout(120)
 def test_five_thousand_connections_at_once_are_served(record_property: Record) -> None:
     with (
         descriptor_limit() as descriptors,
@@ -83,7 +82,6 @@ def wait_until_accepted(server: ServerProcess, descriptors: int) -> None:
         time.sleep(0.01)
 
 
-@pytest.mark.timeout(120)
 @pytest.mark.parametrize(
     ("work", "count"), [(churn, CYCLES), (pipeline, REQUESTS)], ids=["cycles", "requests"]
 )

@@ -590,7 +590,6 @@ def test_an_address_that_has_asked_too_much_does_not_hold_up_the_handshakes_of_o
 # --- memory -------------------------------------------------------------------------------------
 
 
-@pytest.mark.timeout(120)
 @pytest.mark.parametrize("what", ["half open", "idle"])
 @pytest.mark.filterwarnings("ignore:record_property is incompatible")
 def test_a_thousand_connections_have_room(

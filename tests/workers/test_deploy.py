@@ -23,7 +23,7 @@ nats = pytest.importorskip("nats")
 DEPLOY = Path(__file__).parents[2] / "deploy"
 
 
-@pytest.mark.timeout(120)
+@pytest.mark.timeout(300)
 def test_the_configuration_of_nats_works_as_it_stands(tmp_path, monkeypatch):
     subprocess.run(
         [str(DEPLOY / "certificates.sh"), str(tmp_path), "127.0.0.1"], check=True, timeout=30

@@ -207,7 +207,7 @@ def mosquitto(port: int, topic: str) -> subprocess.Popen[str]:
 
 
 @pytest.mark.alone
-@pytest.mark.timeout(120)
+@pytest.mark.timeout(300)
 def test_results_commands_changes_and_status(tmp_path):
     mqtt = free_ports(1)[0]
     engine = "lease = 1\ncommands = true"

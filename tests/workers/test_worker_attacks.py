@@ -22,7 +22,7 @@ DEVICES = CONNECTIONS * UNITS
 
 
 @pytest.mark.alone
-@pytest.mark.timeout(120)
+@pytest.mark.timeout(300)
 def test_workers_of_one_name_on_a_slow_engine_that_loses_its_bucket(tmp_path):
     with (
         NatsServers() as server,
