@@ -143,7 +143,7 @@ class Framer(ABC):
     def _report(self, why: str, received: bytes | bytearray, *, overrun: bool = False) -> None:
         """Of many errors in a row the first few say enough."""
         last = self._found[-MOST_ERRORS:]
-        if len(last) == MOST_ERRORS and all(type(each) is FrameError for each in last):
+        if len(last) == MOST_ERRORS and set(map(type, last)) == {FrameError}:
             return
         error = FrameError(why, received=bytes(received[:MAX_RECEIVED]))
         error.overrun = overrun
