@@ -27,7 +27,7 @@ from libmodbus_py import (
 
 GOOD = b"\x03\x06\x02\x2b\x00\x00\x00\x64"
 VALUES = [555, 0, 100]
-TIMEOUT = 0.25
+TIMEOUT = 0.5
 
 
 def good_tcp(request: bytes) -> list[bytes]:

@@ -511,9 +511,11 @@ def test_three_timeouts_in_a_row_make_a_new_connection(talking_to: Talking) -> N
                 peer.read()
         good(peer)
 
-    with talking_to(play, timeout=1) as (context, server):
-        found = context.execute_many(reads(10), max_in_flight=4, return_exceptions=True)
-        assert [isinstance(each, ModbusTimeoutError) for each in found] == [True] * 8 + [False] * 2
+    with talking_to(play, timeout=0.5) as (context, server):
+        found = context.execute_many(reads(20), max_in_flight=4, return_exceptions=True)
+        # Between two that time out another may still be sent to where nobody answers.
+        assert [type(each) for each in found[:8]] == [ModbusTimeoutError] * 8
+        assert found[14:] == echoes(6, 14)
         assert server.connections == 3
 
 

@@ -517,6 +517,7 @@ def test_a_flood_while_nothing_is_asked(
         if not isinstance(plc, Context):
             until(lambda: plc.state is State.DISCONNECTED)
         else:
+            until(lambda: sent[0] > 0)
             time.sleep(0.1)
         server.script = Peer.serve
         for each in range(3):

@@ -137,6 +137,7 @@ def test_a_client_sees_the_fault_and_the_next_request_succeeds(scheme: str, name
         with pytest.raises(error) as seen:
             client.read_holding_registers(0, 3)
         assert type(seen.value) is error
+        client.timeout = 5
         assert client.read_holding_registers(0, 3) == [555, 0, 100]
 
 
