@@ -23,17 +23,17 @@ from __future__ import annotations
 import heapq
 import json
 import os
-import pty
 import random
 import select
 import socket
 import threading
 import time
-import tty
 from collections import Counter, deque
 from collections.abc import Callable
 from pathlib import Path
 from typing import Literal, NamedTuple, Self
+
+from libmodbus_py.testing.line_ends import open_line, read_what_is_there, write_all
 
 __all__ = ["FAULTS", "FOREIGN", "UNITS", "BadLine", "Framing", "Hurt", "Piece", "Sender"]
 
@@ -193,11 +193,8 @@ class BadLine:
         self._asked_at = 0.0
         self._masters: dict[Sender, int] = {}
         self._slaves: dict[Sender, int] = {}
-        for side in ("client", "server"):
-            self._masters[side], self._slaves[side] = pty.openpty()
-            tty.setraw(self._slaves[side])
-        self.client = os.ttyname(self._slaves["client"])
-        self.server = os.ttyname(self._slaves["server"])
+        self._masters["client"], self._slaves["client"], self.client = open_line()
+        self._masters["server"], self._slaves["server"], self.server = open_line()
         self._wake, self._sleep = socket.socketpair()
         self._thread = threading.Thread(target=self._carry, name="bad line", daemon=True)
 
@@ -232,8 +229,8 @@ class BadLine:
             if self._sleep in ready:
                 return
             for side, master in self._masters.items():
-                if master in ready:
-                    self._pass(side, os.read(master, 4096))
+                if master in ready and (data := read_what_is_there(master)):
+                    self._pass(side, data)
             while self._late and self._late[0][0] <= time.monotonic():
                 _, asked_at, side, data = heapq.heappop(self._late)
                 self._deliver(asked_at, side, data)
@@ -259,7 +256,7 @@ class BadLine:
     def _rest(self, sender: Sender) -> bytes:
         rest = bytearray()
         while select.select([self._masters[sender]], [], [], GAP)[0]:
-            rest += os.read(self._masters[sender], 4096)
+            rest += read_what_is_there(self._masters[sender])
         return bytes(rest)
 
     def _deliver(self, asked_at: float, sender: Sender, data: bytes) -> None:
@@ -267,7 +264,7 @@ class BadLine:
             self.outdated += 1
         elif data:
             self._log("on, from", sender, data)
-            os.write(self._masters["server" if sender == "client" else "client"], data)
+            write_all(self._masters["server" if sender == "client" else "client"], data)
 
     def _log(self, what: str, sender: Sender, data: bytes) -> None:
         self.recent.append(Event(time.monotonic(), what, sender, data))

@@ -6,15 +6,15 @@ from __future__ import annotations
 
 import contextlib
 import os
-import pty
 import select
 import socket
 import struct
 import threading
 import time
-import tty
 from collections.abc import Callable, Iterator
 from typing import Self
+
+from libmodbus_py.testing.line_ends import open_line, read_what_is_there, write_all
 
 # A request as it came in -> the bytes to answer, in pieces.
 Answer = Callable[[bytes], list[bytes]]
@@ -80,9 +80,7 @@ class FakeUnit:
 
     def __init__(self, *answers: Answer) -> None:
         self._answers = list(answers)
-        self._master, self._slave = pty.openpty()
-        tty.setraw(self._slave)
-        self.path = os.ttyname(self._slave)
+        self._master, self._slave, self.path = open_line()
         self.requests: list[bytes] = []
         self._wake, self._sleep = socket.socketpair()
         self._thread = threading.Thread(target=self._serve, daemon=True)
@@ -100,20 +98,21 @@ class FakeUnit:
 
     def write(self, data: bytes) -> None:
         """Send without having been asked."""
-        os.write(self._master, data)
+        write_all(self._master, data)
 
     def _serve(self) -> None:
         while True:
             ready, _, _ = select.select([self._master, self._sleep], [], [])
             if self._sleep in ready:
                 return
-            request = os.read(self._master, 600)
+            if not (request := read_what_is_there(self._master)):
+                continue
             self.requests.append(request)
             answer = self._answers[0]
             if len(self._answers) > 1:
                 del self._answers[0]
             for piece in answer(request):
-                os.write(self._master, piece)
+                write_all(self._master, piece)
 
 
 def mbap(request: bytes, pdu: bytes, **changed: int) -> bytes:

@@ -7,12 +7,10 @@ from __future__ import annotations
 import contextlib
 import math
 import os
-import pty
 import select
 import socket
 import threading
 import time
-import tty
 from collections import Counter
 from collections.abc import Iterator
 from typing import Any, NamedTuple, Self
@@ -20,6 +18,7 @@ from typing import Any, NamedTuple, Self
 from interop import BAUDRATE, UNIT, make_device
 
 from libmodbus_py import Context, Device, Fault, Gateway, Route, Server
+from libmodbus_py.testing.line_ends import open_line, read_what_is_there, write_all
 from libmodbus_py.testing.wires import SerialWire
 
 
@@ -108,9 +107,7 @@ class Bus:
         self.units = set(units)
         self._asked: Counter[int] = Counter()
         self._due: list[tuple[float, bytes]] = []
-        self._master, self._slave = pty.openpty()
-        tty.setraw(self._slave)
-        self.path = os.ttyname(self._slave)
+        self._master, self._slave, self.path = open_line()
         self._wake, self._sleep = socket.socketpair()
         self._thread = threading.Thread(target=self._serve, daemon=True)
 
@@ -141,9 +138,9 @@ class Bus:
             for at, answer in sorted(self._due):
                 if at <= time.monotonic():
                     self._due.remove((at, answer))
-                    os.write(self._master, answer)
+                    write_all(self._master, answer)
             if self._master in ready:
-                received += os.read(self._master, 600)
+                received += read_what_is_there(self._master)
                 while len(received) >= 8:  # that is a read
                     self._answer(received[0], int.from_bytes(received[2:4], "big"))
                     received = received[8:]

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import contextlib
 import os
-import pty
 import selectors
 import socket
 import threading
-import tty
 from collections.abc import Callable
 from typing import Literal, NamedTuple, Self
+
+from .line_ends import open_line, read_what_is_there, write_all
 
 __all__ = ["Passed", "SerialWire", "TcpWire"]
 
@@ -107,9 +107,9 @@ class SerialWire(_Wire):
 
     def _join(self, source: _RawPort, sink: _RawPort, sender: Literal["client", "server"]) -> None:
         def carry() -> None:
-            data = os.read(source.master, 4096)
-            self.passed.append(Passed(sender, data))
-            os.write(sink.master, data)
+            if data := read_what_is_there(source.master):
+                self.passed.append(Passed(sender, data))
+                write_all(sink.master, data)
 
         self._selector.register(source.master, selectors.EVENT_READ, carry)
 
@@ -122,9 +122,7 @@ class _RawPort:
     """A pseudo-terminal that changes no byte; open at both ends, so that users may come and go."""
 
     def __init__(self) -> None:
-        self.master, self.slave = pty.openpty()
-        tty.setraw(self.slave)
-        self.path = os.ttyname(self.slave)
+        self.master, self.slave, self.path = open_line()
 
     def close(self) -> None:
         for descriptor in (self.master, self.slave):

@@ -234,9 +234,10 @@ def failure(act: Callable[..., object], *args: Any) -> ModbusError:
 
 
 FLOODER = """
-import os, sys, time
+import contextlib, os, sys, time
 while True:
-    os.write(int(sys.argv[1]), bytes.fromhex(sys.argv[2]))
+    with contextlib.suppress(BlockingIOError):  # there is no room
+        os.write(int(sys.argv[1]), bytes.fromhex(sys.argv[2]))
     time.sleep(float(sys.argv[3]))
 """
 

@@ -5,11 +5,11 @@ A line of pseudo-terminals where everybody hears everybody, as on two wires.
 from __future__ import annotations
 
 import os
-import pty
 import select
 import threading
-import tty
 from typing import Self
+
+from libmodbus_py.testing.line_ends import open_line, read_what_is_there, write_all
 
 __all__ = ["SharedLine"]
 
@@ -63,12 +63,10 @@ class SharedLine:
         """Put bytes on the line that all ports hear."""
         with self._lock:
             for master in self._masters.values():
-                os.write(master, data)
+                write_all(master, data)
 
     def _plug(self, name: str) -> None:
-        self._masters[name], self._slaves[name] = pty.openpty()
-        tty.setraw(self._slaves[name])
-        self.paths[name] = os.ttyname(self._slaves[name])
+        self._masters[name], self._slaves[name], self.paths[name] = open_line()
 
     def _carry(self) -> None:
         while True:
@@ -80,7 +78,7 @@ class SharedLine:
             with self._lock:
                 for master in self._masters.values():
                     if master in ready:
-                        data = os.read(master, 4096)
+                        data = read_what_is_there(master)
                         for other in self._masters.values():
                             if other != master:
-                                os.write(other, data)
+                                write_all(other, data)

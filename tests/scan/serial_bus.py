@@ -9,18 +9,17 @@ from __future__ import annotations
 
 import contextlib
 import os
-import pty
 import select
 import socket
 import termios
 import threading
 import time
-import tty
 from collections.abc import Callable
 from typing import Any, NamedTuple, Self
 
 from libmodbus_py import Device, framing
 from libmodbus_py.device.device import Caller
+from libmodbus_py.testing.line_ends import open_line, read_what_is_there
 
 RATES = {getattr(termios, name): int(name[1:]) for name in dir(termios) if name[1:].isdigit()}
 
@@ -62,9 +61,7 @@ class Bus:
     def __init__(self, units: dict[int, Member], scheme: str = "rtu") -> None:
         self._units = units
         self._framing: Any = scheme
-        self._master, self._slave = pty.openpty()
-        tty.setraw(self._slave)
-        self.path = os.ttyname(self._slave)
+        self._master, self._slave, self.path = open_line()
         self.url = f"{scheme}://{self.path}"
         self.asked: list[tuple[int, int, bytes]] = []
         self._wake, self._sleep = socket.socketpair()
@@ -120,14 +117,14 @@ class Bus:
                     return
 
     def _write(self, data: bytes) -> None:
-        os.set_blocking(self._master, False)
         with contextlib.suppress(BlockingIOError):
             os.write(self._master, data)
         if self._noise is not None and data == self._noise[1]:
             self._timers.append((time.monotonic() + self._noise[0], data))
 
     def _hear(self, framer: framing.Framer) -> None:
-        data = os.read(self._master, 600)
+        if not (data := read_what_is_there(self._master)):
+            return
         if self._noise is not None and not self._timers:
             self._timers.append((0.0, self._noise[1]))
         settings = termios.tcgetattr(self._master)

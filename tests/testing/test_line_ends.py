@@ -1,0 +1,43 @@
+"""The far ends of serial lines: nobody waits there for what was discarded meanwhile."""
+
+from __future__ import annotations
+
+import os
+import select
+import threading
+from collections.abc import Iterator
+
+import pytest
+
+from libmodbus_py.testing.line_ends import open_line, read_what_is_there, write_all
+
+
+@pytest.fixture
+def ends() -> Iterator[tuple[int, int]]:
+    far, near, _ = open_line()
+    yield far, near
+    os.close(far)
+    os.close(near)
+
+
+@pytest.mark.timeout(20)
+def test_what_is_gone_is_not_waited_for(ends: tuple[int, int]) -> None:
+    far, near = ends
+    assert read_what_is_there(far) == b""
+    os.write(near, b"abc")
+    assert select.select([far], [], [], 5)[0]
+    assert read_what_is_there(far) == b"abc"
+    assert read_what_is_there(far) == b""
+
+
+@pytest.mark.timeout(20)
+def test_more_than_there_is_room_for_is_written_when_somebody_reads(ends: tuple[int, int]) -> None:
+    far, near = ends
+    data = bytes(range(256)) * 1000
+    thread = threading.Thread(target=write_all, args=(far, data))
+    thread.start()
+    read = b""
+    while len(read) < len(data):
+        read += os.read(near, 4096)
+    thread.join()
+    assert read == data
