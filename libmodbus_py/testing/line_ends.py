@@ -14,6 +14,9 @@ import tty
 
 __all__ = ["open_line", "read_what_is_there", "write_all"]
 
+# Seconds without room after which bytes are lost, as on a line without flow control.
+PATIENCE = 1.0
+
 
 def open_line() -> tuple[int, int, str]:
     """Give the far end of a line that changes no byte, the near end, and the path of that."""
@@ -32,9 +35,10 @@ def read_what_is_there(far: int) -> bytes:
 
 
 def write_all(far: int, data: bytes) -> None:
-    """Wait until there is room for all of it."""
+    """Wait while there is no room, but not for ever: then the rest is lost."""
     while data:
         try:
             data = data[os.write(far, data) :]
         except BlockingIOError:
-            select.select([], [far], [])
+            if not select.select([], [far], [], PATIENCE)[1]:
+                return

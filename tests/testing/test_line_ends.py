@@ -10,6 +10,7 @@ from collections.abc import Iterator
 import pytest
 
 from libmodbus_py.testing.line_ends import open_line, read_what_is_there, write_all
+from libmodbus_py.testing.wires import SerialWire
 
 
 @pytest.fixture
@@ -41,3 +42,13 @@ def test_more_than_there_is_room_for_is_written_when_somebody_reads(ends: tuple[
         read += os.read(near, 4096)
     thread.join()
     assert read == data
+
+
+@pytest.mark.timeout(20)
+def test_a_wire_that_nobody_reads_at_the_other_end_can_be_closed() -> None:
+    with SerialWire() as wire:
+        client = os.open(wire.client, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        for _ in range(50):
+            if select.select([], [client], [], 0.1)[1]:
+                os.write(client, bytes(4096))
+        os.close(client)
