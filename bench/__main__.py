@@ -17,15 +17,15 @@ import sys
 import tempfile
 from pathlib import Path
 
-from cells import SECTIONS, Tools, cells_of
-from children import compile_all
-from compare import saved, side_by_side, taken_turns
-from memory import measure_memory
-from report import Report, as_json, as_text
-from results import Results, run_rounds
-from startup import STARTS, measure_startup
-from targets import TARGETS, outcome
-from tls import measure_tls
+from bench.cells import SECTIONS, Tools, cells_of
+from bench.children import compile_all
+from bench.compare import saved, side_by_side, taken_turns
+from bench.memory import measure_memory
+from bench.report import Report, as_json, as_text
+from bench.results import Results, run_rounds
+from bench.startup import STARTS, measure_startup
+from bench.targets import TARGETS, outcome
+from bench.tls import measure_tls
 
 MEMORY, TLS, STARTUP = "memory", "tls", "startup"
 ALL = [*SECTIONS, MEMORY, TLS, STARTUP]
@@ -46,7 +46,7 @@ def main() -> None:
     if options.save:
         options.save.write_text(json.dumps(numbers, indent=1) + "\n")
     if options.picture:
-        from picture import draw
+        from bench.picture import draw
 
         draw(report, options.picture)
 

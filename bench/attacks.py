@@ -12,15 +12,12 @@ from __future__ import annotations
 import argparse
 import contextlib
 import os
-import sys
 import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
-
-from attacks import (
+from tests.support.attacks import (
     ATTACKS,
     Attack,
     AttackerProcess,

@@ -16,7 +16,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
 
-from children import (
+from bench.children import (
     Child,
     Failed,
     on_one_processor,

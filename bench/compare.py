@@ -9,8 +9,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from cells import SERVER, Key, before
-from report import grid, number
+from bench.cells import SERVER, Key, before
+from bench.report import grid, number
 
 Cell = dict[str, Any]
 """A cell as it stands in the JSON."""

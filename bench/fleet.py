@@ -19,9 +19,8 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 
-from children import resident_memory
-from memory import raise_descriptor_limit
-
+from bench.children import resident_memory
+from bench.memory import raise_descriptor_limit
 from libmodbus_py import Device, DeviceConfig, Fleet, Limits, Mapping, Point, RegisterMap, Server
 from libmodbus_py.fleet.outputs.json_lines import JsonLines
 from libmodbus_py.fleet.statistics import LATENESS_BOUNDS
@@ -95,7 +94,15 @@ async def serve(connections: int, units: int) -> None:
 
 @contextmanager
 def servers(connections: int, units: int) -> Iterator[list[str]]:
-    program = [sys.executable, __file__, "--serve", str(connections), "--units", str(units)]
+    program = [
+        sys.executable,
+        "-m",
+        "bench.fleet",
+        "--serve",
+        str(connections),
+        "--units",
+        str(units),
+    ]
     with subprocess.Popen(program, stdout=subprocess.PIPE, text=True) as child:
         try:
             assert child.stdout is not None

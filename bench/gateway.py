@@ -1,5 +1,5 @@
 """
-What a gateway costs, and what it does with silent and late units: ``python bench/gateway.py``.
+What a gateway costs, and what it does with silent and late units: ``python -m bench.gateway``.
 
 Devices and clients are processes or threads beside it. The figures that people know of others
 are those of mbusd 0.5.3: 10 requests a second by default, 2.16 s that a good unit waits for a
@@ -14,14 +14,10 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from pathlib import Path
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-
-from gateways import Bus
 
 from libmodbus_py import AsyncClient, Context, ExceptionResponse, pdu
 from libmodbus_py.testing.wires import SerialWire
+from tests.support.gateways import Bus
 
 ME = [sys.executable, "-m", "libmodbus_py"]
 READ = pdu.ReadHoldingRegisters(0, 10)

@@ -11,8 +11,8 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
-from cells import SERVERS, RunningServer, Tools, start_server
-from children import Failed, resident_memory
+from bench.cells import SERVERS, RunningServer, Tools, start_server
+from bench.children import Failed, resident_memory
 
 FEW, MANY = 100, 1000  # connections
 WITHIN = 20.0  # seconds, for all of them

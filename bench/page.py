@@ -1,7 +1,7 @@
 """
 What the live page costs the process of a server: 10 000 cells, all new ten times a second.
 
-``python bench/page.py [SECONDS]`` prints the processor time of the server's process, without a
+``python -m bench.page [SECONDS]`` prints the processor time of the server's process, without a
 page, with Chromium on it, and with somebody who looks at all cells at once. Nobody else should
 use the machine meanwhile.
 """
@@ -17,11 +17,8 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[1]
-sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "page")]
-
-from browsers import browser, missing  # noqa: E402
-from watching import Visitor, until  # noqa: E402
+from tests.page.browsers import browser, missing
+from tests.page.watching import Visitor, until
 
 CELLS = 10_000
 UPDATES = 10  # a second
@@ -31,6 +28,8 @@ SERVER = f"""
 import time
 from array import array
 from libmodbus_py import Device, Mapping, Server, page_of
+
+ROOT = Path(__file__).resolve().parents[1]
 
 mapping = Mapping(holding_registers={CELLS})
 cells = [array("H", [number % 65536] * {CELLS}) for number in range(1, 65536, 6553)]
@@ -48,7 +47,7 @@ with page_of(Server({{1: Device(mapping)}})) as page:
 @contextlib.contextmanager
 def served() -> Iterator[tuple[int, str]]:
     """Give the process and the URL of the page."""
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[1])}
     command = [sys.executable, "-c", SERVER]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment) as program:
         assert program.stdout is not None

@@ -11,7 +11,9 @@ import matplotlib as mpl
 mpl.use("Agg")
 
 import matplotlib.pyplot as plt
-from cells import (
+from matplotlib.axes import Axes
+
+from bench.cells import (
     BLOCKING,
     BULK,
     C_CLIENT,
@@ -24,9 +26,8 @@ from cells import (
     Key,
     before,
 )
-from matplotlib.axes import Axes
-from report import Report, machine
-from results import Results
+from bench.report import Report, machine
+from bench.results import Results
 
 OURS, C_CODE, PEER = "#1f6fb4", "#7f7f7f", "#d9a441"
 # What a server is compared by; the trivial one and the hook are for the tables.

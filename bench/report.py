@@ -12,7 +12,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from cells import (
+from bench.cells import (
     ASYNCIO,
     BLOCKING,
     BULK,
@@ -22,12 +22,11 @@ from cells import (
     Key,
     absent,
 )
-from memory import FEW, MANY, Memory
-from results import Results
-from startup import MBPOLL
-from targets import Outcome
-from tls import Tls
-
+from bench.memory import FEW, MANY, Memory
+from bench.results import Results
+from bench.startup import MBPOLL
+from bench.targets import Outcome
+from bench.tls import Tls
 from libmodbus_py.binding.low_level import loaded_version
 
 DISTRIBUTIONS = ("pymodbus", "pylibmodbus", "pyModbusTCP", "uModbus", "minimalmodbus")

@@ -11,8 +11,8 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from statistics import median
 
-from cells import Cells, Key, Measured
-from children import Failed
+from bench.cells import Cells, Key, Measured
+from bench.children import Failed
 
 
 @dataclass

@@ -13,13 +13,11 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from libmodbus_py import Context, Fault, ModbusError, Server, device_file, page_of
+from tests.page.browsers import browser, missing
+from tests.page.watching import until
+
 ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT / "tests" / "page"))
-
-from browsers import browser, missing  # noqa: E402
-from watching import until  # noqa: E402
-
-from libmodbus_py import Context, Fault, ModbusError, Server, device_file, page_of  # noqa: E402
 
 WIDTH, HEIGHT = 1200, 700
 MOST_BYTES = 200_000

@@ -12,7 +12,7 @@ import subprocess
 import time
 from contextlib import ExitStack
 
-from cells import SERVERS, Tools, start_server
+from bench.cells import SERVERS, Tools, start_server
 
 MBPOLL = "mbpoll, one read"
 STARTS = 21  # of each, in turns

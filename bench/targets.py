@@ -8,7 +8,7 @@ from collections.abc import Callable
 from itertools import product
 from typing import NamedTuple
 
-from cells import (
+from bench.cells import (
     ASYNC_BULK,
     BLOCKING,
     BULK,

@@ -14,8 +14,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
-from children import Child, processor_time
-
+from bench.children import Child, processor_time
 from libmodbus_py.security.making import make, write
 
 REQUEST = bytes.fromhex("0001 0000 0006 01 03 0000 000a")

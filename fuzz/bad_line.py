@@ -150,7 +150,9 @@ glued to it; noise before or behind it.
 
 UNITS = (77, 78, 79)  # no units of the worked examples, which are the frames of others here
 
-_EXAMPLES = json.loads((Path(__file__).parents[1] / "tests" / "vectors.json").read_text())
+_EXAMPLES = json.loads(
+    (Path(__file__).parents[1] / "tests" / "support" / "vectors.json").read_text()
+)
 _FRAMES = [example for example in _EXAMPLES if "rtu" in example]
 _OTHERS = [example for example in _FRAMES if example["unit"] not in (0, *UNITS)]
 

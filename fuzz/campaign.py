@@ -1,5 +1,5 @@
 """
-Coverage-guided fuzzing of everything: python fuzz/campaign.py [SECONDS]
+Coverage-guided fuzzing of everything: python -m fuzz.campaign [SECONDS]
 
 SECONDS, 60 unless told otherwise, are split over the targets of `inputs`: the Python ones
 run under atheris, the C helper under clang's libFuzzer with AddressSanitizer and
@@ -18,8 +18,8 @@ import sys
 import tempfile
 from pathlib import Path
 
-from command import numbers, progress
-from inputs import TARGETS
+from fuzz.command import numbers, progress
+from fuzz.inputs import TARGETS
 
 HERE = Path(__file__).parent
 FINDINGS = HERE / "findings"
@@ -35,7 +35,7 @@ def command(name: str, build: Path) -> list[str] | None:
                 f"{name}: not run, there is no atheris for this Python ({sys.version.split()[0]})"
             )
             return None
-        return [sys.executable, str(HERE / "guided.py"), name]
+        return [sys.executable, "-m", "fuzz.guided", name]
     if shutil.which("clang") is None:
         print(f"{name}: not run, there is no clang (apt install clang libclang-rt-dev)")
         return None

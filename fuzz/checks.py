@@ -62,7 +62,7 @@ FRAMERS: dict[str, Callable[[], Framer]] = {
 PENDING = {"tcp": 260, "rtu server": 256, "rtu client": 256, "ascii": 513}
 
 
-_FILE = Path(__file__).parents[1] / "tests" / "vectors.json"
+_FILE = Path(__file__).parents[1] / "tests" / "support" / "vectors.json"
 _EXAMPLES = [example for example in json.loads(_FILE.read_text()) if "tcp" in example]
 
 

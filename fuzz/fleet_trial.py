@@ -1,5 +1,5 @@
 """
-Workers that share a fleet: python fuzz/fleet_trial.py [ROUNDS] [DEVICES] [LEASE]
+Workers that share a fleet: python -m fuzz.fleet_trial [ROUNDS] [DEVICES] [LEASE]
 
 Three workers of the command line, three servers of NATS, and DEVICES, 3000 unless told
 otherwise, on servers of our own that note who asks them when. In each of ROUNDS, 20 unless
@@ -23,10 +23,9 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from asked_devices import UNITS, Asked, Workers, asked_devices, fleet_file, until
-from command import numbers
-from nats_servers import NatsServers, Way
-
+from fuzz.asked_devices import UNITS, Asked, Workers, asked_devices, fleet_file, until
+from fuzz.command import numbers
+from fuzz.nats_servers import NatsServers, Way
 from libmodbus_py.engine.buckets import open_bucket
 from libmodbus_py.engine.connection import connected
 from libmodbus_py.engine.troubles import EngineGone

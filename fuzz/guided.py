@@ -1,5 +1,5 @@
 """
-One target under atheris: python fuzz/guided.py TARGET [libFuzzer options] [directory or file]
+One target under atheris: python -m fuzz.guided TARGET [libFuzzer options] [directory or file]
 
 A file, such as a finding, is run once.
 """
@@ -11,7 +11,7 @@ import sys
 import atheris
 
 with atheris.instrument_imports(include=["libmodbus_py"]):
-    from inputs import TARGETS
+    from fuzz.inputs import TARGETS
 
 
 def main() -> None:

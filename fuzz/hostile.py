@@ -12,10 +12,9 @@ import threading
 from collections.abc import Callable
 from typing import Self
 
-from bad_line import UNITS
-from checks import examples
-from transactions import FIXED, register
-
+from fuzz.bad_line import UNITS
+from fuzz.checks import examples
+from fuzz.transactions import FIXED, register
 from libmodbus_py import ModbusError, TcpContext
 
 __all__ = ["STREAMS", "UNIT", "Hostile", "Innocent"]

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from checks import (
+from fuzz.checks import (
     FRAMERS,
     REQUEST_OBJECTS,
     check_certificate,
@@ -22,7 +22,6 @@ from checks import (
     check_stream,
     examples,
 )
-
 from libmodbus_py.listener.separator import LineFraming
 from libmodbus_py.security.making import make
 from libmodbus_py.security.role import encode_role

@@ -1,5 +1,5 @@
 """
-How much a listener names right: python fuzz/listening.py [TRANSACTIONS] [SEED]
+How much a listener names right: python -m fuzz.listening [TRANSACTIONS] [SEED]
 
 As many transactions of a client with three units, 100000 unless told otherwise, on a line whose
 clock is counted and not waited for, with 0, 1 and 5 % of the frames damaged as `bad_line` does
@@ -16,9 +16,8 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
 
-from bad_line import FAULTS, UNITS, Hurt
-from command import numbers, progress
-
+from fuzz.bad_line import FAULTS, UNITS, Hurt
+from fuzz.command import numbers, progress
 from libmodbus_py import Device, Mapping, pdu
 from libmodbus_py.listener.separator import Separator
 from libmodbus_py.listener.transaction import Heard, Transaction

@@ -1,5 +1,5 @@
 """
-Faults on serial lines: python fuzz/serial_faults.py [TRANSACTIONS] [SEED]
+Faults on serial lines: python -m fuzz.serial_faults [TRANSACTIONS] [SEED]
 
 As many transactions, 100000 unless told otherwise, spread over RTU through libmodbus, RTU
 without it, and ASCII, each in a process of its own. Prints what happened; exits with
@@ -13,10 +13,9 @@ import sys
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 
-from bad_line import UNITS, BadLine, Framing
-from command import numbers, progress
-from transactions import Lateness, Tally, Transactions, known_device
-
+from fuzz.bad_line import UNITS, BadLine, Framing
+from fuzz.command import numbers, progress
+from fuzz.transactions import Lateness, Tally, Transactions, known_device
 from libmodbus_py import AsciiContext, Context, RtuContext, Server
 
 __all__ = ["BAUDRATE", "LINES", "client", "on_a_line"]

@@ -1,5 +1,5 @@
 """
-Everything at once, for long: python fuzz/soak.py [SECONDS] [SEED]
+Everything at once, for long: python -m fuzz.soak [SECONDS] [SEED]
 
 A server in a process of its own, on TCP, RTU and ASCII. For SECONDS, 60 unless told
 otherwise, transactions go over serial lines on which things go wrong, hostile clients attack
@@ -19,12 +19,11 @@ from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
 
-from bad_line import UNITS, BadLine
-from command import numbers, progress
-from hostile import Hostile, Innocent
-from serial_faults import BAUDRATE, LINES, client
-from transactions import Lateness, Tally, Transactions, known_device, seconds_left
-
+from fuzz.bad_line import UNITS, BadLine
+from fuzz.command import numbers, progress
+from fuzz.hostile import Hostile, Innocent
+from fuzz.serial_faults import BAUDRATE, LINES, client
+from fuzz.transactions import Lateness, Tally, Transactions, known_device, seconds_left
 from libmodbus_py import Server, TcpContext
 
 TIMEOUT = 0.25  # the server has the hostile clients to deal with, too
@@ -75,7 +74,7 @@ def served(lines: dict[str, BadLine]) -> Iterator[tuple[int, int]]:
     urls += [
         f"{LINES[name][0]}://{line.server}?baudrate={BAUDRATE}" for name, line in lines.items()
     ]
-    command = [sys.executable, __file__, "serve", *urls]
+    command = [sys.executable, "-m", "fuzz.soak", "serve", *urls]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
         assert process.stdin is not None
         assert process.stdout is not None

@@ -22,8 +22,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, Self
 
-from bad_line import FAULTS, BadLine
-
+from fuzz.bad_line import FAULTS, BadLine
 from libmodbus_py import Context, Device, Mapping, ModbusError
 
 __all__ = [

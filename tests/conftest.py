@@ -10,14 +10,14 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
-from c_programs import SOURCES, compile_c
-from certificates import Papers, secured
-from clients import KINDS, Connect, connecting
 
 from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.testing.wires import SerialWire
+from tests.support.c_programs import SOURCES, compile_c
+from tests.support.certificates import Papers, secured
+from tests.support.clients import KINDS, Connect, connecting
 
-pytest_plugins = ["alone", "inexcusable"]
+pytest_plugins = ["tests.support.alone", "tests.support.inexcusable"]
 
 UNIT = 17
 

@@ -24,7 +24,7 @@ def test_program_compiles_without_a_warning(source: Path, tmp_path: Path) -> Non
 
 
 def run_bench(*arguments: object) -> str:
-    command = [sys.executable, BENCH, *map(str, arguments)]
+    command = [sys.executable, "-m", "bench", *map(str, arguments)]
     return subprocess.run(command, check=True, capture_output=True, text=True).stdout
 
 

@@ -9,11 +9,11 @@ from __future__ import annotations
 import random
 
 import pytest
-from bad_line import FAULTS, BadLine, Framing, Hurt
-from serial_faults import LINES, on_a_line
-from vectors import FRAMES, FrameVector, rows
 
+from fuzz.bad_line import FAULTS, BadLine, Framing, Hurt
+from fuzz.serial_faults import LINES, on_a_line
 from libmodbus_py.protocol.framing import AsciiFramer, Frame, Framer, Role, RtuFramer
+from tests.support.vectors import FRAMES, FrameVector, rows
 
 TIMEOUT = 0.15
 

@@ -11,7 +11,10 @@ from pathlib import Path
 from typing import Any, Literal
 
 import pytest
-from checks import (
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fuzz.checks import (
     FRAMERS,
     REQUEST_OBJECTS,
     check_datagrams,
@@ -23,12 +26,9 @@ from checks import (
     check_stream,
     examples,
 )
-from hostile import UNIT, Hostile, Innocent
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from listening import LATENCY, Framing, measure
-from transactions import known_device
-
+from fuzz.hostile import UNIT, Hostile, Innocent
+from fuzz.listening import LATENCY, Framing, measure
+from fuzz.transactions import known_device
 from libmodbus_py import Server, pdu
 
 PLANT = (Path(__file__).parents[1] / "examples" / "plant.toml").read_text()

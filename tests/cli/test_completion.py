@@ -11,7 +11,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from typing_in import typed
+
+from tests.cli.typing_in import typed
 
 argcomplete = pytest.importorskip("argcomplete")
 

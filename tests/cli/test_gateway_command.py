@@ -12,9 +12,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from fake import until
 
 from libmodbus_py import Context, Device, GatewayPathUnavailable, Mapping, Server
+from tests.support.fake import until
 
 COMMAND = [sys.executable, "-m", "libmodbus_py", "gateway"]
 

@@ -14,7 +14,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from asked_devices import until
+
+from fuzz.asked_devices import until
 
 FILES = {
     "serve.toml": "[[unit]]\nid = 1\n[[unit.holding_registers]]\naddress = 0\nvalue = 1\n",

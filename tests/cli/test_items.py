@@ -11,9 +11,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from typing_in import typed
 
 from libmodbus_py import Device, Mapping, Server
+from tests.cli.typing_in import typed
 
 METER = """\
 name,table,address,count,type,scale,unit,access,minimum,maximum

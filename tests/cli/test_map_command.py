@@ -13,9 +13,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from fake import FakeServer, mbap, until
 
 from libmodbus_py import Device, Mapping, Server, TcpContext, load_map
+from tests.support.fake import FakeServer, mbap, until
 
 COMMAND = [sys.executable, "-m", "libmodbus_py", "map"]
 

@@ -17,9 +17,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from fake import dead
 
 from libmodbus_py import Device, Mapping, Server
+from tests.support.fake import dead
 
 COMMAND = [sys.executable, "-m", "libmodbus_py", "poll"]
 

@@ -16,10 +16,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from fake import FakeServer, mbap, refusing, until, url_of
 
 from libmodbus_py import Device, Mapping, Server, device_file
 from libmodbus_py.testing.wires import SerialWire
+from tests.support.fake import FakeServer, mbap, refusing, until, url_of
 
 COMMAND = [sys.executable, "-m", "libmodbus_py", "scan"]
 

@@ -12,12 +12,12 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-import certificates
 import pytest
-from certificates import Papers
-from fake import dead
 
 from libmodbus_py import Device, Mapping, Server
+from tests.support import certificates
+from tests.support.certificates import Papers
+from tests.support.fake import dead
 
 SECRET = "open sesame"
 

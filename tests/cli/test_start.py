@@ -11,11 +11,11 @@ import subprocess
 import sys
 
 import pytest
-from typing_in import typed
 
 from libmodbus_py import ModbusConnectionError
 from libmodbus_py.cli import main as main_file
 from libmodbus_py.cli.commands import COMMANDS, parser_of
+from tests.cli.typing_in import typed
 
 COMMAND = [sys.executable, "-m", "libmodbus_py"]
 

@@ -16,10 +16,10 @@ from contextlib import ExitStack, contextmanager
 from datetime import datetime
 
 import pytest
-from typing_in import PROGRAM, on_terminal, typed
 
 from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.server.server import Running
+from tests.cli.typing_in import PROGRAM, on_terminal, typed
 
 WATCH = ["--watch", "0.05"]
 

@@ -7,10 +7,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import pytest
-from fake import FakeServer, FakeUnit, echo, mbap
 
 from libmodbus_py import Context, ModbusError
 from libmodbus_py.protocol.framing import crc16
+from tests.support.fake import FakeServer, FakeUnit, echo, mbap
 
 Answer = Callable[[bytes], bytes]
 

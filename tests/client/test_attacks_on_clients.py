@@ -23,11 +23,6 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
-from asking import ALL, BLOCKING, NATIVE, answer, asking
-from fake import FakeServer, FakeUnit
-from pace import LATE
-from scripted import Scripted, echo
-from scripted import run as run_watched
 
 from libmodbus_py import (
     AsyncClient,
@@ -40,6 +35,11 @@ from libmodbus_py import (
     TcpContext,
     pdu,
 )
+from tests.support.asking import ALL, BLOCKING, NATIVE, answer, asking
+from tests.support.fake import FakeServer, FakeUnit
+from tests.support.pace import LATE
+from tests.support.scripted import Scripted, echo
+from tests.support.scripted import run as run_watched
 
 
 def tcp(request: bytes) -> list[bytes]:

@@ -10,9 +10,6 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from clients import Connect
-from fake import Answer, FakeServer, FakeUnit, mbap
-from pace import LATE
 
 from libmodbus_py import (
     ExceptionResponse,
@@ -24,6 +21,9 @@ from libmodbus_py import (
     ModbusTimeoutError,
     framing,
 )
+from tests.support.clients import Connect
+from tests.support.fake import Answer, FakeServer, FakeUnit, mbap
+from tests.support.pace import LATE
 
 GOOD = b"\x03\x06\x02\x2b\x00\x00\x00\x64"
 VALUES = [555, 0, 100]

@@ -14,12 +14,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import pytest
-from certificates import Papers, secured
-from clients import Awaited
-from interop import TIMEOUT, UNIT, Exchange, exchanges, make_device, program, refusals
 from pymodbus.server import ModbusSerialServer, ModbusTcpServer
-from scripted import Scripted, Write, answer, run
-from test_interop_pymodbus import FRAMERS, SERIAL_SETTINGS, in_background, simulated_device
 
 from libmodbus_py import (
     Context,
@@ -34,6 +29,16 @@ from libmodbus_py import (
 from libmodbus_py.client.asynchronous import AsyncClient
 from libmodbus_py.protocol.pdu import ServerId, SubFunction
 from libmodbus_py.testing.wires import SerialWire
+from tests.interop.test_interop_pymodbus import (
+    FRAMERS,
+    SERIAL_SETTINGS,
+    in_background,
+    simulated_device,
+)
+from tests.support.certificates import Papers, secured
+from tests.support.clients import Awaited
+from tests.support.interop import TIMEOUT, UNIT, Exchange, exchanges, make_device, program, refusals
+from tests.support.scripted import Scripted, Write, answer, run
 
 TRANSPORTS = ["tcp", "rtu+tcp", "ascii+tcp", "udp", "tls", "rtu", "ascii"]
 

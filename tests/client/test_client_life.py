@@ -13,8 +13,6 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from fake import FakeUnit, refusing, url_of
-from scripted import Scripted, Write, answer, echo, ignore, run
 
 from libmodbus_py import (
     Device,
@@ -28,6 +26,8 @@ from libmodbus_py import (
 from libmodbus_py.client.asynchronous import AsyncClient
 from libmodbus_py.client.reconnecting import State
 from libmodbus_py.testing.wires import SerialWire
+from tests.support.fake import FakeUnit, refusing, url_of
+from tests.support.scripted import Scripted, Write, answer, echo, ignore, run
 
 REQUEST = pdu.ReadHoldingRegisters(5, 1)
 

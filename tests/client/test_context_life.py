@@ -19,8 +19,6 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
-from fake import FakeServer, FakeUnit, mbap
-from pace import LATE
 
 from libmodbus_py import (
     AsciiContext,
@@ -32,6 +30,8 @@ from libmodbus_py import (
     Server,
     TcpContext,
 )
+from tests.support.fake import FakeServer, FakeUnit, mbap
+from tests.support.pace import LATE
 
 NATIVE = pytest.mark.parametrize("native", [True, False])
 

@@ -12,7 +12,6 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from talk import ASCII, LINE, LOST, TCP, Talk, ascii_frame, kinds, rtu, tcp, value
 
 from libmodbus_py import (
     IllegalDataAddress,
@@ -25,6 +24,7 @@ from libmodbus_py import (
 )
 from libmodbus_py.client.batch import NOT_ASKED, Batch
 from libmodbus_py.ports.trace import Traced
+from tests.support.talk import ASCII, LINE, LOST, TCP, Talk, ascii_frame, kinds, rtu, tcp, value
 
 BOTH = pytest.mark.parametrize("url", [TCP, LINE])
 

@@ -22,11 +22,6 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
-from asking import ALL, BLOCKING, NATIVE, answer, asking
-from fake import FakeServer, FakeUnit, mbap
-from pace import LATE
-from scripted import Scripted, echo
-from scripted import run as run_watched
 
 from libmodbus_py import (
     AsyncClient,
@@ -43,6 +38,11 @@ from libmodbus_py import (
     framing,
 )
 from libmodbus_py.testing.wires import SerialWire
+from tests.support.asking import ALL, BLOCKING, NATIVE, answer, asking
+from tests.support.fake import FakeServer, FakeUnit, mbap
+from tests.support.pace import LATE
+from tests.support.scripted import Scripted, echo
+from tests.support.scripted import run as run_watched
 
 
 def rtu(request: bytes) -> bytes:
@@ -830,8 +830,7 @@ SENDING = """
 import socket, sys
 kind, noise = sys.argv[1], bytes.fromhex(sys.argv[2])
 data = noise * (60000 // len(noise)) if kind != "udp" else noise
-sys.path[:0] = sys.argv[3:]
-from asking import answer
+from tests.support.asking import answer
 listener = socket.socket(type=socket.SOCK_DGRAM if kind == "udp" else socket.SOCK_STREAM)
 listener.bind(("127.0.0.1", 0))
 if kind != "udp":
@@ -865,8 +864,7 @@ class SendingProcess:
     """A server in another process that answers once on each connection, and floods it then."""
 
     def __init__(self, scheme: str, noise: bytes) -> None:
-        tests = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
-        command = [sys.executable, "-c", SENDING, scheme, noise.hex(), tests]
+        command = [sys.executable, "-c", SENDING, scheme, noise.hex()]
         self._scheme = scheme
         self._process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
 

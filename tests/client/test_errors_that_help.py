@@ -11,10 +11,10 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from asking import ALL, answer, asking
-from fake import FakeServer, FakeUnit, mbap
 
 from libmodbus_py import AsyncClient, Context, ModbusConnectionError, ModbusError
+from tests.support.asking import ALL, answer, asking
+from tests.support.fake import FakeServer, FakeUnit, mbap
 
 NOISE = bytes(range(0x70, 0xF0))
 

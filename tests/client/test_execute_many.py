@@ -20,11 +20,6 @@ from pathlib import Path
 from typing import Any, Self
 
 import pytest
-from c_programs import SOURCES, compile_c
-from clients import Connect
-from fake import FakeServer, FakeUnit, dead, echo, mbap
-from interop import program
-from pace import LATE
 
 from libmodbus_py import (
     Context,
@@ -39,6 +34,11 @@ from libmodbus_py import (
     TcpContext,
     pdu,
 )
+from tests.support.c_programs import SOURCES, compile_c
+from tests.support.clients import Connect
+from tests.support.fake import FakeServer, FakeUnit, dead, echo, mbap
+from tests.support.interop import program
+from tests.support.pace import LATE
 
 UNIT = 17
 

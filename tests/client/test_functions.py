@@ -13,8 +13,6 @@ from tempfile import TemporaryDirectory
 from typing import Any, Self
 
 import pytest
-from certificates import Papers, secured
-from fake import FakeServer, mbap
 
 from libmodbus_py import (
     Access,
@@ -38,6 +36,8 @@ from libmodbus_py import (
 )
 from libmodbus_py.protocol.pdu import ServerId, SubFunction
 from libmodbus_py.testing.wires import SerialWire
+from tests.support.certificates import Papers, secured
+from tests.support.fake import FakeServer, mbap
 
 TRANSPORTS = ["tcp", "rtu+tcp", "ascii+tcp", "tls", "rtu", "ascii"]
 

@@ -8,17 +8,17 @@ import ssl
 from pathlib import Path
 from typing import Any
 
-import certificates
 import pytest
-from certificates import Papers, expired
-from clients import Connect
-from fake import FakeServer, echo
-from tls import context
-from tls_peers import TlsServer, context_of
 
 from libmodbus_py import Device, Mapping, ModbusConnectionError, Server, TcpContext
 from libmodbus_py.client.statistics import Statistics
 from libmodbus_py.security.given import GivenContext
+from tests.support import certificates
+from tests.support.certificates import Papers, expired
+from tests.support.clients import Connect
+from tests.support.fake import FakeServer, echo
+from tests.support.tls import context
+from tests.support.tls_peers import TlsServer, context_of
 
 
 def test_clients_one_after_the_other_count_in_the_same_place(connect: Connect) -> None:

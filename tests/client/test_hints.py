@@ -5,9 +5,9 @@ What bytes that answer nothing look like. The frames are those of the specificat
 from __future__ import annotations
 
 import pytest
-from talk import ascii_frame, rtu
 
 from libmodbus_py.client.hints import explain, shown
+from tests.support.talk import ascii_frame, rtu
 
 # Read register 6Bh, three of them, and what is answered (application protocol, 6.3).
 PDU = "03 006B 0003"

@@ -7,7 +7,6 @@ from __future__ import annotations
 import random
 
 import pytest
-from talk import TCP, Talk, kinds, little_kept, tcp
 
 from libmodbus_py import (
     FrameError,
@@ -17,6 +16,7 @@ from libmodbus_py import (
     Traced,
     pdu,
 )
+from tests.support.talk import TCP, Talk, kinds, little_kept, tcp
 
 UDP = TCP.replace("tcp", "udp")
 

@@ -5,9 +5,19 @@ One request at a time on lines without ids, told in bytes and times.
 from __future__ import annotations
 
 import pytest
-from talk import ASCII, LINE, Talk, ascii_frame, is_quiet, kinds, little_kept, rtu, value
 
 from libmodbus_py import FrameError, IllegalDataAddress, InvalidResponse, ModbusTimeoutError, pdu
+from tests.support.talk import (
+    ASCII,
+    LINE,
+    Talk,
+    ascii_frame,
+    is_quiet,
+    kinds,
+    little_kept,
+    rtu,
+    value,
+)
 
 WRITE = pdu.WriteRegister(1, 2)
 

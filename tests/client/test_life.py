@@ -17,9 +17,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from clients import Connect
-from fake import FakeServer, FakeUnit, dead, echo, refusing, until, url_of
-from pace import LATE
 
 from libmodbus_py import (
     Device,
@@ -33,6 +30,9 @@ from libmodbus_py import (
     pdu,
 )
 from libmodbus_py.testing.wires import SerialWire
+from tests.support.clients import Connect
+from tests.support.fake import FakeServer, FakeUnit, dead, echo, refusing, until, url_of
+from tests.support.pace import LATE
 
 REQUEST = pdu.ReadHoldingRegisters(5, 1)
 

@@ -10,9 +10,9 @@ import time
 from typing import Any
 
 import pytest
-from fake import FakeServer
 
 from libmodbus_py import AsyncClient, ModbusConnectionError, TcpContext
+from tests.support.fake import FakeServer
 
 ANSWER = bytes.fromhex("0000 0005 01 03 02 0007")
 

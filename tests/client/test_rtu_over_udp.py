@@ -11,9 +11,6 @@ import time
 from collections.abc import Callable, Iterator
 
 import pytest
-from asking import ALL, asking
-from fake import until
-from interop import UNIT, exchanges, make_device, refusals
 
 from libmodbus_py import (
     Context,
@@ -26,6 +23,9 @@ from libmodbus_py import (
     UdpContext,
 )
 from libmodbus_py.ports.endpoint import parse
+from tests.support.asking import ALL, asking
+from tests.support.fake import until
+from tests.support.interop import UNIT, exchanges, make_device, refusals
 
 # A read of one register of unit 1, and its answer 555, by hand: serial line, appendix B.
 READ = bytes.fromhex("01 03 0000 0001 840a")

@@ -11,11 +11,11 @@ import time
 from pathlib import Path
 
 import pytest
-from clients import Connect
-from fake import FakeUnit
 
 from libmodbus_py import Context, Device, ModbusError, RtuContext, Server, framing
 from libmodbus_py.testing.wires import SerialWire
+from tests.support.clients import Connect
+from tests.support.fake import FakeUnit
 
 ANSWER = framing.RtuFramer("server").encode(framing.Frame(1, b"\x03\x02\x00\x07"))
 

@@ -15,12 +15,12 @@ from contextlib import suppress
 from typing import Any
 
 import pytest
-from clients import Connect
-from fake import FakeServer, FakeUnit, echo, mbap, refusing, url_of
 
 from libmodbus_py import AsyncClient, Context, ModbusError, RtuContext, pdu
 from libmodbus_py.client.statistics import RESULTS, TIME_BOUNDS, Statistics
 from libmodbus_py.protocol.framing import crc16
+from tests.support.clients import Connect
+from tests.support.fake import FakeServer, FakeUnit, echo, mbap, refusing, url_of
 
 REQUEST = pdu.ReadHoldingRegisters(5, 1)
 WRITE = pdu.WriteRegister(5, 7)

@@ -10,7 +10,6 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from fake import FakeServer, dead, mbap
 
 from libmodbus_py import (
     AsyncClient,
@@ -22,6 +21,7 @@ from libmodbus_py import (
     Server,
     pdu,
 )
+from tests.support.fake import FakeServer, dead, mbap
 
 READ = pdu.ReadHoldingRegisters(0, 2)
 

@@ -19,12 +19,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import certificates
 import pytest
-from certificates import Papers, expired, foreign_authority, not_yet_valid, self_signed
-from clients import Connect
-from fake import echo, until
-from tls_peers import HANDSHAKE, Peer, Relay, Script, Sealed, TlsServer, context_of, raw
 
 from libmodbus_py import (
     Device,
@@ -36,6 +31,26 @@ from libmodbus_py import (
     pdu,
 )
 from libmodbus_py.security.making import Identity
+from tests.support import certificates
+from tests.support.certificates import (
+    Papers,
+    expired,
+    foreign_authority,
+    not_yet_valid,
+    self_signed,
+)
+from tests.support.clients import Connect
+from tests.support.fake import echo, until
+from tests.support.tls_peers import (
+    HANDSHAKE,
+    Peer,
+    Relay,
+    Script,
+    Sealed,
+    TlsServer,
+    context_of,
+    raw,
+)
 
 LONG = 20.0
 

@@ -16,13 +16,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-import certificates
 import pytest
-from certificates import Papers, secured
-from clients import Connect
-from fake import dead, echo, mbap, until
-from scripted import run as run_in_loop
-from tls_peers import HANDSHAKE, Peer, Relay, Script, Sealed, TlsServer, context_of, raw
 
 from libmodbus_py import (
     AsyncClient,
@@ -37,6 +31,21 @@ from libmodbus_py import (
     pdu,
 )
 from libmodbus_py.ports.tls import TlsPort
+from tests.support import certificates
+from tests.support.certificates import Papers, secured
+from tests.support.clients import Connect
+from tests.support.fake import dead, echo, mbap, until
+from tests.support.scripted import run as run_in_loop
+from tests.support.tls_peers import (
+    HANDSHAKE,
+    Peer,
+    Relay,
+    Script,
+    Sealed,
+    TlsServer,
+    context_of,
+    raw,
+)
 
 LONG = 20.0
 

@@ -14,9 +14,6 @@ from collections.abc import Callable, Iterator
 from typing import Any, Self
 
 import pytest
-from clients import Connect
-from fake import echo, mbap
-from pace import LATE
 
 from libmodbus_py import (
     Context,
@@ -31,6 +28,9 @@ from libmodbus_py import (
     pdu,
 )
 from libmodbus_py.client.blocking import UdpContext
+from tests.support.clients import Connect
+from tests.support.fake import echo, mbap
+from tests.support.pace import LATE
 
 # A request -> the datagrams to answer; None closes the port.
 Answer = Callable[[bytes], list[bytes] | None]

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import pytest
-from checks import REQUEST_OBJECTS, examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fuzz.checks import REQUEST_OBJECTS, examples
 from libmodbus_py import (
     Access,
     Asked,

@@ -16,7 +16,6 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from vectors import EXCEPTIONS, REQUESTS, RESPONSES, FrameVector, rows
 
 from libmodbus_py import Access, Caller, Device, Mapping, RecordFile, pdu
 from libmodbus_py.device import device as device_module
@@ -25,6 +24,7 @@ from libmodbus_py.device.reply import replier
 from libmodbus_py.protocol import errors
 from libmodbus_py.protocol.pdu import SubFunction
 from libmodbus_py.protocol.pdu.interface import identify
+from tests.support.vectors import EXCEPTIONS, REQUESTS, RESPONSES, FrameVector, rows
 
 BITS = {1: range(10, 2100), 2: range(20, 2100)}
 REGISTERS = {3: range(100, 400), 4: range(200, 400)}

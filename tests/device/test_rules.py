@@ -7,10 +7,10 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from checks import REQUEST_OBJECTS
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fuzz.checks import REQUEST_OBJECTS
 from libmodbus_py import Access, Allow, Caller, Device, Mapping, Rules, pdu
 from libmodbus_py.device.access import ACCESSES
 

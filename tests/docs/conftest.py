@@ -12,14 +12,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from documents import ROOT, Examples, read
-from home import Home
-from python_blocks import run_python
-from shell_blocks import Command, Shell, of_console, of_sh
 from sybil import Example
 
 import libmodbus_py
 from libmodbus_py import Context, pdu
+from tests.docs.documents import ROOT, Examples, read
+from tests.docs.home import Home
+from tests.docs.python_blocks import run_python
+from tests.docs.shell_blocks import Command, Shell, of_console, of_sh
 
 
 @pytest.fixture

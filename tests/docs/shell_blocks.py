@@ -22,7 +22,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from python_blocks import matches
+from tests.docs.python_blocks import matches
 
 __all__ = ["Command", "Shell", "of_console", "of_sh"]
 

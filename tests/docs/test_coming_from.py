@@ -11,9 +11,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from documents import ROOT, blocks
-from python_blocks import comments_of, is_value
 from sybil import Document
+
+from tests.docs.documents import ROOT, blocks
+from tests.docs.python_blocks import comments_of, is_value
 
 PAGES = sorted((ROOT / "docs" / "coming-from").glob("*.md"))
 PAIR = '<div class="grid" markdown>'

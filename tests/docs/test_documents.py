@@ -11,9 +11,10 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from documents import DOCUMENTS, ROOT, blocks, not_run
-from python_blocks import Comparing
 from sybil import Document, Region
+
+from tests.docs.documents import DOCUMENTS, ROOT, blocks, not_run
+from tests.docs.python_blocks import Comparing
 
 NAMES = [str(path.relative_to(ROOT)) for path in DOCUMENTS]
 

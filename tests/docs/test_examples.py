@@ -8,9 +8,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from documents import Examples, read
-from python_blocks import matches
-from shell_blocks import of_console, of_sh
+
+from tests.docs.documents import Examples, read
+from tests.docs.python_blocks import matches
+from tests.docs.shell_blocks import of_console, of_sh
 
 Run = Callable[[Path], None]
 

@@ -7,11 +7,11 @@ from __future__ import annotations
 import re
 
 import pytest
-from documents import ROOT, blocks
 from sybil import Document
-from vectors import FRAMES, REFERENCES, FrameVector
 
 from libmodbus_py import framing, pdu, values
+from tests.docs.documents import ROOT, blocks
+from tests.support.vectors import FRAMES, REFERENCES, FrameVector
 
 PAGES = ROOT / "docs" / "protocol"
 LINE = re.compile(

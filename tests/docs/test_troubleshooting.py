@@ -13,12 +13,12 @@ from collections.abc import Callable
 from contextlib import ExitStack
 
 import pytest
-from documents import ROOT
-from fake import FakeServer, FakeUnit, dead, mbap, refusing, url_of
-from python_blocks import matches
-from talk import ascii_frame, rtu
 
 from libmodbus_py import Context, ModbusError
+from tests.docs.documents import ROOT
+from tests.docs.python_blocks import matches
+from tests.support.fake import FakeServer, FakeUnit, dead, mbap, refusing, url_of
+from tests.support.talk import ascii_frame, rtu
 
 PAGE = (ROOT / "docs" / "troubleshooting.md").read_text()
 NAMED = re.findall(r"^\| `(.*?)` \|", PAGE, re.MULTILINE)

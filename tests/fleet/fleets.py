@@ -9,9 +9,8 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager, suppress
 from typing import Any, Self
 
-from scripted import all_accepted
-
 from libmodbus_py import Device, DeviceConfig, Fleet, Mapping, Point, Reading, RegisterMap
+from tests.support.scripted import all_accepted
 
 METER = RegisterMap(
     [

@@ -10,10 +10,10 @@ import time
 from typing import Any
 
 import pytest
-from fleets import LONGEST, Peer, good, meter, polling, simulated, until
 
 from libmodbus_py import Fleet, Reading, Server
 from libmodbus_py.fleet.trial import overloads, trying
+from tests.fleet.fleets import LONGEST, Peer, good, meter, polling, simulated, until
 
 
 def run(test: Any) -> Any:

@@ -11,7 +11,6 @@ from itertools import pairwise
 from typing import Any
 
 import pytest
-from fleets import LONGEST, Peer, good, meter, polling, simulated, until
 
 from libmodbus_py import (
     Device,
@@ -26,6 +25,7 @@ from libmodbus_py import (
 from libmodbus_py.fleet import poller
 from libmodbus_py.fleet.poller import Standing
 from libmodbus_py.testing.wires import SerialWire
+from tests.fleet.fleets import LONGEST, Peer, good, meter, polling, simulated, until
 
 
 def run(test: Any) -> Any:

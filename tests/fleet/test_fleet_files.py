@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from fleets import METER, meter
 
 from libmodbus_py import DeviceConfig, Fleet, Point, RegisterMap
 from libmodbus_py.fleet.config import by_connection, devices_from_json, devices_to_json
 from libmodbus_py.fleet.files import FleetFileError, load
 from libmodbus_py.fleet.outputs.mqtt import Mqtt
+from tests.fleet.fleets import METER, meter
 
 MAP = """name,table,address,type,scale,unit,access
 voltage,holding_registers,0,uint16,0.1,V,read

@@ -18,10 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import aiomqtt
-import certificates
 import pytest
-from certificates import Papers
-from fleets import LONGEST, Peer, meter, simulated, until
 
 from libmodbus_py import Fleet, Server
 from libmodbus_py.fleet.outputs import mqtt
@@ -29,6 +26,9 @@ from libmodbus_py.fleet.outputs import pump as pumps
 from libmodbus_py.fleet.outputs.mqtt import Mqtt
 from libmodbus_py.fleet.outputs.output import OutputError
 from libmodbus_py.security.making import Identity
+from tests.fleet.fleets import LONGEST, Peer, meter, simulated, until
+from tests.support import certificates
+from tests.support.certificates import Papers
 
 PROGRAM = shutil.which("mosquitto", path="/usr/sbin:/usr/bin:/usr/local/sbin:/usr/local/bin")
 

@@ -8,11 +8,11 @@ import asyncio
 import json
 
 import pytest
-from fleets import LONGEST, meter, polling, simulated
-from nats_servers import NatsServers
 
+from fuzz.nats_servers import NatsServers
 from libmodbus_py import Server
 from libmodbus_py.fleet.outputs.kinds import made
+from tests.fleet.fleets import LONGEST, meter, polling, simulated
 
 nats = pytest.importorskip("nats")
 

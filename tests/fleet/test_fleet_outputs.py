@@ -15,13 +15,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from fleets import LONGEST, Peer, meter, until
 
 from libmodbus_py import Fleet, Reading
 from libmodbus_py.fleet.outputs import pump as pumps
 from libmodbus_py.fleet.outputs.csv_rows import CsvRows
 from libmodbus_py.fleet.outputs.json_lines import JsonLines
 from libmodbus_py.fleet.outputs.output import Output, OutputError
+from tests.fleet.fleets import LONGEST, Peer, meter, until
 
 
 @pytest.fixture(autouse=True)

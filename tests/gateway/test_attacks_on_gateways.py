@@ -14,16 +14,6 @@ import threading
 import time
 
 import pytest
-from attacks import (
-    ATTACKS,
-    Attack,
-    AttackerProcess,
-    Innocent,
-    ServerProcess,
-    descriptor_limit,
-)
-from fake import FakeServer, until
-from gateways import passage
 
 from libmodbus_py import (
     Context,
@@ -37,6 +27,16 @@ from libmodbus_py import (
     Server,
 )
 from libmodbus_py.ports.endpoint import parse
+from tests.support.attacks import (
+    ATTACKS,
+    Attack,
+    AttackerProcess,
+    Innocent,
+    ServerProcess,
+    descriptor_limit,
+)
+from tests.support.fake import FakeServer, until
+from tests.support.gateways import passage
 
 MEMORY = 32 << 20
 

@@ -15,10 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from certificates import Papers
-from fake import until
-from gateways import Bus, passage
-from interop import UNIT, exchanges, make_device, refusals
 
 from libmodbus_py import (
     Access,
@@ -42,6 +38,10 @@ from libmodbus_py import (
 )
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.testing.wires import SerialWire
+from tests.support.certificates import Papers
+from tests.support.fake import until
+from tests.support.gateways import Bus, passage
+from tests.support.interop import UNIT, exchanges, make_device, refusals
 
 FRONTS = ["tcp", "udp", "rtu+udp", "rtu+tcp", "ascii+tcp", "rtu", "ascii"]
 SIDES = [(front, back) for front in FRONTS for back in FRONTS]

@@ -12,8 +12,24 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from gateways import passage
-from interop import (
+from pymodbus.server import ModbusSerialServer, ModbusTcpServer
+
+from libmodbus_py import Context, ExceptionResponse, Gateway, Route
+from libmodbus_py.ports.endpoint import parse
+from libmodbus_py.testing.wires import SerialWire
+from tests.interop.test_interop_libmodbus import C_CLIENT_CALLS, C_CLIENT_REFUSALS
+from tests.interop.test_interop_pymodbus import (
+    FRAMERS,
+    SERIAL_SETTINGS,
+    Asked,
+    asked,
+    asked_beside_the_tables,
+    in_background,
+    pymodbus_client,
+    simulated_device,
+)
+from tests.support.gateways import passage
+from tests.support.interop import (
     BAUDRATE,
     UNIT,
     Exchange,
@@ -25,22 +41,6 @@ from interop import (
     program,
     refusals,
 )
-from pymodbus.server import ModbusSerialServer, ModbusTcpServer
-from test_interop_libmodbus import C_CLIENT_CALLS, C_CLIENT_REFUSALS
-from test_interop_pymodbus import (
-    FRAMERS,
-    SERIAL_SETTINGS,
-    Asked,
-    asked,
-    asked_beside_the_tables,
-    in_background,
-    pymodbus_client,
-    simulated_device,
-)
-
-from libmodbus_py import Context, ExceptionResponse, Gateway, Route
-from libmodbus_py.ports.endpoint import parse
-from libmodbus_py.testing.wires import SerialWire
 
 # The other side is a line of another kind.
 SIDES = {"tcp": "rtu", "rtu": "tcp"}

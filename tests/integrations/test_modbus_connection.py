@@ -11,17 +11,17 @@ from collections.abc import Callable, Coroutine
 from pathlib import Path
 from typing import Any
 
-import certificates
 import pytest
-from certificates import Papers, expired
-from fake import FakeServer, FakeUnit, echo, mbap, refusing
-from scripted import run
-from tls import context
-from tls_peers import TlsServer, context_of
 
 from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.protocol.framing import crc16
 from libmodbus_py.testing.wires import SerialWire
+from tests.support import certificates
+from tests.support.certificates import Papers, expired
+from tests.support.fake import FakeServer, FakeUnit, echo, mbap, refusing
+from tests.support.scripted import run
+from tests.support.tls import context
+from tests.support.tls_peers import TlsServer, context_of
 
 theirs: Any = pytest.importorskip(
     "modbus_connection", reason="the backend of modbus-connection needs Python 3.13"

@@ -12,13 +12,13 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
-import fake
 import pytest
-from fake import FakeServer, FakeUnit, dead
-from scripted import Scripted, Write, answer, echo, ignore, run
 
 from libmodbus_py import pdu
 from libmodbus_py.protocol.framing import Frame, make_framer
+from tests.support import fake
+from tests.support.fake import FakeServer, FakeUnit, dead
+from tests.support.scripted import Scripted, Write, answer, echo, ignore, run
 
 theirs: Any = pytest.importorskip(
     "modbus_connection", reason="the backend of modbus-connection needs Python 3.13"

@@ -20,7 +20,6 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from fake import FakeServer, echo
 from prometheus_client import CollectorRegistry, generate_latest
 from prometheus_client.openmetrics.exposition import generate_latest as generate_openmetrics
 from prometheus_client.openmetrics.parser import text_string_to_metric_families as parse_openmetrics
@@ -42,6 +41,7 @@ from libmodbus_py.client.statistics import TIME_BOUNDS, Statistics
 from libmodbus_py.integrations.exposition import exposing
 from libmodbus_py.integrations.prometheus import Collector, collect
 from libmodbus_py.server.limits import ServerStatistics
+from tests.support.fake import FakeServer, echo
 
 DEVICE = Device(Mapping(holding_registers=100, coils=8))
 

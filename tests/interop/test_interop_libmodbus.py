@@ -16,22 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from c_programs import compile_c
-from interop import (
-    BAUDRATE,
-    TIMEOUT,
-    UNIT,
-    Exchange,
-    case_id,
-    cells,
-    coil,
-    exchanges,
-    holding_register,
-    make_device,
-    our_server,
-    program,
-    refusals,
-)
 
 from libmodbus_py import (
     Context,
@@ -48,6 +32,22 @@ from libmodbus_py import (
 from libmodbus_py.binding.low_level import lib, loaded_version
 from libmodbus_py.client import libmodbus as carrier
 from libmodbus_py.testing.wires import SerialWire
+from tests.support.c_programs import compile_c
+from tests.support.interop import (
+    BAUDRATE,
+    TIMEOUT,
+    UNIT,
+    Exchange,
+    case_id,
+    cells,
+    coil,
+    exchanges,
+    holding_register,
+    make_device,
+    our_server,
+    program,
+    refusals,
+)
 
 EXAMPLES = Path("/usr/share/doc/libmodbus-dev/examples")
 TRANSPORTS = ("tcp", "rtu")

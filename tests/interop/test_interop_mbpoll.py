@@ -10,7 +10,9 @@ import subprocess
 from collections.abc import Callable
 
 import pytest
-from interop import (
+
+from libmodbus_py import Device
+from tests.support.interop import (
     BAUDRATE,
     UNIT,
     Place,
@@ -23,8 +25,6 @@ from interop import (
     make_device,
     our_server,
 )
-
-from libmodbus_py import Device
 
 pytestmark = pytest.mark.skipif(
     shutil.which("mbpoll") is None, reason="mbpoll is not installed: apt install mbpoll"

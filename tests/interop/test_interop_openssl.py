@@ -8,11 +8,11 @@ import re
 import subprocess
 from pathlib import Path
 
-import certificates
 import pytest
 
 from libmodbus_py.security.making import make
 from libmodbus_py.security.role import ROLE_OID, role_of
+from tests.support import certificates
 
 
 def openssl(*arguments: object) -> str:

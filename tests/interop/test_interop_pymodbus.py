@@ -13,7 +13,30 @@ from concurrent.futures import Future
 from typing import Any, NamedTuple
 
 import pytest
-from interop import (
+from pymodbus.client import ModbusSerialClient, ModbusTcpClient
+from pymodbus.exceptions import ModbusException, ModbusIOException
+from pymodbus.framer import FramerType
+from pymodbus.pdu import ModbusPDU
+from pymodbus.pdu.device import ModbusControlBlock
+from pymodbus.pdu.diag_message import RestartCommunicationsOptionRequest
+from pymodbus.pdu.file_message import FileRecord
+from pymodbus.server import ModbusSerialServer, ModbusTcpServer
+from pymodbus.simulator import DataType, SimData, SimDevice
+
+from libmodbus_py import (
+    Context,
+    Device,
+    IllegalDataAddress,
+    IllegalFunction,
+    InvalidResponse,
+    ModbusError,
+    ModbusTimeoutError,
+    ServerDeviceFailure,
+    pdu,
+)
+from libmodbus_py.protocol.pdu import SubFunction
+from libmodbus_py.testing.wires import SerialWire
+from tests.support.interop import (
     BAUDRATE,
     COILS,
     DISCRETE_INPUTS,
@@ -40,29 +63,6 @@ from interop import (
     record,
     refusals,
 )
-from pymodbus.client import ModbusSerialClient, ModbusTcpClient
-from pymodbus.exceptions import ModbusException, ModbusIOException
-from pymodbus.framer import FramerType
-from pymodbus.pdu import ModbusPDU
-from pymodbus.pdu.device import ModbusControlBlock
-from pymodbus.pdu.diag_message import RestartCommunicationsOptionRequest
-from pymodbus.pdu.file_message import FileRecord
-from pymodbus.server import ModbusSerialServer, ModbusTcpServer
-from pymodbus.simulator import DataType, SimData, SimDevice
-
-from libmodbus_py import (
-    Context,
-    Device,
-    IllegalDataAddress,
-    IllegalFunction,
-    InvalidResponse,
-    ModbusError,
-    ModbusTimeoutError,
-    ServerDeviceFailure,
-    pdu,
-)
-from libmodbus_py.protocol.pdu import SubFunction
-from libmodbus_py.testing.wires import SerialWire
 
 FRAMERS = {
     "tcp": FramerType.SOCKET,

@@ -12,18 +12,18 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import certificates
 import pytest
-from certificates import Papers
-from clients import KINDS, Connect, connecting
-from fake import mbap
-from interop import UNIT, exchanges
 from pymodbus import FramerType
 from pymodbus.server import ModbusTlsServer
-from test_interop_pymodbus import in_background, simulated_device
-from tls_peers import context_of
 
 from libmodbus_py import ModbusConnectionError
+from tests.interop.test_interop_pymodbus import in_background, simulated_device
+from tests.support import certificates
+from tests.support.certificates import Papers
+from tests.support.clients import KINDS, Connect, connecting
+from tests.support.fake import mbap
+from tests.support.interop import UNIT, exchanges
+from tests.support.tls_peers import context_of
 
 LONG = 20.0
 

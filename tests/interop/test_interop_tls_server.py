@@ -12,16 +12,25 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import certificates
 import pytest
-from attacks import adu
-from certificates import Papers
-from interop import COILS, TIMEOUT, UNIT, case_id, cells, coil, make_device, our_tls_server
 from pymodbus.client import AsyncModbusTlsClient, ModbusTlsClient
-from test_interop_pymodbus import Asked, asked, asked_in_vain
-from tls import VERSIONS, context
 
 from libmodbus_py import Access, Device, Mapping
+from tests.interop.test_interop_pymodbus import Asked, asked, asked_in_vain
+from tests.support import certificates
+from tests.support.attacks import adu
+from tests.support.certificates import Papers
+from tests.support.interop import (
+    COILS,
+    TIMEOUT,
+    UNIT,
+    case_id,
+    cells,
+    coil,
+    make_device,
+    our_tls_server,
+)
+from tests.support.tls import VERSIONS, context
 
 
 @pytest.fixture

@@ -15,10 +15,12 @@ from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
-import certificates
 import pytest
-from certificates import Papers
-from interop import (
+
+from libmodbus_py import AsyncClient, Context, IllegalFunction, ModbusConnectionError
+from tests.support import certificates
+from tests.support.certificates import Papers
+from tests.support.interop import (
     TIMEOUT,
     UNIT,
     case_id,
@@ -28,9 +30,7 @@ from interop import (
     make_device,
     our_tls_server,
 )
-from tls import VERSIONS, context
-
-from libmodbus_py import AsyncClient, Context, IllegalFunction, ModbusConnectionError
+from tests.support.tls import VERSIONS, context
 
 tmodbus = pytest.importorskip("tmodbus", reason="tmodbus needs Python 3.13")
 

@@ -10,7 +10,12 @@ from contextlib import contextmanager
 from typing import Any
 
 import pytest
-from interop import (
+from pymodbus.client import ModbusUdpClient
+from pymodbus.server import ModbusUdpServer
+
+from libmodbus_py import AsyncClient, Context, IllegalDataAddress, Server, pdu
+from tests.interop.test_interop_pymodbus import in_background, simulated_device
+from tests.support.interop import (
     UNIT,
     coil,
     discrete_input,
@@ -18,11 +23,6 @@ from interop import (
     input_register,
     make_device,
 )
-from pymodbus.client import ModbusUdpClient
-from pymodbus.server import ModbusUdpServer
-from test_interop_pymodbus import in_background, simulated_device
-
-from libmodbus_py import AsyncClient, Context, IllegalDataAddress, Server, pdu
 
 
 @pytest.fixture

@@ -16,11 +16,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from vectors import EXCEPTIONS, FRAMES, REQUESTS, RESPONSES
 
 from libmodbus_py import CaptureError, Transaction, listening
 from libmodbus_py.listener.capture import CaptureReader, CaptureWriter
 from libmodbus_py.listener.transaction import Heard
+from tests.support.vectors import EXCEPTIONS, FRAMES, REQUESTS, RESPONSES
 
 DECODED = Path(__file__).with_name("decoded.pcapng")
 

@@ -22,8 +22,6 @@ from pathlib import Path
 import pytest
 from pymodbus.client import ModbusSerialClient
 from pymodbus.framer import FramerType
-from shared_line import SharedLine
-from talk import rtu
 
 from libmodbus_py import (
     Context,
@@ -40,6 +38,8 @@ from libmodbus_py import (
 )
 from libmodbus_py.listener.tap import Tap
 from libmodbus_py.ports.endpoint import parse
+from tests.listener.shared_line import SharedLine
+from tests.support.talk import rtu
 
 UNIT = 17
 

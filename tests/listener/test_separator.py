@@ -1,7 +1,7 @@
 """
 Which bytes on a line are requests and which responses: scripted bytes and times, no port.
 
-Frames are those of the specification (tests/vectors.json) or carry check bytes computed in talk.py.
+Frames are those of the specification (tests/support/vectors.json) or carry check bytes computed in talk.py.
 """
 
 from __future__ import annotations
@@ -11,11 +11,11 @@ import tracemalloc
 from collections.abc import Iterable, Sequence
 
 import pytest
-from talk import ascii_frame, rtu
-from vectors import EXCEPTIONS, REQUESTS, RESPONSES
 
 from libmodbus_py import Separator, Transaction, pdu
 from libmodbus_py.listener.transaction import KINDS, Heard
+from tests.support.talk import ascii_frame, rtu
+from tests.support.vectors import EXCEPTIONS, REQUESTS, RESPONSES
 
 ASK = rtu("01 03 00 00 00 02")
 ANSWER = rtu("01 03 04 00 07 00 09")

@@ -9,7 +9,6 @@ from itertools import pairwise
 from typing import Any
 
 import pytest
-from fake import FakeServer, mbap
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -24,6 +23,7 @@ from libmodbus_py import (
     values,
 )
 from libmodbus_py.maps.plan import Plan, Read, planned
+from tests.support.fake import FakeServer, mbap
 
 UNIT = 17
 REGISTERS = {

@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from clients import Connect
 
 from libmodbus_py import IllegalDataAddress, RegisterMap, Server, device_file, load_map
+from tests.support.clients import Connect
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 

@@ -11,7 +11,6 @@ from contextlib import contextmanager
 from typing import Any
 
 import pytest
-from clients import Connect
 
 from libmodbus_py import (
     Device,
@@ -25,6 +24,7 @@ from libmodbus_py import (
     ServerDeviceBusy,
     pdu,
 )
+from tests.support.clients import Connect
 
 H = "holding_registers"
 

@@ -9,7 +9,6 @@ import threading
 from typing import Any
 
 import pytest
-from watching import Visitor, made_server, shown, until
 
 from libmodbus_py import (
     Access,
@@ -23,6 +22,7 @@ from libmodbus_py import (
     ServerDeviceBusy,
     page_of,
 )
+from tests.page.watching import Visitor, made_server, shown, until
 
 POINTS = ["temperature", "level", "label", "limits", "pump", "flow"]
 

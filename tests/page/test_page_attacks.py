@@ -17,9 +17,9 @@ from typing import Any
 from urllib.parse import urlsplit
 
 import pytest
-from watching import Visitor, shown, until
 
 from libmodbus_py.page.web import FILES
+from tests.page.watching import Visitor, shown, until
 
 PATHS = ["/", "/scripts/page.js", "/events", "/value"]
 

@@ -9,10 +9,10 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from browsers import browser, missing, resize
-from watching import made_server, until
 
 from libmodbus_py import Context, Device, Fault, Mapping, Server, ServerDeviceBusy, page_of
+from tests.page.browsers import browser, missing, resize
+from tests.page.watching import made_server, until
 
 pytestmark = [
     pytest.mark.skipif(bool(missing()), reason=missing()),

@@ -19,12 +19,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from fake import FakeUnit, until
 
 from libmodbus_py import ModbusConnectionError
 from libmodbus_py.ports.port import Silence
 from libmodbus_py.ports.serial import SerialPort
 from libmodbus_py.testing.wires import SerialWire
+from tests.support.fake import FakeUnit, until
 
 
 @pytest.fixture

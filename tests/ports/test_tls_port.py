@@ -8,13 +8,13 @@ import re
 from pathlib import Path
 from typing import Any
 
-import certificates
 import pytest
-from certificates import Papers
 
 from libmodbus_py import AsyncClient, Context, Security, TlsContext
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.ports.tls import security_of
+from tests.support import certificates
+from tests.support.certificates import Papers
 
 SECRET = "open sesame"
 

@@ -14,8 +14,6 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
-from fake import dead, until
-from pace import LATE
 
 from libmodbus_py import ModbusConnectionError
 from libmodbus_py.ports.sockets import TcpPort, UdpPort
@@ -31,6 +29,8 @@ from libmodbus_py.ports.waiting import (
     run,
 )
 from libmodbus_py.ports.waiting_async import run_async
+from tests.support.fake import dead, until
+from tests.support.pace import LATE
 
 Drive = Callable[[Steps[Any]], Any]
 

@@ -5,10 +5,10 @@ Frames that may be requests or responses, found by both length rules and the CRC
 from __future__ import annotations
 
 import pytest
-from talk import rtu
-from vectors import EXCEPTIONS, REQUESTS, RESPONSES, FrameVector, rows
 
 from libmodbus_py.protocol.either_way import EitherWay, NoFrame, RtuEitherWay, may_be
+from tests.support.talk import rtu
+from tests.support.vectors import EXCEPTIONS, REQUESTS, RESPONSES, FrameVector, rows
 
 ASK, ANSWER = rtu("01 03 00 00 00 02"), rtu("01 03 04 00 07 00 09")
 

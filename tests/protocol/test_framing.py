@@ -14,7 +14,6 @@ from typing import Any
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from vectors import CHECKSUMS, FRAMES, REQUESTS, RESPONSES, Checksum, FrameVector, rows
 
 from libmodbus_py import pdu
 from libmodbus_py.protocol.errors import FrameError
@@ -28,6 +27,15 @@ from libmodbus_py.protocol.framing import (
     is_delimiter,
     lrc,
     make_framer,
+)
+from tests.support.vectors import (
+    CHECKSUMS,
+    FRAMES,
+    REQUESTS,
+    RESPONSES,
+    Checksum,
+    FrameVector,
+    rows,
 )
 
 AnyFramer = TcpFramer | RtuFramer | AsciiFramer

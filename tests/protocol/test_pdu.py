@@ -14,7 +14,6 @@ from typing import Any, ClassVar, Self
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from vectors import EXCEPTIONS, REQUESTS, RESPONSES, FrameVector, rows
 
 from libmodbus_py import pdu
 from libmodbus_py.protocol.errors import (
@@ -62,6 +61,7 @@ from libmodbus_py.protocol.pdu import (
     decode_request,
 )
 from libmodbus_py.protocol.pdu.interface import LAST_OBJECT, identify, pages
+from tests.support.vectors import EXCEPTIONS, REQUESTS, RESPONSES, FrameVector, rows
 
 Fields = dict[str, Any]
 

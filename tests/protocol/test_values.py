@@ -16,7 +16,6 @@ from typing import Any, get_args
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from vectors import BYTE_ORDERS, REFERENCES, ByteOrder, Reference, rows
 
 from libmodbus_py import values
 from libmodbus_py.protocol.values import (
@@ -30,6 +29,7 @@ from libmodbus_py.protocol.values import (
     readings,
     value_type,
 )
+from tests.support.vectors import BYTE_ORDERS, REFERENCES, ByteOrder, Reference, rows
 
 
 def encode(value: Any, type: str, **options: Any) -> list[int]:

@@ -15,14 +15,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-import certificates
 import pytest
-from certificates import Papers
-from fake import FakeServer, FakeUnit, dead, mbap, refusing, until, url_of
-from interop import UNIT, program
-from pace import LATE
-from serial_bus import Bus, Member, of
-from test_interop_pymodbus import pymodbus_server
 
 from libmodbus_py import (
     Context,
@@ -36,6 +29,13 @@ from libmodbus_py import (
     scanning,
 )
 from libmodbus_py.testing.wires import SerialWire, TcpWire
+from tests.interop.test_interop_pymodbus import pymodbus_server
+from tests.scan.serial_bus import Bus, Member, of
+from tests.support import certificates
+from tests.support.certificates import Papers
+from tests.support.fake import FakeServer, FakeUnit, dead, mbap, refusing, until, url_of
+from tests.support.interop import UNIT, program
+from tests.support.pace import LATE
 
 QUICK = 0.05  # seconds for the answer of somebody who is not there
 PATIENT = 1.0  # for one who is, on a busy machine

@@ -10,9 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from fake import FakeServer, mbap, refusing, url_of
-from interop import program
-from serial_bus import Bus, Member, of
 
 from libmodbus_py import (
     Device,
@@ -24,6 +21,9 @@ from libmodbus_py import (
     searching,
 )
 from libmodbus_py.protocol.tables import TABLES
+from tests.scan.serial_bus import Bus, Member, of
+from tests.support.fake import FakeServer, mbap, refusing, url_of
+from tests.support.interop import program
 
 PATIENT = 1.0
 

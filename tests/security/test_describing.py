@@ -10,7 +10,6 @@ import sys
 from datetime import UTC, datetime
 from pathlib import Path
 
-import certificates
 import pytest
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes
@@ -20,6 +19,7 @@ from hypothesis import strategies as st
 
 from libmodbus_py.security.describing import describe
 from libmodbus_py.security.making import make
+from tests.support import certificates
 
 BEGIN = datetime(2024, 2, 29, 12, 30, 1, tzinfo=UTC)
 

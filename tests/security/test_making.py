@@ -10,12 +10,12 @@ import ssl
 import threading
 from pathlib import Path
 
-import certificates
 import pytest
 from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from libmodbus_py.security.making import Identity, make, write
+from tests.support import certificates
 
 # Set by default from Python 3.13 on: RFC 5280 to the letter.
 STRICT = ssl.VERIFY_X509_STRICT | ssl.VERIFY_X509_PARTIAL_CHAIN

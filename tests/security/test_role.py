@@ -8,14 +8,14 @@ import subprocess
 import sys
 import textwrap
 
-import certificates
 import pytest
-from checks import check_certificate, check_role_value
 from cryptography import x509
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fuzz.checks import check_certificate, check_role_value
 from libmodbus_py.security.role import ROLE_OID, RoleError, encode_role, role_of
+from tests.support import certificates
 
 # The specification's own example (section 8.4): 0C 08 4F 70 65 72 61 74 6F 72.
 OPERATOR = bytes.fromhex("0C 08 4F 70 65 72 61 74 6F 72")

@@ -16,14 +16,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import certificates
 import pytest
-from certificates import Files, Papers
 from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric import rsa
 
 from libmodbus_py import Device, Mapping, Security, Server
 from libmodbus_py.security.making import make
+from tests.support import certificates
+from tests.support.certificates import Files, Papers
 
 DIGEST = "ab" * 32
 

@@ -9,12 +9,12 @@ import ssl
 import struct
 from pathlib import Path
 
-import certificates
 import pytest
-from certificates import Papers
-from tls import VERSIONS, context
 
 from libmodbus_py.security.tunnel import Records, Tunnel
+from tests.support import certificates
+from tests.support.certificates import Papers
+from tests.support.tls import VERSIONS, context
 
 VERSION = pytest.mark.parametrize("version", VERSIONS.values(), ids=VERSIONS)
 

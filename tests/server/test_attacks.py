@@ -11,7 +11,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from attacks import (
+
+from tests.support.attacks import (
     ATTACKS,
     Attack,
     AttackerProcess,
@@ -69,9 +70,8 @@ def note(record_property: Record, undisturbed: Polled, attacked: Polled) -> None
 
 
 def test_the_table_of_attacks_is_printed() -> None:
-    program = Path(__file__).parents[2] / "bench" / "attacks.py"
     name = ATTACKS[-1].name
-    command = [sys.executable, program, "0.2", "--only", name]
+    command = [sys.executable, "-m", "bench.attacks", "0.2", "--only", name]
     done = subprocess.run(command, capture_output=True, text=True, timeout=30, check=True)
     row = next(line for line in done.stdout.splitlines() if line.startswith(name))
     requests, lost = row.removeprefix(name).split()[:2]

@@ -20,10 +20,10 @@ from types import FrameType
 from typing import Any
 
 import pytest
-from attacks import PATIENCE, READ_ONE, adu, connect, receive
 
 from libmodbus_py import Access, Device, Mapping, Running, Server, framing
 from libmodbus_py.device.reply import replier
+from tests.support.attacks import PATIENCE, READ_ONE, adu, connect, receive
 
 URLS = ("tcp://127.0.0.1:0", "udp://127.0.0.1:0")
 

@@ -13,7 +13,6 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from vectors import REQUESTS, FrameVector, rows
 
 from libmodbus_py import Access, Device, Hook, IllegalDataAddress, Mapping, pdu
 from libmodbus_py.protocol.errors import FrameError
@@ -22,6 +21,7 @@ from libmodbus_py.server.by_frame import ByFrame
 from libmodbus_py.server.faults_due import Faults
 from libmodbus_py.server.limits import ServerStatistics
 from libmodbus_py.server.units import TcpUnits, Units
+from tests.support.vectors import REQUESTS, FrameVector, rows
 
 REPLIED = (1, 2, 3, 4, 5, 6, 15, 16, 22, 23)
 """The functions that libmodbus answers from a mapping."""

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from certificates import Papers, secured
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -42,6 +41,7 @@ from libmodbus_py.server.faults_due import Faults
 from libmodbus_py.server.limits import ServerStatistics
 from libmodbus_py.server.units import TcpUnits, Units
 from libmodbus_py.testing.wires import SerialWire
+from tests.support.certificates import Papers, secured
 
 FOREVER = 600.0  # longer than any test may last
 

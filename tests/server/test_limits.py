@@ -24,7 +24,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from attacks import (
+
+from libmodbus_py import Access, Device, Fault, Mapping, Server, framing
+from libmodbus_py.server.by_frame import ByFrame
+from libmodbus_py.server.faults_due import Faults
+from libmodbus_py.server.limits import Allowance, Limits, ServerStatistics
+from libmodbus_py.server.peers import Peer, Peers
+from libmodbus_py.server.units import TcpUnits, Units
+from libmodbus_py.testing.wires import SerialWire
+from tests.support.attacks import (
     PATIENCE,
     READ_MOST,
     READ_ONE,
@@ -34,14 +42,6 @@ from attacks import (
     descriptor_limit,
     receive,
 )
-
-from libmodbus_py import Access, Device, Fault, Mapping, Server, framing
-from libmodbus_py.server.by_frame import ByFrame
-from libmodbus_py.server.faults_due import Faults
-from libmodbus_py.server.limits import Allowance, Limits, ServerStatistics
-from libmodbus_py.server.peers import Peer, Peers
-from libmodbus_py.server.units import TcpUnits, Units
-from libmodbus_py.testing.wires import SerialWire
 
 ANSWER_ONE = bytes.fromhex("03 02 0000")
 ONE_ANSWER = len(adu(ANSWER_ONE))

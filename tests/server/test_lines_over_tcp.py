@@ -12,11 +12,11 @@ from contextlib import contextmanager
 from typing import Any
 
 import pytest
-from attacks import connect
-from talk import ascii_frame, rtu
 
 from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.server.limits import Limits
+from tests.support.attacks import connect
+from tests.support.talk import ascii_frame, rtu
 
 LISTEN_ONLY = "11 08 0004 0000"
 SEMICOLON = "11 08 0003 3B00"

@@ -10,7 +10,8 @@ from collections.abc import Callable
 from contextlib import ExitStack
 
 import pytest
-from attacks import (
+
+from tests.support.attacks import (
     ANSWER_ONE,
     PATIENCE,
     READ_ONE,

@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from certificates import Papers, secured
 
 from libmodbus_py import (
     AsyncClient,
@@ -33,6 +32,7 @@ from libmodbus_py import (
     pdu,
 )
 from libmodbus_py.testing.wires import SerialWire
+from tests.support.certificates import Papers, secured
 
 SCHEMES = ["tcp", "rtu+tcp", "ascii+tcp", "tls", "udp", "rtu", "ascii"]
 

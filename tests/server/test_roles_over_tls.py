@@ -10,9 +10,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from attacks import PATIENCE, adu
-from certificates import Papers, client
-from tls import TlsClient, context, serving
 
 from libmodbus_py import (
     Allow,
@@ -25,6 +22,9 @@ from libmodbus_py import (
     Server,
     pdu,
 )
+from tests.support.attacks import PATIENCE, adu
+from tests.support.certificates import Papers, client
+from tests.support.tls import TlsClient, context, serving
 
 RULES = Rules(
     {

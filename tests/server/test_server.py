@@ -19,7 +19,6 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from pace import LATE
 
 from libmodbus_py import (
     AsciiContext,
@@ -45,6 +44,7 @@ from libmodbus_py.server.peers import Peers
 from libmodbus_py.server.serial import SerialServer
 from libmodbus_py.server.units import TcpUnits, Units
 from libmodbus_py.testing.wires import SerialWire
+from tests.support.pace import LATE
 
 READ = pdu.ReadHoldingRegisters(100, 2).encode()
 READ_ANSWER = bytes.fromhex("0304 03e8 03e9")

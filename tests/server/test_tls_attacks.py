@@ -18,15 +18,15 @@ import tracemalloc
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-import certificates
 import pytest
-from attacks import ANSWER_ONE, PATIENCE, READ_ONE, ServerProcess, adu, connect
-from certificates import Papers
-from tls import VERSIONS, TlsClient, closed, context, serving, wait_until
 
 from libmodbus_py import Access, Device, Hook, Limits, Mapping, Server
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.server import tls as server_tls
+from tests.support import certificates
+from tests.support.attacks import ANSWER_ONE, PATIENCE, READ_ONE, ServerProcess, adu, connect
+from tests.support.certificates import Papers
+from tests.support.tls import VERSIONS, TlsClient, closed, context, serving, wait_until
 
 ONE = adu(READ_ONE)
 ONE_ANSWER = adu(ANSWER_ONE)

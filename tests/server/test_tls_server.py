@@ -21,16 +21,16 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
-import certificates
 import pytest
-from attacks import ANSWER_ONE, PATIENCE, READ_MOST, READ_ONE, adu
-from certificates import Papers
-from interop import our_tls_server
-from tls import VERSIONS, TlsClient, context, serving, wait_until
 
 from libmodbus_py import Access, Context, Device, Fault, Limits, Mapping, Server
 from libmodbus_py.security.making import Identity, make
 from libmodbus_py.security.role import encode_role
+from tests.support import certificates
+from tests.support.attacks import ANSWER_ONE, PATIENCE, READ_MOST, READ_ONE, adu
+from tests.support.certificates import Papers
+from tests.support.interop import our_tls_server
+from tests.support.tls import VERSIONS, TlsClient, context, serving, wait_until
 
 LOGGER = "libmodbus_py.server.tls"
 

@@ -18,9 +18,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from attacks import connect
-from certificates import Papers, secured
-from talk import ascii_frame, rtu
 
 from libmodbus_py import (
     Context,
@@ -35,6 +32,9 @@ from libmodbus_py import (
     Traced,
 )
 from libmodbus_py.testing.wires import SerialWire
+from tests.support.attacks import connect
+from tests.support.certificates import Papers, secured
+from tests.support.talk import ascii_frame, rtu
 
 READ = bytes.fromhex("0001 0000 0006 11 03 0000 0002")
 ANSWER = bytes.fromhex("0001 0000 0007 11 03 04 0007 0008")

@@ -14,12 +14,12 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
-import vectors
-from attacks import PATIENCE, READ_MOST, READ_ONE, adu
 
 from libmodbus_py import Device, Fault, Mapping, Server, framing
 from libmodbus_py.server.limits import Limits, ServerStatistics
 from libmodbus_py.server.sources import Sources
+from tests.support import vectors
+from tests.support.attacks import PATIENCE, READ_MOST, READ_ONE, adu
 
 UNIT = 17
 READ = bytes.fromhex("03 0064 0002")

@@ -11,8 +11,8 @@ from contextlib import ExitStack
 from typing import Any
 
 import pytest
-from checks import REQUEST_OBJECTS, examples
 
+from fuzz.checks import REQUEST_OBJECTS, examples
 from libmodbus_py import (
     Allow,
     Asked,

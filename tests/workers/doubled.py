@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from asked_devices import Asked
-from inexcusable import Inexcusable
+from fuzz.asked_devices import Asked
+from tests.support.inexcusable import Inexcusable
 
 __all__ = ["none_doubled"]
 

@@ -15,8 +15,9 @@ import sys
 from pathlib import Path
 
 import pytest
-from asked_devices import asked_devices, fleet_file, until
-from nats_servers import NatsServers, free_ports
+
+from fuzz.asked_devices import asked_devices, fleet_file, until
+from fuzz.nats_servers import NatsServers, free_ports
 
 nats = pytest.importorskip("nats")
 

@@ -18,12 +18,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from asked_devices import UNITS, Workers, asked_devices, fleet_file, until
-from doubled import none_doubled
-from nats_servers import NatsServers, free_ports
-from pace import LATE
 
+from fuzz.asked_devices import UNITS, Workers, asked_devices, fleet_file, until
+from fuzz.nats_servers import NatsServers, free_ports
 from libmodbus_py.cli.main import main
+from tests.support.pace import LATE
+from tests.workers.doubled import none_doubled
 
 nats = pytest.importorskip("nats")
 

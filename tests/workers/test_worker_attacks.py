@@ -11,9 +11,10 @@ import signal
 import time
 
 import pytest
-from asked_devices import UNITS, Workers, asked_devices, fleet_file, until
-from doubled import none_doubled
-from nats_servers import NatsServers, Way
+
+from fuzz.asked_devices import UNITS, Workers, asked_devices, fleet_file, until
+from fuzz.nats_servers import NatsServers, Way
+from tests.workers.doubled import none_doubled
 
 nats = pytest.importorskip("nats")
 

@@ -11,10 +11,10 @@ import pytest
 from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
-from simulated import LEASE, Process, World
 
 from libmodbus_py.workers.records import Settings, encode_holder
 from libmodbus_py.workers.view import Entry
+from tests.workers.simulated import LEASE, Process, World
 
 ZONES = ("", "north")
 

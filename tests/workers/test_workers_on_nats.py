@@ -16,15 +16,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from asked_devices import Asked, Workers, asked_devices, fleet_file, until
-from doubled import none_doubled
-from nats_servers import NatsServers, Way
 
+from fuzz.asked_devices import Asked, Workers, asked_devices, fleet_file, until
+from fuzz.nats_servers import NatsServers, Way
 from libmodbus_py.cli.main import main
 from libmodbus_py.engine.buckets import open_bucket
 from libmodbus_py.engine.connection import connected
 from libmodbus_py.workers.polling import BUCKET
 from libmodbus_py.workers.status import fleet_status
+from tests.workers.doubled import none_doubled
 
 pytest.importorskip("nats")
 

@@ -12,12 +12,11 @@ import subprocess
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
-from certificates import Papers
-
 from libmodbus_py import Context, Device, Mapping, Server
 from libmodbus_py.ports.endpoint import Endpoint, parse
 from libmodbus_py.protocol.pdu import ServerId
 from libmodbus_py.testing.wires import SerialWire, TcpWire
+from tests.support.certificates import Papers
 
 UNIT = 17
 BAUDRATE = 115200

@@ -10,9 +10,9 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
-from fake import mbap
 
 from libmodbus_py import AsyncClient, Context, framing
+from tests.support.fake import mbap
 
 __all__ = ["ALL", "BLOCKING", "CLIENTS", "NATIVE", "Asking", "address_of", "answer", "asking"]
 

@@ -15,11 +15,10 @@ from collections import Counter
 from collections.abc import Iterator
 from typing import Any, NamedTuple, Self
 
-from interop import BAUDRATE, UNIT, make_device
-
 from libmodbus_py import Context, Device, Fault, Gateway, Route, Server
 from libmodbus_py.testing.line_ends import open_line, read_what_is_there, write_all
 from libmodbus_py.testing.wires import SerialWire
+from tests.support.interop import BAUDRATE, UNIT, make_device
 
 
 class Passage(NamedTuple):

@@ -12,12 +12,11 @@ import warnings
 from collections.abc import Callable, Iterator
 from typing import Any, Self
 
-from attacks import PATIENCE, connect
-from certificates import Files, Papers
-
 from libmodbus_py import Device, Server
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.security.making import Identity
+from tests.support.attacks import PATIENCE, connect
+from tests.support.certificates import Files, Papers
 
 __all__ = ["VERSIONS", "TlsClient", "context", "serving", "wait_until"]
 

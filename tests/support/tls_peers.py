@@ -16,13 +16,13 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, Self
 
-from certificates import Papers
 from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.ciphers.aead import AESGCM
 from cryptography.hazmat.primitives.kdf.hkdf import HKDFExpand
-from fake import Answer, FakeServer, echo
 
 from libmodbus_py.security.making import Identity
+from tests.support.certificates import Papers
+from tests.support.fake import Answer, FakeServer, echo
 
 # fmt: off
 __all__ = [

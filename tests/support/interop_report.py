@@ -1,7 +1,7 @@
 """
 Run the interoperability tests and print what works with whom, as a Markdown table.
 
-    python tests/interop_report.py [options for pytest, such as -n 2]
+    python -m tests.support.interop_report [options for pytest, such as -n 2]
 
 The table is read off the ids of the tests (interop.case_id). Ends with pytest's
 exit status.
@@ -17,7 +17,7 @@ from collections import defaultdict
 from pathlib import Path
 from xml.etree import ElementTree
 
-HERE = Path(__file__).parent
+TESTS = Path(__file__).parents[1]
 CASE = re.compile(
     r"\[(?P<peer>\w+)-(?P<role>client|server)-(?P<transport>[a-z+]+)-fc(?P<function>\d+)(?P<more>.*)\]$"
 )
@@ -28,9 +28,9 @@ Row = tuple[str, str, str]  # peer, role, transport
 
 def run(report: Path, options: list[str]) -> int:
     """Run the tests; their own output goes to standard error."""
-    files = sorted(HERE.glob("interop/test_interop_*.py"))
+    files = sorted(TESTS.glob("interop/test_interop_*.py"))
     command = [sys.executable, "-m", "pytest", "-q", *files, f"--junitxml={report}", *options]
-    return subprocess.run(command, cwd=HERE.parent, stdout=sys.stderr).returncode
+    return subprocess.run(command, cwd=TESTS.parent, stdout=sys.stderr).returncode
 
 
 def outcome(case: ElementTree.Element, more: str) -> str:

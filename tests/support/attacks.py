@@ -33,8 +33,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, NamedTuple, Self
 
-import certificates
-from certificates import Papers
+from tests.support import certificates
+from tests.support.certificates import Papers
 
 UNIT = 17
 READ_ONE = bytes.fromhex("03 0000 0001")
@@ -425,7 +425,7 @@ class AttackerProcess:
 
     def __init__(self, attack: Attack, port: int) -> None:
         self._process = subprocess.Popen(
-            [sys.executable, __file__, attack.name, str(port)],
+            [sys.executable, "-m", "tests.support.attacks", attack.name, str(port)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,

@@ -1,0 +1,1 @@
+"""Longer runs: coverage-guided fuzzing, bad lines, hostile clients, failing machines."""

@@ -1,0 +1,1 @@
+"""What tests share: clients, peers, lines, certificates, attacks, time."""
