@@ -1,7 +1,8 @@
 """
 Which bytes on a line are requests and which responses: scripted bytes and times, no port.
 
-Frames are those of the specification (tests/support/vectors.json) or carry check bytes computed in talk.py.
+Frames are those of the specification (tests/support/vectors.json) or carry check bytes that
+talk.py computes.
 """
 
 from __future__ import annotations
