@@ -48,6 +48,7 @@ class AsyncioDriver:
         self._patience = patience
         self._may_send = may_send
         self._loop: asyncio.AbstractEventLoop | None = None
+        self._now: Callable[[], float] = monotonic  # the clock of the loop, once there is one
         self._attempt: asyncio.Task[None] | None = None
         self._retry: asyncio.TimerHandle | None = None
         self._timer: asyncio.TimerHandle | None = None
@@ -82,7 +83,7 @@ class AsyncioDriver:
         """
         loop = self._bind()
         batch.on_done = on_done
-        self._conversation.add(batch, monotonic())
+        self._conversation.add(batch, self._now())
         if batch.is_done:
             return
         if self._conversation.is_idle:
@@ -94,7 +95,7 @@ class AsyncioDriver:
     def withdraw(self, batch: Batch) -> None:
         """Nobody waits for a batch any more, unless it is decided."""
         if not batch.is_done:
-            self._conversation.abandon(batch, monotonic())
+            self._conversation.abandon(batch, self._now())
             self._turn()
 
     async def close(self) -> None:
@@ -102,7 +103,7 @@ class AsyncioDriver:
         self._bind()
         closed = ModbusConnectionError("this client is closed", errno=errno.EBADF)
         self._close_port()
-        self._conversation.closed(closed, monotonic())
+        self._conversation.closed(closed, self._now())
         for handle in (self._timer, self._retry):
             if handle is not None:
                 handle.cancel()
@@ -136,7 +137,7 @@ class AsyncioDriver:
 
     def change_timeout(self) -> None:
         """Some `Patience` has changed."""
-        self._conversation.change_timeout(monotonic())
+        self._conversation.change_timeout(self._now())
         if self._loop is not None:
             self._set_timer()
 
@@ -144,6 +145,7 @@ class AsyncioDriver:
         loop = asyncio.get_running_loop()
         if self._loop is None:
             self._loop = loop
+            self._now = loop.time
         elif self._loop is not loop:
             raise RuntimeError("this client belongs to another event loop; make one for each loop")
         return loop
@@ -154,7 +156,7 @@ class AsyncioDriver:
         """Send what may be sent now, and see to it that the rest has its turn."""
         self._is_due = False
         conversation = self._conversation
-        now = monotonic()
+        now = self._now()
         if not self._connection.is_open:
             self._seek_connection(now)
         else:
@@ -206,11 +208,11 @@ class AsyncioDriver:
             if self._timer is not None:
                 self._timer.cancel()
             self._timer_at = at
-            self._timer = self._loop.call_later(at - monotonic(), self._ring)
+            self._timer = self._loop.call_later(at - self._now(), self._ring)
 
     def _ring(self) -> None:
         self._timer_at = math.inf
-        now = monotonic()
+        now = self._now()
         self._conversation.tick(now)
         self._conversation.settle(now)
         self._turn()
@@ -226,7 +228,7 @@ class AsyncioDriver:
 
     def _read(self) -> None:
         conversation = self._conversation
-        now = monotonic()
+        now = self._now()
         try:
             chunks = self._port.receive()
         except ModbusConnectionError as error:
@@ -268,7 +270,7 @@ class AsyncioDriver:
             self._resume = self._loop.call_later(self._port.resume_at - now, self._go_on)
 
     def _go_on(self) -> None:
-        now = monotonic()
+        now = self._now()
         if self._port.has_unsent and self._may_send is not None and not self._allows():
             self._lose(_forbidden(), by_itself=False)  # and what it had not sent with it
             return
@@ -281,7 +283,7 @@ class AsyncioDriver:
 
     def _lose(self, error: ModbusConnectionError, *, by_itself: bool = True) -> None:
         self._close_port()
-        self._conversation.lost(error, monotonic(), by_itself=by_itself)
+        self._conversation.lost(error, self._now(), by_itself=by_itself)
         self._turn()
 
     def _close_port(self) -> None:
@@ -315,7 +317,7 @@ class AsyncioDriver:
         self._retry = None
         if not self._conversation.is_wanted or self._is_forbidden():
             return
-        opening = self._port.opening(monotonic() + self._patience.timeout)
+        opening = self._port.opening(self._now() + self._patience.timeout)
         self._attempt = self._loop.create_task(run_async(opening))
         # Not in the task itself, for one that is cancelled early never begins.
         self._attempt.add_done_callback(self._end_attempt)
@@ -328,10 +330,10 @@ class AsyncioDriver:
             self._give_up(ModbusConnectionError("connecting was cancelled"))
         elif failure is None:
             self._read_on()
-            self._conversation.opened(monotonic())
+            self._conversation.opened(self._now())
             self._turn()
         elif isinstance(failure, ModbusConnectionError):
-            self._conversation.failed(failure, monotonic())
+            self._conversation.failed(failure, self._now())
         else:
             error = ModbusConnectionError(f"connecting was interrupted: {failure!r}")
             error.__cause__ = failure

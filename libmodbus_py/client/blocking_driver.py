@@ -10,12 +10,10 @@ from __future__ import annotations
 import errno
 import os
 import threading
-import time
 import weakref
-from time import monotonic
 from typing import TYPE_CHECKING, Any
 
-from ..ports.waiting import READ, WRITE, Waker, Woken, run
+from ..ports.waiting import READ, WRITE, Woken, run
 from ..protocol.errors import ModbusConnectionError
 from ..protocol.pdu import Request
 from .batch import Batch, raised
@@ -51,8 +49,9 @@ class BlockingDriver:
         self._port = parts.port
         self._conversation = parts.conversation
         self._connection = parts.connection
-        self._waker = Waker()
-        self._shortcut = Shortcut(parts, native, self._waker.is_ready) if is_short else None
+        self._waker = parts.port.waker()
+        self._now = self._waker.now
+        self._shortcut = Shortcut(parts, native, self._waker) if is_short else None
         self._closed = False
         self._start_anew()
         _drivers.add(self)
@@ -81,7 +80,7 @@ class BlockingDriver:
             # Nothing may come between here and the end that a Ctrl-C could skip.
             try:
                 self._is_busy = True
-                self._conversation.add(batch, monotonic())
+                self._conversation.add(batch, self._now())
                 self._drive(batch, lock)
             except Exception:
                 raise
@@ -116,7 +115,7 @@ class BlockingDriver:
                         self._lose(outcome, by_itself=True)
                 else:
                     batch = Batch(unit, [request], patience, is_broadcast=broadcast)
-                    self._conversation.add(batch, monotonic())
+                    self._conversation.add(batch, self._now())
                 self._drive(batch, lock)
             except Exception:
                 raise
@@ -139,7 +138,7 @@ class BlockingDriver:
 
     def change_timeout(self) -> None:
         """Some `Patience` has changed."""
-        self._conversation.change_timeout(monotonic())
+        self._conversation.change_timeout(self._now())
 
     def close(self) -> None:
         """Close for good, from anywhere. Whoever waits fails at once."""
@@ -158,14 +157,14 @@ class BlockingDriver:
         self._waker.renew()
         self._start_anew()
         gone = ModbusConnectionError(FORKED, errno=errno.EBADF)
-        self._conversation.interrupted(gone, monotonic())
+        self._conversation.interrupted(gone, self._now())
         if self._closed:
             self._waker.close()
 
     def _shut(self) -> None:
         self._port.close()
         closed = ModbusConnectionError("this client is closed", errno=errno.EBADF)
-        self._conversation.closed(closed, monotonic())
+        self._conversation.closed(closed, self._now())
         self._waker.close()
 
     # --- one batch ------------------------------------------------------------------------
@@ -183,12 +182,12 @@ class BlockingDriver:
     def _interrupt(self) -> None:
         self._port.close()
         interrupted = ModbusConnectionError("interrupted", errno=errno.EINTR)
-        self._conversation.interrupted(interrupted, monotonic())
+        self._conversation.interrupted(interrupted, self._now())
 
     def _step(self, batch: Batch) -> None:
         """Connect; or send what may be sent, wait for what comes, and look at it."""
         conversation = self._conversation
-        now = monotonic()
+        now = self._now()
         if not self._connection.is_open:
             self._connect(batch, now)
             return
@@ -208,9 +207,9 @@ class BlockingDriver:
     def _turn_line(self) -> None:
         """An answer may come while RTS is still set, as on a pseudo-terminal."""
         while self._port.resume_at is not None:
-            now = monotonic()
-            time.sleep(max(0.0, self._port.resume_at - now))
-            self._port.go_on(monotonic())
+            now = self._now()
+            self._waker.sleep(max(0.0, self._port.resume_at - now))
+            self._port.go_on(self._now())
 
     def _send(self, now: float) -> None:
         if adus := self._conversation.start(now):
@@ -232,14 +231,14 @@ class BlockingDriver:
         if port.resume_at is not None:
             until = min(until, port.resume_at)
         if conversation.is_idle and until - now < SLEPT:
-            time.sleep(max(0.0, until - now))
+            self._waker.sleep(max(0.0, until - now))
         elif port.has_unsent:
             self._waker.wait(port.descriptor, READ | WRITE, until)
             if port.has_input():
                 self._receive()
         elif self._waker.is_ready(until - now):
             self._receive()
-        now = monotonic()
+        now = self._now()
         if port.has_unsent or (port.resume_at is not None and port.resume_at <= now):
             port.go_on(now)
         if conversation.alarm <= now:
@@ -248,7 +247,7 @@ class BlockingDriver:
 
     def _receive(self) -> None:
         conversation = self._conversation
-        now = monotonic()
+        now = self._now()
         for data in self._port.receive():
             conversation.take(data, now)
         if not conversation.is_idle:
@@ -259,7 +258,7 @@ class BlockingDriver:
 
     def _lose(self, error: ModbusConnectionError, *, by_itself: bool) -> None:
         self._port.close()
-        self._conversation.lost(error, monotonic(), by_itself=by_itself)
+        self._conversation.lost(error, self._now(), by_itself=by_itself)
 
     # --- connecting -------------------------------------------------------------------------
 
@@ -275,10 +274,10 @@ class BlockingDriver:
         try:
             run(self._port.opening(deadline), self._waker)
         except ModbusConnectionError as error:
-            self._conversation.failed(error, monotonic())
+            self._conversation.failed(error, self._now())
         else:
             self._waker.watch(self._port.descriptor)
-            self._conversation.opened(monotonic())
+            self._conversation.opened(self._now())
         finally:
             if self._connection.state is State.CONNECTING:
                 self._port.close()

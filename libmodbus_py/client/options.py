@@ -261,17 +261,36 @@ def _refuse_ids(endpoint: Endpoint, settings: Settings) -> None:
 
 
 def _port(endpoint: Endpoint, settings: Settings) -> Port:
-    if endpoint.transport == "tls":
-        from ..ports.tls import TlsPort, security_of
-
-        security = security_of(endpoint, settings.security)
-        return TlsPort(endpoint.host, endpoint.port, settings.keepalive, security)
-    if settings.security is not None:
+    if settings.security is not None and endpoint.transport != "tls":
         raise ValueError(f"security is for tls://, and means nothing on {endpoint.scheme}")
-    if endpoint.transport == "serial":
-        from ..ports.serial import SerialPort
+    return PORTS[endpoint.transport](endpoint, settings)
 
-        return SerialPort(endpoint.device, **endpoint.serial_settings)
-    if endpoint.transport == "udp":
-        return UdpPort(endpoint.host, endpoint.port)
+
+def _tcp_port(endpoint: Endpoint, settings: Settings) -> Port:
     return TcpPort(endpoint.host, endpoint.port, settings.keepalive)
+
+
+def _udp_port(endpoint: Endpoint, settings: Settings) -> Port:
+    return UdpPort(endpoint.host, endpoint.port)
+
+
+def _tls_port(endpoint: Endpoint, settings: Settings) -> Port:
+    from ..ports.tls import TlsPort, security_of
+
+    security = security_of(endpoint, settings.security)
+    return TlsPort(endpoint.host, endpoint.port, settings.keepalive, security)
+
+
+def _serial_port(endpoint: Endpoint, settings: Settings) -> Port:
+    from ..ports.serial import SerialPort
+
+    return SerialPort(endpoint.device, **endpoint.serial_settings)
+
+
+PORTS: dict[str, Callable[[Endpoint, Settings], Port]] = {
+    "tcp": _tcp_port,
+    "udp": _udp_port,
+    "tls": _tls_port,
+    "serial": _serial_port,
+}
+"""By transport: what makes the port of a client."""

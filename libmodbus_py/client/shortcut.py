@@ -8,13 +8,10 @@ over to the conversation, bytes and all, which goes on waiting and says what it 
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
-from time import monotonic
 from typing import TYPE_CHECKING, Any, Protocol
 
 from ..ports.port import Port
-from ..ports.waiting import Woken
+from ..ports.waiting import Waker, Woken
 from ..protocol.errors import ModbusConnectionError
 from ..protocol.framing import Frame, Framer, make_framer, mbap
 from ..protocol.pdu import Request
@@ -25,10 +22,7 @@ if TYPE_CHECKING:
     from .options import Parts
     from .patience import Patience
 
-__all__ = ["KNOWN", "Carrier", "IsReady", "Shortcut"]
-
-IsReady = Callable[[float], bool]
-"""Waits so many seconds for something to read; raises Woken if that must end."""
+__all__ = ["KNOWN", "Carrier", "Shortcut"]
 
 KNOWN = frozenset(bytes([code]) for code in (1, 2, 3, 4, 5, 6, 15, 16, 17, 22, 23))
 """The functions that libmodbus has, as their codes stand in a PDU."""
@@ -62,22 +56,22 @@ class Carrier(Protocol):
 class PythonCarrier:
     """See `Carrier`."""
 
-    def __init__(self, port: Port, framer: Framer, is_ready: IsReady) -> None:
+    def __init__(self, port: Port, framer: Framer, waker: Waker) -> None:
         self.received: list[bytes] = []
         self.error: ModbusConnectionError | None = None
         self._port = port
         self._encode = framer.encode
         self._has_header = not framer.has_broadcast
-        self._is_ready = is_ready
+        self._waker = waker
 
     def carry(self, unit: int, number: int, pdu: bytes, timeout: float, waker: int) -> bytes | None:
         self.received, self.error = [], None
         if self._port.has_input():
             return None
         try:
-            self._port.send([self._encode(Frame(unit, pdu, number))], monotonic())
+            self._port.send([self._encode(Frame(unit, pdu, number))], self._waker.now())
             is_sent = self._port.resume_at is None and not self._port.has_unsent
-            if is_sent and self._is_ready(timeout):
+            if is_sent and self._waker.is_ready(timeout):
                 self.received = self._port.receive()
         except ModbusConnectionError as error:
             self.error = error
@@ -96,11 +90,13 @@ class Shortcut:
     Args:
         parts: of the client.
         native: whether C does it, where it can.
-        is_ready: for the other way.
+        waker: what the other way waits with.
     """
 
-    def __init__(self, parts: Parts, native: bool, is_ready: IsReady) -> None:
+    def __init__(self, parts: Parts, native: bool, waker: Waker) -> None:
         framer = make_framer(parts.endpoint.framing, "client")
+        self._waker = waker
+        self._now = waker.now
         self._port = parts.port
         self._conversation = parts.conversation
         self._connection = parts.connection
@@ -112,7 +108,7 @@ class Shortcut:
         if native and in_clear and (not self._is_line or parts.port.context is not None):
             self._carrier = NativeCarrier(parts.port)
         else:
-            self._carrier = PythonCarrier(parts.port, framer, is_ready)
+            self._carrier = PythonCarrier(parts.port, framer, waker)
 
     def ask(
         self, unit: int, request: Request[Any], patience: Patience, waker: int
@@ -134,9 +130,9 @@ class Shortcut:
         if pdu[:1] not in KNOWN:
             return self._hand_over(unit, request, patience), None
         number = self._conversation.next_number()
-        if self._is_line and (left := self._port.silence.over_at - monotonic()) > 0:
-            time.sleep(left)
-        since = monotonic()
+        if self._is_line and (left := self._port.silence.over_at - self._now()) > 0:
+            self._waker.sleep(left)
+        since = self._now()
         try:
             answer = self._carrier.carry(unit, number, pdu, patience.timeout, waker)
             if answer is None:
@@ -153,7 +149,7 @@ class Shortcut:
             raise
         batch = self._adopted(unit, number, request, patience, since)
         if self._carrier.error is None:
-            now = monotonic()
+            now = self._now()
             for data in self._carrier.received:
                 self._conversation.take(data, now)
             self._conversation.settle(now)
@@ -161,7 +157,7 @@ class Shortcut:
 
     def _hand_over(self, unit: int, request: Request[Any], patience: Patience) -> Batch:
         batch = Batch(unit, [request], patience)
-        self._conversation.add(batch, monotonic())
+        self._conversation.add(batch, self._now())
         return batch
 
     def _adopted(
@@ -173,7 +169,7 @@ class Shortcut:
         return batch
 
     def _note_success(self, function: int, since: float) -> None:
-        now = monotonic()
+        now = self._now()
         statistics = self._statistics
         statistics.requests += 1
         statistics.last_success = now

@@ -9,7 +9,6 @@ import errno
 from collections import deque
 from collections.abc import Callable
 from functools import partial
-from time import monotonic
 from typing import Any
 
 from ..client.asynchronous import IN_FLIGHT, AsyncClient
@@ -147,7 +146,7 @@ class Line:
         poller.planned = planned
         poller.is_trial = poller.standing is Standing.DOWN
         poller.begin()
-        if poller.rest_until > monotonic():
+        if poller.rest_until > self._loop.time():
             self._rest(poller)
         else:
             self._enqueue(poller)
@@ -157,7 +156,7 @@ class Line:
         (self._tries if poller.is_trial else self._waiting).append(poller)
 
     def _rest(self, poller: Poller) -> None:
-        pause = poller.rest_until - monotonic()
+        pause = poller.rest_until - self._loop.time()
         self._resting[poller] = self._loop.call_later(pause, self._end_rest, poller)
 
     def _end_rest(self, poller: Poller) -> None:
@@ -177,13 +176,13 @@ class Line:
         """Silent devices are tried when nobody else waits, or when that never happens."""
         if self._tries and self._trying is None:
             planned = self._tries[0].planned or 0.0
-            has_waited = monotonic() - planned >= self.client.timeout
+            has_waited = self._loop.time() - planned >= self.client.timeout
             if not self._waiting or (has_waited and not self._was_try):
                 return self._tries.popleft()
         return self._waiting.popleft() if self._waiting else None
 
     def _ask(self, poller: Poller) -> None:
-        now = monotonic()
+        now = self._loop.time()
         if not poller.has_begun:
             assert poller.planned is not None
             self._statistics.note_start(max(0.0, now - poller.planned))
@@ -200,7 +199,7 @@ class Line:
         if poller.misses % TRIES_BEFORE_LONG == 0 or poller in self._done:
             return
         patience = min(self.client_of(poller).timeout, max(self._took, poller.took, SHORTEST_TRY))
-        wait = poller.asked_at + patience - monotonic()
+        wait = poller.asked_at + patience - self._loop.time()
         if wait > 0:
             if self._timer is None:
                 self._timer = self._loop.call_later(wait, self._awake)
@@ -234,7 +233,7 @@ class Line:
 
     def _finish(self) -> None:
         done, self._done = self._done, []
-        now = monotonic()
+        now = self._loop.time()
         for poller in done:
             assert poller.submitted is not None
             outcome = poller.submitted.outcome
@@ -253,7 +252,7 @@ class Line:
             self._on_polled(poller, False)
             return
         poller.take(outcome)
-        now = monotonic()
+        now = self._loop.time()
         if poller.next_request is None:
             poller.planned = None
             poller.conclude(now)

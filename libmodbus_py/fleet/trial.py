@@ -7,7 +7,6 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncGenerator, Iterable, Sequence
 from dataclasses import dataclass
-from time import monotonic
 from typing import Any
 
 from ..client.asynchronous import AsyncClient
@@ -136,7 +135,8 @@ async def _try_line(
 
 
 async def _try(client: AsyncClient, device: DeviceConfig) -> Tried:
-    plan, start = device.plan(), monotonic()
+    now = asyncio.get_running_loop().time
+    plan, start = device.plan(), now()
     unit = client.for_unit(device.unit, timeout=device.timeout)
     problem = ""
     try:
@@ -147,4 +147,4 @@ async def _try(client: AsyncClient, device: DeviceConfig) -> Tried:
         problem = str(wrong[0]) if wrong else ""
     except ModbusError as error:
         problem = str(error)
-    return Tried(device, len(plan.requests), monotonic() - start, problem)
+    return Tried(device, len(plan.requests), now() - start, problem)

@@ -9,7 +9,6 @@ import logging
 from collections import deque
 from collections.abc import Hashable
 from functools import partial
-from time import monotonic
 from typing import Any, Protocol
 
 from ..client.asynchronous import IN_FLIGHT, AsyncClient, Submitted
@@ -217,7 +216,7 @@ class Line:
         if each.is_trial:
             if each in self._trials:
                 self._trials.remove(each)
-                self._silent.note_untried(each.unit, monotonic())
+                self._silent.note_untried(each.unit, self._loop.time())
         elif self._turns_of(each).has(each):
             self._turns_of(each).remove(each)
             self._leave(each)
@@ -269,7 +268,7 @@ class Line:
     # --- asking -----------------------------------------------------------------------------
 
     def _go_on(self) -> None:
-        now = monotonic()
+        now = self._loop.time()
         while self._in_flight < self._limit and (each := self._next(now)) is not None:
             self._ask(each, now)
         if self._trying and self.statistics.waiting:
@@ -340,7 +339,7 @@ class Line:
 
     def _finish(self) -> None:
         done, self._done = self._done, []
-        now = monotonic()
+        now = self._loop.time()
         for each in done:
             self._end(each)
             self._conclude(each, now)

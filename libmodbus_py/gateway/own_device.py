@@ -26,8 +26,8 @@ Every number takes two registers, the high word first, and is the rest of a divi
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable, Iterable
-from time import monotonic
 
 from ..device.access import Access
 from ..device.authorization import Authorize
@@ -60,11 +60,12 @@ def own_device(
         authorize: as for `Device`.
     """
     mapping = Mapping(input_registers=SIZE)
-    made = monotonic()
+    now = asyncio.get_running_loop().time
+    made = now()
 
     def refresh(access: Access) -> None:
         if access.table == "input_registers":
-            for first, numbers in _blocks(access, statistics, clients, unit_of, made):
+            for first, numbers in _blocks(access, statistics, clients, unit_of, now() - made):
                 words = [word for number in numbers for word in divmod(number % 2**32, 0x10000)]
                 mapping.input_registers[first : first + len(words)] = words
 
@@ -81,12 +82,12 @@ def _blocks(
     statistics: GatewayStatistics,
     clients: ServerStatistics,
     unit_of: UnitOf,
-    made: float,
+    age: float,
 ) -> Iterable[tuple[int, list[int]]]:
     """Give what is read, and no more: a request must not cost what all of them would."""
     first, last = access.address, access.address + access.count - 1
     if first < LINES:
-        yield 0, _of_gateway(statistics, clients, made)
+        yield 0, _of_gateway(statistics, clients, age)
     if first < UNITS:
         lines = list(statistics.lines.values())[:MOST_LINES]
         for at in range(MOST_LINES):
@@ -95,11 +96,11 @@ def _blocks(
         yield UNITS + unit * UNIT, _of_unit(unit_of(unit) or UnitStatistics())
 
 
-def _of_gateway(statistics: GatewayStatistics, clients: ServerStatistics, made: float) -> list[int]:
+def _of_gateway(statistics: GatewayStatistics, clients: ServerStatistics, age: float) -> list[int]:
     return [
         1,
         len(statistics.lines),
-        int(monotonic() - made),
+        int(age),
         clients.connections,
         statistics.requests,
         clients.refused,

@@ -4,10 +4,10 @@ The service of a gateway: each request goes to the line of its unit, and answers
 
 from __future__ import annotations
 
+import asyncio
 import logging
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
-from time import monotonic
 
 from ..device.authorization import Asked, Authorize, Guard, UnauthorizedError
 from ..device.device import Caller, Device
@@ -91,6 +91,7 @@ class Switch:
         self.answering = answering
         self.most_of_session = most_of_session
         self.statistics = statistics
+        self.now: Callable[[], float] = asyncio.get_running_loop().time
         self._guard = None if authorize is None else Guard(authorize)
         self._has_failed = False
 
@@ -128,7 +129,7 @@ class Switch:
             return self._broadcast(session, frame, request)
         if (self._guard or way.allow) and (code := self._check(session, unit, request, way.allow)):
             return self._exception(session, pdu, code)
-        now = monotonic()
+        now = self.now()
         age = way.cache if request.is_read else 0.0
         if age and (answer := way.line.cached(way.unit, request, age, now)):
             return answer
@@ -192,7 +193,7 @@ class Switch:
             if code := self._check(session, 0, request, way.allow):
                 return self._exception(session, frame.pdu, code)
         self.statistics.broadcasts += 1
-        Broadcast(session, frame, request).ask(list(ways))
+        Broadcast(session, frame, request, self.now()).ask(list(ways))
         return None
 
 
@@ -208,11 +209,13 @@ class Broadcast:
     It is done when all lines have sent it.
     """
 
-    def __init__(self, session: ForwardingSession, frame: Frame, request: Passed) -> None:
+    def __init__(
+        self, session: ForwardingSession, frame: Frame, request: Passed, since: float
+    ) -> None:
         self.host: Hashable = session.host
         self._session = session
         self._request = request
-        self._whole = Forwarded(session, frame.transaction, 0, 0, request, monotonic())
+        self._whole = Forwarded(session, frame.transaction, 0, 0, request, since)
         self._left = 0
         self._has_failed = False
 

@@ -9,7 +9,7 @@ from abc import ABC, abstractmethod
 from typing import Any
 
 from ..protocol.errors import ModbusConnectionError
-from .waiting import Steps
+from .waiting import Steps, Waker
 
 __all__ = ["Port", "Silence", "lost"]
 
@@ -71,6 +71,10 @@ class Port(ABC):
         Raises:
             ModbusConnectionError: with errno.
         """
+
+    def waker(self) -> Waker:
+        """Return what a blocking client waits with."""
+        return Waker()
 
     def has_input(self) -> bool:
         """Whether something waits to be read: bytes, or the news that the other side closed."""

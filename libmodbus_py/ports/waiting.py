@@ -13,7 +13,7 @@ import select
 import socket
 import threading
 import time
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from typing import Any, NamedTuple, TypeVar
 
 # fmt: off
@@ -54,13 +54,17 @@ class Woken(Exception):
 
 class Waker:
     """
-    Ends the waits of another thread, or of the one that a signal handler interrupts.
+    Waits for descriptors and for times; another thread, or a signal handler, may end each wait.
 
     Attributes:
         descriptor: readable once `wake` was called; -1 when closed.
+        now: returns the time in seconds, on the clock of all deadlines.
+        sleep: waits so many seconds, which nothing ends early.
     """
 
     descriptor: int = -1
+    now: Callable[[], float] = staticmethod(time.monotonic)
+    sleep: Callable[[float], None] = staticmethod(time.sleep)
 
     def __init__(self) -> None:
         self.renew()
@@ -117,7 +121,7 @@ class Waker:
         poll.register(self.descriptor, READ)
         if descriptor >= 0:
             poll.register(descriptor, events)
-        ready = dict(poll.poll(milliseconds(deadline - time.monotonic())))
+        ready = dict(poll.poll(milliseconds(deadline - self.now())))
         if self.descriptor in ready:
             raise Woken
         return descriptor in ready

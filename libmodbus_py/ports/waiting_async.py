@@ -5,7 +5,6 @@ Steps that wait, run by the event loop: apart, for blocking clients need no asyn
 from __future__ import annotations
 
 import asyncio
-import time
 from typing import Any, TypeVar
 
 from .waiting import READ, Ready, Resolve, Steps, as_os_error, numeric
@@ -42,7 +41,7 @@ async def _wait_async(wanted: Ready | Resolve) -> Any:
 async def _look_up_async(wanted: Resolve) -> list[Any]:
     loop = asyncio.get_running_loop()
     try:
-        async with asyncio.timeout(wanted.deadline - time.monotonic()):
+        async with asyncio.timeout_at(wanted.deadline):
             return await loop.getaddrinfo(wanted.host, wanted.port, type=wanted.kind)
     except UnicodeError as error:
         raise as_os_error(error) from error
@@ -64,7 +63,7 @@ async def _ready(wanted: Ready) -> bool:
     )
     add(wanted.descriptor, resolve, ready)
     try:
-        async with asyncio.timeout(wanted.deadline - time.monotonic()):
+        async with asyncio.timeout_at(wanted.deadline):
             await ready
     except TimeoutError:
         return False

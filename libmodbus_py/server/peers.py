@@ -65,6 +65,7 @@ class Peers:
     Args:
         end: closes all endpoints of the server, when a hook ends the program; None for no more
             than the connections.
+        make_epoll: makes what tells of connections that can be read or written.
     """
 
     def __init__(
@@ -72,6 +73,7 @@ class Peers:
         limits: Limits,
         statistics: ServerStatistics,
         end: Callable[[], None] | None = None,
+        make_epoll: Callable[[], select.epoll] = select.epoll,
     ) -> None:
         self.limits = limits
         self.statistics = statistics
@@ -96,7 +98,7 @@ class Peers:
         self._in_turn = False
         self._turns = 0
         self._now = 0.0  # the time of this turn
-        self._epoll = select.epoll()
+        self._epoll = make_epoll()
         _make_room_for_descriptors(self._epoll.fileno(), self._most)
         self._by_descriptor: dict[int, Peer] = {}
         self.loop.add_reader(self._epoll.fileno(), self._turn)

@@ -7,7 +7,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-import time
 from collections.abc import Callable
 
 from ..ports.endpoint import Endpoint
@@ -91,7 +90,7 @@ class SerialServer:
     def _read(self) -> None:
         try:
             for data in self._port.receive():
-                self._port.silence.heard(time.monotonic())
+                self._port.silence.heard(self._loop.time())
                 self._receive(data)
         except ModbusConnectionError as error:
             logger.warning("%s: %s; waiting for it to come back", self._endpoint, error)
@@ -124,7 +123,7 @@ class SerialServer:
         """Answer after the silence that ends the request (serial line, 2.5.1.1)."""
         self._unsent += data
         if self._timer is None:
-            wait = self._port.silence.over_at - time.monotonic()
+            wait = self._port.silence.over_at - self._loop.time()
             if wait > 0:
                 self._timer = self._loop.call_later(wait, self._send_unsent)
             else:
@@ -134,19 +133,19 @@ class SerialServer:
         data, self._unsent = bytes(self._unsent), bytearray()
         # A port that is gone shows in the next read.
         with contextlib.suppress(ModbusConnectionError):
-            self._port.send([data], time.monotonic())
+            self._port.send([data], self._loop.time())
         self._follow_port()
 
     def _go_on(self) -> None:
         with contextlib.suppress(ModbusConnectionError):
-            self._port.go_on(time.monotonic())
+            self._port.go_on(self._loop.time())
         self._follow_port()
 
     def _follow_port(self) -> None:
         """Go on after the port's pause: others are served while the line is turned round."""
         self._timer = None
         if self._port.resume_at is not None:
-            pause = self._port.resume_at - time.monotonic()
+            pause = self._port.resume_at - self._loop.time()
             self._timer = self._loop.call_later(pause, self._go_on)
         elif self._unsent:
             self._send_unsent()

@@ -12,7 +12,7 @@ import re
 import secrets
 import socket
 import time
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import TYPE_CHECKING, Any
 
 from ..engine.buckets import Bucket, Change, Watch
@@ -69,6 +69,7 @@ class Polling:
         name: of this worker; the name of the machine unless given.
         zones: whose devices it takes, besides those without a zone.
         outputs: that are given all readings, besides the stream.
+        clock: returns the time in seconds, for leases.
     """
 
     def __init__(
@@ -80,7 +81,9 @@ class Polling:
         name: str = "",
         zones: Collection[str] = (),
         outputs: Sequence[Output] = (),
+        clock: Callable[[], float] = clock,
     ) -> None:
+        self.now: Callable[[], float] = clock
         self._client = client
         self._bucket = bucket
         self._name = re.sub(r"[^A-Za-z0-9_-]", "-", name or socket.gethostname())[:60]
@@ -99,7 +102,7 @@ class Polling:
         self._told: dict[str, float] = {}
         self._was_valid = True
         self._polls = 0
-        self._polls_at = clock()
+        self._polls_at = self.now()
         self._rate = 0.0
         self._whereabouts = Whereabouts(self.worker)
 
@@ -107,7 +110,7 @@ class Polling:
         return f"{self._name}.{secrets.token_hex(4)}"
 
     def _may_ask(self, connection: str) -> bool:
-        return self.worker.may_ask(connection, clock())
+        return self.worker.may_ask(connection, self.now())
 
     # --- life -------------------------------------------------------------------------------
 
@@ -159,7 +162,7 @@ class Polling:
             self._is_unsettled = False
             try:
                 watch = await self._bucket.watch(_Told(self))
-                since = clock()
+                since = self.now()
                 while not self._must_watch_again(watch, since):
                     await asyncio.sleep(LONGEST_TURN)
             except EngineError as error:
@@ -170,18 +173,18 @@ class Polling:
             await asyncio.sleep(PAUSE)
 
     def _must_watch_again(self, watch: Watch, since: float) -> bool:
-        now = clock()
+        now = self.now()
         is_late = self.worker.is_reading and now > since + PATIENCE
         return watch.is_broken or self._is_unsettled or is_late or self.worker.is_blind(now)
 
     def heed(self, entry: Entry) -> None:
         """A change of the bucket."""
-        self.worker.saw(entry, clock())
+        self.worker.saw(entry, self.now())
         self._turn.set()
 
     async def _keep_turning(self) -> None:
         while not (self.worker.left or self._has_ended):
-            puts = self.worker.step(clock(), self._report())
+            puts = self.worker.step(self.now(), self._report())
             # Before anything is written: others may ask as soon as that is.
             self._poll()
             for put in puts:
@@ -240,7 +243,7 @@ class Polling:
         return devices
 
     def _report(self) -> dict[str, Any]:
-        statistics, now = self.fleet.statistics, clock()
+        statistics, now = self.fleet.statistics, self.now()
         if now - self._polls_at >= 1.0:
             self._rate = (statistics.polls - self._polls) / (now - self._polls_at)
             self._polls, self._polls_at = statistics.polls, now
@@ -263,12 +266,12 @@ class Polling:
         """See `CommandService`."""
         if device in self.fleet.devices:
             return None
-        return self._whereabouts.refusal(device, clock())
+        return self._whereabouts.refusal(device, self.now())
 
     # --- for people -----------------------------------------------------------------------------
 
     def _tell_of_lease(self) -> None:
-        is_valid = clock() < self.worker.lease.until
+        is_valid = self.now() < self.worker.lease.until
         if is_valid != self._was_valid and self.worker.lease.joined:
             self._was_valid = is_valid
             if is_valid:
@@ -280,7 +283,7 @@ class Polling:
 
     def _say(self, text: str) -> None:
         """Once a minute at most."""
-        now = clock()
+        now = self.now()
         if now > self._told.get(text, -SAID_AGAIN) + SAID_AGAIN:
             if len(self._told) > 100:
                 self._told.clear()
@@ -306,6 +309,6 @@ class _Told:
             self._has_begun = True
             worker.begins()
         if change is None:
-            worker.is_synced(clock())
+            worker.is_synced(self._polling.now())
         else:
             self._polling.heed(Entry(*change))
