@@ -107,7 +107,7 @@ class Serving(ABC):
             service = TracedService(answering, self._traces)
             with contextlib.ExitStack() as stack:
                 # At once, when a hook ends the program: others that are ready must not be called.
-                peers = self._make_peers(stack.close)
+                peers = Peers(self._limits, self.statistics, stack.close)
                 stack.callback(peers.close)
                 opened = []
                 for endpoint in endpoints:
@@ -194,9 +194,6 @@ class Serving(ABC):
     @abstractmethod
     def _answering(self, endpoints: list[Endpoint]) -> AbstractAsyncContextManager[Service]:
         """Give who answers at these endpoints, while it is entered."""
-
-    def _make_peers(self, end: Callable[[], None]) -> Peers:
-        return Peers(self._limits, self.statistics, end)
 
     def _make(
         self,

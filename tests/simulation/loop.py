@@ -1,0 +1,180 @@
+"""
+An event loop on simulated time: when all wait, the clock moves to whatever is next.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+import selectors
+from collections.abc import Coroutine, Iterator, Mapping
+from typing import Any, TypeVar
+
+from .events import Events
+
+__all__ = ["Descriptors", "Stuck", "VirtualLoop", "complaints_of", "run"]
+
+Result = TypeVar("Result")
+
+# Descriptors of the simulation begin here; those below are the system's.
+FIRST_DESCRIPTOR = 10**6
+
+
+class Stuck(AssertionError):
+    """Everybody waits, and nothing will ever happen."""
+
+
+class Descriptors:
+    """
+    Which simulated descriptors can be read or written.
+
+    Attributes:
+        readable, writable: those that can.
+    """
+
+    def __init__(self) -> None:
+        self.readable: set[int] = set()
+        self.writable: set[int] = set()
+        self._next = FIRST_DESCRIPTOR
+
+    def new(self) -> int:
+        """Return a descriptor that nobody had."""
+        self._next += 1
+        return self._next
+
+    def forget(self, descriptor: int) -> None:
+        """Take one away for good."""
+        self.readable.discard(descriptor)
+        self.writable.discard(descriptor)
+
+
+class Selector(selectors._BaseSelectorImpl):
+    """Waits in simulated time for simulated descriptors, and never for the system's."""
+
+    def __init__(self, events: Events, descriptors: Descriptors) -> None:
+        super().__init__()
+        self._events = events
+        self._descriptors = descriptors
+        self._keys: dict[int, selectors.SelectorKey] = {}
+        self._readers: set[int] = set()
+        self._writers: set[int] = set()
+        self._system = selectors.DefaultSelector()
+
+    def _fileobj_lookup(self, fileobj: Any) -> int:
+        return fileobj if isinstance(fileobj, int) else int(fileobj.fileno())
+
+    def register(self, fileobj: Any, events: int, data: Any = None) -> selectors.SelectorKey:
+        key = super().register(fileobj, events, data)
+        self._keys[key.fd] = key
+        if key.fd < FIRST_DESCRIPTOR:
+            self._system.register(key.fd, events, data)
+        else:
+            self._note(key.fd, events)
+        return key
+
+    def unregister(self, fileobj: Any) -> selectors.SelectorKey:
+        key = super().unregister(fileobj)
+        del self._keys[key.fd]
+        if key.fd < FIRST_DESCRIPTOR:
+            self._system.unregister(key.fd)
+        else:
+            self._note(key.fd, 0)
+        return key
+
+    def modify(self, fileobj: Any, events: int, data: Any = None) -> selectors.SelectorKey:
+        self.unregister(fileobj)
+        return self.register(fileobj, events, data)
+
+    def _note(self, descriptor: int, events: int) -> None:
+        for kind, group in (
+            (selectors.EVENT_READ, self._readers),
+            (selectors.EVENT_WRITE, self._writers),
+        ):
+            (group.add if events & kind else group.discard)(descriptor)
+
+    def close(self) -> None:
+        self._system.close()
+        super().close()
+
+    def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
+        until = math.inf if timeout is None else self._events.now + max(0.0, timeout)
+        self._events.advance(self._events.now)
+        while not (ready := self._ready()):
+            if self._events.now >= until:
+                return []
+            # Other threads may have woken the loop; for them alone the system is asked.
+            if ready := self._system.select(0):
+                return ready
+            if min(self._events.next_at, until) == math.inf:
+                raise Stuck("everybody waits, and nothing will ever happen")
+            self._events.advance(until)
+        return ready
+
+    def _ready(self) -> list[tuple[selectors.SelectorKey, int]]:
+        read = self._readers & self._descriptors.readable
+        write = self._writers & self._descriptors.writable
+        if not (read or write):
+            return []
+        ready = [
+            (
+                self._keys[descriptor],
+                (descriptor in read) * selectors.EVENT_READ
+                | (descriptor in write) * selectors.EVENT_WRITE,
+            )
+            for descriptor in sorted(read | write)
+        ]
+        self._events.random.shuffle(ready)
+        return ready
+
+
+class VirtualLoop(asyncio.SelectorEventLoop):
+    """An event loop whose time is that of the events."""
+
+    def __init__(self, events: Events, descriptors: Descriptors) -> None:
+        self._events = events
+        super().__init__(Selector(events, descriptors))
+
+    def time(self) -> float:
+        return self._events.now
+
+
+def run(main: Coroutine[Any, Any, Result], loop: asyncio.AbstractEventLoop) -> Result:
+    """
+    Run a coroutine to its end, and close the loop.
+
+    Raises:
+        AssertionError: tasks were left, or the loop complained.
+    """
+    with contextlib.closing(loop), complaints_of(loop) as complaints:
+        asyncio.set_event_loop(loop)
+        try:
+            result = loop.run_until_complete(main)
+            left = [repr(task.get_coro()) for task in asyncio.all_tasks(loop)]
+        finally:
+            _cancel_all(loop)
+            asyncio.set_event_loop(None)
+    assert not complaints, complaints
+    assert not left, left
+    return result
+
+
+@contextlib.contextmanager
+def complaints_of(loop: asyncio.AbstractEventLoop) -> Iterator[list[Mapping[str, Any]]]:
+    """Collect what the loop would have logged: exceptions that nobody took."""
+    complaints: list[Mapping[str, Any]] = []
+
+    def note(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        complaints.append(context)
+
+    loop.set_exception_handler(note)
+    yield complaints
+
+
+def _cancel_all(loop: asyncio.AbstractEventLoop) -> None:
+    left = asyncio.all_tasks(loop)
+    for task in left:
+        task.cancel()
+    if left:
+        loop.run_until_complete(asyncio.gather(*left, return_exceptions=True))
+    loop.run_until_complete(loop.shutdown_asyncgens())

@@ -1,0 +1,195 @@
+"""
+The network of a simulated world: hosts and lines by name, and the package made to use them.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import errno
+import socket
+from collections.abc import Callable, Coroutine, Iterator
+from dataclasses import replace
+from functools import partial
+from typing import Any, TypeVar
+from unittest.mock import patch
+
+from libmodbus_py.client import options as client_options
+from libmodbus_py.ports.endpoint import Endpoint, parse
+from libmodbus_py.ports.port import Port
+from libmodbus_py.protocol.errors import ModbusConnectionError
+from libmodbus_py.server import serial as serial_server
+from libmodbus_py.server import serving, tcp
+from libmodbus_py.server.peers import Peers
+
+from .events import Events
+from .lines import MemorySerialPort, SerialLine
+from .loop import Descriptors, VirtualLoop, run
+from .ports import MemoryTcpPort, MemoryUdpPort, MemoryWaker
+from .sockets import MemoryEpoll, MemoryListener, MemorySocket, pair
+
+__all__ = ["Accept", "Network"]
+
+Result = TypeVar("Result")
+
+Accept = Callable[[MemorySocket, tuple[str, int]], object]
+"""Takes the server's end of a new connection, and the address of its client."""
+
+ADDRESS = tuple[str, int]
+
+# How long it takes to connect.
+CONNECTING = 0.0003
+
+
+class Network:
+    """
+    Args:
+        seed: of all that happens.
+
+    Attributes:
+        events, descriptors: on which all is built.
+        lines: the serial lines, by device; one comes into being when its device is first opened.
+        unreachable: hosts that answer no attempt to connect.
+    """
+
+    def __init__(self, seed: int = 0) -> None:
+        self.events: Events = Events(seed)
+        self.descriptors: Descriptors = Descriptors()
+        self.lines: dict[str, SerialLine] = {}
+        self.unreachable: set[str] = set()
+        self._hosts: dict[tuple[str, ADDRESS], Accept] = {}
+        self._sockets: dict[int, MemorySocket] = {}
+        self._ports = 49_152
+
+    def loop(self) -> VirtualLoop:
+        """Return a new event loop on this network."""
+        return VirtualLoop(self.events, self.descriptors)
+
+    def run(self, main: Callable[[], Coroutine[Any, Any, Result]]) -> Result:
+        """
+        Run a coroutine function in an event loop of its own, with the package on this network.
+
+        Raises:
+            AssertionError: a task was left, or an exception that nobody took.
+        """
+        with self.installed():
+            return run(main(), self.loop())
+
+    def new_port(self) -> int:
+        """Return a number of a port that nobody has."""
+        self._ports += 1
+        return self._ports
+
+    # --- who listens --------------------------------------------------------------------------
+
+    def listen(self, url: str, accept: Accept) -> str:
+        """Have connections to a URL, or datagrams, accepted; return it with its port."""
+        endpoint = parse(url)
+        if not endpoint.port:
+            endpoint = replace(endpoint, port=self.new_port())
+        self._hosts[self._key(endpoint)] = accept
+        return str(endpoint)
+
+    def unlisten(self, url: str) -> None:
+        """Refuse whoever connects to a URL from now on."""
+        self._hosts.pop(self._key(parse(url)), None)
+
+    def _key(self, endpoint: Endpoint) -> tuple[str, ADDRESS]:
+        kind = "udp" if endpoint.transport == "udp" else "tcp"
+        return kind, (endpoint.host, endpoint.port)
+
+    def line(self, device: str) -> SerialLine:
+        """Return the line behind a device."""
+        return self.lines.setdefault(device, SerialLine(self.events))
+
+    # --- who connects -------------------------------------------------------------------------
+
+    def connect(self, host: str, port: int) -> tuple[MemorySocket | None, int]:
+        """Connect over TCP: see `ports.Connect`."""
+        near, far = pair(self.events, self.descriptors)
+        self.descriptors.writable.discard(near.fileno())
+        if host not in self.unreachable:
+            self.events.after(CONNECTING, self._establish, near, far, (host, port))
+        return near, 0
+
+    def _establish(self, near: MemorySocket, far: MemorySocket, address: ADDRESS) -> None:
+        if near.is_closed:
+            far.close()
+            return
+        accept = self._hosts.get(("tcp", address))
+        if accept is None:
+            near.refuse()
+        else:
+            near.note_room()
+            self._sockets[far.fileno()] = far
+            accept(far, ("10.255.0.1", self.new_port()))
+
+    def open_datagrams(self, host: str, port: int) -> tuple[MemorySocket | None, int]:
+        """Return a socket whose datagrams go to a port."""
+        near, far = pair(self.events, self.descriptors, is_datagram=True)
+        accept = self._hosts.get(("udp", (host, port)))
+        if accept is None:
+            far.on_input = partial(near.reset, errno.ECONNREFUSED)
+        else:
+            accept(far, ("10.255.0.1", self.new_port()))
+        return near, 0
+
+    def waker(self) -> MemoryWaker:
+        return MemoryWaker(self.events, self.descriptors)
+
+    # --- in place of the system ---------------------------------------------------------------
+
+    @contextlib.contextmanager
+    def installed(self) -> Iterator[None]:
+        """Have all clients and servers that are made meanwhile use this network."""
+        ports = {"tcp": self._tcp_port, "udp": self._udp_port, "serial": self._serial_port}
+        with (
+            patch.dict(client_options.PORTS, ports),
+            patch.object(tcp, "bound", self._bound),
+            patch.object(serving, "Peers", partial(Peers, make_epoll=self._epoll)),
+            patch.object(serial_server, "SerialPort", self._serial),
+        ):
+            yield
+
+    def _tcp_port(self, endpoint: Endpoint, settings: Any) -> Port:
+        return MemoryTcpPort(
+            self.descriptors,
+            self.connect,
+            self.waker,
+            host=endpoint.host,
+            port=endpoint.port,
+            keepalive=settings.keepalive,
+        )
+
+    def _udp_port(self, endpoint: Endpoint, settings: Any) -> Port:
+        return MemoryUdpPort(
+            self.descriptors,
+            self.open_datagrams,
+            self.waker,
+            host=endpoint.host,
+            port=endpoint.port,
+        )
+
+    def _serial_port(self, endpoint: Endpoint, settings: Any) -> Port:
+        return self._serial(endpoint.device, **endpoint.serial_settings)
+
+    def _serial(self, device: str, **settings: Any) -> MemorySerialPort:
+        line = self.line(device)
+        return MemorySerialPort(self.descriptors, line, self.waker, device, **settings)
+
+    def _epoll(self) -> Any:
+        return MemoryEpoll(self.descriptors, self._sockets)
+
+    async def _bound(
+        self, endpoint: Endpoint, kind: socket.SocketKind, make: Any
+    ) -> tuple[list[Any], Endpoint]:
+        await asyncio.sleep(0)
+        given = replace(endpoint, port=endpoint.port or self.new_port())
+        key = self._key(given)
+        if key in self._hosts:
+            raise ModbusConnectionError(
+                f"cannot listen on {endpoint}: Address already in use", errno=errno.EADDRINUSE
+            )
+        listener = MemoryListener(self.descriptors, partial(self._hosts.pop, key, None))
+        self._hosts[key] = listener.put
+        return [listener], given

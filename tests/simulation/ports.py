@@ -1,0 +1,135 @@
+"""
+The ports of clients on a network in memory, and what blocking clients wait with there.
+
+All but the system's part is the package's own: `TcpPort` and `UdpPort` send and receive through a
+socket in memory.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import socket
+from collections.abc import Callable
+from typing import Any, cast
+
+from libmodbus_py.ports.sockets import TcpPort, UdpPort
+from libmodbus_py.ports.waiting import READ, WRITE, Ready, Steps, Waker, Woken, milliseconds
+from libmodbus_py.protocol.errors import ModbusConnectionError
+
+from .events import Events
+from .loop import Descriptors
+from .sockets import MemorySocket
+
+__all__ = ["Connect", "MemoryTcpPort", "MemoryUdpPort", "MemoryWaker"]
+
+Connect = Callable[[str, int], tuple[MemorySocket | None, int]]
+"""Returns for a host and a port: a socket, which is connected once it is writable; or an errno."""
+
+
+class MemoryWaker(Waker):
+    """Waits by letting simulated time pass: whatever happens meanwhile happens within the wait."""
+
+    def __init__(self, events: Events, descriptors: Descriptors) -> None:
+        self._events = events
+        self._descriptors = descriptors
+        self._is_woken = False
+        self._watched = -1
+        self.now = lambda: events.now
+        self.sleep = self._sleep
+
+    def renew(self) -> None:
+        self._is_woken = False
+
+    def wake(self) -> None:
+        self._is_woken = True
+
+    def clear(self) -> None:
+        self._is_woken = False
+
+    def close(self) -> None:
+        pass
+
+    __del__ = close
+
+    def watch(self, descriptor: int) -> None:
+        self._watched = descriptor
+
+    def is_ready(self, seconds: float) -> bool:
+        return self._wait(self._watched, READ, milliseconds(seconds))
+
+    def wait(self, descriptor: int, events: int, deadline: float) -> bool:
+        return self._wait(descriptor, events, milliseconds(deadline - self._events.now))
+
+    def _wait(self, descriptor: int, events: int, most: int) -> bool:
+        until = self._events.now + most / 1000
+        while not self._is_woken:
+            if self._is_any(descriptor, events):
+                return True
+            if self._events.now >= until:
+                return False
+            self._events.advance(until)
+        raise Woken
+
+    def _is_any(self, descriptor: int, events: int) -> bool:
+        can_read = events & READ and descriptor in self._descriptors.readable
+        return bool(can_read or (events & WRITE and descriptor in self._descriptors.writable))
+
+    def _sleep(self, seconds: float) -> None:
+        until = self._events.now + max(0.0, seconds)
+        while self._events.now < until:
+            self._events.advance(until)
+
+
+class _InMemory:
+    """What both kinds of sockets have in common; a mixin in front of `SocketPort`."""
+
+    descriptor: int
+    host: str
+    port: int
+
+    def _join(self, descriptors: Descriptors, connect: Connect, waker: Callable[[], Waker]) -> None:
+        self._descriptors = descriptors
+        self._connect = connect
+        self._waker = waker
+
+    def waker(self) -> Waker:
+        return self._waker()
+
+    def has_input(self) -> bool:
+        return self.descriptor in self._descriptors.readable
+
+    def _watch(self, descriptor: int) -> None:
+        self.descriptor = descriptor
+
+    def _connected(self, deadline: float) -> Steps[socket.socket]:
+        made, number = self._connect(self.host, self.port)
+        if made is not None:
+            try:
+                is_ready = yield Ready(made.fileno(), WRITE, deadline)
+                number = made.getsockopt(0, 0) if is_ready else errno.ETIMEDOUT
+            except BaseException:
+                made.close()
+                raise
+        if number:
+            if made is not None:
+                made.close()
+            reason = f"cannot connect to {self}: {os.strerror(number)}"
+            raise ModbusConnectionError(reason, errno=number)
+        return cast(socket.socket, made)
+
+
+class MemoryTcpPort(_InMemory, TcpPort):
+    """A `TcpPort` on a network in memory."""
+
+    def __init__(self, *parts: Any, host: str, port: int, keepalive: float | None) -> None:
+        TcpPort.__init__(self, host, port, keepalive)
+        self._join(*parts)
+
+
+class MemoryUdpPort(_InMemory, UdpPort):
+    """A `UdpPort` on a network in memory."""
+
+    def __init__(self, *parts: Any, host: str, port: int) -> None:
+        UdpPort.__init__(self, host, port)
+        self._join(*parts)

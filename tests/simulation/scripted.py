@@ -1,0 +1,114 @@
+"""
+Peers that do what a test says, on a network in memory: over TCP, as datagrams, and on a line.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from libmodbus_py.ports.endpoint import parse
+
+from .lines import Party
+from .network import Network
+from .sockets import MemorySocket
+
+__all__ = ["OnRequest", "Scripted", "Write"]
+
+Write = Callable[..., None]
+"""Takes bytes to send, and after how many seconds: ``write(data, after=0.5)``."""
+
+OnRequest = Callable[[bytes, Write], object]
+"""Called with each request as it came, and what answers it."""
+
+
+class Scripted(Party):
+    """
+    Hands what comes to `on_request`: over TCP whole MBAP requests, else what arrives together.
+
+    Args:
+        network: on which it listens.
+        url: where; its scheme says what carries the bytes. A serial URL names the line.
+        on_request: called with each request and what answers it.
+
+    Attributes:
+        requests: all that came, oldest first; `times` when, in seconds.
+        connections: how many were made.
+        url: with the port that it got.
+    """
+
+    def __init__(self, network: Network, url: str, on_request: OnRequest) -> None:
+        self.on_request: OnRequest = on_request
+        self.requests: list[bytes] = []
+        self.times: list[float] = []
+        self.connections: int = 0
+        self._network = network
+        self._ends: list[MemorySocket] = []
+        endpoint = parse(url)
+        self._has_header = endpoint.framing == "tcp"
+        if endpoint.transport == "serial":
+            self.url: str = url
+            self._line = network.line(endpoint.device)
+            self._line.join(self)
+        else:
+            self.url = network.listen(url, self._accept)
+
+    def drop_all(self) -> None:
+        """Reset every connection, as a crash does."""
+        for end in self._ends:
+            if not end.is_closed:
+                end.other.reset()
+                end.close()
+        self._ends.clear()
+
+    def hear(self, data: bytes) -> None:
+        self._note(data, self._write_to_line)
+
+    def _write_to_line(self, data: bytes, after: float = 0.0) -> None:
+        self._network.events.after(after, self._line.write, self, data)
+
+    def _accept(self, end: MemorySocket, address: tuple[str, int]) -> None:
+        self.connections += 1
+        self._ends.append(end)
+        pending = bytearray()
+
+        def write(data: bytes, after: float = 0.0) -> None:
+            self._network.events.after(after, _send, end, data)
+
+        def take() -> None:
+            while end.is_readable:
+                data = _received(end)
+                if not data:
+                    end.close()
+                    return
+                if not self._has_header:
+                    self._note(data, write)
+                    continue
+                pending.extend(data)
+                while len(pending) >= 6 and len(pending) >= 6 + int.from_bytes(pending[4:6], "big"):
+                    size = 6 + int.from_bytes(pending[4:6], "big")
+                    request = bytes(pending[:size])
+                    del pending[:size]
+                    self._note(request, write)
+
+        end.on_input = take
+
+    def _note(self, request: bytes, write: Write) -> None:
+        self.requests.append(request)
+        self.times.append(self._network.events.now)
+        self.on_request(request, write)
+
+
+def _send(end: MemorySocket, data: bytes) -> None:
+    if end.is_closed:
+        return
+    try:
+        end.send(data)
+    except OSError:
+        end.close()
+
+
+def _received(end: MemorySocket) -> bytes:
+    try:
+        return end.recv(4096)
+    except OSError:
+        return b""
