@@ -36,11 +36,13 @@ class SerialLine:
 
     Attributes:
         noise: what becomes of what is written.
+        on_written: told of all that is written, and whether a unit answers with it.
         is_unplugged: whether ports of this line cannot be opened.
     """
 
     def __init__(self, events: Events, character: float = 11 / 115_200) -> None:
         self.noise: Noise = undisturbed
+        self.on_written: Callable[[bool, bytes], object] | None = None
         self.is_unplugged: bool = False
         self._events = events
         self._character = character
@@ -55,6 +57,8 @@ class SerialLine:
 
     def write(self, sender: Party, data: bytes) -> None:
         """Carry bytes to all others."""
+        if self.on_written is not None:
+            self.on_written(sender.is_unit, data)
         taken = len(data) * self._character
         for later, piece in self.noise(data):
             self._events.after(taken + later, self._tell, sender, piece)
@@ -72,7 +76,14 @@ class SerialLine:
 
 
 class Party:
-    """Who hears what others write."""
+    """
+    Who hears what others write.
+
+    Attributes:
+        is_unit: whether it answers, and does not ask.
+    """
+
+    is_unit: bool = False
 
     def hear(self, data: bytes) -> None:
         """Take bytes."""

@@ -7,6 +7,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import errno
+import itertools
 import socket
 from collections.abc import Callable, Coroutine, Iterator
 from dataclasses import replace
@@ -35,6 +36,8 @@ Result = TypeVar("Result")
 Accept = Callable[[MemorySocket, tuple[str, int]], object]
 """Takes the server's end of a new connection, and the address of its client."""
 
+Tap = Callable[[str, int, bool, bytes], object]
+
 ADDRESS = tuple[str, int]
 
 # How long it takes to connect.
@@ -50,6 +53,7 @@ class Network:
         events, descriptors: on which all is built.
         lines: the serial lines, by device; one comes into being when its device is first opened.
         unreachable: hosts that answer no attempt to connect.
+        tap: told of all that is sent: where, over which connection, whether a client did, and what.
     """
 
     def __init__(self, seed: int = 0) -> None:
@@ -57,9 +61,11 @@ class Network:
         self.descriptors: Descriptors = Descriptors()
         self.lines: dict[str, SerialLine] = {}
         self.unreachable: set[str] = set()
+        self.tap: Tap | None = None
         self._hosts: dict[tuple[str, ADDRESS], Accept] = {}
         self._sockets: dict[int, MemorySocket] = {}
         self._ports = 49_152
+        self._connections = itertools.count(1)
 
     def loop(self) -> VirtualLoop:
         """Return a new event loop on this network."""
@@ -100,7 +106,11 @@ class Network:
 
     def line(self, device: str) -> SerialLine:
         """Return the line behind a device."""
-        return self.lines.setdefault(device, SerialLine(self.events))
+        line = self.lines.get(device)
+        if line is None:
+            line = self.lines[device] = SerialLine(self.events)
+            line.on_written = partial(self._note_written, device)
+        return line
 
     # --- who connects -------------------------------------------------------------------------
 
@@ -122,7 +132,20 @@ class Network:
         else:
             near.note_room()
             self._sockets[far.fileno()] = far
+            self._follow(near, far, f"{address[0]}:{address[1]}")
             accept(far, ("10.255.0.1", self.new_port()))
+
+    def _follow(self, near: MemorySocket, far: MemorySocket, place: str) -> None:
+        number = next(self._connections)
+        near.on_sent = partial(self._note_sent, place, number, True)
+        far.on_sent = partial(self._note_sent, place, number, False)
+
+    def _note_sent(self, place: str, number: int, is_client: bool, data: bytes) -> None:
+        if self.tap is not None:
+            self.tap(place, number, is_client, data)
+
+    def _note_written(self, device: str, is_unit: bool, data: bytes) -> None:
+        self._note_sent(device, 0, not is_unit, data)
 
     def open_datagrams(self, host: str, port: int) -> tuple[MemorySocket | None, int]:
         """Return a socket whose datagrams go to a port."""
@@ -131,6 +154,7 @@ class Network:
         if accept is None:
             far.on_input = partial(near.reset, errno.ECONNREFUSED)
         else:
+            self._follow(near, far, f"{host}:{port}")
             accept(far, ("10.255.0.1", self.new_port()))
         return near, 0
 

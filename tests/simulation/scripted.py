@@ -37,6 +37,7 @@ class Scripted(Party):
     """
 
     def __init__(self, network: Network, url: str, on_request: OnRequest) -> None:
+        self.is_unit: bool = True
         self.on_request: OnRequest = on_request
         self.requests: list[bytes] = []
         self.times: list[float] = []

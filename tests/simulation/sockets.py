@@ -52,6 +52,7 @@ class MemorySocket:
         other: the end that receives what is sent here.
         carriage: what becomes of what is sent here.
         on_input: called when something arrived, in place of anybody who polls.
+        on_sent: told of all that is sent here.
         capacity: how many bytes may be on their way to the other end, or unread there.
         sent: how many bytes were sent.
     """
@@ -63,6 +64,7 @@ class MemorySocket:
     ) -> None:
         self.carriage: Carriage = at_once
         self.on_input: Callable[[], object] | None = None
+        self.on_sent: Callable[[bytes], object] | None = None
         self.capacity: int = CAPACITY
         self.sent: int = 0
         self._events = events
@@ -127,6 +129,8 @@ class MemorySocket:
             raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
         piece = bytes(data) if self._is_datagram else bytes(data[:room])
         self.sent += len(piece)
+        if self.on_sent is not None:
+            self.on_sent(piece)
         for delay, part in self.carriage(piece):
             self.other.expect(delay, part)
         self._note_writable()
