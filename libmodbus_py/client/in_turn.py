@@ -40,6 +40,7 @@ class InTurn(Conversation):
         self._delimiter = delimiter
         self._asked: Asked | None = None
         self._wrong: ModbusError | None = None  # what came in place of its answer so far
+        self._came_early = False  # an answer came before its request can have left
         self._received = bytearray()
         self._late = bytearray()
         self._quiet_at: float | None = None
@@ -137,6 +138,7 @@ class InTurn(Conversation):
         self._quiet_at = None
         self._silence.sent(len(adu), now)
         self._wrong = None
+        self._came_early = False
         asked = Asked(batch, index, adu, now)
         if not (batch.silent and batch.silent[index]):
             self._asked = asked
@@ -192,6 +194,10 @@ class InTurn(Conversation):
                     self._is_noisy = True
                 elif each.unit != asked.batch.unit:
                     self._note_other(asked, each.unit, now)
+                elif now < self._silence.left_at:
+                    self._note_early()
+                elif each.pdu[0] & 0x7F != asked.function:
+                    self._note_other_function(asked, each)
                 elif self._is_echo(asked, each.pdu):
                     self._is_noisy = True
                     self._wrong = InvalidResponse("the request itself came back; echo=True?")
@@ -217,6 +223,20 @@ class InTurn(Conversation):
             self.statistics.invalid += 1
             self._wrong = InvalidResponse(f"unit {unit} answered")
             self._wrong.answers_another = True
+
+    def _note_other_function(self, asked: Asked, frame: Frame) -> None:
+        """The answer to a function that was not asked does not end the wait either."""
+        self._is_noisy = True
+        self.statistics.invalid += 1
+        self._wrong = InvalidResponse(
+            f"function {frame.pdu[0] & 0x7F} was answered, not {asked.function}"
+        )
+        self._wrong.answers_another = True
+
+    def _note_early(self) -> None:
+        """An earlier answer came again: the unit cannot have received this request yet."""
+        self._is_noisy = self._came_early = True
+        self.statistics.late_answers += 1
 
     def _is_echo(self, asked: Asked, pdu: bytes) -> bool:
         """Whether it is the request, and no answer that repeats it as some do."""
@@ -273,6 +293,8 @@ class InTurn(Conversation):
             self._wake(asked.deadline)
             return []
         self._asked = None
+        if self._came_early:  # and nothing else: bytes take no time here, whatever the settings say
+            self._silence.is_timed = False
         received = bytes(self._received)
         error = self._wrong or no_answer(asked.batch.patience.timeout, received)
         error.received = received
@@ -284,13 +306,17 @@ class InTurn(Conversation):
         self._is_exact = False
         self._doubts[batch.unit] = now + timeout, timeout
 
+    def _doubt_unanswered(self, asked: Asked, now: float) -> None:
+        """As after a timeout, however early its caller went: the answer may be as late."""
+        self._doubt(asked.batch, max(now, asked.deadline))
+
     def _give_up(self, batch: Batch, now: float) -> list[Asked]:
         self._waiting.pop(batch, None)
         asked = self._asked
         if asked is None or asked.batch is not batch:
             return []
         self._asked = None
-        self._doubt(batch, now)
+        self._doubt_unanswered(asked, now)
         return [asked]
 
     def _forget(self, now: float) -> list[Asked]:
@@ -299,7 +325,7 @@ class InTurn(Conversation):
         asked, self._asked = self._asked, None
         if asked is None:
             return []
-        self._doubt(asked.batch, now)  # the unit is not on this side of the connection
+        self._doubt_unanswered(asked, now)  # the unit is not on this side of the connection
         return [asked]
 
     # --- what is left -------------------------------------------------------------------------

@@ -27,6 +27,9 @@ __all__ = ["KNOWN", "Carrier", "Shortcut"]
 KNOWN = frozenset(bytes([code]) for code in (1, 2, 3, 4, 5, 6, 15, 16, 17, 22, 23))
 """The functions that libmodbus has, as their codes stand in a PDU."""
 
+# Around a PDU on a line, at least: a unit and a CRC.
+LEAST_AROUND = 3
+
 
 class Carrier(Protocol):
     """
@@ -133,11 +136,13 @@ class Shortcut:
         if self._is_line and (left := self._port.silence.over_at - self._now()) > 0:
             self._waker.sleep(left)
         since = self._now()
+        if self._is_line:
+            self._port.silence.sent(len(pdu) + LEAST_AROUND, since)
         try:
             answer = self._carrier.carry(unit, number, pdu, patience.timeout, waker)
             if answer is None:
                 return self._hand_over(unit, request, patience), None
-            if answer:
+            if answer and not (self._is_line and self._now() < self._port.silence.left_at):
                 outcome = request.decode_response(answer)
                 self._note_success(pdu[0], since)
                 return None, outcome

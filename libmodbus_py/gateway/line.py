@@ -322,7 +322,7 @@ class Line:
             each.submitted.withdraw()
             self._end(each)
             self._note_silence(each.unit, now)
-            self._hold(each.unit)
+            self._hold(each, now)
             self.statistics.unit(each.unit).given_up += 1
             self._refuse(each, NO_ANSWER)
             self._go_on()
@@ -394,7 +394,7 @@ class Line:
             return
         if isinstance(error, FrameError | InvalidResponse):
             unit.invalid += 1
-            self._hold(each.unit)
+            self._hold(each, now)
         elif isinstance(error, ModbusConnectionError):
             unit.lost += 1
         else:
@@ -415,13 +415,16 @@ class Line:
                 self.statistics.unit(unit).resting += 1
                 self._refuse(each, NO_ANSWER)
 
-    def _hold(self, unit: int) -> None:
+    def _hold(self, each: Forwarded, now: float) -> None:
         """Until the line was quiet for a timeout: the client would wait, and others with it."""
         if self._has_ids:
             return
+        unit, timeout = each.unit, self._client.timeout
+        # The client waits for what was withdrawn as for what was not answered in time.
+        pause = max(timeout, each.started + LATEST * timeout - now)
         if unit in self._held:
             self._held[unit].cancel()
-        self._held[unit] = self._loop.call_later(self._client.timeout, self._release, unit)
+        self._held[unit] = self._loop.call_later(pause, self._release, unit)
 
     def _release(self, unit: int) -> None:
         del self._held[unit]

@@ -25,12 +25,16 @@ class Silence:
 
     Attributes:
         over_at: when the line may be sent on.
+        left_at: when the last byte that was sent has left: no answer comes sooner.
+        is_timed: whether bytes take the time that the settings say; not on pseudo-terminals.
     """
 
     def __init__(self, seconds: float = 0.0, character: float = 0.0, turn: float = 0.0) -> None:
         self.seconds = seconds
         self.character = character
         self.over_at: float = 0.0
+        self.left_at: float = 0.0
+        self.is_timed: bool = True
         self._turn = turn
         self._turned_at = 0.0
 
@@ -42,6 +46,7 @@ class Silence:
         """The driver takes the bytes at once; the last one leaves later."""
         gone_at = now + size * self.character + 2 * self._turn
         self.over_at = gone_at + self.seconds
+        self.left_at = gone_at - self._turn if self.is_timed else now
         self._turned_at = gone_at if self._turn else 0.0
 
 

@@ -27,6 +27,9 @@ Rs485 = Literal["kernel", "rts-up", "rts-down"]
 
 READ_SIZE = 4096
 
+# The major numbers of their slaves (the kernel's devices.txt): bytes take no time there.
+PSEUDO_TERMINALS = range(136, 144)
+
 # st_rdev of the ports that this process has open: the lock says only that somebody has.
 _open_here: set[int] = set()
 
@@ -183,6 +186,7 @@ class SerialPort(Port):
         if self.baudrate not in self.baudrates:
             set_odd_baudrate(self.descriptor, self.baudrate)
         self._set_direction_control()
+        self.silence.is_timed = os.major(self._number) not in PSEUDO_TERMINALS
         self.discard_input()
 
     def _connect(self) -> bool:

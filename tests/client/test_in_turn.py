@@ -182,11 +182,60 @@ def test_a_refusal_ends_the_wait_and_raises_no_doubt() -> None:
     assert len(talk.sent) == 2
 
 
-def test_another_function_is_no_answer() -> None:
+def test_the_answer_to_another_function_does_not_end_the_wait() -> None:
     talk = Talk(LINE)
     batch = talk.ask(5)
     talk.come(rtu("01 04 02 0005"))
+    assert not batch.is_done
+    talk.come(value(5))
+    assert batch.outcomes == [[5]]
+
+
+@pytest.mark.parametrize("body", ["01 04 02 0005", "01 84 02"])
+def test_the_answer_to_another_function_alone_is_told(body: str) -> None:
+    talk = Talk(LINE)
+    batch = talk.ask(5)
+    talk.come(rtu(body))
+    talk.wait(1)
     assert kinds(batch) == [InvalidResponse]
+    assert batch.outcomes[0].answers_another
+    assert "function 4 was answered, not 3" in str(batch.outcomes[0])
+
+
+def test_an_answer_before_the_request_can_have_left_is_an_earlier_one() -> None:
+    """Eight characters take 9.2 ms at 9600 bit/s."""
+    talk = Talk("rtu:///dev/nowhere?baudrate=9600&silence=0", is_timed=True)
+    batch = talk.ask(5)
+    talk.wait(0.008)
+    talk.come(value(4))
+    assert not batch.is_done
+    assert talk.statistics.late_answers == 1
+    talk.wait(0.010)
+    talk.come(value(5))
+    assert batch.outcomes == [[5]]
+
+
+def test_a_line_that_is_faster_than_its_settings_is_believed() -> None:
+    """Where nothing but an early answer came, the port is no real one: adapters over networks."""
+    talk = Talk("rtu:///dev/nowhere?baudrate=9600&silence=0", is_timed=True)
+    first = talk.ask(5)
+    talk.come(value(5))
+    talk.wait(1)
+    assert kinds(first) == [ModbusTimeoutError]
+    talk.wait(1)
+    second = talk.ask(6)
+    talk.come(value(6))
+    assert second.outcomes == [[6]]
+
+
+def test_who_is_withdrawn_may_answer_as_late_as_who_is_not() -> None:
+    talk = Talk(LINE, timeout=1)
+    talk.cancel(talk.ask(5))
+    talk.ask(6)
+    talk.wait(1.9)
+    assert len(talk.sent) == 1
+    talk.wait(0.2)
+    assert len(talk.sent) == 2
 
 
 # --- silence after a failure -----------------------------------------------------------

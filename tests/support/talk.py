@@ -32,6 +32,7 @@ class Talk:
 
     Args:
         url: whose conversation; nothing is opened.
+        is_timed: whether bytes take the time on a line that its settings say.
         options: of the client.
 
     Attributes:
@@ -39,10 +40,13 @@ class Talk:
         sent: all ADUs that went out, oldest first, and `times` when.
     """
 
-    def __init__(self, url: str = TCP, *, is_open: bool = True, **options: Any) -> None:
+    def __init__(
+        self, url: str = TCP, *, is_open: bool = True, is_timed: bool = False, **options: Any
+    ) -> None:
         endpoint = parse(url)
         self.settings = Settings.of(endpoint, options)
         parts = assembled(endpoint, self.settings, 16)
+        parts.port.silence.is_timed = is_timed
         self.conversation = parts.conversation
         self.connection = parts.connection
         self.statistics = parts.statistics
