@@ -82,6 +82,7 @@ class Batch:
         started: how many were sent.
         end: what comes from here on does not matter any more.
         repeated: how often each was, by index and whether the device was busy.
+        sent: what went out of those that are repeated, by index.
         in_flight: how many are waited for, or will be repeated.
         queued: whether it stands in the queue for its next request.
         since: since when it waits for a connection; then `used`: for how long it did.
@@ -95,7 +96,7 @@ class Batch:
     # fmt: off
     __slots__ = (
         "_open", "end", "go_on", "in_flight", "is_done", "limit", "on_done", "outcomes",
-        "patience", "pdus", "queued", "refusal", "repeated", "requests", "silent", "since",
+        "patience", "pdus", "queued", "refusal", "repeated", "requests", "sent", "silent", "since",
         "started", "unit", "used",
     )
     # fmt: on
@@ -125,6 +126,7 @@ class Batch:
         self.outcomes: list[Any] = [NOT_ASKED] * len(requests)
         self.started: int = 0
         self.repeated: dict[tuple[int, bool], int] = {}
+        self.sent: dict[int, bytes] = {}
         self.in_flight: int = 0
         self.queued: bool = False
         self.since: float = 0.0

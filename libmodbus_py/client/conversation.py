@@ -165,7 +165,8 @@ class Conversation(Turns):
 
     def _fail_at(self, batch: Batch, index: int, error: ModbusError) -> None:
         self.statistics.note(batch.pdus[index][0], "unsent")
-        batch.settle(index, self._completed(alike(error), batch, index, b""))
+        sent = batch.sent.get(index, b"")  # an attempt before this one
+        batch.settle(index, self._completed(alike(error), batch, index, sent))
 
     def _fail_next(self, batch: Batch, error: ModbusError) -> None:
         index = batch.started
@@ -257,6 +258,7 @@ class Conversation(Turns):
         if done >= (batch.patience.busy_retries if is_busy else batch.patience.retries):
             return False
         batch.repeated[index, is_busy] = done + 1
+        batch.sent[index] = asked.adu
         batch.in_flight += 1
         if batch.in_flight >= batch.limit:
             self._leave_queue(batch)
