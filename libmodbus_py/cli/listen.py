@@ -105,10 +105,10 @@ def _write_all(line: Listener, write: Any, *, is_live: bool) -> None:
 
 
 def _print_line(transaction: Transaction) -> None:
-    print(_line(transaction), flush=True)
+    print(line_of(transaction), flush=True)
 
 
-def _line(transaction: Transaction) -> str:
+def line_of(transaction: Transaction) -> str:
     seconds, part = divmod(round(transaction.time * 1000), 1000)
     clock = time.strftime("%H:%M:%S", time.localtime(seconds))
     where = "-" if transaction.unit is None else f"{transaction.unit}"

@@ -27,12 +27,14 @@ class Events:
         now: seconds; stands still while anybody works.
         random: decides whatever nobody else does, the order of simultaneous events among it.
         happened: how many events there were.
+        looks: called after each event; what they raise ends the run.
     """
 
     def __init__(self, seed: int = 0) -> None:
         self.now: float = START
         self.random: random.Random = random.Random(seed)
         self.happened: int = 0
+        self.looks: list[Callable[[], object]] = []
         self._heap: list[tuple[float, float, int, Callable[..., object], tuple[Any, ...]]] = []
         self._numbers = itertools.count()
 
@@ -57,3 +59,5 @@ class Events:
             *_, call, args = heapq.heappop(self._heap)
             self.happened += 1
             call(*args)
+            for look in self.looks:
+                look()

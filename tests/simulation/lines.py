@@ -31,10 +31,8 @@ class SerialLine:
     """
     A line, and who is on it.
 
-    Args:
-        character: seconds that one byte takes.
-
     Attributes:
+        character: seconds that one byte takes.
         noise: what becomes of what is written.
         on_written: told of all that is written, and whether a unit answers with it.
         is_unplugged: whether ports of this line cannot be opened.
@@ -45,7 +43,8 @@ class SerialLine:
         self.on_written: Callable[[bool, bytes], object] | None = None
         self.is_unplugged: bool = False
         self._events = events
-        self._character = character
+        self.character: float = character
+        self._busy: dict[Party, float] = {}  # until when each sender still sends
         self._parties: list[Party] = []
 
     def join(self, party: Party) -> None:
@@ -59,9 +58,10 @@ class SerialLine:
         """Carry bytes to all others."""
         if self.on_written is not None:
             self.on_written(sender.is_unit, data)
-        taken = len(data) * self._character
+        begun = max(self._events.now, self._busy.get(sender, 0.0))
+        ended = self._busy[sender] = begun + len(data) * self.character
         for later, piece in self.noise(data):
-            self._events.after(taken + later, self._tell, sender, piece)
+            self._events.at(ended + later, self._tell, sender, piece)
 
     def unplug(self) -> None:
         """Take the adapter out: whoever has a port open finds it gone."""

@@ -16,6 +16,7 @@ from typing import Any, TypeVar
 from unittest.mock import patch
 
 from libmodbus_py.client import options as client_options
+from libmodbus_py.gateway import gateway
 from libmodbus_py.ports.endpoint import Endpoint, parse
 from libmodbus_py.ports.port import Port
 from libmodbus_py.protocol.errors import ModbusConnectionError
@@ -53,7 +54,8 @@ class Network:
         events, descriptors: on which all is built.
         lines: the serial lines, by device; one comes into being when its device is first opened.
         unreachable: hosts that answer no attempt to connect.
-        tap: told of all that is sent: where, over which connection, whether a client did, and what.
+        tap: told of all that is sent: the URL or device, the number of the connection, whether a
+            client sent it, and what.
     """
 
     def __init__(self, seed: int = 0) -> None:
@@ -62,7 +64,7 @@ class Network:
         self.lines: dict[str, SerialLine] = {}
         self.unreachable: set[str] = set()
         self.tap: Tap | None = None
-        self._hosts: dict[tuple[str, ADDRESS], Accept] = {}
+        self._hosts: dict[tuple[str, ADDRESS], tuple[Accept, str]] = {}
         self._sockets: dict[int, MemorySocket] = {}
         self._ports = 49_152
         self._connections = itertools.count(1)
@@ -93,7 +95,7 @@ class Network:
         endpoint = parse(url)
         if not endpoint.port:
             endpoint = replace(endpoint, port=self.new_port())
-        self._hosts[self._key(endpoint)] = accept
+        self._hosts[self._key(endpoint)] = accept, str(endpoint)
         return str(endpoint)
 
     def unlisten(self, url: str) -> None:
@@ -126,13 +128,13 @@ class Network:
         if near.is_closed:
             far.close()
             return
-        accept = self._hosts.get(("tcp", address))
+        accept, url = self._hosts.get(("tcp", address), (None, ""))
         if accept is None:
             near.refuse()
         else:
             near.note_room()
             self._sockets[far.fileno()] = far
-            self._follow(near, far, f"{address[0]}:{address[1]}")
+            self._follow(near, far, url)
             accept(far, ("10.255.0.1", self.new_port()))
 
     def _follow(self, near: MemorySocket, far: MemorySocket, place: str) -> None:
@@ -150,11 +152,11 @@ class Network:
     def open_datagrams(self, host: str, port: int) -> tuple[MemorySocket | None, int]:
         """Return a socket whose datagrams go to a port."""
         near, far = pair(self.events, self.descriptors, is_datagram=True)
-        accept = self._hosts.get(("udp", (host, port)))
+        accept, url = self._hosts.get(("udp", (host, port)), (None, ""))
         if accept is None:
             far.on_input = partial(near.reset, errno.ECONNREFUSED)
         else:
-            self._follow(near, far, f"{host}:{port}")
+            self._follow(near, far, url)
             accept(far, ("10.255.0.1", self.new_port()))
         return near, 0
 
@@ -172,6 +174,7 @@ class Network:
             patch.object(tcp, "bound", self._bound),
             patch.object(serving, "Peers", partial(Peers, make_epoll=self._epoll)),
             patch.object(serial_server, "SerialPort", self._serial),
+            patch.object(gateway, "check_line", _any_line),
         ):
             yield
 
@@ -215,5 +218,9 @@ class Network:
                 f"cannot listen on {endpoint}: Address already in use", errno=errno.EADDRINUSE
             )
         listener = MemoryListener(self.descriptors, partial(self._hosts.pop, key, None))
-        self._hosts[key] = listener.put
+        self._hosts[key] = listener.put, str(given)
         return [listener], given
+
+
+def _any_line(*_: object) -> None:
+    """Take it that the device of each route exists, which the system is asked about otherwise."""

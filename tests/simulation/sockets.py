@@ -20,6 +20,7 @@ from .loop import Descriptors
 
 __all__ = [
     "CAPACITY",
+    "DELAY",
     "Carriage",
     "MemoryEpoll",
     "MemoryListener",

@@ -1,0 +1,128 @@
+"""
+Rules of the package broken on purpose, to see that the simulated world finds each of them.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from typing import Any
+from unittest.mock import patch
+
+from libmodbus_py.client.in_flight import InFlight
+from libmodbus_py.client.in_turn import InTurn
+from libmodbus_py.gateway.line import Line
+from libmodbus_py.gateway.silent_units import SilentUnits, Standing
+from libmodbus_py.gateway.switch import ForwardingSession
+from libmodbus_py.gateway.turns import Turns
+from libmodbus_py.protocol.framing import Frame
+from libmodbus_py.workers.worker import Worker
+
+__all__ = ["BREAKS", "Break"]
+
+
+@dataclass(frozen=True)
+class Break:
+    """
+    One rule that is taken out.
+
+    Attributes:
+        rule: what does not hold any more.
+        casts: those that may find it.
+        broken: breaks it while it is entered.
+    """
+
+    rule: str
+    casts: tuple[str, ...]
+    broken: Callable[[], AbstractContextManager[object]]
+
+
+@contextlib.contextmanager
+def _answers_in_any_order() -> Iterator[None]:
+    """Take each answer for that to the oldest request, whatever its id says."""
+    before = InFlight._take
+
+    def take(self: Any, data: bytes, now: float) -> None:
+        renumbered = b""
+        for frame in self._framer.scan(data):
+            if isinstance(frame, Frame):
+                number = next(iter(self._asked), frame.transaction)
+                renumbered += number.to_bytes(2, "big") + self._framer.encode(frame)[2:]
+        before(self, renumbered, now)
+
+    with patch.object(InFlight, "_take", take):
+        yield
+
+
+@contextlib.contextmanager
+def _any_unit_answers() -> Iterator[None]:
+    before = InTurn._judge
+
+    def judge(self: Any, found: list[Any], now: float) -> None:
+        asked = self._asked
+        changed = [
+            each._replace(unit=asked.batch.unit) if isinstance(each, Frame) and asked else each
+            for each in found
+        ]
+        before(self, changed, now)
+
+    with patch.object(InTurn, "_judge", judge):
+        yield
+
+
+@contextlib.contextmanager
+def _only_one_queue() -> Iterator[None]:
+    """Serve hosts in the order of their requests."""
+    put = Turns.put
+
+    def put_together(self: Any, each: Any) -> bool:
+        each.host = each.client = "all"
+        return put(self, each)
+
+    with patch.object(Turns, "put", put_together):
+        yield
+
+
+def _nothing(*_: Any, **__: Any) -> None:
+    return None
+
+
+BREAKS: tuple[Break, ...] = (
+    Break("an answer has the id of its request", ("tcp", "gateway"), _answers_in_any_order),
+    Break(
+        "a line is silent before a unit is asked again",
+        ("line", "rtu+tcp", "blocking"),
+        lambda: patch.object(InTurn, "_doubt", _nothing),
+    ),
+    Break("an answer is of the unit that was asked", ("line", "gateway"), _any_unit_answers),
+    Break(
+        "a frame of another function is no answer",
+        ("line", "gateway"),
+        lambda: patch.object(InTurn, "_note_other_function", InTurn._end_wrongly, create=True),
+    ),
+    Break(
+        "who may ask looks at the clock",
+        ("workers",),
+        lambda: patch.object(Worker, "may_ask", lambda self, key, now: key in self.active),
+    ),
+    Break(
+        "a resting unit is not asked",
+        ("silent unit",),
+        lambda: patch.object(SilentUnits, "standing", lambda *_: Standing.GOOD),
+    ),
+    Break("hosts take turns", ("crowd",), _only_one_queue),
+    Break(
+        "what a caller withdrew is not sent",
+        ("tcp", "line", "rtu+tcp"),
+        lambda: patch.object(InTurn, "_leave_queue", _nothing),
+    ),
+    Break(
+        "a client that is gone costs no turn",
+        ("gateway",),
+        lambda: patch.multiple(Line, drop=_nothing),
+    ),
+)
+
+_ = ForwardingSession

@@ -1,0 +1,186 @@
+"""
+What must hold, whatever happens: looked at after every event.
+
+The witness is told what clients ask and what becomes of it, what units carry out, and, by the
+network, what is sent. A request is known by its unit, function, address and value, which no other
+one has.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from libmodbus_py import ExceptionResponse, ModbusError
+
+from .devices import COUNT, time_of
+from .events import Events
+
+__all__ = ["Broken", "Call", "Witness"]
+
+# What the clock of the values may be off.
+EXACT = 2e-6
+
+Key = tuple[int, bytes]
+"""A unit and a request PDU."""
+
+
+class Broken(AssertionError):
+    """
+    A rule does not hold.
+
+    Attributes:
+        rule: its name.
+    """
+
+    def __init__(self, rule: str, text: str) -> None:
+        super().__init__(f"{rule}: {text}")
+        self.rule = rule
+
+
+@dataclass
+class Call:
+    """
+    What a client asks.
+
+    Attributes:
+        key: what tells it from all others.
+        began: when, in seconds.
+        until: when it must have ended.
+        age: seconds that its answer may be old, from a cache.
+        is_direct: whether it goes to the unit itself, and not through a gateway.
+    """
+
+    key: Key
+    began: float
+    until: float
+    age: float = 0.0
+    is_direct: bool = True
+
+
+@dataclass
+class Witness:
+    """
+    Sees all, and says at the first thing that may not be.
+
+    Attributes:
+        answered, failed: how many calls ended so.
+        results: how many ended with each result.
+    """
+
+    events: Events
+    answered: int = 0
+    failed: int = 0
+    results: Counter[str] = field(default_factory=Counter)
+    _open: dict[Key, Call] = field(default_factory=dict)
+    _ended: dict[Key, str] = field(default_factory=dict)
+    _executed: dict[Key, list[float]] = field(default_factory=lambda: defaultdict(list))
+    _sent: Counter[Key] = field(default_factory=Counter)
+    _refused: set[Key] = field(default_factory=set)
+    _broken: list[Broken] = field(default_factory=list)
+
+    # --- what clients say -----------------------------------------------------------------------
+
+    def begin(self, call: Call) -> None:
+        self._open[call.key] = call
+
+    def answer(self, call: Call, values: list[int] | None) -> None:
+        """A call gave values, or, for a write, nothing."""
+        self._end(call, "answered")
+        self.answered += 1
+        times = self._executed.get(call.key, [])
+        if values is None:
+            if not any(call.began - EXACT <= at for at in times):
+                self.fail("an acknowledged write is in the device", f"{_text(call.key)} is not")
+            return
+        unit, pdu = call.key
+        if values[:2] != [unit, int.from_bytes(pdu[1:3], "big")] or len(values) != COUNT:
+            self.fail("an answer is the one to its request", f"{_text(call.key)} gave {values}")
+        elif not call.began - call.age - EXACT <= time_of(values) <= self.events.now + EXACT:
+            old = call.began - time_of(values)
+            self.fail("an answer is the one to its request", f"{_text(call.key)}: {old:.3f} s old")
+
+    def error(self, call: Call, error: BaseException) -> None:
+        """A call ended with an error, or was cancelled."""
+        self._end(call, type(error).__name__)
+        self.failed += 1
+        is_unsent = isinstance(error, ModbusError) and not error.sent and call.is_direct
+        if is_unsent and not isinstance(error, ExceptionResponse) and self._sent[call.key]:
+            self.fail("what was reported as not sent was not", f"{_text(call.key)}: {error!r}")
+
+    def _end(self, call: Call, how: str) -> None:
+        self.results[how] += 1
+        if self._open.pop(call.key, None) is None:
+            self.fail("a call ends once", f"{_text(call.key)}: {self._ended.get(call.key)}, {how}")
+        self._ended[call.key] = how
+        if self.events.now > call.until + EXACT:
+            late = self.events.now - call.until
+            self.fail("a call ends by its deadline", f"{_text(call.key)}: {late:.3f} s late")
+
+    # --- what units and the network say -----------------------------------------------------------
+
+    def executed(self, unit: int, pdu: bytes) -> None:
+        """A unit carried out a request."""
+        key = unit, pdu
+        times = self._executed[key]
+        times.append(self.events.now)
+        if pdu[0] == 6 and len(times) > self._sent[key]:
+            self.fail("a write is carried out as often as it was sent", _text(key))
+
+    def sent(self, unit: int, pdu: bytes) -> None:
+        """A request left for a unit."""
+        key = unit, pdu
+        self._sent[key] += 1
+        call = self._open.get(key)
+        if key in self._refused or (call is None and self._ended.get(key) and self.is_direct(key)):
+            how = self._ended.get(key, "refused")
+            self.fail("what failed is never sent later", f"{_text(key)}: {how}")
+
+    def refused(self, unit: int, pdu: bytes) -> None:
+        """A gateway refused a request."""
+        self._refused.add((unit, pdu))
+
+    def is_direct(self, key: Key) -> bool:
+        return key not in self.through_gateway
+
+    through_gateway: set[Key] = field(default_factory=set)
+
+    # --- all the time -----------------------------------------------------------------------------
+
+    def fail(self, rule: str, text: str) -> None:
+        self._broken.append(Broken(rule, f"{text}, at {self.events.now - 1000:.3f} s"))
+
+    def look(self) -> None:
+        """
+        Look at everything.
+
+        Raises:
+            Broken: the first thing that may not be.
+        """
+        if self._broken:
+            raise self._broken[0]
+
+    def late(self) -> None:
+        """Look for calls that should have ended; dear, so not after each event."""
+        for call in self._open.values():
+            if self.events.now > call.until + EXACT:
+                self.fail("a call ends by its deadline", f"{_text(call.key)} has not ended")
+
+    def forget(self, before: float) -> None:
+        """Forget what ended long ago, so that a run of hours takes no more memory."""
+        for key in [key for key, times in self._executed.items() if times[-1] < before]:
+            del self._executed[key]
+            self._sent.pop(key, None)
+            self._ended.pop(key, None)
+            self._refused.discard(key)
+            self.through_gateway.discard(key)
+
+
+def _text(key: Key) -> str:
+    unit, pdu = key
+    kind = {3: "read", 6: "write"}.get(pdu[0], str(pdu[0]))
+    return f"unit {unit} {kind} {pdu[1:].hex(' ')}"
+
+
+Rule = Callable[[], None]
