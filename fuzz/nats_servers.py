@@ -16,6 +16,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Self
 
+from tests.support.programs import program
+
 __all__ = ["NatsServers", "Way", "free_ports"]
 
 
@@ -74,7 +76,7 @@ class NatsServers:
         """Start one, again perhaps, and wait until it listens."""
         home = Path(self._directory.name, str(number))
         home.mkdir(exist_ok=True)
-        command = ["nats-server", "-a", "127.0.0.1", "-p", str(self.ports[number])]
+        command = [program("nats-server"), "-a", "127.0.0.1", "-p", str(self.ports[number])]
         command += ["-n", f"n{number}", *self._options]
         if self._jetstream:
             command += ["-js", "-sd", str(home)]

@@ -14,6 +14,7 @@ import pytest
 
 from libmodbus_py import Device, Mapping, Server
 from tests.cli.typing_in import typed
+from tests.support.names import resolve
 
 METER = """\
 name,table,address,count,type,scale,unit,access,minimum,maximum
@@ -319,7 +320,7 @@ def test_what_is_read_behind_a_write_is_shown_as_it_was_typed(url: str) -> None:
     ("where", "said"),
     [
         (["127.0.0.1:1"], "cannot connect to 127.0.0.1:1"),
-        (["localhost:1"], "cannot connect to localhost:1"),
+        (["plc.example:1"], "cannot connect to plc.example:1"),
         (["[::1]:1"], "cannot connect to [::1]:1"),
         (["127.0.0.1:1?unit=9"], "unit 9: cannot connect"),
         (["127.0.0.1:1?unit=9", "-u", "8"], "unit 8: cannot connect"),
@@ -334,7 +335,10 @@ def test_what_is_read_behind_a_write_is_shown_as_it_was_typed(url: str) -> None:
         ([""], "must be a URL"),
     ],
 )
-def test_endpoints_without_a_scheme(where: list[str], said: str) -> None:
+def test_endpoints_without_a_scheme(
+    monkeypatch: pytest.MonkeyPatch, where: list[str], said: str
+) -> None:
+    resolve(monkeypatch, "plc.example")
     done = typed("read", *where, "holding", "0")
     assert done.code in (1, 2)
     assert said in done.err

@@ -41,6 +41,7 @@ from tests.support.certificates import (
 )
 from tests.support.clients import Connect
 from tests.support.fake import echo, until
+from tests.support.names import resolve
 from tests.support.tls_peers import (
     HANDSHAKE,
     Peer,
@@ -325,9 +326,9 @@ def test_a_bad_certificate_is_named_with_what_is_wrong(
 @pytest.mark.parametrize(
     ("host", "hosts", "is_good"),
     [
-        ("localhost", ("localhost",), True),
-        ("localhost", ("other.example",), False),
-        ("localhost", ("*.localhost",), False),
+        ("plc.example", ("plc.example",), True),
+        ("plc.example", ("other.example",), False),
+        ("plc.example", ("*.plc.example",), False),
         ("127.0.0.1", ("127.0.0.1",), True),
         ("[::1]", ("::1",), True),
         ("[::1]", ("127.0.0.1",), False),
@@ -335,6 +336,7 @@ def test_a_bad_certificate_is_named_with_what_is_wrong(
     ],
 )
 def test_names_and_addresses(
+    monkeypatch: pytest.MonkeyPatch,
     connect: Connect,
     papers: Papers,
     serving: Serving,
@@ -342,6 +344,7 @@ def test_names_and_addresses(
     hosts: tuple[str, ...],
     is_good: bool,
 ) -> None:
+    resolve(monkeypatch, "plc.example")
     with (
         serving(identity=certificates.server(hosts=hosts)) as server,
         reachable_at(server.port, host) as url,

@@ -7,7 +7,6 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
-import shutil
 import socket
 import subprocess
 import sys
@@ -29,8 +28,7 @@ from libmodbus_py.security.making import Identity
 from tests.fleet.fleets import LONGEST, Peer, meter, simulated, until
 from tests.support import certificates
 from tests.support.certificates import Papers
-
-PROGRAM = shutil.which("mosquitto", path="/usr/sbin:/usr/bin:/usr/local/sbin:/usr/local/bin")
+from tests.support.programs import program
 
 
 class Broker:
@@ -43,17 +41,19 @@ class Broker:
         self._folder = folder
         (folder / "passwords").write_text("")
         (folder / "passwords").chmod(0o600)
-        program = ["mosquitto_passwd", "-b", str(folder / "passwords"), "user", "secret"]
-        subprocess.run(program, check=True, capture_output=True)
+        command = [program("mosquitto_passwd"), "-b", str(folder / "passwords"), "user", "secret"]
+        subprocess.run(command, check=True, capture_output=True)
         self.settings = [f"listener {self.port} 127.0.0.1", "allow_anonymous true"]
         self.process: subprocess.Popen[bytes] | None = None
 
     def start(self) -> None:
         file = self._folder / "mosquitto.conf"
-        file.write_text("\n".join([*self.settings, f"user {Path.home().owner()}", ""]))
-        assert PROGRAM is not None
+        # Root's broker stays root's, and can read what root wrote; any other user's ignores this.
+        file.write_text("\n".join([*self.settings, "user root", ""]))
         self.process = subprocess.Popen(
-            [PROGRAM, "-c", str(file)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+            [program("mosquitto"), "-c", str(file)],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
         )
         for _ in range(int(LONGEST * 100)):
             try:

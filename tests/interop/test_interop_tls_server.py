@@ -47,7 +47,7 @@ def without_names(told: ssl.SSLContext) -> ssl.SSLContext:
 @contextlib.contextmanager
 def pymodbus_client(papers: Papers, port: int) -> Iterator[Any]:
     told = without_names(context(papers, certificates.client()))
-    client = ModbusTlsClient("localhost", port=port, sslctx=told, timeout=TIMEOUT, retries=0)
+    client = ModbusTlsClient("127.0.0.1", port=port, sslctx=told, timeout=TIMEOUT, retries=0)
     assert client.connect()
     try:
         yield client
@@ -99,7 +99,7 @@ def test_pymodbus_client_sees_our_refusal_and_nothing_changes(papers: Papers, ca
 def test_pymodbus_asyncio_client_has_many_requests_in_flight(papers: Papers) -> None:
     async def ask(port: int) -> list[list[bool]]:
         client = AsyncModbusTlsClient(
-            "localhost", port=port, sslctx=context(papers, certificates.client()), timeout=TIMEOUT
+            "127.0.0.1", port=port, sslctx=context(papers, certificates.client()), timeout=TIMEOUT
         )
         assert await client.connect()
         reads = [client.read_coils(first, count=8, device_id=UNIT) for first in COILS[:50]]
@@ -116,7 +116,7 @@ def test_pymodbus_asyncio_client_has_many_requests_in_flight(papers: Papers) -> 
 def test_pymodbus_client_without_a_certificate_gets_no_answer(papers: Papers) -> None:
     with our_tls_server(papers, {UNIT: make_device()}) as wire:
         told = without_names(context(papers))
-        client = ModbusTlsClient("localhost", port=wire.port, sslctx=told, timeout=1, retries=0)
+        client = ModbusTlsClient("127.0.0.1", port=wire.port, sslctx=told, timeout=1, retries=0)
         try:
             assert client.connect()  # TLS 1.3: the refusal comes behind its handshake
             with pytest.raises((ssl.SSLError, OSError)):

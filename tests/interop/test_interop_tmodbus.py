@@ -67,7 +67,7 @@ ASKED: dict[int, tuple[Any, Any]] = {
 def ask(papers: Papers, port: int, asked: Any, version: ssl.TLSVersion) -> Any:
     async def run() -> Any:
         client = tmodbus.create_async_tcp_client(
-            "localhost",
+            "127.0.0.1",
             port,
             unit_id=UNIT,
             timeout=TIMEOUT,

@@ -5,16 +5,21 @@ A headless Chromium of its own, driven by Selenium through Debian's chromedriver
 from __future__ import annotations
 
 import contextlib
-import shutil
+import os
+import re
+import subprocess
 import tempfile
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
-__all__ = ["browser", "missing"]
+from tests.support import programs
 
-PROGRAMS = ("chromium", "chromedriver")
+__all__ = ["browser", "console", "missing", "resize"]
 
-# It is root's where tests are run in containers; it fetches nothing of its own.
+PROGRAMS = {"chromium": "chromium", "chromedriver": "chromium-driver"}
+
+# Root must run Chromium without its sandbox, and so must users of most containers.
 OPTIONS = (
     "--headless",
     "--no-sandbox",
@@ -25,32 +30,37 @@ OPTIONS = (
     "--disable-background-networking",
     "--disable-component-update",
     "--disable-sync",
+    "--disable-crash-reporter",
+    # Over a port, chromedriver would look for it at "localhost", which not every machine knows.
+    "--remote-debugging-pipe",
     "--hide-scrollbars",
     "--force-color-profile=srgb",
 )
 
 
 def missing() -> str:
-    """Say what is not installed, if anything."""
-    lacking = [each for each in PROGRAMS if shutil.which(each) is None]
-    return f"{' and '.join(lacking)} not installed (Debian: chromium, chromium-driver)" * bool(
-        lacking
-    )
+    """Return what is not installed, and the Debian packages of it; nothing if all is."""
+    lacking = programs.missing(*PROGRAMS)
+    if not lacking:
+        return ""
+    packages = ", ".join(PROGRAMS[name] for name in lacking)
+    return f"{' and '.join(lacking)} not installed (Debian: {packages})"
 
 
 @contextlib.contextmanager
 def browser(width: int = 1200, height: int = 800) -> Iterator[Any]:
-    """Start one; it is gone, with all it wrote, when the block is left."""
+    """Start a browser; when the block is left, it has ended, and all that it wrote is deleted."""
     from selenium import webdriver
-    from selenium.webdriver.chrome.service import Service
+    from selenium.webdriver.chrome.remote_connection import ChromeRemoteConnection
 
     options = webdriver.ChromeOptions()
-    options.binary_location = shutil.which("chromium") or ""
+    options.binary_location = programs.program("chromium")
     options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
-        for each in (*OPTIONS, f"--user-data-dir={profile}"):
+    with _folder() as folder, _chromedriver(folder) as url:
+        for each in (*OPTIONS, f"--user-data-dir={folder / 'profile'}"):
             options.add_argument(each)
-        driver = webdriver.Chrome(options, Service(shutil.which("chromedriver")))
+        connection = ChromeRemoteConnection(url, ignore_proxy=True)
+        driver = webdriver.Remote(connection, options=options)
         try:
             resize(driver, width, height)
             yield driver
@@ -58,7 +68,57 @@ def browser(width: int = 1200, height: int = 800) -> Iterator[Any]:
             driver.quit()
 
 
+@contextlib.contextmanager
+def _folder() -> Iterator[Path]:
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as name:
+        yield Path(name)
+
+
+@contextlib.contextmanager
+def _chromedriver(folder: Path) -> Iterator[str]:
+    """
+    Run chromedriver at a port of its own choice; gives its URL.
+
+    Selenium would start chromedriver at a port that another program may take meanwhile, and would
+    talk to it as "localhost", a name that not every machine knows.
+
+    Args:
+        folder: what chromedriver and Chromium take for HOME and the folder of temporary files.
+    """
+    home = str(folder)
+    environment = {
+        **{name: value for name, value in os.environ.items() if not name.startswith("XDG_")},
+        "HOME": home,
+        "TMPDIR": home,
+    }
+    command = [programs.program("chromedriver"), "--port=0"]
+    with subprocess.Popen(
+        command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True, env=environment
+    ) as process:
+        assert process.stdout is not None
+        try:
+            yield f"http://127.0.0.1:{_port(process.stdout)}"
+        finally:
+            process.terminate()
+
+
+def _port(output: Iterator[str]) -> int:
+    said = []
+    for line in output:
+        if found := re.search(r"on port (\d+)\.$", line.strip()):
+            return int(found[1])
+        said.append(line)
+    raise RuntimeError(f"chromedriver did not start: {''.join(said)}")
+
+
 def resize(driver: Any, width: int, height: int) -> None:
-    """Exactly, also where windows cannot be so narrow."""
+    """Set the size of the view, also to less than the least width of a window."""
     metrics = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
-    driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+    command = {"cmd": "Emulation.setDeviceMetricsOverride", "params": metrics}
+    driver.execute("executeCdpCommand", command)
+
+
+def console(driver: Any) -> list[dict[str, Any]]:
+    """Return what pages wrote to the browser's console since this was last asked."""
+    found: list[dict[str, Any]] = driver.execute("getLog", {"type": "browser"})["value"]
+    return found

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from libmodbus_py import Context, Device, Fault, Mapping, Server, ServerDeviceBusy, page_of
-from tests.page.browsers import browser, missing, resize
+from tests.page.browsers import browser, console, missing, resize
 from tests.page.watching import made_server, until
 
 pytestmark = [
@@ -170,7 +170,7 @@ def test_a_person_uses_the_page() -> None:
         assert driver.execute_script("return document.documentElement.scrollWidth") <= 360
 
         # Nothing was blocked, and nothing was missing but the value that was refused.
-        told = [each["message"] for each in driver.get_log("browser")]
+        told = [each["message"] for each in console(driver)]
         assert [each for each in told if "/value - " not in each] == []
 
 

@@ -1,6 +1,6 @@
 """
 Tests that want the machine for themselves, because they tell what happens within seconds: while
-one of them runs, no other test does, in whatever process of whatever run of this user.
+one of them runs, no other test does, in whatever process of whatever run of this clone.
 
 Each test holds a lock; these hold it alone. A gate before it lets none wait for ever.
 """
@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import fcntl
 import os
-import tempfile
 from collections.abc import Generator
 from pathlib import Path
 
@@ -18,9 +17,13 @@ import pytest
 __all__ = ["pytest_configure", "pytest_runtest_protocol"]
 
 
+FOLDER = Path(__file__).parents[2] / ".pytest_cache" / "locks"
+
+
 def _lock_file(name: str) -> int:
-    path = Path(tempfile.gettempdir(), f"libmodbus-py-{os.getuid()}-{name}.lock")
-    return os.open(path, os.O_RDWR | os.O_CREAT, 0o600)
+    """Open a lock file where pytest keeps its own: in the clone, not in the folder /tmp."""
+    FOLDER.mkdir(parents=True, exist_ok=True)
+    return os.open(FOLDER / name, os.O_RDWR | os.O_CREAT, 0o600)
 
 
 # Locks of POSIX belong to this process: what tests fork or start does not keep them.
