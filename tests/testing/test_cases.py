@@ -4,11 +4,15 @@ The loop over a table of cases: one test that tries them all, and names those th
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Iterable
+from typing import ClassVar
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from tests.support.cases import each
+from tests.support.cases import each, each_case
 
 
 def halves(table: Iterable[tuple[int, int]]) -> None:
@@ -101,3 +105,79 @@ def test_a_loop_that_is_left_early_does_not_hide_a_failure() -> None:
         raise OSError
     with pytest.raises(AssertionError, match="a case had failed"):
         loop.close()
+
+
+# --- the decorator ---------------------------------------------------------------------
+
+
+def test_each_case_calls_the_test_with_every_combination() -> None:
+    seen = []
+
+    @each_case("text", ["a", "b"])
+    @each_case(("low", "high"), [(1, 2), pytest.param(3, 4, id="more")])
+    def test(fixture: str, text: str, low: int, high: int) -> None:
+        seen.append((fixture, text, low, high))
+
+    test(fixture="f")  # type: ignore[call-arg]
+    assert seen == [("f", "a", 1, 2), ("f", "a", 3, 4), ("f", "b", 1, 2), ("f", "b", 3, 4)]
+    assert list(inspect.signature(test).parameters) == ["fixture"]
+
+
+def test_each_case_stands_before_each_test_of_a_class() -> None:
+    @each_case("number", [1, 2])
+    class Tests:
+        helped: ClassVar[list[object]] = []
+
+        def helper(self, number: int) -> None:
+            self.helped.append(number)
+
+        def test_one(self, number: int) -> None:
+            self.helper(number)
+
+        @each_case("text", "ab")
+        def test_two(self, number: int, text: str) -> None:
+            self.helped.append((number, text))
+
+    Tests().test_one()  # type: ignore[call-arg]
+    Tests().test_two()  # type: ignore[call-arg]
+    assert Tests.helped == [1, 2, (1, "a"), (1, "b"), (2, "a"), (2, "b")]
+
+
+def test_each_case_names_what_failed_by_its_arguments_or_ids() -> None:
+    @each_case("half", [1, 2], ids=["one", "two"])
+    @each_case(("text", "whole"), [("a", 2), ("b", 4)])
+    def test(text: str, whole: int, half: int) -> None:
+        assert whole // half == 2, text
+
+    with pytest.raises(AssertionError) as caught:
+        test()  # type: ignore[call-arg]
+    lines = str(caught.value).splitlines()
+    assert lines[0] == "2 of 4 cases failed:"
+    assert lines[1] == "  one, text='b', whole=4"
+    assert lines[2].startswith("    test_cases.py:")
+    assert "  two, text='a', whole=2" in lines
+
+
+def test_each_case_shows_the_example_that_hypothesis_found() -> None:
+    @each_case("most", [3])
+    @given(number=st.integers(0, 9))
+    def test(most: int, number: int) -> None:
+        assert number <= most
+
+    with pytest.raises(AssertionError, match=r"1 of 1 cases failed:\n  most=3\n(.|\n)*number=4"):
+        test()
+
+
+def test_each_case_refuses_what_would_not_be_tried() -> None:
+    def test(number: int) -> None: ...
+
+    with pytest.raises(ValueError, match="marks"):
+        each_case("number", [pytest.param(1, marks=pytest.mark.skip)])
+    with pytest.raises(ValueError, match="no parameter other"):
+        each_case("other", [1])(test)
+    with pytest.raises(ValueError, match="zip"):
+        each_case(("number", "other"), [(1,)])
+    with pytest.raises(ValueError, match="2 cases have 1 ids"):
+        each_case("number", [1, 2], ids=["one"])
+    with pytest.raises(AssertionError, match="empty"):
+        each_case("number", [])(test)()  # type: ignore[call-arg]
