@@ -169,7 +169,8 @@ def _looping(test: Any, *tables: _Rows) -> Any:
                 inner(*args, **values)
 
     kept = [value for name, value in signature.parameters.items() if name not in names]
-    looping.__dict__.pop("is_hypothesis_test", None)  # inner is; its plugin looks at tests
+    for name in [name for name in vars(looping) if "hypothesis" in name]:
+        delattr(looping, name)  # these belong to the inner test only
     looping.__signature__ = signature.replace(parameters=kept)  # type: ignore[attr-defined]
     looping._looped, looping._tables = inner, tables  # type: ignore[attr-defined]
     return looping
