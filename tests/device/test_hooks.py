@@ -17,6 +17,7 @@ import pytest
 from libmodbus_py import Access, Device, Hook, Mapping, Server, pdu
 from libmodbus_py.device import hooks as hooks_module
 from libmodbus_py.protocol import errors
+from tests.support.cases import each_case
 
 READ, WRITE = b"\3\0\0\0\1", b"\6\0\0\0\7"
 
@@ -195,7 +196,7 @@ def test_quick_ones_are_not_told_of(
 # --- hooks for some accesses -------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("places", "error", "message"),
     [
         ({"holding_registers": 100}, TypeError, "holding_registers must be a range .* not 100"),

@@ -16,6 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from libmodbus_py import Point
+from tests.support.cases import each_case
 
 H = "holding_registers"
 
@@ -49,7 +50,7 @@ READ = [
 ]
 
 
-@pytest.mark.parametrize(("keys", "cells", "value"), READ)
+@each_case(("keys", "cells", "value"), READ)
 def test_cells_stand_for_values(keys: dict[str, Any], cells: list[Any], value: Any) -> None:
     made = point(**keys)
     assert repr(made.decode(cells)) == repr(value)
@@ -78,7 +79,7 @@ ROUNDED = [
 ]
 
 
-@pytest.mark.parametrize(("value", "scale", "raw"), ROUNDED)
+@each_case(("value", "scale", "raw"), ROUNDED)
 def test_the_nearest_raw_number_is_written(value: Any, scale: float, raw: int) -> None:
     assert point(scale=scale).encode(value) == [raw]
 
@@ -165,7 +166,7 @@ REFUSED = [
 ]
 
 
-@pytest.mark.parametrize(("keys", "message"), REFUSED)
+@each_case(("keys", "message"), REFUSED)
 def test_a_point_that_cannot_be(keys: dict[str, Any], message: str) -> None:
     with pytest.raises((TypeError, ValueError), match=f"^{re.escape(message)}"):
         point(**keys)
@@ -198,7 +199,7 @@ UNFIT = [
 ]
 
 
-@pytest.mark.parametrize(("keys", "value", "message"), UNFIT)
+@each_case(("keys", "value", "message"), UNFIT)
 def test_a_value_that_a_point_cannot_have(keys: dict[str, Any], value: Any, message: str) -> None:
     with pytest.raises((TypeError, ValueError), match=f"^{re.escape(message)}"):
         point(**keys).encode(value)

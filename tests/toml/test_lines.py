@@ -11,6 +11,7 @@ import pytest
 
 from libmodbus_py.simulator.device_file import DeviceFileError, load
 from libmodbus_py.toml.lines import line_of
+from tests.support.cases import each_case
 
 TEXT = """\
 # a comment with key = 1
@@ -30,7 +31,7 @@ value = true
 """
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("path", "line"),
     [
         ("title", 2),
