@@ -310,7 +310,7 @@ class TestAgainstTheModel:
     def test_the_model_knows_the_twelve_functions(self) -> None:
         assert KNOWN == [1, 2, 3, 4, 5, 6, 15, 16, 20, 21, 22, 23]
 
-    @settings(max_examples=120, deadline=None)
+    @settings(max_examples=60)
     @given(st.lists(request_pdus(), min_size=1, max_size=12))
     def test_answers_and_contents_are_the_same(self, requests: list[bytes]) -> None:
         device, model = new_device(), Model()
@@ -323,7 +323,7 @@ class TestAgainstTheModel:
             assert device.answer(request).hex(" ") == model.answer(request).hex(" ")
         assert contents(device) == contents_of_model(model)
 
-    @settings(max_examples=150, deadline=None)
+    @settings(max_examples=75)
     @given(
         st.builds(
             lambda code, body: bytes([code]) + body,
@@ -459,7 +459,7 @@ class TestExceptions:
         answer = device.answer(b"\x17" + words(100, 3, 101, 1) + b"\2" + words(7))
         assert answer == b"\x17\6" + words(0, 7, 0)
 
-    @settings(max_examples=100, deadline=None)
+    @settings(max_examples=50)
     @given(
         code=st.sampled_from([15, 16, 20, 21, 23]),
         count=st.integers(0, 65535),
@@ -1563,7 +1563,7 @@ class TestHooks:
 class TestNoise:
     """The functions that the model does not know."""
 
-    @settings(max_examples=300, deadline=None)
+    @settings(max_examples=150)
     @given(
         st.sampled_from([*sorted(set(pdu.REQUESTS) - set(KNOWN)), 0, 9, 65, 127]),
         st.binary(max_size=252) | st.binary(max_size=6),

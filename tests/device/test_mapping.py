@@ -335,7 +335,7 @@ class TestAccess:
         assert {type(bit) for bit in made} == {bool}
         assert list(made.view) == [0, int(value != 0), int(value != 0), int(value == 0)]
 
-    @settings(max_examples=80, deadline=None)
+    @settings(max_examples=40)
     @given(
         name=st.sampled_from(TABLES),
         first=st.integers(0, 65516),

@@ -110,7 +110,7 @@ def test_a_request_for_two_files_needs_both() -> None:
 runs = st.tuples(st.integers(0, 30), st.integers(1, 12))
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=100)
 @given(st.lists(runs, max_size=6), runs)
 def test_parts_of_a_table_cover_what_their_items_do(
     allowed: list[tuple[int, int]], asked: tuple[int, int]

@@ -266,9 +266,7 @@ POINTS = st.builds(
 )
 
 
-@settings(
-    max_examples=50, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+@settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.lists(POINTS, min_size=1, max_size=5, unique_by=lambda point: point.name))
 def test_what_is_written_is_read(tmp_path: Path, points: list[Point]) -> None:
     assert list(loaded(tmp_path, csv_text(points)).values()) == points
@@ -284,9 +282,7 @@ JUNK = st.sampled_from(
 )
 
 
-@settings(
-    max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+@settings(max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.binary(max_size=300) | st.lists(JUNK, max_size=60).map(b"".join))
 @example(b"name,address\n" + b'"' * 5000)
 @example(b"name,address\n" + b"," * 200_000)

@@ -12,7 +12,7 @@ from fractions import Fraction
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from libmodbus_py import Point
@@ -87,7 +87,6 @@ def test_the_nearest_raw_number_is_written(value: Any, scale: float, raw: int) -
 INTEGERS = {"int16": (16, True), "uint16": (16, False), "int32": (32, True), "uint64": (64, False)}
 
 
-@settings(deadline=None)
 @given(
     st.sampled_from(sorted(INTEGERS)),
     st.decimals(min_value="0.00001", max_value=1000, places=5),
@@ -109,7 +108,6 @@ def test_scaled_integers_are_exact_and_come_back(
     assert made.encode(value) == cells
 
 
-@settings(deadline=None)
 @given(
     st.floats(width=32, allow_nan=False, allow_infinity=False),
     st.sampled_from([0.1, 10, -3.5, 1e-6]),

@@ -406,7 +406,7 @@ class TestRtu:
         assert frames == [READ]
         assert errors
 
-    @settings(max_examples=150, deadline=None)
+    @settings(max_examples=75)
     @given(
         st.binary(min_size=1, max_size=20),
         st.sampled_from(
@@ -426,7 +426,7 @@ class TestRtu:
         assert framer.pending == 0
         assert take(framer, good) == ([frame], [])
 
-    @settings(max_examples=100, deadline=None)
+    @settings(max_examples=50)
     @given(st.binary(min_size=1, max_size=20))
     def test_garbage_in_front_of_a_frame_is_reported(self, garbage: bytes) -> None:
         stream = garbage + rtu(*READ[:2])
@@ -930,7 +930,7 @@ cuts = st.lists(st.integers(0, 12), max_size=20)
 
 class TestWhateverComes:
     @each_framer
-    @settings(max_examples=120, deadline=None)
+    @settings(max_examples=60)
     @given(stream=streams, sizes=cuts, silences=st.sets(st.integers(0, 20)))
     def test_nothing_but_frame_errors_is_raised(
         self, make: Callable[[], AnyFramer], stream: bytes, sizes: list[int], silences: set[int]
@@ -947,7 +947,7 @@ class TestWhateverComes:
             assert framer.pending <= PENDING[type(framer)]
 
     @each_framer
-    @settings(max_examples=120, deadline=None)
+    @settings(max_examples=60)
     @given(stream=streams, sizes=cuts)
     def test_frames_do_not_depend_on_how_bytes_arrive(
         self, make: Callable[[], AnyFramer], stream: bytes, sizes: list[int]
@@ -960,7 +960,7 @@ class TestWhateverComes:
         assert frames == whole
 
     @each_framer
-    @settings(max_examples=60, deadline=None)
+    @settings(max_examples=30)
     @given(
         unit=st.integers(0, 255),
         values=st.lists(st.integers(0, 65535), min_size=1, max_size=123),

@@ -1588,7 +1588,7 @@ def attempt(decode: Callable[[bytes], Any], data: bytes) -> Any:
 
 
 class TestProperties:
-    @settings(max_examples=120, deadline=None)
+    @settings(max_examples=60)
     @given(requests())
     def test_requests_survive_the_wire(self, request_: Request[Any]) -> None:
         encoded = request_.encode()
@@ -1597,7 +1597,7 @@ class TestProperties:
         right = len(encoded) if tells_its_length(encoded) else 0
         assert pdu.request_length(encoded) == right
 
-    @settings(max_examples=120, deadline=None)
+    @settings(max_examples=60)
     @given(st.data())
     def test_results_survive_the_wire(self, data: st.DataObject) -> None:
         request = data.draw(requests())
@@ -1608,14 +1608,14 @@ class TestProperties:
         right = len(encoded) if tells_its_length(encoded) else 0
         assert pdu.response_length(encoded) == right
 
-    @settings(max_examples=60, deadline=None)
+    @settings(max_examples=30)
     @given(identifications, st.sampled_from(["basic", "regular", "extended"]))
     def test_any_identification_arrives_whole(self, objects: dict[int, bytes], level: str) -> None:
         last = LAST_OBJECT[pdu.interface.LEVELS[level]]
         wanted = {number: value for number, value in objects.items() if number <= last}
         assert served(objects, level)[0] == wanted
 
-    @settings(max_examples=400, deadline=None)
+    @settings(max_examples=200)
     @given(
         st.binary(max_size=260)
         | st.builds(
@@ -1638,7 +1638,7 @@ class TestProperties:
         else:
             assert outcome.encode() == data
 
-    @settings(max_examples=400, deadline=None)
+    @settings(max_examples=200)
     @given(
         st.sampled_from(one_of_each() + UNJUDGED),
         st.binary(max_size=260),

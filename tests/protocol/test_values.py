@@ -240,7 +240,7 @@ class TestOrders:
 
     @each_order
     @each_case("name", [*NUMBERS, "string:1", "string:7", "string:8"])
-    @settings(max_examples=60, deadline=None)
+    @settings(max_examples=15)
     @given(st.data())
     def test_what_is_encoded_is_decoded(self, name: str, order: str, data: st.DataObject) -> None:
         value = data.draw(strategy(name))
@@ -251,7 +251,7 @@ class TestOrders:
 
     @each_order
     @each_case("name", ["uint16", "uint32", "uint64"])
-    @settings(max_examples=60, deadline=None)
+    @settings(max_examples=15)
     @given(st.data())
     def test_each_order_is_its_own_inverse(
         self, name: str, order: str, data: st.DataObject
@@ -263,7 +263,7 @@ class TestOrders:
 
     @each_order
     @each_case("name", [name for name in NUMBERS if "int" in name or "bits" in name])
-    @settings(max_examples=60, deadline=None)
+    @settings(max_examples=15)
     @given(st.data())
     def test_what_is_decoded_is_encoded(self, name: str, order: str, data: st.DataObject) -> None:
         count = value_type(name).registers
@@ -489,7 +489,7 @@ class TestErrors:
     def test_registers_may_be_any_run_of_integers(self, registers: Any) -> None:
         assert decode(registers, "uint32") == 0x10002
 
-    @settings(max_examples=200, deadline=None)
+    @settings(max_examples=80)
     @given(
         st.lists(cell | st.integers(), max_size=5),
         st.sampled_from([*NUMBERS, "string:3", "string:8"]),
@@ -643,7 +643,7 @@ class TestText:
             with pytest.raises(error, match=named):
                 call()
 
-    @settings(max_examples=200, deadline=None)
+    @settings(max_examples=80)
     @given(
         st.text(max_size=20),
         st.integers(1, 40),
@@ -667,7 +667,7 @@ class TestText:
 class TestMany:
     @each_order
     @each_case("name", [*NUMBERS, "string:5"])
-    @settings(max_examples=40, deadline=None)
+    @settings(max_examples=10)
     @given(st.data())
     def test_values_lie_one_after_the_other(
         self, name: str, order: str, data: st.DataObject
@@ -730,7 +730,7 @@ class TestMany:
 
 
 class TestReadings:
-    @settings(max_examples=80, deadline=None)
+    @settings(max_examples=40)
     @given(st.lists(cell, min_size=1, max_size=6))
     def test_every_distinct_value_stands_once(self, registers: list[int]) -> None:
         expected: dict[tuple[str, str], str] = {}
@@ -868,14 +868,14 @@ class TestParseReference:
         with pytest.raises(TypeError, match="must be a string"):
             parse_reference(bad)
 
-    @settings(max_examples=150, deadline=None)
+    @settings(max_examples=75)
     @given(st.sampled_from("0134"), st.integers(1, 65536))
     def test_item_is_the_address_and_one(self, digit: str, item: int) -> None:
         assert parse_reference(f"{digit}{item:05}") == (DIGITS[digit], item - 1)
         if item <= 9999:
             assert parse_reference(f"{digit}{item:04}") == (DIGITS[digit], item - 1)
 
-    @settings(max_examples=150, deadline=None)
+    @settings(max_examples=75)
     @given(st.text("0123456789 +-_\u0661", max_size=7))
     def test_text_is_a_reference_or_a_value_error(self, text: str) -> None:
         try:

@@ -117,13 +117,13 @@ def test_errors_are_short_and_on_one_line() -> None:
         assert str(caught.value).isprintable()
 
 
-@settings(max_examples=500, deadline=None)
+@settings(max_examples=200)
 @given(st.binary(max_size=300) | st.builds(lambda rest: b"\x0c" + rest, st.binary(max_size=300)))
 def test_any_value(value: bytes) -> None:
     check_role_value(value)
 
 
-@settings(max_examples=500, deadline=None)
+@settings(max_examples=200)
 @given(st.text(max_size=300))
 def test_any_text(role: str) -> None:
     try:
@@ -146,7 +146,7 @@ def damaged(draw: st.DrawFn) -> bytes:
     return data
 
 
-@settings(max_examples=1500, deadline=None)
+@settings(max_examples=500)
 @given(damaged() | st.binary(max_size=200))
 def test_any_certificate(data: bytes) -> None:
     check_certificate(data)
