@@ -320,13 +320,14 @@ async def forgotten(asked: Asked) -> bool:
     return True
 
 
-@pytest.mark.parametrize(
+@each_case(
     "authorize",
     [lambda asked: None, lambda asked: 1, lambda asked: "yes", forgotten, lambda asked: 1 / 0],
     ids=["None", "1", "text", "coroutine", "raises"],
 )
 @pytest.mark.filterwarnings("ignore:coroutine 'forgotten' was never awaited")
 def test_a_mistake_opens_no_door(authorize: Any, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.clear()
     tables = Tables(authorize)
     for _ in range(3):
         assert tables.device.answer(pdu.WriteCoil(0, True).encode()) == b"\x85\x04"

@@ -1077,10 +1077,11 @@ class TestCanopen:
 
         assert Device(Mapping(), canopen=bus).answer(b"\x2b\x0d") == b"\xab\6"
 
-    @pytest.mark.parametrize("bad", [None, "text", 5, bytes(252), bytes(1000)], ids=type)
+    @each_case("bad", [None, "text", 5, bytes(252), bytes(1000)], ids=type)
     def test_what_no_answer_can_carry_is_a_failure(
         self, bad: Any, caplog: pytest.LogCaptureFixture
     ) -> None:
+        caplog.clear()
         device = Device(Mapping(), canopen=lambda data: bad)
         for _ in range(2):
             assert device.answer(b"\x2b\x0d") == b"\xab\4"
@@ -1144,10 +1145,11 @@ class TestHandlers:
         for code in (*range(1, 12), 99, 255):
             assert device.answer(bytes([0x64, 1, code])) == bytes([0xE4, code])
 
-    @pytest.mark.parametrize("bad", [None, "text", -1, 65536, bytes(253), bytes(1000)])
+    @each_case("bad", [None, "text", -1, 65536, bytes(253), bytes(1000)])
     def test_bug_or_bad_result_is_a_failure(
         self, bad: Any, caplog: pytest.LogCaptureFixture
     ) -> None:
+        caplog.clear()
         device = Device(Mapping(), handlers={Sum: lambda request: bad})
         for _ in range(2):
             assert device.answer(b"\x64\0") == b"\xe4\4"
@@ -1413,11 +1415,12 @@ class TestHooks:
             assert recorder.device.answer(request.encode(), caller) == b""
         assert recorder.calls == []
 
-    @pytest.mark.parametrize("request_", WRITES, ids=id_of)
-    @pytest.mark.parametrize("code", [*range(1, 12), 0x7F, 255])
+    @each_case("request_", WRITES, ids=id_of)
+    @each_case("code", [*range(1, 12), 0x7F, 255])
     def test_before_write_refuses_and_nothing_changes(
         self, request_: pdu.Request[Any], code: int, caplog: pytest.LogCaptureFixture
     ) -> None:
+        caplog.clear()
         refusal = errors.ExceptionResponse.of(code)
         told: list[Access] = []
 

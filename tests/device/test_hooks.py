@@ -61,8 +61,8 @@ class Unusual(BaseException):
 # --- what they raise ---------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize(
+@each_case("kind", KINDS)
+@each_case(
     "make",
     [
         asyncio.CancelledError,
@@ -77,6 +77,7 @@ class Unusual(BaseException):
 def test_whatever_they_raise_is_answered_4_and_logged_once(
     kind: str, make: Callable[[], BaseException], caplog: pytest.LogCaptureFixture
 ) -> None:
+    caplog.clear()
     device = made_device(kind, raising(make))
     request = KINDS[kind]
     for _ in range(3):
@@ -88,11 +89,12 @@ def test_whatever_they_raise_is_answered_4_and_logged_once(
     assert is_free(device)
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("error", [SystemExit, KeyboardInterrupt])
+@each_case("kind", KINDS)
+@each_case("error", [SystemExit, KeyboardInterrupt])
 def test_what_ends_a_process_goes_on(
     kind: str, error: type[BaseException], caplog: pytest.LogCaptureFixture
 ) -> None:
+    caplog.clear()
     device = made_device(kind, raising(error))
     with pytest.raises(error):
         device.answer(KINDS[kind])

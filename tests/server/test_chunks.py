@@ -438,7 +438,7 @@ def is_answered_in_c(device: Device, body: bytes, monkeypatch: pytest.MonkeyPatc
 WRITE_READ = b"\x17" + in_words(100, 1, 300, 1) + b"\2\0\1"
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("hooks", "in_c", "in_python"),
     [
         pytest.param(
@@ -645,7 +645,7 @@ def read_write_of(read: int, write: int) -> bytes:
 LIMITS = {1: 2000, 2: 2000, 3: 125, 4: 125, 15: 1968, 16: 123}
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("body", "is_good"),
     [
         *[
@@ -669,7 +669,7 @@ LIMITS = {1: 2000, 2: 2000, 3: 125, 4: 125, 15: 1968, 16: 123}
 def test_counts_at_their_limits(
     body: bytes, is_good: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.delattr(Device, "answer")
+    monkeypatch.delattr(Device, "answer", raising=False)
     end = End(Device(Mapping(65536, 65536, 65536, 65536)), "chunk")
     end.receive(adu(body, 1))
     refusal = bytes([body[0] | 0x80, 3])
@@ -677,7 +677,7 @@ def test_counts_at_their_limits(
     assert end.statistics.requests == 1
 
 
-@pytest.mark.parametrize(
+@each_case(
     "body",
     [
         b"\x0f\0\0\0\x09\x01\0",
@@ -693,7 +693,7 @@ def test_counts_at_their_limits(
 def test_a_byte_count_that_is_not_what_follows(
     body: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.delattr(Device, "answer")
+    monkeypatch.delattr(Device, "answer", raising=False)
     end = End(Device(Mapping(65536, 65536, 65536, 65536)), "chunk")
     end.receive(adu(body, 1))
     assert end.sent == adu(bytes([body[0] | 0x80, 3]), 1)

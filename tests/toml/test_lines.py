@@ -70,7 +70,7 @@ MISTAKES = [
 ]
 
 
-@pytest.mark.parametrize(("text", "line", "message"), MISTAKES)
+@each_case(("text", "line", "message"), MISTAKES)
 def test_a_mistake_in_an_unknown_table_names_its_own_line(
     text: str, line: int, message: str, tmp_path: Path
 ) -> None:
