@@ -4,6 +4,7 @@ What the tests share: a device with known contents, and a server for it on every
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 from collections.abc import Callable, Iterator
@@ -11,6 +12,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.testing.wires import SerialWire
@@ -24,6 +26,18 @@ UNIT = 17
 
 # A shell's background jobs ignore Ctrl-C, and so would the programs that tests start and interrupt.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+# A busy machine may take any time for an example. What else holds is as hypothesis has it, which
+# goes by where it runs.
+settings.register_profile("suite", settings(), deadline=None)
+settings.load_profile("suite")
+
+
+def pytest_collection_finish() -> None:
+    """Leave what was collected out of every later collection of garbage, which it makes slow."""
+    gc.collect()
+    gc.freeze()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

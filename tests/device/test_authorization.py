@@ -26,6 +26,7 @@ from libmodbus_py import (
 )
 from libmodbus_py.device.authorization import MOST_LINES, Guard, UnauthorizedError
 from libmodbus_py.device.event_log import EventLog
+from tests.support.cases import each_case
 
 CLASSES = {*pdu.REQUESTS.values(), pdu.ReadDeviceIdentification}
 
@@ -69,8 +70,8 @@ def test_there_is_an_example_of_each_class() -> None:
     assert {type(request) for request in REQUEST_OBJECTS} == CLASSES | {pdu.RawRequest}
 
 
-@pytest.mark.parametrize("request_", REQUEST_OBJECTS, ids=lambda each: type(each).__name__)
-@pytest.mark.parametrize("serial", [False, True], ids=["network", "serial line"])
+@each_case("request_", REQUEST_OBJECTS, ids=lambda each: type(each).__name__)
+@each_case("serial", [False, True], ids=["network", "serial line"])
 def test_what_is_denied_is_not_executed(request_: pdu.Request[Any], serial: bool) -> None:
     seen: list[Asked] = []
     tables = Tables(denying(seen))
@@ -87,7 +88,7 @@ def test_what_is_denied_is_not_executed(request_: pdu.Request[Any], serial: bool
     assert asked.request == (None if isinstance(request_, pdu.RawRequest) else request_)
 
 
-@pytest.mark.parametrize("example", examples("pdu"), ids=lambda each: each[:8].hex())
+@each_case("example", examples("pdu"), ids=lambda each: each[:8].hex())
 def test_what_is_allowed_is_answered_as_ever(example: bytes) -> None:
     guarded, free = Tables(lambda asked: True), Tables(None)
     assert guarded.device.answer(example) == free.device.answer(example)
@@ -95,7 +96,7 @@ def test_what_is_allowed_is_answered_as_ever(example: bytes) -> None:
     assert len(guarded.done) == len(free.done)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=100)
 @given(st.binary(min_size=1, max_size=253))
 def test_any_bytes_are_asked_about_once(data: bytes) -> None:
     seen: list[Asked] = []
@@ -172,7 +173,7 @@ def test_functions_of_ones_own_are_asked_about(own: type[Own]) -> None:
 # --- what is asked ---------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("request_", "writes", "reads"),
     [
         (pdu.ReadCoils(3, 5), [], [("coils", 3, 5)]),
@@ -231,7 +232,7 @@ def test_it_is_asked_each_time() -> None:
 # --- before everything else -------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("data", "otherwise"),
     [
         (pdu.ReadHoldingRegisters(50, 1).encode(), 2),  # what does not exist
@@ -319,13 +320,14 @@ async def forgotten(asked: Asked) -> bool:
     return True
 
 
-@pytest.mark.parametrize(
+@each_case(
     "authorize",
     [lambda asked: None, lambda asked: 1, lambda asked: "yes", forgotten, lambda asked: 1 / 0],
     ids=["None", "1", "text", "coroutine", "raises"],
 )
 @pytest.mark.filterwarnings("ignore:coroutine 'forgotten' was never awaited")
 def test_a_mistake_opens_no_door(authorize: Any, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.clear()
     tables = Tables(authorize)
     for _ in range(3):
         assert tables.device.answer(pdu.WriteCoil(0, True).encode()) == b"\x85\x04"

@@ -24,6 +24,7 @@ from libmodbus_py.device.reply import replier
 from libmodbus_py.protocol import errors
 from libmodbus_py.protocol.pdu import SubFunction
 from libmodbus_py.protocol.pdu.interface import identify
+from tests.support.cases import each_case
 from tests.support.vectors import EXCEPTIONS, REQUESTS, RESPONSES, FrameVector, rows
 
 BITS = {1: range(10, 2100), 2: range(20, 2100)}
@@ -309,7 +310,7 @@ class TestAgainstTheModel:
     def test_the_model_knows_the_twelve_functions(self) -> None:
         assert KNOWN == [1, 2, 3, 4, 5, 6, 15, 16, 20, 21, 22, 23]
 
-    @settings(max_examples=120, deadline=None)
+    @settings(max_examples=60)
     @given(st.lists(request_pdus(), min_size=1, max_size=12))
     def test_answers_and_contents_are_the_same(self, requests: list[bytes]) -> None:
         device, model = new_device(), Model()
@@ -322,7 +323,7 @@ class TestAgainstTheModel:
             assert device.answer(request).hex(" ") == model.answer(request).hex(" ")
         assert contents(device) == contents_of_model(model)
 
-    @settings(max_examples=150, deadline=None)
+    @settings(max_examples=75)
     @given(
         st.builds(
             lambda code, body: bytes([code]) + body,
@@ -337,7 +338,7 @@ class TestAgainstTheModel:
 
 
 class TestWorkedExamples:
-    @pytest.mark.parametrize(
+    @each_case(
         "vector",
         rows([vector for vector in RESPONSES if vector.request and vector.function in KNOWN]),
     )
@@ -404,7 +405,7 @@ class TestExceptions:
             for body in (b"", b"\2", b"\0\0\0\1"):
                 assert device.answer(bytes([code]) + body) == b""
 
-    @pytest.mark.parametrize(
+    @each_case(
         ("request_pdu", "code"),
         [
             # Section 6: quantity and constants before addresses, the length before all.
@@ -458,7 +459,7 @@ class TestExceptions:
         answer = device.answer(b"\x17" + words(100, 3, 101, 1) + b"\2" + words(7))
         assert answer == b"\x17\6" + words(0, 7, 0)
 
-    @settings(max_examples=100, deadline=None)
+    @settings(max_examples=50)
     @given(
         code=st.sampled_from([15, 16, 20, 21, 23]),
         count=st.integers(0, 65535),
@@ -549,7 +550,7 @@ class TestFiles:
         assert list(RecordFile([5, 6])) == [5, 6]
         assert list(RecordFile([])) == list(RecordFile({})) == []
 
-    @pytest.mark.parametrize(
+    @each_case(
         ("files", "error", "name"),
         [
             ({0: []}, ValueError, "file"),
@@ -681,7 +682,7 @@ class TestDiagnostics:
         assert not set(RESERVED) & set(SubFunction)
 
     @both_lines
-    @pytest.mark.parametrize("size", [2, 4, 100, 250])
+    @each_case("size", [2, 4, 100, 250])
     def test_query_data_come_back(self, serial: bool, size: int) -> None:
         data = bytes(at * 7 & 0xFF for at in range(size))
         device = new_device()
@@ -697,7 +698,7 @@ class TestDiagnostics:
                 assert answer == b"\x88\1"
 
     @both_lines
-    @pytest.mark.parametrize("sub_function", PLAIN)
+    @each_case("sub_function", PLAIN)
     def test_other_data_than_0_is_refused(self, serial: bool, sub_function: int) -> None:
         caller = caller_on(serial)
         for data in (b"\0\1", b"\1\0", b"\xff\0", b"\xff\xff"):
@@ -724,7 +725,7 @@ class TestDiagnostics:
         assert log[:4] == b"\x80\x40\x80\0"
         assert log[4:] == (b"" if data[0] else b"\x40\x80\x40\x80")
 
-    @pytest.mark.parametrize("data", [b"\0\1", b"\xff\1", b"\xff\xff", b"\1\0", b"\xfe\0"])
+    @each_case("data", [b"\0\1", b"\xff\1", b"\xff\xff", b"\1\0", b"\xfe\0"])
     def test_restart_takes_two_options(self, data: bytes) -> None:
         device, caller = new_device(), on_a_line()
         device.answer(b"\x03" + words(100, 1), caller)
@@ -851,13 +852,13 @@ class TestQueues:
             assert device.answer(b"\x18\0\0") == b"\x18\0\6\0\2" + words(1, 2)
         assert device.fifos == {0: [1, 2]}
 
-    @pytest.mark.parametrize("count", [0, 1, 30, 31])
+    @each_case("count", [0, 1, 30, 31])
     def test_up_to_31_registers_are_given(self, count: int) -> None:
         device = Device(Mapping(), fifos={65535: range(count)})
         answer = b"\x18" + words(2 + 2 * count, count) + words(*range(count))
         assert device.answer(b"\x18\xff\xff") == answer
 
-    @pytest.mark.parametrize("count", [32, 33, 125, 40_000])
+    @each_case("count", [32, 33, 125, 40_000])
     def test_longer_queues_are_refused(self, count: int) -> None:
         device = Device(Mapping(), fifos={7: []})
         device.fifos[7] = [1] * count
@@ -963,7 +964,7 @@ class TestIdentification:
             other = Device(Mapping(), identification=IDENTITY)
             assert identified(device, level) == identified(other, level)
 
-    @pytest.mark.parametrize(
+    @each_case(
         ("objects", "conformity"),
         [
             ({}, 0x81),
@@ -1012,7 +1013,7 @@ class TestIdentification:
             for number in known[1:]:
                 assert device.answer(page(code, number))[7] == number
 
-    @pytest.mark.parametrize("code", [0, 5, 6, 127, 128, 255])
+    @each_case("code", [0, 5, 6, 127, 128, 255])
     def test_other_codes_are_illegal_values(self, code: int) -> None:
         for number in (0, 77):
             assert new_device().answer(page(code, number)) == b"\xab\3"
@@ -1027,7 +1028,7 @@ class TestIdentification:
         for body in (b"\x2b", b"\x2b\x0e", page(1)[:3], page(1) + b"\0", page(0)[:3]):
             assert new_device().answer(body) == b"\xab\3"
 
-    @pytest.mark.parametrize(
+    @each_case(
         ("identification", "error"),
         [
             ({"Vendor": "x"}, ValueError),
@@ -1076,10 +1077,11 @@ class TestCanopen:
 
         assert Device(Mapping(), canopen=bus).answer(b"\x2b\x0d") == b"\xab\6"
 
-    @pytest.mark.parametrize("bad", [None, "text", 5, bytes(252), bytes(1000)], ids=type)
+    @each_case("bad", [None, "text", 5, bytes(252), bytes(1000)], ids=type)
     def test_what_no_answer_can_carry_is_a_failure(
         self, bad: Any, caplog: pytest.LogCaptureFixture
     ) -> None:
+        caplog.clear()
         device = Device(Mapping(), canopen=lambda data: bad)
         for _ in range(2):
             assert device.answer(b"\x2b\x0d") == b"\xab\4"
@@ -1143,10 +1145,11 @@ class TestHandlers:
         for code in (*range(1, 12), 99, 255):
             assert device.answer(bytes([0x64, 1, code])) == bytes([0xE4, code])
 
-    @pytest.mark.parametrize("bad", [None, "text", -1, 65536, bytes(253), bytes(1000)])
+    @each_case("bad", [None, "text", -1, 65536, bytes(253), bytes(1000)])
     def test_bug_or_bad_result_is_a_failure(
         self, bad: Any, caplog: pytest.LogCaptureFixture
     ) -> None:
+        caplog.clear()
         device = Device(Mapping(), handlers={Sum: lambda request: bad})
         for _ in range(2):
             assert device.answer(b"\x64\0") == b"\xe4\4"
@@ -1164,7 +1167,7 @@ class TestHandlers:
         assert device.answer(b"\x64\0") == b"\x64\0\1"
         assert seen == []
 
-    @pytest.mark.parametrize(
+    @each_case(
         "bad", [{0x64: len}, {"Sum": len}, {int: len}, {Sum: None}, {Sum: 5}, {None: len}], ids=str
     )
     def test_handlers_are_functions_by_class(self, bad: Any) -> None:
@@ -1343,7 +1346,7 @@ class TestHooks:
         assert not touching & untouching
         assert {type(request) for request in BEYOND} == touching
 
-    @pytest.mark.parametrize(("request_", "writes", "reads"), TOUCHES, ids=id_of)
+    @each_case(("request_", "writes", "reads"), TOUCHES, ids=id_of)
     def test_hooks_are_told_what_is_touched_in_order(
         self, request_: pdu.Request[Any], writes: list[Access], reads: list[Access]
     ) -> None:
@@ -1361,7 +1364,7 @@ class TestHooks:
         for (name, _), state in zip(recorder.calls, recorder.states, strict=True):
             assert state == (contents(plain) if name == "after_write" else before)
 
-    @pytest.mark.parametrize(("request_", "writes", "reads"), TOUCHES, ids=id_of)
+    @each_case(("request_", "writes", "reads"), TOUCHES, ids=id_of)
     def test_values_have_the_types_of_their_tables(
         self, request_: pdu.Request[Any], writes: list[Access], reads: list[Access]
     ) -> None:
@@ -1372,13 +1375,13 @@ class TestHooks:
             assert {type(value) for value in access.values} <= {kind}
             assert len(access.values) == (0 if name == "before_read" else access.count)
 
-    @pytest.mark.parametrize("request_", UNTOUCHING, ids=id_of)
+    @each_case("request_", UNTOUCHING, ids=id_of)
     def test_hooks_are_not_told_of_what_touches_nothing(self, request_: pdu.Request[Any]) -> None:
         recorder = Recorder()
         assert not recorder.device.answer(request_.encode(), CALLER)[0] & 0x80
         assert recorder.calls == []
 
-    @pytest.mark.parametrize("request_", BEYOND, ids=id_of)
+    @each_case("request_", BEYOND, ids=id_of)
     def test_hooks_never_see_what_does_not_exist(self, request_: pdu.Request[Any]) -> None:
         recorder = Recorder()
         before = contents(recorder.device)
@@ -1387,7 +1390,7 @@ class TestHooks:
         assert recorder.calls == []
         assert contents(recorder.device) == before
 
-    @pytest.mark.parametrize(("request_", "writes", "reads"), TOUCHES, ids=id_of)
+    @each_case(("request_", "writes", "reads"), TOUCHES, ids=id_of)
     def test_hooks_never_see_bad_requests(
         self, request_: pdu.Request[Any], writes: list[Access], reads: list[Access]
     ) -> None:
@@ -1412,11 +1415,12 @@ class TestHooks:
             assert recorder.device.answer(request.encode(), caller) == b""
         assert recorder.calls == []
 
-    @pytest.mark.parametrize("request_", WRITES, ids=id_of)
-    @pytest.mark.parametrize("code", [*range(1, 12), 0x7F, 255])
+    @each_case("request_", WRITES, ids=id_of)
+    @each_case("code", [*range(1, 12), 0x7F, 255])
     def test_before_write_refuses_and_nothing_changes(
         self, request_: pdu.Request[Any], code: int, caplog: pytest.LogCaptureFixture
     ) -> None:
+        caplog.clear()
         refusal = errors.ExceptionResponse.of(code)
         told: list[Access] = []
 
@@ -1434,7 +1438,7 @@ class TestHooks:
         assert told == []
         assert caplog.records == []
 
-    @pytest.mark.parametrize("request_", READS, ids=id_of)
+    @each_case("request_", READS, ids=id_of)
     def test_before_read_refuses_and_nothing_changes(self, request_: pdu.Request[Any]) -> None:
         def refuse(access: Access) -> None:
             raise errors.GatewayPathUnavailable
@@ -1562,7 +1566,7 @@ class TestHooks:
 class TestNoise:
     """The functions that the model does not know."""
 
-    @settings(max_examples=300, deadline=None)
+    @settings(max_examples=150)
     @given(
         st.sampled_from([*sorted(set(pdu.REQUESTS) - set(KNOWN)), 0, 9, 65, 127]),
         st.binary(max_size=252) | st.binary(max_size=6),

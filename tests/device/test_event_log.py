@@ -31,6 +31,7 @@ from libmodbus_py import (
 )
 from libmodbus_py.protocol.pdu import SubFunction
 from libmodbus_py.testing.wires import SerialWire
+from tests.support.cases import each_case
 
 COUNTERS = {
     "messages": SubFunction.BUS_MESSAGE_COUNT,
@@ -240,7 +241,7 @@ def test_clearing_the_overrun_counter_leaves_the_others(wire: SerialWire) -> Non
         assert line.diagnostics(SubFunction.BUS_COMMUNICATION_ERROR_COUNT) == 1
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("sub_function", "data", "error"),
     [
         (SubFunction.RESTART_COMMUNICATIONS, 1, IllegalDataValue),

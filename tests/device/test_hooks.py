@@ -17,6 +17,7 @@ import pytest
 from libmodbus_py import Access, Device, Hook, Mapping, Server, pdu
 from libmodbus_py.device import hooks as hooks_module
 from libmodbus_py.protocol import errors
+from tests.support.cases import each_case
 
 READ, WRITE = b"\3\0\0\0\1", b"\6\0\0\0\7"
 
@@ -60,8 +61,8 @@ class Unusual(BaseException):
 # --- what they raise ---------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize(
+@each_case("kind", KINDS)
+@each_case(
     "make",
     [
         asyncio.CancelledError,
@@ -76,6 +77,7 @@ class Unusual(BaseException):
 def test_whatever_they_raise_is_answered_4_and_logged_once(
     kind: str, make: Callable[[], BaseException], caplog: pytest.LogCaptureFixture
 ) -> None:
+    caplog.clear()
     device = made_device(kind, raising(make))
     request = KINDS[kind]
     for _ in range(3):
@@ -87,11 +89,12 @@ def test_whatever_they_raise_is_answered_4_and_logged_once(
     assert is_free(device)
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("error", [SystemExit, KeyboardInterrupt])
+@each_case("kind", KINDS)
+@each_case("error", [SystemExit, KeyboardInterrupt])
 def test_what_ends_a_process_goes_on(
     kind: str, error: type[BaseException], caplog: pytest.LogCaptureFixture
 ) -> None:
+    caplog.clear()
     device = made_device(kind, raising(error))
     with pytest.raises(error):
         device.answer(KINDS[kind])
@@ -195,7 +198,7 @@ def test_quick_ones_are_not_told_of(
 # --- hooks for some accesses -------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("places", "error", "message"),
     [
         ({"holding_registers": 100}, TypeError, "holding_registers must be a range .* not 100"),

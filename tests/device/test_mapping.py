@@ -17,12 +17,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from libmodbus_py import Device, Mapping
+from tests.support.cases import each_case
 
 BITS = ["coils", "discrete_inputs"]
 REGISTERS = ["holding_registers", "input_registers"]
 TABLES = BITS + REGISTERS
 
-each_table = pytest.mark.parametrize("name", TABLES)
+each_table = each_case("name", TABLES)
 each_bit_table = pytest.mark.parametrize("name", BITS)
 each_register_table = pytest.mark.parametrize("name", REGISTERS)
 
@@ -34,7 +35,7 @@ def table(name: str, addresses: int | range) -> Any:
 
 class TestArguments:
     @each_table
-    @pytest.mark.parametrize(
+    @each_case(
         ("given_addresses", "addresses"),
         [
             (0, range(0)),
@@ -56,7 +57,7 @@ class TestArguments:
         assert made[:] == [0] * len(addresses)
 
     @each_table
-    @pytest.mark.parametrize(
+    @each_case(
         ("bad", "error"),
         [
             (-1, ValueError),
@@ -122,7 +123,7 @@ class TestHoles:
                 made[address] = 1
 
     @each_table
-    @pytest.mark.parametrize(
+    @each_case(
         ("key", "missing"),
         [
             (slice(100, 121), 112),
@@ -143,9 +144,7 @@ class TestHoles:
         assert made[115:115] == []
 
     @each_table
-    @pytest.mark.parametrize(
-        "given_ranges", [lambda: iter(HOLES), lambda: set(HOLES), lambda: HOLES[::-1]]
-    )
+    @each_case("given_ranges", [lambda: iter(HOLES), lambda: set(HOLES), lambda: HOLES[::-1]])
     def test_ranges_of_any_iterable_and_order_are_taken(self, name: str, given_ranges: Any) -> None:
         assert table(name, given_ranges()).ranges == table(name, HOLES).ranges
 
@@ -170,7 +169,7 @@ class TestHoles:
         assert len(made) == 1000
 
     @each_table
-    @pytest.mark.parametrize(
+    @each_case(
         ("bad", "error", "text"),
         [
             ([range(10), range(9, 12)], ValueError, r"9\.\.11 overlaps 0\.\.9"),
@@ -243,7 +242,7 @@ class TestAccess:
         assert made[:] == [1, 0, 1, 1, 1, 0, 0, 0, 0, 1]
 
     @each_table
-    @pytest.mark.parametrize(
+    @each_case(
         "key",
         [
             slice(99, 105),
@@ -268,7 +267,7 @@ class TestAccess:
         assert made[:] == [0] * 10
 
     @each_table
-    @pytest.mark.parametrize("key", [1.0, "1", None, (1, 2), slice(1.0, 2), slice("a", None)])
+    @each_case("key", [1.0, "1", None, (1, 2), slice(1.0, 2), slice("a", None)])
     def test_addresses_are_integers(self, name: str, key: Any) -> None:
         made = table(name, 10)
         with pytest.raises(TypeError, match=f"address in <{name}"):
@@ -277,7 +276,7 @@ class TestAccess:
             made[key] = 0
 
     @each_table
-    @pytest.mark.parametrize("values", [[], [1], [1] * 3, [1] * 65537])
+    @each_case("values", [[], [1], [1] * 3, [1] * 65537])
     def test_as_many_values_as_addresses(self, name: str, values: list[int]) -> None:
         made = table(name, 10)
         with pytest.raises(ValueError, match=f"{name}: {len(values)} values for 2 addresses"):
@@ -327,7 +326,7 @@ class TestAccess:
         assert made[0:2] == [0, 65535]
 
     @each_bit_table
-    @pytest.mark.parametrize("value", [0, 1, 2, 255, 256, 65536, -1, 1 << 70, True, False])
+    @each_case("value", [0, 1, 2, 255, 256, 65536, -1, 1 << 70, True, False])
     def test_bits_become_0_or_1_whatever_integer_is_assigned(self, name: str, value: int) -> None:
         made = table(name, 4)
         made[1] = value
@@ -336,7 +335,7 @@ class TestAccess:
         assert {type(bit) for bit in made} == {bool}
         assert list(made.view) == [0, int(value != 0), int(value != 0), int(value == 0)]
 
-    @settings(max_examples=80, deadline=None)
+    @settings(max_examples=40)
     @given(
         name=st.sampled_from(TABLES),
         first=st.integers(0, 65516),
@@ -400,7 +399,7 @@ class TestTypedValues:
         assert made.read_values(0, "uint64", 16384, order="DCBA") == list(range(16384))
 
     @each_register_table
-    @pytest.mark.parametrize("address", [-1, 0, 99, 109, 110, 65535, 1 << 70])
+    @each_case("address", [-1, 0, 99, 109, 110, 65535, 1 << 70])
     def test_all_registers_of_a_value_exist(self, name: str, address: int) -> None:
         made = table(name, range(100, 110))
         for access in (
@@ -414,7 +413,7 @@ class TestTypedValues:
         assert made[:] == [0] * 10
 
     @each_register_table
-    @pytest.mark.parametrize(
+    @each_case(
         ("access", "error", "named"),
         [
             (lambda made: made.write(0, 70000, "uint16"), ValueError, "^value must be in 0"),
@@ -545,7 +544,7 @@ def runs_in_thread(work: Callable[[], object]) -> threading.Event:
 
 
 class TestLock:
-    @pytest.mark.parametrize(
+    @each_case(
         "work",
         [
             pytest.param(lambda mapping: mapping.coils[0], id="read"),

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from fuzz.checks import REQUEST_OBJECTS
 from libmodbus_py import Access, Allow, Caller, Device, Mapping, Rules, pdu
 from libmodbus_py.device.access import ACCESSES
+from tests.support.cases import each_case
 
 
 def device(rules: Rules) -> Device:
@@ -70,7 +71,7 @@ def test_the_examples_name_every_function_that_touches_tables() -> None:
     assert {type(request) for request in TABLES} == ACCESSES.keys() - {pdu.ReadWriteRegisters}
 
 
-@pytest.mark.parametrize("request_", TABLES, ids=lambda each: type(each).__name__)
+@each_case("request_", TABLES, ids=lambda each: type(each).__name__)
 def test_a_table_is_for_all_functions_that_touch_it(request_: pdu.Request[Any]) -> None:
     for name, tables in (
         (
@@ -109,7 +110,7 @@ def test_a_request_for_two_files_needs_both() -> None:
 runs = st.tuples(st.integers(0, 30), st.integers(1, 12))
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=100)
 @given(st.lists(runs, max_size=6), runs)
 def test_parts_of_a_table_cover_what_their_items_do(
     allowed: list[tuple[int, int]], asked: tuple[int, int]
@@ -144,7 +145,7 @@ def test_the_last_item_of_a_table() -> None:
 OTHERS = [request for request in REQUEST_OBJECTS if type(request) not in ACCESSES]
 
 
-@pytest.mark.parametrize("request_", OTHERS, ids=lambda each: type(each).__name__)
+@each_case("request_", OTHERS, ids=lambda each: type(each).__name__)
 def test_functions_that_touch_no_table_are_allowed_by_their_code(
     request_: pdu.Request[Any],
 ) -> None:
@@ -156,7 +157,7 @@ def test_functions_that_touch_no_table_are_allowed_by_their_code(
         assert allowed == (request_.function in functions and request_.function != 65)
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("functions", "data", "expected"),
     [
         (["8/0"], b"\x08\x00\x00\x12\x34", 0),
@@ -174,7 +175,7 @@ def test_sub_functions_and_mei_types(functions: list[str], data: bytes, expected
     assert code(device(Rules({None: Allow(functions=functions)})).answer(data)) == expected
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("allow", "data", "expected"),
     [
         (Allow(read=["coils"]), b"\x03\x00", 3),  # may read something: is told what is wrong
@@ -193,7 +194,7 @@ def test_what_cannot_be_decoded(allow: Allow, data: bytes, expected: int) -> Non
     assert code(device(Rules({None: allow})).answer(data)) == expected
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("make", "said"),
     [
         (lambda: Rules([]), "roles must be {role: Allow(...)}, not list"),

@@ -8,17 +8,19 @@ import contextlib
 import shutil
 import subprocess
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import pytest
 from pymodbus.server import ModbusSerialServer, ModbusTcpServer
 
-from libmodbus_py import Context, ExceptionResponse, Gateway, Route
+from libmodbus_py import Context, Device, ExceptionResponse, Gateway, Route
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.testing.wires import SerialWire
 from tests.interop.test_interop_libmodbus import C_CLIENT_CALLS, C_CLIENT_REFUSALS
 from tests.interop.test_interop_pymodbus import (
+    COUNTING,
     FRAMERS,
     SERIAL_SETTINGS,
     Asked,
@@ -28,6 +30,7 @@ from tests.interop.test_interop_pymodbus import (
     pymodbus_client,
     simulated_device,
 )
+from tests.support.cases import each
 from tests.support.gateways import passage
 from tests.support.interop import (
     BAUDRATE,
@@ -40,6 +43,8 @@ from tests.support.interop import (
     make_device,
     program,
     refusals,
+    restore,
+    restore_through,
 )
 
 # The other side is a line of another kind.
@@ -48,26 +53,36 @@ SIDES = {"tcp": "rtu", "rtu": "tcp"}
 # What a device answers on a serial line only.
 COUNTED_ON_LINES = {("rtu", 8, "restart"), ("rtu", 8, "messages")}
 
-# All that pymodbus can, there.
-CASES = [
-    pytest.param(front, case, id=f"{front}-{case.function}-{case.name}")
-    for front in SIDES
-    for case in (*asked(), *asked_beside_the_tables())
-    if front in case.transports and (front, case.function, case.name) not in COUNTED_ON_LINES
-]
+
+def cases(front: str) -> Iterator[Asked]:
+    """Yield all that pymodbus can, there."""
+    for case in (*asked(), *asked_beside_the_tables()):
+        if front in case.transports and (front, case.function, case.name) not in COUNTED_ON_LINES:
+            yield case
 
 
-@pytest.mark.parametrize(("front", "case"), CASES)
-def test_pymodbus_client_and_a_device_agree_through_it(front: str, case: Asked) -> None:
+@pytest.mark.parametrize("front", SIDES)
+def test_pymodbus_client_and_a_device_agree_through_it(front: str) -> None:
     device = make_device()
-    with passage(front, SIDES[front], {UNIT: device}) as through:
-        place = Place(parse(through.url), through.wire)  # type: ignore[arg-type]
-        with pymodbus_client(front, place) as client:
-            response = case.ask(client)
-        assert not response.isError(), response
-        if case.function not in (11, 12):  # what a device counts, a gateway's line counts, too
-            assert case.answer(response) == case.expected
-        assert case.look(device) == case.seen
+    with passage(front, SIDES[front], {UNIT: device}) as through, ExitStack() as own:
+        for check, case in each(cases(front), lambda case: f"{case.function}-{case.name}"):
+            with check:
+                at, its = through, device
+                if case.function in COUNTING:
+                    its = make_device()
+                    at = own.enter_context(passage(front, SIDES[front], {UNIT: its}))
+                restore(its)
+                agree(case, front, Place(parse(at.url), at.wire), its)  # type: ignore[arg-type]
+            own.close()
+
+
+def agree(case: Asked, front: str, place: Place, device: Device) -> None:
+    with pymodbus_client(front, place) as client:
+        response = case.ask(client)
+    assert not response.isError(), response
+    if case.function not in (11, 12):  # what a device counts, a gateway's line counts, too
+        assert case.answer(response) == case.expected
+    assert case.look(device) == case.seen
 
 
 @contextlib.contextmanager
@@ -108,18 +123,18 @@ def before(line: str) -> Iterator[Context]:
         yield context
 
 
-def check(context: Context, each: Exchange) -> None:
-    assert each.ask(context) == each.answer
-    assert each.look(context) == each.seen
+def check(context: Context, exchange: Exchange) -> None:
+    assert exchange.ask(context) == exchange.answer
+    assert exchange.look(context) == exchange.seen
 
 
 @pytest.mark.parametrize("transport", SIDES)
-@pytest.mark.parametrize(
-    "exchange", list(exchanges()), ids=lambda each: f"{each.function}-{each.name}"
-)
-def test_context_and_pymodbus_server_agree_through_it(exchange: Exchange, transport: str) -> None:
+def test_context_and_pymodbus_server_agree_through_it(transport: str) -> None:
     with before_pymodbus(transport) as context:
-        check(context, exchange)
+        for verdict, exchange in each(exchanges(), lambda case: f"{case.function}-{case.name}"):
+            with verdict:
+                check(context, exchange)
+                restore_through(context, exchange.function)
 
 
 @contextlib.contextmanager
@@ -143,13 +158,14 @@ def before_c_server(server: Path, transport: str) -> Iterator[Context]:
 def test_context_and_c_server_agree_through_it(
     compiled: Callable[[str], Path], transport: str
 ) -> None:
-    for each in exchanges():
-        with before_c_server(compiled("server"), transport) as context:
-            check(context, each)
     with before_c_server(compiled("server"), transport) as context:
-        for each in refusals():
+        for verdict, exchange in each(exchanges(), lambda case: f"{case.function}-{case.name}"):
+            with verdict:
+                check(context, exchange)
+                restore_through(context, exchange.function)
+        for exchange in refusals():
             with pytest.raises(ExceptionResponse):
-                each.ask(context)
+                exchange.ask(context)
 
 
 @pytest.mark.parametrize("front", SIDES)

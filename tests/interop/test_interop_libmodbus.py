@@ -33,11 +33,13 @@ from libmodbus_py.binding.low_level import lib, loaded_version
 from libmodbus_py.client import libmodbus as carrier
 from libmodbus_py.testing.wires import SerialWire
 from tests.support.c_programs import compile_c
+from tests.support.cases import each
 from tests.support.interop import (
     BAUDRATE,
     TIMEOUT,
     UNIT,
     Exchange,
+    Record,
     case_id,
     cells,
     coil,
@@ -47,20 +49,23 @@ from tests.support.interop import (
     our_server,
     program,
     refusals,
+    restore_through,
+    tried,
 )
 
 EXAMPLES = Path("/usr/share/doc/libmodbus-dev/examples")
 TRANSPORTS = ("tcp", "rtu")
 WAYS = {"native": True, "python": False}
 
+each_transport = pytest.mark.parametrize("transport", TRANSPORTS)
+
 
 # --- our contexts, C's server ------------------------------------------------------------
 
 
 @contextlib.contextmanager
-def c_server(server: Path, transport: str, **options: Any) -> Iterator[Context]:
-    """Give a context of ours that is connected to the C server."""
-    options = {"unit": UNIT, "timeout": TIMEOUT, **options}
+def c_serving(server: Path, transport: str) -> Iterator[Callable[..., Context]]:
+    """Yield what connects a context of ours to the C server."""
     with contextlib.ExitStack() as stack:
         if transport == "tcp":
             process = stack.enter_context(program(server, "tcp", 0))
@@ -71,28 +76,31 @@ def c_server(server: Path, transport: str, **options: Any) -> Iterator[Context]:
         assert process.stdout is not None
         word, port = process.stdout.readline().split()
         assert word == "ready"
-        if transport == "tcp":
-            yield stack.enter_context(TcpContext("127.0.0.1", int(port), **options))
-        else:
-            yield stack.enter_context(RtuContext(wire.client, BAUDRATE, **options))
+
+        def connect(**options: Any) -> Context:
+            options = {"unit": UNIT, "timeout": TIMEOUT, **options}
+            if transport == "tcp":
+                return TcpContext("127.0.0.1", int(port), **options)
+            return RtuContext(wire.client, BAUDRATE, **options)
+
+        yield connect
 
 
-def to_c_server(cases: Iterable[Exchange]) -> Any:
-    """Each case over each transport, in each way that a context has."""
-    return pytest.mark.parametrize(
-        ("exchange", "transport", "way"),
-        [
-            pytest.param(
-                exchange,
-                transport,
-                WAYS[way],
-                id=case_id("libmodbus", "client", transport, exchange.function, exchange.name, way),
-            )
-            for exchange in cases
-            for transport in TRANSPORTS
-            for way in WAYS
-        ],
-    )
+@contextlib.contextmanager
+def c_server(server: Path, transport: str, **options: Any) -> Iterator[Context]:
+    """Yield a context of ours that is connected to the C server."""
+    with c_serving(server, transport) as connect, connect(**options) as context:
+        yield context
+
+
+def to_c_server(
+    cases: Iterable[Exchange], transport: str
+) -> Iterator[tuple[str, tuple[Exchange, bool]]]:
+    """Yield each case in each way that a context has, with its id."""
+    for exchange in cases:
+        for way in WAYS:
+            name = case_id("libmodbus", "client", transport, exchange.function, exchange.name, way)
+            yield name, (exchange, WAYS[way])
 
 
 def who_it_is() -> Iterator[Exchange]:
@@ -101,26 +109,33 @@ def who_it_is() -> Iterator[Exchange]:
     yield Exchange(17, "id", lambda c: c.report_server_id(), answer)
 
 
-@to_c_server([*exchanges(), *who_it_is()])
+@each_transport
 def test_context_and_c_server_agree(
-    compiled: Callable[[str], Path], exchange: Exchange, transport: str, way: bool
+    compiled: Callable[[str], Path], transport: str, record_property: Record
 ) -> None:
-    with c_server(compiled("server"), transport, native=way) as context:
-        for _ in range(2):  # on a line the second goes the short way
-            assert exchange.ask(context) == exchange.answer
-            assert exchange.look(context) == exchange.seen
+    cases = to_c_server([*exchanges(), *who_it_is()], transport)
+    with c_serving(compiled("server"), transport) as connect:
+        for check, (exchange, way) in tried(record_property, cases):
+            with check, connect(native=way) as context:
+                for _ in range(2):  # on a line the second goes the short way
+                    assert exchange.ask(context) == exchange.answer
+                    assert exchange.look(context) == exchange.seen
+                restore_through(context, exchange.function)
 
 
-@to_c_server(refusals())
+@each_transport
 def test_context_raises_what_c_server_refuses(
-    compiled: Callable[[str], Path], exchange: Exchange, transport: str, way: bool
+    compiled: Callable[[str], Path], transport: str, record_property: Record
 ) -> None:
-    with c_server(compiled("server"), transport, native=way) as context:
-        for _ in range(2):
-            with pytest.raises(IllegalDataAddress) as caught:
-                exchange.ask(context)
-            assert caught.value.function == exchange.function
-        assert context.read_holding_registers(399, 1) == [1399]
+    cases = to_c_server(refusals(), transport)
+    with c_serving(compiled("server"), transport) as connect:
+        for check, (exchange, way) in tried(record_property, cases):
+            with check, connect(native=way) as context:
+                for _ in range(2):
+                    with pytest.raises(IllegalDataAddress) as caught:
+                        exchange.ask(context)
+                    assert caught.value.function == exchange.function
+                assert context.read_holding_registers(399, 1) == [1399]
 
 
 @pytest.mark.parametrize("way", WAYS.values(), ids=WAYS)
@@ -288,30 +303,22 @@ def c_client_runs(compiled: Callable[[str], Path]) -> Callable[[str], tuple[str,
     return run
 
 
-@pytest.mark.parametrize(
-    ("transport", "line"),
-    [
-        pytest.param(
-            transport, f"FC {function} ok", id=case_id("libmodbus", "server", transport, function)
-        )
-        for transport in TRANSPORTS
+@each_transport
+def test_c_client_is_content_with_our_server(
+    c_client_runs: Callable[[str], tuple[str, Device]], transport: str, record_property: Record
+) -> None:
+    printed = c_client_runs(transport)[0].splitlines()
+    done = [
+        (case_id("libmodbus", "server", transport, function), f"FC {function} ok")
         for function in C_CLIENT_CALLS
     ]
-    + [
-        pytest.param(
-            transport,
-            f"FC {function} refused",
-            id=case_id("libmodbus", "server", transport, function, "refused"),
-        )
-        for transport in TRANSPORTS
+    refused = [
+        (case_id("libmodbus", "server", transport, function, "refused"), f"FC {function} refused")
         for function in C_CLIENT_REFUSALS
-    ],
-)
-def test_c_client_is_content_with_our_server(
-    c_client_runs: Callable[[str], tuple[str, Device]], transport: str, line: str
-) -> None:
-    printed, _ = c_client_runs(transport)
-    assert line in printed.splitlines()
+    ]
+    for check, line in tried(record_property, done + refused):
+        with check:
+            assert line in printed
 
 
 @pytest.mark.parametrize("transport", TRANSPORTS)
@@ -334,8 +341,8 @@ def test_c_client_leaves_its_writes_in_our_mapping(
 # --- through libmodbus's own calls ------------------------------------------------------------
 
 
-def asked_of_libmodbus() -> list[Any]:
-    """Each function, and whether libmodbus has it."""
+def asked_of_libmodbus() -> Iterator[tuple[int, Callable[[Context], object], bool]]:
+    """Yield each function with a call of it, and whether libmodbus has it."""
     known: dict[int, Callable[[Context], object]] = {
         1: lambda c: c.read_coils(10, 5),
         2: lambda c: c.read_discrete_inputs(20, 5),
@@ -359,20 +366,14 @@ def asked_of_libmodbus() -> list[Any]:
         24: lambda c: c.read_fifo_queue(100),
         43: lambda c: c.read_device_identification("regular"),
     }
-    return [
-        pytest.param(ask, is_known, id=f"fc{code:02}")
-        for asks, is_known in ((known, True), (unknown, False))
-        for code, ask in asks.items()
-    ]
+    for asks, is_known in ((known, True), (unknown, False)):
+        for code, ask in asks.items():
+            yield code, ask, is_known
 
 
-@pytest.mark.parametrize("transport", TRANSPORTS)
-@pytest.mark.parametrize(("ask", "is_known"), asked_of_libmodbus())
+@each_transport
 def test_native_context_takes_the_short_way_with_what_libmodbus_has(
-    monkeypatch: pytest.MonkeyPatch,
-    ask: Callable[[Context], object],
-    is_known: bool,
-    transport: str,
+    monkeypatch: pytest.MonkeyPatch, transport: str
 ) -> None:
     ways: list[int] = []
 
@@ -385,12 +386,13 @@ def test_native_context_takes_the_short_way_with_what_libmodbus_has(
     monkeypatch.setattr(carrier, "lib", Counting)
     options: dict[str, Any] = {"unit": UNIT, "timeout": TIMEOUT}
     with our_server(transport, {UNIT: make_device()}) as place:
-        for native in (True, False):
-            with Context.from_url(str(place.end), native=native, **options) as context:
-                context.read_coils(10, 1)  # on a line, the first answer must have been exact
-                ways.clear()
-                ask(context)
-                assert len(ways) == (native and is_known)
+        for check, (function, ask, is_known) in each(asked_of_libmodbus()):
+            for native in (True, False):
+                with check, Context.from_url(str(place.end), native=native, **options) as context:
+                    context.read_coils(10, 1)  # on a line, the first answer must have been exact
+                    ways.clear()
+                    ask(context)
+                    assert len(ways) == (native and is_known), f"{function}, native={native}"
 
 
 @pytest.mark.parametrize("transport", TRANSPORTS)

@@ -36,6 +36,7 @@ from libmodbus_py import (
 )
 from libmodbus_py.protocol.pdu import SubFunction
 from libmodbus_py.testing.wires import SerialWire
+from tests.support.cases import each
 from tests.support.interop import (
     BAUDRATE,
     COILS,
@@ -51,6 +52,7 @@ from tests.support.interop import (
     UNKNOWN_FUNCTIONS,
     Exchange,
     Place,
+    Record,
     case_id,
     cells,
     coil,
@@ -62,6 +64,9 @@ from tests.support.interop import (
     our_server,
     record,
     refusals,
+    restore,
+    restore_through,
+    tried,
 )
 
 FRAMERS = {
@@ -454,47 +459,71 @@ def asked_in_vain() -> Iterator[Asked]:
         )
 
 
-def to_our_server(cases: Iterator[Asked]) -> Any:
-    return pytest.mark.parametrize(
-        ("case", "transport"),
-        [
-            pytest.param(
-                case,
-                transport,
-                id=case_id("pymodbus", "server", transport, case.function, case.name),
-            )
-            for case in cases
-            for transport in case.transports
-        ],
-    )
+# What a device counts, it counts from its start on: these want one of their own.
+COUNTING = (8, 11, 12)
+
+each_transport = pytest.mark.parametrize("transport", TRANSPORTS)
 
 
-@to_our_server(asked())
-def test_pymodbus_client_and_our_server_agree(case: Asked, transport: str) -> None:
+def named(cases: Iterator[Asked], transport: str) -> Iterator[tuple[str, Asked]]:
+    """Yield those cases that there are on the transport, each with its id."""
+    for case in cases:
+        if transport in case.transports:
+            yield case_id("pymodbus", "server", transport, case.function, case.name), case
+
+
+@contextlib.contextmanager
+def our_servers(transport: str) -> Iterator[Callable[[Asked], tuple[Place, Device]]]:
+    """Yield what returns a server for a case: the same one, restored, or one of its own."""
     device = make_device()
-    with our_server(transport, {UNIT: device}) as place:
-        with pymodbus_client(transport, place) as client:
-            response = case.ask(client)
-        assert not response.isError(), response
-        assert case.answer(response) == case.expected
-        assert case.look(device) == case.seen
-        assert case.function in (11, 12) or place.function == case.function
+    with our_server(transport, {UNIT: device}) as place, contextlib.ExitStack() as own:
+
+        def server(case: Asked) -> tuple[Place, Device]:
+            own.close()
+            if case.function in COUNTING:
+                counting = make_device()
+                return own.enter_context(our_server(transport, {UNIT: counting})), counting
+            restore(device)
+            place.wire.clear()
+            return place, device
+
+        yield server
 
 
-@to_our_server(asked_in_vain())
-def test_pymodbus_client_sees_our_refusal_and_nothing_changes(case: Asked, transport: str) -> None:
-    device, untouched = make_device(), make_device()
-    with our_server(transport, {UNIT: device}) as place:
-        with pymodbus_client(transport, place) as client:
-            response = case.ask(client)
-            assert response.isError()
-            assert response.exception_code == case.expected
-            # and the line goes on
-            assert client.read_coils(12, device_id=UNIT).bits[0] is True
-        assert place.function == case.function
-    assert device.mapping.coils[:] == untouched.mapping.coils[:]
-    assert device.mapping.holding_registers[:] == untouched.mapping.holding_registers[:]
-    assert list(device.files[4]) == list(untouched.files[4])
+@each_transport
+def test_pymodbus_client_and_our_server_agree(transport: str, record_property: Record) -> None:
+    with our_servers(transport) as server:
+        for check, case in tried(record_property, named(asked(), transport)):
+            with check:
+                place, device = server(case)
+                with pymodbus_client(transport, place) as client:
+                    response = case.ask(client)
+                assert not response.isError(), response
+                assert case.answer(response) == case.expected
+                assert case.look(device) == case.seen
+                assert case.function in (11, 12) or place.function == case.function
+
+
+@each_transport
+def test_pymodbus_client_sees_our_refusal_and_nothing_changes(
+    transport: str, record_property: Record
+) -> None:
+    untouched = make_device()
+    with our_servers(transport) as server:
+        for check, case in tried(record_property, named(asked_in_vain(), transport)):
+            with check:
+                place, device = server(case)
+                with pymodbus_client(transport, place) as client:
+                    response = case.ask(client)
+                    assert response.isError()
+                    assert response.exception_code == case.expected
+                    # and the line goes on
+                    assert client.read_coils(12, device_id=UNIT).bits[0] is True
+                assert place.function == case.function
+                assert device.mapping.coils[:] == untouched.mapping.coils[:]
+                registers = untouched.mapping.holding_registers[:]
+                assert device.mapping.holding_registers[:] == registers
+                assert list(device.files[4]) == list(untouched.files[4])
 
 
 @pytest.mark.parametrize("transport", [each for each in TRANSPORTS if each != "tcp"])
@@ -734,9 +763,8 @@ def in_background(make_server: Callable[[], Any]) -> Iterator[Any]:
 
 
 @contextlib.contextmanager
-def pymodbus_server(transport: str, **options: Any) -> Iterator[Context]:
-    """Give a context of ours that is connected to a server of pymodbus."""
-    options = {"unit": UNIT, "timeout": TIMEOUT, **options}
+def pymodbus_serving(transport: str) -> Iterator[str]:
+    """Yield the URL of a server of pymodbus."""
     framer = FRAMERS[transport]
     if transport.endswith("tcp"):
 
@@ -745,8 +773,7 @@ def pymodbus_server(transport: str, **options: Any) -> Iterator[Context]:
 
         with in_background(make_tcp) as server:
             port = server.transport.sockets[0].getsockname()[1]
-            with Context.from_url(f"{transport}://127.0.0.1:{port}", **options) as context:
-                yield context
+            yield f"{transport}://127.0.0.1:{port}"
         return
     with SerialWire() as wire:
 
@@ -756,9 +783,19 @@ def pymodbus_server(transport: str, **options: Any) -> Iterator[Context]:
             )
 
         with in_background(make_serial):
-            address = f"{transport}://{wire.client}?baudrate={BAUDRATE}"
-            with Context.from_url(address, **options) as context:
-                yield context
+            yield f"{transport}://{wire.client}?baudrate={BAUDRATE}"
+
+
+def connected(url: str, **options: Any) -> Context:
+    """Return a context of ours for the unit there."""
+    return Context.from_url(url, **{"unit": UNIT, "timeout": TIMEOUT, **options})
+
+
+@contextlib.contextmanager
+def pymodbus_server(transport: str, **options: Any) -> Iterator[Context]:
+    """Yield a context of ours that is connected to a server of pymodbus."""
+    with pymodbus_serving(transport) as url, connected(url, **options) as context:
+        yield context
 
 
 # Framings that libmodbus does not speak, or not there, have one way only.
@@ -772,31 +809,26 @@ WAYS: dict[str, dict[str, dict[str, Any]]] = {
 }
 
 
-def to_pymodbus_server(cases: Iterator[Exchange]) -> Any:
-    return pytest.mark.parametrize(
-        ("exchange", "transport", "options"),
-        [
-            pytest.param(
-                exchange,
-                transport,
-                options,
-                id=case_id("pymodbus", "client", transport, exchange.function, exchange.name, way),
-            )
-            for exchange in cases
-            for transport in TRANSPORTS
-            for way, options in WAYS[transport].items()
-        ],
-    )
+def to_pymodbus_server(
+    cases: Iterator[Exchange], transport: str
+) -> Iterator[tuple[str, tuple[Exchange, dict[str, Any]]]]:
+    """Yield each case in each way that the transport has, with its id."""
+    for exchange in cases:
+        for way, options in WAYS[transport].items():
+            name = case_id("pymodbus", "client", transport, exchange.function, exchange.name, way)
+            yield name, (exchange, options)
 
 
-@to_pymodbus_server(exchanges())
-def test_context_and_pymodbus_server_agree(
-    exchange: Exchange, transport: str, options: dict[str, Any]
-) -> None:
-    with pymodbus_server(transport, **options) as context:
-        for _ in range(2):  # with native=None the second goes through libmodbus
-            assert exchange.ask(context) == exchange.answer
-            assert exchange.look(context) == exchange.seen
+@each_transport
+def test_context_and_pymodbus_server_agree(transport: str, record_property: Record) -> None:
+    cases = to_pymodbus_server(exchanges(), transport)
+    with pymodbus_serving(transport) as url:
+        for check, (exchange, options) in tried(record_property, cases):
+            with check, connected(url, **options) as context:
+                for _ in range(2):  # with native=None the second goes through libmodbus
+                    assert exchange.ask(context) == exchange.answer
+                    assert exchange.look(context) == exchange.seen
+                restore_through(context, exchange.function)
 
 
 def exchanges_beside_the_tables() -> Iterator[Exchange]:
@@ -818,13 +850,16 @@ def exchanges_beside_the_tables() -> Iterator[Exchange]:
     )
 
 
-@to_pymodbus_server(exchanges_beside_the_tables())
+@each_transport
 def test_context_and_pymodbus_server_agree_beside_the_tables(
-    exchange: Exchange, transport: str, options: dict[str, Any]
+    transport: str, record_property: Record
 ) -> None:
-    with pymodbus_server(transport, **options) as context:
-        for _ in range(2):
-            assert exchange.ask(context) == exchange.answer
+    cases = to_pymodbus_server(exchanges_beside_the_tables(), transport)
+    with pymodbus_serving(transport) as url:
+        for check, (exchange, options) in tried(record_property, cases):
+            with check, connected(url, **options) as context:
+                for _ in range(2):
+                    assert exchange.ask(context) == exchange.answer
 
 
 @pytest.fixture
@@ -839,42 +874,45 @@ def control() -> Iterator[Any]:
     block.ListenOnly = False
 
 
-@pytest.mark.parametrize(
-    ("level", "numbers"),
-    [
-        ("basic", (0, 1, 2)),
-        ("regular", (0, 1, 2, 3, 6)),
-        ("extended", (0, 1, 2, 3, 6, 128)),
-        (0, (0,)),
-        (128, (128,)),
-    ],
-)
+LEVELS: dict[str | int, tuple[int, ...]] = {
+    "basic": (0, 1, 2),
+    "regular": (0, 1, 2, 3, 6),
+    "extended": (0, 1, 2, 3, 6, 128),
+    0: (0,),
+    128: (128,),
+}
+
+
 @pytest.mark.parametrize(
     "transport",
     [pytest.param(each, id=case_id("pymodbus", "client", each, 43, "id")) for each in TRANSPORTS],
 )
-def test_context_reads_the_identification_of_pymodbus_server(
-    control: Any, transport: str, level: str | int, numbers: tuple[int, ...]
-) -> None:
+def test_context_reads_the_identification_of_pymodbus_server(control: Any, transport: str) -> None:
     control.Identity.stat_data.update({number: OBJECTS[number] for number in OBJECTS})
-    with pymodbus_server(transport) as context:
-        found = context.read_device_identification(level)
-        assert found.objects == {number: OBJECTS[number] for number in numbers}
-        assert found.conformity == 0x83
-        with pytest.raises(IllegalDataAddress):
-            context.read_device_identification(5)
+    with pymodbus_serving(transport) as url:
+        for check, (level, numbers) in each(LEVELS.items()):
+            with check, connected(url) as context:
+                found = context.read_device_identification(level)
+                assert found.objects == {number: OBJECTS[number] for number in numbers}
+                assert found.conformity == 0x83
+                with pytest.raises(IllegalDataAddress):
+                    context.read_device_identification(5)
 
 
-@to_pymodbus_server(refusals())
+@each_transport
 def test_context_raises_what_pymodbus_server_refuses(
-    exchange: Exchange, transport: str, options: dict[str, Any]
+    transport: str, record_property: Record
 ) -> None:
-    with pymodbus_server(transport, **options) as context:
-        for _ in range(2):
-            with pytest.raises(IllegalDataAddress) as caught:
-                exchange.ask(context)
-            assert caught.value.function == exchange.function
-        assert context.read_holding_registers(399, 1) == [1399]
+    cases = to_pymodbus_server(refusals(), transport)
+    with pymodbus_serving(transport) as url:
+        for check, (exchange, options) in tried(record_property, cases):
+            with check, connected(url, **options) as context:
+                for _ in range(2):
+                    with pytest.raises(IllegalDataAddress) as caught:
+                        exchange.ask(context)
+                    assert caught.value.function == exchange.function
+                assert context.read_holding_registers(399, 1) == [1399]
+                restore_through(context, exchange.function)
 
 
 def pinned(function: int) -> Any:
@@ -997,28 +1035,23 @@ class TestWherePymodbusServerErrs:
         with pymodbus_server(transport, timeout=timeout) as context, pytest.raises(error):
             context.encapsulated_transport(13, b"abc")
 
-    @pytest.mark.parametrize(
-        ("transport", "function", "error"),
-        [
-            pytest.param(
-                each, function, error, id=case_id("pymodbus", "client", each, function, "pinned")
-            )
-            for function in UNKNOWN_FUNCTIONS
-            for each, error in (
-                *((each, InvalidResponse) for each in NOT_RTU),
-                *((each, ModbusTimeoutError) for each in ON_RTU),
-            )
-        ],
-    )
+    @each_transport
     def test_unknown_function_is_answered_by_function_0_or_not_heard(
-        self, transport: str, function: int, error: type[ModbusError]
+        self, transport: str, record_property: Record
     ) -> None:
         # 80 01 instead of the code with 80 and 01; on RTU it has no length, and waits.
         timeout = TIMEOUT if transport in NOT_RTU else 0.2
-        with pymodbus_server(transport, timeout=timeout) as context:
-            with pytest.raises(error) as caught:
-                context.execute(pdu.RawRequest(function, b"ab"))
-            assert caught.value.function == function
+        error = InvalidResponse if transport in NOT_RTU else ModbusTimeoutError
+        cases = (
+            (case_id("pymodbus", "client", transport, function, "pinned"), function)
+            for function in UNKNOWN_FUNCTIONS
+        )
+        for check, function in tried(record_property, cases):
+            # What an RTU server has not understood would precede the next request.
+            with check, pymodbus_server(transport, timeout=timeout) as context:
+                with pytest.raises(error) as caught:
+                    context.execute(pdu.RawRequest(function, b"ab"))
+                assert caught.value.function == function
 
     @pytest.mark.parametrize("transport", TRANSPORTS)
     def test_unit_that_it_lacks_is_server_device_failure(self, transport: str) -> None:

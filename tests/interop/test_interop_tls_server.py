@@ -8,7 +8,7 @@ import asyncio
 import contextlib
 import ssl
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,8 @@ import pytest
 from pymodbus.client import AsyncModbusTlsClient, ModbusTlsClient
 
 from libmodbus_py import Access, Device, Mapping
-from tests.interop.test_interop_pymodbus import Asked, asked, asked_in_vain
+from libmodbus_py.testing.wires import TcpWire
+from tests.interop.test_interop_pymodbus import COUNTING, Asked, asked, asked_in_vain
 from tests.support import certificates
 from tests.support.attacks import adu
 from tests.support.certificates import Papers
@@ -24,11 +25,14 @@ from tests.support.interop import (
     COILS,
     TIMEOUT,
     UNIT,
+    Record,
     case_id,
     cells,
     coil,
     make_device,
     our_tls_server,
+    restore,
+    tried,
 )
 from tests.support.tls import VERSIONS, context
 
@@ -55,45 +59,59 @@ def pymodbus_client(papers: Papers, port: int) -> Iterator[Any]:
         client.close()
 
 
-def over_tls(cases: Iterator[Asked]) -> Any:
-    """What is asked over TCP."""
-    return pytest.mark.parametrize(
-        "case",
-        [
-            pytest.param(case, id=case_id("pymodbus", "server", "tls", case.function, case.name))
-            for case in cases
-            if "tcp" in case.transports
-        ],
-    )
+def over_tls(cases: Iterator[Asked]) -> Iterator[tuple[str, Asked]]:
+    """Yield what is asked over TCP, each case with its id."""
+    for case in cases:
+        if "tcp" in case.transports:
+            yield case_id("pymodbus", "server", "tls", case.function, case.name), case
 
 
-@over_tls(asked())
-def test_pymodbus_client_and_our_server_agree(papers: Papers, case: Asked) -> None:
+@contextlib.contextmanager
+def our_servers(papers: Papers) -> Iterator[Callable[[Asked], tuple[TcpWire, Device]]]:
+    """Yield what returns a server for a case: the same one, restored, or one of its own."""
     device = make_device()
-    with (
-        our_tls_server(papers, {UNIT: device}) as wire,
-        pymodbus_client(papers, wire.port) as client,
-    ):
-        response = case.ask(client)
-    assert not response.isError(), response
-    assert case.answer(response) == case.expected
-    assert case.look(device) == case.seen
+    with our_tls_server(papers, {UNIT: device}) as wire, contextlib.ExitStack() as own:
+
+        def server(case: Asked) -> tuple[TcpWire, Device]:
+            own.close()
+            if case.function in COUNTING:
+                counting = make_device()
+                return own.enter_context(our_tls_server(papers, {UNIT: counting})), counting
+            restore(device)
+            return wire, device
+
+        yield server
 
 
-@over_tls(asked_in_vain())
-def test_pymodbus_client_sees_our_refusal_and_nothing_changes(papers: Papers, case: Asked) -> None:
-    device, untouched = make_device(), make_device()
-    with (
-        our_tls_server(papers, {UNIT: device}) as wire,
-        pymodbus_client(papers, wire.port) as client,
-    ):
-        response = case.ask(client)
-        assert response.isError()
-        assert response.exception_code == case.expected
-        assert client.read_coils(12, device_id=UNIT).bits[0] is True
-    assert device.mapping.coils[:] == untouched.mapping.coils[:]
-    assert device.mapping.holding_registers[:] == untouched.mapping.holding_registers[:]
-    assert list(device.files[4]) == list(untouched.files[4])
+def test_pymodbus_client_and_our_server_agree(papers: Papers, record_property: Record) -> None:
+    with our_servers(papers) as server:
+        for check, case in tried(record_property, over_tls(asked())):
+            with check:
+                wire, device = server(case)
+                with pymodbus_client(papers, wire.port) as client:
+                    response = case.ask(client)
+                assert not response.isError(), response
+                assert case.answer(response) == case.expected
+                assert case.look(device) == case.seen
+
+
+def test_pymodbus_client_sees_our_refusal_and_nothing_changes(
+    papers: Papers, record_property: Record
+) -> None:
+    untouched = make_device()
+    with our_servers(papers) as server:
+        for check, case in tried(record_property, over_tls(asked_in_vain())):
+            with check:
+                wire, device = server(case)
+                with pymodbus_client(papers, wire.port) as client:
+                    response = case.ask(client)
+                    assert response.isError()
+                    assert response.exception_code == case.expected
+                    assert client.read_coils(12, device_id=UNIT).bits[0] is True
+                assert device.mapping.coils[:] == untouched.mapping.coils[:]
+                registers = untouched.mapping.holding_registers[:]
+                assert device.mapping.holding_registers[:] == registers
+                assert list(device.files[4]) == list(untouched.files[4])
 
 
 def test_pymodbus_asyncio_client_has_many_requests_in_flight(papers: Papers) -> None:

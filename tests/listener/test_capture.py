@@ -20,6 +20,7 @@ import pytest
 from libmodbus_py import CaptureError, Transaction, listening
 from libmodbus_py.listener.capture import CaptureReader, CaptureWriter
 from libmodbus_py.listener.transaction import Heard
+from tests.support.cases import each_case
 from tests.support.vectors import EXCEPTIONS, FRAMES, REQUESTS, RESPONSES
 
 DECODED = Path(__file__).with_name("decoded.pcapng")
@@ -127,7 +128,7 @@ class TestReader:
         (done,) = read(file)
         assert (done.time, done.unit, done.response, done.duration) == (1.0, 5, [7], 1.0)
 
-    @pytest.mark.parametrize(
+    @each_case(
         ("change", "what"),
         [
             (lambda data: b"", "no pcapng file"),
@@ -149,7 +150,7 @@ class TestReader:
             read(file)
         assert str(caught.value).startswith(str(file))
 
-    @pytest.mark.parametrize("seed", range(40))
+    @each_case("seed", range(40))
     def test_damaged_files(self, tmp_path: Path, seed: int) -> None:
         """They are read or refused, and nothing else."""
         choose = random.Random(seed)

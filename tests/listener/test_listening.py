@@ -39,6 +39,7 @@ from libmodbus_py import (
 from libmodbus_py.listener.tap import Tap
 from libmodbus_py.ports.endpoint import parse
 from tests.listener.shared_line import SharedLine
+from tests.support.cases import each_case
 from tests.support.talk import rtu
 
 UNIT = 17
@@ -488,7 +489,7 @@ class TestBetween:
 
 
 class TestArguments:
-    @pytest.mark.parametrize(
+    @each_case(
         ("url", "between", "what"),
         [
             ("tcp://127.0.0.1:1502", None, "the scheme must be rtu, ascii"),

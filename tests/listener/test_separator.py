@@ -15,6 +15,7 @@ import pytest
 
 from libmodbus_py import Separator, Transaction, pdu
 from libmodbus_py.listener.transaction import KINDS, Heard
+from tests.support.cases import each_case
 from tests.support.talk import ascii_frame, rtu
 from tests.support.vectors import EXCEPTIONS, REQUESTS, RESPONSES
 
@@ -51,8 +52,8 @@ def named(pieces: Iterable[Piece], framing: str = "rtu") -> list[tuple[str, byte
 class TestVectors:
     """The worked examples of the specification, one conversation after the other."""
 
-    @pytest.mark.parametrize("framing", ["rtu", "ascii"])
-    @pytest.mark.parametrize("step", [0, 1, 7], ids=["whole", "bytes", "sevens"])
+    @each_case("framing", ["rtu", "ascii"])
+    @each_case("step", [0, 1, 7], ids=["whole", "bytes", "sevens"])
     def test_every_question_finds_its_answer(self, framing: str, step: int) -> None:
         pairs = pairs_of(framing)
         assert len(pairs) > 15
@@ -156,8 +157,8 @@ class TestOneTransaction:
 
 
 class TestNoFunction:
-    @pytest.mark.parametrize("code", ["00", "80"])
-    @pytest.mark.parametrize("direction", [None, "client", "server"])
+    @each_case("code", ["00", "80"])
+    @each_case("direction", [None, "client", "server"])
     def test_is_damage(self, code: str, direction: str | None) -> None:
         separator = Separator("ascii")
         frame = ascii_frame(f"01 {code} 01")
@@ -179,12 +180,12 @@ class TestRepeats:
             ("answered", 2),
         ]
 
-    @pytest.mark.parametrize("question", ECHOED)
+    @each_case("question", ECHOED)
     def test_an_echo_is_the_answer_if_it_comes_soon(self, question: str) -> None:
         write = rtu("01" + question)
         assert kinds([(0.0, write), (0.005, write)]) == ["answered"]
 
-    @pytest.mark.parametrize("question", ECHOED)
+    @each_case("question", ECHOED)
     def test_and_the_question_again_if_it_comes_late(self, question: str) -> None:
         write = rtu("01" + question)
         assert kinds([(0.0, write), (1.0, write), (1.005, write)]) == ["unanswered", "answered"]
@@ -290,7 +291,7 @@ class TestDamage:
         done = listen(pieces)
         assert [each.kind for each in done if each.kind != "damaged"] == ["answered", "answered"]
 
-    @pytest.mark.parametrize("code", [3, 0x10, 0x55, 0x2B, 8, 0x83])
+    @each_case("code", [3, 0x10, 0x55, 0x2B, 8, 0x83])
     def test_a_front_that_claims_more_holds_up_nothing(self, code: int) -> None:
         """Behind silence a frame counts, whatever the front still waits for."""
         front = bytes([1, code, 0xFA, 0x00])
@@ -365,8 +366,8 @@ class TestDamage:
 class TestNoise:
     """Whatever comes, nothing is raised; and a line that is in order again is understood."""
 
-    @pytest.mark.parametrize("framing", ["rtu", "ascii"])
-    @pytest.mark.parametrize("seed", range(30))
+    @each_case("framing", ["rtu", "ascii"])
+    @each_case("seed", range(30))
     def test_recovers(self, framing: str, seed: int) -> None:
         choose = random.Random(seed)
         separator = Separator(framing)  # type: ignore[arg-type]

@@ -16,6 +16,7 @@ from libmodbus_py import MapError, Point, RegisterMap, load_map
 from libmodbus_py.maps.checking import remarks
 from libmodbus_py.maps.map_file import contents_of
 from libmodbus_py.maps.texts import csv_text, toml_text
+from tests.support.cases import each_case
 
 H, I = "holding_registers", "input_registers"  # noqa: E741
 
@@ -89,7 +90,7 @@ TABLES = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("text", "points"), TABLES)
+@each_case(("text", "points"), TABLES)
 def test_tables_of_vendors(tmp_path: Path, text: str, points: list[Point]) -> None:
     assert list(loaded(tmp_path, text).values()) == points
 
@@ -168,7 +169,7 @@ REFUSED = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("content", "message"), REFUSED, ids=range(len(REFUSED)))
+@each_case(("content", "message"), REFUSED, ids=range(len(REFUSED)))
 def test_csv_that_is_wrong(tmp_path: Path, content: str | bytes, message: str) -> None:
     wanted = message.format(tmp_path / "meter.csv")
     with pytest.raises(MapError, match=f"^{re.escape(wanted)}") as caught:
@@ -197,7 +198,7 @@ REFUSED_TOML = [
 ]
 
 
-@pytest.mark.parametrize(("content", "message"), REFUSED_TOML, ids=range(len(REFUSED_TOML)))
+@each_case(("content", "message"), REFUSED_TOML, ids=range(len(REFUSED_TOML)))
 def test_toml_that_is_wrong(tmp_path: Path, content: str, message: str) -> None:
     wanted = message.format(tmp_path / "meter.toml")
     with pytest.raises(MapError, match=f"^{re.escape(wanted)}") as caught:
@@ -266,9 +267,7 @@ POINTS = st.builds(
 )
 
 
-@settings(
-    max_examples=50, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+@settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.lists(POINTS, min_size=1, max_size=5, unique_by=lambda point: point.name))
 def test_what_is_written_is_read(tmp_path: Path, points: list[Point]) -> None:
     assert list(loaded(tmp_path, csv_text(points)).values()) == points
@@ -284,9 +283,7 @@ JUNK = st.sampled_from(
 )
 
 
-@settings(
-    max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+@settings(max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.binary(max_size=300) | st.lists(JUNK, max_size=60).map(b"".join))
 @example(b"name,address\n" + b'"' * 5000)
 @example(b"name,address\n" + b"," * 200_000)

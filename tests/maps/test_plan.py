@@ -23,6 +23,7 @@ from libmodbus_py import (
     values,
 )
 from libmodbus_py.maps.plan import Plan, Read, planned
+from tests.support.cases import each_case
 from tests.support.fake import FakeServer, mbap
 
 UNIT = 17
@@ -53,7 +54,7 @@ def answers(plan: Plan) -> list[list[Any]]:
 # --- examples ----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("items", "options", "expected"),
     [
         ([("coils", 5)], {}, [pdu.ReadCoils(5, 1)]),
@@ -161,7 +162,7 @@ def test_results_are_made_anew_each_time() -> None:
 # --- arguments ---------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("items", "options", "kind", "named"),
     [
         ("coils", {}, TypeError, "items must be a list"),

@@ -12,10 +12,11 @@ from fractions import Fraction
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from libmodbus_py import Point
+from tests.support.cases import each_case
 
 H = "holding_registers"
 
@@ -49,7 +50,7 @@ READ = [
 ]
 
 
-@pytest.mark.parametrize(("keys", "cells", "value"), READ)
+@each_case(("keys", "cells", "value"), READ)
 def test_cells_stand_for_values(keys: dict[str, Any], cells: list[Any], value: Any) -> None:
     made = point(**keys)
     assert repr(made.decode(cells)) == repr(value)
@@ -78,7 +79,7 @@ ROUNDED = [
 ]
 
 
-@pytest.mark.parametrize(("value", "scale", "raw"), ROUNDED)
+@each_case(("value", "scale", "raw"), ROUNDED)
 def test_the_nearest_raw_number_is_written(value: Any, scale: float, raw: int) -> None:
     assert point(scale=scale).encode(value) == [raw]
 
@@ -86,7 +87,6 @@ def test_the_nearest_raw_number_is_written(value: Any, scale: float, raw: int) -
 INTEGERS = {"int16": (16, True), "uint16": (16, False), "int32": (32, True), "uint64": (64, False)}
 
 
-@settings(deadline=None)
 @given(
     st.sampled_from(sorted(INTEGERS)),
     st.decimals(min_value="0.00001", max_value=1000, places=5),
@@ -108,7 +108,6 @@ def test_scaled_integers_are_exact_and_come_back(
     assert made.encode(value) == cells
 
 
-@settings(deadline=None)
 @given(
     st.floats(width=32, allow_nan=False, allow_infinity=False),
     st.sampled_from([0.1, 10, -3.5, 1e-6]),
@@ -165,7 +164,7 @@ REFUSED = [
 ]
 
 
-@pytest.mark.parametrize(("keys", "message"), REFUSED)
+@each_case(("keys", "message"), REFUSED)
 def test_a_point_that_cannot_be(keys: dict[str, Any], message: str) -> None:
     with pytest.raises((TypeError, ValueError), match=f"^{re.escape(message)}"):
         point(**keys)
@@ -198,7 +197,7 @@ UNFIT = [
 ]
 
 
-@pytest.mark.parametrize(("keys", "value", "message"), UNFIT)
+@each_case(("keys", "value", "message"), UNFIT)
 def test_a_value_that_a_point_cannot_have(keys: dict[str, Any], value: Any, message: str) -> None:
     with pytest.raises((TypeError, ValueError), match=f"^{re.escape(message)}"):
         point(**keys).encode(value)

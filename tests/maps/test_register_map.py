@@ -24,6 +24,7 @@ from libmodbus_py import (
     ServerDeviceBusy,
     pdu,
 )
+from tests.support.cases import each_case
 from tests.support.clients import Connect
 
 H = "holding_registers"
@@ -132,7 +133,7 @@ WRITES = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("values", "options", "requests"), WRITES)
+@each_case(("values", "options", "requests"), WRITES)
 def test_what_is_sent(values: Any, options: Any, requests: list[Any]) -> None:
     assert METER.writes(values, **options) == requests
 

@@ -11,9 +11,10 @@ import pytest
 
 from libmodbus_py.ports.endpoint import Endpoint, parse
 from libmodbus_py.ports.schemes import CLIENT_OPTIONS, SCHEMES, SERIAL_OPTIONS
+from tests.support.cases import each_case
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("url", "endpoint"),
     [
         ("tcp://192.0.2.10", Endpoint("tcp", "192.0.2.10", 502)),
@@ -56,29 +57,29 @@ def test_what_a_url_stands_for(url: str, endpoint: Endpoint) -> None:
     assert parse(url) == endpoint
 
 
-@pytest.mark.parametrize("scheme", SCHEMES)
-@pytest.mark.parametrize(
-    ("query", "value"),
-    [
-        ("unit=255", 255),
-        ("timeout=.5", 0.5),
-        ("retries=3", 3),
-        ("busy_retries=1", 1),
-        ("max_in_flight=4", 4),
-        ("turnaround=0.1", 0.1),
-        ("request_spacing=0.01", 0.01),
-        ("connect_delay=2", 2.0),
-        ("timeouts_before_reconnect=5", 5),
-        ("keepalive=30", 30.0),
-        ("keepalive=none", None),
-        ("max_pause=1.5", 1.5),
-        ("native=0", False),
-        ("native=TRUE", True),
-        ("accept_unit=any", "any"),
-        ("delimiter=10", 10),
-        ("delimiter=0x0D", 13),
-    ],
-)
+CLIENT_QUERIES: list[tuple[str, Any]] = [
+    ("unit=255", 255),
+    ("timeout=.5", 0.5),
+    ("retries=3", 3),
+    ("busy_retries=1", 1),
+    ("max_in_flight=4", 4),
+    ("turnaround=0.1", 0.1),
+    ("request_spacing=0.01", 0.01),
+    ("connect_delay=2", 2.0),
+    ("timeouts_before_reconnect=5", 5),
+    ("keepalive=30", 30.0),
+    ("keepalive=none", None),
+    ("max_pause=1.5", 1.5),
+    ("native=0", False),
+    ("native=TRUE", True),
+    ("accept_unit=any", "any"),
+    ("delimiter=10", 10),
+    ("delimiter=0x0D", 13),
+]
+
+
+@each_case("scheme", SCHEMES)
+@each_case(("query", "value"), CLIENT_QUERIES)
 def test_every_scheme_takes_the_options_of_clients(scheme: str, query: str, value: Any) -> None:
     place = "/dev/ttyS0" if SCHEMES[scheme][1] == "serial" else "h:1"  # type: ignore[index]
     endpoint = parse(f"{scheme}://{place}?{query}")
@@ -91,8 +92,7 @@ def test_every_scheme_takes_the_options_of_clients(scheme: str, query: str, valu
 
 
 def test_all_options_of_clients_are_tried_above() -> None:
-    tried = test_every_scheme_takes_the_options_of_clients.pytestmark[0].args[1]  # type: ignore[attr-defined]
-    assert {query.partition("=")[0] for query, _ in tried} == set(CLIENT_OPTIONS)
+    assert {query.partition("=")[0] for query, _ in CLIENT_QUERIES} == set(CLIENT_OPTIONS)
 
 
 def test_serial_settings_are_shown() -> None:
@@ -105,7 +105,7 @@ def test_serial_settings_are_shown() -> None:
 ASCII = {"data_bits": 7, "silence": 0.0}
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("url", "settings"),
     [
         ("ascii:///dev/ttyS0", ASCII),
@@ -122,7 +122,7 @@ def test_ascii_has_seven_data_bits_and_no_silence(url: str, settings: dict[str, 
 ALL = ", ".join([*SERIAL_OPTIONS, *CLIENT_OPTIONS])
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("url", "text"),
     [
         ("http://h", "the scheme must be one of tcp, rtu"),

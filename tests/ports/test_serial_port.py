@@ -24,6 +24,7 @@ from libmodbus_py import ModbusConnectionError
 from libmodbus_py.ports.port import Silence
 from libmodbus_py.ports.serial import SerialPort
 from libmodbus_py.testing.wires import SerialWire
+from tests.support.cases import each_case
 from tests.support.fake import FakeUnit, until
 
 
@@ -68,7 +69,7 @@ def test_a_line_that_is_turned_round_is_ours_until_it_is_back() -> None:
     assert silence.over_at == pytest.approx(10.208)
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("settings", "silence", "character"),
     [
         ({"baudrate": 9600}, 38.5 / 9600, 11 / 9600),
@@ -89,7 +90,7 @@ def test_silence_and_characters_are_those_of_the_specification(
 # --- settings --------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("settings", "named"),
     [
         ({"baudrate": 0}, "baudrate"),
@@ -128,7 +129,7 @@ def test_settings_are_made_and_come_back_when_the_port_is_closed() -> None:
         os.close(slave)
 
 
-@pytest.mark.parametrize("baudrate", [50, 1800, 14400, 56000, 128000, 250000, 2000000])
+@each_case("baudrate", [50, 1800, 14400, 56000, 128000, 250000, 2000000])
 def test_baudrate_that_libmodbus_would_turn_into_9600_is_set(baudrate: int) -> None:
     with FakeUnit() as unit:
         made = SerialPort(unit.path, baudrate=baudrate)
@@ -150,7 +151,7 @@ def test_kernel_rs485_on_a_port_without_it_is_refused(wire: SerialWire) -> None:
 # --- who may have it -------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("device", "number"),
     [
         ("/dev/no-such-port", errno.ENOENT),

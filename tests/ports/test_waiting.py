@@ -29,6 +29,7 @@ from libmodbus_py.ports.waiting import (
     run,
 )
 from libmodbus_py.ports.waiting_async import run_async
+from tests.support.cases import each_case
 from tests.support.fake import dead, until
 from tests.support.pace import LATE
 
@@ -355,7 +356,7 @@ def test_cancelling_a_look_up_does_not_wait_for_it(stuck: threading.Event) -> No
     asyncio.run(main())
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("seconds", "rounded"),
     [(0, 0), (-1, 0), (0.0001, 1), (0.001, 1), (0.0011, 2), (1, 1000), (1e9, 86_400_000)],
 )

@@ -4,9 +4,8 @@ Frames that may be requests or responses, found by both length rules and the CRC
 
 from __future__ import annotations
 
-import pytest
-
 from libmodbus_py.protocol.either_way import EitherWay, NoFrame, RtuEitherWay, may_be
+from tests.support.cases import each_case
 from tests.support.talk import rtu
 from tests.support.vectors import EXCEPTIONS, REQUESTS, RESPONSES, FrameVector, rows
 
@@ -26,7 +25,7 @@ def found(*pieces: bytes, awaited: bool = False) -> list[EitherWay | NoFrame]:
     return given
 
 
-@pytest.mark.parametrize("vector", rows(REQUESTS))
+@each_case("vector", rows(REQUESTS))
 def test_every_request_may_ask(vector: FrameVector) -> None:
     (frame,) = found(vector.rtu)
     assert isinstance(frame, EitherWay)
@@ -34,7 +33,7 @@ def test_every_request_may_ask(vector: FrameVector) -> None:
     assert may_be(vector.pdu)[0]
 
 
-@pytest.mark.parametrize("vector", rows([*RESPONSES, *EXCEPTIONS]))
+@each_case("vector", rows([*RESPONSES, *EXCEPTIONS]))
 def test_every_response_may_answer(vector: FrameVector) -> None:
     (frame,) = found(vector.rtu, awaited=True)
     assert isinstance(frame, EitherWay)

@@ -9,8 +9,6 @@ import pickle
 from collections.abc import Callable
 from typing import Any
 
-import pytest
-
 from libmodbus_py.protocol import errors
 from libmodbus_py.protocol.errors import (
     ExceptionResponse,
@@ -22,6 +20,7 @@ from libmodbus_py.protocol.errors import (
     alike,
     in_hex,
 )
+from tests.support.cases import each_case
 
 TOLD: dict[str, Any] = {
     "unit": 17,
@@ -57,7 +56,7 @@ def test_hex_is_cut_and_counted() -> None:
     assert len(repr(FrameError("x", received=bytes(10_000)))) < 200
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@each_case("kind", KINDS)
 def test_the_first_600_bytes_are_kept_whoever_sets_them(kind: type[ModbusError]) -> None:
     flood = bytes(range(256)) * 300
     error = kind("x", received=flood)
@@ -70,8 +69,8 @@ def test_the_first_600_bytes_are_kept_whoever_sets_them(kind: type[ModbusError])
     assert error.received == b""
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize(
+@each_case("kind", KINDS)
+@each_case(
     "double", [copy.copy, copy.deepcopy, alike, lambda each: pickle.loads(pickle.dumps(each))]
 )
 def test_copies_keep_it_all(kind: Any, double: Callable[[Any], Any]) -> None:

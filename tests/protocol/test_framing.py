@@ -28,6 +28,7 @@ from libmodbus_py.protocol.framing import (
     lrc,
     make_framer,
 )
+from tests.support.cases import each_case
 from tests.support.vectors import (
     CHECKSUMS,
     FRAMES,
@@ -129,8 +130,8 @@ def test_there_are_examples_of_every_function_both_ways() -> None:
         assert {vector.function for vector in vectors} == set(pdu.REQUESTS)
 
 
-@pytest.mark.parametrize("line", list(LINES))
-@pytest.mark.parametrize("vector", rows(FRAMES))
+@each_case("line", list(LINES))
+@each_case("vector", rows(FRAMES))
 class TestWorkedExamples:
     @staticmethod
     def parts(line: str, vector: FrameVector) -> tuple[AnyFramer, bytes, Frame]:
@@ -168,7 +169,7 @@ class TestWorkedExamples:
             assert first + second == [frame] * 2
 
 
-@pytest.mark.parametrize("checksum", rows(CHECKSUMS))
+@each_case("checksum", rows(CHECKSUMS))
 class TestChecksums:
     def test_crc_is_that_of_the_example(self, checksum: Checksum) -> None:
         assert crc16(checksum.data) == checksum.crc
@@ -196,7 +197,7 @@ ALL_FRAMERS: dict[str, Callable[[], AnyFramer]] = {
     "ascii": AsciiFramer,
     "ascii strict": lambda: AsciiFramer(strict=True),
 }
-each_framer = pytest.mark.parametrize("make", ALL_FRAMERS.values(), ids=ALL_FRAMERS)
+each_framer = each_case("make", ALL_FRAMERS.values(), ids=ALL_FRAMERS)
 
 
 class TestMakeFramer:
@@ -218,7 +219,7 @@ class TestMakeFramer:
 
 class TestEncode:
     @each_framer
-    @pytest.mark.parametrize(
+    @each_case(
         ("frame", "name"),
         [
             (Frame(-1, b"\3"), "unit"),
@@ -287,8 +288,8 @@ class TestTcp:
         assert frames == [self.frame]
         assert errors == 1
 
-    @pytest.mark.parametrize("length", [0, 1, 255, 256, 65535])
-    @pytest.mark.parametrize("protocol", [0, 1])
+    @each_case("length", [0, 1, 255, 256, 65535])
+    @each_case("protocol", [0, 1])
     def test_impossible_length_ends_the_stream(self, length: int, protocol: int) -> None:
         framer = TcpFramer()
         with pytest.raises(FrameError, match="length") as caught:
@@ -372,13 +373,13 @@ class TestRtu:
         assert RtuFramer("server").feed(request) == [READ]
         assert take(RtuFramer("client"), request)[0] == []
 
-    @pytest.mark.parametrize("code", [0x81, 0x83, 0x97, 0xAB, 0xE5])
+    @each_case("code", [0x81, 0x83, 0x97, 0xAB, 0xE5])
     def test_client_takes_exceptions_of_any_function(self, code: int) -> None:
         framer = RtuFramer("client")
         response = rtu(17, bytes([code, 2]))
         assert take(framer, response * 2) == ([Frame(17, bytes([code, 2]))] * 2, [])
 
-    @pytest.mark.parametrize("tail", ["0e 02", "02 0e", "0d 01", "01 0d"])
+    @each_case("tail", ["0e 02", "02 0e", "0d 01", "01 0d"])
     def test_client_takes_an_exception_with_a_mei_type(self, tail: str) -> None:
         frame = Frame(17, b"\xab" + bytes.fromhex(tail))
         good = rtu(*frame[:2])
@@ -405,7 +406,7 @@ class TestRtu:
         assert frames == [READ]
         assert errors
 
-    @settings(max_examples=150, deadline=None)
+    @settings(max_examples=75)
     @given(
         st.binary(min_size=1, max_size=20),
         st.sampled_from(
@@ -425,7 +426,7 @@ class TestRtu:
         assert framer.pending == 0
         assert take(framer, good) == ([frame], [])
 
-    @settings(max_examples=100, deadline=None)
+    @settings(max_examples=50)
     @given(st.binary(min_size=1, max_size=20))
     def test_garbage_in_front_of_a_frame_is_reported(self, garbage: bytes) -> None:
         stream = garbage + rtu(*READ[:2])
@@ -440,7 +441,7 @@ class TestRtu:
         assert reports
         assert reports[0].received.startswith(garbage[:1])
 
-    @pytest.mark.parametrize("at", range(8))
+    @each_case("at", range(8))
     def test_one_spoilt_bit_costs_only_its_own_frame(self, at: int) -> None:
         framer = RtuFramer("server")
         bad = bytearray(rtu(*READ[:2]))
@@ -503,9 +504,9 @@ class TestRtu:
             assert framer.feed(byte) == []
         assert framer.feed(outer[-1:]) == [Frame(17, outer[1:-2])]
 
-    @pytest.mark.parametrize("code", [0x41, 0x48, 0x64, 0x6E])
-    @pytest.mark.parametrize("size", [0, 1, 30, 252])
-    @pytest.mark.parametrize("role", ["client", "server"])
+    @each_case("code", [0x41, 0x48, 0x64, 0x6E])
+    @each_case("size", [0, 1, 30, 252])
+    @each_case("role", ["client", "server"])
     def test_function_without_length_rule_ends_with_its_crc(
         self, role: Any, size: int, code: int
     ) -> None:
@@ -518,9 +519,9 @@ class TestRtu:
         assert framer.feed(good[-1:]) == [Frame(17, body)]
         assert take(framer, good + good) == ([Frame(17, body)] * 2, [])
 
-    @pytest.mark.parametrize("head", ENDLESS)
-    @pytest.mark.parametrize("size", [2, 4, 30, 250])
-    @pytest.mark.parametrize("role", ["client", "server"])
+    @each_case("head", ENDLESS)
+    @each_case("size", [2, 4, 30, 250])
+    @each_case("role", ["client", "server"])
     def test_known_function_without_length_ends_with_its_crc(
         self, role: Any, size: int, head: bytes
     ) -> None:
@@ -536,8 +537,8 @@ class TestRtu:
         write = rtu(*WRITE[:2])
         assert take(framer, write + good + write) == ([WRITE, Frame(17, body), WRITE], [])
 
-    @pytest.mark.parametrize("head", ENDLESS)
-    @pytest.mark.parametrize("role", ["client", "server"])
+    @each_case("head", ENDLESS)
+    @each_case("role", ["client", "server"])
     def test_known_function_without_length_is_taken_after_a_silence(
         self, role: Any, head: bytes
     ) -> None:
@@ -559,8 +560,8 @@ class TestRtu:
             frames += take(framer, rtu(*READ[:2]))[0] + quiet(framer)
         assert frames == [READ] * 2
 
-    @pytest.mark.parametrize("sub_function", [1, 4, 10, 11, 20, 21, 65535])
-    @pytest.mark.parametrize("role", ["client", "server"])
+    @each_case("sub_function", [1, 4, 10, 11, 20, 21, 65535])
+    @each_case("role", ["client", "server"])
     def test_other_diagnostics_have_their_length(self, role: Any, sub_function: int) -> None:
         head = b"\x11\x08" + sub_function.to_bytes(2, "big")
         early = head[1:] + crc16(head).to_bytes(2, "little")  # a CRC that fits, in the data
@@ -616,7 +617,7 @@ class TestRtu:
         finally:
             pdu.REQUESTS.pop(Own.function)
 
-    @pytest.mark.parametrize(
+    @each_case(
         "rule",
         [
             pdu.fixed(254),
@@ -649,7 +650,7 @@ class TestRtu:
         frames = take(framer, b"\xff\xff\xff" + rtu(*refusal[:2]))[0]
         assert frames + quiet(framer) == [refusal]
 
-    @pytest.mark.parametrize("count", [32, 124, 125, 126, 0x7FFF])
+    @each_case("count", [32, 124, 125, 126, 0x7FFF])
     def test_queue_longer_than_a_message_is_no_frame(self, count: int) -> None:
         size = 2 + 2 * count & 0xFFFF
         head = b"\x18" + size.to_bytes(2, "big") + count.to_bytes(2, "big")
@@ -739,7 +740,7 @@ class TestAscii:
     def test_example_of_the_helper(self) -> None:
         assert self.good == b":1103006B00037E\r\n"
 
-    @pytest.mark.parametrize(
+    @each_case(
         "before",
         [
             b"0",
@@ -760,7 +761,7 @@ class TestAscii:
             assert framer.pending == 0
         assert take(framer, self.good) == ([READ], [])
 
-    @pytest.mark.parametrize("cut", range(1, 15))
+    @each_case("cut", range(1, 15))
     def test_colon_inside_a_frame_starts_a_new_one(self, cut: int) -> None:
         framer = AsciiFramer()
         frames, errors = take(framer, self.good[:cut] + self.good)
@@ -777,7 +778,7 @@ class TestAscii:
         assert frames == [READ]
         assert len(errors) == 1
 
-    @pytest.mark.parametrize("end", [b"\r\r\n", b"\rX\n", b"\r\0\n", b"\r0"])
+    @each_case("end", [b"\r\r\n", b"\rX\n", b"\r\0\n", b"\r0"])
     def test_other_character_after_cr_drops_the_frame(self, end: bytes) -> None:
         framer = AsciiFramer()
         frames, errors = take(framer, self.good[:-2] + end + self.good)
@@ -801,7 +802,7 @@ class TestAscii:
             assert frames == [READ]
             assert len(errors) == 1
 
-    @pytest.mark.parametrize(
+    @each_case(
         "bad",
         [
             b":1103006B00037\r\n",  # odd
@@ -866,7 +867,7 @@ class TestAscii:
         framer.delimiter = 0x0A
         assert framer.encode(READ) == self.good
 
-    @pytest.mark.parametrize("delimiter", [-1, 128, 256, *b":\r0123456789ABCDEFabcdef"])
+    @each_case("delimiter", [-1, 128, 256, *b":\r0123456789ABCDEFabcdef"])
     def test_delimiter_with_another_use_is_refused(self, delimiter: int) -> None:
         framer = AsciiFramer()
         assert not is_delimiter(delimiter)
@@ -874,7 +875,7 @@ class TestAscii:
             framer.delimiter = delimiter
         assert framer.delimiter == 0x0A
 
-    @pytest.mark.parametrize("cut", range(1, 17))
+    @each_case("cut", range(1, 17))
     def test_silence_drops_an_unfinished_frame(self, cut: int) -> None:
         framer = AsciiFramer()
         assert framer.feed(self.good[:cut]) == []
@@ -929,7 +930,7 @@ cuts = st.lists(st.integers(0, 12), max_size=20)
 
 class TestWhateverComes:
     @each_framer
-    @settings(max_examples=120, deadline=None)
+    @settings(max_examples=60)
     @given(stream=streams, sizes=cuts, silences=st.sets(st.integers(0, 20)))
     def test_nothing_but_frame_errors_is_raised(
         self, make: Callable[[], AnyFramer], stream: bytes, sizes: list[int], silences: set[int]
@@ -946,7 +947,7 @@ class TestWhateverComes:
             assert framer.pending <= PENDING[type(framer)]
 
     @each_framer
-    @settings(max_examples=120, deadline=None)
+    @settings(max_examples=60)
     @given(stream=streams, sizes=cuts)
     def test_frames_do_not_depend_on_how_bytes_arrive(
         self, make: Callable[[], AnyFramer], stream: bytes, sizes: list[int]
@@ -959,7 +960,7 @@ class TestWhateverComes:
         assert frames == whole
 
     @each_framer
-    @settings(max_examples=60, deadline=None)
+    @settings(max_examples=30)
     @given(
         unit=st.integers(0, 255),
         values=st.lists(st.integers(0, 65535), min_size=1, max_size=123),
@@ -1011,8 +1012,8 @@ class TestWhateverComes:
             assert found[-1:] == [WRITE]
         assert time.process_time() - began < 20
 
-    @pytest.mark.parametrize("size", [1, 300, 65536])
-    @pytest.mark.parametrize(
+    @each_case("size", [1, 300, 65536])
+    @each_case(
         ("name", "pattern"),
         [
             ("rtu server", bytes.fromhex("01 10 00 00 00 7b f6")),
@@ -1053,7 +1054,7 @@ class TestWhateverComes:
             FrameError,
         ]
 
-    @pytest.mark.parametrize(
+    @each_case(
         "pattern",
         [
             b":",
@@ -1067,7 +1068,7 @@ class TestWhateverComes:
             b"\x2b\x0d",
         ],
     )
-    @pytest.mark.parametrize("name", ["rtu server", "rtu client", "ascii"])
+    @each_case("name", ["rtu server", "rtu client", "ascii"])
     def test_a_chunk_of_repeated_bytes_is_borne(self, name: str, pattern: bytes) -> None:
         framer = ALL_FRAMERS[name]()
         began = time.process_time()

@@ -61,6 +61,7 @@ from libmodbus_py.protocol.pdu import (
     decode_request,
 )
 from libmodbus_py.protocol.pdu.interface import LAST_OBJECT, identify, pages
+from tests.support.cases import each_case
 from tests.support.vectors import EXCEPTIONS, REQUESTS, RESPONSES, FrameVector, rows
 
 Fields = dict[str, Any]
@@ -157,19 +158,19 @@ class TestWorkedExamples:
         for vectors in (REQUESTS, RESPONSES):
             assert {vector.function for vector in vectors} == set(FROM_FIELDS) == set(pdu.REQUESTS)
 
-    @pytest.mark.parametrize("vector", rows(REQUESTS))
+    @each_case("vector", rows(REQUESTS))
     def test_request_encodes_to_the_bytes(self, vector: FrameVector) -> None:
         assert FROM_FIELDS[vector.function](vector.fields).encode() == vector.pdu
 
-    @pytest.mark.parametrize("vector", rows(REQUESTS))
+    @each_case("vector", rows(REQUESTS))
     def test_request_decodes_from_the_bytes(self, vector: FrameVector) -> None:
         assert decode_request(vector.pdu) == FROM_FIELDS[vector.function](vector.fields)
 
-    @pytest.mark.parametrize("vector", rows(RESPONSES))
+    @each_case("vector", rows(RESPONSES))
     def test_response_encodes_to_the_bytes(self, vector: FrameVector) -> None:
         assert _request_of(vector).encode_response(_result_of(vector)) == vector.pdu
 
-    @pytest.mark.parametrize("vector", rows(RESPONSES))
+    @each_case("vector", rows(RESPONSES))
     def test_response_decodes_to_the_values(self, vector: FrameVector) -> None:
         result = _request_of(vector).decode_response(vector.pdu)
         assert result == _result_of(vector)
@@ -194,7 +195,7 @@ class TestWorkedExamples:
         assert caught.value.function == vector.function
         assert str(request) in str(caught.value)
 
-    @pytest.mark.parametrize("vector", rows(REQUESTS))
+    @each_case("vector", rows(REQUESTS))
     def test_decoded_request_encodes_to_the_same_bytes(self, vector: FrameVector) -> None:
         request = decode_request(vector.pdu)
         assert type(request) is type(FROM_FIELDS[vector.function](vector.fields))
@@ -207,21 +208,21 @@ def lengths_by_head(rule: Callable[[bytes], int | None], body: bytes) -> list[in
 
 
 class TestLengthRules:
-    @pytest.mark.parametrize("vector", rows(REQUESTS))
+    @each_case("vector", rows(REQUESTS))
     def test_request_length_is_known_from_the_head_and_right(self, vector: FrameVector) -> None:
         lengths = lengths_by_head(pdu.request_length, vector.pdu)
         right = len(vector.pdu) if tells_its_length(vector.pdu) else 0
         assert lengths[-1] == right
         assert set(lengths) <= {None, right}
 
-    @pytest.mark.parametrize("vector", rows(RESPONSES + EXCEPTIONS))
+    @each_case("vector", rows(RESPONSES + EXCEPTIONS))
     def test_response_length_is_known_from_the_head_and_right(self, vector: FrameVector) -> None:
         lengths = lengths_by_head(pdu.response_length, vector.pdu)
         right = len(vector.pdu) if tells_its_length(vector.pdu) else 0
         assert lengths[-1] == right
         assert set(lengths) <= {None, right}
 
-    @pytest.mark.parametrize("code", [0x80, 0x81, 0xAB, 0xFF])
+    @each_case("code", [0x80, 0x81, 0xAB, 0xFF])
     def test_every_exception_response_has_two_bytes(self, code: int) -> None:
         assert pdu.response_length(bytes([code])) == 2
 
@@ -330,7 +331,7 @@ REGISTERS: list[tuple[str, Callable[[Any], Request[Any]]]] = [
 
 
 class TestConstructors:
-    @pytest.mark.parametrize(("name", "make"), ADDRESSED)
+    @each_case(("name", "make"), ADDRESSED)
     def test_address_goes_from_0_to_65535(
         self, name: str, make: Callable[[Any], Request[Any]]
     ) -> None:
@@ -340,15 +341,15 @@ class TestConstructors:
             with pytest.raises(ValueError, match=rf"^{name} must be in 0\.\.65535, not {bad}"):
                 make(bad)
 
-    @pytest.mark.parametrize("bad", NO_INTEGERS, ids=repr)
-    @pytest.mark.parametrize(("name", "make"), ADDRESSED)
+    @each_case("bad", NO_INTEGERS, ids=repr)
+    @each_case(("name", "make"), ADDRESSED)
     def test_address_is_an_integer(
         self, name: str, make: Callable[[Any], Request[Any]], bad: Any
     ) -> None:
         with pytest.raises(TypeError, match=rf"^{name} must be an integer"):
             make(bad)
 
-    @pytest.mark.parametrize(("name", "make"), ADDRESSED)
+    @each_case(("name", "make"), ADDRESSED)
     def test_other_kinds_of_integers_become_int(
         self, name: str, make: Callable[[Any], Request[Any]]
     ) -> None:
@@ -356,7 +357,7 @@ class TestConstructors:
         assert address == 7
         assert type(address) is int
 
-    @pytest.mark.parametrize(("name", "low", "high", "make"), NUMBERS)
+    @each_case(("name", "low", "high", "make"), NUMBERS)
     def test_other_numbers_have_their_ranges(
         self, name: str, low: int, high: int, make: Callable[[Any], Request[Any]]
     ) -> None:
@@ -369,7 +370,7 @@ class TestConstructors:
             with pytest.raises(TypeError, match=rf"^{name} must be an integer in {low}\.\.{high}"):
                 make(wrong)
 
-    @pytest.mark.parametrize(("name", "low", "high", "make"), NUMBERS)
+    @each_case(("name", "low", "high", "make"), NUMBERS)
     def test_other_numbers_become_int(
         self, name: str, low: int, high: int, make: Callable[[Any], Request[Any]]
     ) -> None:
@@ -378,7 +379,7 @@ class TestConstructors:
             assert number == 7
             assert type(number) is int
 
-    @pytest.mark.parametrize(("good", "bad", "make"), BYTES)
+    @each_case(("good", "bad", "make"), BYTES)
     def test_data_are_bytes_of_some_sizes(
         self, good: list[int], bad: list[int], make: Callable[[Any], Request[Any]]
     ) -> None:
@@ -401,7 +402,7 @@ class TestConstructors:
         for request in one_of_each():
             assert request.expects_response
 
-    @pytest.mark.parametrize(("name", "limit", "make"), COUNTED)
+    @each_case(("name", "limit", "make"), COUNTED)
     def test_count_goes_from_1_to_its_limit(
         self, name: str, limit: int, make: Callable[[int, Any], Request[Any]]
     ) -> None:
@@ -411,15 +412,15 @@ class TestConstructors:
             with pytest.raises(ValueError, match=rf"^{name} must be in 1\.\.{limit}, not {bad}"):
                 make(0, bad)
 
-    @pytest.mark.parametrize("bad", NO_INTEGERS, ids=repr)
-    @pytest.mark.parametrize(("name", "limit", "make"), COUNTED)
+    @each_case("bad", NO_INTEGERS, ids=repr)
+    @each_case(("name", "limit", "make"), COUNTED)
     def test_count_is_an_integer(
         self, name: str, limit: int, make: Callable[[int, Any], Request[Any]], bad: Any
     ) -> None:
         with pytest.raises(TypeError, match=rf"^{name} must be an integer in 1\.\.{limit}"):
             make(0, bad)
 
-    @pytest.mark.parametrize(("name", "limit", "make"), COUNTED)
+    @each_case(("name", "limit", "make"), COUNTED)
     def test_address_and_count_do_not_pass_65536(
         self, name: str, limit: int, make: Callable[[int, Any], Request[Any]]
     ) -> None:
@@ -439,8 +440,8 @@ class TestConstructors:
             with pytest.raises(ValueError, match=rf"^{name} must hold 1\.\.{limit} values"):
                 make(0, bad)
 
-    @pytest.mark.parametrize("bad", NO_SEQUENCES, ids=repr)
-    @pytest.mark.parametrize(("name", "limit", "make"), SEQUENCED)
+    @each_case("bad", NO_SEQUENCES, ids=repr)
+    @each_case(("name", "limit", "make"), SEQUENCED)
     def test_values_are_no_text_set_mapping_or_number(
         self, name: str, limit: int, make: Callable[[int, Any], Request[Any]], bad: Any
     ) -> None:
@@ -467,7 +468,7 @@ class TestConstructors:
         with pytest.raises(ValueError, match=rf"address \+ len\({name}\) .* 65536"):
             make(65536 - limit + 1, [1] * limit)
 
-    @pytest.mark.parametrize(("name", "make"), REGISTERS)
+    @each_case(("name", "make"), REGISTERS)
     def test_registers_go_from_0_to_65535(
         self, name: str, make: Callable[[Any], Request[Any]]
     ) -> None:
@@ -500,7 +501,7 @@ class TestConstructors:
             with pytest.raises(TypeError, match=rf"^{name} must be an integer in 0\.\.1"):
                 make(bad)
 
-    @pytest.mark.parametrize(
+    @each_case(
         ("record", "error", "words"),
         [
             ((0, 0, 1), ValueError, r"records\[1\] file must be in 1\.\.65535, not 0"),
@@ -525,7 +526,7 @@ class TestConstructors:
         with pytest.raises(error, match=f"^{words}"):
             ReadFileRecords([(1, 0, 1), record])
 
-    @pytest.mark.parametrize(
+    @each_case(
         ("record", "error", "words"),
         [
             ((0, 0, [1]), ValueError, r"records\[1\] file must be in 1\.\.65535, not 0"),
@@ -760,7 +761,7 @@ BAD_REQUESTS: list[tuple[str, bytes, type[ExceptionResponse]]] = [
 class TestBadRequests:
     """Section 6: length and quantity are refused with 3, before addresses with 2."""
 
-    @pytest.mark.parametrize(
+    @each_case(
         ("request_pdu", "error"),
         BAD_READS + [pytest.param(bad, error, id=why) for why, bad, error in BAD_REQUESTS],
     )
@@ -772,7 +773,7 @@ class TestBadRequests:
         assert type(caught.value) is error
         assert caught.value.function == request_pdu[0]
 
-    @pytest.mark.parametrize(
+    @each_case(
         "request_pdu",
         [
             read(1, 65535, 1),
@@ -890,8 +891,8 @@ def the_name(request: Request[Any]) -> str:
     return type(request).__name__
 
 
-each_request = pytest.mark.parametrize("request_", one_of_each(), ids=the_name)
-every_request = pytest.mark.parametrize("request_", one_of_each() + UNJUDGED, ids=the_name)
+each_request = each_case("request_", one_of_each(), ids=the_name)
+every_request = each_case("request_", one_of_each() + UNJUDGED, ids=the_name)
 
 
 class TestBadResponses:
@@ -948,7 +949,7 @@ class TestBadResponses:
             assert caught.value.code == code
             assert f"exception {code})" in str(caught.value)
 
-    @pytest.mark.parametrize(
+    @each_case(
         ("request_", "response"),
         [
             (ReadCoils(0, 10), b"\1\1\1"),  # bytes for 8
@@ -1001,7 +1002,7 @@ class TestBadResponses:
         with pytest.raises(InvalidResponse):
             request_.decode_response(response)
 
-    @pytest.mark.parametrize(
+    @each_case(
         "request_",
         [request for request in one_of_each() if request.is_write],
         ids=the_name,
@@ -1030,7 +1031,7 @@ class TestBadResponses:
 
 
 class TestEncodeResponse:
-    @pytest.mark.parametrize(
+    @each_case(
         ("request_", "result", "error"),
         [
             (ReadCoils(0, 2), [True], ValueError),
@@ -1065,7 +1066,7 @@ class TestEncodeResponse:
         with pytest.raises(error, match="result"):
             request_.encode_response(result)
 
-    @pytest.mark.parametrize(
+    @each_case(
         ("request_", "result"),
         [
             (Diagnostics(0, b"\1\2"), b""),
@@ -1228,7 +1229,7 @@ class TestIdentification:
                 steps.send(IdentificationPage(0x81, None, {number: b"x"}))
             assert done.value.value == pdu.DeviceIdentification(0x81, {number: b"x"})
 
-    @pytest.mark.parametrize(
+    @each_case(
         ("pages_", "asked"),
         [
             ([(0, {0: b"a"})], [0]),  # the same again
@@ -1254,8 +1255,8 @@ class TestIdentification:
         assert caught.value.function == 43
         assert caught.value.asked == str(requests[-1])
 
-    @pytest.mark.parametrize("level", ["basic", "regular", "extended"])
-    @pytest.mark.parametrize("following", [0, 1, 2])
+    @each_case("level", ["basic", "regular", "extended"])
+    @each_case("following", [0, 1, 2])
     def test_circles_are_left_with_what_every_device_has(self, level: str, following: int) -> None:
         steps = identify(level)
         next(steps)
@@ -1290,8 +1291,8 @@ class TestIdentification:
         with pytest.raises(InvalidResponse, match="243 bytes"):
             request.decode_response(short)
 
-    @pytest.mark.parametrize("mei_type", [13, 14])
-    @pytest.mark.parametrize("code", [1, 2, 4])
+    @each_case("mei_type", [13, 14])
+    @each_case("code", [1, 2, 4])
     def test_mei_type_in_an_exception_is_not_its_code(self, mei_type: int, code: int) -> None:
         identification = ReadDeviceIdentification(1)
         request = identification if mei_type == 14 else EncapsulatedTransport(13, b"")
@@ -1313,7 +1314,7 @@ class TestIdentification:
         with pytest.raises(InvalidResponse):
             steps.send(IdentificationPage(3, 255, {}))
 
-    @pytest.mark.parametrize(
+    @each_case(
         ("level", "error"),
         [
             ("all", ValueError),
@@ -1418,7 +1419,7 @@ class TestRegister:
                 pdu.register(other)
         assert known == pdu.REQUESTS
 
-    @pytest.mark.parametrize("code", [0, 128, 255, -1, "65", None])
+    @each_case("code", [0, 128, 255, -1, "65", None])
     def test_function_is_a_code(self, code: Any) -> None:
         other = type("Other", (Doubled,), {"function": code, "__slots__": ()})
         with pytest.raises(ValueError, match=r"^Other: function must be in 1\.\.127"):
@@ -1429,12 +1430,12 @@ class TestRegister:
             with pytest.raises(ValueError, match="function must be in"):
                 pdu.register(kind)
 
-    @pytest.mark.parametrize("bad", [None, 65, "Doubled", Doubled((1,)), int, Exception], ids=repr)
+    @each_case("bad", [None, 65, "Doubled", Doubled((1,)), int, Exception], ids=repr)
     def test_only_request_classes_are_taken(self, bad: Any) -> None:
         with pytest.raises(TypeError, match="derived from Request"):
             pdu.register(bad)
 
-    @pytest.mark.parametrize("code", [9, 18, 65, 72, 100, 110, 127])
+    @each_case("code", [9, 18, 65, 72, 100, 110, 127])
     def test_any_free_code_will_do(self, code: int) -> None:
         other = type("Other", (Doubled,), {"function": code, "__slots__": ()})
         assert pdu.register(other) is other
@@ -1587,7 +1588,7 @@ def attempt(decode: Callable[[bytes], Any], data: bytes) -> Any:
 
 
 class TestProperties:
-    @settings(max_examples=120, deadline=None)
+    @settings(max_examples=60)
     @given(requests())
     def test_requests_survive_the_wire(self, request_: Request[Any]) -> None:
         encoded = request_.encode()
@@ -1596,7 +1597,7 @@ class TestProperties:
         right = len(encoded) if tells_its_length(encoded) else 0
         assert pdu.request_length(encoded) == right
 
-    @settings(max_examples=120, deadline=None)
+    @settings(max_examples=60)
     @given(st.data())
     def test_results_survive_the_wire(self, data: st.DataObject) -> None:
         request = data.draw(requests())
@@ -1607,14 +1608,14 @@ class TestProperties:
         right = len(encoded) if tells_its_length(encoded) else 0
         assert pdu.response_length(encoded) == right
 
-    @settings(max_examples=60, deadline=None)
+    @settings(max_examples=30)
     @given(identifications, st.sampled_from(["basic", "regular", "extended"]))
     def test_any_identification_arrives_whole(self, objects: dict[int, bytes], level: str) -> None:
         last = LAST_OBJECT[pdu.interface.LEVELS[level]]
         wanted = {number: value for number, value in objects.items() if number <= last}
         assert served(objects, level)[0] == wanted
 
-    @settings(max_examples=400, deadline=None)
+    @settings(max_examples=200)
     @given(
         st.binary(max_size=260)
         | st.builds(
@@ -1637,7 +1638,7 @@ class TestProperties:
         else:
             assert outcome.encode() == data
 
-    @settings(max_examples=400, deadline=None)
+    @settings(max_examples=200)
     @given(
         st.sampled_from(one_of_each() + UNJUDGED),
         st.binary(max_size=260),

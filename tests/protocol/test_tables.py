@@ -10,6 +10,7 @@ import pytest
 
 from libmodbus_py import Mapping, pdu
 from libmodbus_py.protocol.tables import TABLE_SIZE, TABLES, RegisterTable, Table
+from tests.support.cases import each_case
 
 
 def test_names_are_those_of_mappings_and_type_checkers() -> None:
@@ -20,7 +21,7 @@ def test_names_are_those_of_mappings_and_type_checkers() -> None:
         assert len(getattr(Mapping(**{name: 3}), name)) == 3
 
 
-@pytest.mark.parametrize("name", TABLES)
+@each_case("name", TABLES)
 def test_reads_take_no_more(name: str) -> None:
     rules = TABLES[name]
     request = rules.read(TABLE_SIZE - rules.most_read, rules.most_read)

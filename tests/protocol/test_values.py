@@ -29,6 +29,7 @@ from libmodbus_py.protocol.values import (
     readings,
     value_type,
 )
+from tests.support.cases import each_case
 from tests.support.vectors import BYTE_ORDERS, REFERENCES, ByteOrder, Reference, rows
 
 
@@ -97,8 +98,8 @@ LIMITS = {
 }
 ASCII = st.characters(min_codepoint=1, max_codepoint=126)
 
-each_order = pytest.mark.parametrize("order", ["ABCD", "CDAB", "BADC", "DCBA"])
-each_number = pytest.mark.parametrize("name", NUMBERS)
+each_order = each_case("order", ["ABCD", "CDAB", "BADC", "DCBA"])
+each_number = each_case("name", NUMBERS)
 cell = st.integers(0, 0xFFFF)
 
 
@@ -125,7 +126,7 @@ def same(one: Any, other: Any) -> bool:
 
 
 class TestKnownEncodings:
-    @pytest.mark.parametrize("vector", rows(BYTE_ORDERS))
+    @each_case("vector", rows(BYTE_ORDERS))
     def test_byte_order_of_a_worked_example(self, vector: ByteOrder) -> None:
         assert decode(vector.registers, vector.type, order=vector.order) == vector.value
         assert encode(vector.value, vector.type, order=vector.order) == vector.registers
@@ -134,7 +135,7 @@ class TestKnownEncodings:
         assert {vector.order for vector in BYTE_ORDERS} >= {"AB", "DCBA", "CDAB", "HGFEDCBA"}
 
     # IEEE 754 interchange formats, by their fields: sign, exponent, fraction.
-    @pytest.mark.parametrize(
+    @each_case(
         ("name", "value", "registers"),
         [
             ("float16", 1.0, "3C00"),
@@ -185,7 +186,7 @@ class TestKnownEncodings:
         assert encode(value, name) == words(registers)
         assert same(decode(words(registers), name), value)
 
-    @pytest.mark.parametrize(
+    @each_case(
         ("order", "registers"),
         [
             ("ABCD", "1234 5678"),
@@ -202,7 +203,7 @@ class TestKnownEncodings:
             "3412 7856" if order in ("BADC", "DCBA") else "1234 5678"
         )
 
-    @pytest.mark.parametrize("value", ["7FC0 0000", "FFC0 0000", "7FFF FFFF", "7F80 0001"])
+    @each_case("value", ["7FC0 0000", "FFC0 0000", "7FFF FFFF", "7F80 0001"])
     def test_every_nan_is_nan(self, value: str) -> None:
         assert math.isnan(decode(words(value), "float32"))
 
@@ -237,10 +238,10 @@ class TestOrders:
         wire = b"".join(word.to_bytes(2) for word in encode(value, name, order=order))
         assert wire == bytes(raw[at] for at in PLACES[order, kind.registers])
 
-    @settings(max_examples=60, deadline=None)
-    @given(st.data())
     @each_order
-    @pytest.mark.parametrize("name", [*NUMBERS, "string:1", "string:7", "string:8"])
+    @each_case("name", [*NUMBERS, "string:1", "string:7", "string:8"])
+    @settings(max_examples=15)
+    @given(st.data())
     def test_what_is_encoded_is_decoded(self, name: str, order: str, data: st.DataObject) -> None:
         value = data.draw(strategy(name))
         registers = encode(value, name, order=order)
@@ -248,10 +249,10 @@ class TestOrders:
         assert all(type(word) is int and 0 <= word <= 0xFFFF for word in registers)
         assert same(decode(registers, name, order=order), value)
 
-    @settings(max_examples=60, deadline=None)
-    @given(st.data())
     @each_order
-    @pytest.mark.parametrize("name", ["uint16", "uint32", "uint64"])
+    @each_case("name", ["uint16", "uint32", "uint64"])
+    @settings(max_examples=15)
+    @given(st.data())
     def test_each_order_is_its_own_inverse(
         self, name: str, order: str, data: st.DataObject
     ) -> None:
@@ -260,16 +261,16 @@ class TestOrders:
         twice = encode(decode(once, name), name, order=order)
         assert twice == encode(value, name)
 
-    @settings(max_examples=60, deadline=None)
-    @given(st.data())
     @each_order
-    @pytest.mark.parametrize("name", [name for name in NUMBERS if "int" in name or "bits" in name])
+    @each_case("name", [name for name in NUMBERS if "int" in name or "bits" in name])
+    @settings(max_examples=15)
+    @given(st.data())
     def test_what_is_decoded_is_encoded(self, name: str, order: str, data: st.DataObject) -> None:
         count = value_type(name).registers
         registers = data.draw(st.lists(cell, min_size=count, max_size=count))
         assert encode(decode(registers, name, order=order), name, order=order) == registers
 
-    @pytest.mark.parametrize(
+    @each_case(
         ("spelling", "name", "order"),
         [
             ("AB", "uint16", "ABCD"),
@@ -292,7 +293,7 @@ class TestOrders:
         value = decode(registers, name)
         assert encode(value, name, order=spelling) == encode(value, name, order=order)
 
-    @pytest.mark.parametrize(
+    @each_case(
         ("order", "name"),
         [
             ("AB", "uint32"),  # in which order would the registers be?
@@ -307,13 +308,13 @@ class TestOrders:
         with pytest.raises(ValueError, match=f"order of {name} must be one of .*, not '{order}'"):
             value_type(name, order=order)
 
-    @pytest.mark.parametrize("order", ["", "ABC", "ABDC", "ABCDEF", "big", "A B C D", "ABCD\n"])
+    @each_case("order", ["", "ABC", "ABDC", "ABCDEF", "big", "A B C D", "ABCD\n"])
     def test_no_such_order(self, order: str) -> None:
         with pytest.raises(ValueError, match="order must be one of ABCD, CDAB, BADC, DCBA") as e:
             decode([1, 2], "uint32", order=order)
         assert repr(order) in str(e.value)
 
-    @pytest.mark.parametrize("order", [None, 1, b"ABCD", ["ABCD"], True])
+    @each_case("order", [None, 1, b"ABCD", ["ABCD"], True])
     def test_order_is_a_string(self, order: Any) -> None:
         with pytest.raises(TypeError, match="order must be one of ABCD, CDAB, BADC, DCBA"):
             encode(1, "uint32", order=order)
@@ -327,9 +328,7 @@ class TestValueType:
         assert (kind.name, kind.registers) == (name, bits // 16)
         assert not kind.is_text
 
-    @pytest.mark.parametrize(
-        ("size", "registers"), [(1, 1), (2, 1), (3, 2), (249, 125), (250, 125)]
-    )
+    @each_case(("size", "registers"), [(1, 1), (2, 1), (3, 2), (249, 125), (250, 125)])
     def test_registers_of_strings(self, size: int, registers: int) -> None:
         kind = value_type(f"string:{size}")
         assert (kind.name, kind.registers) == (f"string:{size}", registers)
@@ -348,7 +347,7 @@ class TestValueType:
         assert kind.encode_many([1.0, 2.0]) == [0, 0x3F80, 0, 0x4000]
         assert kind.decode_many([0, 0x3F80, 0, 0x4000]) == [1.0, 2.0]
 
-    @pytest.mark.parametrize(
+    @each_case(
         "name",
         [
             "",
@@ -368,19 +367,19 @@ class TestValueType:
             value_type(name)
         assert repr(name) in str(e.value)
 
-    @pytest.mark.parametrize("size", [0, 251, 999, 65536, 999_999_999])
+    @each_case("size", [0, 251, 999, 65536, 999_999_999])
     def test_no_such_string(self, size: int) -> None:
         with pytest.raises(ValueError, match=rf"N must be in 1\.\.250, not {size}"):
             value_type(f"string:{size}")
 
-    @pytest.mark.parametrize("name", [None, 16, int, b"int16", ["int16"]])
+    @each_case("name", [None, 16, int, b"int16", ["int16"]])
     def test_type_is_a_string(self, name: Any) -> None:
         with pytest.raises(TypeError, match="type must be a string"):
             value_type(name)
 
 
 class TestErrors:
-    @pytest.mark.parametrize("name", LIMITS)
+    @each_case("name", LIMITS)
     def test_integers_have_limits(self, name: str) -> None:
         low, high = LIMITS[name]
         for value in (low, high):
@@ -415,7 +414,7 @@ class TestErrors:
             with pytest.raises(TypeError, match=r"^value must be a number, not "):
                 encode(bad, name)
 
-    @pytest.mark.parametrize("registers", ["000A", "A000", "0F00", "FFFF"])
+    @each_case("registers", ["000A", "A000", "0F00", "FFFF"])
     def test_decimals_are_decimal(self, registers: str) -> None:
         with pytest.raises(ValueError, match=rf"^registers\[0:1\] hold no bcd16: {registers} has"):
             decode(words(registers), "bcd16")
@@ -426,7 +425,7 @@ class TestErrors:
         assert decode([5], "bits16") == [True, False, True] + [False] * 13
         assert {type(bit) for bit in decode([5], "bits16")} == {bool}
 
-    @pytest.mark.parametrize(
+    @each_case(
         ("value", "error", "named"),
         [
             ([True] * 15, ValueError, "value must hold 16 bits, lowest first, not 15"),
@@ -456,7 +455,7 @@ class TestErrors:
             with pytest.raises(ValueError, match=f"must hold {takes} for {name}, not {count}$"):
                 decode([0] * count, name)
 
-    @pytest.mark.parametrize(
+    @each_case(
         ("registers", "error", "named"),
         [
             ([0, -1], ValueError, r"registers\[1\] must be in 0\.\.65535, not -1"),
@@ -471,7 +470,7 @@ class TestErrors:
             (None, TypeError, "registers must be a list, not NoneType"),
         ],
     )
-    @pytest.mark.parametrize(
+    @each_case(
         "function",
         [
             lambda registers: decode(registers, "uint32"),
@@ -486,13 +485,11 @@ class TestErrors:
         with pytest.raises(error, match=named):
             function(registers)
 
-    @pytest.mark.parametrize(
-        "registers", [(1, 2), array("H", [1, 2]), range(1, 3), (at for at in (1, 2))]
-    )
+    @each_case("registers", [(1, 2), array("H", [1, 2]), range(1, 3), (at for at in (1, 2))])
     def test_registers_may_be_any_run_of_integers(self, registers: Any) -> None:
         assert decode(registers, "uint32") == 0x10002
 
-    @settings(max_examples=200, deadline=None)
+    @settings(max_examples=80)
     @given(
         st.lists(cell | st.integers(), max_size=5),
         st.sampled_from([*NUMBERS, "string:3", "string:8"]),
@@ -511,7 +508,7 @@ class TestErrors:
 
 
 class TestText:
-    @pytest.mark.parametrize(
+    @each_case(
         ("value", "name", "options", "registers"),
         [
             ("AB", "string:5", {}, "4142 0000 0000"),
@@ -554,7 +551,7 @@ class TestText:
         assert decode(words("4120 0000"), "string:4") == "A "
         assert decode(words("0000 0000"), "string:4") == ""
 
-    @pytest.mark.parametrize(
+    @each_case(
         ("value", "name", "options", "named"),
         [
             ("ABC", "string:2", {}, r"value must have 0\.\.2 bytes in ascii, not 'ABC' with 3"),
@@ -575,12 +572,12 @@ class TestText:
         with pytest.raises(ValueError, match=named):
             encode(value, name, **options)
 
-    @pytest.mark.parametrize("value", [None, 1, b"AB", ["A"], True])
+    @each_case("value", [None, 1, b"AB", ["A"], True])
     def test_text_is_a_string(self, value: Any) -> None:
         with pytest.raises(TypeError, match=r"^value must be a string, not "):
             encode(value, "string:4")
 
-    @pytest.mark.parametrize(
+    @each_case(
         ("registers", "name", "encoding", "named"),
         [
             ("80FF", "string:2", "ascii", r"registers\[0:1\] hold no string:2: 80 FF is no ascii"),
@@ -601,14 +598,14 @@ class TestText:
             text = values.value_type("string:40", encoding=encoding)
             assert text.decode(text.encode("ABC 123")) == "ABC 123"
 
-    @pytest.mark.parametrize(
+    @each_case(
         "encoding", ["Latin-1", "ISO-8859-15", "UTF8", "windows-1252", "Shift_JIS", "us-ascii"]
     )
     def test_encodings_go_by_all_their_names(self, encoding: str) -> None:
         text = values.value_type("string:4", encoding=encoding)
         assert text.encode("AB") == [0x4142, 0]
 
-    @pytest.mark.parametrize(
+    @each_case(
         "encoding",
         ["punycode", "idna", "unicode_escape", "utf-7", "undefined", "latin-1\0", "l\xe4tin-1"],
     )
@@ -617,7 +614,7 @@ class TestText:
         with pytest.raises(ValueError, match=r"^encoding must be ascii, latin-1, .*, not '"):
             values.value_type("string:4", encoding=encoding)
 
-    @pytest.mark.parametrize(
+    @each_case(
         ("options", "error", "named"),
         [
             ({"encoding": "no-such"}, ValueError, "encoding must be .*, not 'no-such'"),
@@ -646,7 +643,7 @@ class TestText:
             with pytest.raises(error, match=named):
                 call()
 
-    @settings(max_examples=200, deadline=None)
+    @settings(max_examples=80)
     @given(
         st.text(max_size=20),
         st.integers(1, 40),
@@ -668,10 +665,10 @@ class TestText:
 
 
 class TestMany:
-    @settings(max_examples=40, deadline=None)
-    @given(st.data())
     @each_order
-    @pytest.mark.parametrize("name", [*NUMBERS, "string:5"])
+    @each_case("name", [*NUMBERS, "string:5"])
+    @settings(max_examples=10)
+    @given(st.data())
     def test_values_lie_one_after_the_other(
         self, name: str, order: str, data: st.DataObject
     ) -> None:
@@ -692,7 +689,7 @@ class TestMany:
         assert encode_many([], "float64") == []
         assert decode_many([], "float64") == []
 
-    @pytest.mark.parametrize(
+    @each_case(
         ("given_values", "name", "error", "named"),
         [
             ([1, 2, 40000], "int16", ValueError, r"^values\[2\] must be in -32768\.\.32767"),
@@ -733,7 +730,7 @@ class TestMany:
 
 
 class TestReadings:
-    @settings(max_examples=80, deadline=None)
+    @settings(max_examples=40)
     @given(st.lists(cell, min_size=1, max_size=6))
     def test_every_distinct_value_stands_once(self, registers: list[int]) -> None:
         expected: dict[tuple[str, str], str] = {}
@@ -767,7 +764,7 @@ class TestReadings:
             ("ABCD", 1212)
         ]
 
-    @pytest.mark.parametrize("registers", ["FFFF FFFF", "7FC0 7FC0", "FFFF FFFF FFFF FFFF", "FFFF"])
+    @each_case("registers", ["FFFF FFFF", "7FC0 7FC0", "FFFF FFFF FFFF FFFF", "FFFF"])
     def test_nan_is_not_repeated(self, registers: str) -> None:
         found = readings(words(registers))
         assert [reading.order for reading in found if str(reading.value) == "nan"] == ["ABCD"]
@@ -780,7 +777,7 @@ class TestReadings:
         types = {reading.type for reading in readings(words("3132 3334 3536 3738"))}
         assert types == {"int64", "uint64", "float64", "bcd64", "bits64", "string:8"}
 
-    @pytest.mark.parametrize("count", [3, 5, 6, 8, 124, 125])
+    @each_case("count", [3, 5, 6, 8, 124, 125])
     def test_other_counts_can_only_be_text(self, count: int) -> None:
         name = f"string:{2 * count}"
         assert readings([0x4142] * count) == [
@@ -806,7 +803,7 @@ class TestReadings:
 
 
 class TestParseReference:
-    @pytest.mark.parametrize("vector", rows(REFERENCES))
+    @each_case("vector", rows(REFERENCES))
     def test_reference_of_a_worked_example(self, vector: Reference) -> None:
         parsed = parse_reference(vector.reference)
         assert parsed == (TABLES[vector.table], vector.address)
@@ -816,7 +813,7 @@ class TestParseReference:
     def test_worked_examples_cover_every_table(self) -> None:
         assert {vector.table for vector in REFERENCES} == set(TABLES)
 
-    @pytest.mark.parametrize("digit", ["0", "1", "3", "4"])
+    @each_case("digit", ["0", "1", "3", "4"])
     def test_first_and_last_item_of_a_table(self, digit: str) -> None:
         table = DIGITS[digit]
         assert parse_reference(f"{digit}0001") == (table, 0)
@@ -830,7 +827,7 @@ class TestParseReference:
         assert parse_reference("69999") == ("file", 9999)
         assert parse_reference("609999") == ("file", 9999)
 
-    @pytest.mark.parametrize(
+    @each_case(
         "bad",
         [
             "",
@@ -866,19 +863,19 @@ class TestParseReference:
             parse_reference(bad)
         assert repr(bad) in str(caught.value)
 
-    @pytest.mark.parametrize("bad", [40123, 123, 4.0, None, b"40123", True, ["40123"]])
+    @each_case("bad", [40123, 123, 4.0, None, b"40123", True, ["40123"]])
     def test_only_text_is_a_reference(self, bad: Any) -> None:
         with pytest.raises(TypeError, match="must be a string"):
             parse_reference(bad)
 
-    @settings(max_examples=150, deadline=None)
+    @settings(max_examples=75)
     @given(st.sampled_from("0134"), st.integers(1, 65536))
     def test_item_is_the_address_and_one(self, digit: str, item: int) -> None:
         assert parse_reference(f"{digit}{item:05}") == (DIGITS[digit], item - 1)
         if item <= 9999:
             assert parse_reference(f"{digit}{item:04}") == (DIGITS[digit], item - 1)
 
-    @settings(max_examples=150, deadline=None)
+    @settings(max_examples=75)
     @given(st.text("0123456789 +-_\u0661", max_size=7))
     def test_text_is_a_reference_or_a_value_error(self, text: str) -> None:
         try:
@@ -901,7 +898,7 @@ def test_names_for_type_checkers_are_all_there_are() -> None:
     assert set(get_args(Order)) == set(ORDERS)
 
 
-@pytest.mark.parametrize("name", get_args(NumberType))
+@each_case("name", get_args(NumberType))
 def test_limits_are_the_numbers_that_just_fit(name: str) -> None:
     kind = TYPES[name]
     assert kind.limits is not None
@@ -914,6 +911,6 @@ def test_limits_are_the_numbers_that_just_fit(name: str) -> None:
                 kind.encode(beyond)
 
 
-@pytest.mark.parametrize("name", [*get_args(BitsType), "string:1"])
+@each_case("name", [*get_args(BitsType), "string:1"])
 def test_what_is_no_number_has_no_limits(name: str) -> None:
     assert value_type(name).limits is None

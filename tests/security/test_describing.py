@@ -10,7 +10,6 @@ import sys
 from datetime import UTC, datetime
 from pathlib import Path
 
-import pytest
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes
 from cryptography.x509.oid import NameOID
@@ -20,6 +19,7 @@ from hypothesis import strategies as st
 from libmodbus_py.security.describing import describe
 from libmodbus_py.security.making import make
 from tests.support import certificates
+from tests.support.cases import each_case
 
 BEGIN = datetime(2024, 2, 29, 12, 30, 1, tzinfo=UTC)
 
@@ -56,7 +56,7 @@ def named(*values: str) -> bytes:
     return certificates.Identity(signed, identity.key).der
 
 
-@pytest.mark.parametrize(
+@each_case(
     "values",
     [
         ("\x1b]0;owned\x07",),
@@ -76,7 +76,7 @@ def test_names_harm_nobody(values: tuple[str, ...]) -> None:
     assert "2024-01-01 00:00:00" in text
 
 
-@settings(max_examples=500, deadline=None)
+@settings(max_examples=200)
 @given(st.binary(max_size=200), st.integers(0, 400), st.integers(0, 5))
 def test_any_bytes(noise: bytes, at: int, cut: int) -> None:
     good = certificates.client().der

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from fuzz.checks import check_certificate, check_role_value
 from libmodbus_py.security.role import ROLE_OID, RoleError, encode_role, role_of
 from tests.support import certificates
+from tests.support.cases import each_case
 
 # The specification's own example (section 8.4): 0C 08 4F 70 65 72 61 74 6F 72.
 OPERATOR = bytes.fromhex("0C 08 4F 70 65 72 61 74 6F 72")
@@ -35,7 +36,7 @@ def test_no_extension_is_no_role() -> None:
     assert role_of(certificates.self_signed().der) is None
 
 
-@pytest.mark.parametrize(
+@each_case(
     "role",
     ["x", "Operator", "Operator,Engineer", "Prüfer 1", "技術者", "a" * 127, "b" * 128, "c" * 255],
 )
@@ -44,7 +45,7 @@ def test_the_whole_string_is_one_role(role: str) -> None:
     assert role_of(certificates.client(role).der) == role
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("value", "reason"),
     [
         (b"\x16\x08Operator", "UTF8String"),  # IA5String
@@ -93,9 +94,7 @@ def test_another_extension_twice_is_refused_by_its_name() -> None:
         role_of(der.replace(other[:3] + b"\1", other))
 
 
-@pytest.mark.parametrize(
-    "data", [b"", b"\0", b"0", b"\x30\x00", b"\x30\x80", OPERATOR, b"a" * 100_000]
-)
+@each_case("data", [b"", b"\0", b"0", b"\x30\x00", b"\x30\x80", OPERATOR, b"a" * 100_000])
 def test_what_is_no_certificate_is_refused(data: bytes) -> None:
     with pytest.raises(RoleError, match="cannot be read"):
         role_of(data)
@@ -118,13 +117,13 @@ def test_errors_are_short_and_on_one_line() -> None:
         assert str(caught.value).isprintable()
 
 
-@settings(max_examples=500, deadline=None)
+@settings(max_examples=200)
 @given(st.binary(max_size=300) | st.builds(lambda rest: b"\x0c" + rest, st.binary(max_size=300)))
 def test_any_value(value: bytes) -> None:
     check_role_value(value)
 
 
-@settings(max_examples=500, deadline=None)
+@settings(max_examples=200)
 @given(st.text(max_size=300))
 def test_any_text(role: str) -> None:
     try:
@@ -147,7 +146,7 @@ def damaged(draw: st.DrawFn) -> bytes:
     return data
 
 
-@settings(max_examples=1500, deadline=None)
+@settings(max_examples=500)
 @given(damaged() | st.binary(max_size=200))
 def test_any_certificate(data: bytes) -> None:
     check_certificate(data)

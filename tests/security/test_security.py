@@ -23,6 +23,7 @@ from cryptography.hazmat.primitives.asymmetric import rsa
 from libmodbus_py import Device, Mapping, Security, Server
 from libmodbus_py.security.making import make
 from tests.support import certificates
+from tests.support.cases import each_case
 from tests.support.certificates import Files, Papers
 
 DIGEST = "ab" * 32
@@ -64,13 +65,14 @@ NO_CERTIFICATE: dict[str, tuple[Callable[[], bytes] | None, str]] = {
 }
 
 
-@pytest.mark.parametrize("what", NO_CERTIFICATE)
-@pytest.mark.parametrize("argument", ["certificate", "trust", "pin"])
+@each_case("what", NO_CERTIFICATE)
+@each_case("argument", ["certificate", "trust", "pin"])
 def test_a_file_without_a_certificate_is_named(
     tmp_path: Path, papers: Papers, files: Files, argument: str, what: str
 ) -> None:
     content, reason = NO_CERTIFICATE[what]
     file = tmp_path / "file.pem"
+    file.unlink(missing_ok=True)
     if content is not None:
         file.write_bytes(content())
     options: dict[str, Any] = {"certificate": files.cert, "key": files.key}
@@ -105,12 +107,13 @@ NO_KEY: dict[str, tuple[Callable[[], bytes] | None, str]] = {
 }
 
 
-@pytest.mark.parametrize("what", NO_KEY)
+@each_case("what", NO_KEY)
 def test_a_file_without_the_key_is_named(
     tmp_path: Path, papers: Papers, files: Files, what: str
 ) -> None:
     content, reason = NO_KEY[what]
     file = tmp_path / "key.pem"
+    file.unlink(missing_ok=True)
     if content is not None:
         file.write_bytes(content())
     with pytest.raises(ValueError, match=exactly(f"key {str(file)!r}: {reason}")):
@@ -133,7 +136,7 @@ def test_a_key_that_is_too_short_is_the_certificate_s_fault(papers: Papers) -> N
         Security(short.cert, short.key, trust=papers.ca)
 
 
-@pytest.mark.parametrize("argument", ["certificate", "key", "trust", "pin"])
+@each_case("argument", ["certificate", "key", "trust", "pin"])
 def test_what_is_no_file_is_named(papers: Papers, files: Files, argument: str) -> None:
     good: dict[str, Any] = {"certificate": files.cert, "key": files.key}
     if argument != "pin":
@@ -260,7 +263,7 @@ def digest(certificate: bytes) -> str:
     return hashlib.sha256(certificate).hexdigest()
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("pin", "error", "reason"),
     [
         ([], ValueError, "one certificate at least"),

@@ -21,6 +21,7 @@ from libmodbus_py.server.by_frame import ByFrame
 from libmodbus_py.server.faults_due import Faults
 from libmodbus_py.server.limits import ServerStatistics
 from libmodbus_py.server.units import TcpUnits, Units
+from tests.support.cases import each_case
 from tests.support.vectors import REQUESTS, FrameVector, rows
 
 REPLIED = (1, 2, 3, 4, 5, 6, 15, 16, 22, 23)
@@ -192,7 +193,7 @@ def in_pieces(data: bytes, cuts: list[int]) -> list[bytes]:
     return [data[start:end] for start, end in zip([0, *ends], ends, strict=False)]
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=160)
 @given(streams(), st.lists(st.integers(0, 4000), max_size=4), st.booleans())
 def test_same_answers_contents_counters_and_statistics(
     stream: bytes, cuts: list[int], one_for_all: bool
@@ -208,7 +209,7 @@ def test_same_answers_contents_counters_and_statistics(
     assert ends[0] == ends[1]
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=80)
 @given(
     st.lists(st.tuples(bodies(), st.sampled_from([1, 1, 1, 2, 9, 3])), min_size=1, max_size=12),
     st.integers(0, 30),
@@ -238,7 +239,7 @@ def test_same_for_connections_that_send_one_request_each(
     assert states[0] == states[1]
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60)
 @given(streams(), st.lists(st.integers(0, 4000), max_size=4), st.sampled_from([WHOLE, HOLES]))
 def test_hooks_change_no_answer(stream: bytes, cuts: list[int], holds: Any) -> None:
     """A device with hooks answers in Python what one without answers in C."""
@@ -343,7 +344,7 @@ def hooked(wanted: dict[str, Any], functions: set[Any], told: Told) -> Device:
     return device
 
 
-@settings(max_examples=250, deadline=None)
+@settings(max_examples=100)
 @given(small_streams(), st.lists(st.integers(0, 4000), max_size=4), hook_places, handled)
 def test_hooks_are_told_alike_both_ways(
     stream: bytes, cuts: list[int], wanted: dict[str, Any], functions: set[Any]
@@ -360,7 +361,7 @@ def test_hooks_are_told_alike_both_ways(
     assert ends[0] == ends[1]
 
 
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=48)
 @given(st.lists(small_bodies(), min_size=1, max_size=12), hook_places, handled)
 def test_hooks_are_told_alike_of_requests_that_come_alone(
     asked: list[bytes], wanted: dict[str, Any], functions: set[Any]
@@ -396,7 +397,7 @@ def is_wanted(where: Any, access: Access) -> bool:
     return any(address in each for each in ranges for address in addresses)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60)
 @given(small_streams(), hook_places)
 def test_hooks_are_told_of_what_touches_their_places(stream: bytes, wanted: dict[str, Any]) -> None:
     """Against the same hooks, told of all: none of them changes or refuses anything."""
@@ -437,7 +438,7 @@ def is_answered_in_c(device: Device, body: bytes, monkeypatch: pytest.MonkeyPatc
 WRITE_READ = b"\x17" + in_words(100, 1, 300, 1) + b"\2\0\1"
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("hooks", "in_c", "in_python"),
     [
         pytest.param(
@@ -534,7 +535,7 @@ def touched(body: bytes) -> set[int]:
 TABLE_OF = {1: "coils", 5: "coils", 15: "coils", 2: "discrete_inputs", 4: "input_registers"}
 
 
-@settings(max_examples=600, deadline=None)
+@settings(max_examples=240)
 @given(st.one_of(reads(), single_writes(), writes(), read_writes(), mask_writes))
 def test_holes_are_answered_with_exception_2_and_stay_as_they_are(body: bytes) -> None:
     """What is refused for other reasons comes first."""
@@ -558,7 +559,7 @@ def test_holes_are_answered_with_exception_2_and_stay_as_they_are(body: bytes) -
             assert not any(view[at - first] for at in own.addresses if not own.has(at))
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=120)
 @given(st.binary(min_size=1, max_size=600), st.lists(st.integers(0, 600), max_size=4))
 def test_same_for_bytes_that_are_no_requests(data: bytes, cuts: list[int]) -> None:
     """Where a length makes no sense both stop, and what came before is answered."""
@@ -592,8 +593,8 @@ def replied_vectors() -> list[FrameVector]:
     return [vector for vector in REQUESTS if vector.function in REPLIED]
 
 
-@pytest.mark.parametrize("vector", rows(REQUESTS))
-@pytest.mark.parametrize("times", [1, 3])
+@each_case("vector", rows(REQUESTS))
+@each_case("times", [1, 3])
 def test_worked_examples_are_answered_alike(vector: FrameVector, times: int) -> None:
     answers = []
     for kind in ("chunk", "frames"):
@@ -644,7 +645,7 @@ def read_write_of(read: int, write: int) -> bytes:
 LIMITS = {1: 2000, 2: 2000, 3: 125, 4: 125, 15: 1968, 16: 123}
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("body", "is_good"),
     [
         *[
@@ -668,7 +669,7 @@ LIMITS = {1: 2000, 2: 2000, 3: 125, 4: 125, 15: 1968, 16: 123}
 def test_counts_at_their_limits(
     body: bytes, is_good: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.delattr(Device, "answer")
+    monkeypatch.delattr(Device, "answer", raising=False)
     end = End(Device(Mapping(65536, 65536, 65536, 65536)), "chunk")
     end.receive(adu(body, 1))
     refusal = bytes([body[0] | 0x80, 3])
@@ -676,7 +677,7 @@ def test_counts_at_their_limits(
     assert end.statistics.requests == 1
 
 
-@pytest.mark.parametrize(
+@each_case(
     "body",
     [
         b"\x0f\0\0\0\x09\x01\0",
@@ -692,7 +693,7 @@ def test_counts_at_their_limits(
 def test_a_byte_count_that_is_not_what_follows(
     body: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.delattr(Device, "answer")
+    monkeypatch.delattr(Device, "answer", raising=False)
     end = End(Device(Mapping(65536, 65536, 65536, 65536)), "chunk")
     end.receive(adu(body, 1))
     assert end.sent == adu(bytes([body[0] | 0x80, 3]), 1)

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import contextlib
 import subprocess
-from collections.abc import Callable, Iterator
-from typing import NamedTuple
+from collections.abc import Callable, Generator, Iterable, Iterator
+from typing import NamedTuple, TypeVar
 
 from libmodbus_py import Context, Device, Mapping, Server
 from libmodbus_py.ports.endpoint import Endpoint, parse
 from libmodbus_py.protocol.pdu import ServerId
 from libmodbus_py.testing.wires import SerialWire, TcpWire
+from tests.support.cases import Check, each
 from tests.support.certificates import Papers
 
 UNIT = 17
@@ -86,12 +87,53 @@ def make_device() -> Device:
     )
 
 
+def restore(device: Device) -> None:
+    """Set what the tables and files hold to what `make_device` has put there."""
+    mapping = device.mapping
+    mapping.coils[:] = map(coil, COILS)
+    mapping.holding_registers[:] = map(holding_register, HOLDING_REGISTERS)
+    device.files[4].write(0, tuple(map(record, RECORDS)))
+    device.files[3].write(9, (0x33CD, 0x0040))
+
+
+def restore_through(context: Context, function: int) -> None:
+    """The same for the tables of another server, after a function that writes."""
+    if function in (5, 15):
+        for first in (10, 1060):
+            context.write_coils(first, cells(coil, first, 1050))
+    if function in (6, 16, 22, 23):
+        for first in (100, 200, 300):
+            context.write_registers(first, cells(holding_register, first, 100))
+
+
 # --- ids ---------------------------------------------------------------------------
+
+
+# A case of a table, and its id.
+Case = TypeVar("Case")
+Record = Callable[[str, object], None]
+
+
+def tried(
+    record: Record, cases: Iterable[tuple[str, Case]]
+) -> Generator[tuple[Check, Case], None, None]:
+    """
+    Yield each case with its check, as `each` does, and record under its id what became of it.
+
+    Args:
+        record: the fixture record_property, whose records interop_report.py reads.
+        cases: each with its id, of `case_id`.
+    """
+    for check, (name, case) in each(cases, lambda case: case[0]):
+        yield check, case
+        record(name, "failed" if check.error else "passed")
 
 
 def case_id(peer: str, role: str, transport: str, function: int, *more: str) -> str:
     """
-    Name a test as interop_report.py reads it, such as "mbpoll-server-tcp-fc03-most".
+    Name a test, or a case of one, as interop_report.py reads it.
+
+    Such a name is "mbpoll-server-tcp-fc03-most".
 
     Args:
         peer: the other program.

@@ -3,8 +3,8 @@ Run the interoperability tests and print what works with whom, as a Markdown tab
 
     python -m tests.support.interop_report [options for pytest, such as -n 2]
 
-The table is read off the ids of the tests (interop.case_id). Ends with pytest's
-exit status.
+The table is read off the ids of the tests, and off those that they record for the
+cases of their tables (interop.case_id, interop.tried). Ends with pytest's exit status.
 """
 
 from __future__ import annotations
@@ -14,12 +14,13 @@ import subprocess
 import sys
 import tempfile
 from collections import defaultdict
+from collections.abc import Iterator
 from pathlib import Path
 from xml.etree import ElementTree
 
 TESTS = Path(__file__).parents[1]
 CASE = re.compile(
-    r"\[(?P<peer>\w+)-(?P<role>client|server)-(?P<transport>[a-z+]+)-fc(?P<function>\d+)(?P<more>.*)\]$"
+    r"(?P<peer>\w+)-(?P<role>client|server)-(?P<transport>[a-z+]+)-fc(?P<function>\d+)(?P<more>.*)$"
 )
 LINES = {"client": "our client, its server", "server": "its client, our server"}
 
@@ -33,25 +34,38 @@ def run(report: Path, options: list[str]) -> int:
     return subprocess.run(command, cwd=TESTS.parent, stdout=sys.stderr).returncode
 
 
-def outcome(case: ElementTree.Element, more: str) -> str:
-    """Say what one test means for its cell of the table."""
+def status(case: ElementTree.Element) -> str:
+    """Return what became of one test."""
     if case.find("failure") is not None or case.find("error") is not None:
+        return "failed"
+    return "skipped" if case.find("skipped") is not None else "passed"
+
+
+def named(case: ElementTree.Element) -> Iterator[tuple[str, str]]:
+    """Yield what became of the cases that a test has recorded, or else of the test itself."""
+    recorded = [(one.get("name", ""), one.get("value", "")) for one in case.iter("property")]
+    yield from recorded or [(case.get("name", "").partition("[")[2].rstrip("]"), status(case))]
+
+
+def outcome(status: str, more: str) -> str:
+    """Return what one case means for its cell of the table."""
+    if status == "failed":
         return "FAIL"
-    if case.find("skipped") is not None:
+    if status == "skipped":
         return "skipped"
     return next((word for word in ("pinned", "refused") if word in more.split("-")), "ok")
 
 
 def read(report: Path) -> tuple[dict[Row, dict[int, set[str]]], int]:
-    """Give the outcomes of each cell, and how many tests stand behind them."""
+    """Return the outcomes of each cell, and how many cases stand behind them."""
     table: dict[Row, dict[int, set[str]]] = defaultdict(lambda: defaultdict(set))
     count = 0
     for case in ElementTree.parse(report).iter("testcase"):
-        found = CASE.search(case.get("name", ""))
-        if found:
-            row = (found["peer"], found["role"], found["transport"])
-            table[row][int(found["function"])].add(outcome(case, found["more"]))
-            count += 1
+        for name, became in named(case):
+            if found := CASE.match(name):
+                row = (found["peer"], found["role"], found["transport"])
+                table[row][int(found["function"])].add(outcome(became, found["more"]))
+                count += 1
     return table, count
 
 
@@ -84,7 +98,7 @@ def main() -> int:
         table, count = read(report)
     print(markdown(table))
     print()
-    print(f"{count} tests. Columns: function codes. refused: the server has no such function and")
+    print(f"{count} cases. Columns: function codes. refused: the server has no such function and")
     print(
         "says so. *: the peer errs, and a test says how and what becomes of it. Empty: not tried."
     )

@@ -11,6 +11,7 @@ import pytest
 
 from libmodbus_py.simulator.device_file import DeviceFileError, load
 from libmodbus_py.toml.lines import line_of
+from tests.support.cases import each_case
 
 TEXT = """\
 # a comment with key = 1
@@ -30,7 +31,7 @@ value = true
 """
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("path", "line"),
     [
         ("title", 2),
@@ -69,7 +70,7 @@ MISTAKES = [
 ]
 
 
-@pytest.mark.parametrize(("text", "line", "message"), MISTAKES)
+@each_case(("text", "line", "message"), MISTAKES)
 def test_a_mistake_in_an_unknown_table_names_its_own_line(
     text: str, line: int, message: str, tmp_path: Path
 ) -> None:

@@ -16,7 +16,7 @@
 static int trusting_reply(modbus_t *context, const uint8_t *request, int size,
                           modbus_mapping_t *tables);
 #define modbus_reply trusting_reply
-#include "../../libmodbus_py/binding/answer_chunk.c"
+#include "../../../libmodbus_py/binding/answer_chunk.c"
 
 enum { SPACE = 65536, GUARD = 0x5A, FIRST = 1000, COUNT = 40 };
 
