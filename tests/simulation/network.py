@@ -12,10 +12,12 @@ import socket
 from collections.abc import Callable, Coroutine, Iterator
 from dataclasses import replace
 from functools import partial
+from types import SimpleNamespace
 from typing import Any, TypeVar
 from unittest.mock import patch
 
 from libmodbus_py.client import options as client_options
+from libmodbus_py.fleet import fleet
 from libmodbus_py.ports.endpoint import Endpoint, parse
 from libmodbus_py.ports.port import Port
 from libmodbus_py.protocol.errors import ModbusConnectionError
@@ -39,6 +41,9 @@ Accept = Callable[[MemorySocket, tuple[str, int]], object]
 Tap = Callable[[str, int, bool, bytes], object]
 
 ADDRESS = tuple[str, int]
+
+# The time of day when the clock of the events stands at 0.
+EPOCH = 1_700_000_000.0
 
 # How long it takes to connect.
 CONNECTING = 0.0003
@@ -80,6 +85,10 @@ class Network:
         """
         with self.installed():
             return run(main(), self.loop())
+
+    def time_of_day(self) -> float:
+        """Return what `time.time` does, in this world."""
+        return EPOCH + self.events.now
 
     def new_port(self) -> int:
         """Return a number of a port that nobody has."""
@@ -172,6 +181,8 @@ class Network:
             patch.object(tcp, "bound", self._bound),
             patch.object(serving, "Peers", partial(Peers, make_epoll=self._epoll)),
             patch.object(serial_server, "SerialPort", self._serial),
+            # The phases of polls come of the time of day.
+            patch.object(fleet, "time", SimpleNamespace(time=self.time_of_day)),
         ):
             yield
 
