@@ -13,7 +13,7 @@ import asyncio
 import itertools
 import math
 from collections import deque
-from collections.abc import Awaitable, Callable, Iterable
+from collections.abc import Awaitable, Callable, Iterable, Iterator
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any, NamedTuple, cast
@@ -87,7 +87,7 @@ class Engine:
     The server.
 
     Args:
-        network: whose clock and random choices it uses.
+        network: whose clock and random choices it uses; make the engine before its loop.
         delay: the least and the most seconds that a message takes each way.
 
     Attributes:
@@ -98,6 +98,7 @@ class Engine:
         stream: the last messages of the stream of readings: time, subject, data.
         requests: how many requests the server has carried out.
         is_up: whether it can be reached.
+        processes: numbers those of the workers.
     """
 
     def __init__(self, network: Network, delay: tuple[float, float] = DELAY) -> None:
@@ -108,6 +109,8 @@ class Engine:
         self.stream: deque[tuple[float, str, bytes]] = deque(maxlen=MOST_KEPT)
         self.requests: int = 0
         self.is_up: bool = True
+        self.processes: Iterator[int] = itertools.count(1)
+        network.has_processes = True
         self.events = network.events
         self.descriptors = network.descriptors
         self._config: api.StreamConfig | None = None

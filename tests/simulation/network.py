@@ -29,6 +29,7 @@ from .events import Events
 from .lines import MemorySerialPort, SerialLine
 from .loop import Descriptors, VirtualLoop, run
 from .ports import MemoryTcpPort, MemoryUdpPort, MemoryWaker
+from .processes import HOST, StoppableLoop
 from .sockets import MemoryEpoll, MemoryListener, MemorySocket, pair
 
 __all__ = ["Accept", "Network"]
@@ -59,6 +60,7 @@ class Network:
         lines: the serial lines, by device; one comes into being when its device is first opened.
         unreachable: hosts that answer no attempt to connect.
         tap: told of all that is sent: where, over which connection, whether a client did, and what.
+        has_processes: whether parts of what runs in a loop can be stopped: see `processes`.
     """
 
     def __init__(self, seed: int = 0) -> None:
@@ -67,6 +69,7 @@ class Network:
         self.lines: dict[str, SerialLine] = {}
         self.unreachable: set[str] = set()
         self.tap: Tap | None = None
+        self.has_processes: bool = False
         self._hosts: dict[tuple[str, ADDRESS], Accept] = {}
         self._sockets: dict[int, MemorySocket] = {}
         self._ports = 49_152
@@ -74,7 +77,8 @@ class Network:
 
     def loop(self) -> VirtualLoop:
         """Return a new event loop on this network."""
-        return VirtualLoop(self.events, self.descriptors)
+        kind = StoppableLoop if self.has_processes else VirtualLoop
+        return kind(self.events, self.descriptors)
 
     def run(self, main: Callable[[], Coroutine[Any, Any, Result]]) -> Result:
         """
@@ -128,10 +132,13 @@ class Network:
         near, far = pair(self.events, self.descriptors)
         self.descriptors.writable.discard(near.fileno())
         if host not in self.unreachable:
-            self.events.after(CONNECTING, self._establish, near, far, (host, port))
+            origin = HOST.get()
+            self.events.after(CONNECTING, self._establish, near, far, (host, port), origin)
         return near, 0
 
-    def _establish(self, near: MemorySocket, far: MemorySocket, address: ADDRESS) -> None:
+    def _establish(
+        self, near: MemorySocket, far: MemorySocket, address: ADDRESS, origin: str
+    ) -> None:
         if near.is_closed:
             far.close()
             return
@@ -142,7 +149,7 @@ class Network:
             near.note_room()
             self._sockets[far.fileno()] = far
             self._follow(near, far, f"{address[0]}:{address[1]}")
-            accept(far, ("10.255.0.1", self.new_port()))
+            accept(far, (origin, self.new_port()))
 
     def _follow(self, near: MemorySocket, far: MemorySocket, place: str) -> None:
         number = next(self._connections)
@@ -164,7 +171,7 @@ class Network:
             far.on_input = partial(near.reset, errno.ECONNREFUSED)
         else:
             self._follow(near, far, f"{host}:{port}")
-            accept(far, ("10.255.0.1", self.new_port()))
+            accept(far, (HOST.get(), self.new_port()))
         return near, 0
 
     def waker(self) -> MemoryWaker:

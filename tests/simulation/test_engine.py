@@ -12,6 +12,7 @@ import pytest
 from libmodbus_py import Device, DeviceConfig, Mapping, Point, RegisterMap, Server
 from libmodbus_py.engine.buckets import Change
 from libmodbus_py.engine.troubles import EngineError
+from libmodbus_py.ports.trace import Traced
 from libmodbus_py.workers.records import Settings
 
 from .engine import Engine
@@ -196,5 +197,37 @@ def test_messages_reach_who_subscribed() -> None:
         assert answered.data == b"1!"
         await client.close()
         await other.close()
+
+    network.run(main)
+
+
+def test_a_stopped_worker_does_nothing_and_then_goes_on() -> None:
+    network = Network(seed=2)
+    engine = Engine(network)
+    asked: list[float] = []
+
+    def note(traced: Traced) -> None:
+        if traced.direction == "received":
+            asked.append(network.events.now)
+
+    async def main() -> None:
+        server = Server({1: Device(Mapping(holding_registers=1))}, trace=note)
+        async with server.serving("tcp://10.0.0.1"):
+            await push_fleet(engine, devices(1), Settings(LEASE))
+            worker = SimulatedWorker(network, engine, "a")
+            await worker.start()
+            await asyncio.sleep(7.5)
+            worker.process.stop()
+            count = len(asked)
+            assert count >= 4
+            stopped_at = network.events.now
+            await asyncio.sleep(60)
+            assert len(asked) == count
+            worker.process.go_on()
+            await asyncio.sleep(2 * LEASE)
+            assert len(asked) > count
+            # Its lease is over: it asks nobody until it has another one.
+            assert asked[count] > stopped_at + 60
+            await worker.leave()
 
     network.run(main)

@@ -1,6 +1,6 @@
 """
 Workers in a simulated world: each is a whole `Polling` with its fleet and its connection to the
-engine, which leaves or is killed.
+engine, which leaves, is killed, or is stopped for a while.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from libmodbus_py.workers.records import Settings
 
 from .engine import Engine
 from .network import Network
+from .processes import Process
 
 __all__ = ["SimulatedWorker", "push_fleet"]
 
@@ -57,6 +58,7 @@ class SimulatedWorker:
     Attributes:
         client: its connection to the engine.
         polling: what it runs, once it was started.
+        process: can be stopped and continued; its host is the address that devices see.
     """
 
     polling: Polling
@@ -71,7 +73,8 @@ class SimulatedWorker:
         outputs: Sequence[Output] = (),
         rate: float = 1.0,
     ) -> None:
-        self.client = engine.client()
+        self.process = Process(f"10.255.1.{next(engine.processes)}")
+        self.client = self.process.call(engine.client)
         self._network = network
         self._name = name
         self._zones = zones
@@ -81,6 +84,10 @@ class SimulatedWorker:
 
     async def start(self) -> None:
         """Read the settings of the fleet, and begin to poll."""
+        await self.process.begin(self._start())
+        self._task = self.process.begin(self.polling.run())
+
+    async def _start(self) -> None:
         bucket = await open_bucket(cast(Any, self.client), "modbus-fleet")
         settings = (await seen_now(bucket)).settings
         assert settings is not None
@@ -95,7 +102,6 @@ class SimulatedWorker:
             clock=self.now,
         )
         self.client.on_change = self.polling.engine_changed
-        self._task = asyncio.create_task(self.polling.run(), name=self._name)
 
     def now(self) -> float:
         """Return the time of its own clock."""
@@ -103,12 +109,13 @@ class SimulatedWorker:
 
     async def leave(self) -> None:
         """End as on SIGTERM: the others are told."""
-        self.polling.leave()
+        self.process.call(self.polling.leave)
         await self._task
         await self.client.close()
 
     async def kill(self) -> None:
         """End as on SIGKILL: nothing more is said to the engine or to devices."""
+        self.process.is_stopped = False
         await self.client.close()
         self._task.cancel()
         await asyncio.gather(self._task, return_exceptions=True)
