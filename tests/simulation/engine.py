@@ -477,15 +477,18 @@ class EngineClient:
 
     async def close(self) -> None:
         """Close the connection, and end all subscriptions."""
-        if self.is_closed:
-            return
-        self.is_closed, self.is_connected = True, False
-        self.link.is_up = False
-        self.engine.disconnect(self.link)
-        self._loop.remove_reader(self._descriptor)
-        self.engine.descriptors.forget(self._descriptor)
+        self.drop()
         for subscription in list(self._subscriptions):
             await subscription.end()
+
+    def drop(self) -> None:
+        """Close the connection as the system does when a process ends."""
+        if not self.is_closed:
+            self.is_closed, self.is_connected = True, False
+            self.link.is_up = False
+            self.engine.disconnect(self.link)
+            self._loop.remove_reader(self._descriptor)
+            self.engine.descriptors.forget(self._descriptor)
 
     # --- as nats-py's ---------------------------------------------------------------------------
 

@@ -46,10 +46,11 @@ def exchange(seed: int) -> list[tuple[float, str, bytes]]:
             shares = [len(each.polling.fleet.devices) for each in (one, other)]
             assert sum(shares) == 8
             assert all(shares)
-            await one.kill()
+            one.kill()
             await asyncio.sleep(2 * LEASE)
             assert len(other.polling.fleet.devices) == 8
             await other.leave()
+            await one.ended()
 
     network.run(main)
     return list(engine.stream)

@@ -113,9 +113,13 @@ class SimulatedWorker:
         await self._task
         await self.client.close()
 
-    async def kill(self) -> None:
-        """End as on SIGKILL: nothing more is said to the engine or to devices."""
+    def kill(self) -> None:
+        """End as on SIGKILL: nothing more is said to the engine or to devices; see `ended`."""
         self.process.is_stopped = False
-        await self.client.close()
+        self.client.drop()
         self._task.cancel()
+
+    async def ended(self) -> None:
+        """Wait until nothing of what was killed is left."""
         await asyncio.gather(self._task, return_exceptions=True)
+        await self.client.close()
