@@ -36,7 +36,7 @@ def test_three_share_what_is_there() -> None:
         shares = trial.asked.hosts().values()
         assert len(shares) == 3
         assert min(shares) >= UNITS
-        await asyncio.sleep(20)
+        await asyncio.sleep(8)
         # Polls are not late, and none is missed.
         assert trial.asked.gap < INTERVAL + 0.1
 
@@ -74,7 +74,7 @@ def test_who_leaves_is_replaced_at_once() -> None:
     trial.run(main)
 
 
-@pytest.mark.parametrize("seconds", [0.3, LEASE, 5 * LEASE])
+@pytest.mark.parametrize("seconds", [0.3, LEASE, 3 * LEASE])
 def test_who_is_stopped_for_a_while_asks_nothing_that_others_have(seconds: float) -> None:
     trial = Trial(6)
 
@@ -90,7 +90,7 @@ def test_who_is_stopped_for_a_while_asks_nothing_that_others_have(seconds: float
     trial.run(main)
 
 
-@pytest.mark.parametrize("seconds", [0.3, LEASE, 5 * LEASE])
+@pytest.mark.parametrize("seconds", [0.3, LEASE, 3 * LEASE])
 def test_who_is_cut_off_asks_no_longer_than_its_lease(seconds: float) -> None:
     trial = Trial(6)
 
@@ -112,7 +112,7 @@ def test_who_is_cut_off_asks_no_longer_than_its_lease(seconds: float) -> None:
     trial.run(main)
 
 
-@pytest.mark.parametrize("seconds", [0.3, 2 * LEASE, 20.0])
+@pytest.mark.parametrize("seconds", [0.3, 5 * LEASE])
 def test_without_the_engine_nobody_asks_beyond_the_lease(seconds: float) -> None:
     trial = Trial(6)
 
@@ -178,7 +178,7 @@ def test_an_engine_that_loses_messages_is_watched_anew(losses: float) -> None:
     async def main() -> None:
         await three(trial)
         trial.engine.losses = losses
-        await asyncio.sleep(20)
+        await asyncio.sleep(10)
         trial.engine.losses = 0.0
         await trial.settle()
         assert len(trial.asked.hosts()) == 3
