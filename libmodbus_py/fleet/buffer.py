@@ -78,5 +78,6 @@ class Buffer:
         if not self._kept and not self._is_closed:
             self._filled.clear()
             with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(self._filled.wait(), patience)
+                async with asyncio.timeout(patience):
+                    await self._filled.wait()
         return [self._kept.popleft() for _ in range(min(most, len(self._kept)))]

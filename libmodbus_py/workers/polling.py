@@ -192,8 +192,10 @@ class Polling:
             self._tell_of_lease()
             settings = self.worker.view.settings
             turn = min(LONGEST_TURN, TURN * settings.lease if settings else LONGEST_TURN)
+            # Python 3.11's wait_for makes a task for each turn.
             with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(self._turn.wait(), turn)
+                async with asyncio.timeout(turn):
+                    await self._turn.wait()
             self._turn.clear()
 
     def _write(self, put: Put) -> None:

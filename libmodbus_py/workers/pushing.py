@@ -137,10 +137,12 @@ async def push(bucket: Bucket, settings: Settings, connections: list[Connection]
         puts = list(changes(view, settings, connections))
         if not puts:
             return total
+        # The revision of a key does not say it: what was deleted before has one, too.
+        known = {each.bucket_key for each in view.all_connections}
         told = [put for put in puts if put.key != SETTINGS]
         total = Pushed(
-            total.new + sum(put.value is not None and not put.last for put in told),
-            total.changed + sum(put.value is not None and put.last > 0 for put in told),
+            total.new + sum(put.key not in known for put in told),
+            total.changed + sum(put.key in known and put.value is not None for put in told),
             total.gone + sum(put.value is None for put in told),
         )
         await _written(bucket, [put for put in puts if put.value is not None])

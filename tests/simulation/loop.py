@@ -138,8 +138,11 @@ class VirtualLoop(asyncio.SelectorEventLoop):
     def time(self) -> float:
         return self._events.now
 
+    def before_cancelling(self) -> None:
+        """Called before what is left is cancelled."""
 
-def run(main: Coroutine[Any, Any, Result], loop: asyncio.AbstractEventLoop) -> Result:
+
+def run(main: Coroutine[Any, Any, Result], loop: VirtualLoop) -> Result:
     """
     Run a coroutine to its end, and close the loop.
 
@@ -171,7 +174,8 @@ def complaints_of(loop: asyncio.AbstractEventLoop) -> Iterator[list[Mapping[str,
     yield complaints
 
 
-def _cancel_all(loop: asyncio.AbstractEventLoop) -> None:
+def _cancel_all(loop: VirtualLoop) -> None:
+    loop.before_cancelling()
     left = asyncio.all_tasks(loop)
     for task in left:
         task.cancel()

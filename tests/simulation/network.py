@@ -12,10 +12,12 @@ import socket
 from collections.abc import Callable, Coroutine, Iterator
 from dataclasses import replace
 from functools import partial
+from types import SimpleNamespace
 from typing import Any, TypeVar
 from unittest.mock import patch
 
 from libmodbus_py.client import options as client_options
+from libmodbus_py.fleet import fleet
 from libmodbus_py.gateway import gateway
 from libmodbus_py.ports.endpoint import Endpoint, parse
 from libmodbus_py.ports.port import Port
@@ -28,6 +30,7 @@ from .events import Events
 from .lines import MemorySerialPort, SerialLine
 from .loop import Descriptors, VirtualLoop, run
 from .ports import MemoryTcpPort, MemoryUdpPort, MemoryWaker
+from .processes import HOST, StoppableLoop
 from .sockets import MemoryEpoll, MemoryListener, MemorySocket, pair
 
 __all__ = ["Accept", "Network"]
@@ -40,6 +43,9 @@ Accept = Callable[[MemorySocket, tuple[str, int]], object]
 Tap = Callable[[str, int, bool, bytes], object]
 
 ADDRESS = tuple[str, int]
+
+# The time of day when the clock of the events stands at 0.
+EPOCH = 1_700_000_000.0
 
 # How long it takes to connect.
 CONNECTING = 0.0003
@@ -56,6 +62,7 @@ class Network:
         unreachable: hosts that answer no attempt to connect.
         tap: told of all that is sent: the URL or device, the number of the connection, whether a
             client sent it, and what.
+        has_processes: whether parts of what runs in a loop can be stopped: see `processes`.
     """
 
     def __init__(self, seed: int = 0) -> None:
@@ -64,6 +71,7 @@ class Network:
         self.lines: dict[str, SerialLine] = {}
         self.unreachable: set[str] = set()
         self.tap: Tap | None = None
+        self.has_processes: bool = False
         self._hosts: dict[tuple[str, ADDRESS], tuple[Accept, str]] = {}
         self._sockets: dict[int, MemorySocket] = {}
         self._ports = 49_152
@@ -71,7 +79,8 @@ class Network:
 
     def loop(self) -> VirtualLoop:
         """Return a new event loop on this network."""
-        return VirtualLoop(self.events, self.descriptors)
+        kind = StoppableLoop if self.has_processes else VirtualLoop
+        return kind(self.events, self.descriptors)
 
     def run(self, main: Callable[[], Coroutine[Any, Any, Result]]) -> Result:
         """
@@ -82,6 +91,10 @@ class Network:
         """
         with self.installed():
             return run(main(), self.loop())
+
+    def time_of_day(self) -> float:
+        """Return what `time.time` does, in this world."""
+        return EPOCH + self.events.now
 
     def new_port(self) -> int:
         """Return a number of a port that nobody has."""
@@ -121,10 +134,13 @@ class Network:
         near, far = pair(self.events, self.descriptors)
         self.descriptors.writable.discard(near.fileno())
         if host not in self.unreachable:
-            self.events.after(CONNECTING, self._establish, near, far, (host, port))
+            origin = HOST.get()
+            self.events.after(CONNECTING, self._establish, near, far, (host, port), origin)
         return near, 0
 
-    def _establish(self, near: MemorySocket, far: MemorySocket, address: ADDRESS) -> None:
+    def _establish(
+        self, near: MemorySocket, far: MemorySocket, address: ADDRESS, origin: str
+    ) -> None:
         if near.is_closed:
             far.close()
             return
@@ -135,7 +151,7 @@ class Network:
             near.note_room()
             self._sockets[far.fileno()] = far
             self._follow(near, far, url)
-            accept(far, ("10.255.0.1", self.new_port()))
+            accept(far, (origin, self.new_port()))
 
     def _follow(self, near: MemorySocket, far: MemorySocket, place: str) -> None:
         number = next(self._connections)
@@ -157,7 +173,7 @@ class Network:
             far.on_input = partial(near.reset, errno.ECONNREFUSED)
         else:
             self._follow(near, far, url)
-            accept(far, ("10.255.0.1", self.new_port()))
+            accept(far, (HOST.get(), self.new_port()))
         return near, 0
 
     def waker(self) -> MemoryWaker:
@@ -175,6 +191,8 @@ class Network:
             patch.object(serving, "Peers", partial(Peers, make_epoll=self._epoll)),
             patch.object(serial_server, "SerialPort", self._serial),
             patch.object(gateway, "check_line", _any_line),
+            # The phases of polls come of the time of day.
+            patch.object(fleet, "time", SimpleNamespace(time=self.time_of_day)),
         ):
             yield
 
