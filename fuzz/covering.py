@@ -163,13 +163,12 @@ class Covering:
             for name in names:
                 digests.pop(name, None)
 
-    def add(self, parts: list[Path], paths: list[Path]) -> None:
-        """Take what was written down while the tests of some files ran."""
-        self.files.update({str(path): digest(path) for path in paths})
+    def add(self, parts: list[dict[str, Any]], path: Path) -> None:
+        """Take what was written down while the tests of a file ran."""
+        self.files[str(path)] = digest(path)
         for part in parts:
-            made: dict[str, Any] = json.loads(part.read_text())
-            self.seconds.update(made["seconds"])
-            for name, lines in made["lines"].items():
+            self.seconds.update(part["seconds"])
+            for name, lines in part["lines"].items():
                 self._place(Path(name), {int(line): tests for line, tests in lines.items()})
 
     def _place(self, path: Path, lines: dict[int, list[str]]) -> None:

@@ -21,6 +21,7 @@ import importlib
 import importlib.abc
 import importlib.machinery
 import importlib.util
+import json
 import os
 import random
 import re
@@ -32,9 +33,11 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import CodeType, ModuleType
+from typing import Any
 
 import pytest
 
@@ -65,6 +68,9 @@ BUDGET = 20.0
 
 BROKEN = 100
 """How a process ends that could not import its mutant."""
+
+PATIENCE = 600.0
+"""Seconds for the tests of one file, without a mutant."""
 
 MEMORY = 4 << 30
 """Bytes. A mutant that collects for ever ends there."""
@@ -256,6 +262,7 @@ def _become(mutant: Mutant, tests: dict[str, float], folder: Path) -> None:
             os.dup2(output.fileno(), 1)
             os.dup2(output.fileno(), 2)
         os.environ["HYPOTHESIS_STORAGE_DIRECTORY"] = str(folder / "hypothesis")
+        os.environ["TMPDIR"] = tempfile.tempdir = str(folder)
         random.seed(0)
         finder = _Finder(mutant.path, mutant.source)
         sys.meta_path.insert(0, finder)
@@ -303,19 +310,42 @@ def cover(tests: list[Path], jobs: int) -> Covering:
     """Return which tests execute which lines; test files that changed run for it."""
     BUILD.mkdir(parents=True, exist_ok=True)
     covering = Covering.read(BUILD / "covering.json")
-    if stale := covering.stale(tests):
-        _tell(f"running the tests of {len(stale)} files, to see which lines they execute")
-        covering.forget(stale)
-        with tempfile.TemporaryDirectory(dir=BUILD) as folder:
-            command = [sys.executable, "-m", "pytest", "-q", "-n", str(jobs)]
-            command += ["-p", "fuzz.covering", "-p", "no:cacheprovider", *map(str, stale)]
-            environment = {**os.environ, FOLDER: str(Path(folder).resolve())}
-            done = subprocess.run(command, env=environment, stdout=subprocess.PIPE, text=True)
-            if done.returncode:
-                _tell(done.stdout[-4000:] + "\nthe tests above fail without a mutant: left out")
-            covering.add(list(Path(folder).glob("part-*.json")), stale)
-        covering.write(BUILD / "covering.json")
+    stale = covering.stale(tests)
+    if not stale:
+        return covering
+    _tell(f"running the tests of {len(stale)} files, to see which lines they execute")
+    covering.forget(stale)
+    with ThreadPoolExecutor(jobs) as pool:
+        for path, parts in pool.map(_covered, stale):
+            covering.add(parts, path)
+            covering.write(BUILD / "covering.json")
     return covering
+
+
+def _covered(path: Path) -> tuple[Path, list[dict[str, Any]]]:
+    """Run the tests of a file in a process of their own, and return what it wrote down."""
+    with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
+        command = [sys.executable, "-m", "pytest", "-q", "-p", "no:xdist", "-p", "fuzz.covering"]
+        command += ["-p", "no:cacheprovider", "-o", "faulthandler_timeout=60", str(path)]
+        environment = {**os.environ, FOLDER: folder, "TMPDIR": folder}
+        started = subprocess.Popen(
+            command,
+            env=environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            start_new_session=True,
+        )
+        try:
+            output, _ = started.communicate(timeout=PATIENCE)
+        except subprocess.TimeoutExpired:
+            _kill(started.pid)
+            output, _ = started.communicate()
+        finally:
+            _kill(started.pid)
+        if started.returncode:
+            _tell(f"{output[-4000:]}\n{path}: these fail without a mutant, and are left out")
+        return path, [json.loads(part.read_text()) for part in Path(folder).glob("part-*.json")]
 
 
 def chosen(places: Sequence[str], sample: int, seed: int) -> list[Mutant]:
