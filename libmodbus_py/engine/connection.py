@@ -110,37 +110,10 @@ async def connected(
         raise EngineError("NATS needs nats-py: pip install 'libmodbus-py[nats]'") from None
 
     where = shown(servers)
-    failures: list[Exception] = []
-
-    async def note(error: Exception) -> None:
-        failures.append(error)
-        del failures[:-MOST_SERVERS]
-
-    async def changed() -> None:
-        on_change()
-
     options = _identity(environment) | _trust(servers, environment)
     client = Client()
     with explained(where):
-        try:
-            async with asyncio.timeout(PATIENCE * (len(servers) + 1)):
-                await client.connect(
-                    servers,
-                    name=name,
-                    error_cb=note,
-                    disconnected_cb=changed,
-                    reconnected_cb=changed,
-                    closed_cb=changed,
-                    **TIMES,
-                    **options,
-                )
-        except BaseException as error:
-            # nats-py leaves its socket open when its connect() ends too early.
-            await disconnect(client)
-            if not isinstance(error, Exception):
-                raise
-            told = [each for each in (*failures, error) if not _is_empty(each)]
-            raise EngineGone(f"{where}: {what((told or [error])[0])}") from None
+        await _connect(client, servers, {"name": name, **options}, on_change)
     client.options["max_reconnect_attempts"] = -1
     if "tls" in options and not client._server_info.get("tls_required"):
         await disconnect(client)
@@ -152,6 +125,33 @@ async def connected(
         known = f"{version.major}.{version.minor}.{version.patch}"
         raise EngineError(f"{where}: nats-server {known} is too old; {wanted} or newer is needed")
     return client
+
+
+async def _connect(
+    client: Client, servers: list[str], options: dict[str, Any], on_change: Callable[[], None]
+) -> None:
+    failures: list[Exception] = []
+
+    async def note(error: Exception) -> None:
+        failures.append(error)
+        del failures[:-MOST_SERVERS]
+
+    async def changed() -> None:
+        on_change()
+
+    told: dict[str, Any] = dict.fromkeys(
+        ("disconnected_cb", "reconnected_cb", "closed_cb"), changed
+    )
+    try:
+        async with asyncio.timeout(PATIENCE * (len(servers) + 1)):
+            await client.connect(servers, error_cb=note, **told, **TIMES, **options)
+    except BaseException as error:
+        # nats-py leaves its socket open when its connect() ends too early.
+        await disconnect(client)
+        if not isinstance(error, Exception):
+            raise
+        reasons = [each for each in (*failures, error) if not _is_empty(each)] or [error]
+        raise EngineGone(f"{shown(servers)}: {what(reasons[0])}") from None
 
 
 async def disconnect(client: Client) -> None:

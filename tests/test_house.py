@@ -1,0 +1,250 @@
+"""
+Rules of this repository that no linter knows.
+
+The numbers in capitals count what breaks a rule and was there before it. They may only fall:
+whoever mends one lowers the number.
+"""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from functools import cached_property
+from pathlib import Path
+
+ROOT = Path(__file__).parent.parent
+PACKAGE = ROOT / "libmodbus_py"
+
+LONGEST = 60
+"""Lines of a function."""
+
+LONG_FUNCTIONS = 5
+"""Of tests and their helpers; the package has none."""
+
+REAL_SLEEPS = 168
+"""Calls of `sleep` with a number, where real seconds pass."""
+
+MERELY_RUN = 5
+"""Tests that fail only if something is raised, which their names say."""
+
+Function = ast.FunctionDef | ast.AsyncFunctionDef
+
+# Where these come from, seconds are simulated.
+CLOCKS = ("tests.simulation", "tests.workers.memory_engine")
+
+# What fails a test, besides `assert`; `timeout` fails what does not happen.
+FAILING = {"raises", "fail", "warns", "timeout", "fnmatch_lines", "no_fnmatch_line", "wait_for"}
+
+
+class Module:
+    """A Python file of this repository, by its dotted name."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path.relative_to(ROOT)
+        self.name = ".".join(self.path.with_suffix("").parts)
+        self.tree = ast.parse(path.read_text())
+
+    @cached_property
+    def functions(self) -> list[Function]:
+        return [node for node in ast.walk(self.tree) if isinstance(node, Function)]
+
+    @cached_property
+    def definitions(self) -> dict[str, list[ast.AST]]:
+        found: dict[str, list[ast.AST]] = {}
+        for node in ast.walk(self.tree):
+            if isinstance(node, Function | ast.ClassDef):
+                found.setdefault(node.name, []).append(node)
+        return found
+
+    @cached_property
+    def imported(self) -> dict[str, tuple[str, str]]:
+        """What is taken from other modules: name -> module, and its name there."""
+        return {
+            alias.asname or alias.name: (node.module, alias.name)
+            for node in ast.walk(self.tree)
+            if isinstance(node, ast.ImportFrom) and node.module and not node.level
+            for alias in node.names
+        }
+
+    @property
+    def is_test(self) -> bool:
+        return self.path.name.startswith("test_")
+
+
+def modules(*folders: str) -> dict[str, Module]:
+    found = [Module(path) for folder in folders for path in sorted((ROOT / folder).rglob("*.py"))]
+    return {each.name: each for each in found}
+
+
+TESTS = modules("tests", "fuzz")
+
+
+class Assertions:
+    """Which functions of the tests can fail a test by themselves, or through others they call."""
+
+    def __init__(self) -> None:
+        self._known: dict[ast.AST, bool] = {}
+
+    def has(self, module: Module, node: ast.AST) -> bool:
+        if node not in self._known:
+            self._known[node] = False  # As long as it is not decided: functions call each other.
+            self._known[node] = any(map(_fails, ast.walk(node))) or any(
+                self.has(*each) for each in self._used(module, node) if each[1] is not node
+            )
+        return self._known[node]
+
+    def _used(self, module: Module, node: ast.AST) -> Iterator[tuple[Module, ast.AST]]:
+        """Yield the helpers, methods and fixtures that a function names."""
+        sources = {name for name, _ in module.imported.values()}
+        for inner in ast.walk(node):
+            match inner:
+                case ast.Name(id=name):
+                    places = [module.name, module.imported.get(name, ("", ""))[0]]
+                case ast.Attribute(attr=name):
+                    places = [module.name, *sources]
+                case ast.arg(arg=name):
+                    places = [module.name, *_conftests(module)]
+                case _:
+                    continue
+            for place in places:
+                if place in TESTS:
+                    for definition in TESTS[place].definitions.get(name, ()):
+                        yield TESTS[place], definition
+
+
+def _conftests(module: Module) -> Iterator[str]:
+    parts = module.name.split(".")[:-1]
+    for count in range(len(parts), 0, -1):
+        yield ".".join([*parts[:count], "conftest"])
+
+
+def _fails(node: ast.AST) -> bool:
+    """Whether a piece of code alone can fail a test."""
+    match node:
+        case ast.Assert():
+            return True
+        case ast.Raise(exc=ast.Call(func=ast.Name(id="AssertionError"))):
+            return True
+        case ast.Attribute(attr=name):
+            return name in FAILING or name.startswith("assert_")
+        case ast.keyword(arg="check", value=ast.Constant(value=True)):
+            return True
+    return False
+
+
+def too_long(found: dict[str, Module]) -> list[str]:
+    return [
+        f"{module.path}:{function.lineno}: {function.name} has {lines} lines"
+        for module in found.values()
+        for function in module.functions
+        if (lines := (function.end_lineno or 0) - function.lineno + 1) > LONGEST
+    ]
+
+
+def test_no_function_of_the_package_is_long() -> None:
+    assert too_long(modules("libmodbus_py", "bench", "packaging")) == []
+
+
+def test_few_functions_of_tests_are_long() -> None:
+    found = too_long(TESTS)
+    assert len(found) <= LONG_FUNCTIONS, found
+
+
+def test_each_file_of_the_package_is_imported_by_another_one() -> None:
+    """What nothing imports, by a path of its own or by a name in a table, is no part of it."""
+    named = set()
+    for path in [*PACKAGE.rglob("*.py"), ROOT / "pyproject.toml", ROOT / "build_ffi.py"]:
+        text = path.read_text()
+        tree = ast.parse(text) if path.suffix == ".py" else ast.Module([], [])
+        named |= set(_imported_by(path, tree))
+        named |= {
+            node.value
+            for node in ast.walk(tree)
+            if isinstance(node, ast.Constant) and isinstance(node.value, str)
+        }
+        named |= set(text.replace('"', " ").replace(":", " ").split()) if not tree.body else set()
+    files = {
+        ".".join(path.relative_to(ROOT).with_suffix("").parts): path
+        for path in PACKAGE.rglob("*.py")
+        if path.name not in ("__init__.py", "__main__.py")
+    }
+    unused = [
+        str(path.relative_to(ROOT))
+        for name, path in files.items()
+        if not any(given == name or name.endswith(f".{given.strip('.')}") for given in named)
+    ]
+    assert unused == []
+
+
+def _imported_by(path: Path, tree: ast.Module) -> Iterator[str]:
+    package = path.relative_to(ROOT).with_suffix("").parts[:-1]
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = list(package[: len(package) - node.level + 1]) if node.level else []
+            module = ".".join([*base, *filter(None, [node.module])])
+            yield module
+            yield from (f"{module}.{alias.name}" for alias in node.names)
+
+
+def test_each_test_can_fail() -> None:
+    assertions = Assertions()
+    found = [
+        f"{module.path}:{function.lineno}: {function.name}"
+        for module in TESTS.values()
+        if module.is_test
+        for function in module.functions
+        if function.name.startswith("test_") and not assertions.has(module, function)
+    ]
+    assert len(found) <= MERELY_RUN, found
+
+
+def test_what_can_fail_is_told_from_what_cannot() -> None:
+    tree = ast.parse(
+        """
+def check(value):
+    assert value
+
+def through_another():
+    check(1)
+
+def calls_only():
+    print(1)
+
+def circle():
+    circle()
+"""
+    )
+    module = Module(Path(__file__))
+    module.__dict__.update(tree=tree, name="tests.made_up")
+    TESTS[module.name] = module
+    try:
+        found = {each.name: Assertions().has(module, each) for each in module.functions}
+    finally:
+        del TESTS[module.name]
+    expected = {"check": True, "through_another": True, "calls_only": False, "circle": False}
+    assert found == expected
+
+
+def test_few_tests_wait_for_real_seconds() -> None:
+    found = [
+        f"{module.path}:{line}"
+        for module in TESTS.values()
+        if module.name.startswith("tests.")
+        and not any(source.startswith(CLOCKS) for source, _ in module.imported.values())
+        and not module.name.startswith(CLOCKS)
+        for line in _sleeps(module.tree)
+    ]
+    assert len(found) <= REAL_SLEEPS, f"{len(found)}: {found}"
+
+
+def _sleeps(tree: ast.AST) -> Iterator[int]:
+    """Yield the lines that sleep for a number of seconds."""
+    for node in ast.walk(tree):
+        match node:
+            case ast.Call(
+                func=ast.Attribute(attr="sleep") | ast.Name(id="sleep"),
+                args=[ast.Constant(value=int() | float() as seconds)],
+            ) if seconds:
+                yield node.lineno
