@@ -214,14 +214,20 @@ class Started:
         return self.returncode
 
     def wait(self, seconds: float = PATIENCE) -> int:
-        """Wait until the command ends, and return its exit code; minus a signal's number."""
+        """
+        Wait until the command ends, and return its exit code; minus a signal's number.
+
+        Raises:
+            subprocess.TimeoutExpired: the command still runs.
+        """
         if self.poll() is None:
             descriptor = os.pidfd_open(self.pid)
             try:
                 ended, _, _ = select.select([descriptor], [], [], seconds)
             finally:
                 os.close(descriptor)
-            assert ended, "the command does not end"
+            if not ended:
+                raise subprocess.TimeoutExpired(f"process {self.pid}", seconds)
         code = self.poll()
         assert code is not None
         return code
@@ -238,7 +244,7 @@ class Started:
             thread.start()
         try:
             self.wait(seconds)
-        except AssertionError:
+        except subprocess.TimeoutExpired:
             self.kill()
             raise
         finally:
