@@ -89,9 +89,9 @@ def _place(typed: str) -> str:
 
 def _write_all(line: Listener, write: Any, *, is_live: bool) -> None:
     """Until the end of a capture, or Ctrl-C."""
-    if is_live:
-        print(f"listening on {line.url}", file=sys.stderr, flush=True)
     try:
+        if is_live:  # within the block: who reads this line may interrupt at once
+            print(f"listening on {line.url}", file=sys.stderr, flush=True)
         for transaction in line:
             write(transaction)
     except KeyboardInterrupt:

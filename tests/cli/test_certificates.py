@@ -1,12 +1,11 @@
 """
-The command certificates, as a process of its own: what lies in the directory afterwards.
+The command certificates: what lies in the directory afterwards.
 """
 
 from __future__ import annotations
 
 import shlex
 import ssl
-import subprocess
 import sys
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -15,14 +14,11 @@ import pytest
 from cryptography import x509
 
 from libmodbus_py.security.role import role_of
+from tests.support.commands import Done, Started, run
 
-COMMAND = [sys.executable, "-m", "libmodbus_py", "certificates"]
 
-
-def run(*arguments: object) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [*COMMAND, *map(str, arguments)], capture_output=True, text=True, timeout=30
-    )
+def made(*arguments: object) -> Done:
+    return run("certificates", *arguments)
 
 
 def load(path: Path) -> x509.Certificate:
@@ -35,8 +31,8 @@ def role_in(path: Path) -> str | None:
 
 def test_it_makes_an_authority_a_server_and_clients(tmp_path: Path) -> None:
     directory = tmp_path / "new" / "with a space"
-    done = run(directory)
-    assert (done.returncode, done.stderr) == (0, "")
+    done = made(directory)
+    assert (done.code, done.err) == (0, "")
     roles = {path.stem: role_in(path) for path in directory.glob("*.pem") if "key" not in path.name}
     assert roles == {
         **dict.fromkeys(["ca", "server", "no-role"]),
@@ -53,8 +49,8 @@ def test_it_makes_an_authority_a_server_and_clients(tmp_path: Path) -> None:
 
 
 def test_the_commands_it_prints_name_files_that_fit_each_other(tmp_path: Path) -> None:
-    done = run(tmp_path / "a b")
-    serve, read = (shlex.split(line) for line in done.stdout.splitlines()[-2:])
+    done = made(tmp_path / "a b")
+    serve, read = (shlex.split(line) for line in done.out.splitlines()[-2:])
     assert serve[:3] == ["libmodbus-py", "serve", "tls://127.0.0.1:1802"]
     assert read[:5] == ["libmodbus-py", "read", "tls://127.0.0.1:1802", "holding", "0"]
     for words in (serve, read):
@@ -66,12 +62,12 @@ def test_the_commands_it_prints_name_files_that_fit_each_other(tmp_path: Path) -
 
 
 def test_options(tmp_path: Path) -> None:
-    done = run(
+    done = made(
         tmp_path,
         *("--host", "plc.example", "--host", "192.0.2.7", "--days", "7"),
         *("--role", "Shift leader", "--role", "Prüfer"),
     )
-    assert done.returncode == 0, done.stderr
+    assert done.code == 0, done.err
     server = load(tmp_path / "server.pem")
     names = server.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
     assert names.get_values_for_type(x509.DNSName) == ["localhost", "plc.example"]
@@ -86,10 +82,10 @@ def test_options(tmp_path: Path) -> None:
 
 def test_nothing_is_overwritten(tmp_path: Path) -> None:
     (tmp_path / "viewer-key.pem").write_text("mine")
-    done = run(tmp_path)
-    assert done.returncode == 1
-    assert done.stderr.count("\n") == 1
-    assert "viewer-key.pem: File exists" in done.stderr
+    done = made(tmp_path)
+    assert done.code == 1
+    assert done.err.count("\n") == 1
+    assert "viewer-key.pem: File exists" in done.err
     assert [path.name for path in tmp_path.iterdir()] == ["viewer-key.pem"]
 
 
@@ -110,41 +106,37 @@ def test_nothing_is_overwritten(tmp_path: Path) -> None:
 def test_wrong_options_say_so_before_anything_is_written(
     tmp_path: Path, options: list[str], said: str
 ) -> None:
-    done = run(tmp_path / "new", *options)
-    assert done.returncode == 2
-    assert done.stderr.count("\n") == 1
-    assert said in done.stderr
+    done = made(tmp_path / "new", *options)
+    assert done.code == 2
+    assert done.err.count("\n") == 1
+    assert said in done.err
     assert not (tmp_path / "new").exists()
 
 
 def test_a_place_that_cannot_be_says_so(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    done = run(tmp_path / "file")
-    assert done.returncode == 1
-    assert done.stderr == f"libmodbus-py: {tmp_path}/file: File exists\n"
+    done = made(tmp_path / "file")
+    assert done.code == 1
+    assert done.err == f"libmodbus-py: {tmp_path}/file: File exists\n"
 
 
-def test_without_cryptography_it_says_what_to_install(tmp_path: Path) -> None:
-    program = (
-        "import sys; sys.modules['cryptography'] = None\n"
-        "from libmodbus_py.cli.main import main; sys.exit(main())"
-    )
-    command = [sys.executable, "-c", program, "certificates", str(tmp_path)]
-    done = subprocess.run(command, capture_output=True, text=True)
-    assert done.returncode == 1
-    assert done.stderr.count("\n") == 1
-    assert "pip install 'libmodbus-py[security]'" in done.stderr
+def test_without_cryptography_it_says_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    missing = [name for name in sys.modules if name.startswith("libmodbus_py.security.making")]
+    for name in missing:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "cryptography", None)
+    done = made(tmp_path)
+    assert done.code == 1
+    assert done.err.count("\n") == 1
+    assert "pip install 'libmodbus-py[security]'" in done.err
 
 
 def test_the_commands_it_prints_work(tmp_path: Path) -> None:
-    serve, read = (shlex.split(line)[1:] for line in run(tmp_path).stdout.splitlines()[-2:])
-    program = COMMAND[:-1]
+    serve, read = (shlex.split(line)[1:] for line in made(tmp_path).out.splitlines()[-2:])
     serve[1] = "tls://127.0.0.1:0"
-    with subprocess.Popen([*program, *serve], stdout=subprocess.PIPE, text=True) as server:
-        try:
-            assert server.stdout is not None
-            read[1] = server.stdout.readline().removeprefix("listening on ").rstrip("\n")
-            done = subprocess.run([*program, *read], capture_output=True, text=True, timeout=30)
-            assert (done.stdout, done.stderr) == ("    0  0\n", "")
-        finally:
-            server.terminate()
+    with Started(*serve) as server:
+        read[1] = server.stdout.readline().removeprefix("listening on ").rstrip("\n")
+        done = run(*read)
+    assert (done.out, done.err) == ("    0  0\n", "")

@@ -1,16 +1,11 @@
 """
-The command line: what it prints, and its exit codes, as a process of its own.
+The command line: what it prints, and its exit codes.
 """
 
 from __future__ import annotations
 
 import json
-import os
-import pty
 import re
-import signal
-import subprocess
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -18,28 +13,19 @@ import pytest
 
 from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.testing.wires import SerialWire
+from tests.support.commands import Started, on_terminal, run
 
-COMMAND = [sys.executable, "-m", "libmodbus_py"]
 READ = ["read", "tcp://127.0.0.1:1"]
 WRITE = ["write", "tcp://127.0.0.1:1"]
 
 
-def run(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([*COMMAND, *arguments], capture_output=True, text=True, timeout=30)
-
-
 @contextmanager
 def serving(*urls: str) -> Iterator[list[str]]:
-    process = subprocess.Popen([*COMMAND, "serve", *urls], stdout=subprocess.PIPE, text=True)
-    try:
-        assert process.stdout is not None
+    with Started("serve", *urls) as process:
         lines = [process.stdout.readline() for _ in urls]
         yield [line.removeprefix("listening on ").rstrip("\n") for line in lines]
-        process.send_signal(signal.SIGTERM)
-        assert process.wait(1) == 0
-    finally:
-        process.kill()
-        process.communicate()
+        process.terminate()
+        assert process.wait() == 0
 
 
 @pytest.fixture(scope="module")
@@ -50,10 +36,10 @@ def url() -> Iterator[str]:
 
 def test_demo_shows_every_example_on_every_line() -> None:
     done = run("demo")
-    assert done.returncode == 0
-    assert done.stderr == ""
-    assert "\x1b" not in done.stdout
-    assert max(map(len, done.stdout.splitlines())) <= 80
+    assert done.code == 0
+    assert done.err == ""
+    assert "\x1b" not in done.out
+    assert max(map(len, done.out.splitlines())) <= 80
     for line in (
         "00 01 00 00 00 06 06 03 00 7A 00 03",
         "06 03 06 03 15 30 39 FD C9 55 7E",
@@ -61,28 +47,18 @@ def test_demo_shows_every_example_on_every_line() -> None:
         r":11140C05060DFE0020050633CD00404E\r\n",
         r":0D86026B\r\n",
     ):
-        assert line in done.stdout
-    assert done.stdout.count("789  12345  -567") == 3
-    assert done.stdout.count("0DFE 0020   33CD 0040") == 3
-    assert done.stdout.count("refused: illegal data address (exception 2)") == 3
+        assert line in done.out
+    assert done.out.count("789  12345  -567") == 3
+    assert done.out.count("0DFE 0020   33CD 0040") == 3
+    assert done.out.count("refused: illegal data address (exception 2)") == 3
 
 
-def test_demo_has_colour_on_a_terminal_only() -> None:
-    for environment, colour in (({}, True), ({"NO_COLOR": "1"}, False)):
-        master, slave = pty.openpty()
-        process = subprocess.Popen(
-            [*COMMAND, "demo"], stdout=slave, env=os.environ | environment, close_fds=True
-        )
-        os.close(slave)
-        output = b""
-        while True:
-            try:
-                output += os.read(master, 4096)
-            except OSError:
-                break
-        os.close(master)
-        assert process.wait() == 0
-        assert (b"\x1b[32m" in output) == colour
+@pytest.mark.parametrize(("environment", "colour"), [({}, True), ({"NO_COLOR": "1"}, False)])
+def test_demo_has_colour_on_a_terminal_only(environment: dict[str, str], colour: bool) -> None:
+    with on_terminal("demo", environment=environment) as terminal:
+        shown = terminal.read_to_end()
+        assert terminal.process.wait() == 0
+    assert ("\x1b[32m" in shown) == colour
 
 
 def test_serve_has_all_tables_and_files_for_every_unit(url: str) -> None:
@@ -95,8 +71,8 @@ def test_serve_has_all_tables_and_files_for_every_unit(url: str) -> None:
         ("9", "file:10", "9900", "100"),
     ):
         done = run("read", url, *where, "--unit", unit, "--json")
-        assert done.returncode == 0, done.stderr
-        assert set(json.loads(done.stdout)["values"]) == {0}
+        assert done.code == 0, done.err
+        assert set(json.loads(done.out)["values"]) == {0}
 
 
 @pytest.mark.parametrize(
@@ -117,12 +93,12 @@ def test_what_is_written_is_read(
     url: str, where: list[str], values: list[str], printed: str
 ) -> None:
     written = run("write", url, *where, *values)
-    assert (written.returncode, written.stdout, written.stderr) == (0, "", "")
-    assert run("read", url, *where, str(len(values))).stdout == printed
+    assert (written.code, written.out, written.err) == (0, "", "")
+    assert run("read", url, *where, str(len(values))).out == printed
 
 
 def test_json_says_what_was_read(url: str) -> None:
-    assert json.loads(run("read", url, "400401", "2", "--json").stdout) == {
+    assert json.loads(run("read", url, "400401", "2", "--json").out) == {
         "unit": 1,
         "table": "holding_registers",
         "address": 400,
@@ -177,15 +153,15 @@ def test_what_is_written_as_a_type_is_read_as_it(
     url: str, where: list[str], options: list[str], values: list[str], printed: str
 ) -> None:
     written = run("write", url, *where, *values, *options)
-    assert (written.returncode, written.stdout, written.stderr) == (0, "", "")
+    assert (written.code, written.out, written.err) == (0, "", "")
     done = run("read", url, *where, str(len(values)), *options)
-    assert (done.returncode, done.stdout, done.stderr) == (0, printed, "")
+    assert (done.code, done.out, done.err) == (0, printed, "")
 
 
 def test_types_are_registers_in_order(url: str) -> None:
     run("write", url, "holding", "1200", "1", "-2", "--type", "float32", "--order", "CDAB")
     done = run("read", url, "holding", "1200", "4", "--json")
-    assert json.loads(done.stdout)["values"] == [0, 0x3F80, 0, 0xC000]
+    assert json.loads(done.out)["values"] == [0, 0x3F80, 0, 0xC000]
 
 
 def test_every_nan_and_the_largest_floats_are_shown(url: str) -> None:
@@ -198,45 +174,45 @@ def test_every_nan_and_the_largest_floats_are_shown(url: str) -> None:
     ):
         run("write", url, "holding", "1205", *registers.split())
         done = run("read", url, "holding", "1205", "--type", name)
-        assert done.stdout == f" 1205  {shown}\n"
+        assert done.out == f" 1205  {shown}\n"
 
 
 def test_json_of_bits_is_0_and_1_as_of_coils(url: str) -> None:
     done = run("read", url, "input", "0", "--type", "bits16", "--json")
-    assert done.stdout.endswith(f'"values": [[{", ".join("0" * 16)}]]}}\n')
+    assert done.out.endswith(f'"values": [[{", ".join("0" * 16)}]]}}\n')
 
 
 def test_text_that_begins_with_a_dash_follows_two(url: str) -> None:
     run("write", url, "--type", "string:4", "--", "holding", "1210", "-abc")
     done = run("read", url, "holding", "1210", "--type", "string:4")
-    assert done.stdout == " 1210  '-abc'\n"
+    assert done.out == " 1210  '-abc'\n"
 
 
 def test_control_characters_of_a_device_do_not_reach_the_terminal(url: str) -> None:
     run("write", url, "holding", "1220", "0x1b5b", "0x0a41")
     for name in ("string:4", "all"):
         done = run("read", url, "holding", "1220", "2", "--type", name)
-        assert "\x1b" not in done.stdout
-        assert done.stdout.count("\n") == len(done.stdout.splitlines())
-    assert "'\\x1b[\\nA'" in run("read", url, "holding", "1220", "2", "--type", "all").stdout
+        assert "\x1b" not in done.out
+        assert done.out.count("\n") == len(done.out.splitlines())
+    assert "'\\x1b[\\nA'" in run("read", url, "holding", "1220", "2", "--type", "all").out
 
 
 def test_longest_lists_of_values(url: str) -> None:
     values = [str(number) for number in range(61)]
-    assert run("write", url, "holding", "1300", *values, "--type", "float32").returncode == 0
+    assert run("write", url, "holding", "1300", *values, "--type", "float32").code == 0
     done = run("read", url, "holding", "1300", "62", "--type", "float32", "--json")
-    assert json.loads(done.stdout)["values"] == [*range(61), 0]
-    assert run("write", url, "file:6", "0", *values, "--type", "int32").returncode == 0
+    assert json.loads(done.out)["values"] == [*range(61), 0]
+    assert run("write", url, "file:6", "0", *values, "--type", "int32").code == 0
     done = run("read", url, "file:6", "2", "60", "--type", "int32", "--json")
-    assert json.loads(done.stdout)["values"] == [*range(1, 61)]
+    assert json.loads(done.out)["values"] == [*range(1, 61)]
     done = run("read", url, "input", "0", "1", "--type", "string:250", "--json")
-    assert json.loads(done.stdout)["values"] == [""]
+    assert json.loads(done.out)["values"] == [""]
 
 
 def test_readings_are_columns(url: str) -> None:
     run("write", url, "holding", "1400", "0x42c8", "0")
     done = run("read", url, "41401", "2", "--type", "all")
-    assert done.stdout.splitlines() == [
+    assert done.out.splitlines() == [
         "int32    ABCD  1120403456",
         "int32    CDAB  17096",
         "int32    BADC  -935198720",
@@ -267,9 +243,7 @@ def test_readings_are_columns(url: str) -> None:
     ],
 )
 def test_json_of_readings(url: str, where: str, count: int, types: set[str]) -> None:
-    found = json.loads(
-        run("read", url, *where.split(), str(count), "--type", "all", "--json").stdout
-    )
+    found = json.loads(run("read", url, *where.split(), str(count), "--type", "all", "--json").out)
     assert found["registers"] == [0] * count
     assert {row["type"] for row in found["readings"]} == types
     assert {row["order"] for row in found["readings"]} == {"ABCD"}
@@ -291,7 +265,7 @@ def test_json_of_readings(url: str, where: str, count: int, types: set[str]) -> 
 def test_json_says_type_and_order(url: str, name: str, typed: str, value: object) -> None:
     run("write", url, "file:8", "10", typed, "--type", name, "--order", "dcba")
     done = run("read", url, "file:8", "10", "--type", name, "--order", "dcba", "--json")
-    assert json.loads(done.stdout) == {
+    assert json.loads(done.out) == {
         "unit": 1,
         "table": "file",
         "address": 10,
@@ -311,27 +285,27 @@ def test_registers_that_hold_no_such_value_are_exit_code_1(url: str, form: list[
         ("all", "3", "3 registers can only be text"),
     ):
         done = run("read", url, "holding", "1500", count, "--type", name, *form)
-        assert (done.returncode, done.stdout) == (1, "")
-        assert done.stderr.startswith(f"libmodbus-py: {named}")
-        assert done.stderr.count("\n") == 1
+        assert (done.code, done.out) == (1, "")
+        assert done.err.startswith(f"libmodbus-py: {named}")
+        assert done.err.count("\n") == 1
 
 
 @pytest.mark.parametrize("kind", ["rtu", "ascii"])
 def test_serial_ports_are_served_and_read(kind: str) -> None:
     with SerialWire() as wire, serving(f"{kind}://{wire.server}?baudrate=115200"):
         client = f"{kind}://{wire.client}?baudrate=115200"
-        assert run("write", client, "holding", "5", "42").returncode == 0
-        assert run("read", client, "holding", "5").stdout == "    5  42\n"
+        assert run("write", client, "holding", "5", "42").code == 0
+        assert run("read", client, "holding", "5").out == "    5  42\n"
 
 
 def test_refusal_is_one_line_and_exit_code_1() -> None:
     device = Device(Mapping(holding_registers=10))
     with Server(device).background("tcp://127.0.0.1:0") as running:
         done = run("read", running.urls[0], "holding", "10")
-    assert done.returncode == 1
-    assert done.stdout == ""
+    assert done.code == 1
+    assert done.out == ""
     assert re.fullmatch(
-        r"libmodbus-py: unit 1, function 3, .*illegal data address \(exception 2\)\n", done.stderr
+        r"libmodbus-py: unit 1, function 3, .*illegal data address \(exception 2\)\n", done.err
     )
 
 
@@ -412,11 +386,11 @@ def test_refusal_is_one_line_and_exit_code_1() -> None:
 )
 def test_errors_are_one_line_on_stderr(arguments: list[str], code: int, named: str) -> None:
     done = run(*arguments)
-    assert done.returncode == code
-    assert done.stdout == ""
-    assert done.stderr.startswith("libmodbus-py: ")
-    assert done.stderr.count("\n") == 1
-    assert named in done.stderr
+    assert done.code == code
+    assert done.out == ""
+    assert done.err.startswith("libmodbus-py: ")
+    assert done.err.count("\n") == 1
+    assert named in done.err
 
 
 @pytest.mark.parametrize(
@@ -430,35 +404,21 @@ def test_the_unit_is_that_of_the_url_unless_it_is_told(
     with Server(devices).background("tcp://127.0.0.1:0") as running:
         where = [running.urls[0] + query, "coils", str(unit - 1)]
         done = run("read", *where, "--json", "-v", *options)
-        assert json.loads(done.stdout)["unit"] == unit
-        assert run("write", *where, "1", *options).returncode == 0
+        assert json.loads(done.out)["unit"] == unit
+        assert run("write", *where, "1", *options).code == 0
     assert devices[unit].mapping.coils[unit - 1]
 
 
 def test_a_server_has_no_options_of_clients() -> None:
     done = run("serve", "tcp://127.0.0.1:0?unit=7")
-    assert done.returncode == 2
-    assert "unit is for clients" in done.stderr
+    assert done.code == 2
+    assert "unit is for clients" in done.err
 
 
 def test_serve_says_when_a_port_is_taken(url: str) -> None:
     done = run("serve", url)
-    assert done.returncode == 1
-    assert done.stderr == f"libmodbus-py: cannot listen on {url}: Address already in use\n"
-
-
-def test_serve_stops_on_ctrl_c() -> None:
-    process = subprocess.Popen(
-        [*COMMAND, "serve", "tcp://127.0.0.1:0"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    assert process.stdout is not None
-    process.stdout.readline()
-    process.send_signal(signal.SIGINT)
-    assert process.communicate(timeout=1) == ("", "")
-    assert process.returncode == 0
+    assert done.code == 1
+    assert done.err == f"libmodbus-py: cannot listen on {url}: Address already in use\n"
 
 
 @pytest.mark.parametrize(
@@ -473,20 +433,10 @@ def test_serve_stops_on_ctrl_c() -> None:
 )
 def test_serve_says_in_one_line_that_anybody_may_write(arguments: list[str], named: int) -> None:
     urls = [each for each in arguments if "://" in each]
-    process = subprocess.Popen(
-        [*COMMAND, "serve", *arguments],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    try:
-        assert process.stdout is not None
+    with Started("serve", *arguments) as process:
         listening = [process.stdout.readline().split()[-1] for _ in urls]
-        process.send_signal(signal.SIGTERM)
-        _, said = process.communicate(timeout=10)
-    finally:
-        process.kill()
-        process.wait()
+        process.terminate()
+        _, said = process.communicate()
     assert said.count("\n") == (named > 0)
     assert [url for url in listening if url in said] == listening[:named]
     assert ("anybody" in said) == ("--allow" in said) == (named > 0)

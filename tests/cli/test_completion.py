@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.typing_in import typed
+from tests.support.commands import run
 
 argcomplete = pytest.importorskip("argcomplete")
 
@@ -90,7 +90,7 @@ def test_without_argcomplete_it_says_what_to_install() -> None:
 
 
 def test_shells_nobody_knows_are_refused() -> None:
-    assert typed("completion", "tcsh").code == 2
+    assert run("completion", "tcsh").code == 2
 
 
 @pytest.mark.skipif(shutil.which("man") is None, reason="man is not installed")

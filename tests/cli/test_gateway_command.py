@@ -1,45 +1,29 @@
 """
-The command gateway, as a process of its own.
+The command gateway: what it passes on, what it reads again, and what it says.
 """
 
 from __future__ import annotations
 
 import contextlib
 import signal
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from libmodbus_py import Context, Device, GatewayPathUnavailable, Mapping, Server
+from tests.support.commands import Started, run
 from tests.support.fake import until
-
-COMMAND = [sys.executable, "-m", "libmodbus_py", "gateway"]
-
-
-def run(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([*COMMAND, *arguments], capture_output=True, text=True, timeout=30)
 
 
 @contextlib.contextmanager
-def passing_on(
-    *arguments: str, count: int = 1
-) -> Iterator[tuple[subprocess.Popen[str], list[str]]]:
-    process = subprocess.Popen(
-        [*COMMAND, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
-    try:
-        assert process.stdout is not None
+def passing_on(*arguments: str, count: int = 1) -> Iterator[tuple[Started, list[str]]]:
+    with Started("gateway", *arguments) as process:
         lines = [process.stdout.readline() for _ in range(count)]
         assert all(line.startswith("listening on ") for line in lines)
         yield process, [line.removeprefix("listening on ").rstrip("\n") for line in lines]
-        process.send_signal(signal.SIGTERM)
-        assert process.wait(10) == 0
-    finally:
-        process.kill()
-        process.communicate()
+        process.terminate()
+        assert process.wait() == 0
 
 
 @pytest.fixture
@@ -84,7 +68,6 @@ def test_hangup_has_the_file_read_again_and_nobody_notices(behind: str, tmp_path
         until(lambda: has(2))
         write("1-300")
         process.send_signal(signal.SIGHUP)
-        assert process.stderr is not None
         assert process.stderr.readline() == f"{path}: 1 routes\n"
         said = process.stderr.readline()
         assert said == (
@@ -114,7 +97,7 @@ def test_hangup_has_the_file_read_again_and_nobody_notices(behind: str, tmp_path
     ],
 )
 def test_wrong_usage_is_told_in_a_line(arguments: list[str], said: str) -> None:
-    done = run(*arguments)
-    assert done.returncode == 2
-    assert said in done.stderr
-    assert done.stderr.count("\n") == 1
+    done = run("gateway", *arguments)
+    assert done.code == 2
+    assert said in done.err
+    assert done.err.count("\n") == 1

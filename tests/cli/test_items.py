@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from libmodbus_py import Device, Mapping, Server
-from tests.cli.typing_in import typed
+from tests.support.commands import run
 from tests.support.names import resolve
 
 METER = """\
@@ -75,33 +75,33 @@ def meter(tmp_path: Path) -> str:
     ],
 )
 def test_what_is_read_is_shown(url: str, words: str, printed: str | None) -> None:
-    done = typed("read", url, *words.split())
+    done = run("read", url, *words.split())
     assert (done.code, done.err) == (0, "")
     if printed is not None:
         assert done.out == printed
 
 
 def test_ranges_take_as_many_requests_as_they_must(url: str) -> None:
-    done = typed("read", url, "holding", "0", "600", "coils", "0", "100", "-v")
+    done = run("read", url, "holding", "0", "600", "coils", "0", "100", "-v")
     assert done.out.count("\n") == 700
     requests = [line for line in done.err.splitlines() if " > " in line]
     assert len(requests) == 6  # 600 registers of 125, and 100 coils of 2000
     assert "holding    500    500\n" in done.out
-    done = typed("read", url, "file:4", "0", "403", "--json")
+    done = run("read", url, "file:4", "0", "403", "--json")
     assert json.loads(done.out)["values"][:3] == [7, 8, 9]
 
 
 def test_names_of_a_map(url: str, meter: str) -> None:
-    done = typed("read", url, "--map", meter, "voltage", "pump", "label")
+    done = run("read", url, "--map", meter, "voltage", "pump", "label")
     assert done.out == "voltage  230.5 V\npump         0\nlabel    'abcd'\n"
-    done = typed("read", "--map", meter, url, "phases", "holding", "0")
+    done = run("read", "--map", meter, url, "phases", "holding", "0")
     assert done.out.splitlines() == [
         "phases[0]        1 A",
         "phases[1]        2 A",
         "phases[2]       -1 A",
         "holding      0   1",
     ]
-    whole = json.loads(typed("read", url, "--map", meter, "--json").out)
+    whole = json.loads(run("read", url, "--map", meter, "--json").out)
     assert whole["values"] == {
         "voltage": 230.5, "phases": [1, 2, -1], "label": "abcd", "setpoint": 0, "pump": 0,
     }  # fmt: skip
@@ -124,33 +124,33 @@ def test_names_of_a_map(url: str, meter: str) -> None:
     ],
 )
 def test_json(url: str, words: str, values: dict[str, object]) -> None:
-    assert json.loads(typed("read", url, *words.split(), "--json").out) == {"unit": 1, **values}
+    assert json.loads(run("read", url, *words.split(), "--json").out) == {"unit": 1, **values}
 
 
 def test_csv(url: str, meter: str) -> None:
-    out = typed("read", url, "--map", meter, "--csv").out
+    out = run("read", url, "--map", meter, "--csv").out
     header, row = csv.reader(io.StringIO(out))
     assert header == [
         "time", "voltage", "phases[0]", "phases[1]", "phases[2]", "label", "setpoint", "pump",
         "error",
     ]  # fmt: skip
     assert row[1:] == ["230.5", "1", "2", "-1", "abcd", "0.0", "0", ""]
-    out = typed("read", url, "holding", "0", "2", "coils", "5", "--csv").out
+    out = run("read", url, "holding", "0", "2", "coils", "5", "--csv").out
     assert out.startswith("time,holding 0,holding 1,coils 5,error\n")
 
 
 def test_one_item_that_is_refused_does_not_hinder_the_others(url: str) -> None:
-    done = typed("read", url, "holding", "0", "holding", "5000", "input", "0")
+    done = run("read", url, "holding", "0", "holding", "5000", "input", "0")
     assert done.code == 1
     assert done.out == "holding      0     1\ninput        0  2305\n"
     assert done.err.count("\n") == 1
     assert "illegal data address (exception 2)" in done.err
-    done = typed("read", url, "holding", "0", "holding", "5000", "--json")
+    done = run("read", url, "holding", "0", "holding", "5000", "--json")
     first, second = json.loads(done.out)["items"]
     assert first["values"] == [1]
     assert "exception 2" in second["error"]
     header, row = csv.reader(
-        io.StringIO(typed("read", url, "holding", "0", "coils", "900", "--csv").out)
+        io.StringIO(run("read", url, "holding", "0", "coils", "900", "--csv").out)
     )
     assert header == ["time", "holding 0", "coils 900", "error"]
     assert row[1:3] == ["1", ""]
@@ -168,15 +168,15 @@ def test_one_item_that_is_refused_does_not_hinder_the_others(url: str) -> None:
     ],
 )
 def test_references_typed_as_addresses_are_explained(url: str, words: str, hint: str) -> None:
-    done = typed("read", url, *words.split())
+    done = run("read", url, *words.split())
     assert done.code in (1, 2)
     assert hint in done.err
     assert done.err.count("\n") == 1
 
 
 def test_addresses_that_look_like_no_reference_are_not(url: str) -> None:
-    assert "reference" not in typed("read", url, "holding", "5000").err
-    assert "reference" not in typed("read", url, "coils", "40101").err
+    assert "reference" not in run("read", url, "holding", "5000").err
+    assert "reference" not in run("read", url, "coils", "40101").err
 
 
 @pytest.mark.parametrize(
@@ -204,7 +204,7 @@ def test_addresses_that_look_like_no_reference_are_not(url: str) -> None:
     ],
 )
 def test_wrong_usage_is_one_line(url: str, words: str, named: str) -> None:
-    done = typed("read", url, *words.split())
+    done = run("read", url, *words.split())
     assert done.code in (1, 2)
     assert done.out == ""
     assert done.err.count("\n") == 1
@@ -212,10 +212,10 @@ def test_wrong_usage_is_one_line(url: str, words: str, named: str) -> None:
 
 
 def test_names_that_a_map_lacks_are_guessed(url: str, meter: str) -> None:
-    done = typed("read", url, "--map", meter, "setpont")
+    done = run("read", url, "--map", meter, "setpont")
     assert (done.code, done.out) == (2, "")
     assert "no point 'setpont'; close to it are setpoint" in done.err
-    done = typed("read", url, "--map", meter, "pump", "--type", "int16")
+    done = run("read", url, "--map", meter, "pump", "--type", "int16")
     assert "pump has its type from the map" in done.err
 
 
@@ -246,32 +246,32 @@ def frames(err: str) -> list[str]:
     ],
 )  # fmt: skip
 def test_writes_are_these_bytes(url: str, words: str, pdus: list[str]) -> None:
-    done = typed("write", url, *words.split(), "-v")
+    done = run("write", url, *words.split(), "-v")
     assert done.code == 0, done.err
     assert frames(done.err) == pdus
-    dry = typed("write", url, *words.split(), "--dry-run")
+    dry = run("write", url, *words.split(), "--dry-run")
     shown = [line.split("  ")[0][2 + 21 :] for line in dry.out.splitlines()]
     assert shown == pdus
 
 
 def test_a_dry_run_sends_nothing_and_needs_nobody() -> None:
-    done = typed("write", "127.0.0.1:1", "-u", "7", "holding", "1", "3", "--dry-run")
+    done = run("write", "127.0.0.1:1", "-u", "7", "holding", "1", "3", "--dry-run")
     assert (done.code, done.err) == (0, "")
     assert done.out == (
         "> 00 01 00 00 00 06 07 06 00 01 00 03  unit 7, WriteRegister(address=1, value=3)\n"
     )
-    done = typed("write", "rtu:///dev/none", "holding", "1", "3", "--dry-run")
+    done = run("write", "rtu:///dev/none", "holding", "1", "3", "--dry-run")
     assert done.out.startswith("> 01 06 00 01 00 03 98 0b  ")
-    done = typed("write", "ascii:///dev/none", "holding", "1", "3", "--dry-run")
+    done = run("write", "ascii:///dev/none", "holding", "1", "3", "--dry-run")
     assert done.out.startswith(r"> :010600010003F5\r\n  ")
 
 
 def test_names_are_written_scaled_and_checked(url: str, meter: str, mapping: Mapping) -> None:
-    done = typed("write", url, "--map", meter, "setpoint", "21.5", "pump", "on", "label", "xyz")
+    done = run("write", url, "--map", meter, "setpoint", "21.5", "pump", "on", "label", "xyz")
     assert (done.code, done.out, done.err) == (0, "", "")
     assert mapping.holding_registers[30] == 215
     assert mapping.coils[3] == 1
-    assert typed("read", url, "--map", meter, "setpoint").out == "setpoint  21.5 C\n"
+    assert run("read", url, "--map", meter, "setpoint").out == "setpoint  21.5 C\n"
     for words, named in (
         ("setpoint 99", "setpoint: value must be in 0..90, not 99"),
         ("setpoint warm", "setpoint: "),
@@ -287,7 +287,7 @@ def test_names_are_written_scaled_and_checked(url: str, meter: str, mapping: Map
         ("coils 0 --mask 1 2", "for holding registers"),
         ("holding 1 1 holding 2 3 --and-read 0 1", "one item"),
     ):
-        done = typed("write", url, "--map", meter, *words.split())
+        done = run("write", url, "--map", meter, *words.split())
         assert (done.code, done.out) == (2, ""), words
         assert named in done.err
         assert done.err.count("\n") == 1
@@ -296,7 +296,7 @@ def test_names_are_written_scaled_and_checked(url: str, meter: str, mapping: Map
 
 def test_names_and_places_are_written_as_typed(url: str, meter: str) -> None:
     words = "setpoint 1 holding 0 7 pump on setpoint 2"
-    done = typed("write", url, "--map", meter, *words.split(), "-v")
+    done = run("write", url, "--map", meter, *words.split(), "-v")
     assert done.code == 0, done.err
     assert frames(done.err) == [
         "06 00 1e 00 0a",
@@ -308,7 +308,7 @@ def test_names_and_places_are_written_as_typed(url: str, meter: str) -> None:
 
 def test_what_is_read_behind_a_write_is_shown_as_it_was_typed(url: str) -> None:
     words = "holding 1 77 --and-read 1 2 --count-from-1"
-    done = typed("write", url, *words.split())
+    done = run("write", url, *words.split())
     assert [line.split()[0] for line in done.out.splitlines()] == ["1", "2"]
     assert done.out.split()[1] == "77"
 
@@ -339,7 +339,7 @@ def test_endpoints_without_a_scheme(
     monkeypatch: pytest.MonkeyPatch, where: list[str], said: str
 ) -> None:
     resolve(monkeypatch, "plc.example")
-    done = typed("read", *where, "holding", "0")
+    done = run("read", *where, "holding", "0")
     assert done.code in (1, 2)
     assert said in done.err
     assert done.err.count("\n") == 1
@@ -347,7 +347,7 @@ def test_endpoints_without_a_scheme(
 
 @pytest.mark.parametrize("name", ["certificates", "completion", "gateway", "listen", "scan"])
 def test_help_of_others_has_four_examples(name: str) -> None:
-    text = typed(name, "--help").out
+    text = run(name, "--help").out
     examples = text.partition("examples:\n")[2].partition("\n\n")[0].splitlines()
     assert len([line for line in examples if "libmodbus-py" in line]) == 4
     assert name in text
@@ -355,7 +355,7 @@ def test_help_of_others_has_four_examples(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["read", "write", "identify", "diagnose", "raw"])
 def test_help_has_four_examples_and_the_urls(name: str) -> None:
-    text = typed(name, "--help").out
+    text = run(name, "--help").out
     examples = [line for line in text.splitlines() if line.startswith(f"  libmodbus-py {name} ")]
     assert len(examples) == 4
     assert '"tcp://192.0.2.10?unit=7&timeout=2"' in text
@@ -369,24 +369,24 @@ def test_help_has_four_examples_and_the_urls(name: str) -> None:
 
 
 def test_identify(url: str) -> None:
-    done = typed("identify", url)
+    done = run("identify", url)
     assert done.code == 0
     assert "VendorName          libmodbus-py\n" in done.out
     assert "running             True\n" in done.out
-    found = json.loads(typed("identify", url, "--level", "0", "--json").out)
+    found = json.loads(run("identify", url, "--level", "0", "--json").out)
     assert found["VendorName"] == "libmodbus-py"
     assert "ProductCode" not in found
-    assert typed("identify", url, "--level", "all").code == 2
+    assert run("identify", url, "--level", "all").code == 2
 
 
 def test_diagnose(url: str) -> None:
-    done = typed("diagnose", url)
+    done = run("diagnose", url)
     assert "exception status               00000000\n" in done.out
     assert "bus message count " in done.out
-    assert typed("diagnose", url, "return-query-data", "0x1234").out == "4660\n"
-    assert typed("diagnose", url, "0", "7", "--json").out == '{"return query data": 7}\n'
-    assert typed("diagnose", url, "99").code == 1
-    assert "one of return-query-data" in typed("diagnose", url, "nonsense").err
+    assert run("diagnose", url, "return-query-data", "0x1234").out == "4660\n"
+    assert run("diagnose", url, "0", "7", "--json").out == '{"return query data": 7}\n'
+    assert run("diagnose", url, "99").code == 1
+    assert "one of return-query-data" in run("diagnose", url, "nonsense").err
 
 
 @pytest.mark.parametrize(
@@ -405,7 +405,7 @@ def test_diagnose(url: str) -> None:
     ],
 )
 def test_raw(url: str, words: str, code: int, said: str) -> None:
-    done = typed("raw", url, *words.split())
+    done = run("raw", url, *words.split())
     assert done.code == code
     assert said in (done.out if code == 0 else done.err)
     assert done.err.count("\n") == (code != 0)

@@ -1,21 +1,16 @@
 """
-The command listen, as a process of its own: lines, JSON, colours, captures, and how it ends.
+The command listen: lines, JSON, colours, captures, and how it ends.
 """
 
 from __future__ import annotations
 
 import json
 import os
-import pty
 import re
-import select
 import signal
-import subprocess
-import sys
-import time
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -27,29 +22,21 @@ from libmodbus_py import (
     ModbusTimeoutError,
     Server,
 )
+from tests.support.commands import Done, Started, on_terminal, run
+from tests.support.fake import until
 
-COMMAND = [sys.executable, "-m", "libmodbus_py", "listen"]
 DECODED = Path(__file__).parents[1] / "listener" / "decoded.pcapng"
 
 
-def run(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([*COMMAND, *arguments], capture_output=True, text=True, timeout=30)
+def listen(*arguments: object) -> Done:
+    return run("listen", *arguments)
 
 
-@contextmanager
-def process(*arguments: str, stdout: int = subprocess.PIPE) -> Iterator[subprocess.Popen[str]]:
-    made = subprocess.Popen(
-        [*COMMAND, *arguments], stdout=stdout, stderr=subprocess.PIPE, text=True
-    )
-    try:
-        yield made
-    finally:
-        made.kill()
-        made.communicate()
+def listening(*arguments: object) -> Started:
+    return Started("listen", *arguments)
 
 
-def url_of(made: subprocess.Popen[str]) -> str:
-    assert made.stderr is not None
+def url_of(made: Started) -> str:
     line = made.stderr.readline()
     assert line.startswith("listening on "), line
     return line.removeprefix("listening on ").rstrip("\n")
@@ -72,19 +59,17 @@ def ask(url: str) -> None:
         client.write_register(0, 1)
 
 
-def lines_of(made: subprocess.Popen[str], count: int) -> list[str]:
-    assert made.stdout is not None
+def lines_of(made: Started, count: int) -> list[str]:
     return [made.stdout.readline().rstrip("\n") for _ in range(count)]
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_line_for_each_and_a_summary(target: str, number: int) -> None:
-    with process("rtu+tcp://127.0.0.1:0", "--between", target) as made:
+    with listening("rtu+tcp://127.0.0.1:0", "--between", target) as made:
         ask(url_of(made))
         read, refused, lost, written = lines_of(made, 4)
-        time.sleep(0.1)
         made.send_signal(number)
-        rest, errors = made.communicate(timeout=10)
+        rest, errors = made.communicate()
     assert made.returncode == 0
     assert errors == ""
     assert re.fullmatch(
@@ -102,12 +87,26 @@ def test_a_line_for_each_and_a_summary(target: str, number: int) -> None:
     assert "\x1b" not in read + refused + lost + written + rest
 
 
+def test_a_signal_right_behind_the_first_line_ends_it_well(
+    target: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def print_and_interrupt(text: object, **options: Any) -> None:
+        print(text, **options)
+        if str(text).startswith("listening on "):
+            signal.raise_signal(signal.SIGTERM)
+
+    monkeypatch.setattr("libmodbus_py.cli.listen.print", print_and_interrupt, raising=False)
+    done = listen("rtu+tcp://127.0.0.1:0", "--between", target)
+    assert done.code == 0
+    assert done.out == "0 transactions, 0 runs of damaged bytes\n"
+
+
 def test_json(target: str) -> None:
-    with process("rtu+tcp://127.0.0.1:0", "--between", target, "--json") as made:
+    with listening("rtu+tcp://127.0.0.1:0", "--between", target, "--json") as made:
         ask(url_of(made))
         found = [json.loads(line) for line in lines_of(made, 4)]
         made.send_signal(signal.SIGINT)
-        rest, _ = made.communicate(timeout=10)
+        rest, _ = made.communicate()
     assert found[0]["kind"] == "answered"
     assert found[0]["request"] == {"name": "ReadHoldingRegisters", "address": 0, "count": 3}
     assert found[0]["response"] == [7, 8, 9]
@@ -120,67 +119,59 @@ def test_json(target: str) -> None:
     assert summary["units"]["1"]["functions"] == {"3": 2, "6": 1}
 
 
-def test_the_open_question_is_told_at_the_end(target: str) -> None:
+def test_the_open_question_is_told_at_the_end() -> None:
+    server = Server({1: Device(Mapping(holding_registers=1))})
     with (
-        process("rtu+tcp://127.0.0.1:0", "--between", target) as made,
-        Context.from_url(url_of(made), unit=2, timeout=0.2) as client,
+        server.background("rtu+tcp://127.0.0.1:0") as running,
+        listening("rtu+tcp://127.0.0.1:0", "--between", running.urls[0]) as made,
+        Context.from_url(url_of(made), unit=2, timeout=0.01) as client,
     ):
         with pytest.raises(ModbusTimeoutError):
             client.read_holding_registers(0, 1)
-        time.sleep(0.2)
+        until(lambda: server.statistics.requests == 1)
         made.send_signal(signal.SIGINT)
-        rest, _ = made.communicate(timeout=10)
+        rest, _ = made.communicate()
     assert "-> no answer\n1 transactions" in rest
 
 
 def test_a_capture_is_read_again() -> None:
-    done = run(str(DECODED))
-    assert done.returncode == 0
-    assert done.stderr == ""
-    lines = done.stdout.splitlines()
+    done = listen(DECODED)
+    assert done.code == 0
+    assert done.err == ""
+    lines = done.out.splitlines()
     assert sum("damaged: " in line for line in lines) == 3
     assert "47 transactions, 3 runs of damaged bytes" in lines
-    everything = run(str(DECODED), "--json").stdout.splitlines()
+    everything = listen(DECODED, "--json").out.splitlines()
     assert len([json.loads(line) for line in everything]) == 47 + 3 + 1
 
 
 def test_a_capture_is_written(target: str, tmp_path: Path) -> None:
     file = tmp_path / "x.pcapng"
-    with process("rtu+tcp://127.0.0.1:0", "--between", target, "--capture", str(file)) as made:
+    with listening("rtu+tcp://127.0.0.1:0", "--between", target, "--capture", file) as made:
         ask(url_of(made))
         lines_of(made, 4)
         made.send_signal(signal.SIGINT)
         assert made.wait(10) == 0
-    assert "4 transactions" in run(str(file)).stdout
+    assert "4 transactions" in listen(file).out
 
 
 @pytest.mark.parametrize(("variables", "coloured"), [({}, True), ({"NO_COLOR": "1"}, False)])
 def test_colour_on_a_terminal(variables: dict[str, str], coloured: bool) -> None:
-    master, slave = pty.openpty()
-    made = subprocess.Popen([*COMMAND, str(DECODED)], stdout=slave, env={**os.environ, **variables})
-    os.close(slave)
-    shown = b""
-    while select.select([master], [], [], 20)[0]:
-        try:
-            shown += os.read(master, 65536)
-        except OSError:
-            break
-    assert made.wait(10) == 0
-    os.close(master)
-    assert (b"\x1b[31mdamaged" in shown) == coloured
-    assert (b"\x1b[33millegal" in shown) == coloured
+    with on_terminal("listen", DECODED, environment=variables) as terminal:
+        shown = terminal.read_to_end()
+        assert terminal.process.wait() == 0
+    assert ("\x1b[31mdamaged" in shown) == coloured
+    assert ("\x1b[33millegal" in shown) == coloured
 
 
 def test_who_reads_us_has_gone() -> None:
-    """As head does: no traceback, and soon."""
+    """As head does: no traceback."""
     read, write = os.pipe()
-    made = subprocess.Popen(
-        [*COMMAND, str(DECODED)], stdout=write, stderr=subprocess.PIPE, text=True
-    )
-    os.close(write)
     os.close(read)
-    _, errors = made.communicate(timeout=20)
-    assert (made.returncode, errors) == (1, "")
+    with Started("listen", DECODED, stdout=write) as made:
+        os.close(write)
+        assert made.communicate() == ("", "")
+        assert made.returncode == 1
 
 
 @pytest.mark.parametrize(
@@ -196,20 +187,20 @@ def test_who_reads_us_has_gone() -> None:
     ],
 )
 def test_errors_are_one_line(arguments: list[str], code: int, what: str) -> None:
-    done = run(*arguments)
-    assert done.returncode == code
-    assert what in done.stderr
-    assert done.stderr.count("\n") == 1
-    assert done.stdout == ""
+    done = listen(*arguments)
+    assert done.code == code
+    assert what in done.err
+    assert done.err.count("\n") == 1
+    assert done.out == ""
 
 
 def test_a_file_that_is_no_capture(tmp_path: Path) -> None:
     file = tmp_path / "x.pcapng"
     file.write_bytes(DECODED.read_bytes()[:-3])
-    done = run(str(file))
-    assert done.returncode == 2
-    assert done.stderr.count("\n") == 1
-    assert "it ends inside a block" in done.stderr
+    done = listen(file)
+    assert done.code == 2
+    assert done.err.count("\n") == 1
+    assert "it ends inside a block" in done.err
 
 
 def test_what_devices_say_cannot_move_the_terminal(target: str) -> None:
@@ -217,7 +208,7 @@ def test_what_devices_say_cannot_move_the_terminal(target: str) -> None:
     device = Device(Mapping(1, 1, 1, 1), identification={0: b"\x1b[2J\x07", 1: b"\n", 2: b"\r"})
     with (
         Server({1: device}).background("rtu+tcp://127.0.0.1:0") as running,
-        process("rtu+tcp://127.0.0.1:0", "--between", running.urls[0]) as made,
+        listening("rtu+tcp://127.0.0.1:0", "--between", running.urls[0]) as made,
     ):
         with Context.from_url(url_of(made), unit=1) as client:
             client.read_device_identification()

@@ -1,13 +1,11 @@
 """
-The command map: what it says of files and makes of devices, as a process of its own.
+The command map: what it says of files and makes of devices.
 """
 
 from __future__ import annotations
 
 import signal
 import struct
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,15 +13,13 @@ from pathlib import Path
 import pytest
 
 from libmodbus_py import Device, Mapping, Server, TcpContext, load_map
+from tests.support.commands import Done, Started, run
 from tests.support.fake import FakeServer, mbap, until
 
-COMMAND = [sys.executable, "-m", "libmodbus_py", "map"]
 
-
-def run(*arguments: str, code: int = 0) -> subprocess.CompletedProcess[str]:
-    done = subprocess.run([*COMMAND, *arguments], capture_output=True, text=True, timeout=50)
-    assert done.returncode == code, done.stderr
-    assert "Traceback" not in done.stderr
+def mapped(*arguments: object, code: int = 0) -> Done:
+    done = run("map", *arguments)
+    assert done.code == code, done.err
     return done
 
 
@@ -37,7 +33,7 @@ def test_what_a_map_has_and_takes(tmp_path: Path) -> None:
         "40010;serial;STR10;R;;\n"
         "00001;run;bool;W;;\n"
     )
-    assert run("check", str(file)).stdout.splitlines() == [
+    assert mapped("check", file).out.splitlines() == [
         f"{file}: 5 points",
         "  coils: 1 point, 1 of them can be written",
         "  holding_registers: 4 points, 1 of them can be written",
@@ -52,9 +48,9 @@ def test_all_mistakes_of_all_files(tmp_path: Path) -> None:
     good, bad = tmp_path / "good.toml", tmp_path / "bad.csv"
     good.write_text('[[point]]\nname = "a"\ntable = "coils"\naddress = 1\n')
     bad.write_text("name,addr\n" + "a,x\n" * 30)
-    done = run("check", str(bad), "nothing.csv", str(good), code=2)
-    assert done.stdout.splitlines()[0] == f"{good}: 1 point"
-    lines = done.stderr.splitlines()
+    done = mapped("check", str(bad), "nothing.csv", str(good), code=2)
+    assert done.out.splitlines()[0] == f"{good}: 1 point"
+    lines = done.err.splitlines()
     assert len(lines) == 22
     assert lines[0].startswith(f"libmodbus-py: {bad}, line 2, column addr: address must be a ")
     assert lines[-2:] == [
@@ -73,9 +69,9 @@ def url() -> Iterator[str]:
 @pytest.mark.parametrize("suffix", [".toml", ".csv"])
 def test_a_skeleton_reads_what_the_device_has(url: str, tmp_path: Path, suffix: str) -> None:
     file = tmp_path / f"found{suffix}"
-    done = run("from-device", url.removeprefix("tcp://"), "-u", "3", "-o", str(file))
-    assert done.stdout == ""
-    assert done.stderr == f"{file}: 5 points; names, types and units are yours\n"
+    done = mapped("from-device", url.removeprefix("tcp://"), "-u", "3", "-o", file)
+    assert done.out == ""
+    assert done.err == f"{file}: 5 points; names, types and units are yours\n"
     with TcpContext("127.0.0.1", int(url.rpartition(":")[2]), unit=3, timeout=5) as plc:
         assert plc.read_map(load_map(file)) == {
             "coil_0": False,
@@ -91,8 +87,8 @@ def test_a_skeleton_reads_what_the_device_has(url: str, tmp_path: Path, suffix: 
 def test_a_skeleton_of_very_much_has_ranges(tmp_path: Path) -> None:
     device = Device(Mapping(coils=5000, input_registers=3))
     with Server(device).background("tcp://127.0.0.1:0") as running:
-        done = run("from-device", running.urls[0])
-    (tmp_path / "found.toml").write_text(done.stdout)
+        done = mapped("from-device", running.urls[0])
+    (tmp_path / "found.toml").write_text(done.out)
     found = load_map(tmp_path / "found.toml")
     assert [(each.name, each.count) for each in found.values()] == [
         ("coil_0", 5000),
@@ -113,33 +109,31 @@ WRONG = [
 def test_wrong_usage_is_one_line(tmp_path: Path, output: list[str], message: str) -> None:
     (tmp_path / "there.csv").write_text("mine")
     arguments = [each.format(tmp_path) for each in output]
-    done = run("from-device", "tcp://127.0.0.1:1", "-o", *arguments, code=2)
-    (line,) = done.stderr.splitlines()
+    done = mapped("from-device", "tcp://127.0.0.1:1", "-o", *arguments, code=2)
+    (line,) = done.err.splitlines()
     assert message in line
     assert (tmp_path / "there.csv").read_text() == "mine"
 
 
 def test_nobody_there(url: str, tmp_path: Path) -> None:
     file = tmp_path / "found.csv"
-    done = run("from-device", url, "--unit", "9", "-o", str(file), code=1)
-    assert done.stderr == "libmodbus-py: no table can be read: the unit answers no more\n"
-    done = run("from-device", "tcp://127.0.0.1:1", "-o", str(file), code=1)
-    assert len(done.stderr.splitlines()) == 1
+    done = mapped("from-device", url, "--unit", "9", "-o", file, code=1)
+    assert done.err == "libmodbus-py: no table can be read: the unit answers no more\n"
+    done = mapped("from-device", "tcp://127.0.0.1:1", "-o", file, code=1)
+    assert len(done.err.splitlines()) == 1
     assert not file.exists()
 
 
 def test_a_full_disk(url: str, tmp_path: Path) -> None:
     (tmp_path / "meter.toml").write_text('[[point]]\nname = "a"\ntable = "coils"\naddress = 1\n')
-    with open("/dev/full", "w") as full:
-        for arguments in (
-            ["check", str(tmp_path / "meter.toml")],
-            ["from-device", f"{url}?unit=3"],
-        ):
-            done = subprocess.run(
-                [*COMMAND, *arguments], stdout=full, stderr=subprocess.PIPE, text=True, timeout=50
-            )
-            assert done.returncode == 1
-            assert done.stderr == "libmodbus-py: standard output: No space left on device\n"
+    for arguments in (
+        ["check", tmp_path / "meter.toml"],
+        ["from-device", f"{url}?unit=3"],
+    ):
+        with open("/dev/full", "w") as full:
+            done = run("map", *arguments, out=full)
+        assert done.code == 1
+        assert done.err == "libmodbus-py: standard output: No space left on device\n"
 
 
 def test_ctrl_c_keeps_what_was_found(tmp_path: Path) -> None:
@@ -151,20 +145,14 @@ def test_ctrl_c_keeps_what_was_found(tmp_path: Path) -> None:
         return [mbap(request, bytes([1, (count + 7) // 8]) + bytes((count + 7) // 8))]
 
     file = tmp_path / "found.toml"
-    with FakeServer(answer) as server:
-        process = subprocess.Popen(
-            [*COMMAND, "from-device", server.url, "-o", str(file)],
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        try:
-            until(lambda: len(server.requests) > 60)
-            process.send_signal(signal.SIGINT)
-            _, errors = process.communicate(timeout=20)
-        finally:
-            process.kill()
-            process.wait()
-    assert process.returncode == 130
+    with (
+        FakeServer(answer) as server,
+        Started("map", "from-device", server.url, "-o", file) as made,
+    ):
+        until(lambda: len(server.requests) > 60)
+        made.send_signal(signal.SIGINT)
+        _, errors = made.communicate()
+    assert made.returncode == 130
     assert "Traceback" not in errors
     assert list(load_map(file)) == [f"coil_{at}" for at in range(10)]
     assert ": ended by whoever searched" in file.read_text()

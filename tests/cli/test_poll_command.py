@@ -1,16 +1,12 @@
 """
-The command poll, as a process of its own.
+The command poll: what it prints, writes and exposes, and how it ends.
 """
 
 from __future__ import annotations
 
 import json
-import os
-import pty
 import signal
 import socket
-import subprocess
-import sys
 import time
 import urllib.request
 from collections.abc import Iterator
@@ -19,9 +15,8 @@ from pathlib import Path
 import pytest
 
 from libmodbus_py import Device, Mapping, Server
+from tests.support.commands import Started, ended, on_terminal, run
 from tests.support.fake import dead
-
-COMMAND = [sys.executable, "-m", "libmodbus_py", "poll"]
 
 LONGEST = 30
 
@@ -29,12 +24,6 @@ METER = """name,table,address,scale,unit
 voltage,holding_registers,0,0.1,V
 current,holding_registers,1,0.01,A
 """
-
-
-def run(*arguments: object, **options: object) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(  # type: ignore[call-overload, no-any-return]
-        [*COMMAND, *map(str, arguments)], capture_output=True, text=True, timeout=LONGEST, **options
-    )
 
 
 @pytest.fixture
@@ -64,19 +53,13 @@ def fleet(tmp_path: Path) -> Iterator[Path]:
         yield tmp_path / "fleet.toml"
 
 
-def started(*arguments: object, **options: object) -> subprocess.Popen[str]:
-    return subprocess.Popen(  # type: ignore[call-overload, no-any-return]
-        [*COMMAND, *map(str, arguments)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        **options,
-    )
+def started(*arguments: object) -> Started:
+    return Started("poll", *arguments)
 
 
 def test_once(fleet: Path) -> None:
-    done = run(fleet, "--once")
-    told = [json.loads(line) for line in done.stdout.splitlines()]
+    done = ended("poll", fleet, "--once")
+    told = [json.loads(line) for line in done.out.splitlines()]
     assert sorted((each["device"], each["name"], each["value"]) for each in told) == [
         ("gone", "current", None),
         ("gone", "voltage", None),
@@ -85,8 +68,8 @@ def test_once(fleet: Path) -> None:
         ("two", "current", 1.5),
         ("two", "voltage", 230.5),
     ]
-    assert done.returncode == 1  # one gave no answer
-    assert done.stderr == ""
+    assert done.code == 1  # one gave no answer
+    assert done.err == ""
 
 
 def test_check_prints_a_table_and_what_is_too_much(fleet: Path) -> None:
@@ -94,29 +77,28 @@ def test_check_prints_a_table_and_what_is_too_much(fleet: Path) -> None:
         '[[device]]\nname = "slow"\nurl = "rtu:///dev/nowhere?baudrate=1200"\ninterval = 0.05\n'
     )
     fleet.write_text(text)
-    done = run(fleet, "--check")
-    head, *rows = done.stdout.splitlines()
+    done = run("poll", fleet, "--check")
+    head, *rows = done.out.splitlines()
     assert head.split() == ["device", "url", "unit", "requests", "took", "interval", "result"]
     found = {row.split()[0]: row for row in rows}
     assert found.keys() == {"one", "two", "gone", "slow"}
     assert found["one"].endswith(" ok")
     assert "Connection refused" in found["gone"]
     # 8 bytes of request, 9 of answer, twice 3.5 characters of silence; 11 bits each.
-    assert done.stderr.splitlines() == [
+    assert done.err.splitlines() == [
         "libmodbus-py: line rtu:///dev/nowhere at 1200: 0.22 s of requests each 0.05 s",
         "libmodbus-py: 2 of 4 devices failed",
     ]
-    assert done.returncode == 1
+    assert done.code == 1
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_it_with_a_summary(fleet: Path, number: signal.Signals) -> None:
     with started(fleet) as polling:
-        assert polling.stdout is not None
         first = json.loads(polling.stdout.readline())
         assert first["device"] in ("one", "two", "gone")
         polling.send_signal(number)
-        _, error = polling.communicate(timeout=LONGEST)
+        _, error = polling.communicate()
     assert polling.returncode == 0
     summary, output = error.splitlines()
     assert " polls in " in summary
@@ -141,20 +123,16 @@ def test_a_signal_while_all_wait_ends_it(tmp_path: Path) -> None:
             with peer:
                 assert peer.recv(100)
                 time.sleep(0.2)
-                start = time.monotonic()
                 polling.send_signal(signal.SIGINT)
-                polling.communicate(timeout=LONGEST)
-                assert time.monotonic() - start < 10
+                polling.communicate()
     assert polling.returncode == 0
 
 
 def test_a_reader_that_goes_ends_it_quietly(fleet: Path) -> None:
     with started(fleet) as polling:
-        assert polling.stdout is not None
         polling.stdout.readline()
         polling.stdout.close()
-        polling.wait(LONGEST)
-        assert polling.stderr is not None
+        polling.wait()
         assert polling.stderr.read() == ""
     assert polling.returncode == 1
 
@@ -162,22 +140,15 @@ def test_a_reader_that_goes_ends_it_quietly(fleet: Path) -> None:
 @pytest.mark.parametrize("form", ["--json", "--csv"])
 def test_a_full_disk_is_one_line(fleet: Path, form: str) -> None:
     with open("/dev/full", "w") as full:
-        done = subprocess.run(
-            [*COMMAND, str(fleet), form],
-            stdout=full,
-            stderr=subprocess.PIPE,
-            text=True,
-            timeout=LONGEST,
-        )
-    assert done.returncode == 1
-    assert done.stderr == "libmodbus-py: standard output: No space left on device\n"
+        done = ended("poll", fleet, form, stdout=full.fileno())
+    assert done.code == 1
+    assert done.err == "libmodbus-py: standard output: No space left on device\n"
 
 
 def test_files_and_metrics(fleet: Path) -> None:
     pytest.importorskip("prometheus_client")
     rows = fleet.parent / "readings.csv"
     with started(fleet, "--csv", rows, "--metrics", "127.0.0.1:0") as polling:
-        assert polling.stderr is not None
         told = polling.stderr.readline()
         assert told.startswith("metrics on http://127.0.0.1:")
         url = told.split()[-1]
@@ -190,7 +161,7 @@ def test_files_and_metrics(fleet: Path) -> None:
             assert time.monotonic() < end
             time.sleep(0.05)
         polling.terminate()
-        out, _ = polling.communicate(timeout=LONGEST)
+        out, _ = polling.communicate()
     assert out == ""
     assert 'modbus_fleet_value{device="one",name="voltage",site="here",unit="V"} 230.5' in metrics
     assert 'modbus_fleet_value{device="two",name="voltage",unit="V"} 230.5' in metrics
@@ -203,24 +174,17 @@ def test_files_and_metrics(fleet: Path) -> None:
 
 
 def test_a_status_line_on_a_terminal(fleet: Path) -> None:
-    master, slave = pty.openpty()
-    polling = subprocess.Popen([*COMMAND, str(fleet)], stdout=slave, stderr=slave)
-    os.close(slave)
-    seen = b""
-    while b"2 up, 1 down" not in seen:
-        seen += os.read(master, 4096)
-    polling.send_signal(signal.SIGINT)
-    polling.wait(LONGEST)
-    os.close(master)
-    assert b"3 devices: 2 up, 1 down; " in seen
-    assert b" polls a second, at most " in seen
-    assert b'"device"' not in seen  # values are for files and pipes
+    with on_terminal("poll", fleet, columns=120) as terminal:
+        terminal.until(lambda shown: "2 up, 1 down" in shown)
+        terminal.process.send_signal(signal.SIGINT)
+        seen = terminal.read_to_end()
+    assert "3 devices: 2 up, 1 down; " in seen
+    assert " polls a second, at most " in seen
+    assert '"device"' not in seen  # values are for files and pipes
 
 
 def test_sighup_reads_the_file_again(fleet: Path) -> None:
     with started(fleet) as polling:
-        assert polling.stdout is not None
-        assert polling.stderr is not None
         polling.stdout.readline()
         text = fleet.read_text()
         fleet.write_text("nothing")
@@ -232,7 +196,7 @@ def test_sighup_reads_the_file_again(fleet: Path) -> None:
         while json.loads(polling.stdout.readline())["device"] != "renamed":
             pass
         polling.terminate()
-        polling.communicate(timeout=LONGEST)
+        polling.communicate()
 
 
 @pytest.mark.parametrize(
@@ -245,8 +209,8 @@ def test_sighup_reads_the_file_again(fleet: Path) -> None:
     ],
 )
 def test_wrong_usage_is_one_line(fleet: Path, arguments: list[str], said: str) -> None:
-    done = run(*(str(fleet) if each == "FLEET" else each for each in arguments))
-    assert done.returncode == 2
-    assert said in done.stderr
-    assert len(done.stderr.splitlines()) == 1
-    assert done.stdout == ""
+    done = run("poll", *(fleet if each == "FLEET" else each for each in arguments))
+    assert done.code == 2
+    assert said in done.err
+    assert len(done.err.splitlines()) == 1
+    assert done.out == ""

@@ -1,15 +1,13 @@
 """
-The command scan: what it prints, where, and its exit codes, as a process of its own.
+The command scan: what it prints, where, and its exit codes.
 """
 
 from __future__ import annotations
 
 import json
 import os
-import pty
 import signal
-import subprocess
-import sys
+import termios
 import time
 import tomllib
 from collections.abc import Iterator
@@ -19,13 +17,8 @@ import pytest
 
 from libmodbus_py import Device, Mapping, Server, device_file
 from libmodbus_py.testing.wires import SerialWire
+from tests.support.commands import Started, on_terminal, run
 from tests.support.fake import FakeServer, mbap, refusing, until, url_of
-
-COMMAND = [sys.executable, "-m", "libmodbus_py", "scan"]
-
-
-def run(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([*COMMAND, *arguments], capture_output=True, text=True, timeout=50)
 
 
 @pytest.fixture
@@ -42,23 +35,23 @@ def url() -> Iterator[str]:
 
 
 def test_who_answers_is_printed_and_the_rest_goes_elsewhere(url: str) -> None:
-    done = run(url)
-    assert done.returncode == 0
-    first, second = done.stdout.splitlines()
+    done = run("scan", url)
+    assert done.code == 0
+    first, second = done.out.splitlines()
     assert first.startswith("unit 3: ")
     assert "ACME" in first
     assert second.startswith("unit 7: ")
     assert ", exception 2" in second
-    assert "\x1b" not in done.stdout + done.stderr  # whatever a device says
-    estimate, note = done.stderr.splitlines()
+    assert "\x1b" not in done.out + done.err  # whatever a device says
+    estimate, note = done.err.splitlines()
     assert "248 probes" in estimate
     assert "4 min 12 s at most" in estimate
     assert "a gateway says of 246 units" in note
 
 
 def test_json_is_one_line(url: str) -> None:
-    done = run(url, "--units", "1,3-4", "--json", "--deep")
-    (line,) = done.stdout.splitlines()
+    done = run("scan", url, "--units", "1,3-4", "--json", "--deep")
+    (line,) = done.out.splitlines()
     told = json.loads(line)
     assert told["stopped"] is False
     assert len(told["notes"]) == 1
@@ -73,10 +66,10 @@ def test_json_is_one_line(url: str) -> None:
 
 
 def test_what_deep_prints_is_a_device_file(url: str, tmp_path: Path) -> None:
-    done = run(url, "--units", "3,7", "--deep")
-    assert done.returncode == 0
-    assert "up to 2000 requests to each unit found" in done.stderr
-    text = "\n".join(line for line in done.stdout.splitlines() if not line.startswith("unit "))
+    done = run("scan", url, "--units", "3,7", "--deep")
+    assert done.code == 0
+    assert "up to 2000 requests to each unit found" in done.err
+    text = "\n".join(line for line in done.out.splitlines() if not line.startswith("unit "))
     assert [unit["id"] for unit in tomllib.loads(text)["unit"]] == [3, 7]
     assert "# coils: ended by the bound on requests, ranges of up to" in text
     path = tmp_path / "found.toml"
@@ -86,20 +79,20 @@ def test_what_deep_prints_is_a_device_file(url: str, tmp_path: Path) -> None:
 
 
 def test_nobody_is_exit_code_1(url: str) -> None:
-    done = run(url, "--units", "200")
-    assert (done.returncode, done.stdout) == (1, "")
-    assert done.stderr.splitlines()[-1] == "nobody was found"
-    done = run(url, "--units", "200", "--json")
-    assert done.returncode == 1
-    assert json.loads(done.stdout)["found"] == []
+    done = run("scan", url, "--units", "200")
+    assert (done.code, done.out) == (1, "")
+    assert done.err.splitlines()[-1] == "nobody was found"
+    done = run("scan", url, "--units", "200", "--json")
+    assert done.code == 1
+    assert json.loads(done.out)["found"] == []
 
 
 def test_no_connection_is_one_line_and_exit_code_1() -> None:
     with refusing() as bound:
-        done = run(url_of(bound))
-    assert done.returncode == 1
-    assert "Traceback" not in done.stderr
-    assert done.stderr.splitlines()[-1].startswith("libmodbus-py: ")
+        done = run("scan", url_of(bound))
+    assert done.code == 1
+    assert "Traceback" not in done.err
+    assert done.err.splitlines()[-1].startswith("libmodbus-py: ")
 
 
 @pytest.mark.parametrize(
@@ -122,11 +115,11 @@ def test_what_is_typed_wrong_is_one_line_and_nothing_is_sent(
     arguments: list[str], message: str
 ) -> None:
     with FakeServer(lambda request: []) as server:
-        done = run(server.url, *(f"{arguments[0]}={each}" for each in arguments[1:]))
+        done = run("scan", server.url, *(f"{arguments[0]}={each}" for each in arguments[1:]))
         assert server.connections == 0
-    assert (done.returncode, done.stdout) == (2, "")
-    assert message in done.stderr
-    assert len(done.stderr.splitlines()) == 1
+    assert (done.code, done.out) == (2, "")
+    assert message in done.err
+    assert len(done.err.splitlines()) == 1
 
 
 @pytest.mark.parametrize("as_json", [False, True])
@@ -135,20 +128,12 @@ def test_ctrl_c_prints_what_was_found_and_restores_the_line(as_json: bool) -> No
         server = Server({1: Device(Mapping())})
         before = _settings(wire.client)
         with server.background(f"rtu://{wire.server}?baudrate=19200"):
-            process = subprocess.Popen(
-                [*COMMAND, f"rtu://{wire.client}", "--baudrates", "19200", *["--json"] * as_json],
-                stdout=subprocess.PIPE,
-                stderr=subprocess.PIPE,
-                text=True,
-            )
-            try:
+            arguments = ["--baudrates", "19200", *["--json"] * as_json]
+            with Started("scan", f"rtu://{wire.client}", *arguments) as process:
                 # The unit behind those that answered, reserved ones and identification included.
                 until(lambda: wire.sent_by("client").count(b"\x02\x03\0\0\0\1") == 1)
                 process.send_signal(signal.SIGINT)
-                output, errors = process.communicate(timeout=20)
-            finally:
-                process.kill()
-                process.wait()
+                output, errors = process.communicate()
         assert process.returncode == 130
         assert "Traceback" not in errors
         if as_json:
@@ -169,29 +154,22 @@ def test_ctrl_c_in_a_search_prints_what_was_found() -> None:
         time.sleep(0.01)
         return [mbap(request, bytes([request[7], size]) + bytes(size))]
 
-    with FakeServer(answer) as server:
-        process = subprocess.Popen(
-            [*COMMAND, server.url, "--units", "1", "--deep"],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        try:
-            until(lambda: len(server.requests) > 60)
-            process.send_signal(signal.SIGINT)
-            output, errors = process.communicate(timeout=20)
-        finally:
-            process.kill()
-            process.wait()
+    with (
+        FakeServer(answer) as server,
+        Started("scan", server.url, "--units", "1", "--deep") as process,
+    ):
+        until(lambda: len(server.requests) > 60)
+        process.send_signal(signal.SIGINT)
+        output, errors = process.communicate()
     assert process.returncode == 130
     assert "Traceback" not in errors
     assert "[[unit.coils]]\naddress = 0\ncount = 65536\n" in output
     assert "# discrete_inputs: ended by whoever searched" in output
 
 
-def _settings(path: str) -> str:
-    done = subprocess.run(["stty", "-g", "-F", path], capture_output=True, text=True, check=True)
-    return done.stdout
+def _settings(path: str) -> list[object]:
+    with open(path, "rb", buffering=0) as port:
+        return termios.tcgetattr(port)
 
 
 def test_a_terminal_has_progress() -> None:
@@ -199,21 +177,16 @@ def test_a_terminal_has_progress() -> None:
         time.sleep(0.05)
         return [mbap(request, b"\x83\x0b")]
 
-    master, slave = pty.openpty()
-    with FakeServer(answer) as server:
-        process = subprocess.Popen(
-            [*COMMAND, server.url, "--units", "1-20"], stdout=subprocess.PIPE, stderr=slave
-        )
-        os.close(slave)
-        shown = b""
-        while True:
-            try:
-                shown += os.read(master, 4096)
-            except OSError:
-                break
-        output, _ = process.communicate(timeout=20)
-    os.close(master)
-    assert b"of 20 asked, 0 found" in shown
-    assert b"left at most\x1b[K" in shown
-    assert b"\r\x1b[K" in shown  # it is gone before anything else is said
+    read, write = os.pipe()
+    with (
+        FakeServer(answer) as server,
+        open(read, "rb") as printed,
+        on_terminal("scan", server.url, "--units", "1-20", stdout=write) as terminal,
+    ):
+        os.close(write)
+        shown = terminal.read_to_end()
+        output = printed.read()
+    assert "of 20 asked, 0 found" in shown
+    assert "left at most\x1b[K" in shown
+    assert "\r\x1b[K" in shown  # it is gone before anything else is said
     assert output == b""

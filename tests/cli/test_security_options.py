@@ -17,6 +17,7 @@ import pytest
 from libmodbus_py import Device, Mapping, Server
 from tests.support import certificates
 from tests.support.certificates import Papers
+from tests.support.commands import run
 from tests.support.fake import dead
 
 SECRET = "open sesame"
@@ -41,31 +42,21 @@ def own(papers: Papers) -> list[str]:
     return ["--cert", str(files.cert), "--key", str(files.key), "--ca", str(papers.ca)]
 
 
-def run(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "libmodbus_py", *arguments],
-        capture_output=True,
-        text=True,
-        timeout=30,
-        env=os.environ | environment,
-    )
-
-
 def read(url: str, *options: str, **environment: str) -> str:
     """Read two registers; gives what was printed, once that was good."""
-    done = run("read", url, "holding", "0", "2", *options, **environment)
-    assert (done.returncode, done.stderr) == (0, "")
-    return done.stdout
+    done = run("read", url, "holding", "0", "2", *options, environment=environment)
+    assert (done.code, done.err) == (0, "")
+    return done.out
 
 
 def fails(code: int, *arguments: str, **environment: str) -> str:
     """The one line that tells why."""
-    done = run(*arguments, **environment)
-    assert done.returncode == code
-    assert done.stdout == ""
-    assert done.stderr.startswith("libmodbus-py: ")
-    assert done.stderr.count("\n") == 1
-    return done.stderr
+    done = run(*arguments, environment=environment)
+    assert done.code == code
+    assert done.out == ""
+    assert done.err.startswith("libmodbus-py: ")
+    assert done.err.count("\n") == 1
+    return done.err
 
 
 GOOD = "0  555\n    1    7\n"

@@ -15,7 +15,7 @@ import pytest
 from libmodbus_py import ModbusConnectionError
 from libmodbus_py.cli import main as main_file
 from libmodbus_py.cli.commands import COMMANDS, parser_of
-from tests.cli.typing_in import typed
+from tests.support.commands import run
 
 COMMAND = [sys.executable, "-m", "libmodbus_py"]
 
@@ -134,7 +134,7 @@ def test_ctrl_c_that_became_another_error_is_still_one(
         raise RuntimeError("Error calling __set_name__") from cause
 
     monkeypatch.setattr("libmodbus_py.cli.commands.parsed", fail)
-    done = typed("read")
+    done = run("read")
     assert done.code == code
     assert done.err.startswith("libmodbus-py: unexpected RuntimeError" if code == 1 else "")
     assert done.err.count("\n") == (code == 1)

@@ -32,18 +32,18 @@ class SerialLine:
     A line, and who is on it.
 
     Attributes:
-        character: seconds that one byte takes.
+        character: seconds that one byte takes; of the first port that opens the line, unless set.
         noise: what becomes of what is written.
         on_written: told of all that is written, and whether a unit answers with it.
         is_unplugged: whether ports of this line cannot be opened.
     """
 
-    def __init__(self, events: Events, character: float = 11 / 115_200) -> None:
+    def __init__(self, events: Events) -> None:
         self.noise: Noise = undisturbed
         self.on_written: Callable[[bool, bytes], object] | None = None
         self.is_unplugged: bool = False
         self._events = events
-        self.character: float = character
+        self.character: float = 0.0
         self._busy: dict[Party, float] = {}  # until when each sender still sends
         self._parties: list[Party] = []
 
@@ -121,6 +121,7 @@ class MemorySerialPort(SerialPort, Party):
         self.descriptor = self._descriptors.new()
         self._inbox, self._is_lost = b"", False
         self._forget_echo()
+        self._line.character = self._line.character or self.character
         self._line.join(self)
 
     def has_input(self) -> bool:

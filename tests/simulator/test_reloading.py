@@ -8,8 +8,6 @@ import asyncio
 import gc
 import os
 import signal
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -21,6 +19,7 @@ import pytest
 from libmodbus_py import Context, Device, Server, pdu
 from libmodbus_py.simulator.device_file import SimulatedDevice, load, parse
 from libmodbus_py.simulator.reloading import Reloader
+from tests.support.commands import Started, run
 
 PLAIN = """
 [[unit]]
@@ -227,7 +226,19 @@ def test_a_mistake_keeps_the_old_devices_and_is_told(path: Path) -> None:
         assert client.read_holding_registers(10, 2) == [0, 5]
 
 
-def test_changes_are_seen_also_of_maps_and_of_maps_that_come(path: Path) -> None:
+def test_changes_are_seen_also_of_maps_and_of_maps_that_come(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    looks = 0
+
+    def signatures(reloader: Reloader) -> object:
+        nonlocal looks
+        looks += 1
+        return look(reloader)
+
+    look = Reloader._signatures
+    monkeypatch.setattr(Reloader, "_signatures", signatures)
+    monkeypatch.setattr("libmodbus_py.simulator.reloading.LOOK_EVERY", 0.02)
     with reloading(path, is_watching=True) as (_, client, told):
         path.write_text("[[unit]]\nid = 1\nmap = 'meter.csv'\nvalues = { a = 5 }")
         until(lambda: len(told) == 1)
@@ -238,7 +249,8 @@ def test_changes_are_seen_also_of_maps_and_of_maps_that_come(path: Path) -> None
         path.with_name("meter.csv").write_text("name,table,address\na,holding,17\n")
         until(lambda: len(told) == 3)
         assert client.read_holding_registers(17, 1) == [5]
-        time.sleep(1.2)
+        before = looks
+        until(lambda: looks > before + 5)
         assert len(told) == 3
 
 
@@ -286,19 +298,9 @@ def test_reading_again_leaks_nothing(path: Path) -> None:
 
 
 @contextmanager
-def command(*arguments: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
-    process = subprocess.Popen(
-        [sys.executable, "-m", "libmodbus_py", "serve", "tcp://127.0.0.1:0", *arguments],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    try:
-        assert process.stdout is not None
+def command(*arguments: str) -> Iterator[tuple[Started, str]]:
+    with Started("serve", "tcp://127.0.0.1:0", *arguments) as process:
         yield process, process.stdout.readline().strip().removeprefix("listening on ")
-    finally:
-        process.kill()
-        process.communicate()
 
 
 def test_hangups_read_the_file_again_and_connections_stay(path: Path) -> None:
@@ -306,7 +308,6 @@ def test_hangups_read_the_file_again_and_connections_stay(path: Path) -> None:
         assert client.read_holding_registers(0, 1) == [1]
         path.write_text("[[unit]")
         process.send_signal(signal.SIGHUP)
-        assert process.stderr is not None
         assert process.stderr.readline().startswith(f"libmodbus-py: nothing is changed: {path}: ")
         path.write_text(PLAIN.replace("[1, 2]", "[8, 9]"))
         for _ in range(200):
@@ -316,7 +317,7 @@ def test_hangups_read_the_file_again_and_connections_stay(path: Path) -> None:
         assert process.stderr.readline() == f"libmodbus-py: {path}: read again, 2 units\n"
         process.send_signal(signal.SIGHUP)
         process.send_signal(signal.SIGTERM)
-        assert process.wait(30) == 0
+        assert process.wait() == 0
 
 
 def test_a_file_that_changes_is_read_again_with_reload(path: Path) -> None:
@@ -335,7 +336,7 @@ def test_an_example_is_served() -> None:
     ):
         assert client.read_holding_registers(100, 3) == [555, 0, 100]
         process.send_signal(signal.SIGTERM)
-        assert process.wait(30) == 0
+        assert process.wait() == 0
 
 
 @pytest.mark.parametrize(
@@ -348,12 +349,7 @@ def test_an_example_is_served() -> None:
     ],
 )
 def test_what_serve_says_without_serving(arguments: list[str], code: int, told: str) -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "libmodbus_py", "serve", *arguments],
-        capture_output=True,
-        text=True,
-        timeout=30,
-    )
-    assert done.returncode == code
-    assert told in (done.stderr if code else done.stdout)
-    assert done.stderr.count("\n") == (1 if code else 0)
+    done = run("serve", *arguments)
+    assert done.code == code
+    assert told in (done.err if code else done.out)
+    assert done.err.count("\n") == (1 if code else 0)

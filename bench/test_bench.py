@@ -1,6 +1,6 @@
 """
-The benchmark: its programs in C compile without a warning, and a short run of all of it
-gives numbers.
+The benchmark: its programs in C compile without a warning, a short run of all of it returns
+numbers, and so does the table of attacks. CI runs this file; `./run test` does not.
 """
 
 from __future__ import annotations
@@ -13,7 +13,9 @@ from pathlib import Path
 
 import pytest
 
-BENCH = Path(__file__).parent.parent / "bench"
+from tests.support.attacks import ATTACKS
+
+BENCH = Path(__file__).parent
 PROGRAMS = sorted(BENCH.glob("*.c"))
 
 
@@ -23,9 +25,10 @@ def test_program_compiles_without_a_warning(source: Path, tmp_path: Path) -> Non
     subprocess.run([*command, "-lmodbus"], check=True)
 
 
-def run_bench(*arguments: object) -> str:
-    command = [sys.executable, "-m", "bench", *map(str, arguments)]
-    return subprocess.run(command, check=True, capture_output=True, text=True).stdout
+def run_bench(*arguments: object, module: str = "bench") -> str:
+    command = [sys.executable, "-m", module, *map(str, arguments)]
+    done = subprocess.run(command, check=True, capture_output=True, text=True, cwd=BENCH.parent)
+    return done.stdout
 
 
 @pytest.mark.timeout(600)  # it is one program that starts all the others
@@ -91,3 +94,12 @@ def test_what_is_not_installed_is_left_out_and_said() -> None:
     text = run_bench("--only", "limit", "--rounds", 1, "--seconds", 0.01)
     for package in ("pylibmodbus", "pyModbusTCP", "umodbus", "minimalmodbus"):
         assert (f"left out, not installed: {package}\n" in text) == (find_spec(package) is None)
+
+
+def test_the_table_of_attacks_is_printed() -> None:
+    name = ATTACKS[-1].name
+    text = run_bench("0.2", "--only", name, module="bench.attacks")
+    row = next(line for line in text.splitlines() if line.startswith(name))
+    requests, lost = row.removeprefix(name).split()[:2]
+    assert int(requests) > 0
+    assert lost == "0"

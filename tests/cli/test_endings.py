@@ -1,0 +1,85 @@
+"""
+How commands that run for long end: each is started as people start it.
+
+The other tests of these commands fork them, see `tests.support.commands`. What happens to them when
+a terminal closes, and SIGHUP, is in `test_hangup.py`.
+"""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from libmodbus_py import Device, Mapping, Server
+from tests.support.commands import PROGRAM
+
+FLEET = """
+[[device]]
+name = "one"
+url = "{url}"
+interval = 0.05
+[[device.point]]
+name = "volts"
+table = "holding_registers"
+address = 0
+"""
+
+# What is typed, and which exit codes SIGINT and SIGTERM bring.
+COMMANDS = {
+    "serve": (["serve", "tcp://127.0.0.1:0"], 0, 0),
+    "gateway": (["gateway", "tcp://127.0.0.1:0", "--to", "{url}"], 0, 0),
+    "poll": (["poll", "{folder}/fleet.toml"], 0, 0),
+    "listen": (["listen", "rtu+tcp://127.0.0.1:0", "--between", "rtu+tcp://127.0.0.1:1"], 0, 0),
+    "read": (["read", "{url}", "holding", "0", "--watch", "0.05"], 130, -signal.SIGTERM),
+}
+
+CASES = [
+    (name, number, code)
+    for name, (_, interrupted, terminated) in COMMANDS.items()
+    for number, code in ((signal.SIGINT, interrupted), (signal.SIGTERM, terminated))
+]
+
+
+@pytest.fixture
+def url() -> Iterator[str]:
+    with Server(Device(Mapping(holding_registers=10))).background("tcp://127.0.0.1:0") as running:
+        yield running.urls[0]
+
+
+@pytest.mark.parametrize(("name", "number", "code"), CASES)
+def test_a_signal_ends_it(tmp_path: Path, url: str, name: str, number: int, code: int) -> None:
+    (tmp_path / "fleet.toml").write_text(FLEET.format(url=url))
+    arguments = [each.format(url=url, folder=tmp_path) for each in COMMANDS[name][0]]
+    with subprocess.Popen(
+        [*PROGRAM, *arguments],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        try:
+            begun = process.stderr if name == "listen" else process.stdout
+            assert begun is not None
+            assert begun.readline()
+            process.send_signal(number)
+            _, errors = process.communicate(timeout=60)
+        finally:
+            process.kill()
+    assert process.returncode == code
+    assert "Traceback" not in errors
+
+
+@pytest.mark.parametrize("name", ["poll", "read"])
+def test_a_reader_that_goes_away_ends_it(tmp_path: Path, url: str, name: str) -> None:
+    (tmp_path / "fleet.toml").write_text(FLEET.format(url=url))
+    arguments = [each.format(url=url, folder=tmp_path) for each in COMMANDS[name][0]]
+    program = " ".join(f"'{word}'" for word in [*PROGRAM, *arguments])
+    done = subprocess.run(
+        ["sh", "-c", f"{program} | head -1"], capture_output=True, text=True, timeout=60
+    )
+    assert done.stdout.count("\n") == 1
+    assert done.stderr == ""
