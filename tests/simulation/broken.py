@@ -7,18 +7,19 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 from unittest.mock import patch
 
+from libmodbus_py.client.asyncio_driver import AsyncioDriver
 from libmodbus_py.client.in_flight import InFlight
 from libmodbus_py.client.in_turn import InTurn
-from libmodbus_py.gateway.line import Line
 from libmodbus_py.gateway.silent_units import SilentUnits, Standing
-from libmodbus_py.gateway.switch import ForwardingSession
 from libmodbus_py.gateway.turns import Turns
 from libmodbus_py.protocol.framing import Frame
 from libmodbus_py.workers.worker import Worker
+
+from .world import Options
 
 __all__ = ["BREAKS", "Break"]
 
@@ -32,11 +33,18 @@ class Break:
         rule: what does not hold any more.
         casts: those that may find it.
         broken: breaks it while it is entered.
+        faults: those that may happen meanwhile; as the seed says if there are none.
     """
 
     rule: str
     casts: tuple[str, ...]
     broken: Callable[[], AbstractContextManager[object]]
+    faults: tuple[str, ...] = ()
+
+    def options(self, chosen: Options) -> Options:
+        """Return the run of a seed, with one of these casts."""
+        cast = self.casts[chosen.seed % len(self.casts)]
+        return replace(chosen, cast=cast, faults=self.faults or chosen.faults)
 
 
 @contextlib.contextmanager
@@ -85,6 +93,11 @@ def _only_one_queue() -> Iterator[None]:
         yield
 
 
+def _end_at_once(conversation: Any, asked: Any, frame: Frame) -> None:
+    """Take a frame of another function for the answer, which it is not."""
+    conversation._end(asked, frame.pdu, asked.sent)
+
+
 def _nothing(*_: Any, **__: Any) -> None:
     return None
 
@@ -96,11 +109,17 @@ BREAKS: tuple[Break, ...] = (
         ("line", "rtu+tcp", "blocking"),
         lambda: patch.object(InTurn, "_doubt", _nothing),
     ),
-    Break("an answer is of the unit that was asked", ("line", "gateway"), _any_unit_answers),
+    Break(
+        "an answer is of the unit that was asked",
+        ("line", "gateway"),
+        _any_unit_answers,
+        ("late", "cancel"),
+    ),
     Break(
         "a frame of another function is no answer",
         ("line", "gateway"),
-        lambda: patch.object(InTurn, "_note_other_function", InTurn._end_wrongly, create=True),
+        lambda: patch.object(InTurn, "_note_other_function", _end_at_once),
+        ("late", "other_function"),
     ),
     Break(
         "who may ask looks at the clock",
@@ -116,13 +135,7 @@ BREAKS: tuple[Break, ...] = (
     Break(
         "what a caller withdrew is not sent",
         ("tcp", "line", "rtu+tcp"),
-        lambda: patch.object(InTurn, "_leave_queue", _nothing),
-    ),
-    Break(
-        "a client that is gone costs no turn",
-        ("gateway",),
-        lambda: patch.multiple(Line, drop=_nothing),
+        lambda: patch.object(AsyncioDriver, "withdraw", _nothing),
+        ("cancel", "late"),
     ),
 )
-
-_ = ForwardingSession

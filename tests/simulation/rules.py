@@ -9,7 +9,6 @@ one has.
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from libmodbus_py import ExceptionResponse, ModbusError
@@ -17,7 +16,7 @@ from libmodbus_py import ExceptionResponse, ModbusError
 from .devices import COUNT, time_of
 from .events import Events
 
-__all__ = ["Broken", "Call", "Witness"]
+__all__ = ["Broken", "Call", "Key", "Rest", "Witness"]
 
 # What the clock of the values may be off.
 EXACT = 2e-6
@@ -60,6 +59,35 @@ class Call:
 
 
 @dataclass
+class Rest:
+    """
+    A unit that gives no answer: how long a gateway must leave it alone.
+
+    Args:
+        timeout: of the gateway's line, in seconds. The first rest takes two of them, each one after
+            that twice as long, up to `LONGEST_REST`.
+    """
+
+    timeout: float
+    asked: float | None = None
+    pause: float = 0.0
+
+    def note(self, now: float) -> float:
+        """The unit was asked; return by how many seconds too soon."""
+        if self.asked is None:
+            self.asked, self.pause = now, 2 * self.timeout
+            return 0.0
+        if not self.pause or now <= self.asked + self.timeout:
+            return 0.0  # one of those that were in flight together
+        early = self.asked + self.pause - now
+        self.asked, self.pause = now, min(2 * self.pause, LONGEST_REST)
+        return early
+
+
+LONGEST_REST = 30.0
+
+
+@dataclass
 class Witness:
     """
     Sees all, and says at the first thing that may not be.
@@ -67,12 +95,16 @@ class Witness:
     Attributes:
         answered, failed: how many calls ended so.
         results: how many ended with each result.
+        resting: the units that give no answer.
+        through_gateway: what a gateway may send when its client has gone.
     """
 
     events: Events
     answered: int = 0
     failed: int = 0
     results: Counter[str] = field(default_factory=Counter)
+    resting: dict[int, Rest] = field(default_factory=dict)
+    through_gateway: set[Key] = field(default_factory=set)
     _open: dict[Key, Call] = field(default_factory=dict)
     _ended: dict[Key, str] = field(default_factory=dict)
     _executed: dict[Key, list[float]] = field(default_factory=lambda: defaultdict(list))
@@ -132,6 +164,8 @@ class Witness:
         """A request left for a unit."""
         key = unit, pdu
         self._sent[key] += 1
+        if unit in self.resting and (early := self.resting[unit].note(self.events.now)) > EXACT:
+            self.fail("a resting unit is not asked", f"{_text(key)}: {early:.3f} s too soon")
         call = self._open.get(key)
         if key in self._refused or (call is None and self._ended.get(key) and self.is_direct(key)):
             how = self._ended.get(key, "refused")
@@ -143,8 +177,6 @@ class Witness:
 
     def is_direct(self, key: Key) -> bool:
         return key not in self.through_gateway
-
-    through_gateway: set[Key] = field(default_factory=set)
 
     # --- all the time -----------------------------------------------------------------------------
 
@@ -181,6 +213,3 @@ def _text(key: Key) -> str:
     unit, pdu = key
     kind = {3: "read", 6: "write"}.get(pdu[0], str(pdu[0]))
     return f"unit {unit} {kind} {pdu[1:].hex(' ')}"
-
-
-Rule = Callable[[], None]

@@ -1,0 +1,184 @@
+"""
+Run the simulated world: ``python -m tests.simulation SECONDS [--seed N]``, or ``--broken``.
+
+Runs the recorded seeds first, then fresh ones for so many seconds. A run that fails is made as
+short as it can be, and what was said in it is printed; then the program exits with 1.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import os
+import subprocess
+import sys
+import time
+from collections import Counter
+from dataclasses import replace
+from itertools import count
+
+from .broken import BREAKS, Break
+from .casts import CASTS
+from .events import START
+from .playing import Failure, chosen, recorded, shortest, tried
+from .world import Options, World
+
+# How much of an exchange is printed.
+LINES = 40
+
+# Seconds of processor time in which a rule that was taken out must be found.
+PATIENCE = 10.0
+
+
+class Progress:
+    """One line on a terminal, written again and again; nothing in a pipe."""
+
+    def __init__(self) -> None:
+        self._is_shown = sys.stderr.isatty()
+        self._next = 0.0
+
+    def show(self, text: str) -> None:
+        if self._is_shown and time.monotonic() >= self._next:
+            self._next = time.monotonic() + 0.2
+            print(f"\r\x1b[K{text}", end="", file=sys.stderr, flush=True)
+
+    def end(self) -> None:
+        if self._is_shown:
+            print("\r\x1b[K", end="", file=sys.stderr, flush=True)
+
+
+class Tally:
+    """What all runs came to."""
+
+    def __init__(self) -> None:
+        self.runs = 0
+        self.seconds = 0.0
+        self.calls = 0
+        self.casts: Counter[str] = Counter()
+
+    def add(self, options: Options, world: World) -> None:
+        self.runs += 1
+        self.seconds += world.events.now - START
+        self.calls += world.witness.answered + world.witness.failed
+        self.casts[options.cast] += 1
+
+    def __str__(self) -> str:
+        return f"{self.runs} runs, {self.seconds / 3600:.2f} simulated hours, {self.calls} calls"
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(prog="./run simulate", description=__doc__)
+    parser.add_argument("seconds", nargs="?", type=float, default=30.0, help="of fresh seeds")
+    parser.add_argument("--seed", type=int, help="of the first fresh run; random otherwise")
+    parser.add_argument("--cast", choices=list(CASTS), help="play this one only")
+    parser.add_argument("--hours", type=float, help="of a whole plant in place of fresh seeds")
+    parser.add_argument(
+        "--broken",
+        action="store_true",
+        help="take out one rule at a time; each must be found",
+    )
+    options = parser.parse_args()
+    logging.disable(logging.CRITICAL)
+    if options.broken:
+        return _find_all()
+    first = options.seed if options.seed is not None else int.from_bytes(os.urandom(4), "big")
+    tally, progress = Tally(), Progress()
+    if options.hours:
+        runs = [_hour(first + number) for number in range(max(1, round(options.hours)))]
+        failure = _try_all(runs, tally, progress)
+    else:
+        failure = None if options.seed is not None else _try_all(recorded(), tally, progress)
+        failure = failure or _try_fresh(first, options.seconds, options.cast, tally, progress)
+    progress.end()
+    print(f"{tally}; first fresh seed {first}")
+    if failure is None:
+        return 0
+    _tell(shortest(failure))
+    return 1
+
+
+def _hour(seed: int) -> Options:
+    return Options(seed, "plant", seconds=3600.0, clients=4, units=20, pause=10.0)
+
+
+def _try_all(runs: list[Options], tally: Tally, progress: Progress) -> Failure | None:
+    for options in runs:
+        found = tried(options)
+        if isinstance(found, Failure):
+            return found
+        tally.add(options, found)
+        progress.show(str(tally))
+    return None
+
+
+def _try_fresh(
+    first: int, seconds: float, cast: str | None, tally: Tally, progress: Progress
+) -> Failure | None:
+    until = time.monotonic() + seconds
+    for seed in count(first):
+        if time.monotonic() >= until:
+            return None
+        options = chosen(seed)
+        options = replace(options, cast=cast) if cast else options
+        failure = _try_all([options], tally, progress)
+        if failure is not None:
+            return failure
+    return None
+
+
+def _tell(failure: Failure) -> None:
+    print(
+        f"\nseed {failure.options.seed}, commit {_commit()}\n{failure.error}\n{failure.options}\n"
+    )
+    for line in list(failure.exchange.transactions())[-LINES:]:
+        print(line)
+    print()
+    for line in list(failure.exchange.raw())[-LINES:]:
+        print(line)
+
+
+def _commit() -> str:
+    done = subprocess.run(
+        ["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=False
+    )
+    return done.stdout.strip() or "unknown"
+
+
+# --- rules that are broken on purpose -------------------------------------------------------------
+
+
+def _find_all() -> int:
+    """Break one rule after the other; each must be found in time."""
+    missed = 0
+    print("| rule taken out | found after | seed | by the rule |\n|---|--:|--:|---|")
+    for each in BREAKS:
+        begun = time.process_time()
+        failure = find(each, PATIENCE)
+        took = time.process_time() - begun
+        if failure is None:
+            missed += 1
+            print(f"| {each.rule} | not within {PATIENCE:g} s | | |", flush=True)
+        else:
+            print(
+                f"| {each.rule} | {took:.2f} s | {failure.options.seed} | {failure.rule} |",
+                flush=True,
+            )
+    return int(missed > 0)
+
+
+def find(broken: Break, seconds: float) -> Failure | None:
+    """Break a rule, and play seeds until one shows it, for so many seconds of processor time."""
+    until = time.process_time() + seconds
+    for seed in count():
+        if time.process_time() >= until:
+            return None
+        options = broken.options(chosen(seed))
+        with broken.broken():
+            found = tried(options)
+        if isinstance(found, Failure):
+            return found
+    return None
+
+
+if __name__ == "__main__":
+    sys.exit(main())

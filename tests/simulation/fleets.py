@@ -1,0 +1,191 @@
+"""
+Casts with fleets: whole workers share devices through an engine, and something happens to them.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from functools import partial
+
+from libmodbus_py import AsyncClient, Device, DeviceConfig, Gateway, Mapping, Route, Server
+from libmodbus_py.workers.records import Settings
+from tests.workers.trial import MAP, Asked
+
+from .engine import Engine
+from .workers import SimulatedWorker, push_fleet
+from .world import World
+
+__all__ = ["fleet", "plant"]
+
+LEASE = 2.0
+
+# Until when all devices must be asked again, after the last fault: by who is there, or whoever
+# takes over, at its next poll.
+RECOVERY = 30.0
+
+# The plant: so many units behind its gateway, and so many places with devices of the fleet.
+BEHIND_GATEWAY, PLACES, UNITS = 20, 10, 10
+
+
+class Fleet:
+    """
+    Devices, an engine, and workers that come and go.
+
+    Args:
+        places: how many connections there are, each with so many `units`.
+        interval: seconds between two polls of a device.
+    """
+
+    def __init__(self, world: World, places: int, units: int, interval: float) -> None:
+        self.asked = Asked(lambda: world.events.now)
+        self._world = world
+        self._engine = Engine(world.network)
+        self._interval = interval
+        self._places = [f"tcp://10.0.2.{1 + at}:502" for at in range(places)]
+        self._units = units
+        self._workers: list[SimulatedWorker] = []
+        self._names = 0
+
+    @asynccontextmanager
+    async def polling(self, workers: int) -> AsyncIterator[None]:
+        """Have so many workers poll."""
+        registers = Mapping(holding_registers=2)
+        units = {unit: Device(registers) for unit in range(1, 1 + self._units)}
+        async with Server(units, trace=self.asked.note).serving(*self._places):
+            await push_fleet(self._engine, self._devices(), Settings(LEASE))
+            for _ in range(workers):
+                await self.start()
+            try:
+                yield
+            finally:
+                for worker in list(self._workers):
+                    await self.kill(worker)
+
+    def _devices(self) -> list[DeviceConfig]:
+        return [
+            DeviceConfig(
+                name=f"d{at}-{unit}",
+                url=url,
+                unit=unit,
+                map=MAP,
+                interval=self._interval,
+                timeout=0.2,
+            )
+            for at, url in enumerate(self._places)
+            for unit in range(1, 1 + self._units)
+        ]
+
+    async def start(self) -> None:
+        """Start another worker."""
+        self._names += 1
+        random = self._world.random
+        worker = SimulatedWorker(
+            self._world.network, self._engine, f"w{self._names}", rate=random.uniform(0.97, 1.03)
+        )
+        await worker.start()
+        self._workers.append(worker)
+
+    async def kill(self, worker: SimulatedWorker) -> None:
+        """Kill a worker, as SIGKILL does."""
+        self._workers.remove(worker)
+        worker.kill()
+        await worker.ended()
+
+    async def disturb(self) -> None:
+        """Have something happen to a worker or to the engine, and wait a while."""
+        random = self._world.random
+        worker = random.choice(self._workers)
+        what = random.choice(["kill", "stop", "cut", "break", "lose", "restart"])
+        pause = random.uniform(0.1, 3 * LEASE)
+        if what == "kill":
+            await self.kill(worker)
+            await self.start()
+        elif what == "stop":
+            worker.process.stop()
+        elif what == "cut":
+            self._engine.cut(worker.client)
+        elif what == "break":
+            self._engine.break_off(worker.client)
+        elif what == "lose":
+            self._engine.losses = random.choice([0.1, 0.5])
+        else:
+            self._engine.stop()
+        await asyncio.sleep(pause)
+        self._engine.losses = 0.0
+        self._engine.start()
+        if what == "stop":
+            worker.process.go_on()
+        elif what == "cut":
+            self._engine.mend(worker.client)
+
+    def look(self) -> None:
+        """No device is asked by two."""
+        if self.asked.doubles:
+            url, at, peer = self.asked.doubles[0]
+            self._world.witness.fail("no device is asked by two", f"{url} by {peer} at {at:.3f}")
+
+    async def recover(self) -> None:
+        """Everything is there again: each device must be asked."""
+        now, count = self._world.events.now, len(self._places) * self._units
+        patience = RECOVERY + self._interval
+        while self.asked.since(now) < count:
+            if self._world.events.now > now + patience:
+                missing = count - self.asked.since(now)
+                text = f"{missing} of {count} devices are not asked"
+                self._world.witness.fail("everybody is served when the faults are over", text)
+                return
+            await asyncio.sleep(0.5)
+
+
+async def fleet(world: World) -> None:
+    """Three workers that are killed, stopped and cut off, and an engine that loses and restarts."""
+    until = world.events.now + world.options.seconds
+    cast = Fleet(world, places=world.options.units, units=2, interval=0.5)
+    async with cast.polling(3):
+        while world.events.now < until:
+            await cast.disturb()
+            cast.look()
+            await asyncio.sleep(world.random.uniform(0, 2 * LEASE))
+        await cast.recover()
+        cast.look()
+
+
+async def plant(world: World) -> None:
+    """Four clients, a gateway with twenty units, a hundred devices and three workers."""
+    half, timeout = BEHIND_GATEWAY // 2, 0.5
+    world.bus("/dev/line", range(1, 1 + half), timeout, 19_200)
+    numbers = range(1, 1 + BEHIND_GATEWAY)
+    behind = world.host("tcp://10.0.0.1", range(1 + half, numbers.stop), timeout)
+    routes = [
+        Route(f"rtu:///dev/line?baudrate=19200&timeout={timeout}", range(1, 1 + half)),
+        Route(f"{behind}?timeout={timeout}", range(1 + half, numbers.stop)),
+    ]
+    cast = Fleet(world, PLACES, UNITS, interval=60.0)
+    until = world.events.now + world.options.seconds
+    plcs = [AsyncClient("tcp://10.0.1.1", timeout=3.0) for _ in range(world.options.clients)]
+    async with Gateway(routes).serving("tcp://10.0.1.1"), cast.polling(3):
+        try:
+            acts = (_ask_until(world, plc, numbers, until) for plc in plcs)
+            await asyncio.gather(*acts, _disturb_until(world, cast, until))
+            await cast.recover()
+            cast.look()
+        finally:
+            for plc in plcs:
+                await plc.close()
+
+
+async def _ask_until(world: World, plc: AsyncClient, numbers: range, until: float) -> None:
+    call = partial(world.call, limit=3.0, is_direct=False)
+    while world.events.now < until:
+        await asyncio.sleep(world.pause())
+        await world.ask(plc, call(world.random.choice(numbers)))
+
+
+async def _disturb_until(world: World, cast: Fleet, until: float) -> None:
+    while world.events.now < until:
+        await asyncio.sleep(world.random.expovariate(1 / 300.0))
+        await cast.disturb()
+        cast.look()
+        world.witness.forget(world.events.now - 300.0)

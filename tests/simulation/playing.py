@@ -1,0 +1,144 @@
+"""
+Runs of a simulated world: which one a seed stands for, and the shortest that fails as it does.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import random
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from .casts import CASTS
+from .exchange import Exchange
+from .rules import Broken
+from .world import FAULTS, Options, World
+
+__all__ = ["Failure", "chosen", "play", "recorded", "shortest", "tried"]
+
+
+def chosen(seed: int) -> Options:
+    """Return the run that a seed stands for."""
+    choice = random.Random(seed)
+    return Options(
+        seed,
+        choice.choice([cast for cast in CASTS if cast != "plant"]),
+        clients=choice.randint(1, 6),
+        units=choice.randint(1, 12),
+        faults=tuple(fault for fault in FAULTS[:-1] if choice.random() < 0.6),
+        pause=choice.choice([0.01, 0.1, 1.0]),
+        seconds=choice.choice([20.0, 60.0]),
+    )
+
+
+@dataclass
+class Failure:
+    """
+    A run that fails.
+
+    Attributes:
+        options: what it was.
+        error: what failed.
+        exchange: what was said.
+    """
+
+    options: Options
+    error: AssertionError
+    exchange: Exchange
+
+    @property
+    def rule(self) -> str:
+        """The rule that does not hold, or the kind of the error."""
+        return self.error.rule if isinstance(self.error, Broken) else type(self.error).__name__
+
+
+def recorded(*, still: bool = False) -> list[Options]:
+    """Return the runs that failed once, oldest first; or those that still do."""
+    found = json.loads(Path(__file__).with_name("seeds.json").read_text())
+    return [
+        Options(**{**each["run"], "faults": tuple(each["run"]["faults"])})
+        for each in found
+        if each.get("still", False) is still
+    ]
+
+
+def play(options: Options) -> World:
+    """
+    Run a cast to its end.
+
+    Raises:
+        Broken: a rule does not hold.
+        AssertionError: tasks were left, or nothing happened any more.
+    """
+    world = World(options)
+    _run(world)
+    return world
+
+
+def tried(options: Options, lines: list[str] | None = None) -> Failure | World:
+    """Run a cast; return how it failed, or the world at its end. `lines` get what was said last."""
+    world = World(options)
+    exchange = Exchange(world.events)
+    world.network.tap = exchange.tell
+    try:
+        _run(world)
+    except AssertionError as error:
+        return Failure(options, error, exchange)
+    finally:
+        if lines is not None:
+            lines += exchange.raw()
+    return world
+
+
+def shortest(failure: Failure, seconds: float = 10.0) -> Failure:
+    """Make a run smaller as long as it fails in the same way; so many seconds long at most."""
+    until = time.monotonic() + seconds
+    is_smaller = True
+    while is_smaller and time.monotonic() < until:
+        is_smaller = False
+        for options in _smaller(failure.options):
+            found = tried(options)
+            if isinstance(found, Failure) and found.rule == failure.rule:
+                failure, is_smaller = found, True
+                break
+    return failure
+
+
+def _smaller(options: Options) -> Iterator[Options]:
+    for fault in options.faults:
+        yield replace(options, faults=tuple(each for each in options.faults if each != fault))
+    for name in ("clients", "units"):
+        number = getattr(options, name)
+        if number > 1:
+            yield replace(options, **{name: number // 2})
+    if options.seconds > 1:
+        yield replace(options, seconds=options.seconds / 2)
+
+
+def _run(world: World) -> None:
+    world.events.looks.append(world.witness.look)
+    tap = world.network.tap
+    told = world.wire.tell
+    world.network.tap = told if tap is None else partial(_both, tap, told)
+    made = CASTS[world.options.cast]
+    state = random.getstate()
+    random.seed(world.options.seed)  # of the pauses before connecting again
+    try:
+        if asyncio.iscoroutinefunction(made):
+            world.network.run(partial(made, world))
+        else:
+            with world.network.installed():
+                made(world)
+    finally:
+        random.setstate(state)
+    world.witness.look()
+
+
+def _both(one: Callable[..., object], other: Callable[..., object], *args: Any) -> None:
+    one(*args)
+    other(*args)

@@ -1,0 +1,194 @@
+"""
+A simulated world: a network, a witness, units that misbehave, and how clients ask them.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import random
+from dataclasses import dataclass
+
+from libmodbus_py import AsyncClient, Context, ModbusError
+
+from .devices import COUNT, Behaviour, Bus, Host, Unit
+from .network import Network
+from .processes import HOST
+from .rules import Call, Witness
+from .wire import Wire
+
+__all__ = ["FAULTS", "Options", "World"]
+
+FAULTS = ("silent", "late", "refuse", "split", "flip", "drop", "other_function", "cancel", "twice")
+"""What may go wrong; each may be left out to find the shortest run that fails."""
+
+# Of the faults, how probable each is in a unit that has it.
+PROBABILITIES = {
+    "silent": 0.2,
+    "late": 0.2,
+    "refuse": 0.2,
+    "split": 0.3,
+    "flip": 0.1,
+    "drop": 0.02,
+    "other_function": 0.1,
+    "twice": 0.2,
+}
+
+# Not on which carrier: a stream neither flips bits nor doubles what it carries, unless told.
+NOT_OVER_TCP = {"flip", "other_function"}
+NOT_ON_LINES = {"drop"}
+
+# How much later than the first the second of two equal answers comes, at most.
+APART = 0.05
+
+# Casts whose workers are stopped and continued.
+WITH_PROCESSES = ("fleet", "plant")
+
+# What may be late in all that is exact: a wait rounded up to the milliseconds of poll.
+ROUNDING = 0.002
+
+
+@dataclass(frozen=True)
+class Options:
+    """
+    What a run is.
+
+    Attributes:
+        seed: of every choice.
+        cast: a name of `CASTS`.
+        seconds: how long it goes wrong.
+        clients, units: how many there are.
+        faults: which may happen.
+        pause: seconds between two requests of a client, on average.
+    """
+
+    seed: int
+    cast: str
+    seconds: float = 60.0
+    clients: int = 4
+    units: int = 10
+    faults: tuple[str, ...] = FAULTS
+    pause: float = 0.5
+
+
+class World:
+    """
+    A network, a witness, and all the units.
+
+    Attributes:
+        options: of the run.
+        is_calm: whether the faults are over.
+    """
+
+    def __init__(self, options: Options) -> None:
+        self.options: Options = options
+        self.network: Network = Network(options.seed)
+        self.network.has_processes = options.cast in WITH_PROCESSES
+        self.events = self.network.events
+        self.random: random.Random = self.events.random
+        self.witness: Witness = Witness(self.events)
+        self.units: list[Unit] = []
+        self.hosts: list[Host] = []
+        self.is_calm: bool = False
+        self.wire: Wire = Wire(self.events, self.witness)
+        self._number = 0
+
+    # --- making it --------------------------------------------------------------------------------
+
+    def unit(self, number: int, faults: set[str], timeout: float) -> Unit:
+        """Make a unit; most have some of the faults, each its own."""
+        has = [each for each in PROBABILITIES if each in faults and self.random.random() < 0.4]
+        behaviour = Behaviour(
+            delay=(0.0005, self.random.choice([0.002, 0.02])),
+            lateness=1.8 * timeout,
+            apart=APART,
+            **{name: PROBABILITIES[name] for name in has},
+        )
+        made = Unit(number, behaviour, self.events, self.witness.executed)
+        self.units.append(made)
+        return made
+
+    def bus(self, device: str, numbers: range, timeout: float, baudrate: int) -> None:
+        """Put units on a line."""
+        line = self.network.line(device)
+        line.character = 11 / baudrate
+        faults = set(self.options.faults) - NOT_ON_LINES
+        units = [self.unit(number, faults, timeout) for number in numbers]
+        Bus(self.events, line, units, max(0.00175, 38.5 / baudrate))
+
+    def host(self, url: str, numbers: range, timeout: float) -> str:
+        """Put units behind a TCP port."""
+        faults = set(self.options.faults) - NOT_OVER_TCP
+        units = [self.unit(number, faults, timeout) for number in numbers]
+        host = Host(self.network, url, units, 0.95 if "drop" in faults else 1.0)
+        self.hosts.append(host)
+        return host.url
+
+    def calm(self) -> None:
+        """End all faults."""
+        self.is_calm = True
+        for unit in self.units:
+            unit.behave()
+        for host in self.hosts:
+            host.accepts = 1.0
+
+    # --- asking -----------------------------------------------------------------------------------
+
+    def call(self, unit: int, limit: float, *, age: float = 0.0, is_direct: bool = True) -> Call:
+        """Make a request that no other one equals; one of four writes."""
+        self._number += 1
+        high, low = divmod(self._number, 0x10000)
+        kind = self.random.choice([3, 3, 3, 6])
+        if kind == 3:
+            pdu = bytes([3]) + low.to_bytes(2, "big") + bytes([0, COUNT])
+        else:
+            pdu = bytes([6, high >> 8, high & 0xFF]) + low.to_bytes(2, "big")
+        now = self.events.now
+        self.wire.host[unit, pdu] = HOST.get()
+        call = Call((unit, pdu), now, now + limit + ROUNDING, age, is_direct)
+        if not is_direct:
+            self.witness.through_gateway.add(call.key)
+        self.witness.begin(call)
+        return call
+
+    async def ask(self, plc: AsyncClient, call: Call) -> None:
+        """Ask, and tell the witness what became of it."""
+        unit, pdu = call.key
+        values = None
+        try:
+            async with asyncio.timeout(self._patience()):
+                if pdu[0] == 3:
+                    address = int.from_bytes(pdu[1:3], "big")
+                    handle = plc.for_unit(unit)
+                    values = await handle.read_holding_registers(address, COUNT)
+                else:
+                    address, value = (int.from_bytes(pdu[at : at + 2], "big") for at in (1, 3))
+                    await plc.for_unit(unit).write_register(address, value)
+        except (ModbusError, TimeoutError) as error:
+            self.witness.error(call, error)
+        else:
+            self.witness.answer(call, values)
+
+    def _patience(self) -> float | None:
+        """Seconds until whoever asks gives up himself; None for never."""
+        if self.is_calm or "cancel" not in self.options.faults or self.random.random() > 0.05:
+            return None
+        return self.random.uniform(0, 0.5)
+
+    def ask_blocking(self, context: Context, call: Call) -> None:
+        """Ask with a blocking client."""
+        unit, pdu = call.key
+        values = None
+        try:
+            if pdu[0] == 3:
+                address = int.from_bytes(pdu[1:3], "big")
+                values = context.for_unit(unit).read_holding_registers(address, COUNT)
+            else:
+                address, value = (int.from_bytes(pdu[at : at + 2], "big") for at in (1, 3))
+                context.for_unit(unit).write_register(address, value)
+        except ModbusError as error:
+            self.witness.error(call, error)
+        else:
+            self.witness.answer(call, values)
+
+    def pause(self) -> float:
+        return self.random.expovariate(1 / self.options.pause)
