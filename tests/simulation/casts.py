@@ -7,7 +7,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import random
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import replace
 from functools import partial
@@ -39,14 +39,14 @@ async def _act(world: World, ask: Ask, numbers: range, until: float, host: str =
         await ask(world.random.choice(numbers))
 
 
-async def _play(world: World, asks: list[Ask], numbers: range) -> None:
+async def _play(world: World, asks: Sequence[Ask], numbers: range) -> None:
     """Have all ask while things go wrong, and each ask all when nothing does any more."""
     until = world.events.now + world.options.seconds
     await asyncio.gather(*(_act(world, ask, numbers, until) for ask in asks))
     await _serve_all(world, asks, numbers)
 
 
-async def _serve_all(world: World, asks: list[Ask], numbers: range) -> None:
+async def _serve_all(world: World, asks: Sequence[Ask], numbers: range) -> None:
     """End all faults; then each call must succeed."""
     witness = world.witness
     world.calm()
@@ -135,7 +135,7 @@ async def _through_gateway(world: World) -> None:
         gateway.serving("tcp://10.0.1.1"),
         _clients("tcp://10.0.1.1", world.options.clients, timeout=patience) as plcs,
     ):
-        how = {"age": 0.1, "is_direct": False}
+        how: dict[str, Any] = {"age": 0.1, "is_direct": False}
         asks = [partial(_ask, world, plc, patience, **how) for plc in plcs]
         try:
             await _play(world, asks, numbers)
