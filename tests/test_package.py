@@ -18,6 +18,7 @@ import shutil
 import subprocess
 import sys
 import tomllib
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -80,7 +81,10 @@ def imports_of(name: str) -> tuple[set[str], set[str]]:
     return inner, outer
 
 
-IMPORTS = {name: imports_of(name) for name in MODULES}
+@cache
+def imports() -> dict[str, tuple[set[str], set[str]]]:
+    """Return those of all modules; every worker of a run would parse them to no end."""
+    return {name: imports_of(name) for name in MODULES}
 
 
 class TestImports:
@@ -88,7 +92,7 @@ class TestImports:
 
     def test_one_file_alone_imports_a_compiled_module(self) -> None:
         importers: dict[str, list[str]] = {}
-        for name, (inner, _) in IMPORTS.items():
+        for name, (inner, _) in imports().items():
             for compiled in inner - set(MODULES):
                 importers.setdefault(compiled, []).append(name)
         assert importers["binding._libmodbus"] == ["binding.library"]
@@ -97,12 +101,12 @@ class TestImports:
             assert first.split(".")[0] == compiled.split(".")[0]
 
     def test_the_package_is_never_imported_by_its_own_name(self) -> None:
-        own = [name for name, (_, outer) in IMPORTS.items() if "libmodbus_py" in outer]
+        own = [name for name, (_, outer) in imports().items() if "libmodbus_py" in outer]
         assert own == []
 
     def test_bytes_and_values_need_neither_network_nor_clock(self) -> None:
         protocol = [name for name in MODULES if name.split(".")[0] == "protocol"]
-        outer = set().union(*(IMPORTS[name][1] for name in protocol))
+        outer = set().union(*(imports()[name][1] for name in protocol))
         assert {"struct", "dataclasses"} <= outer
         assert not outer & {
             *("socket", "select", "selectors", "asyncio", "threading", "ssl", "os", "io", "time"),

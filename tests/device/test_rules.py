@@ -15,12 +15,14 @@ from libmodbus_py import Access, Allow, Caller, Device, Mapping, Rules, pdu
 from libmodbus_py.device.access import ACCESSES
 from tests.support.cases import each_case
 
+# Rules look at addresses only: what the tests write there may stay.
+MAPPING = Mapping(65536, 65536, 65536, 65536)
+FILES = {number: [0] * 100 for number in (3, 4)}
+
 
 def device(rules: Rules) -> Device:
-    mapping = Mapping(65536, 65536, 65536, 65536)
-    files = {number: [0] * 10_000 for number in (3, 4)}
     return Device(
-        mapping, files=files, fifos={0x04DE: [1]}, canopen=lambda data: data, authorize=rules
+        MAPPING, files=FILES, fifos={0x04DE: [1]}, canopen=lambda data: data, authorize=rules
     )
 
 

@@ -104,7 +104,7 @@ def test_what_was_found_so_far_is_told_when_it_is_left() -> None:
     assert cells.unseen > 60_000
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(
     st.lists(st.integers(0, 2000), max_size=12),
     st.integers(1, 125),

@@ -281,6 +281,8 @@ def test_clients_lose_nothing_that_they_write_while_it_is_read_again(path: Path)
 
 def test_reading_again_leaks_nothing(path: Path) -> None:
     with reloading(path) as (reloader, client, told):
+        # The server has accepted the connection when it has answered.
+        assert client.read_holding_registers(0, 2) == [1, 2]
         gc.collect()
         descriptors = len(os.listdir("/proc/self/fd"))
         for number in range(25):
