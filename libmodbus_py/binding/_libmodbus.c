@@ -9,6 +9,8 @@ extern int modbus_enable_quirks(modbus_t *ctx, unsigned int quirks_mask) __attri
 extern int modbus_disable_quirks(modbus_t *ctx, unsigned int quirks_mask) __attribute__((weak));
 extern int modbus_send_raw_request_tid(modbus_t *ctx, const uint8_t *raw_req, int raw_req_length,
                                        int tid) __attribute__((weak));
+extern int modbus_proxy(modbus_t *frontend_ctx, modbus_t *backend_ctx, const uint8_t *req,
+                        int req_length) __attribute__((weak));
 
 #if !LIBMODBUS_VERSION_CHECK(3, 1, 9)
 #define MODBUS_QUIRK_NONE 0
@@ -40,6 +42,12 @@ static int send_raw_request_tid(modbus_t *ctx, const uint8_t *raw_req, int raw_r
                : missing();
 }
 
+static int proxy(modbus_t *frontend_ctx, modbus_t *backend_ctx, const uint8_t *req, int req_length)
+{
+    return modbus_proxy ? modbus_proxy(frontend_ctx, backend_ctx, req, req_length) : missing();
+}
+
 #define modbus_enable_quirks enable_quirks
 #define modbus_disable_quirks disable_quirks
 #define modbus_send_raw_request_tid send_raw_request_tid
+#define modbus_proxy proxy

@@ -181,6 +181,7 @@ int modbus_rtu_get_rts_delay(modbus_t *ctx);
 int modbus_enable_quirks(modbus_t *ctx, unsigned int quirks_mask);
 int modbus_disable_quirks(modbus_t *ctx, unsigned int quirks_mask);
 int modbus_send_raw_request_tid(modbus_t *ctx, const uint8_t *raw_req, int raw_req_length, int tid);
+int modbus_proxy(modbus_t *frontend_ctx, modbus_t *backend_ctx, const uint8_t *req, int req_length);
 
 /* Ours: answer_chunk.c. */
 typedef struct {

@@ -24,8 +24,8 @@ Measured on Debian's 3.1.6 and on 3.1.12:
 * ``modbus_receive`` ignores the length field on TCP, so functions it does not know
   leave their body in the stream as the next request.
 * ``modbus_set_float_*`` and ``modbus_get_float_*`` disagree between versions: use struct.
-* ``modbus_enable_quirks``, ``modbus_disable_quirks`` and ``modbus_send_raw_request_tid``
-  give -1 with ENOSYS where the loaded library is too old to have them.
+* ``modbus_enable_quirks``, ``modbus_disable_quirks``, ``modbus_send_raw_request_tid`` and
+  ``modbus_proxy`` give -1 with ENOSYS where the loaded library is too old to have them.
 """
 
 from __future__ import annotations

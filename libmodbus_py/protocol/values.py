@@ -317,9 +317,11 @@ a module.
 
 
 def _known_encoding(encoding: str) -> bool:
+    # Python drops other characters from the name, though not everywhere; 3.15 warns of them.
+    if not (encoding.isascii() and encoding.isprintable()):
+        return False
     name = normalize_encoding(encoding.lower())
-    # Other characters are dropped from the name, but not everywhere.
-    return encoding.isascii() and encoding.isprintable() and aliases.get(name, name) in ENCODINGS
+    return aliases.get(name, name) in ENCODINGS
 
 
 def _text(size: int, encoding: str, padding: str, fill: bytes) -> ValueType:

@@ -14,6 +14,7 @@ import pytest
 
 from libmodbus_py import Context, Device, ModbusError, RtuContext, Server, framing
 from libmodbus_py.testing.wires import SerialWire
+from tests.support.c_programs import SOURCES, compile_c
 from tests.support.clients import Connect
 from tests.support.fake import FakeUnit
 
@@ -150,7 +151,9 @@ def test_rts_is_turned_while_a_request_goes_out(
             "ascii": f"AsciiContext({options})",
         }[kind]
         trace = tmp_path / "trace"
+        modem_lines = compile_c(SOURCES / "rts.c", tmp_path / "rts.so", "-shared", "-fPIC")
         watch = ["strace", "-f", "-e", "trace=ioctl,write", "-o", str(trace)]
+        watch += ["-E", f"LD_PRELOAD={modem_lines}"]
         program = [sys.executable, "-c", RTS.format(make=make)]
         subprocess.run([*watch, *program], check=True, timeout=60)
     steps = "".join(step(line) for line in trace.read_text().splitlines())

@@ -30,7 +30,7 @@ $ pwd; echo $VALUE; printf '1\\n2\\n3\\n'
 seven or 7
 ...
 3
-$ sh -c 'echo begun; sleep 60'
+$ python -c 'import time; print("begun"); time.sleep(60)'
 begun
 ^C
 ```

@@ -213,23 +213,25 @@ def test_a_password_is_never_asked_for_at_the_terminal(papers: Papers) -> None:
     """OpenSSL would, if nobody gave it one."""
     files = papers.files(certificates.client(), b"secret")
     program = (
-        "import sys; from libmodbus_py import Security\n"
+        "import os, sys; from libmodbus_py import Security\n"
+        "os.open(os.ttyname(0), os.O_RDWR)\n"  # which makes it the session's terminal
         "try: Security(sys.argv[1], sys.argv[2], trust=sys.argv[3])\n"
         "except ValueError as error: print(error)"
     )
     command = [sys.executable, "-c", program, str(files.cert), str(files.key), str(papers.ca)]
-    pid, terminal = pty.fork()
-    if pid == 0:
-        os.execv(command[0], command)
-    said = b""
-    try:
-        while piece := os.read(terminal, 4096):
-            said += piece
-    except OSError:  # so a terminal ends
-        pass
-    finally:
+    screen, terminal = pty.openpty()
+    with subprocess.Popen(
+        command, stdin=terminal, stdout=terminal, stderr=terminal, start_new_session=True
+    ):
         os.close(terminal)
-        os.waitpid(pid, 0)
+        said = b""
+        try:
+            while piece := os.read(screen, 4096):
+                said += piece
+        except OSError:  # so a terminal ends
+            pass
+        finally:
+            os.close(screen)
     assert b"is encrypted, and needs its password" in said
     assert b"pass phrase" not in said
 

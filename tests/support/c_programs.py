@@ -13,14 +13,12 @@ import pytest
 SOURCES = Path(__file__).parent / "c"
 
 
-def compile_c(source: Path, program: Path) -> Path:
+def compile_c(source: Path, program: Path, *options: str) -> Path:
+    """Compile a source; options are gcc's, such as -shared for a library."""
     if shutil.which("gcc") is None:
         pytest.fail("no gcc: apt install gcc libmodbus-dev")
-    done = subprocess.run(
-        ["gcc", "-Wall", "-I/usr/include/modbus", source, "-o", program, "-lmodbus", "-pthread"],
-        capture_output=True,
-        text=True,
-    )
+    command = ["gcc", "-Wall", "-I/usr/include/modbus", *options, source, "-o", program]
+    done = subprocess.run([*command, "-lmodbus", "-pthread"], capture_output=True, text=True)
     if done.returncode:
         pytest.fail(f"{source.name} (apt install libmodbus-dev): {done.stderr}")
     return program
