@@ -19,11 +19,12 @@ from .world import World
 
 __all__ = ["fleet", "plant"]
 
-LEASE = 2.0
+# Of the workers of a small fleet, and of a plant; seconds.
+LEASE, LONG_LEASE = 2.0, 30.0
 
-# Until when all devices must be asked again, after the last fault: by who is there, or whoever
-# takes over, at its next poll.
-RECOVERY = 30.0
+# Within how many leases all devices must be asked again after the last fault: by who is there, or
+# by whoever takes over, at its next poll.
+RECOVERY = 15.0
 
 # The plant: so many units behind its gateway, and so many places with devices of the fleet.
 BEHIND_GATEWAY, PLACES, UNITS = 20, 10, 10
@@ -38,11 +39,14 @@ class Fleet:
         interval: seconds between two polls of a device.
     """
 
-    def __init__(self, world: World, places: int, units: int, interval: float) -> None:
+    def __init__(
+        self, world: World, places: int, units: int, interval: float, lease: float = LEASE
+    ) -> None:
         self.asked = Asked(lambda: world.events.now)
         self._world = world
         self._engine = Engine(world.network)
         self._interval = interval
+        self._lease = lease
         self._places = [f"tcp://10.0.2.{1 + at}:502" for at in range(places)]
         self._units = units
         self._workers: list[SimulatedWorker] = []
@@ -54,7 +58,7 @@ class Fleet:
         registers = Mapping(holding_registers=2)
         units = {unit: Device(registers) for unit in range(1, 1 + self._units)}
         async with Server(units, trace=self.asked.note).serving(*self._places):
-            await push_fleet(self._engine, self._devices(), Settings(LEASE))
+            await push_fleet(self._engine, self._devices(), Settings(self._lease))
             for _ in range(workers):
                 await self.start()
             try:
@@ -98,7 +102,7 @@ class Fleet:
         random = self._world.random
         worker = random.choice(self._workers)
         what = random.choice(["kill", "stop", "cut", "break", "lose", "restart"])
-        pause = random.uniform(0.1, 3 * LEASE)
+        pause = random.uniform(0.1, 3 * self._lease)
         if what == "kill":
             await self.kill(worker)
             await self.start()
@@ -129,7 +133,7 @@ class Fleet:
     async def recover(self) -> None:
         """Everything is there again: each device must be asked."""
         now, count = self._world.events.now, len(self._places) * self._units
-        patience = RECOVERY + self._interval
+        patience = RECOVERY * self._lease + self._interval
         while self.asked.since(now) < count:
             if self._world.events.now > now + patience:
                 missing = count - self.asked.since(now)
@@ -162,7 +166,7 @@ async def plant(world: World) -> None:
         Route(f"rtu:///dev/line?baudrate=19200&timeout={timeout}", range(1, 1 + half)),
         Route(f"{behind}?timeout={timeout}", range(1 + half, numbers.stop)),
     ]
-    cast = Fleet(world, PLACES, UNITS, interval=60.0)
+    cast = Fleet(world, PLACES, UNITS, interval=60.0, lease=LONG_LEASE)
     until = world.events.now + world.options.seconds
     plcs = [AsyncClient("tcp://10.0.1.1", timeout=3.0) for _ in range(world.options.clients)]
     async with Gateway(routes).serving("tcp://10.0.1.1"), cast.polling(3):

@@ -21,18 +21,27 @@ from .world import FAULTS, Options, World
 
 __all__ = ["Failure", "chosen", "play", "recorded", "shortest", "tried"]
 
+# Seconds between two requests of a client, on average, and how long they go on: from a rush to a
+# quiet night.
+TEMPI = ((0.01, 20.0), (0.1, 60.0), (1.0, 60.0), (30.0, 4 * 3600.0))
+
+# Workers look at their clocks all the time, so an hour of theirs takes long.
+LONGEST = {"fleet": 60.0, "workers": 300.0}
+
 
 def chosen(seed: int) -> Options:
     """Return the run that a seed stands for."""
     choice = random.Random(seed)
+    cast = choice.choice([cast for cast in CASTS if cast != "plant"])
+    pause, seconds = choice.choice(TEMPI)
     return Options(
         seed,
-        choice.choice([cast for cast in CASTS if cast != "plant"]),
+        cast,
         clients=choice.randint(1, 6),
         units=choice.randint(1, 12),
         faults=tuple(fault for fault in FAULTS[:-1] if choice.random() < 0.6),
-        pause=choice.choice([0.01, 0.1, 1.0]),
-        seconds=choice.choice([20.0, 60.0]),
+        pause=pause,
+        seconds=min(seconds, LONGEST.get(cast, seconds)),
     )
 
 
