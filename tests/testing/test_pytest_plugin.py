@@ -275,11 +275,11 @@ class TestLeftBehind:
         modbus_faults.switch_on(Fault("no_answer"))
         # The signal by which pytest-timeout ends a test, once the request has come.
         def alarm():
-            while not modbus_server.statistics.requests:
+            while not modbus_server.transactions:
                 time.sleep(0.001)
             signal.pthread_kill(threading.main_thread().ident, signal.SIGALRM)
         threading.Thread(target=alarm).start()
-        with TcpContext.from_url(modbus_server.url, timeout=50) as plc:
+        with TcpContext.from_url(modbus_server.url, timeout=600) as plc:
             plc.read_coils(0, 1)
 
     def test_next(modbus_server): read(modbus_server)
@@ -287,6 +287,7 @@ class TestLeftBehind:
         )
         result = suite.runpytest_subprocess()
         result.assert_outcomes(passed=1, failed=1)
+        result.stdout.fnmatch_lines(["*Timeout (>60*"])
         result.stdout.fnmatch_lines(["unit 1: ReadCoils(address=0, count=1) -> no answer"])
 
 
