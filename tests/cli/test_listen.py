@@ -22,6 +22,7 @@ from libmodbus_py import (
     ModbusTimeoutError,
     Server,
 )
+from tests.support.cases import each_case
 from tests.support.commands import Done, Started, on_terminal, run
 from tests.support.fake import until
 
@@ -174,7 +175,7 @@ def test_who_reads_us_has_gone() -> None:
         assert made.returncode == 1
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("arguments", "code", "what"),
     [
         (["nowhere.pcapng"], 1, "nowhere.pcapng: No such file or directory"),

@@ -18,6 +18,7 @@ import pytest
 
 from libmodbus_py.page.web import FILES
 from tests.page.watching import Visitor, shown, until
+from tests.support.cases import each_case
 from tests.support.commands import Started, run
 
 PATHS = ["/", "/scripts/page.js", "/events", "/value"]
@@ -61,7 +62,7 @@ STRANGERS: dict[str, dict[str, str | None]] = {
 }
 
 
-@pytest.mark.parametrize("stranger", STRANGERS)
+@each_case("stranger", STRANGERS)
 def test_strangers_get_nothing(stranger: str) -> None:
     with shown() as (server, _, visitor):
         given = {

@@ -16,6 +16,7 @@ from pathlib import Path
 import pytest
 
 from libmodbus_py.simulator.device_file import DeviceFileError, load, parse
+from tests.support.cases import each_case
 
 SIZE = 512_000
 
@@ -259,7 +260,7 @@ def wrong(outcome: str, seconds: float, kilobytes: int, expected: str) -> bool:
     return is_dear or len(outcome) >= 500 or not re.search(expected, outcome)
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("outcome", "seconds", "kilobytes"),
     [
         ("devices", 5.0, 0),

@@ -45,6 +45,7 @@ from libmodbus_py.simulator.behaviour import BEHAVIOURS, Counter, RandomWalk
 from libmodbus_py.simulator.device_file import DeviceFileError, load, parse
 from libmodbus_py.simulator.keys import DEFAULTS, FIFO, FILE, RANGES, SERVER_ID, UNIT
 from libmodbus_py.testing.wires import SerialWire
+from tests.support.cases import each_case
 
 PLANT = Path(__file__).parents[2] / "examples" / "plant.toml"
 
@@ -109,7 +110,7 @@ def test_values_lie_where_the_file_says() -> None:
     assert answer(device, pdu.ReadDiscreteInputs(5, 2)) == [True, True]
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("content", "registers"),
     [
         ("count = 3", [0, 0, 0]),
@@ -221,7 +222,7 @@ REQUESTS = [
 ]
 
 
-@pytest.mark.parametrize(("request_", "is_executed"), REQUESTS, ids=str)
+@each_case(("request_", "is_executed"), REQUESTS, ids=str)
 def test_what_a_range_does_not_allow_is_exception_2(
     request_: pdu.Request[Any], is_executed: bool
 ) -> None:
@@ -290,7 +291,7 @@ def test_the_faults_of_a_unit_without_id_are_for_every_unit() -> None:
 # --- values that move ------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("behaviour", "expected"),
     [
         ("counter = {}", [0, 0, 1, 1, 2, 2]),
@@ -562,7 +563,7 @@ COPIES = """
 """
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("source", "value", "target", "scale", "expected"),
     [
         ("uint16", 555, "uint16", 1, 555),
@@ -988,7 +989,7 @@ BROKEN = [
 ]
 
 
-@pytest.mark.parametrize(("text", "message"), BROKEN, ids=range(len(BROKEN)))
+@each_case(("text", "message"), BROKEN, ids=range(len(BROKEN)))
 def test_a_wrong_file_is_told_what_is_wrong(text: str, message: str, tmp_path: Path) -> None:
     path = tmp_path / "broken.toml"
     path.write_text(text)
