@@ -6,13 +6,9 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import re
 import resource
-import signal
 import socket
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -46,6 +42,7 @@ from libmodbus_py.simulator.device_file import DeviceFileError, load, parse
 from libmodbus_py.simulator.keys import DEFAULTS, FIFO, FILE, RANGES, SERVER_ID, UNIT
 from libmodbus_py.testing.wires import SerialWire
 from tests.support.cases import each_case
+from tests.support.commands import Started, run
 
 PLANT = Path(__file__).parents[2] / "examples" / "plant.toml"
 
@@ -1048,20 +1045,11 @@ def _toml(value: object) -> str:
 
 @contextmanager
 def served(*arguments: str) -> Iterator[str]:
-    """Run the program, as a user does; gives its first URL."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "libmodbus_py", "serve", *arguments],
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    try:
-        assert process.stdout is not None
+    """Serve with the command, and yield its first URL."""
+    with Started("serve", *arguments) as process:
         yield process.stdout.readline().removeprefix("listening on ").rstrip("\n")
-        process.send_signal(signal.SIGTERM)
-        assert process.wait(5) == 0
-    finally:
-        process.kill()
-        process.communicate()
+        process.terminate()
+        assert process.wait() == 0
 
 
 @pytest.fixture(scope="module")
@@ -1247,17 +1235,11 @@ def test_a_wrong_file_is_one_line_and_exit_code_2(
     path = tmp_path / "device.toml"
     if content is not None:
         path.write_text(content)
-    arguments = ["serve", "tcp://127.0.0.1:0", "--device", os.fspath(path)]
-    done = subprocess.run(
-        [sys.executable, "-m", "libmodbus_py", *arguments],
-        capture_output=True,
-        text=True,
-        timeout=30,
-    )
-    assert done.returncode == 2
-    assert done.stdout == ""
-    assert done.stderr.startswith(f"libmodbus-py: {message.format(path)}")
-    assert done.stderr.count("\n") == 1
+    done = run("serve", "tcp://127.0.0.1:0", "--device", path)
+    assert done.code == 2
+    assert done.out == ""
+    assert done.err.startswith(f"libmodbus-py: {message.format(path)}")
+    assert done.err.count("\n") == 1
 
 
 def test_every_unit_of_a_file_without_id_is_served(tmp_path: Path) -> None:
