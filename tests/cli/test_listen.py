@@ -8,6 +8,7 @@ import json
 import os
 import re
 import signal
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,7 @@ from libmodbus_py import (
 from tests.support.cases import each_case
 from tests.support.commands import Done, Started, on_terminal, run
 from tests.support.fake import until
+from tests.support.golden import Golden
 
 DECODED = Path(__file__).parents[1] / "listener" / "decoded.pcapng"
 
@@ -135,15 +137,21 @@ def test_the_open_question_is_told_at_the_end() -> None:
     assert "-> no answer\n1 transactions" in rest
 
 
-def test_a_capture_is_read_again() -> None:
-    done = listen(DECODED)
-    assert done.code == 0
-    assert done.err == ""
+def test_a_capture_is_read_again(golden: Golden, monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as patched:
+        patched.setenv("TZ", "UTC")
+        time.tzset()
+        done = listen(DECODED)
+    time.tzset()
+    assert (done.code, done.err) == (0, "")
     lines = done.out.splitlines()
     assert sum("damaged: " in line for line in lines) == 3
     assert "47 transactions, 3 runs of damaged bytes" in lines
-    everything = listen(DECODED, "--json").out.splitlines()
-    assert len([json.loads(line) for line in everything]) == 47 + 3 + 1
+    golden("decoded.txt", done.out)
+    done = listen(DECODED, "--json")
+    assert (done.code, done.err) == (0, "")
+    assert len([json.loads(line) for line in done.out.splitlines()]) == 47 + 3 + 1
+    golden("decoded.jsonl", done.out)
 
 
 def test_a_capture_is_written(target: str, tmp_path: Path) -> None:
