@@ -10,6 +10,7 @@ import re
 import signal
 import time
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -123,18 +124,22 @@ def test_json(target: str) -> None:
 
 
 def test_the_open_question_is_told_at_the_end() -> None:
+    """Another client's question is answered behind it: by then the first was heard, too."""
     server = Server({1: Device(Mapping(holding_registers=1))})
-    with (
-        server.background("rtu+tcp://127.0.0.1:0") as running,
-        listening("rtu+tcp://127.0.0.1:0", "--between", running.urls[0]) as made,
-        Context.from_url(url_of(made), unit=2, timeout=0.01) as client,
-    ):
+    with ExitStack() as stack:
+        running = stack.enter_context(server.background("rtu+tcp://127.0.0.1:0"))
+        made = stack.enter_context(listening("rtu+tcp://127.0.0.1:0", "--between", running.urls[0]))
+        url = url_of(made)
+        client = stack.enter_context(Context.from_url(url, unit=2, timeout=0.3))
+        other = stack.enter_context(Context.from_url(url, unit=1, timeout=20))
         with pytest.raises(ModbusTimeoutError):
             client.read_holding_registers(0, 1)
         until(lambda: server.statistics.requests == 1)
+        other.read_holding_registers(0, 1)
+        assert lines_of(made, 1)[0].endswith("-> [0]")
         made.send_signal(signal.SIGINT)
         rest, _ = made.communicate()
-    assert "-> no answer\n1 transactions" in rest
+    assert "-> no answer\n2 transactions" in rest
 
 
 def test_a_capture_is_read_again(golden: Golden, monkeypatch: pytest.MonkeyPatch) -> None:
