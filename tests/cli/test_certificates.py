@@ -14,6 +14,7 @@ import pytest
 from cryptography import x509
 
 from libmodbus_py.security.role import role_of
+from tests.support.cases import each_case
 from tests.support.commands import Done, Started, run
 
 
@@ -89,7 +90,7 @@ def test_nothing_is_overwritten(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["viewer-key.pem"]
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("options", "said"),
     [
         (["--days", "0"], "days must be in 1..36500"),

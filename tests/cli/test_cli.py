@@ -13,6 +13,7 @@ import pytest
 
 from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.testing.wires import SerialWire
+from tests.support.cases import each_case
 from tests.support.commands import Started, on_terminal, run
 
 READ = ["read", "tcp://127.0.0.1:1"]
@@ -75,7 +76,7 @@ def test_serve_has_all_tables_and_files_for_every_unit(url: str) -> None:
         assert set(json.loads(done.out)["values"]) == {0}
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("where", "values", "printed"),
     [
         (
@@ -106,7 +107,7 @@ def test_json_says_what_was_read(url: str) -> None:
     }
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("where", "options", "values", "printed"),
     [
         (
@@ -232,7 +233,7 @@ def test_readings_are_columns(url: str) -> None:
     ]
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("where", "count", "types"),
     [
         ("input 0", 1, {"int16", "uint16", "float16", "bcd16", "bits16", "string:2"}),
@@ -251,7 +252,7 @@ def test_json_of_readings(url: str, where: str, count: int, types: set[str]) -> 
     assert set(found) - {"file"} == {"unit", "table", "address", "registers", "readings"}
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("name", "typed", "value"),
     [
         ("float32", "0.1", 0.10000000149011612),
@@ -276,7 +277,7 @@ def test_json_says_type_and_order(url: str, name: str, typed: str, value: object
     }
 
 
-@pytest.mark.parametrize("form", [[], ["--json"]])
+@each_case("form", [[], ["--json"]])
 def test_registers_that_hold_no_such_value_are_exit_code_1(url: str, form: list[str]) -> None:
     run("write", url, "holding", "1500", "0x0001", "0xffff", "0xffff")
     for name, count, named in (
@@ -309,7 +310,7 @@ def test_refusal_is_one_line_and_exit_code_1() -> None:
     )
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("arguments", "code", "named"),
     [
         (["read", "tcp://127.0.0.1:1", "coils", "0"], 1, "refused"),
@@ -393,7 +394,7 @@ def test_errors_are_one_line_on_stderr(arguments: list[str], code: int, named: s
     assert named in done.err
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("query", "options", "unit"),
     [("?unit=7&timeout=5", [], 7), ("?unit=7", ["--unit", "9"], 9), ("", [], 1)],
 )
@@ -421,7 +422,7 @@ def test_serve_says_when_a_port_is_taken(url: str) -> None:
     assert done.err == f"libmodbus-py: cannot listen on {url}: Address already in use\n"
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("arguments", "named"),
     [
         (["tcp://0.0.0.0:0"], 1),

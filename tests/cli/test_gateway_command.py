@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from libmodbus_py import Context, Device, GatewayPathUnavailable, Mapping, Server
+from tests.support.cases import each_case
 from tests.support.commands import Started, run
 from tests.support.fake import until
 
@@ -81,7 +82,7 @@ def test_hangup_has_the_file_read_again_and_nobody_notices(behind: str, tmp_path
         assert context.statistics.connects == 1
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("arguments", "said"),
     [
         (["tcp://127.0.0.1:0"], "either --to or --config must say"),

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from libmodbus_py import Device, Mapping, Server
+from tests.support.cases import each_case
 from tests.support.commands import run
 from tests.support.names import resolve
 
@@ -52,7 +53,7 @@ def meter(tmp_path: Path) -> str:
     return str(path)
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("words", "printed"),
     [
         ("holding 0 2", "    0  1\n    1  2\n"),
@@ -157,7 +158,7 @@ def test_one_item_that_is_refused_does_not_hinder_the_others(url: str) -> None:
     assert "exception 2" in row[3]
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("words", "hint"),
     [
         ("holding 40101", "the reference 40101, which is address 100, is typed without holding"),
@@ -179,7 +180,7 @@ def test_addresses_that_look_like_no_reference_are_not(url: str) -> None:
     assert "reference" not in run("read", url, "coils", "40101").err
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("words", "named"),
     [
         ("", "WHAT is missing"),
@@ -227,7 +228,7 @@ def frames(err: str) -> list[str]:
     return [line.split("  ")[-1].strip()[21:] for line in err.splitlines() if " > " in line]
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("words", "pdus"),
     [
         # Sections 6.5, 6.6, 6.11, 6.12, 6.16 and 6.17.
@@ -316,7 +317,7 @@ def test_what_is_read_behind_a_write_is_shown_as_it_was_typed(url: str) -> None:
 # --- whom to ask ---------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("where", "said"),
     [
         (["127.0.0.1:1"], "cannot connect to 127.0.0.1:1"),
@@ -345,7 +346,7 @@ def test_endpoints_without_a_scheme(
     assert done.err.count("\n") == 1
 
 
-@pytest.mark.parametrize("name", ["certificates", "completion", "gateway", "listen", "scan"])
+@each_case("name", ["certificates", "completion", "gateway", "listen", "scan"])
 def test_help_of_others_has_four_examples(name: str) -> None:
     text = run(name, "--help").out
     examples = text.partition("examples:\n")[2].partition("\n\n")[0].splitlines()
@@ -353,7 +354,7 @@ def test_help_of_others_has_four_examples(name: str) -> None:
     assert name in text
 
 
-@pytest.mark.parametrize("name", ["read", "write", "identify", "diagnose", "raw"])
+@each_case("name", ["read", "write", "identify", "diagnose", "raw"])
 def test_help_has_four_examples_and_the_urls(name: str) -> None:
     text = run(name, "--help").out
     examples = [line for line in text.splitlines() if line.startswith(f"  libmodbus-py {name} ")]
@@ -389,7 +390,7 @@ def test_diagnose(url: str) -> None:
     assert "one of return-query-data" in run("diagnose", url, "nonsense").err
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("words", "code", "said"),
     [
         ("3 0000 0002", 0, "03 04 00 01 00 02\n"),

@@ -8,7 +8,9 @@ import json
 import os
 import re
 import signal
+import time
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +24,10 @@ from libmodbus_py import (
     ModbusTimeoutError,
     Server,
 )
+from tests.support.cases import each_case
 from tests.support.commands import Done, Started, on_terminal, run
 from tests.support.fake import until
+from tests.support.golden import Golden
 
 DECODED = Path(__file__).parents[1] / "listener" / "decoded.pcapng"
 
@@ -120,29 +124,39 @@ def test_json(target: str) -> None:
 
 
 def test_the_open_question_is_told_at_the_end() -> None:
+    """Another client's question is answered behind it: by then the first was heard, too."""
     server = Server({1: Device(Mapping(holding_registers=1))})
-    with (
-        server.background("rtu+tcp://127.0.0.1:0") as running,
-        listening("rtu+tcp://127.0.0.1:0", "--between", running.urls[0]) as made,
-        Context.from_url(url_of(made), unit=2, timeout=0.01) as client,
-    ):
+    with ExitStack() as stack:
+        running = stack.enter_context(server.background("rtu+tcp://127.0.0.1:0"))
+        made = stack.enter_context(listening("rtu+tcp://127.0.0.1:0", "--between", running.urls[0]))
+        url = url_of(made)
+        client = stack.enter_context(Context.from_url(url, unit=2, timeout=0.3))
+        other = stack.enter_context(Context.from_url(url, unit=1, timeout=20))
         with pytest.raises(ModbusTimeoutError):
             client.read_holding_registers(0, 1)
         until(lambda: server.statistics.requests == 1)
+        other.read_holding_registers(0, 1)
+        assert lines_of(made, 1)[0].endswith("-> [0]")
         made.send_signal(signal.SIGINT)
         rest, _ = made.communicate()
-    assert "-> no answer\n1 transactions" in rest
+    assert "-> no answer\n2 transactions" in rest
 
 
-def test_a_capture_is_read_again() -> None:
-    done = listen(DECODED)
-    assert done.code == 0
-    assert done.err == ""
+def test_a_capture_is_read_again(golden: Golden, monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as patched:
+        patched.setenv("TZ", "UTC")
+        time.tzset()
+        done = listen(DECODED)
+    time.tzset()
+    assert (done.code, done.err) == (0, "")
     lines = done.out.splitlines()
     assert sum("damaged: " in line for line in lines) == 3
     assert "47 transactions, 3 runs of damaged bytes" in lines
-    everything = listen(DECODED, "--json").out.splitlines()
-    assert len([json.loads(line) for line in everything]) == 47 + 3 + 1
+    golden("decoded.txt", done.out)
+    done = listen(DECODED, "--json")
+    assert (done.code, done.err) == (0, "")
+    assert len([json.loads(line) for line in done.out.splitlines()]) == 47 + 3 + 1
+    golden("decoded.jsonl", done.out)
 
 
 def test_a_capture_is_written(target: str, tmp_path: Path) -> None:
@@ -174,7 +188,7 @@ def test_who_reads_us_has_gone() -> None:
         assert made.returncode == 1
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("arguments", "code", "what"),
     [
         (["nowhere.pcapng"], 1, "nowhere.pcapng: No such file or directory"),

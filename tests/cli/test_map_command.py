@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from libmodbus_py import Device, Mapping, Server, TcpContext, load_map
+from tests.support.cases import each_case
 from tests.support.commands import Done, Started, run
 from tests.support.fake import FakeServer, mbap, until
 
@@ -105,7 +106,7 @@ WRONG = [
 ]
 
 
-@pytest.mark.parametrize(("output", "message"), WRONG)
+@each_case(("output", "message"), WRONG)
 def test_wrong_usage_is_one_line(tmp_path: Path, output: list[str], message: str) -> None:
     (tmp_path / "there.csv").write_text("mine")
     arguments = [each.format(tmp_path) for each in output]

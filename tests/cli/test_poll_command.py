@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 
 from libmodbus_py import Device, Mapping, Server
+from tests.support.cases import each_case
 from tests.support.commands import Started, ended, on_terminal, run
 from tests.support.fake import dead
 
@@ -199,7 +200,7 @@ def test_sighup_reads_the_file_again(fleet: Path) -> None:
         polling.communicate()
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("arguments", "said"),
     [
         (["/nowhere/fleet.toml"], "cannot read /nowhere/fleet.toml: No such file or directory"),

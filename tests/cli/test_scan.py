@@ -17,6 +17,7 @@ import pytest
 
 from libmodbus_py import Device, Mapping, Server, device_file
 from libmodbus_py.testing.wires import SerialWire
+from tests.support.cases import each_case
 from tests.support.commands import Started, on_terminal, run
 from tests.support.fake import FakeServer, mbap, refusing, until, url_of
 
@@ -95,7 +96,7 @@ def test_no_connection_is_one_line_and_exit_code_1() -> None:
     assert done.err.splitlines()[-1].startswith("libmodbus-py: ")
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("arguments", "message"),
     [
         (["--units", "0-300"], "'0-300' must go up, within 0..255"),

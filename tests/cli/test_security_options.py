@@ -16,6 +16,7 @@ import pytest
 
 from libmodbus_py import Device, Mapping, Server
 from tests.support import certificates
+from tests.support.cases import each_case
 from tests.support.certificates import Papers
 from tests.support.commands import run
 from tests.support.fake import dead
@@ -117,7 +118,7 @@ def test_nobody_is_asked_for_a_password(papers: Papers) -> None:
     os.close(master)
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("arguments", "text"),
     [
         (["tls://h", "holding", "0"], "tls://h:802 needs security"),

@@ -15,6 +15,7 @@ import pytest
 from libmodbus_py import ModbusConnectionError
 from libmodbus_py.cli import main as main_file
 from libmodbus_py.cli.commands import COMMANDS, parser_of
+from tests.support.cases import each_case
 from tests.support.commands import run
 
 COMMAND = [sys.executable, "-m", "libmodbus_py"]
@@ -69,7 +70,7 @@ def test_version_and_help() -> None:
         assert about.split()[0] in done.stdout
 
 
-@pytest.mark.parametrize("name", COMMANDS)
+@each_case("name", COMMANDS)
 def test_every_command_is_in_its_file(name: str) -> None:
     with pytest.raises(SystemExit) as ended:
         parser_of(name).parse_args(["--help"])

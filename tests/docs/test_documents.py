@@ -15,6 +15,7 @@ from sybil import Document, Region
 
 from tests.docs.documents import DOCUMENTS, ROOT, blocks, not_run
 from tests.docs.python_blocks import Comparing
+from tests.support.cases import each_case
 
 NAMES = [str(path.relative_to(ROOT)) for path in DOCUMENTS]
 
@@ -94,7 +95,7 @@ def links_of(text: str) -> list[str]:
     return ["".join(found) for found in LINK.findall(text)]
 
 
-@pytest.mark.parametrize("path", DOCUMENTS, ids=NAMES)
+@each_case("path", DOCUMENTS, ids=NAMES)
 def test_links_lead_somewhere(path: Path) -> None:
     for link in links_of(path.read_text()):
         inside = SEEN.match(link)

@@ -12,12 +12,14 @@ import pytest
 from tests.docs.documents import Examples, read
 from tests.docs.python_blocks import matches
 from tests.docs.shell_blocks import of_console, of_sh
+from tests.support.cases import each_case
 
 Run = Callable[[Path], None]
 
 GOOD = """
 ```console
-$ sh -c 'echo listening on tcp://127.0.0.1:1502; sleep 60' &
+$ echo listening on tcp://127.0.0.1:1502 >listening
+$ tail -f listening &
 listening on tcp://127.0.0.1:1502
 $ libmodbus-py read tcp://127.0.0.1:1 \\
 > 40123
@@ -30,7 +32,8 @@ $ pwd; echo $VALUE; printf '1\\n2\\n3\\n'
 seven or 7
 ...
 3
-$ python -c 'import time; print("begun"); time.sleep(60)'
+$ echo begun >file
+$ tail -f file
 begun
 ^C
 ```
@@ -106,7 +109,7 @@ def test_a_failure_says_where(tmp_path: Path, run: Run) -> None:
     assert caught.value.__notes__ == [f"{path}:5: false"]
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("expected", "found", "fits"),
     [
         ("a  b", "a      b", True),

@@ -6,11 +6,11 @@ from __future__ import annotations
 
 import re
 
-import pytest
 from sybil import Document
 
 from libmodbus_py import framing, pdu, values
 from tests.docs.documents import ROOT, blocks
+from tests.support.cases import each_case
 from tests.support.vectors import FRAMES, REFERENCES, FrameVector
 
 PAGES = ROOT / "docs" / "protocol"
@@ -44,12 +44,12 @@ def vector(kind: str, form: str, text: str) -> FrameVector:
     return next(each for each in FRAMES if each.kind == kind and getattr(each, form) == data)
 
 
-@pytest.mark.parametrize("example", shown(), ids=" ".join)
+@each_case("example", shown(), ids=" ".join)
 def test_a_frame_is_a_worked_example(example: Shown) -> None:
     assert vector(*example)
 
 
-@pytest.mark.parametrize("example", [each for each in shown() if each[1] != "pdu"], ids=" ".join)
+@each_case("example", [each for each in shown() if each[1] != "pdu"], ids=" ".join)
 def test_the_package_makes_the_same_frame(example: Shown) -> None:
     kind, form, text = example
     found = vector(*example)

@@ -40,9 +40,7 @@ RTU: dict[str, Came] = {
     ),
     "this looks like ascii://": lambda request: ascii_frame(ANSWER),
     "unit 18 answered": lambda request: rtu("12 03 06 022B 0000 0064"),
-    "answered with response 04 06 02 2b 00 00 00 64": lambda request: rtu(
-        "11 04 06 022B 0000 0064"
-    ),
+    "function 4 was answered, not 3": lambda request: rtu("11 04 06 022B 0000 0064"),
     "answered with 4 bytes of data": lambda request: rtu("11 03 04 022B 0000"),
 }
 ASCII: dict[str, Came] = {"this looks like rtu://": lambda request: GOOD}

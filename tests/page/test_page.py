@@ -23,6 +23,7 @@ from libmodbus_py import (
     page_of,
 )
 from tests.page.watching import Visitor, made_server, shown, until
+from tests.support.cases import each_case
 
 POINTS = ["temperature", "level", "label", "limits", "pump", "flow"]
 
@@ -211,7 +212,7 @@ VALUES: list[tuple[str, str, str]] = [
 ]
 
 
-@pytest.mark.parametrize(("name", "typed", "text"), VALUES)
+@each_case(("name", "typed", "text"), VALUES)
 def test_a_value_that_is_typed_is_set(name: str, typed: str, text: str) -> None:
     point = POINTS.index(name)
     with shown() as (_, _, visitor), visitor.watching():
@@ -271,7 +272,7 @@ REFUSED: list[tuple[dict[str, Any], str]] = [
 ]
 
 
-@pytest.mark.parametrize(("body", "text"), REFUSED, ids=[str(each[0])[:60] for each in REFUSED])
+@each_case(("body", "text"), REFUSED, ids=[str(each[0])[:60] for each in REFUSED])
 def test_a_value_that_cannot_be_is_told(body: dict[str, Any], text: str) -> None:
     with shown() as (_, _, visitor):
         found = visitor.post("/value", **body)

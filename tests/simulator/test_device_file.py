@@ -6,13 +6,9 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import re
 import resource
-import signal
 import socket
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -45,6 +41,8 @@ from libmodbus_py.simulator.behaviour import BEHAVIOURS, Counter, RandomWalk
 from libmodbus_py.simulator.device_file import DeviceFileError, load, parse
 from libmodbus_py.simulator.keys import DEFAULTS, FIFO, FILE, RANGES, SERVER_ID, UNIT
 from libmodbus_py.testing.wires import SerialWire
+from tests.support.cases import each_case
+from tests.support.commands import Started, run
 
 PLANT = Path(__file__).parents[2] / "examples" / "plant.toml"
 
@@ -109,7 +107,7 @@ def test_values_lie_where_the_file_says() -> None:
     assert answer(device, pdu.ReadDiscreteInputs(5, 2)) == [True, True]
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("content", "registers"),
     [
         ("count = 3", [0, 0, 0]),
@@ -221,7 +219,7 @@ REQUESTS = [
 ]
 
 
-@pytest.mark.parametrize(("request_", "is_executed"), REQUESTS, ids=str)
+@each_case(("request_", "is_executed"), REQUESTS, ids=str)
 def test_what_a_range_does_not_allow_is_exception_2(
     request_: pdu.Request[Any], is_executed: bool
 ) -> None:
@@ -290,7 +288,7 @@ def test_the_faults_of_a_unit_without_id_are_for_every_unit() -> None:
 # --- values that move ------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("behaviour", "expected"),
     [
         ("counter = {}", [0, 0, 1, 1, 2, 2]),
@@ -562,7 +560,7 @@ COPIES = """
 """
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("source", "value", "target", "scale", "expected"),
     [
         ("uint16", 555, "uint16", 1, 555),
@@ -988,7 +986,7 @@ BROKEN = [
 ]
 
 
-@pytest.mark.parametrize(("text", "message"), BROKEN, ids=range(len(BROKEN)))
+@each_case(("text", "message"), BROKEN, ids=range(len(BROKEN)))
 def test_a_wrong_file_is_told_what_is_wrong(text: str, message: str, tmp_path: Path) -> None:
     path = tmp_path / "broken.toml"
     path.write_text(text)
@@ -1047,20 +1045,11 @@ def _toml(value: object) -> str:
 
 @contextmanager
 def served(*arguments: str) -> Iterator[str]:
-    """Run the program, as a user does; gives its first URL."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "libmodbus_py", "serve", *arguments],
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    try:
-        assert process.stdout is not None
+    """Serve with the command, and yield its first URL."""
+    with Started("serve", *arguments) as process:
         yield process.stdout.readline().removeprefix("listening on ").rstrip("\n")
-        process.send_signal(signal.SIGTERM)
-        assert process.wait(5) == 0
-    finally:
-        process.kill()
-        process.communicate()
+        process.terminate()
+        assert process.wait() == 0
 
 
 @pytest.fixture(scope="module")
@@ -1246,17 +1235,11 @@ def test_a_wrong_file_is_one_line_and_exit_code_2(
     path = tmp_path / "device.toml"
     if content is not None:
         path.write_text(content)
-    arguments = ["serve", "tcp://127.0.0.1:0", "--device", os.fspath(path)]
-    done = subprocess.run(
-        [sys.executable, "-m", "libmodbus_py", *arguments],
-        capture_output=True,
-        text=True,
-        timeout=30,
-    )
-    assert done.returncode == 2
-    assert done.stdout == ""
-    assert done.stderr.startswith(f"libmodbus-py: {message.format(path)}")
-    assert done.stderr.count("\n") == 1
+    done = run("serve", "tcp://127.0.0.1:0", "--device", path)
+    assert done.code == 2
+    assert done.out == ""
+    assert done.err.startswith(f"libmodbus-py: {message.format(path)}")
+    assert done.err.count("\n") == 1
 
 
 def test_every_unit_of_a_file_without_id_is_served(tmp_path: Path) -> None:

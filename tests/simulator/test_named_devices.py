@@ -20,6 +20,7 @@ from libmodbus_py.simulator.device_file import (
     load,
     parse,
 )
+from tests.support.cases import each_case
 
 MAP = """name,table,address,type,scale,unit,access
 voltage,input,0,uint16,0.1,V,read
@@ -76,7 +77,7 @@ def written(tmp_path: Path) -> Callable[[str], Path]:
 REGISTER = "[[unit]]\n[[unit.input_registers]]\naddress = 0\n"
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("content", "registers"),
     [
         ("scale = 0.1\nvalue = 230.5", [2305]),
@@ -364,7 +365,7 @@ BROKEN = [
 ]
 
 
-@pytest.mark.parametrize(("text", "message"), BROKEN, ids=range(len(BROKEN)))
+@each_case(("text", "message"), BROKEN, ids=range(len(BROKEN)))
 def test_a_mistake_is_told_with_its_line(
     text: str, message: str, written: Callable[[str], Path]
 ) -> None:

@@ -19,6 +19,7 @@ import pytest
 from libmodbus_py import Context, Device, Server, pdu
 from libmodbus_py.simulator.device_file import SimulatedDevice, load, parse
 from libmodbus_py.simulator.reloading import Reloader
+from tests.support.cases import each_case
 from tests.support.commands import Started, run
 
 PLAIN = """
@@ -95,9 +96,7 @@ def write_all(device: SimulatedDevice) -> None:
     device.fifos[3].append(9)
 
 
-@pytest.mark.parametrize(
-    "text", [PLAIN, "# a comment\n" + PLAIN, PLAIN.replace("id = 2", "id = 9")]
-)
+@each_case("text", [PLAIN, "# a comment\n" + PLAIN, PLAIN.replace("id = 2", "id = 9")])
 def test_a_unit_of_which_the_file_says_the_same_stays_the_same(text: str) -> None:
     seen: list[Device] = []
     assert after(PLAIN, seen.append, text) is seen[0]
@@ -114,7 +113,7 @@ def test_values_that_clients_wrote_stay_in_ranges_that_stay() -> None:
     assert device.fifos[3] == [1, 2, 9]
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("old", "new", "found"),
     [
         ("values = [1, 2]", "values = [1, 3]", [1, 3, 0, 55]),
@@ -341,7 +340,7 @@ def test_an_example_is_served() -> None:
         assert process.wait() == 0
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("arguments", "code", "told"),
     [
         (["--example"], 0, " An electricity meter, "),

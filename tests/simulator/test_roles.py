@@ -11,6 +11,7 @@ import pytest
 
 from libmodbus_py import Caller, Device, pdu
 from libmodbus_py.simulator.device_file import DeviceFileError, load, parse
+from tests.support.cases import each_case
 
 PLANT = Path(__file__).parents[2] / "examples" / "plant.toml"
 
@@ -131,7 +132,7 @@ def test_the_example_does_what_it_says() -> None:
         assert code(boiler, pdu.ReportServerId(), role) == expected
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("text", "line", "said"),
     [
         ("[[roles]]", None, "roles must be a table, not [{}]"),

@@ -11,7 +11,6 @@ from __future__ import annotations
 import atexit
 import contextlib
 import ctypes
-import gc
 import io
 import json
 import logging
@@ -95,7 +94,7 @@ class _Collected(io.TextIOWrapper):
 
 @contextlib.contextmanager
 def _as_a_program(environment: Mapping[str, str]) -> Iterator[None]:
-    """Keep what a program may change for itself: log handlers, variables, limits, garbage."""
+    """Keep what a program may change for itself: log handlers, variables, limits."""
     root = logging.getLogger()
     handlers, root.handlers = root.handlers, []
     limits = resource.getrlimit(resource.RLIMIT_NOFILE)
@@ -108,7 +107,6 @@ def _as_a_program(environment: Mapping[str, str]) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_NOFILE, limits)
         os.environ.clear()
         os.environ.update(variables)
-        gc.unfreeze()
 
 
 # --- in a process of its own ----------------------------------------------------------------

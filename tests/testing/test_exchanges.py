@@ -9,6 +9,7 @@ import pytest
 from libmodbus_py import FrameError, IllegalDataAddress, InvalidResponse
 from libmodbus_py.ports.trace import Traced
 from libmodbus_py.testing.exchanges import MOST, Exchanges
+from tests.support.cases import each_case
 
 TCP = "tcp://127.0.0.1:502"
 LINE = "rtu:///dev/ttyUSB0"
@@ -97,7 +98,7 @@ LINES: dict[str, tuple[list[tuple[str, str]], list[str]]] = {
 }
 
 
-@pytest.mark.parametrize(("passed", "told"), CASES.values(), ids=CASES)
+@each_case(("passed", "told"), CASES.values(), ids=CASES)
 def test_on_tcp(passed: list[tuple[str, str]], told: list[str]) -> None:
     assert [str(each) for each in noted(*passed).transactions()] == told
 

@@ -44,11 +44,15 @@ def test_more_than_there_is_room_for_is_written_when_somebody_reads(ends: tuple[
     assert read == data
 
 
-@pytest.mark.timeout(20)
-def test_a_wire_that_nobody_reads_at_the_other_end_can_be_closed() -> None:
+@pytest.mark.timeout(60)
+def test_a_wire_that_nobody_reads_at_the_other_end_can_be_closed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """More is written than the terminals hold: what finds no room is lost, and not waited for."""
+    monkeypatch.setattr("libmodbus_py.testing.line_ends.PATIENCE", 0.01)
     with SerialWire() as wire:
         client = os.open(wire.client, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         for _ in range(50):
-            if select.select([], [client], [], 0.1)[1]:
-                os.write(client, bytes(4096))
+            select.select([], [client], [])
+            os.write(client, bytes(4096))
         os.close(client)

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from libmodbus_py import pdu
 from libmodbus_py.testing import plugin
 
 pytest_plugins = ["pytester"]
@@ -144,8 +145,9 @@ class TestReports:
         suite.runpytest().stdout.fnmatch_lines([f"{READ_TEXT} after 0.[2-9]?? s"])
 
     def test_a_class_of_the_user_that_cannot_be_shown_ends_no_run(
-        self, suite: pytest.Pytester
+        self, suite: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
     ) -> None:
+        monkeypatch.setitem(pdu.REQUESTS, 1, pdu.REQUESTS[1])
         written(
             suite,
             """
@@ -163,7 +165,7 @@ class TestReports:
     def test_next(): pass
             """,
         )
-        result = suite.runpytest_subprocess()
+        result = suite.runpytest()
         result.assert_outcomes(passed=1, failed=1)
         result.stdout.fnmatch_lines(["cannot be shown: RuntimeError('no text')"])
 
@@ -260,7 +262,7 @@ class TestLeftBehind:
                 print("left:", left)
             """
         )
-        result = suite.runpytest_subprocess("-s")
+        result = suite.runpytest_inprocess("-s", no_reraise_ctrlc=True)
         assert result.ret == pytest.ExitCode.INTERRUPTED
         result.stdout.fnmatch_lines_random(["*KeyboardInterrupt*", "left: [[][]]"])
 
@@ -268,10 +270,16 @@ class TestLeftBehind:
         written(
             suite,
             """
-    @pytest.mark.timeout(5)
+    @pytest.mark.timeout(60)
     def test_hanging(modbus_server, modbus_faults):
         modbus_faults.switch_on(Fault("no_answer"))
-        with TcpContext.from_url(modbus_server.url, timeout=50) as plc:
+        # The signal by which pytest-timeout ends a test, once the request has come.
+        def alarm():
+            while not modbus_server.transactions:
+                time.sleep(0.001)
+            signal.pthread_kill(threading.main_thread().ident, signal.SIGALRM)
+        threading.Thread(target=alarm).start()
+        with TcpContext.from_url(modbus_server.url, timeout=600) as plc:
             plc.read_coils(0, 1)
 
     def test_next(modbus_server): read(modbus_server)
@@ -279,6 +287,7 @@ class TestLeftBehind:
         )
         result = suite.runpytest_subprocess()
         result.assert_outcomes(passed=1, failed=1)
+        result.stdout.fnmatch_lines(["*Timeout (>60*"])
         result.stdout.fnmatch_lines(["unit 1: ReadCoils(address=0, count=1) -> no answer"])
 
 
