@@ -44,7 +44,8 @@ class Break:
     def options(self, chosen: Options) -> Options:
         """Return the run of a seed, with one of these casts."""
         cast = self.casts[chosen.seed % len(self.casts)]
-        return replace(chosen, cast=cast, faults=self.faults or chosen.faults)
+        faults = self.faults or chosen.faults
+        return replace(chosen, cast=cast, faults=faults, pause=min(chosen.pause, 0.1), seconds=20.0)
 
 
 @contextlib.contextmanager

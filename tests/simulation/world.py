@@ -33,6 +33,9 @@ PROBABILITIES = {
     "twice": 0.2,
 }
 
+# How many of the units have a fault: where there are many kinds, and where there are one or two.
+FEW, MOST = 0.4, 0.8
+
 # Not on which carrier: a stream neither flips bits nor doubles what it carries, unless told.
 NOT_OVER_TCP = {"flip", "other_function"}
 NOT_ON_LINES = {"drop"}
@@ -96,7 +99,8 @@ class World:
 
     def unit(self, number: int, faults: set[str], timeout: float) -> Unit:
         """Make a unit; most have some of the faults, each its own."""
-        has = [each for each in PROBABILITIES if each in faults and self.random.random() < 0.4]
+        share = FEW if len(faults & PROBABILITIES.keys()) > 2 else MOST
+        has = [each for each in PROBABILITIES if each in faults and self.random.random() < share]
         behaviour = Behaviour(
             delay=(0.0005, self.random.choice([0.002, 0.02])),
             lateness=1.8 * timeout,
