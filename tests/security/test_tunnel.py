@@ -84,7 +84,7 @@ def test_it_knows_the_other_side(peer: Peer) -> None:
     assert not peer.tunnel.is_resumed
     expires = peer.tunnel.expires
     assert expires is not None
-    end = certificates.client().certificate.not_valid_after_utc
+    end = certificates.end(certificates.client().certificate)
     assert ssl.cert_time_to_seconds(expires) == int(end.timestamp())
 
 

@@ -30,6 +30,7 @@ __all__ = [
     "Papers",
     "authority",
     "client",
+    "end",
     "expired",
     "foreign_authority",
     "intermediate",
@@ -88,6 +89,13 @@ def expired(**options: Any) -> dict[str, Any]:
 def not_yet_valid(**options: Any) -> dict[str, Any]:
     """Options of a certificate that begins tomorrow."""
     return {"begin": datetime.now(UTC) + timedelta(days=1)} | options
+
+
+def end(certificate: x509.Certificate) -> datetime:
+    """Return when a certificate expires, also with a cryptography older than 42."""
+    if hasattr(certificate, "not_valid_after_utc"):
+        return certificate.not_valid_after_utc
+    return certificate.not_valid_after.replace(tzinfo=UTC)
 
 
 @cache
