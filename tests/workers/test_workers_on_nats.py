@@ -1,6 +1,6 @@
 """
 Workers of the real command line on a real nats-server: none of their devices is asked by two,
-whoever dies, stops or leaves. All that they decide is tried in `test_polling`.
+whoever dies, stops or leaves. All that they decide is tried in `test_whole_workers`.
 """
 
 from __future__ import annotations
