@@ -43,15 +43,18 @@ class BlockingDriver:
         parts: of the client.
         native: whether C carries what may go the short way.
         is_short: whether anything may.
+
+    Attributes:
+        waker: what it waits with; its clock is that of the port.
     """
 
     def __init__(self, parts: Parts, native: bool, is_short: bool) -> None:
         self._port = parts.port
         self._conversation = parts.conversation
         self._connection = parts.connection
-        self._waker = parts.port.waker()
-        self._now = self._waker.now
-        self._shortcut = Shortcut(parts, native, self._waker) if is_short else None
+        self.waker = parts.port.waker()
+        self._now = self.waker.now
+        self._shortcut = Shortcut(parts, native, self.waker) if is_short else None
         self._closed = False
         self._start_anew()
         _drivers.add(self)
@@ -107,7 +110,7 @@ class BlockingDriver:
                 self._is_busy = True
                 if self._shortcut is not None and not broadcast and self._conversation.is_plain:
                     batch, outcome = self._shortcut.ask(
-                        unit, request, patience, self._waker.descriptor
+                        unit, request, patience, self.waker.descriptor
                     )
                     if batch is None:
                         return outcome
@@ -143,7 +146,7 @@ class BlockingDriver:
     def close(self) -> None:
         """Close for good, from anywhere. Whoever waits fails at once."""
         self._closed = True
-        self._waker.wake()
+        self.waker.wake()
         if self._lock.acquire(timeout=LEAVING):
             try:
                 if not self._is_busy:
@@ -154,18 +157,18 @@ class BlockingDriver:
     def forget(self) -> None:
         """After a fork, in the child: the connection is the parent's."""
         self._port.abandon()
-        self._waker.renew()
+        self.waker.renew()
         self._start_anew()
         gone = ModbusConnectionError(FORKED, errno=errno.EBADF)
         self._conversation.interrupted(gone, self._now())
         if self._closed:
-            self._waker.close()
+            self.waker.close()
 
     def _shut(self) -> None:
         self._port.close()
         closed = ModbusConnectionError("this client is closed", errno=errno.EBADF)
         self._conversation.closed(closed, self._now())
-        self._waker.close()
+        self.waker.close()
 
     # --- one batch ------------------------------------------------------------------------
 
@@ -208,7 +211,7 @@ class BlockingDriver:
         """An answer may come while RTS is still set, as on a pseudo-terminal."""
         while self._port.resume_at is not None:
             now = self._now()
-            self._waker.sleep(max(0.0, self._port.resume_at - now))
+            self.waker.sleep(max(0.0, self._port.resume_at - now))
             self._port.go_on(self._now())
 
     def _send(self, now: float) -> None:
@@ -231,12 +234,12 @@ class BlockingDriver:
         if port.resume_at is not None:
             until = min(until, port.resume_at)
         if conversation.is_idle and until - now < SLEPT:
-            self._waker.sleep(max(0.0, until - now))
+            self.waker.sleep(max(0.0, until - now))
         elif port.has_unsent:
-            self._waker.wait(port.descriptor, READ | WRITE, until)
+            self.waker.wait(port.descriptor, READ | WRITE, until)
             if port.has_input():
                 self._receive()
-        elif self._waker.is_ready(until - now):
+        elif self.waker.is_ready(until - now):
             self._receive()
         now = self._now()
         if port.has_unsent or (port.resume_at is not None and port.resume_at <= now):
@@ -269,14 +272,14 @@ class BlockingDriver:
             self._conversation.refuse(refusal)
             return
         if self._connection.next_attempt > now:
-            self._waker.wait(-1, READ, self._connection.next_attempt)
+            self.waker.wait(-1, READ, self._connection.next_attempt)
         self._connection.connecting()
         try:
-            run(self._port.opening(deadline), self._waker)
+            run(self._port.opening(deadline), self.waker)
         except ModbusConnectionError as error:
             self._conversation.failed(error, self._now())
         else:
-            self._waker.watch(self._port.descriptor)
+            self.waker.watch(self._port.descriptor)
             self._conversation.opened(self._now())
         finally:
             if self._connection.state is State.CONNECTING:

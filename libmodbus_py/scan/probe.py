@@ -9,11 +9,11 @@ protocol, section 7). Nothing changes in a device by it, and an echo of it is no
 from __future__ import annotations
 
 import errno
-import time
 from typing import Any, NamedTuple
 
 from ..client.blocking import Context
 from ..ports.trace import Traced
+from ..ports.waiting import Waker
 from ..protocol import pdu
 from ..protocol.errors import (
     ExceptionResponse,
@@ -113,6 +113,7 @@ class Asker:
     Attributes:
         context: the client.
         requests: how many were sent.
+        waker: what the client waits with, and its clock.
     """
 
     def __init__(self, place: Place) -> None:
@@ -125,6 +126,7 @@ class Asker:
         self._late: list[Late] = []
         self._has_ids = place.endpoint.framing in ("tcp", "udp")
         self.context: Context = place.context(timeout=place.wait(PROBE_SIZE), trace=self._traced)
+        self.waker: Waker = self.context._driver.waker
 
     # --- asking ---------------------------------------------------------------------------
 
@@ -136,7 +138,7 @@ class Asker:
             ModbusConnectionError: there is no connection any more.
         """
         self._unit = unit
-        started = time.monotonic()
+        started = self.waker.now()
         self._is_probing = True
         try:
             self._carefully(unit, PROBE)
@@ -152,7 +154,7 @@ class Asker:
         finally:
             self._is_probing = False
         self._owed = {key: owed for key, owed in self._owed.items() if owed[0] != unit}
-        return Answer(time.monotonic() - started, code)
+        return Answer(self.waker.now() - started, code)
 
     def server_id(self, unit: int) -> ServerId | None:
         """Ask for what function 17 tells; None if the unit has nothing to tell."""
@@ -226,7 +228,7 @@ class Asker:
         if traced.direction == "sent":
             self.requests += 1
             if self._is_probing:
-                self._owed[self._key(traced)] = self._unit, time.monotonic()
+                self._owed[self._key(traced)] = self._unit, self.waker.now()
         elif traced.unit is not None:
             self._note_late(traced)
 
@@ -248,7 +250,7 @@ class Asker:
             return  # what others say on the line
         del self._owed[key]
         if code not in NOBODY_CODES:
-            self._late.append(Late(unit, Answer(time.monotonic() - asked_at, code)))
+            self._late.append(Late(unit, Answer(self.waker.now() - asked_at, code)))
 
 
 class _Ended(ModbusError):

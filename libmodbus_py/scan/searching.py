@@ -4,7 +4,6 @@ The tables of one unit: which ranges of them exist.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -181,7 +180,7 @@ class _Tables(Walk[Extent]):
             except (Acknowledge, ServerDeviceBusy):
                 if pause is None:
                     raise _EndedError(_BUSY) from None
-                time.sleep(pause)
+                asker.waker.sleep(pause)
             except IllegalFunction:
                 raise _EndedError(_NO_FUNCTION) from None
             except NOBODY:

@@ -53,6 +53,7 @@ class View:
             to have given them up; and when, as a revision.
         unreadable: the keys whose values nobody can read, with the reason; those that told
             of others before are forgotten.
+        moves: counts the changes of `holders` and `used_slots`.
     """
 
     def __init__(self) -> None:
@@ -69,6 +70,7 @@ class View:
         self._touched: dict[str, int] = {}
         self.last_touched: int = 0
         self._in_slot: Counter[Slot] = Counter()
+        self.moves: int = 0
 
     def add(self, entry: Entry, at: float) -> bool:
         """
@@ -81,6 +83,7 @@ class View:
             return False
         self.seen[entry.key] = Seen(entry.revision, at)
         self.revision = max(self.revision, entry.revision)
+        self.moves += not entry.key.startswith("worker.")
         before = self._forget(entry, at)
         if entry.value is not None:
             self._learn(entry.key, entry.value, entry.revision, before)

@@ -96,6 +96,8 @@ class Worker:
         self._longest_lease = 0.0
         self._leaving = False
         self._goes_on = False
+        # Who should have each slot, and what that rests on.
+        self._shared_before: tuple[tuple[Any, ...], dict[Slot, str]] | None = None
         self.active: dict[str, Connection] = {}
         self.waiting: set[str] = set()
         self._join()
@@ -287,9 +289,14 @@ class Worker:
         eligible = {each.id: each.zones for each in self._others if self.is_heard(each, now)}
         silent = {each.id for each in self._others} - set(eligible)
         eligible[self.lease.id] = self._zones
-        holders = self.view.holders
-        slots = [slot for slot in self.view.used_slots if holders.get(slot) not in silent]
-        return share(slots, holders, eligible)
+        view = self.view
+        # It is asked for many times a second, and hardly ever changes.
+        rests_on = (view, view.moves, eligible, silent)
+        if self._shared_before is None or self._shared_before[0] != rests_on:
+            holders = view.holders
+            slots = [slot for slot in view.used_slots if holders.get(slot) not in silent]
+            self._shared_before = rests_on, share(slots, holders, eligible)
+        return self._shared_before[1]
 
     def _slots(self, shared: Mapping[Slot, str], now: float) -> Iterator[Put]:
         """Take what is free, and hand over what others should have."""

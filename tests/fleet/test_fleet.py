@@ -5,10 +5,8 @@ Fleets that poll: who shares a connection, who is down, what is skipped, what ch
 from __future__ import annotations
 
 import asyncio
-import time
 from collections import Counter
 from itertools import pairwise
-from typing import Any
 
 import pytest
 
@@ -25,19 +23,25 @@ from libmodbus_py import (
 from libmodbus_py.fleet import poller
 from libmodbus_py.fleet.poller import Standing
 from libmodbus_py.testing.wires import SerialWire
-from tests.fleet.fleets import LONGEST, Peer, good, meter, polling, simulated, until
-
-
-def run(test: Any) -> Any:
-    return asyncio.run(asyncio.wait_for(test, 2 * LONGEST))
-
+from tests.fleet.fleets import (
+    NETWORK,
+    Peer,
+    good,
+    meter,
+    polling,
+    simulated,
+    simulated_run,
+    stand_still,
+    until,
+)
 
 # --- what is read ------------------------------------------------------------------------
 
 
 def test_readings_are_named_scaled_and_timed() -> None:
     async def go() -> None:
-        before = time.time()
+        time_of_day = NETWORK.get().time_of_day
+        before = time_of_day()
         async with (
             Server({1: simulated(2305), 2: simulated(100)}).serving("tcp://127.0.0.1:0") as running,
             polling(
@@ -52,12 +56,12 @@ def test_readings_are_named_scaled_and_timed() -> None:
                 ("setpoint", 20, "C", "good", ""),
             ]
             assert {each[2:4] for each in readings if each.device == "b"} == {("voltage", 10.0)}
-            assert all(before - 1 < each.time < time.time() + 1 for each in readings)
+            assert all(before <= each.time <= time_of_day() for each in readings)
             assert (fleet.statistics.devices, fleet.statistics.up) == (2, 2)
             assert fleet.statistics.readings >= len(readings)
         assert [each.standing for each in fleet.devices.values()] == []
 
-    run(go())
+    simulated_run(go())
 
 
 def test_units_of_a_place_share_a_connection() -> None:
@@ -68,7 +72,7 @@ def test_units_of_a_place_share_a_connection() -> None:
                 await until(lambda: set(one.units) == set(range(1, 21)) and other.requests)
                 assert len(one.connections) == len(other.connections) == 1
 
-    run(go())
+    simulated_run(go())
 
 
 def test_a_poll_with_several_requests_is_not_torn() -> None:
@@ -86,7 +90,7 @@ def test_a_poll_with_several_requests_is_not_torn() -> None:
                 assert [each[8:10] for each in three] == [b"\0\0", b"\0\x64", b"\0\xc8"]
                 assert len({each[6] for each in three}) == 1
 
-    run(go())
+    simulated_run(go())
 
 
 def test_what_a_device_refuses_is_bad_and_the_rest_good() -> None:
@@ -111,7 +115,7 @@ def test_what_a_device_refuses_is_bad_and_the_rest_good() -> None:
             assert fleet.statistics.refusals > 4
             assert fleet.statistics.failures == 0
 
-    run(go())
+    simulated_run(go())
 
 
 def test_registers_that_hold_no_such_value_are_bad_alone() -> None:
@@ -129,7 +133,7 @@ def test_registers_that_hold_no_such_value_are_bad_alone() -> None:
             assert readings[0][2:] == ("clock", None, "", "bad", "ValueError")
             assert readings[1][2:] == ("x", 5, "", "good", "")
 
-    run(go())
+    simulated_run(go())
 
 
 # --- who is down ---------------------------------------------------------------------------
@@ -157,31 +161,60 @@ def test_fifty_dead_units_on_a_gateway_cost_the_others_nothing() -> None:
             of_the_dead = [count for (unit, _), count in down.items() if int(unit) % 2]
             assert of_the_dead == [1] * 150
 
-    run(go())
+    simulated_run(go())
 
 
-@pytest.mark.alone
 def test_a_dead_unit_on_a_line_costs_others_an_answer() -> None:
     """Not its timeout, which is two seconds."""
 
     async def go() -> None:
-        with SerialWire() as wire:
-            units = {1: simulated(), 3: simulated()}
-            server = f"rtu://{wire.server}?baudrate=115200"
-            url = f"rtu://{wire.client}?baudrate=115200&timeout=2"
-            async with (
-                Server(units).serving(server),
-                polling(*(meter(f"{unit}", url, unit=unit) for unit in (1, 2, 3))) as (fleet, _),
-            ):
-                await until(lambda: fleet.statistics.down == 1 and fleet.statistics.up == 2)
-                polls = fleet.statistics.polls
-                await until(lambda: fleet.statistics.polls > polls + 4)  # who waited for the first
-                tries = fleet.statistics.failures
-                fleet.statistics.take_worst()
-                await until(lambda: fleet.statistics.failures >= tries + 3)
-                assert fleet.statistics.take_worst() < 1.5
+        units = {1: simulated(), 3: simulated()}
+        url = "rtu:///dev/line?baudrate=115200"
+        async with (
+            Server(units).serving(url),
+            polling(*(meter(f"{unit}", f"{url}&timeout=2", unit=unit) for unit in (1, 2, 3))) as (
+                fleet,
+                _,
+            ),
+        ):
+            await until(lambda: fleet.statistics.down == 1 and fleet.statistics.up == 2)
+            polls = fleet.statistics.polls
+            await until(lambda: fleet.statistics.polls > polls + 4)  # who waited for the first
+            tries = fleet.statistics.failures
+            fleet.statistics.take_worst()
+            await until(lambda: fleet.statistics.failures >= tries + 3)
+            # As long as an answer of the others takes, and the silence after it.
+            assert fleet.statistics.take_worst() < 0.1
 
-    run(go())
+    simulated_run(go())
+
+
+def test_real_connections_are_polled() -> None:
+    """Over TCP, and on a line with a unit that is not there."""
+
+    async def go() -> None:
+        with SerialWire() as wire:
+            units = {1: simulated(100), 3: simulated(300)}
+            line = f"rtu://{wire.client}?timeout=0.5"
+            async with (
+                Server(units).serving(f"rtu://{wire.server}", "tcp://127.0.0.1:0") as running,
+                polling(
+                    *(meter(f"{unit}", line, unit=unit, interval=0.2) for unit in (1, 2, 3)),
+                    meter("tcp", running.urls[1], unit=3),
+                ) as (fleet, readings),
+            ):
+                await until(lambda: fleet.statistics.up == 3 and fleet.statistics.down == 1)
+                await fleet.write("1", {"setpoint": 25})
+                await until(lambda: readings[-1].value == 25)
+            told = {each[1:4] for each in readings if each.name == "voltage"}
+            assert told == {
+                ("1", "voltage", 10.0),
+                ("2", "voltage", None),
+                ("3", "voltage", 30.0),
+                ("tcp", "voltage", 30.0),
+            }
+
+    asyncio.run(asyncio.wait_for(go(), 60))
 
 
 def test_who_is_back_is_told_and_polled_as_before() -> None:
@@ -209,7 +242,7 @@ def test_who_is_back_is_told_and_polled_as_before() -> None:
                 assert fleet.statistics.up == 1
                 assert fleet.statistics.down == 0
 
-    run(go())
+    simulated_run(go())
 
 
 def test_a_connection_that_is_back_ends_the_rest_of_all_on_it(
@@ -234,7 +267,7 @@ def test_a_connection_that_is_back_ends_the_rest_of_all_on_it(
             async with server.serving(f"tcp://127.0.0.1:{port}"):
                 await until(lambda: fleet.statistics.up == 20)
 
-    run(go())
+    simulated_run(go())
 
 
 # --- what is late --------------------------------------------------------------------------
@@ -257,7 +290,7 @@ def test_late_polls_are_skipped_never_piled_up() -> None:
             assert most == 1
             assert fleet.statistics.skipped >= 8
 
-    run(go())
+    simulated_run(go())
 
 
 def test_a_loop_that_stood_still_skips_and_counts() -> None:
@@ -267,30 +300,26 @@ def test_a_loop_that_stood_still_skips_and_counts() -> None:
             async with polling(*devices) as (fleet, _):
                 await until(lambda: fleet.statistics.polls >= 10)
                 before, polls = fleet.statistics.skipped, fleet.statistics.polls
-                time.sleep(1.0)
+                stand_still(1.0)
                 await until(lambda: fleet.statistics.polls >= polls + 10)
                 # Ten devices each missed nine or ten, and are polled once for all of them.
                 assert 60 <= fleet.statistics.skipped - before <= 200
                 assert fleet.statistics.take_worst() > 0.5
 
-    run(go())
+    simulated_run(go())
 
 
 def test_a_device_rests_between_its_requests() -> None:
     far = RegisterMap([Point(f"p{at}", "holding_registers", 100 * at) for at in range(3)])
 
     async def go() -> None:
-        times: list[float] = []
+        async with Peer() as peer, polling(meter("a", peer.url, map=far, spacing=0.05)):
+            await until(lambda: len(peer.times) > 6)
+        rests = [after - before for before, after in pairwise(peer.times)]
+        # From the end of an answer on, which takes twice the way here: 0.2 ms.
+        assert min(rests) == pytest.approx(0.0504)
 
-        async def note(request: bytes) -> bytes:
-            times.append(time.monotonic())
-            return await good(request)
-
-        async with Peer(note) as peer, polling(meter("a", peer.url, map=far, spacing=0.05)):
-            await until(lambda: len(times) > 6)
-        assert min(after - before for before, after in pairwise(times)) > 0.045
-
-    run(go())
+    simulated_run(go())
 
 
 def test_timeouts_are_those_of_each_device() -> None:
@@ -305,7 +334,7 @@ def test_timeouts_are_those_of_each_device() -> None:
                 await until(lambda: fleet.devices["fast"].misses >= 2)
                 assert fleet.devices["slow"].misses == 0
 
-    run(go())
+    simulated_run(go())
 
 
 # --- once ----------------------------------------------------------------------------------
@@ -325,7 +354,7 @@ def test_once_polls_each_once_and_ends() -> None:
             assert Counter(each.quality for each in told) == {"good": 15, "down": 15}
             await Fleet().run(once=True)
 
-    run(go())
+    simulated_run(go())
 
 
 # --- devices that come and go -------------------------------------------------------------
@@ -354,7 +383,7 @@ def test_replacing_touches_only_what_changed() -> None:
                 assert fleet.statistics.devices == 3
                 await until(lambda: fleet.statistics.up == 3)
 
-    run(go())
+    simulated_run(go())
 
 
 def test_a_line_with_other_options_is_made_anew() -> None:
@@ -369,7 +398,7 @@ def test_a_line_with_other_options_is_made_anew() -> None:
                 await until(lambda: peer.connections[0].is_closing())
                 assert fleet.statistics.devices == 2
 
-    run(go())
+    simulated_run(go())
 
 
 def test_when_remove_returns_nothing_is_sent() -> None:
@@ -393,7 +422,7 @@ def test_when_remove_returns_nothing_is_sent() -> None:
                 fleet.add(devices[:2])
                 await until(lambda: len(one.requests) > count + 4)
 
-    run(go())
+    simulated_run(go())
 
 
 def test_what_cannot_be_changes_nothing() -> None:
@@ -412,7 +441,7 @@ def test_what_cannot_be_changes_nothing() -> None:
                 await fleet.run()
             await until(lambda: fleet.statistics.up == 1)
 
-    run(go())
+    simulated_run(go())
 
 
 # --- may_ask -----------------------------------------------------------------------------
@@ -440,7 +469,7 @@ def test_what_may_not_be_asked_is_neither_sent_nor_told() -> None:
                 assert fleet.statistics.down == 0
                 assert {each.quality for each in readings} == {"good"}
 
-    run(go())
+    simulated_run(go())
 
 
 # --- writes ------------------------------------------------------------------------------
@@ -465,4 +494,4 @@ def test_writes_by_name() -> None:
                 await fleet.write("b", {"setpoint": 25})
             assert device.mapping.holding_registers[2] == 25
 
-    run(go())
+    simulated_run(go())

@@ -25,7 +25,7 @@ from libmodbus_py.fleet.outputs import pump as pumps
 from libmodbus_py.fleet.outputs.mqtt import Mqtt
 from libmodbus_py.fleet.outputs.output import OutputError
 from libmodbus_py.security.making import Identity
-from tests.fleet.fleets import LONGEST, Peer, meter, simulated, until
+from tests.fleet.fleets import LONGEST, RealPeer, meter, simulated, until
 from tests.support import certificates
 from tests.support.certificates import Papers
 from tests.support.programs import program
@@ -118,7 +118,7 @@ def heard_of(heard: list[tuple[str, Any, bool]], topic: str) -> list[Any]:
 @pytest.mark.parametrize("qos", [0, 1])
 def test_last_values_are_kept_for_who_comes_later(broker: Broker, qos: int) -> None:
     async def go() -> None:
-        async with Peer() as peer:
+        async with RealPeer() as peer:
             device = meter("plant/1 +", peer.url, interval=60)
             await Fleet([device], outputs=[Mqtt(broker.url, qos=qos)]).run(once=True)
         async with hearing(broker, "#") as heard:
@@ -150,7 +150,7 @@ def test_readings_over_tls(broker: Broker, tmp_path: Path) -> None:
     url = secure(broker, papers, certificates.server())
 
     async def go() -> None:
-        async with Peer() as peer:
+        async with RealPeer() as peer:
             device = meter("a", peer.url, interval=60)
             output = Mqtt(url, ca=str(papers.ca))
             await Fleet([device], outputs=[output]).run(once=True)
@@ -173,7 +173,7 @@ def test_a_broker_that_is_not_trusted_gets_nothing(
     url = secure(broker, papers, identity)
 
     async def go() -> None:
-        async with Peer() as peer, hearing(broker, "#") as heard:
+        async with RealPeer() as peer, hearing(broker, "#") as heard:
             output = Mqtt(url, ca=str(trusted), password="secret", user="user")
             async with Fleet([meter("a", peer.url, interval=0.05)], outputs=[output]) as fleet:
                 statistics = fleet.statistics.outputs[output.name]
@@ -214,7 +214,7 @@ def test_a_broker_that_dies_and_returns_loses_little_and_stops_nobody(
     broker: Broker, caplog: pytest.LogCaptureFixture
 ) -> None:
     async def go() -> None:
-        async with Peer() as peer:
+        async with RealPeer() as peer:
             output = Mqtt(broker.url)
             fleet = Fleet([meter("a", peer.url, interval=0.05)], outputs=[output])
             async with fleet:
@@ -243,7 +243,7 @@ def test_a_broker_is_missed_though_nothing_is_to_be_told(broker: Broker) -> None
     """Nothing changes, so nothing is published; commands and "online" must be back all the same."""
 
     async def go() -> None:
-        async with Peer() as peer:
+        async with RealPeer() as peer:
             output = Mqtt(broker.url, commands=True)
             async with Fleet([meter("a", peer.url, on_change=True)], outputs=[output]) as fleet:
                 statistics = fleet.statistics.outputs[output.name]
@@ -271,7 +271,7 @@ def test_wrong_credentials_are_one_line(
         broker.kill()
         broker.settings[1] = f"password_file {broker._folder / 'passwords'}"
         await asyncio.to_thread(broker.start)
-        async with Peer() as peer:
+        async with RealPeer() as peer:
             output = Mqtt(broker.url, **options)
             async with Fleet([meter("a", peer.url)], outputs=[output]) as fleet:
                 statistics = fleet.statistics.outputs[output.name]
@@ -292,7 +292,7 @@ def test_wrong_credentials_are_one_line(
 
 def test_nobody_there_is_one_line(caplog: pytest.LogCaptureFixture) -> None:
     async def go() -> None:
-        async with Peer() as peer:
+        async with RealPeer() as peer:
             output = Mqtt("mqtt://127.0.0.1:1")
             async with Fleet([meter("a", peer.url)], outputs=[output]) as fleet:
                 await until(lambda: fleet.statistics.outputs[output.name].failures)
@@ -310,7 +310,7 @@ def test_a_connection_that_says_nothing_stops_nobody(monkeypatch: pytest.MonkeyP
     async def go() -> None:
         silent = socket.create_server(("127.0.0.1", 0))
         port = silent.getsockname()[1]
-        async with Peer() as peer:
+        async with RealPeer() as peer:
             output = Mqtt(f"mqtt://127.0.0.1:{port}")
             async with Fleet([meter("a", peer.url, interval=0.05)], outputs=[output]) as fleet:
                 await until(lambda: fleet.statistics.outputs[output.name].trouble)
@@ -329,7 +329,10 @@ async def commanded(broker: Broker, **options: Any) -> AsyncIterator[tuple[Fleet
     device = simulated()
     async with Server({1: device}).serving("tcp://127.0.0.1:0") as running:
         output = Mqtt(broker.url, **options)
-        devices = [meter("a", running.urls[0]), meter("down", "tcp://127.0.0.1:1")]
+        devices = [
+            meter("a", running.urls[0], interval=0.02),
+            meter("down", "tcp://127.0.0.1:1"),
+        ]
         async with (
             Fleet(devices, outputs=[output]) as fleet,
             hearing(broker, "modbus/+/+/set/result") as heard,
@@ -395,7 +398,7 @@ def test_a_flood_of_commands_is_bounded(broker: Broker) -> None:
     async def go() -> None:
         async with commanded(broker, commands=True) as (fleet, heard, _):
             async with aiomqtt.Client("127.0.0.1", broker.port) as client:
-                for at in range(2000):
+                for at in range(500):
                     await client.publish("modbus/down/setpoint/set", b"21", 0)
                     if at % 50 == 0:
                         assert len(asyncio.all_tasks()) < 300

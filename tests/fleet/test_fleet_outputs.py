@@ -11,6 +11,7 @@ import os
 import threading
 from collections.abc import Sequence
 from contextlib import suppress
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -18,17 +19,19 @@ import pytest
 
 from libmodbus_py import Fleet, Reading
 from libmodbus_py.fleet.outputs import pump as pumps
+from libmodbus_py.fleet.outputs import text_file
 from libmodbus_py.fleet.outputs.csv_rows import CsvRows
 from libmodbus_py.fleet.outputs.json_lines import JsonLines
 from libmodbus_py.fleet.outputs.output import Output, OutputError
-from tests.fleet.fleets import LONGEST, Peer, meter, until
+from tests.fleet.fleets import LONGEST, Peer, RealPeer, meter, simulated_run, until
 
 
-@pytest.fixture(autouse=True)
+@pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """Outputs are tried again sooner."""
     monkeypatch.setattr(pumps, "FIRST_PAUSE", 0.02)
-    monkeypatch.setattr(pumps, "LAST_WORDS", 0.5)
+    monkeypatch.setattr(pumps, "LAST_WORDS", 0.2)
+    monkeypatch.setattr(text_file, "LAST_WAIT", 0.2)
 
 
 def run(test: Any) -> Any:
@@ -39,15 +42,20 @@ class Odd:
     """An output that does what it is told."""
 
     name = "odd"
-    buffer = 20
 
     def __init__(self, *manners: Any) -> None:
+        self.buffer = 20
         self.manners = list(manners)
         self.taken: list[Reading] = []
-        self.opened = self.closed = 0
+        self.opened_at: list[float] = []
+        self.closed = 0
+
+    @property
+    def opened(self) -> int:
+        return len(self.opened_at)
 
     async def open(self) -> None:
-        self.opened += 1
+        self.opened_at.append(asyncio.get_running_loop().time())
 
     async def write(self, readings: Sequence[Reading]) -> None:
         if readings and self.manners:
@@ -61,8 +69,10 @@ class Odd:
         self.closed += 1
 
 
-async def polled(output: Output, is_so: Any, interval: float = 0.02) -> Fleet:
-    async with Peer() as peer:
+async def polled(
+    output: Output, is_so: Any, interval: float = 0.02, kind: type[Peer | RealPeer] = Peer
+) -> Fleet:
+    async with kind() as peer:
         fleet = Fleet([meter("a", peer.url, interval=interval)], outputs=[output])
         async with fleet:
             await until(lambda: is_so(fleet))
@@ -71,7 +81,7 @@ async def polled(output: Output, is_so: Any, interval: float = 0.02) -> Fleet:
 
 def test_what_waits_is_given_at_the_end() -> None:
     output = Odd()
-    fleet = run(polled(output, lambda fleet: fleet.statistics.polls > 5))
+    fleet = simulated_run(polled(output, lambda fleet: fleet.statistics.polls > 5))
     assert len(output.taken) == fleet.statistics.readings
     assert (output.opened, output.closed) == (1, 1)
     assert fleet.statistics.outputs["odd"].written == len(output.taken)
@@ -79,21 +89,26 @@ def test_what_waits_is_given_at_the_end() -> None:
 
 def test_a_slow_output_loses_the_oldest_and_stops_nobody() -> None:
     output = Odd(1.5)
-    fleet = run(polled(output, lambda fleet: fleet.statistics.polls > 30))
+    fleet = simulated_run(polled(output, lambda fleet: fleet.statistics.polls > 30))
     lost = fleet.statistics.outputs["odd"]
     assert lost.dropped > 10
     assert len(output.taken) + lost.dropped == fleet.statistics.readings
     # Those that were taken before it was slow, and the last ones.
-    assert len(output.taken) <= 3 + 2 * Odd.buffer
+    assert len(output.taken) <= 3 + 2 * output.buffer
 
 
 def test_one_that_fails_is_opened_again_and_loses_nothing(caplog: Any) -> None:
     output = Odd(OSError(errno.EIO, "no"), OSError(errno.EIO, "no"), 0, RuntimeError("a bug"))
-    fleet = run(polled(output, lambda fleet: fleet.statistics.polls > 12, interval=0.05))
+    output.buffer = 1000
+    fleet = simulated_run(polled(output, lambda fleet: fleet.statistics.polls > 60, interval=0.05))
+    # Twice as long after each failure, and as at first after a success.
+    pauses = [after - before for before, after in pairwise(output.opened_at)]
+    assert pauses == pytest.approx([0.5, 1.0, 0.5], abs=0.1)
     statistics = fleet.statistics.outputs["odd"]
     assert statistics.failures == 3
     assert output.opened == output.closed == 4
-    assert len(output.taken) + statistics.dropped == fleet.statistics.readings
+    assert statistics.dropped == 0
+    assert len(output.taken) == fleet.statistics.readings
     warned = [each for each in caplog.records if each.levelname == "WARNING"]
     told = [each.getMessage() for each in warned]
     assert told.count("odd: no") == 1  # each trouble once
@@ -115,11 +130,11 @@ def test_what_ends_an_output(error: BaseException) -> None:
                 with pytest.raises(type(error)):
                     await fleet.run()
 
-    run(go())
+    simulated_run(go())
 
 
 def test_without_run_polling_goes_on_when_an_output_is_gone() -> None:
-    run(polled(Odd(OutputError("gone")), lambda fleet: fleet.statistics.polls > 10))
+    simulated_run(polled(Odd(OutputError("gone")), lambda fleet: fleet.statistics.polls > 10))
 
 
 def test_who_iterates_no_more_loses_the_oldest() -> None:
@@ -137,7 +152,7 @@ def test_who_iterates_no_more_loses_the_oldest() -> None:
             assert len(rest) == 10
             assert len(fleet._buffers) == 1
 
-    run(go())
+    simulated_run(go())
 
 
 # --- files ------------------------------------------------------------------------------------
@@ -147,7 +162,7 @@ def test_files_are_appended_to(tmp_path: Path) -> None:
     rows, lines = tmp_path / "a.csv", tmp_path / "a.jsonl"
 
     async def go() -> Fleet:
-        async with Peer() as peer:
+        async with RealPeer() as peer:
             outputs = [CsvRows(str(rows)), JsonLines(str(lines))]
             fleet = Fleet([meter("a", peer.url, interval=60)], outputs=outputs)
             await fleet.run(once=True)
@@ -167,9 +182,11 @@ def test_files_are_appended_to(tmp_path: Path) -> None:
     ] * 2
 
 
+@pytest.mark.usefixtures("quick")
 @pytest.mark.parametrize("path", ["/dev/full", "/nowhere/at/all", "/proc/version"])
 def test_a_file_that_cannot_be_written_stops_nobody(path: str, caplog: Any) -> None:
-    fleet = run(polled(JsonLines(path), lambda fleet: fleet.statistics.polls > 10))
+    output = JsonLines(path)
+    fleet = run(polled(output, lambda fleet: fleet.statistics.polls > 10, kind=RealPeer))
     statistics = fleet.statistics.outputs[f"json {path}"]
     assert statistics.written == 0
     assert statistics.failures >= 1
@@ -177,6 +194,7 @@ def test_a_file_that_cannot_be_written_stops_nobody(path: str, caplog: Any) -> N
     assert caplog.text.count(f"json {path}: ") == 1
 
 
+@pytest.mark.usefixtures("quick")
 def test_a_file_that_is_full_ends_with_a_whole_line(tmp_path: Path) -> None:
     """Written as far as it goes: the half line is taken back, and written when there is room."""
     import resource
@@ -185,7 +203,7 @@ def test_a_file_that_is_full_ends_with_a_whole_line(tmp_path: Path) -> None:
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
 
     async def go() -> None:
-        async with Peer() as peer:
+        async with RealPeer() as peer:
             fleet = Fleet([meter("a", peer.url, interval=0.02)], outputs=[JsonLines(str(path))])
             async with fleet:
                 await until(path.exists)
@@ -209,6 +227,7 @@ def test_a_file_that_is_full_ends_with_a_whole_line(tmp_path: Path) -> None:
         signal.signal(signal.SIGXFSZ, before)
 
 
+@pytest.mark.usefixtures("quick")
 def test_a_pipe_that_nobody_reads_stops_nobody_and_leaves_nothing(tmp_path: Path) -> None:
     path = tmp_path / "pipe"
     os.mkfifo(path)
@@ -218,7 +237,7 @@ def test_a_pipe_that_nobody_reads_stops_nobody_and_leaves_nothing(tmp_path: Path
         output = JsonLines(str(path), buffer=100)
 
         async def go() -> Fleet:
-            async with Peer() as peer:
+            async with RealPeer() as peer:
                 devices = [meter(f"{at}", peer.url, unit=at, interval=0.02) for at in range(1, 21)]
                 fleet = Fleet(devices, outputs=[output])
                 async with fleet:

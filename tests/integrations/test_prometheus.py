@@ -37,11 +37,19 @@ from libmodbus_py import (
     Route,
     Server,
 )
+from libmodbus_py.cli.main import main
 from libmodbus_py.client.statistics import TIME_BOUNDS, Statistics
+from libmodbus_py.integrations import exposition
 from libmodbus_py.integrations.exposition import exposing
 from libmodbus_py.integrations.prometheus import Collector, collect
 from libmodbus_py.server.limits import ServerStatistics
-from tests.support.fake import FakeServer, echo
+from tests.simulation.network import Network
+from tests.simulation.scripted import Scripted, Write
+from tests.simulation.sockets import DELAY
+from tests.support.fake import echo
+
+# To a peer in memory and back.
+WAY = 2 * DELAY
 
 DEVICE = Device(Mapping(holding_registers=100, coils=8))
 
@@ -137,30 +145,29 @@ def test_both_clients_and_the_server_tell_what_happened(registry: CollectorRegis
 
 
 def test_the_histogram_puts_answers_where_they_belong(registry: CollectorRegistry) -> None:
-    def late(request: bytes) -> list[bytes]:
-        time.sleep(0.3)
-        return [echo(request)]
+    """Each bound that is beyond the way to the peer has an answer that comes before it."""
+    network = Network()
+    took = [0.9 * bound for bound in TIME_BOUNDS if bound > 2 * WAY]
+    delays = [*(each - WAY for each in took), 60.0]
 
-    def prompt(request: bytes) -> list[bytes]:
-        return [echo(request)]
+    def late(request: bytes, write: Write) -> None:
+        write(echo(request), after=delays[len(peer.requests) - 1])
 
-    def silent(request: bytes) -> list[bytes]:
-        return []
-
-    with FakeServer(prompt, late, silent) as peer, Context.from_url(peer.url, timeout=5) as plc:
+    peer = Scripted(network, "tcp://10.0.0.1", late)
+    with network.installed(), Context.from_url(peer.url, timeout=30) as plc:
         collect(plc, registry=registry)
-        for _ in range(2):
+        for _ in took:
             plc.read_holding_registers(0, 1)
-        plc.timeout = 0.1
         with pytest.raises(ModbusTimeoutError):
             plc.read_holding_registers(0, 1)
         found = values(registry)
-        counts = dict(zip([*TIME_BOUNDS, float("inf")], histogram(found, peer.url), strict=True))
-        assert counts[0.25] <= 1
-        assert counts[10.0] == 2
-        assert of(
-            found, "modbus_client_requests_total", endpoint=peer.url, function="3", result="timeout"
-        ) == of(found, "modbus_client_timeouts_total", endpoint=peer.url)
+    below = [sum(each <= bound for each in took) for bound in TIME_BOUNDS]
+    assert histogram(found, peer.url) == [*below, len(took)]
+    total = of(found, "modbus_client_request_duration_seconds_sum", endpoint=peer.url)
+    assert total == pytest.approx(sum(took))
+    assert of(
+        found, "modbus_client_requests_total", endpoint=peer.url, function="3", result="timeout"
+    ) == of(found, "modbus_client_timeouts_total", endpoint=peer.url)
 
 
 def test_the_last_success_is_a_time_of_day(registry: CollectorRegistry) -> None:
@@ -345,7 +352,7 @@ def test_scrapes_during_load_are_right_and_never_go_back(registry: CollectorRegi
         with Context.from_url(url) as client:
             collect(client, registry=registry)
             clients.append(client)
-            for turn in range(600):
+            for turn in range(200):
                 client.read_coils(0, 1)
                 client.write_register(turn % 100, turn)
                 if turn % 100 == 0:
@@ -367,10 +374,10 @@ def test_scrapes_during_load_are_right_and_never_go_back(registry: CollectorRegi
     assert not errors
     assert all(seen == sorted(seen) and seen for seen in found)
     name = "modbus_client_requests_total"
-    assert of(now, name, endpoint=url, function="1", result="ok") == 1200
-    assert of(now, name, endpoint=url, function="6", result="ok") == 1200
-    assert of(now, name, endpoint=url, function="4", result="exception") == 12
-    assert of(now, "modbus_server_requests_total") == 2412
+    assert of(now, name, endpoint=url, function="1", result="ok") == 400
+    assert of(now, name, endpoint=url, function="6", result="ok") == 400
+    assert of(now, name, endpoint=url, function="4", result="exception") == 4
+    assert of(now, "modbus_server_requests_total") == 804
 
 
 def test_a_scrape_may_meet_results_that_are_new(registry: CollectorRegistry) -> None:
@@ -445,6 +452,13 @@ def test_metrics_are_exposed_while_the_block_runs(registry: CollectorRegistry, h
         urllib.request.urlopen(url, timeout=5)
 
 
+@pytest.fixture
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Who asks for metrics has less time for it."""
+    monkeypatch.setattr(exposition, "PATIENCE", 0.5)
+
+
+@pytest.mark.usefixtures("impatient")
 def test_whoever_asks_nothing_does_not_keep_others_for_long(registry: CollectorRegistry) -> None:
     server = Server(DEVICE)
     collect(server, registry=registry)
@@ -458,6 +472,7 @@ def test_whoever_asks_nothing_does_not_keep_others_for_long(registry: CollectorR
         assert of(fetched(url), "modbus_server_connections") == 0
 
 
+@pytest.mark.usefixtures("impatient")
 def test_whoever_asks_slowly_does_not_keep_others_for_long(registry: CollectorRegistry) -> None:
     """A byte now and then is no reason to wait for the next one; nor is it when all ends."""
     server = Server(DEVICE)
@@ -483,11 +498,14 @@ def test_whoever_asks_slowly_does_not_keep_others_for_long(registry: CollectorRe
         assert not done.is_set()
 
 
-COMMAND = [sys.executable, "-m", "libmodbus_py", "serve", "tcp://127.0.0.1:0"]
+ARGUMENTS = ["serve", "tcp://127.0.0.1:0"]
+
+COMMAND = [sys.executable, "-m", "libmodbus_py", *ARGUMENTS]
 
 
-@pytest.mark.parametrize("address", ["127.0.0.1:0", "[::1]:0"])
-@pytest.mark.parametrize("stop", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize(
+    ("address", "stop"), [("127.0.0.1:0", signal.SIGTERM), ("[::1]:0", signal.SIGINT)]
+)
 def test_serve_exposes_its_metrics(address: str, stop: int) -> None:
     command = [*COMMAND, "--metrics", address]
     pipes: Any = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
@@ -513,23 +531,24 @@ def test_serve_exposes_its_metrics(address: str, stop: int) -> None:
             process.kill()
 
 
-def test_serve_says_when_the_port_of_metrics_is_taken() -> None:
+def test_serve_says_when_the_port_of_metrics_is_taken(capsys: pytest.CaptureFixture[str]) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         place = f"127.0.0.1:{taken.getsockname()[1]}"
-        run = subprocess.run([*COMMAND, "--metrics", place], capture_output=True, text=True)
-    assert (run.returncode, run.stdout) == (1, "")
+        assert main([*ARGUMENTS, "--metrics", place]) == 1
+    told = capsys.readouterr()
+    assert told.out == ""
     wanted = f"libmodbus-py: cannot listen for metrics on {place}: Address already in use\n"
-    assert run.stderr == wanted
+    assert told.err == wanted
 
 
-@pytest.mark.parametrize(
-    "wrong", ["9400", "127.0.0.1", ":9400", "127.0.0.1:x", "::1:9400", "a/b:1"]
-)
-def test_serve_says_what_an_address_of_metrics_is(wrong: str) -> None:
-    run = subprocess.run([*COMMAND, "--metrics", wrong], capture_output=True, text=True)
-    assert run.returncode == 2
-    assert "must be HOST:PORT, such as 127.0.0.1:9400, not" in run.stderr
-    assert run.stderr.count("\n") == 1
+def test_serve_says_what_an_address_of_metrics_is(capsys: pytest.CaptureFixture[str]) -> None:
+    for wrong in ("9400", "127.0.0.1", ":9400", "127.0.0.1:x", "::1:9400", "a/b:1"):
+        with pytest.raises(SystemExit) as ended:
+            main([*ARGUMENTS, "--metrics", wrong])
+        told = capsys.readouterr().err
+        assert ended.value.code == 2, wrong
+        assert f"must be HOST:PORT, such as 127.0.0.1:9400, not {wrong!r}" in told
+        assert told.count("\n") == 1, wrong
 
 
 def test_serve_says_which_extra_is_missing() -> None:

@@ -10,7 +10,6 @@ import signal
 import socket
 import subprocess
 import threading
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -31,11 +30,11 @@ from libmodbus_py import (
 from libmodbus_py.testing.wires import SerialWire, TcpWire
 from tests.interop.test_interop_pymodbus import pymodbus_server
 from tests.scan.serial_bus import Bus, Member, of
+from tests.scan.simulated_bus import SimulatedBus, answering, served, simulated
 from tests.support import certificates
 from tests.support.certificates import Papers
-from tests.support.fake import FakeServer, FakeUnit, dead, mbap, refusing, until, url_of
+from tests.support.fake import FakeServer, dead, mbap, refusing, until, url_of
 from tests.support.interop import UNIT, program
-from tests.support.pace import LATE
 
 QUICK = 0.05  # seconds for the answer of somebody who is not there
 PATIENT = 1.0  # for one who is, on a busy machine
@@ -82,17 +81,29 @@ def descriptors(*, sockets: bool = False) -> Iterator[None]:
 # --- a line ------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("scheme", ["rtu", "ascii"])
-def test_three_units_are_found_at_their_two_rates(scheme: str) -> None:
-    members = {
+def three_units() -> dict[int, Member]:
+    return {
         5: Member(of(meter(holding_registers=10)), 9600, 2),
         17: Member(of(meter(coils=8)), 19200, 1),
         42: Member(of(meter(holding_registers=1)), 9600, 2),
     }
-    with Bus(members, scheme) as bus, descriptors():
-        scan = scanning(
-            bus.url, baudrates=[9600, 19200], parities="EN", units=[5, 6, 17, 42], timeout=0.2
-        )
+
+
+def test_units_are_found_on_a_real_line() -> None:
+    with Bus(three_units()) as bus, descriptors():
+        url = f"{bus.url}?parity=N"
+        found = all_of(scanning(url, baudrates=[9600], units=[5, 6], timeout=0.3))
+        assert [at(each) for each in found] == [(5, 9600, "N", 2)]
+        assert bus.is_restored
+        with Context.from_url(found[0].url) as client:  # the URL is one of a client
+            assert client.read_holding_registers(0, 10) == [0] * 10
+
+
+@pytest.mark.parametrize("scheme", ["rtu", "ascii"])
+def test_three_units_are_found_at_their_two_rates(scheme: str) -> None:
+    with simulated() as network:
+        bus = SimulatedBus(network, three_units(), scheme)
+        scan = scanning(bus.url, baudrates=[9600, 19200], parities="EN", units=[5, 6, 17, 42])
         assert bus.asked == []
         assert scan.total == 16
         found = all_of(scan)
@@ -109,7 +120,7 @@ def test_three_units_are_found_at_their_two_rates(scheme: str) -> None:
             assert each.identification is not None
             assert each.identification.names == OBJECTS
             assert (each.is_late, each.is_any) == (False, False)
-        assert bus.is_restored
+            assert each.took < 0.1
         assert only_read([asked[2] for asked in bus.asked])
         assert scan.requests == len(bus.asked)
         with Context.from_url(found[0].url) as client:  # the URL is one of a client
@@ -118,16 +129,19 @@ def test_three_units_are_found_at_their_two_rates(scheme: str) -> None:
 
 def test_a_device_with_one_stop_bit_is_found_without_parity() -> None:
     """Its receiver looks at the first one only: what is sent has two (serial line, 2.5.1)."""
-    with Bus({1: Member(of(meter()), 9600, 2)}) as bus:
+    with simulated() as network:
+        bus = SimulatedBus(network, {1: Member(of(meter()), 9600, 2)})
         made = scanning(bus.url, baudrates=[9600], parities=["N"], units=[1], timeout=PATIENT)
         assert [each.stop_bits for each in made] == [2]
-    with Bus({1: Member(of(meter()), 9600, 1)}) as bus:
+    with simulated() as network:
+        bus = SimulatedBus(network, {1: Member(of(meter()), 9600, 1)})
         url = f"{bus.url}?stop_bits=1&baudrate=9600&parity=N&unit=1&timeout={PATIENT}"
         assert [at(each) for each in scanning(url)] == [(1, 9600, "N", 1)]
 
 
 def test_damaged_bytes_are_a_hint_and_no_unit() -> None:
-    with Bus({9: Member(of(meter()), 9600, 2, garbles=True)}) as bus:
+    with simulated() as network:
+        bus = SimulatedBus(network, {9: Member(of(meter()), 9600, 2, garbles=True)})
         scan = scanning(bus.url, baudrates=[19200, 9600], parities=["N"], units=[8, 9], timeout=0.2)
         assert [at(each) for each in all_of(scan)] == [(9, 9600, "N", 2)]
     (note,) = scan.notes
@@ -137,11 +151,13 @@ def test_damaged_bytes_are_a_hint_and_no_unit() -> None:
 
 def test_a_late_answer_is_its_own_units_and_not_the_next_ones() -> None:
     members = {7: Member(of(meter(holding_registers=1)), 9600, 2, after=0.3)}
-    with Bus(members) as bus:
+    with simulated() as network:
+        bus = SimulatedBus(network, members)
         scan = scanning(bus.url, baudrates=[9600], parities=["N"], units=[7, 8, 9, 10], timeout=0.2)
         (found,) = all_of(scan)
         assert (found.unit, found.is_late, found.exception) == (7, True, None)
-        assert found.took > 0.2
+        # And the frames of eight and seven characters, of eleven bits each.
+        assert found.took == pytest.approx(0.3 + 15 * 11 / 9600, abs=0.001)
     assert any("came late" in note for note in scan.notes)
 
 
@@ -153,7 +169,8 @@ def test_a_late_answer_is_its_own_units_on_tcp_too() -> None:
         answers.append(mbap(request, b"\x03\x02\0\1" if request[6] == 2 else b"\x83\x0b"))
         return [answers.pop(0)] if len(answers) > 2 else []  # each comes two requests later
 
-    with FakeServer(slow) as server:
+    with simulated() as network:
+        server = served(network, "tcp://10.0.0.1", slow)
         scan = scanning(server.url, units=[1, 2, 3, 4, 5], timeout=0.1)
         assert [(each.unit, each.is_late) for each in all_of(scan)] == [(2, True)]
         assert server.connections == 1
@@ -162,8 +179,9 @@ def test_a_late_answer_is_its_own_units_on_tcp_too() -> None:
 def test_noise_does_not_make_a_unit() -> None:
     noise = [b"\x00\xff\x13", b"", b"\x83", b"\x07" * 9]
     answers: list[Any] = [lambda request, each=each: [each] for each in noise]
-    with FakeUnit(*answers) as unit:
-        url = f"rtu://{unit.path}?baudrate=115200&parity=N"
+    with simulated() as network:
+        unit = served(network, "rtu:///dev/line", *answers)
+        url = f"{unit.url}?baudrate=115200&parity=N"
         scan = scanning(url, units=range(1, 7), timeout=QUICK)
         assert all_of(scan) == []
         assert len(unit.requests) == 6
@@ -171,20 +189,22 @@ def test_noise_does_not_make_a_unit() -> None:
 
 
 def test_an_echo_is_nobody() -> None:
-    with FakeUnit(lambda request: [request]) as unit:
-        scan = scanning(f"rtu://{unit.path}?baudrate=9600&parity=N", units=[1, 2], timeout=QUICK)
+    with simulated() as network:
+        unit = served(network, "rtu:///dev/line", lambda request: [request])
+        scan = scanning(f"{unit.url}?baudrate=9600&parity=N", units=[1, 2], timeout=QUICK)
         assert all_of(scan) == []
     assert "echo=True?" in scan.notes[0]
 
 
 def test_a_line_that_never_falls_silent_is_left_soon() -> None:
-    with Bus({}) as bus:
-        bus.flood(b"\x55" * 40, 0.002)
+    with simulated() as network:
+        bus = SimulatedBus(network, {})
+        bus.flood(b"\x55", 0.0012)
         scan = scanning(bus.url, baudrates=[9600], parities=["N"], timeout=0.1)
-        started = time.monotonic()
+        started = network.events.now
         assert all_of(scan) == []
-        assert len(bus.asked) < 20  # of 247
-        assert time.monotonic() - started < 0.5 * scan.longest
+        assert len(bus.asked) < 2  # of 247
+        assert network.events.now - started < 0.02 * scan.longest
     assert any("does not fall silent" in note for note in scan.notes)
 
 
@@ -227,17 +247,27 @@ def test_a_rate_that_the_port_cannot_do_is_passed_over(monkeypatch: pytest.Monke
 # --- networks ----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("scheme", ["tcp", "udp", "rtu+tcp", "ascii+tcp"])
+SCHEMES = ["tcp", "udp", "rtu+tcp", "ascii+tcp"]
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
 def test_units_are_found_over_networks(scheme: str) -> None:
-    units = {1: meter(holding_registers=1), 17: meter()}
-    server = Server(units, unknown_unit="silent")
-    with server.background(f"{scheme}://127.0.0.1:0") as running, descriptors(sockets=True):
-        found = all_of(scanning(running.urls[0], units=[1, 2, 17, 18], timeout=0.2))
+    with simulated() as network:
+        units = {1: meter(holding_registers=1), 17: meter()}
+        peer = answering(network, f"{scheme}://10.0.0.1", units)
+        found = all_of(scanning(peer.url, units=[1, 2, 17, 18]))
         assert [(each.unit, each.exception, each.baudrate) for each in found] == [
             (1, None, None),
             (17, 2, None),
         ]
         assert all(each.identification is not None for each in found)
+
+
+def test_a_unit_is_found_over_a_real_network() -> None:
+    server = Server({1: meter(), 17: meter()}, unknown_unit="silent")
+    with server.background("tcp://127.0.0.1:0") as running, descriptors(sockets=True):
+        found = all_of(scanning(running.urls[0], units=[17, 18], timeout=0.3))
+        assert [each.unit for each in found] == [17]
 
 
 def test_what_a_gateway_says_of_nobody_is_nobody() -> None:
@@ -305,8 +335,9 @@ def _hang_up(listener: socket.socket, unit: int) -> None:
 @pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp"])
 def test_silence_does_not_cost_the_connection(scheme: str) -> None:
     """Some devices take one at a time, and late answers come over the one that was asked."""
-    with FakeServer(lambda request: []) as server:
-        scan = scanning(server.url.replace("tcp", scheme), units=range(1, 9), timeout=QUICK)
+    with simulated() as network:
+        server = served(network, f"{scheme}://10.0.0.1", lambda request: [])
+        scan = scanning(server.url, units=range(1, 9), timeout=QUICK)
         assert all_of(scan) == []
         assert server.connections == 1
 
@@ -335,7 +366,8 @@ def test_a_flood_of_answers_does_not_make_units() -> None:
         number = int.from_bytes(request[:2], "big")
         return [mbap(request, b"\x03\x02\0\1", transaction=number + 7 & 0xFFFF)] * 50
 
-    with FakeServer(flood) as server:
+    with simulated() as network:
+        server = served(network, "tcp://10.0.0.1", flood)
         assert all_of(scanning(server.url, units=range(1, 9), timeout=QUICK)) == []
 
 
@@ -377,7 +409,7 @@ def test_libmodbus_is_found_on_a_line(compiled: Callable[[str], Path]) -> None:
     ):
         assert _port(process) == 0
         url = f"rtu://{wire.client}?baudrate=19200"
-        found = all_of(scanning(url, parities="E", units=range(14, 20)))
+        found = all_of(scanning(url, parities="E", units=[17]))
         assert [(each.unit, each.exception) for each in found] == [(17, 2)]
 
 
@@ -483,11 +515,13 @@ def test_what_the_callback_raises_ends_it_well(error: type[BaseException]) -> No
 
 
 def test_it_takes_no_longer_than_it_says() -> None:
-    with Bus({}) as bus:
+    with simulated() as network:
+        bus = SimulatedBus(network, {})
         scan = scanning(bus.url, baudrates=[9600, 19200], units=range(1, 6), timeout=0.1)
-        started = time.monotonic()
+        started = network.events.now
         all_of(scan)
-        assert time.monotonic() - started < scan.longest + LATE
+        # Two units less at each place than it may have to ask.
+        assert 0.6 * scan.longest < network.events.now - started < scan.longest
         assert 30 * 0.1 < scan.longest < 60 * 0.2
         assert len(bus.asked) == 30
 

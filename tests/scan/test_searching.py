@@ -5,7 +5,8 @@ What a unit has, over sockets and pseudo-terminals: devices that refuse in their
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,10 @@ from libmodbus_py import (
     searching,
 )
 from libmodbus_py.protocol.tables import TABLES
+from tests.scan import simulated_bus as peers
 from tests.scan.serial_bus import Bus, Member, of
+from tests.scan.simulated_bus import simulated
+from tests.simulation.scripted import Scripted
 from tests.support.fake import FakeServer, mbap, refusing, url_of
 from tests.support.interop import program
 
@@ -35,9 +39,12 @@ def ranges(search: Search) -> dict[str, list[range]]:
         return {each.table: each.ranges for each in search}
 
 
-def served(answer: Callable[[int, int, int], int | None]) -> FakeServer:
-    """A server whose device answers reads of function, address, count; gives an exception's code,
-    0 for an answer, None for silence."""
+Answers = Callable[[int, int, int], int | None]
+"""Gives for function, address and count an exception's code, 0 for an answer, None for silence."""
+
+
+def replying(answer: Answers) -> Callable[[bytes], list[bytes]]:
+    """Return what gives the bytes that a device answers to reads."""
 
     def reply(request: bytes) -> list[bytes]:
         function, address = request[7], int.from_bytes(request[8:10], "big")
@@ -50,7 +57,17 @@ def served(answer: Callable[[int, int, int], int | None]) -> FakeServer:
         size = (count + 7) // 8 if function < 3 else 2 * count
         return [mbap(request, bytes([function, size]) + bytes(size))]
 
-    return FakeServer(reply)
+    return reply
+
+
+def served(answer: Answers) -> FakeServer:
+    return FakeServer(replying(answer))
+
+
+@contextmanager
+def simulated_device(answer: Answers) -> Iterator[Scripted]:
+    with simulated() as network:
+        yield peers.served(network, "tcp://10.0.0.1", replying(answer))
 
 
 def test_all_that_there_is_is_found_with_few_requests() -> None:
@@ -118,7 +135,7 @@ def test_devices_that_read_few_at_a_time_are_understood(most: int, code: int) ->
             return code
         return 0 if address in range(100, 221 - count) else 2
 
-    with served(answer) as server:
+    with simulated_device(answer) as server:
         search = searching(server.url, timeout=PATIENT)
         assert ranges(search)["holding_registers"] == [range(100, 220)]
         (extent,) = (each for each in search.extents if each.table == "holding_registers")
@@ -127,7 +144,7 @@ def test_devices_that_read_few_at_a_time_are_understood(most: int, code: int) ->
 
 
 def test_a_table_without_its_function_takes_one_request() -> None:
-    with served(lambda function, address, count: 1) as server:
+    with simulated_device(lambda function, address, count: 1) as server:
         search = searching(server.url, timeout=PATIENT)
         assert ranges(search) == {table: [] for table in TABLES}
         assert search.requests == 4
@@ -146,13 +163,13 @@ def test_a_busy_device_is_asked_again() -> None:
             return 6
         return 0 if sum(where) <= 30 else 2
 
-    with served(answer) as server:
+    with simulated_device(answer) as server:
         search = searching(server.url, timeout=PATIENT, most_requests=300)
         assert ranges(search)["holding_registers"] == [range(30)]
 
 
 def test_a_device_that_stays_busy_is_left() -> None:
-    with served(lambda *asked: 6) as server:
+    with simulated_device(lambda *asked: 6) as server:
         search = searching(server.url, timeout=PATIENT)
         (extent,) = search
         assert extent.ended == "the device stays busy"
@@ -165,7 +182,7 @@ def test_a_device_that_is_silent_where_nothing_is_is_searched_on() -> None:
             return 1
         return 0 if address + count <= 10 else None
 
-    with served(answer) as server:
+    with simulated_device(answer) as server:
         search = searching(server.url, timeout=0.03, most_requests=150)
         assert ranges(search)["holding_registers"] == [range(10)]
         assert search.extents[2].ended == BOUND
@@ -180,7 +197,7 @@ def test_a_unit_that_answers_no_more_is_left_with_what_was_found() -> None:
         answered.append(count)
         return 0 if len(answered) < 5 else None
 
-    with served(answer) as server:
+    with simulated_device(answer) as server:
         search = searching(server.url, timeout=0.03)
         found = ranges(search)
         assert found["holding_registers"] == [range(1 + 125 * 3)]
@@ -196,7 +213,7 @@ def test_a_gateway_that_says_nobody_is_there_ends_it() -> None:
 
 @pytest.mark.parametrize("bound", [4, 5, 100, 1000])
 def test_the_bound_holds(bound: int) -> None:
-    with served(lambda function, address, count: 0 if count == 1 else 3) as server:
+    with simulated_device(lambda function, address, count: 0 if count == 1 else 3) as server:
         search = searching(server.url, timeout=PATIENT, most_requests=bound)
         with search:
             extents = list(search)

@@ -36,6 +36,7 @@ class SerialLine:
         noise: what becomes of what is written.
         on_written: told of all that is written, and whether a unit answers with it.
         is_unplugged: whether ports of this line cannot be opened.
+        parties: who is on it.
     """
 
     def __init__(self, events: Events) -> None:
@@ -45,14 +46,14 @@ class SerialLine:
         self._events = events
         self.character: float = 0.0
         self._busy: dict[Party, float] = {}  # until when each sender still sends
-        self._parties: list[Party] = []
+        self.parties: list[Party] = []
 
     def join(self, party: Party) -> None:
-        self._parties.append(party)
+        self.parties.append(party)
 
     def leave(self, party: Party) -> None:
-        if party in self._parties:
-            self._parties.remove(party)
+        if party in self.parties:
+            self.parties.remove(party)
 
     def write(self, sender: Party, data: bytes) -> None:
         """Carry bytes to all others."""
@@ -66,11 +67,11 @@ class SerialLine:
     def unplug(self) -> None:
         """Take the adapter out: whoever has a port open finds it gone."""
         self.is_unplugged = True
-        for party in list(self._parties):
+        for party in list(self.parties):
             party.gone()
 
     def _tell(self, sender: Party, data: bytes) -> None:
-        for party in list(self._parties):
+        for party in list(self.parties):
             if party is not sender:
                 party.hear(data)
 

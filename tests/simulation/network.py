@@ -17,6 +17,7 @@ from typing import Any, TypeVar
 from unittest.mock import patch
 
 from libmodbus_py.client import options as client_options
+from libmodbus_py.client.shortcut import Shortcut
 from libmodbus_py.fleet import fleet
 from libmodbus_py.gateway import gateway
 from libmodbus_py.ports.endpoint import Endpoint, parse
@@ -191,6 +192,8 @@ class Network:
             patch.object(serving, "Peers", partial(Peers, make_epoll=self._epoll)),
             patch.object(serial_server, "SerialPort", self._serial),
             patch.object(gateway, "check_line", _any_line),
+            # C knows no sockets in memory.
+            patch.object(Shortcut, "__init__", _in_python(Shortcut.__init__)),
             # The phases of polls come of the time of day.
             patch.object(fleet, "time", SimpleNamespace(time=self.time_of_day)),
         ):
@@ -242,3 +245,12 @@ class Network:
 
 def _any_line(*_: object) -> None:
     """Take it that the device of each route exists, which the system is asked about otherwise."""
+
+
+def _in_python(make: Callable[..., None]) -> Callable[..., None]:
+    """Return the constructor of `Shortcut` for clients that are all of Python."""
+
+    def made(self: Shortcut, parts: Any, native: bool, waker: Any) -> None:
+        make(self, parts, False, waker)
+
+    return made

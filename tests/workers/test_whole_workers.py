@@ -423,3 +423,87 @@ def test_no_commands_unless_the_fleet_has_them() -> None:
         assert trial.levels.holding_registers[1] == 0
 
     trial.run(main)
+
+
+# --- whatever happens ------------------------------------------------------------------------
+
+
+def play(seed: int, steps: int = 12) -> Trial:
+    """Have a seed decide what becomes of three workers and of their engine; then nothing does."""
+    trial = Trial(4, seed=seed)
+    random, engine = trial.network.events.random, trial.engine
+
+    async def start(name: str) -> None:
+        await trial.start(name, zones=["north"], rate=random.uniform(0.97, 1.03))
+
+    async def leave(name: str) -> None:
+        await trial.workers.pop(name).leave()
+        await start(name)
+
+    async def replace(name: str) -> None:
+        trial.kill(name)
+        await start(name)
+
+    async def cut(name: str) -> None:
+        engine.cut(trial.workers[name].client)
+
+    async def mend(name: str) -> None:
+        engine.mend(trial.workers[name].client)
+
+    async def stop(name: str) -> None:
+        trial.workers[name].process.stop()
+
+    async def go_on(name: str) -> None:
+        trial.workers[name].process.go_on()
+
+    async def delay(name: str) -> None:
+        slow = random.uniform(0, LEASE)
+        trial.workers[name].client.link.delay = (0.0, slow)
+
+    async def lose(name: str) -> None:
+        engine.losses = random.uniform(0, 0.3)
+
+    async def restart(name: str) -> None:
+        engine.stop()
+        await asyncio.sleep(random.uniform(0, 2 * LEASE))
+        engine.start()
+
+    async def forget(name: str) -> None:
+        engine.forget(random.uniform(0, 1))
+
+    async def move(name: str) -> None:
+        zone = random.choice(["", "north"])
+        await push_fleet(engine, trial.devices(zone=zone), trial.settings)
+
+    faults = [leave, replace, cut, mend, stop, go_on, delay, lose, restart, forget, move]
+
+    def calm() -> None:
+        engine.losses = 0.0
+        for worker in trial.workers.values():
+            worker.client.link.delay = None
+            if worker.process.is_stopped:
+                worker.process.go_on()
+            engine.mend(worker.client)
+
+    async def main() -> None:
+        for name in ("a", "b", "c"):
+            await start(name)
+        await trial.settle()
+        for _ in range(steps):
+            fault = random.choice(faults)
+            if fault in (leave, replace, move):
+                calm()
+                await asyncio.sleep(random.uniform(0, LEASE))
+            await fault(random.choice("abc"))
+            await asyncio.sleep(random.uniform(0, 1.5 * LEASE))
+        calm()
+        await asyncio.sleep(4 * LEASE)
+        await trial.all_asked(2 * LEASE)
+
+    trial.run(main)
+    return trial
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_whatever_happens_none_is_asked_by_two_and_all_are_asked_in_the_end(seed: int) -> None:
+    assert play(seed).asked.polls > 100

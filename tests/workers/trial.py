@@ -35,8 +35,9 @@ class Asked:
     """
     Who asked which device when.
 
-    A worker has one connection to a place, and another one when it gets that place again. So two
-    have a device if one asks it over a connection on which somebody else's request followed.
+    A worker has one connection to a place, and another one when it gets that place again; unless
+    the engine forgot that it ever lost it, and then its lease was over meanwhile. So two have a
+    device if one asks it over a connection, after somebody else did so within a lease.
 
     Attributes:
         polls: how often devices were asked.
@@ -63,7 +64,7 @@ class Asked:
         followed = self._followed.setdefault(device, set())
         if peer != asking:
             followed.add(peer)
-        if asking in followed:
+        if asking in followed and peer != asking and now - before < LEASE:
             self.doubles.append((device[0], now, asking))
         self.last[device] = now, asking
 
