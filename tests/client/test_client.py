@@ -36,7 +36,7 @@ from tests.interop.test_interop_pymodbus import (
     simulated_device,
 )
 from tests.support.certificates import Papers, secured
-from tests.support.clients import Awaited
+from tests.support.clients import Awaited, threadsafe
 from tests.support.interop import TIMEOUT, UNIT, Exchange, exchanges, make_device, program, refusals
 from tests.support.scripted import Scripted, Write, answer, run
 
@@ -280,7 +280,7 @@ def ask(url: str, what: Ask) -> None:
 
     async def main() -> None:
         async with AsyncClient(url, unit=UNIT, timeout=TIMEOUT) as plc:
-            await asyncio.to_thread(what, Awaited(asyncio.get_running_loop(), plc))
+            await asyncio.to_thread(what, Awaited(threadsafe(asyncio.get_running_loop()), plc))
 
     run(main())
 

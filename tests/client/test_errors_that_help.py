@@ -13,8 +13,9 @@ from typing import Any
 import pytest
 
 from libmodbus_py import AsyncClient, Context, ModbusConnectionError, ModbusError
-from tests.support.asking import ALL, answer, asking
+from tests.support.clients import ALL, asking, read
 from tests.support.fake import FakeServer, FakeUnit, mbap
+from tests.support.peers import answer
 
 NOISE = bytes(range(0x70, 0xF0))
 
@@ -85,7 +86,7 @@ def test_a_mistake_is_recognised_in_one_line(mistake: str, kind: str) -> None:
 
 def failure(client: Any, url: str) -> ModbusError:
     with pytest.raises(ModbusError) as caught:
-        client.read(1)
+        read(client, 1)
     return caught.value
 
 

@@ -33,6 +33,7 @@ from libmodbus_py.testing.wires import SerialWire
 from tests.support.clients import Connect
 from tests.support.fake import FakeServer, FakeUnit, dead, echo, refusing, until, url_of
 from tests.support.pace import LATE
+from tests.support.peers import answering
 
 REQUEST = pdu.ReadHoldingRegisters(5, 1)
 
@@ -349,9 +350,9 @@ def test_connections_that_end_are_made_anew_by_the_next_request(connect: Connect
     """At once, before the client has read of the end, and later."""
     with FakeServer(good, None) as server, connect(server.url, max_pause=0) as plc:
         for number in range(1, 4):
-            server._answers = [good]
+            server.on_request = answering(good)
             assert plc.execute(REQUEST) == [5]
-            server._peers[-1].shutdown(socket.SHUT_RDWR)
+            server.drop_all()
             if number == 2:
                 time.sleep(0.02)
         assert server.connections == 3

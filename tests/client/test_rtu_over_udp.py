@@ -23,7 +23,7 @@ from libmodbus_py import (
     UdpContext,
 )
 from libmodbus_py.ports.endpoint import parse
-from tests.support.asking import ALL, asking
+from tests.support.clients import ALL, asking, read
 from tests.support.fake import until
 from tests.support.interop import UNIT, exchanges, make_device, refusals
 
@@ -107,7 +107,7 @@ def test_the_bytes_are_those_of_a_line(kind: str) -> None:
         return [ANSWER]
 
     with answering(answer) as url, asking(kind, url, unit=1, timeout=5) as client:
-        assert client.read(0) == 555
+        assert read(client, 0) == 555
     assert seen == [READ]
 
 
@@ -130,8 +130,8 @@ def test_a_late_answer_is_not_that_to_the_next_request(kind: str) -> None:
         url = f"rtu+udp://127.0.0.1:{server.getsockname()[1]}"
         with asking(kind, url, unit=1, timeout=0.3) as client:
             with pytest.raises(ModbusTimeoutError):
-                client.read(0)
-            assert client.read(0) == 555
+                read(client, 0)
+            assert read(client, 0) == 555
         thread.join()
     assert asked == [READ]
 
@@ -143,7 +143,7 @@ def test_an_answer_in_two_datagrams_is_one(kind: str) -> None:
         answering(lambda request: [ANSWER[:3], ANSWER[3:]]) as url,
         asking(kind, url, unit=1, timeout=5) as client,
     ):
-        assert client.read(0) == 555
+        assert read(client, 0) == 555
 
 
 @ALL
@@ -154,7 +154,7 @@ def test_another_units_answer_is_none(kind: str) -> None:
         asking(kind, url, unit=1, timeout=0.2) as client,
         pytest.raises((InvalidResponse, ModbusTimeoutError)),
     ):
-        client.read(0)
+        read(client, 0)
 
 
 # --- the server -------------------------------------------------------------------------------
