@@ -11,7 +11,6 @@ import errno
 import gc
 import os
 import pickle
-import random
 import resource
 import signal
 import socket
@@ -37,10 +36,8 @@ from libmodbus_py import (
 )
 from tests.support.clients import ALL, BLOCKING, NATIVE, asking, read
 from tests.support.fake import FakeServer, FakeUnit, until
-from tests.support.pace import LATE
 from tests.support.peers import answer
 from tests.support.scripted import Scripted, echo
-from tests.support.scripted import run as run_watched
 
 
 def tcp(request: bytes) -> list[bytes]:
@@ -82,30 +79,6 @@ def test_a_hook_that_raises_leaves_a_context_that_works(
             assert context.read_holding_registers(address, 1) == [address]
         assert context.state is State.CONNECTED
         context.close()
-
-
-@pytest.mark.parametrize("hook", ["on_state", "trace"])
-@pytest.mark.parametrize("at", range(4))
-def test_a_hook_that_cancels_leaves_a_client_that_works(at: int, hook: str) -> None:
-    calls = iter(range(1000))
-
-    def fail(*_: object) -> None:
-        if next(calls) == at:
-            raise asyncio.CancelledError
-
-    async def main() -> None:
-        async with Scripted(echo).serving() as server:
-            options: dict[str, Any] = {hook: fail}
-            client = AsyncClient(server.url, timeout=0.2, **options)
-            for address in range(4):
-                with contextlib.suppress(ModbusError, asyncio.CancelledError):
-                    assert await client.read_holding_registers(address, 1) == [address]
-            for address in range(3):
-                assert await client.read_holding_registers(address, 1) == [address]
-            with contextlib.suppress(asyncio.CancelledError):
-                await client.close()
-
-    asyncio.run(asyncio.wait_for(main(), 10))
 
 
 @BLOCKING
@@ -348,163 +321,12 @@ def test_a_hundred_threads_and_a_close(kind: str) -> None:
             assert not wrong
 
 
-def test_cancelled_at_each_step_of_the_loop_nobody_else_notices() -> None:
-    """Whatever the request waits for: the connection, its slot, its answer."""
-
-    async def main() -> None:
-        async with Scripted(echo).serving() as server:
-            for kept in (True, False):
-                for steps in range(12):
-                    async with AsyncClient(server.url, max_in_flight=2, timeout=2) as client:
-                        if not kept:
-                            server.drop_all()
-                        others = [
-                            asyncio.create_task(client.read_holding_registers(address, 1))
-                            for address in range(3)
-                        ]
-                        batch = asyncio.create_task(
-                            client.execute_many(
-                                [pdu.ReadHoldingRegisters(address, 1) for address in range(256)],
-                                max_in_flight=256,
-                            )
-                        )
-                        last = asyncio.create_task(client.read_holding_registers(9, 1))
-                        for _ in range(steps):
-                            await asyncio.sleep(0)
-                        batch.cancel()
-                        got = await asyncio.gather(*others, last, return_exceptions=True)
-                        if kept:
-                            assert got == [[0], [1], [2], [9]]
-                        with contextlib.suppress(asyncio.CancelledError, ModbusConnectionError):
-                            assert len(await batch) == 256
-                        assert await client.read_holding_registers(5, 1) == [5]
-
-    run_watched(main())
-
-
-def test_random_cancellation_and_timeouts_of_many_tasks() -> None:
-    chance = random.Random(5)
-
-    def slowly(request: bytes, write: Callable[[bytes], None]) -> None:
-        delay = chance.choice([0, 0, 0.001, 0.01, 0.05])
-        asyncio.get_running_loop().call_later(delay, lambda: write(answer(request, "tcp")))
-
-    async def one(client: AsyncClient) -> None:
-        for _ in range(20):
-            address = chance.randrange(1000)
-            with contextlib.suppress(TimeoutError, ModbusError):
-                async with asyncio.timeout(chance.choice([0, 0.0005, 0.005, 0.03, 1])):
-                    got = await client.read_holding_registers(address, 1)
-                    assert got == [address]
-
-    async def main() -> None:
-        async with (
-            Scripted(slowly).serving() as server,
-            AsyncClient(server.url, timeout=0.04) as client,
-        ):
-            await asyncio.wait_for(asyncio.gather(*(one(client) for _ in range(30))), 30)
-            client.timeout = 1
-            assert await client.read_holding_registers(77, 1) == [77]
-
-    run_watched(main())
-
-
-@ALL
-def test_handles_with_their_own_timeouts_share_a_connection(kind: str) -> None:
-    def two_units(request: bytes) -> Iterator[bytes]:
-        if request[6] == 1:
-            yield answer(request, "tcp")
-
-    with (
-        FakeServer(two_units) as server,
-        asking(
-            kind,
-            f"tcp://127.0.0.1:{server.port}",
-            timeout=20,
-            timeouts_before_reconnect=1000,
-        ) as client,
-    ):
-        quick = client.for_unit(2, timeout=0.05, retries=1)
-        for address in range(4):
-            assert read(client, address) == address
-            start = time.monotonic()
-            with pytest.raises(ModbusTimeoutError):
-                read(quick, address)
-            assert 0.09 < time.monotonic() - start < 0.1 + LATE
-        assert server.connections == 1
-
-
-# --- peers ----------------------------------------------------------------------------------------
+# --- peers ---
 
 
 def closing(request: bytes) -> Iterator[bytes]:
     yield answer(request, "tcp")
     raise OSError
-
-
-@ALL
-def test_a_server_that_closes_after_each_answer_costs_no_request(kind: str) -> None:
-    with (
-        FakeServer(closing) as server,
-        asking(kind, f"tcp://127.0.0.1:{server.port}", retries=1) as client,
-    ):
-        for address in range(30):
-            assert read(client, address) == address
-        assert server.connections >= 30
-
-
-@ALL
-@pytest.mark.parametrize("retries", [0, 3])
-def test_a_server_that_closes_at_once_is_an_error_soon(retries: int, kind: str) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-
-        def slam() -> None:
-            with contextlib.suppress(OSError):
-                while True:
-                    listener.accept()[0].close()
-
-        thread = threading.Thread(target=slam, daemon=True)
-        thread.start()
-        url = f"tcp://127.0.0.1:{listener.getsockname()[1]}"
-        start = time.monotonic()
-        with (
-            contextlib.suppress(ModbusConnectionError),
-            asking(kind, url, timeout=0.3, retries=retries) as client,
-        ):
-            for _ in range(3):
-                with pytest.raises(ModbusError):
-                    read(client, 1)
-        assert time.monotonic() - start < 3 * (1 + retries) * 0.3 + LATE
-        listener.shutdown(socket.SHUT_RDWR)
-        thread.join()
-
-
-@ALL
-def test_one_timeout_before_reconnecting_and_retries(kind: str) -> None:
-    """The first connection is dumb; the request is repeated on the second."""
-
-    class Dumb:
-        requests = 0
-
-        def __call__(self, request: bytes) -> list[bytes]:
-            self.requests += 1
-            return [] if self.requests == 2 else [answer(request, "tcp")]
-
-    with (
-        FakeServer(Dumb()) as server,
-        asking(
-            kind,
-            f"tcp://127.0.0.1:{server.port}",
-            timeout=0.1,
-            retries=1,
-            timeouts_before_reconnect=1,
-        ) as client,
-    ):
-        assert read(client, 1) == 1
-        assert read(client, 2) == 2
-        assert read(client, 3) == 3
-        assert server.connections == 2
-        assert client.statistics.retries == 1
 
 
 @ALL

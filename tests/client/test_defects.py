@@ -50,29 +50,6 @@ def rtu(request: bytes) -> bytes:
 # --- connections that died, and are being made -----------------------------------------------
 
 
-def test_cancelled_while_it_connects_a_client_can_connect_again() -> None:
-    """At each step of the event loop, and whoever is cancelled: the caller, or all tasks."""
-
-    async def main() -> None:
-        async with Scripted(echo).serving() as server:
-            for steps in range(8):
-                for everybody in (False, True):
-                    client = AsyncClient(server.url, timeout=1)
-                    asked = asyncio.create_task(client.read_holding_registers(5, 1))
-                    for _ in range(steps):
-                        await asyncio.sleep(0)
-                    for task in asyncio.all_tasks() if everybody else ():
-                        if "libmodbus_py" in task.get_coro().cr_code.co_filename:
-                            task.cancel()
-                    asked.cancel()
-                    await asyncio.wait([asked])
-                    async with asyncio.timeout(1):
-                        assert await client.read_holding_registers(6, 1) == [6]
-                    await client.close()
-
-    run_watched(main())
-
-
 class Interruption(BaseException):
     """What a signal handler may raise."""
 

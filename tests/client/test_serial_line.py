@@ -21,31 +21,6 @@ from tests.support.fake import FakeUnit
 ANSWER = framing.RtuFramer("server").encode(framing.Frame(1, b"\x03\x02\x00\x07"))
 
 
-class Recorder:
-    """Answers rightly, and notes when requests came and answers went."""
-
-    def __init__(self) -> None:
-        self.came: list[float] = []
-        self.went: list[float] = []
-
-    def __call__(self, request: bytes) -> list[bytes]:
-        self.came.append(time.monotonic())
-        self.went.append(time.monotonic())
-        return [ANSWER]
-
-
-def test_a_request_waits_for_the_line_to_have_been_silent(connect: Connect) -> None:
-    unit = Recorder()
-    with (
-        FakeUnit(unit) as port,
-        connect(f"rtu://{port.path}?baudrate=115200&silence=0.03") as context,
-    ):
-        for _ in range(5):
-            assert context.read_holding_registers(0, 1) == [7]
-    gaps = [came - went for came, went in zip(unit.came[1:], unit.went, strict=False)]
-    assert min(gaps) >= 0.03
-
-
 def test_a_server_answers_after_the_silence(device: Device) -> None:
     with (
         SerialWire() as wire,
