@@ -25,18 +25,20 @@ import pytest
 
 from libmodbus_py import (
     AsyncClient,
-    Context,
+    Device,
+    Mapping,
     ModbusConnectionError,
     ModbusError,
     ModbusTimeoutError,
     RtuContext,
+    Server,
     State,
     TcpContext,
     pdu,
 )
 from tests.support.clients import ALL, BLOCKING, NATIVE, asking, read
-from tests.support.fake import FakeServer, FakeUnit, until
-from tests.support.peers import answer
+from tests.support.collecting import new_garbage_only
+from tests.support.peers import FakeServer, FakeUnit, answer, until
 from tests.support.scripted import Scripted, echo
 
 
@@ -299,7 +301,7 @@ def test_a_hundred_threads_and_a_close(kind: str) -> None:
             context = TcpContext("127.0.0.1", port, native=kind == "native")
             outcomes: list[object] = []
 
-            def ask(number: int, context: Context = context, told: list[Any] = outcomes) -> None:
+            def ask(number: int, context: TcpContext = context, told: list[Any] = outcomes) -> None:
                 try:
                     for address in range(number, number + 50):
                         assert context.read_holding_registers(address, 1) == [address]
@@ -321,7 +323,7 @@ def test_a_hundred_threads_and_a_close(kind: str) -> None:
             assert not wrong
 
 
-# --- peers ---
+# --- peers ---------------------------------------------------------------------------------------
 
 
 def closing(request: bytes) -> Iterator[bytes]:
@@ -430,21 +432,15 @@ asyncio.run(main())
 @pytest.mark.parametrize("how", ["globals", "circle", "waiting"])
 @pytest.mark.parametrize("warn", [True, False])
 def test_a_program_that_ends_with_open_clients_ends_quietly(warn: bool, how: str) -> None:
-    command = [sys.executable, "-m", "libmodbus_py", "serve", "tcp://127.0.0.1:0"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
-        assert server.stdout is not None
-        try:
-            url = server.stdout.readline().split()[-1]
-            options = ["-W", "default"] if warn else []
-            done = subprocess.run(
-                [sys.executable, *options, "-c", LEFT_OPEN, url, how],
-                capture_output=True,
-                text=True,
-                timeout=30,
-                check=False,
-            )
-        finally:
-            server.kill()
+    options = ["-W", "default"] if warn else []
+    with Server(Device(Mapping(coils=8))).background("tcp://127.0.0.1:0") as running:
+        done = subprocess.run(
+            [sys.executable, *options, "-c", LEFT_OPEN, running.urls[0], how],
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=False,
+        )
     assert done.returncode == 0
     lines = [line for line in done.stderr.splitlines() if "ResourceWarning" not in line]
     if not warn:
@@ -473,14 +469,16 @@ def test_no_descriptor_or_thread_is_left_by_clients_of_any_fate(native: bool) ->
                 RtuContext("/dev/null", native=native).connect()
             gc.collect()
 
-        live()
-        time.sleep(0.05)
-        before = len(os.listdir("/proc/self/fd")), threading.active_count()
-        for _ in range(3):
+        def left() -> tuple[int, int]:
+            until(lambda: not server._peers)
+            return len(os.listdir("/proc/self/fd")), threading.active_count()
+
+        with new_garbage_only():
             live()
-        time.sleep(0.05)
-        after = len(os.listdir("/proc/self/fd")), threading.active_count()
-        assert after <= before
+            before = left()
+            for _ in range(3):
+                live()
+            assert left() <= before
 
 
 @ALL
