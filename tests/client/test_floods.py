@@ -19,7 +19,7 @@ import pytest
 
 from libmodbus_py import AsyncClient, ModbusError, framing
 from tests.simulation.network import Network
-from tests.support.clients import Simulated, World, asking, read
+from tests.support.clients import Simulated, asking, read
 from tests.support.peers import FakeUnit, OnRequest, Write
 from tests.support.scripted import run as run_watched
 
@@ -312,21 +312,3 @@ def test_the_framer_of_rtu_costs_little_for_each_byte(pattern: bytes) -> None:
         longest = max(longest, time.process_time() - before)
     assert time.process_time() - start < 0.4  # 1.5 us a byte; it was 8 to 17
     assert longest < 0.2
-
-
-@pytest.mark.parametrize("world", ["python", "asyncio"], indirect=True)
-def test_what_nobody_asked_for_is_read_before_a_request_goes_out(world: World) -> None:
-    """Else it would be taken for the answer; on a line nothing else tells."""
-
-    def on_request(request: bytes, write: Write) -> None:
-        frame = bytes.fromhex("01 03 02 0007")
-        write(frame + framing.crc16(frame).to_bytes(2, "little"))
-        # A second one while nobody asks, with another value.
-        frame = bytes.fromhex("01 03 02 0063")
-        write(frame + framing.crc16(frame).to_bytes(2, "little"), after=0.05)
-
-    unit = world.peer("rtu", on_request)
-    with world.connect(unit.url, timeout=1.0) as client:
-        for _ in range(3):
-            assert read(client, 1) == 7
-            world.sleep(0.1)

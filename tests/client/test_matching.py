@@ -9,7 +9,7 @@ from collections.abc import Callable
 import pytest
 
 from libmodbus_py import IllegalDataAddress, ModbusError, ModbusTimeoutError, framing
-from tests.support.clients import EVERYWHERE, World, read
+from tests.support.clients import EVERYWHERE, Simulated, World, read
 from tests.support.peers import Write, answer, answering, mbap
 
 
@@ -153,6 +153,36 @@ def test_a_device_that_is_unit_255_to_everybody_is_reached_with_an_option(world:
     for options, query in (({"accept_unit": "any"}, ""), ({}, "?accept_unit=any")):
         with world.connect(peer.url + query, unit=3, **options) as client:
             assert [read(client, address) for address in range(5)] == list(range(5))
+
+
+# --- before a request goes out -------------------------------------------------------------------
+
+
+def test_what_came_meanwhile_is_no_answer_to_the_next_request(world: Simulated) -> None:
+    """A program that was busy reads what nobody asked for before it asks."""
+
+    def twice(request: bytes, write: Write) -> None:
+        write(answer(request, "rtu+tcp"))
+        write(answer(b"\1\3\0\x63", "rtu+tcp"), after=0.05)
+
+    peer = world.peer("rtu+tcp", twice)
+    with world.connect(peer.url, timeout=1.0) as client:
+        for address in range(5):
+            assert read(client, address) == address
+            world.compute(0.1)
+
+
+def test_a_connection_that_ended_meanwhile_costs_no_request(world: Simulated) -> None:
+    def and_close(request: bytes, write: Write) -> None:
+        write(answer(request, "tcp"))
+        write(None, after=0.05)
+
+    peer = world.peer("tcp", and_close)
+    with world.connect(peer.url, timeout=1.0) as client:
+        for address in range(5):
+            assert read(client, address) == address
+            world.compute(0.1)
+        assert peer.connections == 5
 
 
 # --- strange devices -----------------------------------------------------------------------------

@@ -240,6 +240,12 @@ class Simulated(World):
     def sleep(self, seconds: float) -> None:
         self._loop.run_until_complete(asyncio.sleep(seconds))
 
+    def compute(self, seconds: float) -> None:
+        """Let time pass while the program does other things, and its event loop nothing."""
+        until = self.now + seconds
+        while self.now < until:
+            self.network.events.advance(until)
+
 
 @contextmanager
 def making(kind: str) -> Iterator[World]:
