@@ -38,6 +38,7 @@ from tests.interop.test_interop_pymodbus import (
 from tests.support.certificates import Papers, secured
 from tests.support.clients import Awaited, threadsafe
 from tests.support.interop import TIMEOUT, UNIT, Exchange, exchanges, make_device, program, refusals
+from tests.support.peers import UNKNOWN_FUNCTION
 from tests.support.scripted import Scripted, Write, answer, run
 
 TRANSPORTS = ["tcp", "rtu+tcp", "ascii+tcp", "udp", "tls", "rtu", "ascii"]
@@ -189,7 +190,7 @@ def test_refusals_name_what_was_asked(url: str) -> None:
                 with pytest.raises(IllegalDataValue):
                     await plc.read_fifo_queue(9)
                 with pytest.raises(IllegalFunction):
-                    await plc.execute(pdu.RawRequest(65, b"\x01"))
+                    await plc.execute(pdu.RawRequest(UNKNOWN_FUNCTION, b"\x01"))
                 assert await plc.read_holding_registers(100, 1) == [1000]
             assert plc.statistics.exceptions == 6
 

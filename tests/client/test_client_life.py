@@ -24,7 +24,7 @@ from libmodbus_py import (
 )
 from libmodbus_py.client.asynchronous import AsyncClient
 from libmodbus_py.testing.wires import SerialWire
-from tests.support.fake import FakeUnit, refusing, url_of
+from tests.support.peers import FakeUnit, refusing, url_of
 from tests.support.scripted import run
 
 REQUEST = pdu.ReadHoldingRegisters(5, 1)

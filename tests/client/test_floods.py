@@ -19,7 +19,7 @@ import pytest
 
 from libmodbus_py import AsyncClient, ModbusError, framing
 from tests.simulation.network import Network
-from tests.support.clients import Simulated, asking, read
+from tests.support.clients import Simulated, asking, making, read
 from tests.support.peers import FakeUnit, OnRequest, Write
 from tests.support.scripted import run as run_watched
 
@@ -200,11 +200,10 @@ def test_a_real_line_that_is_never_quiet_ends_the_wait(kind: str) -> None:
 @pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp"])
 def test_an_idle_client_leaves_a_flood_unread(scheme: str) -> None:
     """What it does not read, the sender keeps; when somebody asks again, it reads on."""
-    network = Network()
-    with network.installed(), contextlib.closing(network.loop()) as loop:
-        world = Simulated("asyncio", network, loop)
+    with making("asyncio") as world:
+        assert isinstance(world, Simulated)
         piece = bytes.fromhex("FFFF0000000501030200AA") * 300
-        peer = world.peer(scheme, flooding(network, piece, 0.001))
+        peer = world.peer(scheme, flooding(world.network, piece, 0.001))
         with world.connect(peer.url, timeout=0.1) as client:
             failure(lambda: read(client, 1))
             world.sleep(1.0)
@@ -213,6 +212,23 @@ def test_an_idle_client_leaves_a_flood_unread(scheme: str) -> None:
             world.sleep(5.0)
             assert end.sent == before
             failure(lambda: read(client, 1))
+
+
+def test_an_idle_client_leaves_a_noisy_line_unread(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An event loop that is told of each byte would do nothing else."""
+    with making("asyncio") as world:
+        assert isinstance(world, Simulated)
+        unit = world.peer("rtu", flooding(world.network, bytes(range(0x80, 0x90)) * 16, 0.03))
+        with world.connect(unit.url, timeout=0.1) as client:
+            failure(lambda: read(client, 1))
+            world.sleep(30.0)  # 64 KiB take 8 s
+            port, reads = client._driver._port, []
+            receive = port.receive
+            monkeypatch.setattr(port, "receive", lambda: reads.append(1) or receive())
+            world.sleep(30.0)
+            assert not reads
+            failure(lambda: read(client, 1))
+            assert reads
 
 
 def test_an_idle_client_on_a_noisy_line_rests() -> None:

@@ -488,6 +488,9 @@ def test_a_flood_on_an_idle_line_is_noted_and_forgotten_when_somebody_asks() -> 
     assert not talk.conversation.is_flooded
     talk.come(b"\0")
     assert talk.conversation.is_flooded
+    with little_kept():
+        for _ in range(100):
+            talk.come(bytes(0x1000))
     assert talk.conversation.broken is None  # a port is not opened anew for that
     batch = talk.ask(1)
     talk.wait(0.03)  # the line must have been quiet for a moment

@@ -270,24 +270,39 @@ class UdpPeer(Peer):
     Args:
         scheme: of the URL.
         family: AF_INET or AF_INET6, on the loopback address.
+        port: 0 for any that is free.
+
+    Attributes:
+        clients: the address of each request's sender.
     """
 
     def __init__(
-        self, on_request: OnRequest, scheme: str = "udp", family: int = socket.AF_INET
+        self,
+        on_request: OnRequest,
+        scheme: str = "udp",
+        family: int = socket.AF_INET,
+        port: int = 0,
     ) -> None:
         super().__init__(on_request)
         host = "::1" if family == socket.AF_INET6 else "127.0.0.1"
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
-        self._socket.bind((host, 0))
+        self._socket.bind((host, port))
+        self.clients: list[Any] = []
         self._selector.register(self._socket, selectors.EVENT_READ)
         self.port: int = self._socket.getsockname()[1]
         self.url = f"{scheme}://{f'[{host}]' if ':' in host else host}:{self.port}"
 
-    def _close(self) -> None:
-        self._socket.close()
+    def shut(self) -> None:
+        """Close the port; to be called by `on_request`."""
+        if self._socket.fileno() >= 0:
+            self._selector.unregister(self._socket)
+            self._socket.close()
+
+    _close = shut
 
     def _read(self, key: selectors.SelectorKey) -> None:
         request, client = self._socket.recvfrom(65_536)
+        self.clients.append(client)
         self._note(request, partial(self._write, client))
 
     def _write(self, client: Any, data: bytes, after: float = 0.0) -> None:

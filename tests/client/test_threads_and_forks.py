@@ -1,5 +1,5 @@
 """
-What clients must survive: callbacks that raise, forks, threads, closes and cancellation anywhere.
+Clients among threads, forks and callbacks that raise; peers and limits of the process.
 """
 
 from __future__ import annotations

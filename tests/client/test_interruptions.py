@@ -1,21 +1,18 @@
 """
-Faults that were found by attacking the clients, each by what it looked like to a caller.
+Requests that are interrupted: by signals, finalizers, another thread, whatever a call raises.
 """
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
-import fcntl
 import gc
 import signal
 import socket
 import subprocess
 import sys
-import termios
 import threading
 import time
-import warnings
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -24,20 +21,15 @@ import pytest
 from libmodbus_py import (
     AsyncClient,
     Context,
-    Device,
-    Mapping,
     ModbusConnectionError,
     ModbusError,
     ModbusTimeoutError,
     RtuContext,
-    Server,
     State,
     TcpContext,
 )
-from libmodbus_py.testing.wires import SerialWire
-from tests.support.clients import ALL, BLOCKING, NATIVE, asking, read
+from tests.support.clients import ALL, BLOCKING, NATIVE, asking
 from tests.support.peers import FakeServer, FakeUnit, answer, dead, until
-from tests.support.scripted import Scripted, echo
 from tests.support.scripted import run as run_watched
 
 
@@ -340,155 +332,3 @@ def test_ctrl_c_at_any_moment_fails_no_later_request(place: str, native: bool) -
             signal.signal(signal.SIGALRM, before)
         assert interrupted > 5
         context.close()
-
-
-# --- ASCII delimiters ---------------------------------------------------------------------------
-
-
-@ALL
-@pytest.mark.parametrize("scheme", ["ascii+tcp", "ascii"])
-def test_an_accepted_delimiter_is_followed_and_a_restart_ends_it(scheme: str, kind: str) -> None:
-    with contextlib.ExitStack() as stack:
-        server = Server(Device(Mapping(holding_registers=10)))
-        if scheme == "ascii":
-            wire = stack.enter_context(SerialWire())
-            stack.enter_context(server.background(f"ascii://{wire.server}?baudrate=115200"))
-            url = f"ascii://{wire.client}?baudrate=115200"
-        else:
-            url = stack.enter_context(server.background("ascii+tcp://127.0.0.1:0")).urls[0]
-        client = stack.enter_context(asking(kind, url))
-        client.write_register(3, 42)
-        client.diagnostics(3, 0x2100)
-        assert read(client, 3) == 42
-        client.diagnostics(3, 0x2400)
-        assert read(client, 3) == 42
-        with pytest.raises(ModbusError):  # a colon ends nothing
-            client.diagnostics(3, 0x3A00)
-        assert read(client, 3) == 42
-        client.diagnostics(1)
-        assert read(client, 3) == 42
-
-
-@ALL
-@pytest.mark.parametrize("in_url", [True, False])
-def test_a_delimiter_that_the_device_has_already_is_an_option(in_url: bool, kind: str) -> None:
-    def with_dollar(request: bytes) -> list[bytes]:
-        assert request.endswith(b"\r$")
-        return [answer(request, "ascii")[:-1] + b"$"]
-
-    query, options = ("&delimiter=0x24", {}) if in_url else ("", {"delimiter": 0x24})
-    with (
-        FakeUnit(with_dollar) as unit,
-        asking(kind, f"ascii://{unit.path}?baudrate=115200{query}", **options) as client,
-    ):
-        assert read(client, 3) == 3
-
-
-# --- what is left behind ------------------------------------------------------------------------
-
-
-def forgotten(main: Any) -> None:
-    asyncio.run(main)
-    gc.collect()
-
-
-def test_a_forgotten_client_says_so_and_frees_its_port() -> None:
-    with FakeUnit(lambda request: [rtu(request)]) as unit:
-
-        async def forget() -> None:
-            client = AsyncClient(f"rtu://{unit.path}?baudrate=115200")
-            assert await client.read_holding_registers(3, 1) == [3]
-
-        for times in range(2):
-            with pytest.warns(ResourceWarning, match=unit.path):
-                forgotten(forget())
-            with RtuContext(unit.path, 115200) as context:
-                assert context.read_holding_registers(times, 1) == [times]
-
-
-@pytest.mark.filterwarnings("error::ResourceWarning")
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
-def test_a_forgotten_client_frees_its_port_where_warnings_are_errors() -> None:
-    with FakeUnit(lambda request: [rtu(request)]) as unit:
-
-        async def forget() -> None:
-            client = AsyncClient(f"rtu://{unit.path}?baudrate=115200")
-            assert await client.read_holding_registers(3, 1) == [3]
-
-        asyncio.run(forget())
-        gc.collect()
-        with RtuContext(unit.path, 115200) as context:
-            assert context.read_holding_registers(1, 1) == [1]
-
-
-def test_a_client_forgotten_while_it_connects_leaves_nothing() -> None:
-    async def main() -> None:
-        async with Scripted(echo).serving() as server:
-            for steps in range(6):
-                client = AsyncClient(server.url)
-                asked = asyncio.create_task(client.connect())
-                for _ in range(steps):
-                    await asyncio.sleep(0)
-                asked.cancel()
-                await asyncio.wait([asked])
-                del client, asked
-                gc.collect()
-            await asyncio.sleep(0.05)
-            assert not [writer for writer in server.writers if not at_end(writer)]
-
-    def at_end(writer: asyncio.StreamWriter) -> bool:
-        return writer.transport.is_closing() or writer.transport.get_extra_info("socket") is None
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ResourceWarning)
-        run_watched(main())
-
-
-def test_a_port_is_opened_that_a_killed_program_left_as_it_was() -> None:
-    """Its settings are those that are to be set, and a pseudo-terminal refuses one of them."""
-    with FakeUnit(lambda request: [rtu(request)]) as unit:
-        program = (
-            "import os, sys, libmodbus_py as m\n"
-            "context = m.RtuContext(sys.argv[1], 115200)\n"
-            "context.connect()\n"
-            "os.kill(os.getpid(), 9)"
-        )
-        for times in range(3):
-            subprocess.run([sys.executable, "-c", program, unit.path], check=False, timeout=30)
-            if times:
-                with RtuContext(unit.path, 115200) as context:
-                    assert context.read_holding_registers(times, 1) == [times]
-
-
-# --- noise, dead units, strange devices ----------------------------------------------------------
-
-
-@ALL
-def test_a_byte_right_behind_a_flush_does_not_reopen_the_port(
-    kind: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """As a line picks up while nobody talks; each opening locks the port."""
-    lock, flush, locks = fcntl.flock, termios.tcflush, []
-
-    def counted(*args: Any) -> None:
-        locks.append(args)
-        lock(*args)
-
-    def followed(*args: Any) -> None:
-        flush(*args)
-        unit.write(b"\x00")
-        time.sleep(0.002)
-
-    monkeypatch.setattr(fcntl, "flock", counted)
-    with (
-        FakeUnit(lambda request: [rtu(request)]) as unit,
-        asking(kind, f"rtu://{unit.path}?baudrate=115200") as client,
-    ):
-        monkeypatch.setattr(termios, "tcflush", followed)
-        for address in range(10):
-            unit.write(b"\x00")
-            time.sleep(0.003)
-            assert read(client, address) == address
-        assert len(locks) == 1
-        assert client.state is State.CONNECTED
-        assert client.statistics.lost == 0
