@@ -17,8 +17,8 @@ from libmodbus_py import (
     AsyncClient,
     RtuContext,
 )
-from tests.support.peers import FakeUnit, answer
-from tests.support.scripted import Scripted, echo
+from tests.support.collecting import new_garbage_only
+from tests.support.peers import FakeServer, FakeUnit, answer, until
 from tests.support.scripted import run as run_watched
 
 
@@ -62,25 +62,23 @@ def test_a_forgotten_client_frees_its_port_where_warnings_are_errors() -> None:
 
 def test_a_client_forgotten_while_it_connects_leaves_nothing() -> None:
     async def main() -> None:
-        async with Scripted(echo).serving() as server:
-            for steps in range(6):
-                client = AsyncClient(server.url)
-                asked = asyncio.create_task(client.connect())
-                for _ in range(steps):
-                    await asyncio.sleep(0)
-                asked.cancel()
-                await asyncio.wait([asked])
-                del client, asked
-                gc.collect()
-            await asyncio.sleep(0.05)
-            assert not [writer for writer in server.writers if not at_end(writer)]
-
-    def at_end(writer: asyncio.StreamWriter) -> bool:
-        return writer.transport.is_closing() or writer.transport.get_extra_info("socket") is None
+        for steps in range(6):
+            client = AsyncClient(server.url)
+            asked = asyncio.create_task(client.connect())
+            for _ in range(steps):
+                await asyncio.sleep(0)
+            asked.cancel()
+            await asyncio.wait([asked])
+            del client, asked
+            gc.collect()
+        async with AsyncClient(server.url) as last:  # those before it are accepted
+            assert await last.read_holding_registers(1, 1) == [1]
+        until(lambda: not server._peers)
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ResourceWarning)
-        run_watched(main())
+        with FakeServer(lambda request: [answer(request, "tcp")]) as server, new_garbage_only():
+            run_watched(main())
 
 
 def test_a_port_is_opened_that_a_killed_program_left_as_it_was() -> None:

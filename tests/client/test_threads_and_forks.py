@@ -39,7 +39,6 @@ from libmodbus_py import (
 from tests.support.clients import ALL, BLOCKING, NATIVE, asking, read
 from tests.support.collecting import new_garbage_only
 from tests.support.peers import FakeServer, FakeUnit, answer, until
-from tests.support.scripted import Scripted, echo
 
 
 def tcp(request: bytes) -> list[bytes]:
@@ -533,9 +532,8 @@ def test_errors_survive_pickling() -> None:
 def test_the_debug_mode_of_asyncio_finds_nothing() -> None:
     async def main() -> None:
         asyncio.get_running_loop().slow_callback_duration = 1
-        with FakeUnit(rtu) as unit:
+        with FakeUnit(rtu) as unit, FakeServer(tcp) as server:
             async with (
-                Scripted(echo).serving() as server,
                 AsyncClient(server.url) as client,
                 AsyncClient(f"rtu://{unit.path}?baudrate=115200") as line,
             ):

@@ -41,7 +41,7 @@ from libmodbus_py.client.statistics import TIME_BOUNDS, Statistics
 from libmodbus_py.integrations.exposition import exposing
 from libmodbus_py.integrations.prometheus import Collector, collect
 from libmodbus_py.server.limits import ServerStatistics
-from tests.support.fake import FakeServer, echo
+from tests.support.peers import FakeServer, echo
 
 DEVICE = Device(Mapping(holding_registers=100, coils=8))
 

@@ -32,8 +32,8 @@ from libmodbus_py.ports.waiting import (
 )
 from libmodbus_py.ports.waiting_async import run_async
 from tests.support.cases import each_case
-from tests.support.fake import dead, until
 from tests.support.pace import LATE
+from tests.support.peers import dead, until
 
 Drive = Callable[[Steps[Any]], Any]
 

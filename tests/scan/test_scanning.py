@@ -33,9 +33,9 @@ from tests.interop.test_interop_pymodbus import pymodbus_server
 from tests.scan.serial_bus import Bus, Member, of
 from tests.support import certificates
 from tests.support.certificates import Papers
-from tests.support.fake import FakeServer, FakeUnit, dead, mbap, refusing, until, url_of
 from tests.support.interop import UNIT, program
 from tests.support.pace import LATE
+from tests.support.peers import FakeServer, FakeUnit, dead, mbap, refusing, until, url_of
 
 QUICK = 0.05  # seconds for the answer of somebody who is not there
 PATIENT = 1.0  # for one who is, on a busy machine

@@ -22,8 +22,8 @@ from libmodbus_py import (
 )
 from libmodbus_py.protocol.tables import TABLES
 from tests.scan.serial_bus import Bus, Member, of
-from tests.support.fake import FakeServer, mbap, refusing, url_of
 from tests.support.interop import program
+from tests.support.peers import FakeServer, mbap, refusing, url_of
 
 PATIENT = 1.0
 
