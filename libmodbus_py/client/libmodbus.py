@@ -8,6 +8,7 @@ import os
 
 from ..binding.library import ffi, lib
 from ..ports.port import Port, lost
+from ..ports.waiting import LONGEST
 from ..protocol.errors import ModbusConnectionError
 from ..protocol.framing import crc16
 
@@ -30,8 +31,9 @@ class NativeCarrier:
             self._exchange.context = port.context
 
     def carry(self, unit: int, number: int, pdu: bytes, timeout: float, waker: int) -> bytes | None:
+        wait = min(timeout, LONGEST)  # the conversation waits for the rest
         size = lib.exchange(
-            self._exchange, self._port.descriptor, waker, unit, number, pdu, len(pdu), timeout
+            self._exchange, self._port.descriptor, waker, unit, number, pdu, len(pdu), wait
         )
         if size > 0:
             answer: bytes = self._answer[7 : 7 + size]

@@ -18,12 +18,16 @@ from typing import Any, NamedTuple, TypeVar
 
 # fmt: off
 __all__ = [
-    "READ", "WRITE", "Ready", "Resolve", "Steps", "Waker", "Woken", "as_os_error", "milliseconds",
-    "numeric", "run",
+    "LONGEST", "READ", "WRITE", "Ready", "Resolve", "Steps", "Waker", "Woken", "as_os_error",
+    "milliseconds", "numeric", "run",
 ]
 # fmt: on
 
 READ, WRITE = select.POLLIN, select.POLLOUT
+
+# Seconds that the system waits at a time. A signal that comes just before it begins to wait does
+# not end the wait, and Python's handler runs behind it: Ctrl-C must not last as long as a timeout.
+LONGEST = 1.0
 
 Result = TypeVar("Result")
 
@@ -110,10 +114,7 @@ class Waker:
         Raises:
             Woken: by `wake`.
         """
-        ready = dict(self._poll.poll(milliseconds(seconds)))
-        if self.descriptor in ready:
-            raise Woken
-        return self._watched in ready
+        return self._watched in self._polled(self._poll, seconds)
 
     def wait(self, descriptor: int, events: int, deadline: float) -> bool:
         """As `is_ready`, for any descriptor (-1 for none), until a time (time.monotonic)."""
@@ -121,10 +122,17 @@ class Waker:
         poll.register(self.descriptor, READ)
         if descriptor >= 0:
             poll.register(descriptor, events)
-        ready = dict(poll.poll(milliseconds(deadline - self.now())))
+        return descriptor in self._polled(poll, deadline - self.now())
+
+    def _polled(self, poll: select.poll, seconds: float) -> dict[int, int]:
+        ready = dict(poll.poll(milliseconds(min(seconds, LONGEST))))
+        if seconds > LONGEST and not ready:
+            deadline = self.now() + seconds - LONGEST
+            while not ready and (left := deadline - self.now()) > 0:
+                ready = dict(poll.poll(milliseconds(min(left, LONGEST))))
         if self.descriptor in ready:
             raise Woken
-        return descriptor in ready
+        return ready
 
 
 def milliseconds(seconds: float) -> int:

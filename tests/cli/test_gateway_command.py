@@ -14,7 +14,7 @@ import pytest
 from libmodbus_py import Context, Device, GatewayPathUnavailable, Mapping, Server
 from tests.support.cases import each_case
 from tests.support.commands import Started, run
-from tests.support.fake import until
+from tests.support.peers import until
 
 
 @contextlib.contextmanager

@@ -26,8 +26,8 @@ from libmodbus_py import (
 )
 from tests.support.cases import each_case
 from tests.support.commands import Done, Started, on_terminal, run
-from tests.support.fake import until
 from tests.support.golden import Golden
+from tests.support.peers import until
 
 DECODED = Path(__file__).parents[1] / "listener" / "decoded.pcapng"
 

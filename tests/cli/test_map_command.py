@@ -15,7 +15,7 @@ import pytest
 from libmodbus_py import Device, Mapping, Server, TcpContext, load_map
 from tests.support.cases import each_case
 from tests.support.commands import Done, Started, run
-from tests.support.fake import FakeServer, mbap, until
+from tests.support.peers import FakeServer, mbap, until
 
 
 def mapped(*arguments: object, code: int = 0) -> Done:

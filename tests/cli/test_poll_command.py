@@ -17,7 +17,7 @@ import pytest
 from libmodbus_py import Device, Mapping, Server
 from tests.support.cases import each_case
 from tests.support.commands import Started, ended, on_terminal, run
-from tests.support.fake import dead
+from tests.support.peers import dead
 
 LONGEST = 30
 

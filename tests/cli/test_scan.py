@@ -19,7 +19,7 @@ from libmodbus_py import Device, Mapping, Server, device_file
 from libmodbus_py.testing.wires import SerialWire
 from tests.support.cases import each_case
 from tests.support.commands import Started, on_terminal, run
-from tests.support.fake import FakeServer, mbap, refusing, until, url_of
+from tests.support.peers import FakeServer, mbap, refusing, until, url_of
 
 
 @pytest.fixture

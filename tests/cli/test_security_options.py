@@ -19,7 +19,7 @@ from tests.support import certificates
 from tests.support.cases import each_case
 from tests.support.certificates import Papers
 from tests.support.commands import run
-from tests.support.fake import dead
+from tests.support.peers import dead
 
 SECRET = "open sesame"
 

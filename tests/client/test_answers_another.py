@@ -8,9 +8,10 @@ from collections.abc import Callable
 
 import pytest
 
-from libmodbus_py import Context, ModbusError
+from libmodbus_py import ModbusError
 from libmodbus_py.protocol.framing import crc16
-from tests.support.fake import FakeServer, FakeUnit, echo, mbap
+from tests.support.clients import making
+from tests.support.peers import answering, echo, mbap
 
 Answer = Callable[[bytes], bytes]
 
@@ -38,22 +39,20 @@ RTU: dict[str, tuple[Answer, bool]] = {
 }
 
 
-def failure(url: str) -> ModbusError:
-    with (
-        Context.from_url(url, unit=1, timeout=0.2, native=False) as plc,
-        pytest.raises(ModbusError) as caught,
-    ):
-        plc.read_holding_registers(7, 1)
+def failure(scheme: str, answer: Answer) -> ModbusError:
+    """Return what a request meets that is answered so; the client's kind has no part in it."""
+    with making("python") as world:
+        peer = world.peer(scheme, answering(lambda request: [answer(request)]))
+        with world.connect(peer.url, timeout=0.2) as plc, pytest.raises(ModbusError) as caught:
+            plc.read_holding_registers(7, 1)
     return caught.value
 
 
 @pytest.mark.parametrize(("answer", "is_so"), TCP.values(), ids=TCP)
 def test_error_says_whether_it_answers_another_request(answer: Answer, is_so: bool) -> None:
-    with FakeServer(lambda request: [answer(request)]) as server:
-        assert failure(server.url).answers_another is is_so
+    assert failure("tcp", answer).answers_another is is_so
 
 
 @pytest.mark.parametrize(("answer", "is_so"), RTU.values(), ids=RTU)
 def test_error_says_so_on_lines(answer: Answer, is_so: bool) -> None:
-    with FakeUnit(lambda request: [answer(request)]) as unit:
-        assert failure(f"rtu://{unit.path}").answers_another is is_so
+    assert failure("rtu", answer).answers_another is is_so

@@ -35,10 +35,14 @@ from tests.interop.test_interop_pymodbus import (
     in_background,
     simulated_device,
 )
+from tests.simulation.events import Events
+from tests.simulation.network import Network
+from tests.simulation.scripted import Scripted
 from tests.support.certificates import Papers, secured
-from tests.support.clients import Awaited
+from tests.support.clients import Awaited, threadsafe
 from tests.support.interop import TIMEOUT, UNIT, Exchange, exchanges, make_device, program, refusals
-from tests.support.scripted import Scripted, Write, answer, run
+from tests.support.peers import UNKNOWN_FUNCTION, Write, echo
+from tests.support.scripted import run
 
 TRANSPORTS = ["tcp", "rtu+tcp", "ascii+tcp", "udp", "tls", "rtu", "ascii"]
 
@@ -189,7 +193,7 @@ def test_refusals_name_what_was_asked(url: str) -> None:
                 with pytest.raises(IllegalDataValue):
                     await plc.read_fifo_queue(9)
                 with pytest.raises(IllegalFunction):
-                    await plc.execute(pdu.RawRequest(65, b"\x01"))
+                    await plc.execute(pdu.RawRequest(UNKNOWN_FUNCTION, b"\x01"))
                 assert await plc.read_holding_registers(100, 1) == [1000]
             assert plc.statistics.exceptions == 6
 
@@ -212,7 +216,8 @@ def test_many_tasks_each_get_their_own_answer(url: str) -> None:
 class Counting:
     """Answers in reverse order as soon as `batch` requests are there, or after a while."""
 
-    def __init__(self, batch: int) -> None:
+    def __init__(self, events: Events, batch: int) -> None:
+        self._events = events
         self._batch = batch
         self._held: list[tuple[bytes, Write]] = []
         self._in_flight = 0
@@ -222,7 +227,7 @@ class Counting:
         self._held.append((request, write))
         self._in_flight += 1
         self.most = max(self.most, self._in_flight)
-        asyncio.get_running_loop().call_later(0.005, self._answer, len(self._held))
+        self._events.after(0.005, self._answer, len(self._held))
         if len(self._held) >= self._batch:
             self._answer(len(self._held))
 
@@ -232,41 +237,41 @@ class Counting:
         while self._held:
             request, write = self._held.pop()
             self._in_flight -= 1
-            write(answer(request))
+            write(echo(request))
 
 
 @pytest.mark.parametrize("limit", [1, 2, 16])
 def test_limit_of_the_client_is_used_and_honoured(limit: int) -> None:
+    network = Network()
+    counting = Counting(network.events, limit)
+    peer = Scripted(network, "tcp://10.0.0.1", counting)
+
     async def main() -> None:
-        counting = Counting(limit)
-        async with (
-            Scripted(counting).serving() as server,
-            AsyncClient(server.url, max_in_flight=limit) as plc,
-        ):
+        async with AsyncClient(peer.url, max_in_flight=limit) as plc:
             single = [plc.read_holding_registers(address, 1) for address in range(40)]
             many = plc.execute_many([pdu.ReadHoldingRegisters(a, 1) for a in range(40, 100)])
             *answers, together = await asyncio.gather(*single, many)
             assert [*answers, *together] == [[address] for address in range(100)]
             assert counting.most == limit
 
-    run(main())
+    network.run(main)
 
 
 def test_a_single_request_need_not_wait_for_a_long_batch() -> None:
+    network = Network()
+    peer = Scripted(network, "tcp://10.0.0.1", Counting(network.events, 4))
+
     async def main() -> None:
-        async with (
-            Scripted(Counting(4)).serving() as server,
-            AsyncClient(server.url, max_in_flight=4) as plc,
-        ):
+        async with AsyncClient(peer.url, max_in_flight=4) as plc:
             requests = [pdu.ReadHoldingRegisters(address, 1) for address in range(200)]
             batch = asyncio.create_task(plc.execute_many(requests))
-            while len(server.requests) < 20:
-                await asyncio.sleep(0)
+            while len(peer.requests) < 20:
+                await asyncio.sleep(0.0001)
             assert await plc.read_holding_registers(999, 1) == [999]
             assert not batch.done()
             assert await batch == [[address] for address in range(200)]
 
-    run(main())
+    network.run(main)
 
 
 # --- peers ----------------------------------------------------------------------------------
@@ -280,7 +285,7 @@ def ask(url: str, what: Ask) -> None:
 
     async def main() -> None:
         async with AsyncClient(url, unit=UNIT, timeout=TIMEOUT) as plc:
-            await asyncio.to_thread(what, Awaited(asyncio.get_running_loop(), plc))
+            await asyncio.to_thread(what, Awaited(threadsafe(asyncio.get_running_loop()), plc))
 
     run(main())
 

@@ -24,6 +24,7 @@ from libmodbus_py import (
 )
 from libmodbus_py.client.batch import NOT_ASKED, Batch
 from libmodbus_py.ports.trace import Traced
+from tests.support.peers import UNKNOWN_FUNCTION
 from tests.support.talk import ASCII, LINE, LOST, TCP, Talk, ascii_frame, kinds, rtu, tcp, value
 
 BOTH = pytest.mark.parametrize("url", [TCP, LINE])
@@ -375,7 +376,7 @@ def test_a_damaged_answer_is_asked_for_again() -> None:
     [
         pdu.Diagnostics(10, b"\0\0"),
         pdu.EncapsulatedTransport(13, b""),
-        pdu.RawRequest(65),
+        pdu.RawRequest(UNKNOWN_FUNCTION),
     ],
 )
 def test_what_must_not_be_carried_out_twice_is_sent_once(request_: pdu.Request[Any]) -> None:

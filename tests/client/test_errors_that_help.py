@@ -4,7 +4,6 @@ The usual mistakes, each said in the one line of the error that it leads to.
 
 from __future__ import annotations
 
-import contextlib
 import os
 import re
 from collections.abc import Callable
@@ -13,8 +12,8 @@ from typing import Any
 import pytest
 
 from libmodbus_py import AsyncClient, Context, ModbusConnectionError, ModbusError
-from tests.support.asking import ALL, answer, asking
-from tests.support.fake import FakeServer, FakeUnit, mbap
+from tests.support.clients import World, asking, read
+from tests.support.peers import FakeUnit, answer, answering, mbap
 
 NOISE = bytes(range(0x70, 0xF0))
 
@@ -61,31 +60,24 @@ MISTAKES: dict[str, tuple[str, Callable[[bytes], bytes], str]] = {
 }
 
 
-@ALL
 @pytest.mark.parametrize("mistake", MISTAKES)
-def test_a_mistake_is_recognised_in_one_line(mistake: str, kind: str) -> None:
+def test_a_mistake_is_recognised_in_one_line(mistake: str, world: World) -> None:
     scheme, came, said = MISTAKES[mistake]
-    with contextlib.ExitStack() as stack:
-        if scheme in ("rtu", "ascii"):
-            unit = stack.enter_context(FakeUnit(lambda request: [came(request)]))
-            url = f"{scheme}://{unit.path}?baudrate=115200"
-        else:
-            server = stack.enter_context(FakeServer(lambda request: [came(request)]))
-            url = f"{scheme}://127.0.0.1:{server.port}"
-        client = stack.enter_context(asking(kind, url, timeout=0.15))
-        caught = failure(client, url)
+    peer = world.peer(scheme, answering(lambda request: [came(request)]))
+    with world.connect(peer.url, timeout=0.15) as client:
+        caught = failure(client)
     text = str(caught)
     assert re.search(said, text), text
     assert "\n" not in text
     assert longest_hex(text) <= 32
     assert len(text) < 300
-    assert caught.endpoint == url
+    assert caught.endpoint == peer.url
     assert caught.received
 
 
-def failure(client: Any, url: str) -> ModbusError:
+def failure(client: Any) -> ModbusError:
     with pytest.raises(ModbusError) as caught:
-        client.read(1)
+        read(client, 1)
     return caught.value
 
 
@@ -94,18 +86,15 @@ def longest_hex(text: str) -> int:
     return max((len(run.split()) for run in runs), default=0)
 
 
-@ALL
-def test_long_noise_is_cut(kind: str) -> None:
-    with (
-        FakeUnit(lambda request: [b"\x00" * 500]) as unit,
-        asking(kind, f"rtu://{unit.path}?baudrate=115200", timeout=0.15) as client,
-    ):
-        caught = failure(client, "")
+def test_long_noise_is_cut(world: World) -> None:
+    unit = world.peer("rtu", answering(lambda request: [b"\x00" * 500]))
+    with world.connect(unit.url, timeout=0.15) as client:
+        caught = failure(client)
     assert longest_hex(str(caught)) <= 32
     assert len(caught.received) == 500
 
 
-@pytest.mark.parametrize("kind", ["context", "asyncio"])
+@pytest.mark.parametrize("kind", ["python", "asyncio"])
 def test_a_second_client_on_a_port_is_told_of_handles(kind: str) -> None:
     with FakeUnit(lambda request: []) as unit:
         url = f"rtu://{unit.path}?baudrate=115200"

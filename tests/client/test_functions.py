@@ -36,8 +36,9 @@ from libmodbus_py import (
 )
 from libmodbus_py.protocol.pdu import ServerId, SubFunction
 from libmodbus_py.testing.wires import SerialWire
+from tests.support.cases import each_case
 from tests.support.certificates import Papers, secured
-from tests.support.fake import FakeServer, mbap
+from tests.support.peers import UNKNOWN_FUNCTION, FakeServer, mbap
 
 TRANSPORTS = ["tcp", "rtu+tcp", "ascii+tcp", "tls", "rtu", "ascii"]
 
@@ -119,8 +120,8 @@ def test_identification_at_every_level(context: Context) -> None:
         context.read_device_identification("all")
 
 
-@pytest.mark.parametrize(
-    "function", [9, 10, 13, 14, 18, 19, 25, 40, 65, 72, 90, 100, 110, 125, 127]
+@each_case(
+    "function", [9, 10, 13, 14, 18, 19, 25, 40, UNKNOWN_FUNCTION, 72, 90, 100, 110, 125, 127]
 )
 def test_codes_nobody_has_are_refused_and_can_be_sent(context: Context, function: int) -> None:
     with pytest.raises(IllegalFunction) as caught:
@@ -142,7 +143,7 @@ class Reverse(pdu.Request[bytes]):
 
     data: bytes
 
-    function = 65
+    function = UNKNOWN_FUNCTION
     request_length = pdu.counted(2, at=1)
     response_length = pdu.counted(2, at=1)
 

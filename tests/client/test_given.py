@@ -16,7 +16,7 @@ from libmodbus_py.security.given import GivenContext
 from tests.support import certificates
 from tests.support.certificates import Papers, expired
 from tests.support.clients import Connect
-from tests.support.fake import FakeServer, echo
+from tests.support.peers import FakeServer, echo
 from tests.support.tls import context
 from tests.support.tls_peers import TlsServer, context_of
 

@@ -433,6 +433,54 @@ def test_a_flood_extends_no_timeout_and_is_not_kept() -> None:
         assert len(str(batch.outcomes[0])) < 300
 
 
+def test_the_first_600_bytes_of_a_flood_are_kept() -> None:
+    """Of what comes in place of an answer, and of what comes while nobody may ask."""
+    pieces = [bytes([0x80 + number]) * 250 for number in range(8)]
+    kept = b"".join(pieces)[:600]
+    talk = Talk(LINE, timeout=1)
+    first = talk.ask(1)
+    talk.come(*pieces)
+    talk.wait(1)
+    assert first.outcomes[0].received == kept
+    second = talk.ask(2)
+    for _ in range(2):
+        talk.come(*pieces)
+        talk.wait(0.5)
+    assert len(talk.sent) == 1
+    assert second.outcomes[0].received == kept
+
+
+@pytest.mark.parametrize(("size", "seconds"), [(599, 2), (600, 1), (601, 1)])
+def test_more_than_an_answer_is_a_flood(size: int, seconds: float) -> None:
+    """Who sends less may be late with an answer, and has twice as long to fall silent."""
+    talk = Talk(LINE, timeout=1)
+    failed(talk)
+    batch = talk.ask(6)
+    asked_at = talk.now
+    talk.come(b"\x55" * size)
+    while not batch.is_done:
+        talk.wait(0.01)
+        talk.conversation._silence.heard(talk.now)  # it goes on, and all of it was kept already
+        talk.conversation._doubts[1] = (talk.now + 1, 1)
+        assert talk.now < asked_at + 3
+    assert talk.now - asked_at == pytest.approx(seconds, abs=0.011)
+
+
+def test_a_late_answer_in_pieces_is_one_and_each_piece_puts_off_the_next_request() -> None:
+    talk = Talk(LINE, timeout=1)
+    failed(talk)
+    batch = talk.ask(6)
+    for piece in (value(5)[:3], value(5)[3:]):
+        talk.wait(0.5)
+        talk.come(piece)
+    assert talk.statistics.late_answers == 1
+    late_at = talk.now
+    talk.wait_for(2)
+    assert talk.times[1] == pytest.approx(late_at + 1)
+    talk.come(value(6))
+    assert batch.outcomes == [[6]]
+
+
 def test_a_flood_on_an_idle_line_is_noted_and_forgotten_when_somebody_asks() -> None:
     talk = Talk(LINE)
     with little_kept():
@@ -440,6 +488,9 @@ def test_a_flood_on_an_idle_line_is_noted_and_forgotten_when_somebody_asks() -> 
     assert not talk.conversation.is_flooded
     talk.come(b"\0")
     assert talk.conversation.is_flooded
+    with little_kept():
+        for _ in range(100):
+            talk.come(bytes(0x1000))
     assert talk.conversation.broken is None  # a port is not opened anew for that
     batch = talk.ask(1)
     talk.wait(0.03)  # the line must have been quiet for a moment

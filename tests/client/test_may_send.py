@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from libmodbus_py import AsyncClient, ModbusConnectionError, TcpContext
-from tests.support.fake import FakeServer
+from tests.support.peers import FakeServer
 
 ANSWER = bytes.fromhex("0000 0005 01 03 02 0007")
 

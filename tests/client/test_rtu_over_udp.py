@@ -6,9 +6,8 @@ from __future__ import annotations
 
 import contextlib
 import socket
-import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import pytest
 
@@ -23,9 +22,9 @@ from libmodbus_py import (
     UdpContext,
 )
 from libmodbus_py.ports.endpoint import parse
-from tests.support.asking import ALL, asking
-from tests.support.fake import until
+from tests.support.clients import ALL, EVERYWHERE, World, asking, read
 from tests.support.interop import UNIT, exchanges, make_device, refusals
+from tests.support.peers import Write, answering, until
 
 # A read of one register of unit 1, and its answer 555, by hand: serial line, appendix B.
 READ = bytes.fromhex("01 03 0000 0001 840a")
@@ -45,29 +44,6 @@ def bound() -> Iterator[socket.socket]:
         made.bind(("127.0.0.1", 0))
         made.settimeout(5)
         yield made
-
-
-@contextlib.contextmanager
-def answering(answer: Callable[[bytes], list[bytes]]) -> Iterator[str]:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as bound:
-        bound.bind(("127.0.0.1", 0))
-
-        def serve() -> None:
-            while True:
-                data, source = bound.recvfrom(600)
-                if not data:
-                    return
-                for each in answer(data):
-                    bound.sendto(each, source)
-
-        thread = threading.Thread(target=serve)
-        thread.start()
-        try:
-            yield f"rtu+udp://127.0.0.1:{bound.getsockname()[1]}"
-        finally:
-            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as last:
-                last.sendto(b"", bound.getsockname())
-            thread.join()
 
 
 def test_its_url() -> None:
@@ -98,63 +74,51 @@ def test_every_function_over_it(kind: str) -> None:
                 each.ask(client)
 
 
-@ALL
-def test_the_bytes_are_those_of_a_line(kind: str) -> None:
-    seen: list[bytes] = []
-
-    def answer(request: bytes) -> list[bytes]:
-        seen.append(request)
-        return [ANSWER]
-
-    with answering(answer) as url, asking(kind, url, unit=1, timeout=5) as client:
-        assert client.read(0) == 555
-    assert seen == [READ]
+@EVERYWHERE
+def test_the_bytes_are_those_of_a_line(world: World) -> None:
+    peer = world.peer("rtu+udp", answering(lambda request: [ANSWER]))
+    with world.connect(peer.url, unit=1, timeout=30) as client:
+        assert read(client, 0) == 555
+    assert peer.requests == [READ]
 
 
-@ALL
-def test_a_late_answer_is_not_that_to_the_next_request(kind: str) -> None:
+def test_a_late_answer_is_not_that_to_the_next_request(world: World) -> None:
     late = bytes.fromhex("01 03 02 0001 7984")
-    asked: list[bytes] = []
 
-    with bound() as server:
+    def on_request(request: bytes, write: Write) -> None:
+        if len(peer.requests) == 1:
+            write(late, after=0.4)
+        else:
+            write(ANSWER)
 
-        def serve() -> None:
-            _, source = server.recvfrom(600)
-            time.sleep(0.4)
-            server.sendto(late, source)
-            asked.append(server.recv(600))
-            server.sendto(ANSWER, source)
-
-        thread = threading.Thread(target=serve)
-        thread.start()
-        url = f"rtu+udp://127.0.0.1:{server.getsockname()[1]}"
-        with asking(kind, url, unit=1, timeout=0.3) as client:
-            with pytest.raises(ModbusTimeoutError):
-                client.read(0)
-            assert client.read(0) == 555
-        thread.join()
-    assert asked == [READ]
+    peer = world.peer("rtu+udp", on_request)
+    with world.connect(peer.url, unit=1, timeout=0.3) as client:
+        with world.lasting(0.3), pytest.raises(ModbusTimeoutError):
+            read(client, 0)
+        # A time-out of silence behind the late one.
+        with world.lasting(0.1 + 0.3, more=0.005):
+            assert read(client, 0) == 555
+        assert client.late_answers == 1
+    assert peer.requests == [READ, READ]
 
 
-@ALL
-def test_an_answer_in_two_datagrams_is_one(kind: str) -> None:
+@EVERYWHERE
+def test_an_answer_in_two_datagrams_is_one(world: World) -> None:
     """Serial servers send on what has come so far."""
-    with (
-        answering(lambda request: [ANSWER[:3], ANSWER[3:]]) as url,
-        asking(kind, url, unit=1, timeout=5) as client,
-    ):
-        assert client.read(0) == 555
+    peer = world.peer("rtu+udp", answering(lambda request: [ANSWER[:3], ANSWER[3:]]))
+    with world.connect(peer.url, unit=1, timeout=30) as client:
+        assert read(client, 0) == 555
 
 
-@ALL
-def test_another_units_answer_is_none(kind: str) -> None:
+def test_another_units_answer_is_none(world: World) -> None:
     wrong = bytes.fromhex("02 03 02 022b bd3b")
+    peer = world.peer("rtu+udp", answering(lambda request: [wrong]))
     with (
-        answering(lambda request: [wrong]) as url,
-        asking(kind, url, unit=1, timeout=0.2) as client,
-        pytest.raises((InvalidResponse, ModbusTimeoutError)),
+        world.connect(peer.url, unit=1, timeout=0.2) as client,
+        world.lasting(0.2),
+        pytest.raises(InvalidResponse, match="unit 2 answered"),
     ):
-        client.read(0)
+        read(client, 0)
 
 
 # --- the server -------------------------------------------------------------------------------
@@ -171,7 +135,7 @@ def test_a_datagram_is_answered_by_one(device: Device) -> None:
         client.sendto(READ[5:], where)
         client.sendto(READ, where)
         assert client.recv(600) == ANSWER
-        client.settimeout(0.2)
+        client.settimeout(0.1)
         with pytest.raises(TimeoutError):
             client.recv(600)
 
@@ -207,7 +171,7 @@ def test_two_servers_do_not_answer_each_other_for_ever(device: Device) -> None:
     with server.background("rtu+udp://127.0.0.1:0") as running, bound() as client:
         where = ("127.0.0.1", parse(running.urls[0]).port)
         client.sendto(write, where)
-        client.settimeout(0.5)
+        client.settimeout(0.2)
         with contextlib.suppress(TimeoutError):
             for _ in range(100):
                 answer = client.recv(600)

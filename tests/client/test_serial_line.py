@@ -4,46 +4,39 @@ What is particular to serial lines: silence, echo, direction control, settings.
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
 import re
 import subprocess
 import sys
+import termios
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from libmodbus_py import Context, Device, ModbusError, RtuContext, Server, framing
+from libmodbus_py import (
+    Context,
+    Device,
+    Mapping,
+    ModbusError,
+    RtuContext,
+    Server,
+    State,
+    framing,
+)
 from libmodbus_py.testing.wires import SerialWire
 from tests.support.c_programs import SOURCES, compile_c
-from tests.support.clients import Connect
-from tests.support.fake import FakeUnit
+from tests.support.clients import ALL, Connect, asking, read
+from tests.support.peers import FakeUnit, answer
+
+
+def rtu(request: bytes) -> bytes:
+    return answer(request, "rtu")
+
 
 ANSWER = framing.RtuFramer("server").encode(framing.Frame(1, b"\x03\x02\x00\x07"))
-
-
-class Recorder:
-    """Answers rightly, and notes when requests came and answers went."""
-
-    def __init__(self) -> None:
-        self.came: list[float] = []
-        self.went: list[float] = []
-
-    def __call__(self, request: bytes) -> list[bytes]:
-        self.came.append(time.monotonic())
-        self.went.append(time.monotonic())
-        return [ANSWER]
-
-
-def test_a_request_waits_for_the_line_to_have_been_silent(connect: Connect) -> None:
-    unit = Recorder()
-    with (
-        FakeUnit(unit) as port,
-        connect(f"rtu://{port.path}?baudrate=115200&silence=0.03") as context,
-    ):
-        for _ in range(5):
-            assert context.read_holding_registers(0, 1) == [7]
-    gaps = [came - went for came, went in zip(unit.came[1:], unit.went, strict=False)]
-    assert min(gaps) >= 0.03
 
 
 def test_a_server_answers_after_the_silence(device: Device) -> None:
@@ -176,3 +169,76 @@ def test_settings_in_the_url_reach_the_port(device: Device, query: str) -> None:
     ):
         for _ in range(3):
             assert context.read_holding_registers(100, 1) == [1000]
+
+
+# --- delimiters and noise -----------------------------------------------------------------------
+
+
+@ALL
+@pytest.mark.parametrize("scheme", ["ascii+tcp", "ascii"])
+def test_an_accepted_delimiter_is_followed_and_a_restart_ends_it(scheme: str, kind: str) -> None:
+    with contextlib.ExitStack() as stack:
+        server = Server(Device(Mapping(holding_registers=10)))
+        if scheme == "ascii":
+            wire = stack.enter_context(SerialWire())
+            stack.enter_context(server.background(f"ascii://{wire.server}?baudrate=115200"))
+            url = f"ascii://{wire.client}?baudrate=115200"
+        else:
+            url = stack.enter_context(server.background("ascii+tcp://127.0.0.1:0")).urls[0]
+        client = stack.enter_context(asking(kind, url))
+        client.write_register(3, 42)
+        client.diagnostics(3, 0x2100)
+        assert read(client, 3) == 42
+        client.diagnostics(3, 0x2400)
+        assert read(client, 3) == 42
+        with pytest.raises(ModbusError):  # a colon ends nothing
+            client.diagnostics(3, 0x3A00)
+        assert read(client, 3) == 42
+        client.diagnostics(1)
+        assert read(client, 3) == 42
+
+
+@ALL
+@pytest.mark.parametrize("in_url", [True, False])
+def test_a_delimiter_that_the_device_has_already_is_an_option(in_url: bool, kind: str) -> None:
+    def with_dollar(request: bytes) -> list[bytes]:
+        assert request.endswith(b"\r$")
+        return [answer(request, "ascii")[:-1] + b"$"]
+
+    query, options = ("&delimiter=0x24", {}) if in_url else ("", {"delimiter": 0x24})
+    with (
+        FakeUnit(with_dollar) as unit,
+        asking(kind, f"ascii://{unit.path}?baudrate=115200{query}", **options) as client,
+    ):
+        assert read(client, 3) == 3
+
+
+@ALL
+def test_a_byte_right_behind_a_flush_does_not_reopen_the_port(
+    kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As a line picks up while nobody talks; each opening locks the port."""
+    lock, flush, locks = fcntl.flock, termios.tcflush, []
+
+    def counted(*args: Any) -> None:
+        locks.append(args)
+        lock(*args)
+
+    def followed(*args: Any) -> None:
+        flush(*args)
+        unit.write(b"\x00")
+        time.sleep(0.002)
+
+    monkeypatch.setattr(fcntl, "flock", counted)
+    with (
+        FakeUnit(lambda request: [rtu(request)]) as unit,
+        asking(kind, f"rtu://{unit.path}?baudrate=115200") as client,
+    ):
+        monkeypatch.setattr(termios, "tcflush", followed)
+        for address in range(10):
+            unit.write(b"\x00")
+            time.sleep(0.003)
+            assert read(client, address) == address
+        assert len(locks) == 1
+        assert client.state is State.CONNECTED
+        assert client.statistics.lost == 0

@@ -7,20 +7,22 @@ from __future__ import annotations
 import asyncio
 import os
 import signal
-import socket
 import struct
 import time
-from collections.abc import Callable
 from contextlib import suppress
-from typing import Any
+from unittest.mock import patch
 
 import pytest
 
-from libmodbus_py import AsyncClient, Context, ModbusError, RtuContext, pdu
+from libmodbus_py import AsyncClient, ModbusError, pdu
 from libmodbus_py.client.statistics import RESULTS, TIME_BOUNDS, Statistics
 from libmodbus_py.protocol.framing import crc16
-from tests.support.clients import Connect
-from tests.support.fake import FakeServer, FakeUnit, echo, mbap, refusing, url_of
+from tests.simulation import network
+from tests.simulation.network import Network
+from tests.simulation.scripted import Scripted
+from tests.simulation.sockets import DELAY
+from tests.support.clients import BLOCKING, EVERYWHERE, Simulated, World, asking
+from tests.support.peers import TcpPeer, Write, answering, echo, mbap
 
 REQUEST = pdu.ReadHoldingRegisters(5, 1)
 WRITE = pdu.WriteRegister(5, 7)
@@ -32,14 +34,6 @@ def refused(request: bytes) -> list[bytes]:
 
 def good(request: bytes) -> list[bytes]:
     return [echo(request)] if request[7] == 3 else [request]
-
-
-def late(seconds: float) -> Callable[[bytes], list[bytes]]:
-    def answer(request: bytes) -> list[bytes]:
-        time.sleep(seconds)
-        return good(request)
-
-    return answer
 
 
 def silent(request: bytes) -> list[bytes]:
@@ -62,9 +56,10 @@ def check(statistics: Statistics) -> None:
     assert refusals == statistics.exceptions
 
 
-def test_each_request_has_one_result(connect: Connect) -> None:
-    answers = [good, good, refused, good, silent, short, None, good]
-    with FakeServer(*answers) as server, connect(server.url, timeout=0.3) as plc:
+@EVERYWHERE
+def test_each_request_has_one_result(world: World) -> None:
+    peer = world.peer("tcp", answering(good, good, refused, good, silent, short, None, good))
+    with world.connect(peer.url, timeout=60 if world.is_exact else 1) as plc:
         for request in (REQUEST, WRITE, REQUEST, REQUEST, REQUEST, WRITE, REQUEST, REQUEST):
             with suppress(ModbusError):
                 plc.execute(request)
@@ -79,16 +74,18 @@ def test_each_request_has_one_result(connect: Connect) -> None:
         check(plc.statistics)
 
 
-def test_repetitions_have_results_of_their_own(connect: Connect) -> None:
-    with FakeServer(silent, good) as server, connect(server.url, timeout=0.2, retries=3) as plc:
+def test_repetitions_have_results_of_their_own(world: World) -> None:
+    peer = world.peer("tcp", answering(silent, good))
+    with world.connect(peer.url, timeout=0.2, retries=3) as plc:
         plc.execute_many([REQUEST])
         assert plc.statistics.results == {(3, "timeout"): 1, (3, "ok"): 1}
         check(plc.statistics)
 
 
-def test_what_nobody_waits_for_any_more_is_cancelled(connect: Connect) -> None:
+def test_what_nobody_waits_for_any_more_is_cancelled(world: World) -> None:
     """The first failure ends a batch; the answers to the others come, and are dropped."""
-    with FakeServer(refused, good) as server, connect(server.url, timeout=1) as plc:
+    peer = world.peer("tcp", answering(refused, good))
+    with world.connect(peer.url, timeout=1) as plc:
         with pytest.raises(ModbusError):
             plc.execute_many([REQUEST] * 8, max_in_flight=4)
         results = dict(plc.statistics.results)
@@ -97,22 +94,24 @@ def test_what_nobody_waits_for_any_more_is_cancelled(connect: Connect) -> None:
         check(plc.statistics)
 
 
-def test_what_was_not_sent_is_told_from_the_rest(connect: Connect) -> None:
-    with refusing() as bound:
-        plc = connect(url_of(bound), timeout=0.2)
-        for _ in range(2):
-            with pytest.raises(ModbusError):
-                plc.execute(REQUEST)
-        plc.execute_many([REQUEST, WRITE], return_exceptions=True)
-        assert plc.statistics.results == {(3, "unsent"): 3, (6, "unsent"): 1}
-        assert plc.statistics.requests == 0
-        plc.close()
-        check(plc.statistics)
+def test_what_was_not_sent_is_told_from_the_rest(world: World) -> None:
+    plc = world.connect("tcp://10.0.0.9", timeout=0.2)
+    for _ in range(2):
+        with pytest.raises(ModbusError):
+            plc.execute(REQUEST)
+    plc.execute_many([REQUEST, WRITE], return_exceptions=True)
+    assert plc.statistics.results == {(3, "unsent"): 3, (6, "unsent"): 1}
+    assert plc.statistics.requests == 0
+    plc.close()
+    check(plc.statistics)
 
 
 def test_a_cancelled_request_is_counted_so() -> None:
+    world = Network()
+    peer = Scripted(world, "tcp://10.0.0.1", answering(silent, good))
+
     async def cancel() -> Statistics:
-        async with AsyncClient(server.url, timeout=5) as plc:
+        async with AsyncClient(peer.url, timeout=5) as plc:
             with pytest.raises(TimeoutError):
                 async with asyncio.timeout(0.1):
                     await plc.execute(REQUEST)
@@ -120,20 +119,21 @@ def test_a_cancelled_request_is_counted_so() -> None:
             await plc.execute(REQUEST)
             return plc.statistics
 
-    with FakeServer(silent, good) as server:
-        statistics = asyncio.run(cancel())
+    statistics = world.run(cancel)
     assert statistics.results == {(3, "cancelled"): 1, (3, "ok"): 1}
     check(statistics)
 
 
-@pytest.mark.parametrize("native", [True, False])
-def test_an_interrupted_request_is_counted_so(native: bool) -> None:
+@BLOCKING
+def test_an_interrupted_request_is_counted_so(kind: str) -> None:
     def interrupt(request: bytes) -> list[bytes]:
         os.kill(os.getpid(), signal.SIGINT)
         return []
 
-    options: Any = {"timeout": 5, "native": native}
-    with FakeServer(interrupt, good) as server, Context.from_url(server.url, **options) as plc:
+    with (
+        TcpPeer(answering(interrupt, good)) as server,
+        asking(kind, server.url, timeout=60) as plc,
+    ):
         with pytest.raises(KeyboardInterrupt):
             plc.execute(REQUEST)
         assert plc.statistics.results == {(3, "cancelled"): 1}
@@ -142,70 +142,67 @@ def test_an_interrupted_request_is_counted_so(native: bool) -> None:
         check(plc.statistics)
 
 
-def test_a_broadcast_is_silent() -> None:
-    with FakeUnit(silent) as unit, RtuContext(unit.path, unit=0, turnaround=0.01) as plc:
+def test_a_broadcast_is_silent(world: World) -> None:
+    unit = world.peer("rtu", answering(silent))
+    with world.connect(unit.url, unit=0, turnaround=0.01) as plc:
         plc.write_register(5, 7)
         assert plc.statistics.results == {(6, "silent"): 1}
         check(plc.statistics)
 
 
-@pytest.mark.parametrize("native", [True, False])
-def test_lines_count_as_networks_do(native: bool) -> None:
+@EVERYWHERE
+def test_lines_count_as_networks_do(world: World) -> None:
     def read(request: bytes) -> list[bytes]:
         frame = request[:2] + b"\x02\0\x07"
         return [frame + struct.pack("<H", crc16(frame))]
 
-    answers = [read, read, read, silent]
-    with FakeUnit(*answers) as unit, RtuContext(unit.path, timeout=0.3, native=native) as plc:
+    unit = world.peer("rtu", answering(read, read, read, silent))
+    with world.connect(unit.url, timeout=30) as plc:
         for _ in range(3):
             assert plc.execute(REQUEST) == [7]
+        plc.timeout = 0.1
         with pytest.raises(ModbusError):
             plc.execute(REQUEST)
         assert plc.statistics.results == {(3, "ok"): 3, (3, "timeout"): 1}
         check(plc.statistics)
 
 
-def test_answer_times_are_those_that_passed(connect: Connect) -> None:
-    """From sending to the answer: within what the caller measured, and no less than the wait."""
-    answers = [good, late(0.06), late(0.3), good]
-    with FakeServer(*answers) as server, connect(server.url, timeout=5) as plc:
-        start = time.monotonic()
-        for _ in answers:
+@pytest.mark.parametrize("seconds", [0.0009, 0.06, 0.3, 9.9])
+def test_answer_times_are_those_that_passed(world: World, seconds: float) -> None:
+    """From sending to the answer: no more, no less."""
+    peer = world.peer("tcp", lambda request, write: write(echo(request), after=seconds - 2 * DELAY))
+    with world.connect(peer.url, timeout=50) as plc:
+        for _ in range(3):
             plc.execute(REQUEST)
-        passed = time.monotonic() - start
         statistics = plc.statistics
-        assert 0.36 <= statistics.answer_seconds <= passed
-        times = statistics.answer_times
-        slower = {bound: sum(times[at + 1 :]) for at, bound in enumerate(TIME_BOUNDS)}
-        assert slower[0.05] >= 2
-        assert slower[0.25] >= 1
-        assert slower[10.0] == 0
+        assert statistics.answer_seconds == pytest.approx(3 * seconds)
+        at = next(at for at, bound in enumerate(TIME_BOUNDS) if seconds <= bound)
+        assert statistics.answer_times[at] == 3
+        assert sum(statistics.answer_times) == 3
         check(statistics)
 
 
-def test_connecting_is_no_time_of_an_answer() -> None:
+def test_connecting_is_no_time_of_an_answer(world: Simulated) -> None:
     """A request that waits for the connection has not been sent."""
+    peer = world.peer("tcp", answering(good))
+    plc = world.connect(peer.url, timeout=20)
+    with patch.object(network, "CONNECTING", 5.0), world.lasting(5.0):
+        plc.execute(REQUEST)
+    assert plc.statistics.answer_seconds == pytest.approx(2 * DELAY)
+    plc.close()
 
-    async def ask(listener: socket.socket) -> None:
-        plc = AsyncClient(url_of(listener), timeout=20)
-        asked = asyncio.create_task(plc.execute(REQUEST))
-        await asyncio.sleep(0.25)
-        freed = time.monotonic()
-        listener.accept()[0].close()
-        listener.settimeout(20)
-        peer, _ = await asyncio.to_thread(listener.accept)
-        with peer:
-            peer.settimeout(20)
-            peer.sendall(echo(await asyncio.to_thread(peer.recv, 260)))
-            assert await asked == [5]
-        assert 0 < plc.statistics.answer_seconds <= time.monotonic() - freed
-        await plc.close()
 
-    with socket.socket() as listener, socket.socket() as filler:
-        listener.bind(("127.0.0.1", 0))
-        listener.listen(0)  # room for one: the next one is let in when it asks again
-        filler.connect(listener.getsockname())
-        asyncio.run(ask(listener))
+@pytest.mark.parametrize("kind", ["native"])
+def test_answer_times_on_the_real_system(kind: str) -> None:
+    def late(request: bytes, write: Write) -> None:
+        write(echo(request), after=0.06)
+
+    with TcpPeer(late) as peer, asking(kind, peer.url, timeout=60) as plc:
+        before = time.monotonic()
+        plc.execute(REQUEST)
+        passed = time.monotonic() - before
+        assert 0.06 <= plc.statistics.answer_seconds <= passed
+        check(plc.statistics)
 
 
 def test_all_results_are_explained() -> None:

@@ -21,7 +21,7 @@ from libmodbus_py import (
     Server,
     pdu,
 )
-from tests.support.fake import FakeServer, dead, mbap
+from tests.support.peers import FakeServer, dead, mbap
 
 READ = pdu.ReadHoldingRegisters(0, 2)
 

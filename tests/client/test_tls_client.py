@@ -39,9 +39,9 @@ from tests.support.certificates import (
     not_yet_valid,
     self_signed,
 )
-from tests.support.clients import Connect
-from tests.support.fake import echo, until
+from tests.support.clients import Connect, connecting
 from tests.support.names import resolve
+from tests.support.peers import echo, until
 from tests.support.tls_peers import (
     HANDSHAKE,
     Peer,
@@ -54,6 +54,13 @@ from tests.support.tls_peers import (
 )
 
 LONG = 20.0
+
+
+@pytest.fixture(params=["python", "asyncio"])
+def connect(request: pytest.FixtureRequest) -> Iterator[Connect]:
+    """Makes clients of both kinds; C carries nothing over TLS."""
+    with connecting(request.param) as made:
+        yield made
 
 
 @pytest.fixture

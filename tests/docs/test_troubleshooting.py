@@ -17,7 +17,7 @@ import pytest
 from libmodbus_py import Context, ModbusError
 from tests.docs.documents import ROOT
 from tests.docs.python_blocks import matches
-from tests.support.fake import FakeServer, FakeUnit, dead, mbap, refusing, url_of
+from tests.support.peers import FakeServer, FakeUnit, dead, mbap, refusing, url_of
 from tests.support.talk import ascii_frame, rtu
 
 PAGE = (ROOT / "docs" / "troubleshooting.md").read_text()

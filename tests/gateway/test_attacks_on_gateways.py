@@ -35,8 +35,8 @@ from tests.support.attacks import (
     ServerProcess,
     descriptor_limit,
 )
-from tests.support.fake import FakeServer, until
 from tests.support.gateways import passage
+from tests.support.peers import FakeServer, until
 
 MEMORY = 32 << 20
 

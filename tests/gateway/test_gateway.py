@@ -39,9 +39,9 @@ from libmodbus_py import (
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.testing.wires import SerialWire
 from tests.support.certificates import Papers
-from tests.support.fake import until
 from tests.support.gateways import Bus, passage
 from tests.support.interop import UNIT, exchanges, make_device, refusals
+from tests.support.peers import until
 
 FRONTS = ["tcp", "udp", "rtu+udp", "rtu+tcp", "ascii+tcp", "rtu", "ascii"]
 SIDES = [(front, back) for front in FRONTS for back in FRONTS]

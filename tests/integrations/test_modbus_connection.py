@@ -18,7 +18,7 @@ from libmodbus_py.protocol.framing import crc16
 from libmodbus_py.testing.wires import SerialWire
 from tests.support import certificates
 from tests.support.certificates import Papers, expired
-from tests.support.fake import FakeServer, FakeUnit, echo, mbap, refusing
+from tests.support.peers import FakeServer, FakeUnit, echo, mbap, refusing
 from tests.support.scripted import run
 from tests.support.tls import context
 from tests.support.tls_peers import TlsServer, context_of

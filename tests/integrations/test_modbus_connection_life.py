@@ -16,8 +16,8 @@ import pytest
 
 from libmodbus_py import pdu
 from libmodbus_py.protocol.framing import Frame, make_framer
-from tests.support import fake
-from tests.support.fake import FakeServer, FakeUnit, dead
+from tests.support import peers as fake
+from tests.support.peers import FakeServer, FakeUnit, dead
 from tests.support.scripted import Scripted, Write, answer, echo, ignore, run
 
 theirs: Any = pytest.importorskip(

@@ -46,7 +46,7 @@ from libmodbus_py.server.limits import ServerStatistics
 from tests.simulation.network import Network
 from tests.simulation.scripted import Scripted, Write
 from tests.simulation.sockets import DELAY
-from tests.support.fake import echo
+from tests.support.peers import echo
 
 # To a peer in memory and back.
 WAY = 2 * DELAY

@@ -21,8 +21,8 @@ from tests.interop.test_interop_pymodbus import in_background, simulated_device
 from tests.support import certificates
 from tests.support.certificates import Papers
 from tests.support.clients import KINDS, Connect, connecting
-from tests.support.fake import mbap
 from tests.support.interop import UNIT, exchanges
+from tests.support.peers import mbap
 from tests.support.tls_peers import context_of
 
 LONG = 20.0

@@ -24,7 +24,7 @@ from libmodbus_py import (
 )
 from libmodbus_py.maps.plan import Plan, Read, planned
 from tests.support.cases import each_case
-from tests.support.fake import FakeServer, mbap
+from tests.support.peers import FakeServer, mbap
 
 UNIT = 17
 REGISTERS = {

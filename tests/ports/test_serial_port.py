@@ -25,7 +25,7 @@ from libmodbus_py.ports.port import Silence
 from libmodbus_py.ports.serial import SerialPort
 from libmodbus_py.testing.wires import SerialWire
 from tests.support.cases import each_case
-from tests.support.fake import FakeUnit, until
+from tests.support.peers import FakeUnit, until
 
 
 @pytest.fixture

@@ -7,6 +7,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
+import select
 import socket
 import threading
 import time
@@ -16,6 +17,7 @@ from typing import Any
 import pytest
 
 from libmodbus_py import ModbusConnectionError
+from libmodbus_py.client import libmodbus
 from libmodbus_py.ports.sockets import TcpPort, UdpPort
 from libmodbus_py.ports.waiting import (
     READ,
@@ -30,8 +32,8 @@ from libmodbus_py.ports.waiting import (
 )
 from libmodbus_py.ports.waiting_async import run_async
 from tests.support.cases import each_case
-from tests.support.fake import dead, until
 from tests.support.pace import LATE
+from tests.support.peers import dead, until
 
 Drive = Callable[[Steps[Any]], Any]
 
@@ -278,6 +280,8 @@ def test_woken_while_it_looks_up_a_name(waker: Waker, stuck: threading.Event) ->
     threading.Thread(target=lambda: (stuck.asked.wait(5), waker.wake())).start()  # type: ignore[attr-defined]
     with pytest.raises(Woken):
         run(TcpPort("stuck.invalid", 502, None).opening(soon(10)), waker)
+    stuck.set()  # what it holds open is given back before the next test counts
+    until(lambda: all(each.name != "look-up" for each in threading.enumerate()))
 
 
 def test_woken_in_a_pause(waker: Waker) -> None:
@@ -363,3 +367,58 @@ def test_cancelling_a_look_up_does_not_wait_for_it(stuck: threading.Event) -> No
 def test_milliseconds_are_rounded_up_to_a_day_at_most(seconds: float, rounded: int) -> None:
     assert milliseconds(seconds) == rounded
     assert milliseconds(float("inf")) == 86_400_000
+
+
+class Counted:
+    """In place of what polls: nothing ever happens, and the clock moves by what was waited."""
+
+    def __init__(self) -> None:
+        self.now = 0.0
+        self.waits: list[int] = []
+
+    def poll(self, milliseconds: int) -> list[tuple[int, int]]:
+        self.waits.append(milliseconds)
+        self.now += milliseconds / 1000
+        return []
+
+    def register(self, *_: object) -> None:
+        pass
+
+
+@pytest.mark.parametrize("seconds", [0.0, 0.5, 1.0, 1.0005, 90_000.5])
+def test_the_system_waits_a_second_at_a_time(
+    seconds: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A signal just before a wait does not end it: its handler must not wait for a timeout."""
+    counted = Counted()
+    monkeypatch.setattr(select, "poll", lambda: counted)
+    waker = Waker()
+    waker.now = lambda: counted.now
+    waker.watch(-1)
+    for wait in (
+        lambda: waker.is_ready(seconds),
+        lambda: waker.wait(-1, READ, counted.now + seconds),
+    ):
+        before = counted.now
+        assert not wait()
+        assert seconds <= counted.now - before <= seconds + 0.0011
+    assert max(counted.waits) <= 1000
+    waker.close()
+
+
+@pytest.mark.parametrize(("timeout", "waited"), [(0.5, 0.5), (600.0, 1.0)])
+def test_c_waits_a_second_at_most(
+    timeout: float, waited: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given: list[Any] = []
+
+    class Library:
+        @staticmethod
+        def exchange(*args: Any) -> int:
+            given.append(args)
+            return 0
+
+    monkeypatch.setattr(libmodbus, "lib", Library)
+    carrier = libmodbus.NativeCarrier(TcpPort("127.0.0.1", 502, None))
+    assert carrier.carry(1, 1, b"\3\0\0\0\1", timeout, -1) == b""
+    assert given[0][-1] == waited

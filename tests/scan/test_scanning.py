@@ -33,8 +33,8 @@ from tests.scan.serial_bus import Bus, Member, of
 from tests.scan.simulated_bus import SimulatedBus, answering, served, simulated
 from tests.support import certificates
 from tests.support.certificates import Papers
-from tests.support.fake import FakeServer, dead, mbap, refusing, until, url_of
 from tests.support.interop import UNIT, program
+from tests.support.peers import FakeServer, dead, mbap, refusing, until, url_of
 
 QUICK = 0.05  # seconds for the answer of somebody who is not there
 PATIENT = 1.0  # for one who is, on a busy machine

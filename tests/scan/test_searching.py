@@ -26,8 +26,8 @@ from tests.scan import simulated_bus as peers
 from tests.scan.serial_bus import Bus, Member, of
 from tests.scan.simulated_bus import simulated
 from tests.simulation.scripted import Scripted
-from tests.support.fake import FakeServer, mbap, refusing, url_of
 from tests.support.interop import program
+from tests.support.peers import FakeServer, mbap, refusing, url_of
 
 PATIENT = 1.0
 

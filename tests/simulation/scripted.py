@@ -5,6 +5,7 @@ Peers that do what a test says, on a network in memory: over TCP, as datagrams, 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 from libmodbus_py.ports.endpoint import parse
 
@@ -15,7 +16,7 @@ from .sockets import MemorySocket
 __all__ = ["OnRequest", "Scripted", "Write"]
 
 Write = Callable[..., None]
-"""Takes bytes to send, and after how many seconds: ``write(data, after=0.5)``."""
+"""Takes bytes to send, or None to close; and after how many seconds: ``write(data, after=0.5)``."""
 
 OnRequest = Callable[[bytes, Write], object]
 """Called with each request as it came, and what answers it."""
@@ -33,6 +34,7 @@ class Scripted(Party):
     Attributes:
         requests: all that came, oldest first; `times` when, in seconds.
         connections: how many were made.
+        ends: this side of those that were not dropped.
         url: with the port that it got.
     """
 
@@ -43,7 +45,7 @@ class Scripted(Party):
         self.times: list[float] = []
         self.connections: int = 0
         self._network = network
-        self._ends: list[MemorySocket] = []
+        self.ends: list[MemorySocket] = []
         endpoint = parse(url)
         self._has_header = endpoint.framing == "tcp"
         if endpoint.transport == "serial":
@@ -55,25 +57,32 @@ class Scripted(Party):
 
     def drop_all(self) -> None:
         """Reset every connection, as a crash does."""
-        for end in self._ends:
+        for end in self.ends:
             if not end.is_closed:
                 end.other.reset()
                 end.close()
-        self._ends.clear()
+        self.ends.clear()
 
     def hear(self, data: bytes) -> None:
         self._note(data, self._write_to_line)
 
     def _write_to_line(self, data: bytes, after: float = 0.0) -> None:
-        self._network.events.after(after, self._line.write, self, data)
+        self._later(after, self._line.write, self, data)
+
+    def _later(self, after: float, call: Callable[..., object], *args: Any) -> None:
+        """Do it now, or in so many seconds; simultaneous events have no order, but writes do."""
+        if after:
+            self._network.events.after(after, call, *args)
+        else:
+            call(*args)
 
     def _accept(self, end: MemorySocket, address: tuple[str, int]) -> None:
         self.connections += 1
-        self._ends.append(end)
+        self.ends.append(end)
         pending = bytearray()
 
-        def write(data: bytes, after: float = 0.0) -> None:
-            self._network.events.after(after, _send, end, data)
+        def write(data: bytes | None, after: float = 0.0) -> None:
+            self._later(after, _send, end, data)
 
         def take() -> None:
             while end.is_readable:
@@ -99,8 +108,11 @@ class Scripted(Party):
         self.on_request(request, write)
 
 
-def _send(end: MemorySocket, data: bytes) -> None:
+def _send(end: MemorySocket, data: bytes | None) -> None:
     if end.is_closed:
+        return
+    if data is None:
+        end.close()
         return
     try:
         end.send(data)

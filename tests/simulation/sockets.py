@@ -125,6 +125,8 @@ class MemorySocket:
         self._check()
         if self._error or self._is_shut:
             raise _error(self._error or errno.EPIPE)
+        if not data and not self._is_datagram:
+            return 0
         room = self._room
         if room <= 0 and not self._is_datagram:
             raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))

@@ -1,59 +1,68 @@
 """
-Every kind of client behind the same calls, for tests of what holds for all of them.
+Every kind of client behind the same calls, on the real system or on a network in memory.
+
+`connecting` makes clients of one kind on the real system. A `World` makes clients and the peers
+that they talk to, in one of two places: `Real` has sockets, threads and seconds; `Simulated` has a
+`Network` whose clock jumps, where times are exact.
 """
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import inspect
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from typing import Any, Self
 
+import pytest
+
 from libmodbus_py import AsyncClient, Context
+from tests.simulation.loop import VirtualLoop, complaints_of
+from tests.simulation.network import Network
+from tests.simulation.scripted import Scripted
+from tests.support.peers import OnRequest, Peer, peer_at
+
+# fmt: off
+__all__ = [
+    "ALL", "BLOCKING", "EVERYWHERE", "KINDS", "NATIVE", "Awaited", "Connect", "Real", "Simulated",
+    "World", "asking", "connecting", "making", "read", "running_loop", "threadsafe",
+]
+# fmt: on
 
 KINDS = ["native", "python", "asyncio"]
+"""A context whose requests C carries where it can, one without C, and `AsyncClient`."""
+
+ALL = pytest.mark.parametrize("kind", KINDS)
+BLOCKING = pytest.mark.parametrize("kind", KINDS[:2])
+NATIVE = pytest.mark.parametrize("native", [True, False])
+EVERYWHERE = pytest.mark.parametrize("world", KINDS, indirect=True)
+"""In simulated time without C, and in real time with it: see the fixture `world`."""
 
 # A URL and options -> a client, to be used as a `Context` is.
 Connect = Callable[..., Any]
 
 
-@contextmanager
-def connecting(kind: str) -> Iterator[Connect]:
-    """Give what makes clients: contexts with or without libmodbus, or an AsyncClient."""
-    if kind == "asyncio":
-        with running_loop() as loop:
-            yield lambda url, **options: Awaited(loop, AsyncClient(url, **options))
-    else:
-        yield partial(Context.from_url, native=kind == "native")
-
-
-@contextmanager
-def running_loop() -> Iterator[asyncio.AbstractEventLoop]:
-    """An event loop in a thread; whatever it complains of fails the test."""
-    complaints: list[dict[str, Any]] = []
-    loop = asyncio.new_event_loop()
-    loop.set_exception_handler(lambda loop, context: complaints.append(context))
-    thread = threading.Thread(target=loop.run_forever)
-    thread.start()
-    try:
-        yield loop
-    finally:
-        loop.call_soon_threadsafe(loop.stop)
-        thread.join()
-        left = asyncio.all_tasks(loop)
-        loop.close()
-    assert not complaints
-    assert not left
+def read(client: Any, address: int) -> int:
+    """Return the value of one holding register."""
+    (value,) = client.read_holding_registers(address, 1)
+    assert isinstance(value, int)
+    return value
 
 
 class Awaited:
-    """An AsyncClient as any thread sees it that waits for what it asks."""
+    """
+    An `AsyncClient` with the calls of a `Context`.
 
-    def __init__(self, loop: asyncio.AbstractEventLoop, plc: AsyncClient) -> None:
-        vars(self).update(_loop=loop, _plc=plc)
+    Args:
+        run: returns what an awaitable returns.
+    """
+
+    def __init__(self, run: Callable[[Any], Any], plc: AsyncClient) -> None:
+        vars(self).update(_run=run, _plc=plc)
 
     def __getattr__(self, name: str) -> Any:
         found = getattr(self._plc, name)
@@ -63,8 +72,8 @@ class Awaited:
         def call(*arguments: Any, **options: Any) -> Any:
             result = found(*arguments, **options)
             if not inspect.iscoroutine(result):
-                return Awaited(self._loop, result)
-            return asyncio.run_coroutine_threadsafe(result, self._loop).result(30)
+                return Awaited(self._run, result)
+            return self._run(result)
 
         return call
 
@@ -72,7 +81,7 @@ class Awaited:
         async def change() -> None:
             setattr(self._plc, name, value)
 
-        asyncio.run_coroutine_threadsafe(change(), self._loop).result()
+        self._run(change())
 
     def __enter__(self) -> Self:
         try:
@@ -84,3 +93,172 @@ class Awaited:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+# --- on the real system -----------------------------------------------------------------------
+
+
+@contextmanager
+def connecting(kind: str) -> Iterator[Connect]:
+    """Yield what makes clients: contexts with or without libmodbus, or an AsyncClient."""
+    if kind == "asyncio":
+        with running_loop() as loop:
+            yield lambda url, **options: Awaited(threadsafe(loop), AsyncClient(url, **options))
+    else:
+        yield partial(Context.from_url, native=kind == "native")
+
+
+@contextmanager
+def asking(kind: str, url: str, **options: Any) -> Iterator[Any]:
+    """Make one client, connect it, and close it in the end."""
+    with connecting(kind) as connect, connect(url, **options) as client:
+        yield client
+
+
+def threadsafe(loop: asyncio.AbstractEventLoop) -> Callable[[Any], Any]:
+    """Return what has a coroutine run by the loop of another thread."""
+
+    def run(coroutine: Any) -> Any:
+        return asyncio.run_coroutine_threadsafe(coroutine, loop).result(30)
+
+    return run
+
+
+@contextmanager
+def running_loop() -> Iterator[asyncio.AbstractEventLoop]:
+    """An event loop in a thread; whatever it complains of fails the test."""
+    loop = asyncio.new_event_loop()
+    thread = threading.Thread(target=loop.run_forever)
+    with complaints_of(loop) as complaints:
+        thread.start()
+        try:
+            yield loop
+        finally:
+            loop.call_soon_threadsafe(loop.stop)
+            thread.join()
+            left = asyncio.all_tasks(loop)
+            loop.close()
+    assert not complaints
+    assert not left
+
+
+# --- either -----------------------------------------------------------------------------------
+
+
+class World:
+    """
+    Clients of one kind, and peers for them.
+
+    Attributes:
+        kind: one of `KINDS`.
+        is_exact: whether nothing takes longer than it must.
+    """
+
+    kind: str
+    is_exact: bool
+
+    def connect(self, url: str, **options: Any) -> Any:
+        """Return a client, to be used as a `Context` is."""
+        raise NotImplementedError
+
+    def peer(self, scheme: str, on_request: OnRequest) -> Any:
+        """Return a `Peer` or a `Scripted` that runs until the world ends."""
+        raise NotImplementedError
+
+    @property
+    def now(self) -> float:
+        """The time in seconds."""
+        raise NotImplementedError
+
+    def sleep(self, seconds: float) -> None:
+        """Let time pass."""
+        raise NotImplementedError
+
+    @contextmanager
+    def lasting(self, seconds: float, more: float = 0.002) -> Iterator[None]:
+        """
+        Demand that what is done within takes so many seconds.
+
+        Args:
+            more: how much longer it may take, where time is exact: the way of a request, and the
+                millisecond that `poll` counts. On the real system it may take any time longer.
+        """
+        start = self.now
+        yield
+        # A timer may ring a nanosecond early.
+        least, most = seconds - 1e-6, seconds + more if self.is_exact else float("inf")
+        assert least <= self.now - start <= most, f"it took {self.now - start} s, not {seconds} s"
+
+
+class Real(World):
+    """The real system: peers have threads, and waiting takes its time."""
+
+    is_exact = False
+
+    def __init__(self, kind: str, connect: Connect, stack: contextlib.ExitStack) -> None:
+        self.kind = kind
+        self._connect = connect
+        self._stack = stack
+
+    def connect(self, url: str, **options: Any) -> Any:
+        return self._connect(url, **options)
+
+    def peer(self, scheme: str, on_request: OnRequest) -> Peer:
+        return self._stack.enter_context(peer_at(scheme, on_request))
+
+    @property
+    def now(self) -> float:
+        return time.monotonic()
+
+    def sleep(self, seconds: float) -> None:
+        time.sleep(seconds)
+
+
+class Simulated(World):
+    """A network in memory: waiting takes no time, and times are exact."""
+
+    is_exact = True
+
+    def __init__(self, kind: str, network: Network, loop: VirtualLoop) -> None:
+        self.kind = kind
+        self.network = network
+        self._loop = loop
+
+    def connect(self, url: str, **options: Any) -> Any:
+        if self.kind == "asyncio":
+            return Awaited(self._loop.run_until_complete, AsyncClient(url, **options))
+        return Context.from_url(url, native=False, **options)
+
+    def peer(self, scheme: str, on_request: OnRequest) -> Scripted:
+        where = "/dev/line?baudrate=115200" if scheme in ("rtu", "ascii") else "10.0.0.1"
+        return Scripted(self.network, f"{scheme}://{where}", on_request)
+
+    @property
+    def now(self) -> float:
+        return self.network.events.now
+
+    def sleep(self, seconds: float) -> None:
+        self._loop.run_until_complete(asyncio.sleep(seconds))
+
+    def compute(self, seconds: float) -> None:
+        """Let time pass while the program does other things, and its event loop nothing."""
+        until = self.now + seconds
+        while self.now < until:
+            self.network.events.advance(until)
+
+
+@contextmanager
+def making(kind: str) -> Iterator[World]:
+    """Yield a world for clients of a kind: real for those that C carries, else simulated."""
+    if kind == "native":
+        with contextlib.ExitStack() as stack:
+            connect = stack.enter_context(connecting(kind))
+            yield Real(kind, connect, stack)
+        return
+    network = Network()
+    loop = network.loop()
+    with contextlib.closing(loop), network.installed(), complaints_of(loop) as complaints:
+        yield Simulated(kind, network, loop)
+        left = [repr(task.get_coro()) for task in asyncio.all_tasks(loop)]
+    assert not complaints, complaints
+    assert not left, left

@@ -22,7 +22,7 @@ from cryptography.hazmat.primitives.kdf.hkdf import HKDFExpand
 
 from libmodbus_py.security.making import Identity
 from tests.support.certificates import Papers
-from tests.support.fake import Answer, FakeServer, echo
+from tests.support.peers import Answer, echo
 
 # fmt: off
 __all__ = [
@@ -136,7 +136,7 @@ class Peer:
 Script = Callable[[Peer], object]
 
 
-class TlsServer(FakeServer):
+class TlsServer:
     """
     Shakes hands on one connection after the other, and hands each to a script.
 
@@ -145,19 +145,48 @@ class TlsServer(FakeServer):
         script: called with each connection that is through; closes it at its end.
 
     Attributes:
+        connections: how many were accepted.
         resumed: for each connection that is through, whether it was.
         errors: of handshakes that failed.
         ended: how many scripts came to their end, and their connections with them.
     """
 
     def __init__(self, context: ssl.SSLContext, script: Script = Peer.serve) -> None:
-        super().__init__(None)
-        self.url = self.url.replace("tcp:", "tls:")
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.port: int = self._listener.getsockname()[1]
+        self.url = f"tls://127.0.0.1:{self.port}"
+        self.connections = 0
+        self._peers: list[socket.socket] = []
+        self._thread = threading.Thread(target=self._serve, daemon=True)
         self.context = context
         self.script = script
         self.resumed: list[bool] = []
         self.errors: list[Exception] = []
         self.ended = 0
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._listener.shutdown(socket.SHUT_RDWR)
+        for peer in self._peers:
+            with contextlib.suppress(OSError):
+                peer.shutdown(socket.SHUT_RDWR)
+        self._thread.join()
+        self._listener.close()
+
+    def _serve(self) -> None:
+        while True:
+            try:
+                peer, _ = self._listener.accept()
+            except OSError:
+                return
+            self.connections += 1
+            peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self._peers.append(peer)
+            with peer, contextlib.suppress(OSError):
+                self._talk(peer)
 
     def _talk(self, peer: socket.socket) -> None:
         made = Peer(peer, self.context)

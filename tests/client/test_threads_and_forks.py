@@ -1,5 +1,5 @@
 """
-What clients must survive: callbacks that raise, forks, threads, closes and cancellation anywhere.
+Clients among threads, forks and callbacks that raise; peers and limits of the process.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ import errno
 import gc
 import os
 import pickle
-import random
 import resource
 import signal
 import socket
@@ -26,20 +25,20 @@ import pytest
 
 from libmodbus_py import (
     AsyncClient,
-    Context,
+    Device,
+    Mapping,
     ModbusConnectionError,
     ModbusError,
     ModbusTimeoutError,
     RtuContext,
+    Server,
     State,
     TcpContext,
     pdu,
 )
-from tests.support.asking import ALL, BLOCKING, NATIVE, answer, asking
-from tests.support.fake import FakeServer, FakeUnit
-from tests.support.pace import LATE
-from tests.support.scripted import Scripted, echo
-from tests.support.scripted import run as run_watched
+from tests.support.clients import ALL, BLOCKING, NATIVE, asking, read
+from tests.support.collecting import new_garbage_only
+from tests.support.peers import FakeServer, FakeUnit, answer, until
 
 
 def tcp(request: bytes) -> list[bytes]:
@@ -81,30 +80,6 @@ def test_a_hook_that_raises_leaves_a_context_that_works(
             assert context.read_holding_registers(address, 1) == [address]
         assert context.state is State.CONNECTED
         context.close()
-
-
-@pytest.mark.parametrize("hook", ["on_state", "trace"])
-@pytest.mark.parametrize("at", range(4))
-def test_a_hook_that_cancels_leaves_a_client_that_works(at: int, hook: str) -> None:
-    calls = iter(range(1000))
-
-    def fail(*_: object) -> None:
-        if next(calls) == at:
-            raise asyncio.CancelledError
-
-    async def main() -> None:
-        async with Scripted(echo).serving() as server:
-            options: dict[str, Any] = {hook: fail}
-            client = AsyncClient(server.url, timeout=0.2, **options)
-            for address in range(4):
-                with contextlib.suppress(ModbusError, asyncio.CancelledError):
-                    assert await client.read_holding_registers(address, 1) == [address]
-            for address in range(3):
-                assert await client.read_holding_registers(address, 1) == [address]
-            with contextlib.suppress(asyncio.CancelledError):
-                await client.close()
-
-    asyncio.run(asyncio.wait_for(main(), 10))
 
 
 @BLOCKING
@@ -175,8 +150,8 @@ def test_a_mistake_in_a_request_class_is_its_callers(mistake: Any, kind: str) ->
                     client.execute(strange(address, 1))
             else:
                 assert client.execute(strange(address, 1)) is mistake
-            assert client.read(address) == address
-        assert client.client.statistics.timeouts == 0
+            assert read(client, address) == address
+        assert client.statistics.timeouts == 0
         if not isinstance(mistake, Raised):
             assert server.connections == 1
 
@@ -192,11 +167,11 @@ def test_a_request_that_encodes_to_nonsense_is_refused(encoded: Any, kind: str) 
         FakeServer(tcp) as server,
         asking(kind, f"tcp://127.0.0.1:{server.port}", timeout=0.5) as client,
     ):
-        assert client.read(1) == 1
+        assert read(client, 1) == 1
         for _ in range(3):
             with pytest.raises((TypeError, ValueError)):
                 client.execute(Nonsense(1, 1))
-            assert client.read(2) == 2
+            assert read(client, 2) == 2
         assert server.connections == 1
 
 
@@ -325,7 +300,7 @@ def test_a_hundred_threads_and_a_close(kind: str) -> None:
             context = TcpContext("127.0.0.1", port, native=kind == "native")
             outcomes: list[object] = []
 
-            def ask(number: int, context: Context = context, told: list[Any] = outcomes) -> None:
+            def ask(number: int, context: TcpContext = context, told: list[Any] = outcomes) -> None:
                 try:
                     for address in range(number, number + 50):
                         assert context.read_holding_registers(address, 1) == [address]
@@ -347,163 +322,12 @@ def test_a_hundred_threads_and_a_close(kind: str) -> None:
             assert not wrong
 
 
-def test_cancelled_at_each_step_of_the_loop_nobody_else_notices() -> None:
-    """Whatever the request waits for: the connection, its slot, its answer."""
-
-    async def main() -> None:
-        async with Scripted(echo).serving() as server:
-            for kept in (True, False):
-                for steps in range(12):
-                    async with AsyncClient(server.url, max_in_flight=2, timeout=2) as client:
-                        if not kept:
-                            server.drop_all()
-                        others = [
-                            asyncio.create_task(client.read_holding_registers(address, 1))
-                            for address in range(3)
-                        ]
-                        batch = asyncio.create_task(
-                            client.execute_many(
-                                [pdu.ReadHoldingRegisters(address, 1) for address in range(256)],
-                                max_in_flight=256,
-                            )
-                        )
-                        last = asyncio.create_task(client.read_holding_registers(9, 1))
-                        for _ in range(steps):
-                            await asyncio.sleep(0)
-                        batch.cancel()
-                        got = await asyncio.gather(*others, last, return_exceptions=True)
-                        if kept:
-                            assert got == [[0], [1], [2], [9]]
-                        with contextlib.suppress(asyncio.CancelledError, ModbusConnectionError):
-                            assert len(await batch) == 256
-                        assert await client.read_holding_registers(5, 1) == [5]
-
-    run_watched(main())
-
-
-def test_random_cancellation_and_timeouts_of_many_tasks() -> None:
-    chance = random.Random(5)
-
-    def slowly(request: bytes, write: Callable[[bytes], None]) -> None:
-        delay = chance.choice([0, 0, 0.001, 0.01, 0.05])
-        asyncio.get_running_loop().call_later(delay, lambda: write(answer(request, "tcp")))
-
-    async def one(client: AsyncClient) -> None:
-        for _ in range(20):
-            address = chance.randrange(1000)
-            with contextlib.suppress(TimeoutError, ModbusError):
-                async with asyncio.timeout(chance.choice([0, 0.0005, 0.005, 0.03, 1])):
-                    got = await client.read_holding_registers(address, 1)
-                    assert got == [address]
-
-    async def main() -> None:
-        async with (
-            Scripted(slowly).serving() as server,
-            AsyncClient(server.url, timeout=0.04) as client,
-        ):
-            await asyncio.wait_for(asyncio.gather(*(one(client) for _ in range(30))), 30)
-            client.timeout = 1
-            assert await client.read_holding_registers(77, 1) == [77]
-
-    run_watched(main())
-
-
-@ALL
-def test_handles_with_their_own_timeouts_share_a_connection(kind: str) -> None:
-    def two_units(request: bytes) -> Iterator[bytes]:
-        if request[6] == 1:
-            yield answer(request, "tcp")
-
-    with (
-        FakeServer(two_units) as server,
-        asking(
-            kind,
-            f"tcp://127.0.0.1:{server.port}",
-            timeout=20,
-            timeouts_before_reconnect=1000,
-        ) as client,
-    ):
-        quick = client.for_unit(2, timeout=0.05, retries=1)
-        for address in range(4):
-            assert client.read(address) == address
-            start = time.monotonic()
-            with pytest.raises(ModbusTimeoutError):
-                quick.read(address)
-            assert 0.09 < time.monotonic() - start < 0.1 + LATE
-        assert server.connections == 1
-
-
-# --- peers ----------------------------------------------------------------------------------------
+# --- peers ---------------------------------------------------------------------------------------
 
 
 def closing(request: bytes) -> Iterator[bytes]:
     yield answer(request, "tcp")
     raise OSError
-
-
-@ALL
-def test_a_server_that_closes_after_each_answer_costs_no_request(kind: str) -> None:
-    with (
-        FakeServer(closing) as server,
-        asking(kind, f"tcp://127.0.0.1:{server.port}", retries=1) as client,
-    ):
-        for address in range(30):
-            assert client.read(address) == address
-        assert server.connections >= 30
-
-
-@ALL
-@pytest.mark.parametrize("retries", [0, 3])
-def test_a_server_that_closes_at_once_is_an_error_soon(retries: int, kind: str) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-
-        def slam() -> None:
-            with contextlib.suppress(OSError):
-                while True:
-                    listener.accept()[0].close()
-
-        thread = threading.Thread(target=slam, daemon=True)
-        thread.start()
-        url = f"tcp://127.0.0.1:{listener.getsockname()[1]}"
-        start = time.monotonic()
-        with (
-            contextlib.suppress(ModbusConnectionError),
-            asking(kind, url, timeout=0.3, retries=retries) as client,
-        ):
-            for _ in range(3):
-                with pytest.raises(ModbusError):
-                    client.read(1)
-        assert time.monotonic() - start < 3 * (1 + retries) * 0.3 + LATE
-        listener.shutdown(socket.SHUT_RDWR)
-        thread.join()
-
-
-@ALL
-def test_one_timeout_before_reconnecting_and_retries(kind: str) -> None:
-    """The first connection is dumb; the request is repeated on the second."""
-
-    class Dumb:
-        requests = 0
-
-        def __call__(self, request: bytes) -> list[bytes]:
-            self.requests += 1
-            return [] if self.requests == 2 else [answer(request, "tcp")]
-
-    with (
-        FakeServer(Dumb()) as server,
-        asking(
-            kind,
-            f"tcp://127.0.0.1:{server.port}",
-            timeout=0.1,
-            retries=1,
-            timeouts_before_reconnect=1,
-        ) as client,
-    ):
-        assert client.read(1) == 1
-        assert client.read(2) == 2
-        assert client.read(3) == 3
-        assert server.connections == 2
-        assert client.client.statistics.retries == 1
 
 
 @ALL
@@ -529,12 +353,12 @@ def test_a_udp_port_that_goes_away_in_the_middle_and_comes_back(kind: str) -> No
                 answered = 0
                 while answered < 3:
                     with contextlib.suppress(ModbusError):
-                        assert client.read(times) == times
+                        assert read(client, times) == times
                         answered += 1
                 thread.join()
             for _ in range(2):
                 with pytest.raises(ModbusError):
-                    client.read(9)
+                    read(client, 9)
             server = bound(port)
         server.close()
 
@@ -569,14 +393,15 @@ def test_descriptors_beyond_1023(scheme: str, kind: str) -> None:
             fake = stack.enter_context(FakeServer(lambda request: [answer(request, scheme)]))
             url = f"{scheme}://127.0.0.1:{fake.port}"
             with socket.create_connection(("127.0.0.1", fake.port)):
-                pass  # its own descriptors are below
+                until(lambda: fake.connections)
+            until(lambda: not fake._peers)  # its own descriptors are below
         try:
             while not held or held[-1] < 1030:
                 held.append(os.dup(0))
             with asking(kind, url) as client:
-                assert client.client._driver._port.descriptor > 1023
+                assert client._driver._port.descriptor > 1023
                 for address in range(3):
-                    assert client.read(address) == address
+                    assert read(client, address) == address
         finally:
             for descriptor in held:
                 os.close(descriptor)
@@ -606,21 +431,15 @@ asyncio.run(main())
 @pytest.mark.parametrize("how", ["globals", "circle", "waiting"])
 @pytest.mark.parametrize("warn", [True, False])
 def test_a_program_that_ends_with_open_clients_ends_quietly(warn: bool, how: str) -> None:
-    command = [sys.executable, "-m", "libmodbus_py", "serve", "tcp://127.0.0.1:0"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
-        assert server.stdout is not None
-        try:
-            url = server.stdout.readline().split()[-1]
-            options = ["-W", "default"] if warn else []
-            done = subprocess.run(
-                [sys.executable, *options, "-c", LEFT_OPEN, url, how],
-                capture_output=True,
-                text=True,
-                timeout=30,
-                check=False,
-            )
-        finally:
-            server.kill()
+    options = ["-W", "default"] if warn else []
+    with Server(Device(Mapping(coils=8))).background("tcp://127.0.0.1:0") as running:
+        done = subprocess.run(
+            [sys.executable, *options, "-c", LEFT_OPEN, running.urls[0], how],
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=False,
+        )
     assert done.returncode == 0
     lines = [line for line in done.stderr.splitlines() if "ResourceWarning" not in line]
     if not warn:
@@ -649,14 +468,16 @@ def test_no_descriptor_or_thread_is_left_by_clients_of_any_fate(native: bool) ->
                 RtuContext("/dev/null", native=native).connect()
             gc.collect()
 
-        live()
-        time.sleep(0.05)
-        before = len(os.listdir("/proc/self/fd")), threading.active_count()
-        for _ in range(3):
+        def left() -> tuple[int, int]:
+            until(lambda: not server._peers)
+            return len(os.listdir("/proc/self/fd")), threading.active_count()
+
+        with new_garbage_only():
             live()
-        time.sleep(0.05)
-        after = len(os.listdir("/proc/self/fd")), threading.active_count()
-        assert after <= before
+            before = left()
+            for _ in range(3):
+                live()
+            assert left() <= before
 
 
 @ALL
@@ -666,17 +487,17 @@ def test_too_many_open_files_is_a_connection_error_and_passes(kind: str) -> None
         FakeServer(closing) as server,
         asking(kind, f"tcp://127.0.0.1:{server.port}", retries=0) as client,
     ):
-        assert client.read(1) == 1
+        assert read(client, 1) == 1
         time.sleep(0.02)
         # The end of the connection is seen then, and the next one cannot be made.
         resource.setrlimit(resource.RLIMIT_NOFILE, (3, hard))
         try:
-            failed = [caught(client.read, 2) for _ in range(2)]
+            failed = [caught(read, client, 2) for _ in range(2)]
         finally:
             resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
         assert [type(each) for each in failed] == [ModbusConnectionError] * 2
         assert failed[0].errno == errno.EMFILE
-        assert client.read(3) == 3
+        assert read(client, 3) == 3
 
 
 def caught(act: Callable[..., object], *args: Any) -> Any:
@@ -692,8 +513,8 @@ def test_clients_can_be_neither_pickled_nor_copied_deeply(kind: str) -> None:
     with FakeServer(tcp) as server, asking(kind, f"tcp://127.0.0.1:{server.port}") as client:
         for spoil in (pickle.dumps, copy.deepcopy):
             with pytest.raises(TypeError):
-                spoil(client.client)
-        assert client.read(5) == 5
+                spoil(getattr(client, "_plc", client))
+        assert read(client, 5) == 5
 
 
 def test_errors_survive_pickling() -> None:
@@ -702,7 +523,7 @@ def test_errors_survive_pickling() -> None:
         asking("native", f"tcp://127.0.0.1:{server.port}", timeout=0.05) as client,
     ):
         with pytest.raises(ModbusTimeoutError) as caught:
-            client.read(1)
+            read(client, 1)
         again = pickle.loads(pickle.dumps(caught.value))
         assert repr(again) == repr(caught.value)
         assert again.endpoint == caught.value.endpoint
@@ -711,9 +532,8 @@ def test_errors_survive_pickling() -> None:
 def test_the_debug_mode_of_asyncio_finds_nothing() -> None:
     async def main() -> None:
         asyncio.get_running_loop().slow_callback_duration = 1
-        with FakeUnit(rtu) as unit:
+        with FakeUnit(rtu) as unit, FakeServer(tcp) as server:
             async with (
-                Scripted(echo).serving() as server,
                 AsyncClient(server.url) as client,
                 AsyncClient(f"rtu://{unit.path}?baudrate=115200") as line,
             ):

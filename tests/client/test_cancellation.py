@@ -1,0 +1,247 @@
+"""
+Callers that leave: at any step of the loop, while they wait for anything. Nobody else notices.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import random
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+import pytest
+
+from libmodbus_py import AsyncClient, ModbusConnectionError, ModbusError, State, pdu
+from tests.simulation.network import Network
+from tests.simulation.scripted import OnRequest, Scripted
+from tests.support.peers import TcpPeer, Write, echo
+
+REQUEST = pdu.ReadHoldingRegisters(5, 1)
+
+
+def good(request: bytes, write: Write) -> None:
+    write(echo(request))
+
+
+def after(seconds: float) -> OnRequest:
+    """Answer late."""
+    return lambda request, write: write(echo(request), after=seconds)
+
+
+def run(on_request: OnRequest, main: Callable[[Network, Scripted], Awaitable[Any]]) -> None:
+    """Run a test in simulated time, with a peer."""
+    network = Network()
+    peer = Scripted(network, "tcp://10.0.0.1", on_request)
+
+    async def go() -> None:
+        await main(network, peer)
+
+    network.run(go)
+
+
+# --- what it waits for ----------------------------------------------------------------------------
+
+
+def test_an_answer() -> None:
+    async def main(network: Network, peer: Scripted) -> None:
+        async with AsyncClient(peer.url, max_in_flight=2) as plc:
+            for _ in range(3):
+                with pytest.raises(TimeoutError):
+                    async with asyncio.timeout(0.02):
+                        await plc.read_holding_registers(1, 1)
+                with pytest.raises(TimeoutError):
+                    await asyncio.wait_for(plc.execute_many([REQUEST] * 9), 0.02)
+                assert await plc.read_holding_registers(2, 1) == [2]
+            assert plc.late_answers == 9
+            assert (peer.connections, plc.statistics.timeouts) == (1, 0)
+            assert len(peer.requests) == 12
+
+    run(after(0.2), main)
+
+
+def test_a_slot() -> None:
+    async def main(network: Network, peer: Scripted) -> None:
+        async with AsyncClient(peer.url, max_in_flight=1) as plc:
+            first = asyncio.create_task(plc.read_holding_registers(1, 1))
+            second = asyncio.create_task(plc.read_holding_registers(2, 1))
+            third = asyncio.create_task(plc.read_holding_registers(3, 1))
+            await asyncio.sleep(0.02)
+            second.cancel()
+            assert [await first, await third] == [[1], [3]]
+            assert second.cancelled()
+            assert [request[9] for request in peer.requests] == [1, 3]
+
+    run(after(0.05), main)
+
+
+def test_the_connection() -> None:
+    async def main(network: Network, peer: Scripted) -> None:
+        plc = AsyncClient(peer.url)
+        waiting = [asyncio.create_task(plc.execute(REQUEST)) for _ in range(3)]
+        joining = asyncio.create_task(plc.connect())
+        await asyncio.sleep(0)
+        assert plc.state is State.CONNECTING
+        waiting[0].cancel()
+        waiting[2].cancel()
+        joining.cancel()
+        assert await waiting[1] == [5]
+        await asyncio.sleep(60)
+        assert len(peer.requests) == 1
+        await plc.close()
+
+    run(good, main)
+
+
+@pytest.mark.parametrize("options", [{"request_spacing": 0.2}, {"connect_delay": 0.2}])
+def test_a_pause(options: dict[str, Any]) -> None:
+    async def main(network: Network, peer: Scripted) -> None:
+        before = network.events.now
+        async with AsyncClient(peer.url, **options) as plc:
+            if "request_spacing" in options:
+                await plc.read_holding_registers(0, 1)
+            waiting = asyncio.create_task(plc.read_holding_registers(1, 1))
+            await asyncio.sleep(0.02)
+            waiting.cancel()
+            assert await plc.read_holding_registers(2, 1) == [2]
+            assert network.events.now == pytest.approx(before + 0.2, abs=0.002)
+            assert 1 not in [request[9] for request in peer.requests]
+
+    run(good, main)
+
+
+# --- at any step of the loop ----------------------------------------------------------------------
+
+
+def test_one_of_six_requests() -> None:
+    async def main(network: Network, peer: Scripted) -> None:
+        async with AsyncClient(peer.url, max_in_flight=3) as plc:
+            for turn in range(60):
+                tasks = [asyncio.create_task(plc.read_holding_registers(n, 1)) for n in range(6)]
+                for _ in range(turn % 12):
+                    await asyncio.sleep(0)
+                tasks[turn % 6].cancel()
+                results = await asyncio.gather(*tasks, return_exceptions=True)
+                for number, result in enumerate(results):
+                    is_cancelled = isinstance(result, asyncio.CancelledError)
+                    assert result == [number] or (number == turn % 6 and is_cancelled)
+            assert peer.connections == 1
+
+    run(after(0.002), main)
+
+
+def test_a_batch_among_others() -> None:
+    """Whatever the request waits for: the connection, its slot, its answer."""
+
+    async def main(network: Network, peer: Scripted) -> None:
+        for kept in (True, False):
+            for steps in range(12):
+                async with AsyncClient(peer.url, max_in_flight=2, timeout=2) as client:
+                    if not kept:
+                        peer.drop_all()
+                    others = [
+                        asyncio.create_task(client.read_holding_registers(address, 1))
+                        for address in range(3)
+                    ]
+                    batch = asyncio.create_task(
+                        client.execute_many(
+                            [pdu.ReadHoldingRegisters(address, 1) for address in range(256)],
+                            max_in_flight=256,
+                        )
+                    )
+                    last = asyncio.create_task(client.read_holding_registers(9, 1))
+                    for _ in range(steps):
+                        await asyncio.sleep(0)
+                    batch.cancel()
+                    got = await asyncio.gather(*others, last, return_exceptions=True)
+                    if kept:
+                        assert got == [[0], [1], [2], [9]]
+                    with contextlib.suppress(asyncio.CancelledError, ModbusConnectionError):
+                        assert len(await batch) == 256
+                    assert await client.read_holding_registers(5, 1) == [5]
+
+    run(good, main)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_many_tasks_by_chance(seed: int) -> None:
+    chance = random.Random(seed)
+
+    def slowly(request: bytes, write: Write) -> None:
+        write(echo(request), after=chance.choice([0, 0, 0.001, 0.01, 0.05]))
+
+    async def one(client: AsyncClient) -> None:
+        for _ in range(20):
+            address = chance.randrange(1000)
+            with contextlib.suppress(TimeoutError, ModbusError):
+                async with asyncio.timeout(chance.choice([0, 0.0005, 0.005, 0.03, 1])):
+                    got = await client.read_holding_registers(address, 1)
+                    assert got == [address]
+
+    async def main(network: Network, peer: Scripted) -> None:
+        async with AsyncClient(peer.url, timeout=0.04) as client:
+            await asyncio.gather(*(one(client) for _ in range(10)))
+            client.timeout = 1
+            assert await client.read_holding_registers(77, 1) == [77]
+
+    run(slowly, main)
+
+
+def test_connecting_and_whoever_is_cancelled() -> None:
+    """The caller, or all tasks of the package: the client can connect again."""
+
+    async def main(network: Network, peer: Scripted) -> None:
+        for steps in range(8):
+            for everybody in (False, True):
+                client = AsyncClient(peer.url, timeout=1)
+                asked = asyncio.create_task(client.read_holding_registers(5, 1))
+                for _ in range(steps):
+                    await asyncio.sleep(0)
+                for task in asyncio.all_tasks() if everybody else ():
+                    if "libmodbus_py" in task.get_coro().cr_code.co_filename:  # type: ignore[union-attr]
+                        task.cancel()
+                asked.cancel()
+                await asyncio.wait([asked])
+                assert await client.read_holding_registers(6, 1) == [6]
+                await client.close()
+
+    run(good, main)
+
+
+@pytest.mark.parametrize("hook", ["on_state", "trace"])
+@pytest.mark.parametrize("at", range(4))
+def test_a_hook_that_cancels_leaves_a_client_that_works(at: int, hook: str) -> None:
+    calls = iter(range(1000))
+
+    def fail(*_: object) -> None:
+        if next(calls) == at:
+            raise asyncio.CancelledError
+
+    async def main(peer: TcpPeer) -> None:
+        options: dict[str, Any] = {hook: fail}
+        client = AsyncClient(peer.url, timeout=0.2, **options)
+        for address in range(4):
+            with contextlib.suppress(ModbusError, asyncio.CancelledError):
+                assert await client.read_holding_registers(address, 1) == [address]
+        for address in range(3):
+            assert await client.read_holding_registers(address, 1) == [address]
+        with contextlib.suppress(asyncio.CancelledError):
+            await client.close()
+
+    # On the real system, for the loop may log what the hook raises.
+    with TcpPeer(good) as peer:
+        asyncio.run(main(peer))
+
+
+def test_closing_while_it_connects() -> None:
+    async def main(network: Network, peer: Scripted) -> None:
+        for turns in range(6):
+            plc = AsyncClient(peer.url)
+            waiting = asyncio.create_task(plc.execute(REQUEST))
+            for _ in range(turns):
+                await asyncio.sleep(0)
+            await plc.close()
+            with contextlib.suppress(ModbusConnectionError):
+                await waiting
+
+    run(good, main)

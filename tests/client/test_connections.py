@@ -1,0 +1,417 @@
+"""
+Connections that cannot be made, that die, that end, and those that are made in their place.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import errno
+import logging
+import os
+import socket
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from libmodbus_py import (
+    AsyncClient,
+    Device,
+    Mapping,
+    ModbusConnectionError,
+    ModbusError,
+    ModbusTimeoutError,
+    Server,
+    State,
+    pdu,
+)
+from libmodbus_py.testing.wires import SerialWire
+from tests.simulation.network import Network
+from tests.simulation.scripted import Scripted
+from tests.support.clients import (
+    ALL,
+    EVERYWHERE,
+    Connect,
+    Simulated,
+    World,
+    asking,
+    connecting,
+    read,
+)
+from tests.support.peers import (
+    Write,
+    answer,
+    answering,
+    dead,
+    echo,
+    ignore,
+    refusing,
+    until,
+    url_of,
+)
+
+REQUEST = pdu.ReadHoldingRegisters(5, 1)
+
+NOBODY = "tcp://10.0.0.9:502"
+
+
+def good(request: bytes, write: Write) -> None:
+    write(echo(request))
+
+
+# --- that cannot be made --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("host", "number"),
+    [
+        ("no-such-host.invalid", None),
+        ("x" * 300, None),
+        ("255.255.255.255", errno.EACCES),
+    ],
+)
+def test_connection_error_says_why(connect: Connect, host: str, number: int | None) -> None:
+    with pytest.raises(ModbusConnectionError) as caught:
+        connect(f"tcp://{host}", timeout=60).read_coils(0, 1)
+    assert caught.value.__cause__ is not None
+    assert number is None or caught.value.errno in (number, errno.ENETUNREACH)
+    assert host[:20] in str(caught.value)
+
+
+def test_connecting_counts_within_the_timeout(world: Simulated) -> None:
+    world.network.unreachable.add("10.0.0.9")
+    plc = world.connect(NOBODY, timeout=0.3)
+    for attempt in (plc.connect, lambda: plc.execute(REQUEST)):
+        with world.lasting(0.3), pytest.raises(ModbusConnectionError) as caught:
+            attempt()
+        assert caught.value.errno == errno.ETIMEDOUT
+    plc.close()
+
+
+@pytest.mark.parametrize("kind", ["native", "asyncio"])
+def test_a_dead_host_on_the_real_system(kind: str) -> None:
+    with (
+        dead() as port,
+        pytest.raises(ModbusConnectionError) as caught,
+        asking(kind, f"tcp://127.0.0.1:{port}", timeout=0.1),
+    ):
+        pass
+    assert caught.value.errno == errno.ETIMEDOUT
+
+
+def test_attempts_have_pauses_between_them_if_the_client_wants(world: World) -> None:
+    """0.1 s, twice as long each time, 0.3 s at most; and some of it by chance."""
+    failures: list[float] = []
+
+    def note(state: State, error: ModbusError | None) -> None:
+        if error is not None:
+            failures.append(world.now)
+
+    plc = world.connect(NOBODY, timeout=0.05, max_pause=0.3, on_state=note)
+    refusals = 0
+    while len(failures) < 5:
+        with pytest.raises(ModbusConnectionError) as caught:
+            plc.execute(REQUEST)
+        # Who waited for the attempt may have had no time left for it.
+        assert caught.value.errno in (errno.ECONNREFUSED, errno.ETIMEDOUT)
+        if "next attempt in" in str(caught.value):
+            refusals += 1
+            world.sleep(0.005)
+    assert plc.statistics.failed_connects == 5
+    plc.close()
+    assert refusals
+    for (earlier, later), pause in zip(pairwise(failures), (0.1, 0.2, 0.3, 0.3), strict=True):
+        assert 0.8 * pause <= later - earlier <= 1.2 * pause + 0.01
+
+
+@ALL
+def test_a_refused_connection_on_the_real_system(kind: str) -> None:
+    with refusing() as port, connecting_to(kind, url_of(port), max_pause=30) as plc:
+        with pytest.raises(ModbusConnectionError) as caught:
+            plc.execute(REQUEST)
+        assert caught.value.errno == errno.ECONNREFUSED
+        assert caught.value.__cause__ is not None
+
+
+@contextlib.contextmanager
+def connecting_to(kind: str, url: str, **options: Any) -> Iterator[Any]:
+    """Yield a client that is not connected yet."""
+    with connecting(kind) as connect:
+        plc = connect(url, **options)
+        yield plc
+        plc.close()
+
+
+@pytest.mark.parametrize("max_pause", [0, 10])
+def test_request_waits_for_the_next_attempt_if_it_has_time(
+    world: Simulated, max_pause: float
+) -> None:
+    plc = world.connect(NOBODY, timeout=1, max_pause=max_pause)
+    with pytest.raises(ModbusConnectionError):
+        plc.connect()
+    Scripted(world.network, NOBODY, good)
+    before = world.now
+    assert plc.execute(REQUEST) == [5]
+    waited = world.now - before
+    assert 0.08 <= waited <= 0.122 if max_pause else waited <= 0.002
+    assert (plc.statistics.failed_connects, plc.statistics.connects) == (1, 1)
+    plc.close()
+
+
+def test_nobody_is_connected_for_who_has_left() -> None:
+    network = Network()
+
+    async def main() -> None:
+        plc = AsyncClient(NOBODY, timeout=1)
+        with pytest.raises(ModbusConnectionError):
+            await plc.connect()
+        with pytest.raises(TimeoutError):
+            async with asyncio.timeout(0.02):
+                await plc.execute(REQUEST)
+        await asyncio.sleep(60)  # longer than any pause
+        assert plc.statistics.failed_connects == 1
+        await plc.close()
+
+    network.run(main)
+
+
+# --- that die -------------------------------------------------------------------------------------
+
+
+@EVERYWHERE
+def test_three_timeouts_in_a_row_make_a_new_connection(world: World) -> None:
+    peer = world.peer("tcp", ignore)
+    with world.connect(peer.url, timeout=0.02) as plc:
+        for _ in range(13):
+            with pytest.raises(ModbusTimeoutError):
+                plc.execute(REQUEST)
+        assert peer.connections == 5
+
+
+def test_an_answer_between_timeouts_keeps_the_connection(world: World) -> None:
+    def third(request: bytes, write: Write) -> None:
+        if len(peer.requests) % 3 == 0:
+            write(echo(request))
+
+    peer = world.peer("tcp", third)
+    with world.connect(peer.url, timeout=0.05) as plc:
+        for number in range(1, 10):
+            context = pytest.raises(ModbusTimeoutError) if number % 3 else contextlib.nullcontext()
+            with context:
+                assert plc.execute(REQUEST) == [5]
+        assert peer.connections == 1
+        assert plc.statistics.timeouts == 6
+
+
+def test_a_dead_connection_is_left_though_the_caller_has_less_patience() -> None:
+    network = Network()
+
+    def dumb_at_first(request: bytes, write: Write) -> None:
+        if peer.connections > 1 or len(peer.requests) == 1:
+            write(echo(request))
+
+    peer = Scripted(network, "tcp://10.0.0.1", dumb_at_first)
+
+    async def main() -> None:
+        async with AsyncClient(peer.url, timeout=1) as client:
+            assert await client.read_holding_registers(1, 1) == [1]
+            failed = 0
+            for address in range(20):
+                try:
+                    async with asyncio.timeout(0.2):
+                        assert await client.read_holding_registers(address, 1) == [address]
+                except TimeoutError:
+                    failed += 1
+            assert failed == 3
+            assert client.statistics.connects == 2
+
+    network.run(main)
+
+
+# --- that end -------------------------------------------------------------------------------------
+
+
+@EVERYWHERE
+@pytest.mark.parametrize("retries", [0, 3])
+def test_a_server_that_closes_at_once_is_an_error_soon(world: World, retries: int) -> None:
+    peer = world.peer("tcp", lambda request, write: write(None))
+    with (
+        world.connect(peer.url, timeout=60, retries=retries, max_pause=0.5) as client,
+        # Before each repetition is a pause.
+        world.lasting(0.0, more=3 * (1 + retries) * 0.7),
+    ):
+        for _ in range(3):
+            with pytest.raises(ModbusError):
+                read(client, 1)
+
+
+def test_server_that_hangs_up_at_once_is_not_hammered(world: World) -> None:
+    """Pauses of 0.1, 0.2, 0.4 ... 25.6 s, by chance a fifth shorter or longer."""
+    peer = world.peer("tcp", lambda request, write: write(None))
+    with world.connect(peer.url, timeout=0.2, max_pause=30) as plc:
+        for seconds, most in ((60.0, 12), (600.0, 40)):
+            end = world.now + seconds
+            while world.now < end:
+                with pytest.raises((ModbusConnectionError, ModbusTimeoutError)):
+                    plc.execute(REQUEST)
+                world.sleep(0.5)
+            assert peer.connections <= most
+
+
+@EVERYWHERE
+def test_a_server_that_closes_after_each_answer_costs_no_request(world: World) -> None:
+    def closing(request: bytes, write: Write) -> None:
+        write(echo(request))
+        write(None)
+
+    peer = world.peer("tcp", closing)
+    with world.connect(peer.url, retries=1) as client:
+        for address in range(30):
+            assert read(client, address) == address
+        assert peer.connections >= 30
+
+
+@EVERYWHERE
+def test_connections_that_end_are_made_anew_by_the_next_request(world: World) -> None:
+    """At once, before the client has read of the end, and later."""
+    peer = world.peer("tcp", good)
+    with world.connect(peer.url, max_pause=0) as plc:
+        for number in range(1, 4):
+            assert plc.execute(REQUEST) == [5]
+            peer.drop_all()
+            if number == 2:
+                world.sleep(0.02)
+        assert peer.connections == 3
+        assert plc.statistics.lost >= 2
+
+
+@pytest.mark.parametrize("keepalive", [45, None])
+def test_options_of_the_socket_are_set(connect: Connect, keepalive: int | None) -> None:
+    with (
+        socket.create_server(("127.0.0.1", 0)) as listener,
+        connect(url_of(listener), keepalive=keepalive) as plc,
+    ):
+        descriptor = os.dup(plc._driver._port.descriptor)
+        with socket.socket(fileno=descriptor) as connection:
+            assert connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+            probes = connection.getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE)
+            assert probes == (keepalive is not None)
+            if keepalive:
+                idle = connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE)
+                assert idle == keepalive
+
+
+# --- ports ----------------------------------------------------------------------------------------
+
+
+def test_an_unplugged_port_is_a_connection_error_and_is_opened_again(world: Simulated) -> None:
+    unit = world.peer("rtu", lambda request, write: write(answer(request, "rtu")))
+    line = world.network.line("/dev/line")
+    plc = world.connect(unit.url, timeout=5, max_pause=0)
+    with plc:
+        assert read(plc, 5) == 5
+        unit.on_request = lambda request, write: line.unplug()
+        with world.lasting(0.0, more=0.01), pytest.raises(ModbusConnectionError) as caught:
+            read(plc, 6)
+        assert caught.value.errno == errno.EIO
+        with world.lasting(0.0), pytest.raises(ModbusConnectionError) as caught:
+            read(plc, 7)
+        assert caught.value.errno == errno.ENOENT
+        line.is_unplugged = False
+        unit.on_request = lambda request, write: write(answer(request, "rtu"))
+        # The unit is on the other side of the port: it may answer as late as after a time-out.
+        with world.lasting(2 * 5.0, more=0.02):
+            assert read(plc, 8) == 8
+
+
+@ALL
+def test_a_port_that_is_unplugged_on_the_real_system(kind: str, tmp_path: Path) -> None:
+    path = tmp_path / "port"
+    device = Device(Mapping(holding_registers=8))
+    with connecting_to(kind, f"rtu://{path}?baudrate=115200", timeout=60, max_pause=0) as plc:
+        with SerialWire() as wire, ThreadPoolExecutor(1) as pool:
+            path.symlink_to(wire.client)
+            waiting = pool.submit(plc.execute, REQUEST)
+            until(lambda: wire.passed)
+            wire.unplug()
+            with pytest.raises(ModbusConnectionError) as caught:
+                waiting.result()
+            assert caught.value.errno == errno.EIO
+        path.unlink()
+        with pytest.raises(ModbusConnectionError):
+            plc.execute(REQUEST)
+        with SerialWire() as wire, Server(device).background(f"rtu://{wire.server}"):
+            path.symlink_to(wire.client)
+            assert plc.for_unit(2).execute(REQUEST) == [0]
+
+
+# --- what is told of them -------------------------------------------------------------------------
+
+
+def test_states_are_told_and_a_callback_that_fails_harms_nobody(
+    world: World, caplog: pytest.LogCaptureFixture
+) -> None:
+    seen: list[tuple[State, Any]] = []
+
+    def note(state: State, error: ModbusError | None) -> None:
+        seen.append((state, error and type(error)))
+        raise ZeroDivisionError
+
+    peer = world.peer("tcp", answering(None))
+    with caplog.at_level(logging.ERROR):
+        plc = world.connect(peer.url, on_state=note)
+        assert plc.state is State.DISCONNECTED
+        with plc:
+            assert plc.state is State.CONNECTED
+            with pytest.raises(ModbusConnectionError):
+                plc.execute(REQUEST)
+        assert plc.state is State.CLOSED
+    assert seen == [
+        (State.CONNECTING, None),
+        (State.CONNECTED, None),
+        (State.DISCONNECTED, ModbusConnectionError),
+        (State.CLOSED, None),
+    ]
+    assert len(caplog.records) == caplog.text.count("failed") == 4
+
+
+def test_statistics_count_what_happened(world: World) -> None:
+    peer = world.peer("tcp", good)
+    with world.connect(peer.url) as plc:
+        assert plc.statistics.last_success is None
+        plc.execute_many([REQUEST] * 20)
+        assert plc.execute(REQUEST) == [5]
+        assert (plc.statistics.requests, plc.statistics.responses) == (21, 21)
+        assert plc.statistics.last_success == world.now
+        assert (plc.statistics.connects, plc.statistics.lost) == (1, 0)
+
+
+@EVERYWHERE
+def test_a_trace_is_told_of_what_passes(world: World) -> None:
+    told: list[Any] = []
+    peer = world.peer("tcp", good)
+    with world.connect(peer.url, trace=told.append) as plc:
+        plc.execute(REQUEST)
+        assert [(each.direction, each.adu) for each in told] == [
+            ("sent", peer.requests[0]),
+            ("received", echo(peer.requests[0])),
+        ]
+        assert {each.endpoint for each in told} == {peer.url}
+
+
+@EVERYWHERE
+def test_handles_of_several_units_share_the_connection(world: World) -> None:
+    """Unit 0 over TCP is a unit like others."""
+    peer = world.peer("tcp", good)
+    with world.connect(peer.url, unit=0) as plc:
+        handles = [plc, plc.for_unit(9), plc.for_unit(255)]
+        assert [each.read_holding_registers(7, 1) for each in handles] == [[7]] * 3
+        assert [request[6] for request in peer.requests] == [0, 9, 255]
+        assert peer.connections == 1
+        assert handles[1].statistics is plc.statistics
+        handles[1].close()
+        assert plc.closed

@@ -1,0 +1,330 @@
+"""
+Peers that send without end: the wait ends when it must, and little is kept of what they sent.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import random
+import socket
+import subprocess
+import sys
+import threading
+import time
+import tracemalloc
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from libmodbus_py import AsyncClient, ModbusError, framing
+from tests.simulation.network import Network
+from tests.support.clients import Simulated, asking, making, read
+from tests.support.peers import FakeUnit, OnRequest, Write
+from tests.support.scripted import run as run_watched
+
+NOISE = random.Random(1).randbytes(2048)
+
+FLOODS: dict[str, tuple[str, bytes]] = {
+    "digits": ("ascii+tcp", b"0123456789ABCDEF" * 128),
+    "colons and digits": ("ascii+tcp", b":" + b"0123456789ABCDEF" * 128),
+    "frames with other ids": ("tcp", bytes.fromhex("FFFF0000000501030200AA") * 186),
+    "headers of another protocol": ("tcp", bytes.fromhex("800100070005010302000A") * 186),
+    "datagrams": ("udp", bytes.fromhex("FFFF0000000501030200AA")),
+    "large datagrams": ("udp", bytes(60_000)),
+    "noise": ("rtu+tcp", NOISE),
+    "starts of frames": ("rtu+tcp", b"\x01\x03\xfa" * 682),
+    "frames of another unit": ("rtu+tcp", bytes.fromhex("09030200AAD9FB") * 292),
+}
+
+
+def failure(act: Callable[[], object]) -> ModbusError:
+    with pytest.raises(ModbusError) as caught:
+        act()
+    return caught.value
+
+
+def flooding(network: Network, data: bytes, pause: float) -> OnRequest:
+    """Send the same for ever, from the first request on, on each connection."""
+    begun: set[int] = set()
+
+    def send(write: Write) -> None:
+        write(data)
+        network.events.after(pause, send, write)
+
+    def on_request(request: bytes, write: Write) -> None:
+        connection = id(getattr(write, "__self__", write))
+        if connection not in begun:
+            begun.add(connection)
+            send(write)
+
+    return on_request
+
+
+@pytest.mark.parametrize("flood", FLOODS)
+def test_a_flood_costs_neither_time_nor_memory(flood: str, world: Simulated) -> None:
+    scheme, data = FLOODS[flood]
+    peer = world.peer(scheme, flooding(world.network, data, 0.005))
+    # Where nothing tells an answer from the next one, the line must fall silent first: at most a
+    # time-out is waited for that. Such a connection is left; then the unit rests for another one.
+    most_waits = 1 if scheme in ("tcp", "udp") else 3
+    with world.connect(peer.url, timeout=0.2) as client:
+        for attempt in range(2):
+            before = world.now
+            error = failure(lambda: read(client, 1))
+            assert world.now - before <= 0.2 * (most_waits if attempt else 1) + 0.006
+            assert len(error.received) <= 600
+            assert len(str(error)) < 300
+        tracemalloc.start()
+        try:
+            failure(lambda: read(client, 1))
+            kept, most = tracemalloc.get_traced_memory()
+        finally:
+            tracemalloc.stop()
+    assert kept < 64 * 1024
+    assert most < 1024 * 1024  # what is looked at in one turn, and what the network itself keeps
+
+
+class Flood:
+    """A real server that sends as fast as it can, from the first request on."""
+
+    def __init__(self, data: bytes, udp: bool = False) -> None:
+        self._data = data
+        self._udp = udp
+
+    def __enter__(self) -> Flood:
+        kind = socket.SOCK_DGRAM if self._udp else socket.SOCK_STREAM
+        self._socket = socket.socket(socket.AF_INET, kind)
+        self._socket.bind(("127.0.0.1", 0))
+        self._socket.settimeout(0.05)
+        self.port = self._socket.getsockname()[1]
+        if not self._udp:
+            self._socket.listen()
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._serve, daemon=True)
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._over.set()
+        self._thread.join()
+        self._socket.close()
+
+    def _serve(self) -> None:
+        while not self._over.is_set():
+            with contextlib.suppress(OSError):
+                if self._udp:
+                    _, peer = self._socket.recvfrom(300)
+                    while not self._over.is_set():
+                        self._socket.sendto(self._data, peer)
+                else:
+                    peer, _ = self._socket.accept()
+                    with peer:
+                        peer.settimeout(5)
+                        peer.recv(300)
+                        while not self._over.is_set():
+                            peer.sendall(self._data)
+
+
+@pytest.mark.parametrize("kind", ["native", "asyncio"])
+@pytest.mark.parametrize(
+    ("scheme", "data"),
+    [
+        ("tcp", bytes.fromhex("FFFF0000000501030200AA") * 4096),
+        ("udp", bytes.fromhex("FFFF0000000501030200AA")),
+        ("rtu+tcp", NOISE * 32),
+    ],
+)
+def test_a_flood_that_leaves_no_pause_ends(scheme: str, data: bytes, kind: str) -> None:
+    """There is always more to be read: only the clock ends the wait."""
+    with (
+        Flood(data, scheme == "udp") as server,
+        asking(kind, f"{scheme}://127.0.0.1:{server.port}", timeout=0.1) as client,
+    ):
+        error = failure(lambda: read(client, 1))
+        assert len(error.received) <= 600
+
+
+@pytest.mark.parametrize("scheme", ["rtu", "ascii"])
+@pytest.mark.parametrize("pause", [0.001, 0.02])
+def test_a_line_that_is_never_quiet_ends_the_wait(
+    pause: float, scheme: str, world: Simulated
+) -> None:
+    """From the first request on, and while it waits for the silence that must come before."""
+    noise = b"0123456789ABCDEF" if scheme == "ascii" else bytes(range(0x80, 0x90))
+    unit = world.peer(scheme, flooding(world.network, noise, pause))
+    with world.connect(unit.url, timeout=0.2) as client:
+        for _ in range(3):
+            before = world.now
+            error = failure(lambda: read(client, 1))
+            assert world.now - before <= 2 * 0.2 + 0.025
+            assert len(error.received) <= 600
+            assert len(str(error)) < 300
+
+
+FLOODER = """
+import contextlib, os, sys
+while True:
+    with contextlib.suppress(BlockingIOError):  # there is no room
+        os.write(int(sys.argv[1]), bytes.fromhex(sys.argv[2]))
+"""
+
+
+@contextlib.contextmanager
+def noisy_line(noise: bytes) -> Iterator[str]:
+    """A serial line on which another process writes without end."""
+    with FakeUnit(lambda request: []) as unit:
+        fd = unit._master
+        command = [sys.executable, "-c", FLOODER, str(fd), noise.hex()]
+        with subprocess.Popen(command, pass_fds=[fd]) as process:
+            try:
+                yield unit.url
+            finally:
+                process.kill()
+
+
+@pytest.mark.parametrize("kind", ["native", "asyncio"])
+def test_a_real_line_that_is_never_quiet_ends_the_wait(kind: str) -> None:
+    with (
+        noisy_line(bytes(range(0x80, 0x90))) as url,
+        asking(kind, url, timeout=0.1) as client,
+    ):
+        for _ in range(2):
+            error = failure(lambda: read(client, 1))
+            assert len(error.received) <= 600
+
+
+# --- while nobody asks ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp"])
+def test_an_idle_client_leaves_a_flood_unread(scheme: str) -> None:
+    """What it does not read, the sender keeps; when somebody asks again, it reads on."""
+    with making("asyncio") as world:
+        assert isinstance(world, Simulated)
+        piece = bytes.fromhex("FFFF0000000501030200AA") * 300
+        peer = world.peer(scheme, flooding(world.network, piece, 0.001))
+        with world.connect(peer.url, timeout=0.1) as client:
+            failure(lambda: read(client, 1))
+            world.sleep(1.0)
+            (end,) = peer.ends
+            before = end.sent
+            world.sleep(5.0)
+            assert end.sent == before
+            failure(lambda: read(client, 1))
+
+
+def test_an_idle_client_leaves_a_noisy_line_unread(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An event loop that is told of each byte would do nothing else."""
+    with making("asyncio") as world:
+        assert isinstance(world, Simulated)
+        unit = world.peer("rtu", flooding(world.network, bytes(range(0x80, 0x90)) * 16, 0.03))
+        with world.connect(unit.url, timeout=0.1) as client:
+            failure(lambda: read(client, 1))
+            world.sleep(30.0)  # 64 KiB take 8 s
+            port, reads = client._driver._port, []
+            receive = port.receive
+            monkeypatch.setattr(port, "receive", lambda: reads.append(1) or receive())
+            world.sleep(30.0)
+            assert not reads
+            failure(lambda: read(client, 1))
+            assert reads
+
+
+def test_an_idle_client_on_a_noisy_line_rests() -> None:
+    with noisy_line(bytes(range(0x80, 0x90))) as url:
+
+        async def main() -> None:
+            async with AsyncClient(url, timeout=0.1) as client:
+                with pytest.raises(ModbusError):
+                    await client.read_holding_registers(3, 1)
+                await asyncio.sleep(0.2)
+                before = time.process_time()
+                await asyncio.sleep(0.4)
+                assert time.process_time() - before < 0.2
+
+        run_watched(main())
+
+
+SENDING = """
+import socket, sys
+kind, noise = sys.argv[1], bytes.fromhex(sys.argv[2])
+data = noise * (60000 // len(noise)) if kind != "udp" else noise
+from tests.support.peers import answer
+listener = socket.socket(type=socket.SOCK_DGRAM if kind == "udp" else socket.SOCK_STREAM)
+listener.bind(("127.0.0.1", 0))
+if kind != "udp":
+    listener.listen()
+print(listener.getsockname()[1], flush=True)
+if kind == "udp":
+    while True:
+        request, peer = listener.recvfrom(300)
+        listener.sendto(answer(request, kind), peer)
+        listener.setblocking(False)
+        while True:
+            listener.sendto(data, peer)
+            try:
+                request, peer = listener.recvfrom(300)
+            except BlockingIOError:
+                continue
+            listener.sendto(answer(request, kind), peer)
+while True:
+    peer, _ = listener.accept()
+    try:
+        while request := peer.recv(300):
+            peer.sendall(answer(request, kind))
+            while True:
+                peer.sendall(data)
+    except OSError:
+        pass
+"""
+
+
+class SendingProcess:
+    """A server in another process that answers once on each connection, and floods it then."""
+
+    def __init__(self, scheme: str, noise: bytes) -> None:
+        command = [sys.executable, "-c", SENDING, scheme, noise.hex()]
+        self._scheme = scheme
+        self._process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+
+    def __enter__(self) -> str:
+        assert self._process.stdout is not None
+        return f"{self._scheme}://127.0.0.1:{self._process.stdout.readline().strip()}"
+
+    def __exit__(self, *_: object) -> None:
+        with self._process:
+            self._process.kill()
+
+
+@pytest.mark.parametrize("scheme", ["tcp", "udp"])
+def test_an_idle_client_that_is_flooded_rests(scheme: str) -> None:
+    with SendingProcess(scheme, bytes.fromhex("FFFF0000000501030200AA")) as url:
+
+        async def main() -> None:
+            async with AsyncClient(url, timeout=30) as client:
+                assert await client.read_holding_registers(3, 1) == [3]
+                await asyncio.sleep(0.1)
+                before = time.process_time()
+                await asyncio.sleep(0.4)
+                assert time.process_time() - before < 0.2
+                assert await client.read_holding_registers(4, 1) == [4]
+
+        run_watched(main())
+
+
+@pytest.mark.parametrize(
+    "pattern", [b"\x01\x03\xfa", b"\x01\x10", b"\x01\x2b\x0e", b"\x01\x03\x02", bytes(range(256))]
+)
+def test_the_framer_of_rtu_costs_little_for_each_byte(pattern: bytes) -> None:
+    """Bytes that begin frames at every place; 64 kB must not stop an event loop."""
+    framer = framing.RtuFramer("client")
+    data = pattern * (65_536 // len(pattern))
+    longest = 0.0
+    start = time.process_time()
+    for at in range(0, len(data), 4096):
+        before = time.process_time()
+        framer.scan(data[at : at + 4096])
+        longest = max(longest, time.process_time() - before)
+    assert time.process_time() - start < 0.4  # 1.5 us a byte; it was 8 to 17
+    assert longest < 0.2

@@ -1,0 +1,334 @@
+"""
+Requests that are interrupted: by signals, finalizers, another thread, whatever a call raises.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import gc
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+
+from libmodbus_py import (
+    AsyncClient,
+    Context,
+    ModbusConnectionError,
+    ModbusError,
+    ModbusTimeoutError,
+    RtuContext,
+    State,
+    TcpContext,
+)
+from tests.support.clients import ALL, BLOCKING, NATIVE, asking
+from tests.support.peers import FakeServer, FakeUnit, answer, dead, until
+from tests.support.scripted import run as run_watched
+
+
+def rtu(request: bytes) -> bytes:
+    return answer(request, "rtu")
+
+
+# --- connections that died, and are being made -----------------------------------------------
+
+
+class Interruption(BaseException):
+    """What a signal handler may raise."""
+
+
+@ALL
+def test_anything_raised_while_it_connects_leaves_a_client_that_can(
+    kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with FakeServer(lambda request: [answer(request, "tcp")]) as server:
+        chosen: dict[str, Any] = {"native": {}, "python": {"native": False}}.get(kind, {})
+        url = f"tcp://127.0.0.1:{server.port}"
+
+        def interrupt(*_: object) -> None:
+            raise Interruption
+
+        if kind == "asyncio":
+            with asyncio.Runner() as runner:
+                client = AsyncClient(url)
+
+                async def read() -> list[int]:
+                    return await client.read_holding_registers(4, 1)
+
+                with monkeypatch.context() as patch:
+                    for name in ("connect", "connect_ex"):
+                        patch.setattr(socket.socket, name, interrupt)
+                    with pytest.raises((Interruption, ModbusConnectionError)):
+                        runner.run(read())
+                assert runner.run(read()) == [4]
+                runner.run(client.close())
+            return
+        context = Context.from_url(url, **chosen)
+        with monkeypatch.context() as patch:
+            for name in ("connect", "connect_ex"):
+                patch.setattr(socket.socket, name, interrupt)
+            with pytest.raises(Interruption):
+                context.read_holding_registers(4, 1)
+        assert context.read_holding_registers(4, 1) == [4]
+        context.close()
+
+
+@pytest.fixture
+def answers(monkeypatch: pytest.MonkeyPatch) -> Iterator[threading.Event]:
+    """Look-ups are as of a name server that does not answer, until it does; numbers need none."""
+    look_up, answers = socket.getaddrinfo, threading.Event()
+
+    def slow(
+        host: Any, port: Any, family: int = 0, type: int = 0, proto: int = 0, flags: int = 0
+    ) -> Any:
+        if not flags & socket.AI_NUMERICHOST and host == "slow.invalid":
+            answers.wait(120)
+        return look_up(host, port, family, type, proto, flags | socket.AI_NUMERICHOST)
+
+    monkeypatch.setattr(socket, "getaddrinfo", slow)
+    yield answers
+    answers.set()
+
+
+@ALL
+def test_the_timeout_includes_the_look_up_of_the_name(kind: str, answers: threading.Event) -> None:
+    if kind == "asyncio":  # an event loop ends only after its look-ups
+        threading.Timer(0.5, answers.set).start()
+    with (
+        pytest.raises(ModbusConnectionError, match=r"slow\.invalid"),
+        asking(kind, "tcp://slow.invalid:502", timeout=0.1),
+    ):
+        pass
+
+
+@BLOCKING
+@pytest.mark.parametrize("named", [False, True])
+@pytest.mark.usefixtures("answers")
+def test_close_does_not_wait_for_a_connection_that_is_being_made(named: bool, kind: str) -> None:
+    with dead() as port:
+        host = "slow.invalid" if named else "127.0.0.1"
+        context = TcpContext(host, port, timeout=600, native=kind == "native")
+        failed: list[BaseException] = []
+
+        def connect() -> None:
+            try:
+                context.connect()
+            except BaseException as error:
+                failed.append(error)
+
+        thread = threading.Thread(target=connect)
+        thread.start()
+        until(lambda: context.state is State.CONNECTING)
+        time.sleep(0.02)
+        context.close()
+        thread.join()
+        assert isinstance(failed[0], ModbusConnectionError)
+
+
+@ALL
+def test_connecting_and_the_answer_have_one_timeout(kind: str) -> None:
+    """Half of it is spent on an address that is dead."""
+
+    with FakeServer(lambda request: []) as server, dead() as port_of_nobody:
+        both = [
+            (socket.AF_INET, socket.SOCK_STREAM, 6, "", ("127.0.0.1", port))
+            for port in (port_of_nobody, server.port)
+        ]
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(socket, "getaddrinfo", lambda *_, **__: both)
+            context = None
+            start = time.monotonic()
+            if kind == "asyncio":
+
+                async def main() -> None:
+                    client = AsyncClient("tcp://two.invalid:502", timeout=0.4)
+                    try:
+                        with pytest.raises(ModbusTimeoutError):
+                            await client.read_holding_registers(1, 1)
+                    finally:
+                        await client.close()
+
+                run_watched(main())
+            else:
+                context = TcpContext("two.invalid", timeout=0.4, native=kind == "native")
+                with pytest.raises(ModbusTimeoutError):
+                    context.read_holding_registers(1, 1)
+                context.close()
+        assert time.monotonic() - start >= 0.39
+        assert server.connections == 1
+
+
+# --- close and requests from where they hurt --------------------------------------------------
+
+
+@contextlib.contextmanager
+def on_alarm(act: Callable[[], object], seconds: float) -> Iterator[list[BaseException]]:
+    """Let a signal handler do it; gives what it raised."""
+    raised: list[BaseException] = []
+
+    def handle(*_: object) -> None:
+        try:
+            act()
+        except Exception as error:
+            raised.append(error)
+
+    before = signal.signal(signal.SIGALRM, handle)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield raised
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+
+
+@contextlib.contextmanager
+def waiting_context(place: str, native: bool) -> Iterator[tuple[Context, Callable[[], object]]]:
+    """A context, and a request on it that waits for long."""
+    if place == "tcp":
+        good = lambda request: [answer(request, "tcp")]  # noqa: E731
+        with FakeServer(good, good, lambda request: []) as server:
+            context = TcpContext("127.0.0.1", server.port, timeout=600, native=native)
+            context.read_holding_registers(1, 1)
+            context.read_holding_registers(1, 1)
+            yield context, lambda: context.read_holding_registers(1, 1)
+    elif place == "rtu":
+        line = lambda request: [rtu(request)]  # noqa: E731
+        with FakeUnit(line, line, lambda request: []) as unit:
+            context = RtuContext(unit.path, 115200, timeout=600, native=native)
+            context.read_holding_registers(1, 1)
+            context.read_holding_registers(1, 1)
+            yield context, lambda: context.read_holding_registers(1, 1)
+    else:
+        with dead() as port:
+            context = TcpContext("127.0.0.1", port, timeout=600, native=native)
+            yield context, context.connect
+    context.close()
+
+
+PLACES = pytest.mark.parametrize("place", ["tcp", "rtu", "connecting"])
+
+
+@NATIVE
+@PLACES
+def test_close_in_a_signal_handler_ends_the_request_that_it_interrupts(
+    place: str, native: bool
+) -> None:
+    with waiting_context(place, native) as (context, request):
+        with on_alarm(context.close, 0.05) as raised, pytest.raises(ModbusConnectionError):
+            request()
+        assert not raised
+        assert context.closed
+
+
+@NATIVE
+@PLACES
+def test_a_request_in_a_signal_handler_is_refused(place: str, native: bool) -> None:
+    with waiting_context(place, native) as (context, request):
+        context.timeout = 0.15
+        start = time.monotonic()
+        with (
+            on_alarm(lambda: context.read_coils(0, 1), 0.05) as raised,
+            pytest.raises(ModbusError),
+        ):
+            request()
+        assert time.monotonic() - start >= 0.149
+        assert isinstance(raised[0], RuntimeError)
+
+
+class Finalized:
+    """Does something when it is collected, which a circle leaves to the collector."""
+
+    def __init__(self, act: Callable[[], object]) -> None:
+        self._act = act
+        self._circle = self
+
+    def __del__(self) -> None:
+        self._act()
+
+
+@contextlib.contextmanager
+def other_process(scheme: str = "tcp") -> Iterator[str]:
+    """A server that no collector, signal or fork of this process reaches; gives its URL."""
+    command = [sys.executable, "-m", "libmodbus_py", "serve", f"{scheme}://127.0.0.1:0"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        try:
+            yield process.stdout.readline().split()[-1]
+        finally:
+            process.kill()
+
+
+@NATIVE
+def test_close_and_requests_in_a_finalizer_during_a_request(native: bool) -> None:
+    """The collector runs whenever something is made, as in the middle of a request."""
+    with other_process() as url, Context.from_url(url, native=native) as context:
+        context.write_registers(0, list(range(100)))
+        outcomes: list[object] = []
+
+        def ask() -> None:
+            try:
+                outcomes.append(context.read_holding_registers(9, 1))
+            except RuntimeError as error:
+                outcomes.append(error)
+
+        thresholds = gc.get_threshold()
+        gc.set_threshold(5)
+        try:
+            for address in range(100):
+                Finalized(ask)
+                assert context.read_holding_registers(address, 1) == [address]
+            gc.collect()
+            assert len(outcomes) == 100
+            assert all(each == [9] or isinstance(each, RuntimeError) for each in outcomes)
+            Finalized(context.close)
+            with contextlib.suppress(ModbusConnectionError):
+                for _ in range(100):
+                    context.read_holding_registers(1, 1)
+        finally:
+            gc.set_threshold(*thresholds)
+        assert context.closed
+
+
+@NATIVE
+@pytest.mark.parametrize("place", ["tcp", "rtu", "rtu+tcp"])
+# A socket that was just being made is closed when it is collected.
+@pytest.mark.filterwarnings("ignore:.*unclosed <socket.*")
+def test_ctrl_c_at_any_moment_fails_no_later_request(place: str, native: bool) -> None:
+    """Each request that is not interrupted is right; none meets what an interrupted one left."""
+    with contextlib.ExitStack() as stack:
+        context: Context
+        if place == "rtu":
+            unit = stack.enter_context(FakeUnit(lambda request: [rtu(request)]))
+            context = RtuContext(unit.path, 1_000_000, timeout=0.1, native=native)
+        else:
+            frame = lambda request: [answer(request, place)]  # noqa: E731
+            server = stack.enter_context(FakeServer(frame))
+            framed: Any = "rtu" if place == "rtu+tcp" else "tcp"
+            context = TcpContext(
+                "127.0.0.1", server.port, framing=framed, timeout=0.1, native=native
+            )
+        interrupted = 0
+        before = signal.signal(signal.SIGALRM, signal.default_int_handler)
+        try:
+            for number in range(200 if place == "tcp" else 24):
+                try:
+                    signal.setitimer(signal.ITIMER_REAL, 20e-6 + number % 100 * 6e-6)
+                    for address in range(10):
+                        assert context.read_holding_registers(address, 1) == [address]
+                    signal.setitimer(signal.ITIMER_REAL, 0)
+                except KeyboardInterrupt:
+                    interrupted += 1
+                if number % 2:
+                    assert context.read_holding_registers(number, 1) == [number]
+        finally:
+            signal.setitimer(signal.ITIMER_REAL, 0)
+            signal.signal(signal.SIGALRM, before)
+        assert interrupted > 5
+        context.close()

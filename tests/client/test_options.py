@@ -1,0 +1,101 @@
+"""
+Options, URLs and arguments: what is wrong is named, and nothing is sent.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from libmodbus_py import pdu
+from tests.support.clients import World
+from tests.support.peers import Write, echo
+
+REQUEST = pdu.ReadHoldingRegisters(5, 1)
+
+
+def good(request: bytes, write: Write) -> None:
+    write(echo(request))
+
+
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [
+        ({"unit": 256}, "unit"),
+        ({"unit": -1}, "unit"),
+        ({"timeout": 0}, "timeout"),
+        ({"timeout": "1"}, "timeout"),
+        ({"timeout": float("nan")}, "timeout"),
+        ({"retries": 101}, "retries"),
+        ({"busy_retries": -1}, "busy_retries"),
+        ({"max_in_flight": 0}, "max_in_flight"),
+        ({"max_in_flight": 257}, "max_in_flight"),
+        ({"turnaround": -1}, "turnaround"),
+        ({"request_spacing": -1}, "request_spacing"),
+        ({"connect_delay": "1"}, "connect_delay"),
+        ({"timeouts_before_reconnect": 0}, "timeouts_before_reconnect"),
+        ({"max_pause": -1}, "max_pause"),
+        ({"keepalive": 0}, "keepalive"),
+        ({"accept_unit": "all"}, "accept_unit"),
+        ({"delimiter": 0x3A}, "delimiter"),
+        ({"trace": 1}, "trace"),
+        ({"on_state": 1}, "on_state"),
+        ({"slave": 3}, "slave"),
+    ],
+)
+def test_bad_option_is_named(world: World, options: Any, named: str) -> None:
+    with pytest.raises((ValueError, TypeError), match=named):
+        world.connect("tcp://127.0.0.1", **options)
+
+
+@pytest.mark.parametrize(
+    ("url", "named"),
+    [
+        (None, "url"),
+        ("http://x", "scheme"),
+        ("tcp://", "host"),
+        ("tcp://h:0", "port"),
+        ("tcp://h:99999", "port"),
+        ("rtu://", "device"),
+        ("rtu:///dev/x?speed=9600", "speed"),
+        ("rtu:///dev/x?baudrate=fast", "baudrate"),
+        ("rtu:///dev/x?parity=X", "parity"),
+        ("rtu:///dev/x?max_in_flight=16", "max_in_flight"),
+        ("rtu+tcp://h?max_in_flight=2", "max_in_flight"),
+        ("rtu+tcp://h?accept_unit=any", "accept_unit"),
+    ],
+)
+def test_bad_url_is_named(world: World, url: Any, named: str) -> None:
+    with pytest.raises((ValueError, TypeError), match=named):
+        world.connect(url)
+
+
+@pytest.mark.parametrize(
+    ("ask", "named"),
+    [
+        (lambda plc: plc.read_coils(-1, 1), "address must be in 0..65535"),
+        (lambda plc: plc.read_coils(0, 2001), "count must be in 1..2000"),
+        (lambda plc: plc.read_holding_registers(65535, 2), "must not pass 65536"),
+        (lambda plc: plc.read_input_registers(0, 0), "count must be in 1..125"),
+        (lambda plc: plc.write_register(0, 65536), "value must be in 0..65535"),
+        (lambda plc: plc.write_registers(0, []), "values must hold 1..123"),
+        (lambda plc: plc.write_registers(0, [0, -1]), r"values\[1\]"),
+        (lambda plc: plc.write_coils(0, [True] * 1969), "values must hold 1..1968"),
+        (lambda plc: plc.write_coil(0, "on"), "value"),
+        (lambda plc: plc.read_file_records([(0, 0, 1)]), "file must be in 1..65535"),
+        (lambda plc: plc.for_unit(256), "unit must be in 0..255"),
+        (lambda plc: plc.for_unit(1, timeout=0), "timeout must be in"),
+        (lambda plc: plc.execute(3), "request must be one of pdu, not int"),
+        (lambda plc: plc.execute(REQUEST, retries=-1), "retries must be in 0..100"),
+        (lambda plc: plc.read_values("coils", 0, "int16"), "table must be one of"),
+        (lambda plc: plc.write_values("coils", 0, [1], "int16"), "table must be holding"),
+    ],
+)
+def test_nothing_is_sent_for_bad_arguments(world: World, ask: Any, named: str) -> None:
+    peer = world.peer("tcp", good)
+    with world.connect(peer.url) as plc:
+        with pytest.raises((ValueError, TypeError), match=named):
+            ask(plc)
+        assert plc.read_holding_registers(5, 1) == [5]
+        assert len(peer.requests) == 1
