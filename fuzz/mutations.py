@@ -159,7 +159,7 @@ def _assigned(node: ast.Assign | ast.AugAssign) -> Iterator[_Change]:
 def _returned(node: ast.Return) -> Iterator[_Change]:
     if node.value is None:
         yield "return removed", "pass"
-    elif not (isinstance(node.value, ast.Constant) and node.value.value is None):
+    elif not isinstance(node.value, ast.Constant) or node.value.value:
         yield "return value", "return None"
 
 
@@ -219,7 +219,9 @@ def _defined(statement: ast.AST) -> frozenset[str]:
         targets = statement.targets
     elif isinstance(statement, ast.AnnAssign | ast.AugAssign):
         targets = [statement.target]
-    return frozenset(each.id for each in targets if isinstance(each, ast.Name))
+    return frozenset(
+        inner.id for each in targets for inner in ast.walk(each) if isinstance(inner, ast.Name)
+    )
 
 
 def _children(node: ast.AST) -> Iterator[ast.AST]:
