@@ -159,8 +159,15 @@ def _assigned(node: ast.Assign | ast.AugAssign) -> Iterator[_Change]:
 def _returned(node: ast.Return) -> Iterator[_Change]:
     if node.value is None:
         yield "return removed", "pass"
-    elif not isinstance(node.value, ast.Constant) or node.value.value:
+    elif not _is_nothing(node.value):
         yield "return value", "return None"
+
+
+def _is_nothing(node: ast.expr) -> bool:
+    """Whether None in its place means the same to whoever looks whether it is true."""
+    if isinstance(node, ast.Constant):
+        return not node.value
+    return isinstance(node, ast.List | ast.Tuple) and not node.elts
 
 
 def _left(node: ast.stmt) -> Iterator[_Change]:

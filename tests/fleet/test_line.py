@@ -111,7 +111,9 @@ def test_each_device_is_polled_at_its_interval() -> None:
         statistics = plant.fleet.statistics
         assert (statistics.devices, statistics.up, statistics.down) == (2, 2, 0)
         assert (statistics.skipped, statistics.failures, statistics.held) == (0, 0, 0)
-        assert statistics.polls == len(plant.asked) == statistics.readings
+        assert statistics.polls == statistics.readings
+        # One may be on its way.
+        assert len(plant.asked) - statistics.polls in (0, 1)
 
     plant.run(main, plant.device(1), plant.device(2, interval=2.0))
 
@@ -216,8 +218,8 @@ class TestSilentDevices:
             plant.delays[9] = 0.4
             while plant.fleet.devices["device 9"].standing is not Standing.UP:
                 await asyncio.sleep(1)
-                assert len(plant.times(9)) <= 6
-            assert len(plant.times(9)) == 6
+                assert len(plant.times(9)) <= 7
+            assert len(plant.times(9)) == 7
 
         plant.run(main, plant.device(9), plant.device(1, interval=0.1))
 
