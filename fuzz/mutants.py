@@ -348,7 +348,7 @@ def _covered(path: Path) -> tuple[Path, list[dict[str, Any]]]:
         finally:
             _kill(started.pid)
         if started.returncode:
-            _tell(f"{output[-4000:]}\n{path}: these fail without a mutant, and are left out")
+            _tell(f"{output[-4000:]}\n{path}: what fails there without a mutant is left out")
         return path, [json.loads(part.read_text()) for part in Path(folder).glob("part-*.json")]
 
 

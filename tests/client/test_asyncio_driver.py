@@ -149,21 +149,3 @@ def test_what_may_not_be_sent_is_asked_before_each_request(allowed: bool) -> Non
         assert peer.connections == allowed
 
     network.run(main)
-
-
-def test_cancelling_while_it_connects_leaves_the_next_to_connect_anew() -> None:
-    network = Network()
-    peer = Scripted(network, "tcp://10.0.0.1", answer_tcp)
-
-    async def main() -> None:
-        plc = AsyncClient(f"{peer.url}?timeout=5")
-        network.unreachable.add("10.0.0.1")
-        with pytest.raises(TimeoutError):
-            await asyncio.wait_for(plc.read_holding_registers(1, 1), 1)
-        network.unreachable.clear()
-        begun = network.events.now
-        assert await plc.read_holding_registers(2, 1) == [2]
-        assert network.events.now < begun + 6
-        await plc.close()
-
-    network.run(main)
