@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import gc
 import importlib
 import importlib.abc
 import importlib.machinery
@@ -165,7 +166,15 @@ class _Running:
 
 @dataclass
 class Trial:
-    """Runs the tests of mutants, several mutants at once."""
+    """
+    Runs the tests of mutants, several mutants at once.
+
+    Attributes:
+        covering: known tests; forgotten when those of each mutant are chosen, for it is large,
+            and each fork has all of this process.
+        folder: for what the tests of a mutant write.
+        budget: seconds of tests for one mutant.
+    """
 
     covering: Covering
     folder: Path
@@ -176,12 +185,15 @@ class Trial:
 
     def run(self, chosen: Sequence[Mutant]) -> Iterator[Outcome]:
         """Yield what became of each mutant, in the order in which they end."""
-        waiting = list(reversed(chosen))
+        waiting = [(mutant, self.tests_of(mutant)) for mutant in reversed(chosen)]
+        self.covering = Covering()
+        gc.collect()
+        gc.freeze()
         try:
             while waiting or self._running:
                 while waiting and len(self._running) < self.jobs:
-                    mutant = waiting.pop()
-                    if tests := self.tests_of(mutant):
+                    mutant, tests = waiting.pop()
+                    if tests:
                         self._start(mutant, tests)
                     else:
                         yield Outcome(mutant, "unreached")
@@ -378,6 +390,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     outcomes: list[Outcome] = []
     with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
         trial = Trial(covering, Path(folder), arguments.jobs, arguments.budget)
+        del covering
         for outcome in trial.run(drawn):
             outcomes.append(outcome)
             if not outcome.is_killed:
