@@ -139,8 +139,8 @@ class Outcome:
     What became of a mutant.
 
     Attributes:
-        kind: `killed`, `hung`, `broken` (the package could not be imported), `survived`, or
-            `unreached`, if no test executes the line.
+        kind: `killed`, `hung`, `broken` (the package could not be imported), `survived`,
+            `unreached`, if no test executes the line, or `unknown`, if no test could run.
         tests: how many were chosen.
         by: the test that failed.
     """
@@ -308,10 +308,11 @@ def _judged(running: _Running, code: int | None) -> Outcome:
         kind = "unreached"
     elif code == BROKEN:
         kind = "broken"
-    elif code == pytest.ExitCode.TESTS_FAILED or code < 0:
+    elif by or code < 0:
         kind = "killed"
     else:
-        raise SystemExit(f"{running.mutant}: the tests could not run:\n{output[-4000:]}")
+        kind = "unknown"
+        _tell(f"the tests could not run:\n{output[-4000:]}")
     return Outcome(running.mutant, kind, len(running.tests), by)
 
 
