@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import gc
 import importlib
 import importlib.abc
 import importlib.machinery
@@ -68,6 +69,9 @@ BUDGET = 20.0
 
 BROKEN = 100
 """How a process ends that could not import its mutant."""
+
+LEFT_OUT = "not ctrl_c_at_any_moment"
+"""A KeyboardInterrupt within coverage.py leaves its lock taken: the next line waits for ever."""
 
 PATIENCE = 600.0
 """Seconds for the tests of one file, without a mutant."""
@@ -135,8 +139,8 @@ class Outcome:
     What became of a mutant.
 
     Attributes:
-        kind: `killed`, `hung`, `broken` (the package could not be imported), `survived`, or
-            `unreached`, if no test executes the line.
+        kind: `killed`, `hung`, `broken` (the package could not be imported), `survived`,
+            `unreached`, if no test executes the line, or `unknown`, if no test could run.
         tests: how many were chosen.
         by: the test that failed.
     """
@@ -162,7 +166,15 @@ class _Running:
 
 @dataclass
 class Trial:
-    """Runs the tests of mutants, several mutants at once."""
+    """
+    Runs the tests of mutants, several mutants at once.
+
+    Attributes:
+        covering: known tests; forgotten when those of each mutant are chosen, for it is large,
+            and each fork has all of this process.
+        folder: for what the tests of a mutant write.
+        budget: seconds of tests for one mutant.
+    """
 
     covering: Covering
     folder: Path
@@ -173,12 +185,15 @@ class Trial:
 
     def run(self, chosen: Sequence[Mutant]) -> Iterator[Outcome]:
         """Yield what became of each mutant, in the order in which they end."""
-        waiting = list(reversed(chosen))
+        waiting = [(mutant, self.tests_of(mutant)) for mutant in reversed(chosen)]
+        self.covering = Covering()
+        gc.collect()
+        gc.freeze()
         try:
             while waiting or self._running:
                 while waiting and len(self._running) < self.jobs:
-                    mutant = waiting.pop()
-                    if tests := self.tests_of(mutant):
+                    mutant, tests = waiting.pop()
+                    if tests:
                         self._start(mutant, tests)
                     else:
                         yield Outcome(mutant, "unreached")
@@ -293,10 +308,11 @@ def _judged(running: _Running, code: int | None) -> Outcome:
         kind = "unreached"
     elif code == BROKEN:
         kind = "broken"
-    elif code == pytest.ExitCode.TESTS_FAILED or code < 0:
+    elif by or code < 0:
         kind = "killed"
     else:
-        raise SystemExit(f"{running.mutant}: the tests could not run:\n{output[-4000:]}")
+        kind = "unknown"
+        _tell(f"the tests could not run:\n{output[-4000:]}")
     return Outcome(running.mutant, kind, len(running.tests), by)
 
 
@@ -326,7 +342,8 @@ def _covered(path: Path) -> tuple[Path, list[dict[str, Any]]]:
     """Run the tests of a file in a process of their own, and return what it wrote down."""
     with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
         command = [sys.executable, "-m", "pytest", "-q", "-p", "no:xdist", "-p", "fuzz.covering"]
-        command += ["-p", "no:cacheprovider", "-o", "faulthandler_timeout=60", str(path)]
+        command += ["-p", "no:cacheprovider", "-o", "faulthandler_timeout=60", "-k", LEFT_OUT]
+        command.append(str(path))
         environment = {**os.environ, FOLDER: folder, "TMPDIR": folder}
         started = subprocess.Popen(
             command,
@@ -344,7 +361,7 @@ def _covered(path: Path) -> tuple[Path, list[dict[str, Any]]]:
         finally:
             _kill(started.pid)
         if started.returncode:
-            _tell(f"{output[-4000:]}\n{path}: these fail without a mutant, and are left out")
+            _tell(f"{output[-4000:]}\n{path}: what fails there without a mutant is left out")
         return path, [json.loads(part.read_text()) for part in Path(folder).glob("part-*.json")]
 
 
@@ -374,6 +391,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     outcomes: list[Outcome] = []
     with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
         trial = Trial(covering, Path(folder), arguments.jobs, arguments.budget)
+        del covering
         for outcome in trial.run(drawn):
             outcomes.append(outcome)
             if not outcome.is_killed:

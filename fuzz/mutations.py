@@ -159,8 +159,15 @@ def _assigned(node: ast.Assign | ast.AugAssign) -> Iterator[_Change]:
 def _returned(node: ast.Return) -> Iterator[_Change]:
     if node.value is None:
         yield "return removed", "pass"
-    elif not (isinstance(node.value, ast.Constant) and node.value.value is None):
+    elif not _is_nothing(node.value):
         yield "return value", "return None"
+
+
+def _is_nothing(node: ast.expr) -> bool:
+    """Whether None in its place means the same to whoever looks whether it is true."""
+    if isinstance(node, ast.Constant):
+        return not node.value
+    return isinstance(node, ast.List | ast.Tuple) and not node.elts
 
 
 def _left(node: ast.stmt) -> Iterator[_Change]:
@@ -219,7 +226,9 @@ def _defined(statement: ast.AST) -> frozenset[str]:
         targets = statement.targets
     elif isinstance(statement, ast.AnnAssign | ast.AugAssign):
         targets = [statement.target]
-    return frozenset(each.id for each in targets if isinstance(each, ast.Name))
+    return frozenset(
+        inner.id for each in targets for inner in ast.walk(each) if isinstance(inner, ast.Name)
+    )
 
 
 def _children(node: ast.AST) -> Iterator[ast.AST]:

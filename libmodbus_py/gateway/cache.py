@@ -52,6 +52,5 @@ class Cache:
         if unit == 0:
             self._writes.update(range(1, 256))
             self._answers.clear()
-            return
         for key in [key for key in self._answers if key[0] == unit]:
             del self._answers[key]

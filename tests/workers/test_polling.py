@@ -62,7 +62,6 @@ class Fleet:
 
 @pytest.fixture(autouse=True)
 def simulated(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(polling, "clock", now)
     monkeypatch.setattr(polling, "Fleet", Fleet)
 
 
@@ -82,7 +81,7 @@ def filled(*connections: Connection, **settings: Any) -> MemoryBucket:
 
 def made(bucket: MemoryBucket, settings: Settings | None = None, **options: Any) -> Polling:
     given: Any = bucket
-    return Polling(given.client, given, settings or Settings(LEASE), **options)
+    return Polling(given.client, given, settings or Settings(LEASE), clock=now, **options)
 
 
 @asynccontextmanager

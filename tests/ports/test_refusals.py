@@ -1,0 +1,395 @@
+"""
+Ports whose system refuses something: opening, settings, reading, sending. What is said of it, and
+that nothing stays open or locked.
+"""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import os
+import select
+import struct
+import termios
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+
+from libmodbus_py import ModbusConnectionError
+from libmodbus_py.ports import read_only, serial
+from libmodbus_py.ports.read_only import ReadOnlySerialPort
+from libmodbus_py.ports.serial import SerialPort, set_odd_baudrate
+from libmodbus_py.ports.sockets import TcpPort, UdpPort
+from libmodbus_py.testing.wires import SerialWire
+
+
+@pytest.fixture
+def wire() -> Iterator[SerialWire]:
+    with SerialWire() as made:
+        yield made
+
+
+@pytest.fixture
+def port(wire: SerialWire) -> Iterator[SerialPort]:
+    made = SerialPort(wire.client)
+    made.open()
+    yield made
+    made.close()
+
+
+def raising(number: int) -> Callable[..., Any]:
+    def refuse(*_: object) -> Any:
+        raise OSError(number, os.strerror(number))
+
+    return refuse
+
+
+def is_free(path: str) -> bool:
+    """Whether nobody has a port open or locked."""
+    made = SerialPort(path)
+    made.open()
+    made.close()
+    return made.descriptor == -1
+
+
+class Connecting:
+    """libmodbus, whose modbus_connect fails so many times with an error number."""
+
+    def __init__(self, *numbers: int) -> None:
+        self._lib = serial.lib
+        self._numbers = list(numbers)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._lib, name)
+
+    def modbus_connect(self, context: Any) -> int:
+        if self._numbers:
+            serial.ffi.errno = self._numbers.pop(0)
+            return -1
+        return int(self._lib.modbus_connect(context))
+
+
+class TestSettings:
+    def test_settings_that_are_refused_twice_are_refused(
+        self, wire: SerialWire, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        made = SerialPort(wire.client)
+        with monkeypatch.context() as patch:
+            patch.setattr(serial, "lib", Connecting(errno.EINVAL, errno.EINVAL))
+            with pytest.raises(ModbusConnectionError) as caught:
+                made.open()
+        text = f"cannot open {wire.client}: the port refuses these settings"
+        assert str(caught.value) == text
+        assert caught.value.errno == errno.EINVAL
+        assert made.descriptor == -1
+        assert is_free(wire.client)
+
+    def test_settings_that_are_refused_once_were_there_already(
+        self, wire: SerialWire, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """As glibc says of a pseudo-terminal, which has no parity."""
+        monkeypatch.setattr(serial, "lib", Connecting(errno.EINVAL))
+        made = SerialPort(wire.client)
+        made.open()
+        assert made.descriptor >= 0
+        made.close()
+
+    @pytest.mark.parametrize("number", [errno.EIO, errno.ENXIO, errno.EMFILE])
+    def test_another_error_is_told_and_not_tried_again(
+        self, number: int, wire: SerialWire, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        with monkeypatch.context() as patch:
+            patch.setattr(serial, "lib", Connecting(number, errno.EDOM))
+            with pytest.raises(ModbusConnectionError, match=os.strerror(number)) as caught:
+                SerialPort(wire.client).open()
+        assert caught.value.errno == number
+        assert is_free(wire.client)
+
+    def test_what_interrupts_the_opening_leaves_the_port_free(
+        self, wire: SerialWire, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        def interrupt(port: SerialPort) -> None:
+            raise KeyboardInterrupt
+
+        with monkeypatch.context() as patch:
+            patch.setattr(SerialPort, "_configure", interrupt)
+            with pytest.raises(KeyboardInterrupt):
+                SerialPort(wire.client).open()
+        assert is_free(wire.client)
+
+    @pytest.mark.parametrize("number", [errno.ENOLCK, errno.EINTR])
+    def test_a_lock_that_cannot_be_had_is_told(
+        self, number: int, wire: SerialWire, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        with monkeypatch.context() as patch:
+            patch.setattr(fcntl, "flock", raising(number))
+            with pytest.raises(ModbusConnectionError, match=os.strerror(number)) as caught:
+                SerialPort(wire.client).open()
+        assert caught.value.errno == number
+        assert is_free(wire.client)
+
+    def test_what_is_no_port_is_told_before_libmodbus_sees_it(self) -> None:
+        with pytest.raises(ModbusConnectionError, match="/dev/null: not a serial port") as caught:
+            SerialPort("/dev/null").open()
+        assert caught.value.errno == errno.ENOTTY
+
+
+class TestOddBaudrates:
+    """The system is asked for a rate that has no constant; what it does may be another one."""
+
+    TERMIOS2 = struct.Struct("4IB19B2I")
+
+    def _driver(self, does: int) -> Callable[[int, int, bytes], bytes]:
+        fields = [0] * 26
+
+        def ioctl(descriptor: int, request: int, data: bytes) -> bytes:
+            if request == 0x802C542A:
+                return self.TERMIOS2.pack(*fields)
+            given = list(self.TERMIOS2.unpack(data))
+            assert given[2] & 0o010017 == 0o010000
+            fields[:] = given
+            fields[-2:] = does, does
+            return data
+
+        return ioctl
+
+    @pytest.mark.parametrize(
+        ("does", "is_taken"),
+        [(25_000, True), (25_500, True), (24_500, True), (25_501, False), (24_499, False)],
+    )
+    def test_a_rate_within_2_percent_is_taken(
+        self, does: int, is_taken: bool, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(fcntl, "ioctl", self._driver(does))
+        if is_taken:
+            set_odd_baudrate(0, 25_000)
+            return
+        text = f"baudrate 25000 refused: the port does {does}"
+        with pytest.raises(OSError, match=text) as caught:
+            set_odd_baudrate(0, 25_000)
+        assert caught.value.errno == errno.EINVAL
+
+    def test_a_port_that_refuses_says_which_rate(
+        self, wire: SerialWire, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        with monkeypatch.context() as patch:
+            patch.setattr(fcntl, "ioctl", raising(errno.EINVAL))
+            with pytest.raises(ModbusConnectionError) as caught:
+                SerialPort(wire.client, baudrate=25_000).open()
+        assert "baudrate 25000 refused: Invalid argument" in str(caught.value)
+        assert caught.value.errno == errno.EINVAL
+        assert is_free(wire.client)
+
+
+class TestBytes:
+    @pytest.mark.parametrize("number", [errno.EIO, errno.ENXIO])
+    def test_a_read_that_fails_is_a_lost_connection(
+        self, number: int, port: SerialPort, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        with monkeypatch.context() as patch:
+            patch.setattr(os, "read", raising(number))
+            with pytest.raises(ModbusConnectionError, match=os.strerror(number)) as caught:
+                port.receive()
+        assert caught.value.errno == number
+
+    def test_a_read_that_would_wait_is_nothing(
+        self, port: SerialPort, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(os, "read", raising(errno.EAGAIN))
+        assert port.receive() == []
+
+    @pytest.mark.parametrize("event", [select.POLLHUP, select.POLLERR])
+    def test_a_read_of_nothing_from_a_port_that_hung_up_is_its_end(
+        self, event: int, port: SerialPort, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        class Poll:
+            def poll(self, timeout: int) -> list[tuple[int, int]]:
+                return [(port.descriptor, event)]
+
+        monkeypatch.setattr(os, "read", lambda *_: b"")
+        assert port.receive() == []
+        port._poll = Poll()  # type: ignore[assignment]
+        with pytest.raises(ModbusConnectionError, match="the port is gone") as caught:
+            port.receive()
+        assert caught.value.errno == errno.EIO
+
+    @pytest.mark.parametrize("number", [errno.EIO, errno.ENODEV])
+    def test_a_send_that_fails_is_a_lost_connection(
+        self, number: int, port: SerialPort, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        with monkeypatch.context() as patch:
+            patch.setattr(os, "write", raising(number))
+            with pytest.raises(ModbusConnectionError, match=os.strerror(number)) as caught:
+                port.send([b"request"], 0.0)
+        assert caught.value.errno == number
+
+    def test_a_port_that_takes_nothing_now_loses_the_frame(
+        self, port: SerialPort, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        with monkeypatch.context() as patch:
+            patch.setattr(os, "write", raising(errno.EAGAIN))
+            port.send([b"request"], 0.0)
+        assert port.resume_at is None
+        assert not port.has_unsent
+
+
+class TestReadOnly:
+    def test_one_that_may_not_be_opened_names_the_group(
+        self, wire: SerialWire, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        with monkeypatch.context() as patch:
+            patch.setattr(os, "open", raising(errno.EACCES))
+            with pytest.raises(ModbusConnectionError, match=r"denied; .*dialout") as caught:
+                ReadOnlySerialPort(wire.client).open()
+        assert caught.value.errno == errno.EACCES
+
+    @pytest.mark.parametrize("number", [errno.EINVAL, errno.EIO])
+    def test_settings_that_are_refused_are_told_and_nothing_stays_open(
+        self, number: int, wire: SerialWire, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        def refuse(*_: object) -> None:
+            raise termios.error(number, os.strerror(number))
+
+        made = ReadOnlySerialPort(wire.client)
+        with monkeypatch.context() as patch:
+            # The other end of the wire is held open by this process itself.
+            patch.setattr(read_only, "_other_user", lambda *_: None)
+            patch.setattr(termios, "tcsetattr", refuse)
+            with pytest.raises(ModbusConnectionError) as caught:
+                made.open()
+        refused = "not a serial port, or one that refuses these settings"
+        told = refused if number == errno.EINVAL else os.strerror(number)
+        assert str(caught.value) == f"cannot open {wire.client}: {told}"
+        assert caught.value.errno == number
+        assert made.descriptor == -1
+        assert is_free(wire.client)
+
+    def test_nothing_is_sent_there(self, wire: SerialWire) -> None:
+        made = ReadOnlySerialPort(wire.client)
+        made.open()
+        try:
+            with pytest.raises(RuntimeError, match="only read"):
+                made.send([b"request"], 0.0)
+        finally:
+            made.close()
+
+
+class Socket:
+    """A socket whose calls fail with error numbers, one after the other, or give bytes."""
+
+    def __init__(self, *outcomes: int | bytes) -> None:
+        self._outcomes = list(outcomes)
+        self.sent = b""
+        self.is_shut = False
+
+    def _next(self) -> bytes:
+        outcome = self._outcomes.pop(0) if self._outcomes else errno.EAGAIN
+        if isinstance(outcome, int):
+            raise OSError(outcome, os.strerror(outcome))
+        return outcome
+
+    def recv(self, size: int) -> bytes:
+        return self._next()
+
+    def send(self, data: bytes) -> int:
+        taken = min(len(data), len(self._next()))
+        self.sent += bytes(data[:taken])
+        return taken
+
+    def shutdown(self, how: int) -> None:
+        self.is_shut = True
+
+
+def tcp(*outcomes: int | bytes) -> tuple[TcpPort, Socket]:
+    made, socket = TcpPort("192.0.2.1", 502, None), Socket(*outcomes)
+    made._socket = socket  # type: ignore[assignment]
+    return made, socket
+
+
+def udp(*outcomes: int | bytes) -> tuple[UdpPort, Socket]:
+    made, socket = UdpPort("192.0.2.1", 502), Socket(*outcomes)
+    made._socket, made._refusal = socket, 0  # type: ignore[assignment]
+    return made, socket
+
+
+class TestTcp:
+    @pytest.mark.parametrize("number", [errno.ECONNRESET, errno.ETIMEDOUT, errno.EHOSTUNREACH])
+    def test_a_connection_that_ends_says_why(self, number: int) -> None:
+        with pytest.raises(ModbusConnectionError, match=os.strerror(number)) as caught:
+            tcp(number)[0].receive()
+        assert caught.value.errno == number
+        with pytest.raises(ModbusConnectionError, match=os.strerror(number)) as caught:
+            tcp(number)[0].send([b"request"], 0.0)
+        assert caught.value.errno == number
+
+    def test_the_other_side_closes(self) -> None:
+        with pytest.raises(ModbusConnectionError, match="closed by the other side") as caught:
+            tcp(b"")[0].receive()
+        assert caught.value.errno == errno.ECONNRESET
+
+    def test_nothing_has_come(self) -> None:
+        assert tcp()[0].receive() == []
+        assert tcp(b"answer")[0].receive() == [b"answer"]
+
+    def test_what_is_not_taken_is_sent_later_and_in_order(self) -> None:
+        made, socket = tcp(b"123", errno.EAGAIN, b"12", b"1234567890", b"1")
+        made.send([b"first", b" second"], 0.0)
+        assert (socket.sent, made.has_unsent) == (b"fir", True)
+        made.go_on(0.0)
+        made.send([b"!"], 0.0)
+        made.go_on(0.0)
+        assert (socket.sent, made.has_unsent) == (b"first", True)
+        made.go_on(0.0)
+        assert (socket.sent, made.has_unsent) == (b"first second!", False)
+
+    def test_one_that_takes_nothing_has_all_of_it_left(self) -> None:
+        made, socket = tcp(errno.EAGAIN)
+        made.send([b"request"], 0.0)
+        assert (socket.sent, made.has_unsent, bytes(made._unsent)) == (b"", True, b"request")
+
+
+class TestUdp:
+    def test_all_that_came_is_given_datagram_by_datagram(self) -> None:
+        assert udp(b"one", b"two", b"three")[0].receive() == [b"one", b"two", b"three"]
+
+    def test_a_closed_port_is_told_when_there_is_nothing_else(self) -> None:
+        with pytest.raises(ModbusConnectionError, match="refused") as caught:
+            udp(errno.ECONNREFUSED)[0].receive()
+        assert caught.value.errno == errno.ECONNREFUSED
+
+    @pytest.mark.parametrize(
+        "outcomes",
+        [(b"one", errno.ECONNREFUSED, b"two"), (errno.ECONNREFUSED, b"one", b"two")],
+        ids=["between", "before"],
+    )
+    def test_what_came_before_the_port_was_closed_is_given_first(
+        self, outcomes: tuple[int | bytes, ...]
+    ) -> None:
+        made, socket = udp(*outcomes)
+        assert made.receive() == [b"one", b"two"]
+        # Whoever waits is to have the news at once.
+        assert socket.is_shut
+        with pytest.raises(ModbusConnectionError, match="refused"):
+            made.receive()
+
+    def test_a_second_error_ends_the_look(self) -> None:
+        made, _ = udp(errno.ECONNREFUSED, b"one", errno.EHOSTUNREACH, b"two")
+        assert made.receive() == [b"one"]
+
+    def test_the_refusal_of_an_earlier_datagram_does_not_lose_this_one(self) -> None:
+        made, socket = udp(errno.ECONNREFUSED, b"1234567")
+        made.send([b"request"], 0.0)
+        assert socket.sent == b"request"
+
+    def test_a_datagram_that_is_not_taken_is_lost(self) -> None:
+        made, socket = udp(errno.EAGAIN, b"1234567")
+        made.send([b"request"], 0.0)
+        assert socket.sent == b""
+        assert not made.has_unsent
+
+    @pytest.mark.parametrize("number", [errno.ENETUNREACH, errno.EPERM])
+    def test_another_error_is_told(self, number: int) -> None:
+        with pytest.raises(ModbusConnectionError, match=os.strerror(number)) as caught:
+            udp(number)[0].send([b"request"], 0.0)
+        assert caught.value.errno == number

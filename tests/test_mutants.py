@@ -1,0 +1,137 @@
+"""
+The tool that changes the package in single places finds what a test notices, and what none does.
+"""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from fuzz.covering import Covering, functions
+from fuzz.mutants import chosen
+from fuzz.mutations import mutants
+
+ROOT = Path(__file__).parent.parent
+
+SOURCE = '''\
+"""A docstring, 1."""
+LIMIT: int = 3
+
+
+class Tank:
+    """Another one."""
+
+    def fill(self, level: int = 2) -> int:
+        """Fill it, 4."""
+        if level > LIMIT and not self.is_full:
+            raise ValueError("more than 5")
+        self.level = max(
+            level,
+            0,
+        )
+        self.note()
+        return self.level + 1
+
+    def __repr__(self) -> str:
+        return "Tank" * 6
+'''
+
+EXPECTED = [
+    (2, "constant", "3 -> 4"),
+    (8, "constant", "2 -> 3"),
+    (10, "and/or", "level > LIMIT and (not self.is_full) -> level > LIMIT or not self.is_full"),
+    (10, "boundary", "level > LIMIT -> level >= LIMIT"),
+    (10, "comparison", "level > LIMIT -> level <= LIMIT"),
+    (10, "not", "not self.is_full -> bool(self.is_full)"),
+    (11, "raise removed", "raise ValueError('more than 5') -> pass"),
+    (12, "assignment removed", "self.level = max(level, 0) -> pass"),
+    (12, "max", "max(level, 0) -> min(level, 0)"),
+    (14, "constant", "0 -> 1"),
+    (16, "call removed", "self.note() -> pass"),
+    (17, "return value", "return self.level + 1 -> return None"),
+    (17, "arithmetic", "self.level + 1 -> (self.level - 1)"),
+    (17, "constant", "1 -> 2"),
+]
+
+
+@pytest.fixture
+def tank(tmp_path: Path) -> Path:
+    path = tmp_path / "tank.py"
+    path.write_text(SOURCE)
+    return path
+
+
+def test_each_place_is_changed_and_texts_are_not(tank: Path) -> None:
+    found = [
+        (each.line, each.operator, str(each).partition(f"{each.operator}: ")[2])
+        for each in mutants(tank)
+    ]
+    assert sorted(found) == sorted(EXPECTED)
+
+
+def test_a_mutant_differs_in_one_place_and_keeps_its_lines(tank: Path) -> None:
+    before = ast.dump(ast.parse(SOURCE))
+    sources = [each.source for each in mutants(tank)]
+    assert len(set(sources)) == len(EXPECTED)
+    for source in sources:
+        assert ast.dump(ast.parse(source)) != before
+        assert source.count("\n") == SOURCE.count("\n")
+
+
+def test_lines_are_known_although_a_function_moves(tank: Path) -> None:
+    covering = Covering()
+    (fill, _) = functions(tank)
+    covering.tests[fill.key] = {"2": ["test_a.py::test"], "8": ["test_b.py::test"]}
+    covering.digests[fill.key] = dict.fromkeys(("test_a.py", "test_b.py"), fill.digest)
+    assert covering.of_lines(tank, 10, 10) == {"test_a.py::test"}
+    assert covering.of_lines(tank, 11, 11) == set()
+    tank.write_text("import os\n\n" + SOURCE)
+    assert covering.of_lines(tank, 12, 12) == {"test_a.py::test"}
+    # Of a function that has changed all its tests count.
+    tank.write_text(SOURCE.replace("LIMIT and", "LIMIT or"))
+    assert covering.of_lines(tank, 10, 10) == {"test_a.py::test", "test_b.py::test"}
+
+
+def test_the_same_seed_draws_the_same() -> None:
+    first, again, other = (list(map(str, chosen(["gateway"], 5, seed))) for seed in (1, 1, 2))
+    assert first == again != other
+    assert len(first) == 5
+
+
+TRYING = """
+import sys
+from pathlib import Path
+from fuzz.covering import Covering
+from fuzz.mutants import Trial
+from fuzz.mutations import mutants
+
+path = Path("libmodbus_py/fleet/schedule.py")
+(mutant,) = [each for each in mutants(path) if str(each).endswith("misses - 1 -> (misses + 1)")]
+for file in sys.argv[1:]:
+    trial = Trial(Covering(), Path("."), 1)
+    # A test may take 10 s, and ten times as long as it takes without a mutant: together 1 s.
+    trial.tests_of = lambda mutant: {f"{file}::test_it": -0.9}
+    print(*(outcome.kind for outcome in trial.run([mutant])))
+"""
+
+BODIES = {
+    "killed": "assert pause_after(3, 1.0) == 4.0",
+    "survived": "pause_after(3, 1.0)",
+    "hung": "pause_after(3, 1.0) == 4.0 or threading.Event().wait()",
+}
+
+
+def test_a_mutant_is_killed_by_a_test_that_notices(tmp_path: Path) -> None:
+    """In a folder with links to all that it needs, and tests of its own."""
+    for folder in ("libmodbus_py", "fuzz"):
+        (tmp_path / folder).symlink_to(ROOT / folder)
+    for kind, body in BODIES.items():
+        head = "import threading\nfrom libmodbus_py.fleet.schedule import pause_after\n"
+        (tmp_path / f"test_{kind}.py").write_text(f"{head}\n\ndef test_it():\n    {body}\n")
+    command = [sys.executable, "-c", TRYING, *(f"test_{kind}.py" for kind in BODIES)]
+    done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True, cwd=tmp_path)
+    assert done.stdout.split() == list(BODIES)
