@@ -49,6 +49,8 @@ class FakeUdpServer:
         self._answers = list(answers)
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         self._socket.bind(("::1" if family == socket.AF_INET6 else "127.0.0.1", 0))
+        self._closing = threading.Lock()
+        self._is_closed = False  # by an answer, while the test may already end
         self.port: int = self._socket.getsockname()[1]
         host = "[::1]" if family == socket.AF_INET6 else "127.0.0.1"
         self.url = f"udp://{host}:{self.port}"
@@ -61,8 +63,8 @@ class FakeUdpServer:
         return self
 
     def __exit__(self, *_: object) -> None:
-        with socket.socket(self._socket.family, socket.SOCK_DGRAM) as last:
-            if self._thread.is_alive():
+        with self._closing, socket.socket(self._socket.family, socket.SOCK_DGRAM) as last:
+            if not self._is_closed:
                 last.sendto(b"", self._socket.getsockname())
         self._thread.join()
         self._socket.close()
@@ -79,7 +81,9 @@ class FakeUdpServer:
                 del self._answers[0]
             datagrams = answer(request)
             if datagrams is None:
-                self._socket.close()
+                with self._closing:
+                    self._is_closed = True
+                    self._socket.close()
                 return
             for datagram in datagrams:
                 self._socket.sendto(datagram, client)
