@@ -177,13 +177,12 @@ class AsyncioDriver:
             return
         try:
             self._port.send(adus, now)
+            if self._port.has_unsent or self._is_writing or self._port.resume_at is not None:
+                self._follow_port(now)
+            if not self._is_reading:
+                self._read_on()
         except ModbusConnectionError as error:
             self._lose(error)
-            return
-        if self._port.has_unsent or self._is_writing or self._port.resume_at is not None:
-            self._follow_port(now)
-        if not self._is_reading:
-            self._read_on()
 
     def _is_forbidden(self) -> bool:
         """Whether nothing may be sent now; then whoever waits is told so."""
@@ -255,7 +254,15 @@ class AsyncioDriver:
     def _read_on(self) -> None:
         assert self._loop is not None
         self._is_reading = True
-        self._loop.add_reader(self._port.descriptor, self._readable)
+        self._watch(self._loop.add_reader, self._readable)
+
+    def _watch(self, add: Callable[..., None], call: Callable[[], None]) -> None:
+        """Have the loop call this. Raises ModbusConnectionError: the system has no room for it."""
+        try:
+            add(self._port.descriptor, call)
+        except OSError as error:
+            reason = f"cannot wait for {self._endpoint}: {error.strerror}"
+            raise ModbusConnectionError(reason, errno=error.errno) from error
 
     def _follow_port(self, now: float) -> None:
         """Go on when the port takes bytes again, or its pause is over."""
@@ -263,7 +270,7 @@ class AsyncioDriver:
         if self._port.has_unsent != self._is_writing:
             self._is_writing = self._port.has_unsent
             if self._is_writing:
-                self._loop.add_writer(self._port.descriptor, self._go_on)
+                self._watch(self._loop.add_writer, self._go_on)
             else:
                 self._loop.remove_writer(self._port.descriptor)
         if self._port.resume_at is not None:
@@ -329,15 +336,24 @@ class AsyncioDriver:
         if attempt.cancelled() or self._connection.state is State.CLOSED:
             self._give_up(ModbusConnectionError("connecting was cancelled"))
         elif failure is None:
-            self._read_on()
-            self._conversation.opened(self._now())
-            self._turn()
+            self._begin()
         elif isinstance(failure, ModbusConnectionError):
             self._conversation.failed(failure, self._now())
         else:
             error = ModbusConnectionError(f"connecting was interrupted: {failure!r}")
             error.__cause__ = failure
             self._give_up(error)
+
+    def _begin(self) -> None:
+        """The port is open."""
+        try:
+            self._read_on()
+        except ModbusConnectionError as error:
+            self._close_port()
+            self._conversation.failed(error, self._now())
+        else:
+            self._conversation.opened(self._now())
+            self._turn()
 
     def _give_up(self, error: ModbusConnectionError) -> None:
         self._port.close()

@@ -21,6 +21,7 @@ from .reconnecting import State
 from .shortcut import Shortcut
 
 if TYPE_CHECKING:
+    from ..ports.waiting import Waker
     from .options import Parts
     from .patience import Patience
 
@@ -49,7 +50,7 @@ class BlockingDriver:
         self._port = parts.port
         self._conversation = parts.conversation
         self._connection = parts.connection
-        self._waker = parts.port.waker()
+        self._waker = _waker(parts)
         self._now = self._waker.now
         self._shortcut = Shortcut(parts, native, self._waker) if is_short else None
         self._closed = False
@@ -82,7 +83,8 @@ class BlockingDriver:
                 self._is_busy = True
                 self._conversation.add(batch, self._now())
                 self._drive(batch, lock)
-            except Exception:
+            except Exception:  # nobody waits for it any more, so it must not be sent later
+                self._conversation.abandon(batch, self._now())
                 raise
             except BaseException:  # Ctrl-C: who knows what went out
                 self._interrupt()
@@ -103,6 +105,7 @@ class BlockingDriver:
         lock = self._lock
         with lock:
             self._check_turn()
+            batch = None
             try:
                 self._is_busy = True
                 if self._shortcut is not None and not broadcast and self._conversation.is_plain:
@@ -118,6 +121,8 @@ class BlockingDriver:
                     self._conversation.add(batch, self._now())
                 self._drive(batch, lock)
             except Exception:
+                if batch is not None:
+                    self._conversation.abandon(batch, self._now())
                 raise
             except BaseException:
                 self._interrupt()
@@ -282,6 +287,15 @@ class BlockingDriver:
             if self._connection.state is State.CONNECTING:
                 self._port.close()
                 self._connection.given_up()
+
+
+def _waker(parts: Parts) -> Waker:
+    try:
+        return parts.port.waker()
+    except OSError as error:
+        raise ModbusConnectionError(
+            f"cannot make a client of {parts.endpoint}: {error.strerror}", errno=error.errno
+        ) from error
 
 
 _drivers: weakref.WeakSet[BlockingDriver] = weakref.WeakSet()
