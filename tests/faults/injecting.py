@@ -275,7 +275,9 @@ class Trial:
 Scenario = Callable[[Trial], None]
 
 
-def tried(scenario: Scenario, *part: str, errors: int | None = None) -> list[str]:
+def tried(
+    scenario: Scenario, *part: str, errors: int | None = None, without: str | None = None
+) -> list[str]:
     """
     Run a scenario with every fault there is.
 
@@ -283,6 +285,7 @@ def tried(scenario: Scenario, *part: str, errors: int | None = None) -> list[str
         scenario: enters `Trial.faults`, and sees afterwards that all works again.
         part: the modules on trial, by how their names begin.
         errors: how many of each kind; None for all.
+        without: the kind that cannot fail there.
 
     Returns:
         What went wrong, each with its fault.
@@ -294,6 +297,8 @@ def tried(scenario: Scenario, *part: str, errors: int | None = None) -> list[str
     gc.collect()
     gc.freeze()
     for kind in KINDS:
+        if kind.name == without:
+            continue
         for make in kind.errors[:errors]:
             count = 1
             while _one(scenario, kind, begins, count, make, found):
