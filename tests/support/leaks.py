@@ -116,7 +116,10 @@ def _named_descriptor(number: str) -> str:
 
 def _owner(number: int) -> str:
     """Return the addresses of a socket, or the object of the package with this descriptor."""
-    copy = os.dup(number)
+    try:
+        copy = os.dup(number)
+    except OSError:  # closed meanwhile
+        return ""
     try:
         made = socket.socket(fileno=copy)
     except OSError:
