@@ -27,7 +27,8 @@ def got(url: str, path: str, until: bytes) -> bytes:
         made.settimeout(SHORT)
         made.connect((host, int(port)))
         made.send(
-            f"GET {path}?{token} HTTP/1.1\r\nHost: {host}:{port}\r\nConnection: close\r\n\r\n".encode()
+            f"GET {path}?{token} HTTP/1.1\r\nHost: {host}:{port}\r\n"
+            "Connection: close\r\n\r\n".encode()
         )
         while until not in found and (data := made.recv(65_536)):
             found += data
