@@ -104,9 +104,7 @@ class AsyncioDriver:
         closed = ModbusConnectionError("this client is closed", errno=errno.EBADF)
         self._close_port()
         self._conversation.closed(closed, self._now())
-        for handle in (self._timer, self._retry):
-            if handle is not None:
-                handle.cancel()
+        self._cancel_timers()
         if self._attempt is not None:
             self._attempt.cancel()
             await asyncio.wait([self._attempt])
@@ -114,22 +112,33 @@ class AsyncioDriver:
     def forget(self) -> None:
         """The last handle was forgotten: give the port back, as nobody else will."""
         if self._connection.state not in (State.CONNECTING, State.CONNECTED):
+            self._in_loop(self._cancel_timers)
             return
         try:
             warnings.warn(
                 f"AsyncClient({self._endpoint!r}) was not closed", ResourceWarning, stacklevel=2
             )
         finally:
-            if self._loop is not None and self._loop.is_running():
-                self._loop.call_soon_threadsafe(self._abandon)
-            else:
-                self._abandon()
+            self._in_loop(self._abandon)
+
+    def _in_loop(self, call: Callable[[], None]) -> None:
+        """Another thread may collect the garbage."""
+        if self._loop is not None and self._loop.is_running():
+            self._loop.call_soon_threadsafe(call)
+        else:
+            call()
 
     def _abandon(self) -> None:
         if self._attempt is not None and self._loop is not None and not self._loop.is_closed():
             self._attempt.cancel()
         self._close_port()
         self._connection.close()
+        self._cancel_timers()
+
+    def _cancel_timers(self) -> None:
+        for handle in (self._timer, self._retry, self._resume):
+            if handle is not None:
+                handle.cancel()
 
     def leave(self) -> None:
         """In a forked child: the connection is the parent's, who goes on with it."""
@@ -202,7 +211,7 @@ class AsyncioDriver:
     def _set_timer(self) -> None:
         """Only if it must ring sooner: one that rings too early does no harm."""
         at = self._conversation.alarm
-        if at < self._timer_at:
+        if at < self._timer_at and self._connection.state is not State.CLOSED:
             assert self._loop is not None
             if self._timer is not None:
                 self._timer.cancel()

@@ -23,6 +23,7 @@ import socket
 import sys
 import termios
 import threading
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from types import FrameType
@@ -33,7 +34,7 @@ import pytest
 from libmodbus_py import ModbusConnectionError
 from tests.support.leaks import LOOPS, Snapshot, settled
 
-__all__ = ["CONNECTION", "KINDS", "Trial", "tried"]
+__all__ = ["Scenario", "Trial", "eventually", "tried"]
 
 Error = Callable[[], Exception]
 
@@ -110,6 +111,9 @@ CONNECTION = (ModbusConnectionError,)
 
 # Of `socket.socket.__init__`, how many arguments there are if the last is a descriptor.
 FILENO = 5
+
+# Seconds: for all to be well again, and between two looks.
+LONGEST, GLANCE = 20.0, 0.005
 
 LIBRARY = sys.stdlib_module_names
 PACKAGE = "libmodbus_py"
@@ -276,6 +280,16 @@ class Trial:
 
 
 Scenario = Callable[[Trial], None]
+
+
+def eventually(is_so: Callable[[], object]) -> bool:
+    """Wait until it is so, however busy the machine is."""
+    until = time.monotonic() + LONGEST
+    while not is_so():
+        if time.monotonic() > until:
+            return False
+        time.sleep(GLANCE)
+    return True
 
 
 def tried(

@@ -10,7 +10,7 @@ import socket
 import pytest
 
 from libmodbus_py import Gateway, Route
-from tests.faults.injecting import Scenario, Trial, tried
+from tests.faults.injecting import Scenario, Trial, eventually, tried
 from tests.faults.test_clients import each_echoed, on_line
 from tests.faults.test_servers import TCP_ANSWER, over
 from tests.support.fake import FakeServer, FakeUnit
@@ -19,7 +19,6 @@ PART = ("gateway", "server", "client", "ports", "device")
 
 # A line is asked again after so long, and a client waits for it.
 TIMEOUT = 0.02
-TRIES = 300
 
 ask = over(socket.SOCK_STREAM)
 
@@ -35,7 +34,7 @@ def passing(device: str) -> Scenario:
                 ask(running.urls[0])
                 ask(running.urls[0])
             if running is not None:
-                assert any(ask(running.urls[0]) == TCP_ANSWER for _ in range(TRIES))
+                assert eventually(lambda: ask(running.urls[0]) == TCP_ANSWER)
             with trial.faults():
                 stack.close()
 

@@ -7,12 +7,12 @@ from __future__ import annotations
 import contextlib
 import os
 import socket
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import pytest
 
 from libmodbus_py.listener.listening import listening
-from tests.faults.injecting import Scenario, Trial, tried
+from tests.faults.injecting import Scenario, Trial, eventually, tried
 from tests.faults.test_clients import on_line
 from tests.faults.test_servers import LINE_ANSWER, LINE_REQUEST, line, port_of
 from tests.support.fake import FakeServer
@@ -20,7 +20,6 @@ from tests.support.fake import FakeServer
 __all__ = ["line"]
 
 SHORT = 0.05
-TRIES = 100
 
 
 def hearing(url: str, between: str | None, say: Callable[[str], None]) -> Scenario:
@@ -57,18 +56,18 @@ def test_a_listener_on_a_line(line: tuple[int, str]) -> None:
     assert not found, "\n".join(found)
 
 
-def asked(url: str) -> Iterator[bytes]:
-    for _ in range(TRIES):
-        with contextlib.suppress(OSError), socket.socket() as made:
-            made.settimeout(SHORT)
-            made.connect(port_of(url))
-            made.send(LINE_REQUEST)
-            yield made.recv(300)
+def is_passed_on(url: str) -> bool:
+    with contextlib.suppress(OSError), socket.socket() as made:
+        made.settimeout(SHORT)
+        made.connect(port_of(url))
+        made.send(LINE_REQUEST)
+        return made.recv(300) == LINE_ANSWER
+    return False
 
 
 def test_a_listener_between_clients_and_a_device() -> None:
     def say(url: str) -> None:
-        assert any(answer == LINE_ANSWER for answer in asked(url))
+        assert eventually(lambda: is_passed_on(url))
 
     with FakeServer(on_line) as device:
         between = f"rtu+tcp://127.0.0.1:{device.port}"

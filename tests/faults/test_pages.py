@@ -10,12 +10,11 @@ import socket
 import pytest
 
 from libmodbus_py.page.page import page_of
-from tests.faults.injecting import Scenario, Trial, tried
+from tests.faults.injecting import Scenario, Trial, eventually, tried
 from tests.faults.test_servers import server
 
 # Ready within milliseconds, or a fault took it away.
 SHORT = 0.2
-TRIES = 100
 
 
 def got(url: str, path: str, until: bytes) -> bytes:
@@ -48,7 +47,7 @@ def shown() -> Scenario:
                 page = stack.enter_context(page_of(shown))
                 is_shown(page.url)
             if page is not None:
-                assert any(is_shown(page.url) for _ in range(TRIES))
+                assert eventually(lambda: is_shown(page.url))
             with trial.faults():
                 stack.close()
 

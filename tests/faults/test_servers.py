@@ -16,7 +16,7 @@ import pytest
 from libmodbus_py import Device, Mapping, ModbusError, Server, TlsContext
 from libmodbus_py.protocol import framing
 from libmodbus_py.testing.line_ends import open_line
-from tests.faults.injecting import Scenario, Trial, tried
+from tests.faults.injecting import Scenario, Trial, eventually, tried
 from tests.support.certificates import Papers
 
 PART = ("server", "ports", "device", "security")
@@ -31,9 +31,8 @@ def on_line(body: bytes) -> bytes:
 
 LINE_REQUEST, LINE_ANSWER = on_line(TCP_REQUEST[6:]), on_line(TCP_ANSWER[6:])
 
-# How long somebody waits whose answer a fault took away, and how often it is asked again.
+# How long somebody waits whose answer a fault took away.
 SHORT = 0.05
-TRIES = 100
 
 Ask = Callable[[str], bytes]
 
@@ -97,7 +96,7 @@ def serving(url: str, ask: Ask, answer: bytes, make: Callable[[], Server] = serv
                 ask(running.urls[0])
                 ask(running.urls[0])
             if running is not None:
-                assert any(ask(running.urls[0]) == answer for _ in range(TRIES))
+                assert eventually(lambda: ask(running.urls[0]) == answer)
             with trial.faults():
                 stack.close()
         with make().background(url) as again:  # nothing holds the address any more
