@@ -139,6 +139,7 @@ class AsyncioDriver:
         for handle in (self._timer, self._retry, self._resume):
             if handle is not None:
                 handle.cancel()
+        self._timer_at = math.inf
 
     def leave(self) -> None:
         """In a forked child: the connection is the parent's, who goes on with it."""
@@ -283,6 +284,8 @@ class AsyncioDriver:
             else:
                 self._loop.remove_writer(self._port.descriptor)
         if self._port.resume_at is not None:
+            if self._resume is not None:
+                self._resume.cancel()
             self._resume = self._loop.call_later(self._port.resume_at - now, self._go_on)
 
     def _go_on(self) -> None:
@@ -347,7 +350,7 @@ class AsyncioDriver:
         elif failure is None:
             self._begin()
         elif isinstance(failure, ModbusConnectionError):
-            self._conversation.failed(failure, self._now())
+            self._fail(failure)
         else:
             error = ModbusConnectionError(f"connecting was interrupted: {failure!r}")
             error.__cause__ = failure
@@ -359,10 +362,15 @@ class AsyncioDriver:
             self._read_on()
         except ModbusConnectionError as error:
             self._close_port()
-            self._conversation.failed(error, self._now())
+            self._fail(error)
         else:
             self._conversation.opened(self._now())
             self._turn()
+
+    def _fail(self, error: ModbusConnectionError) -> None:
+        self._conversation.failed(error, self._now())
+        if not self._conversation.is_wanted:  # whoever waited was told, and nothing is in flight
+            self._cancel_timers()
 
     def _give_up(self, error: ModbusConnectionError) -> None:
         self._port.close()

@@ -216,19 +216,22 @@ class Counting:
         self._batch = batch
         self._held: list[tuple[bytes, Write]] = []
         self._in_flight = 0
+        self._late = asyncio.get_running_loop().call_later(0, int)
         self.most = 0
 
     def __call__(self, request: bytes, write: Write) -> None:
         self._held.append((request, write))
         self._in_flight += 1
         self.most = max(self.most, self._in_flight)
-        asyncio.get_running_loop().call_later(0.005, self._answer, len(self._held))
+        self._late.cancel()
+        self._late = asyncio.get_running_loop().call_later(0.005, self._answer, len(self._held))
         if len(self._held) >= self._batch:
             self._answer(len(self._held))
 
     def _answer(self, size: int) -> None:
         if len(self._held) != size:
             return
+        self._late.cancel()
         while self._held:
             request, write = self._held.pop()
             self._in_flight -= 1
