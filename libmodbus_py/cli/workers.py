@@ -130,7 +130,7 @@ def _waited_for(running: Coroutine[Any, Any, int]) -> int:
 async def _push(servers: list[str], settings: Settings, connections: list[Connection]) -> int:
     client = await connected(servers, name="libmodbus-py push")
     try:
-        pushed = await _answered(lambda: _pushed(client, settings, connections), ELECTION)
+        pushed = await _answered(lambda: _pushed(client, settings, connections), set(), ELECTION)
     finally:
         await disconnect(client)
     print(
@@ -140,18 +140,25 @@ async def _push(servers: list[str], settings: Settings, connections: list[Connec
     return 0
 
 
-async def _answered(ask: Callable[[], Coroutine[Any, Any, T]], patience: float = math.inf) -> T:
-    """Ask until the engine answers: one that elects a leader is there, and does not."""
-    give_up, told = time.monotonic() + patience, ""
+async def _answered(
+    ask: Callable[[], Coroutine[Any, Any, T]], told: set[str], patience: float = math.inf
+) -> T:
+    """
+    Ask until the engine answers: one that elects a leader is there, and does not.
+
+    Args:
+        told: the reasons that were logged. Reasons alternate; each is logged once.
+    """
+    give_up = time.monotonic() + patience
     while True:
         try:
             return await ask()
         except EngineGone as error:
             if time.monotonic() > give_up:
                 raise
-            if told != str(error):
-                told = str(error)
-                logger.warning("waiting for the engine: %s", told)
+            if str(error) not in told:
+                told.add(str(error))
+                logger.warning("waiting for the engine: %s", error)
         await asyncio.sleep(PAUSE)
 
 
@@ -171,11 +178,12 @@ async def _opened(
     client: Any, settings: Settings, connections: list[Connection]
 ) -> tuple[Bucket, Settings]:
     """Give the bucket, with the devices of the file if it was not there."""
-    if not await _answered(lambda: _is_there(client)):
-        await _answered(lambda: _pushed(client, settings, connections))
+    told: set[str] = set()
+    if not await _answered(lambda: _is_there(client), told):
+        await _answered(lambda: _pushed(client, settings, connections), told)
         logger.warning("the engine had no fleet; it has that of the file now")
-    bucket = await _answered(lambda: open_bucket(client, BUCKET))
-    view = await _answered(lambda: seen_now(bucket))
+    bucket = await _answered(lambda: open_bucket(client, BUCKET), told)
+    view = await _answered(lambda: seen_now(bucket), told)
     if view.settings is None:
         why = view.unreadable.get("settings", "has no fleet: put it there with --push")
         raise EngineError(f"{bucket.name}: {why}")

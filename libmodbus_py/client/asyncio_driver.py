@@ -104,9 +104,7 @@ class AsyncioDriver:
         closed = ModbusConnectionError("this client is closed", errno=errno.EBADF)
         self._close_port()
         self._conversation.closed(closed, self._now())
-        for handle in (self._timer, self._retry):
-            if handle is not None:
-                handle.cancel()
+        self._cancel_timers()
         if self._attempt is not None:
             self._attempt.cancel()
             await asyncio.wait([self._attempt])
@@ -114,22 +112,34 @@ class AsyncioDriver:
     def forget(self) -> None:
         """The last handle was forgotten: give the port back, as nobody else will."""
         if self._connection.state not in (State.CONNECTING, State.CONNECTED):
+            self._in_loop(self._cancel_timers)
             return
         try:
             warnings.warn(
                 f"AsyncClient({self._endpoint!r}) was not closed", ResourceWarning, stacklevel=2
             )
         finally:
-            if self._loop is not None and self._loop.is_running():
-                self._loop.call_soon_threadsafe(self._abandon)
-            else:
-                self._abandon()
+            self._in_loop(self._abandon)
+
+    def _in_loop(self, call: Callable[[], None]) -> None:
+        """Another thread may collect the garbage."""
+        if self._loop is not None and self._loop.is_running():
+            self._loop.call_soon_threadsafe(call)
+        else:
+            call()
 
     def _abandon(self) -> None:
         if self._attempt is not None and self._loop is not None and not self._loop.is_closed():
             self._attempt.cancel()
         self._close_port()
         self._connection.close()
+        self._cancel_timers()
+
+    def _cancel_timers(self) -> None:
+        for handle in (self._timer, self._retry, self._resume):
+            if handle is not None:
+                handle.cancel()
+        self._timer_at = math.inf
 
     def leave(self) -> None:
         """In a forked child: the connection is the parent's, who goes on with it."""
@@ -177,13 +187,12 @@ class AsyncioDriver:
             return
         try:
             self._port.send(adus, now)
+            if self._port.has_unsent or self._is_writing or self._port.resume_at is not None:
+                self._follow_port(now)
+            if not self._is_reading:
+                self._read_on()
         except ModbusConnectionError as error:
             self._lose(error)
-            return
-        if self._port.has_unsent or self._is_writing or self._port.resume_at is not None:
-            self._follow_port(now)
-        if not self._is_reading:
-            self._read_on()
 
     def _is_forbidden(self) -> bool:
         """Whether nothing may be sent now; then whoever waits is told so."""
@@ -203,7 +212,7 @@ class AsyncioDriver:
     def _set_timer(self) -> None:
         """Only if it must ring sooner: one that rings too early does no harm."""
         at = self._conversation.alarm
-        if at < self._timer_at:
+        if at < self._timer_at and self._connection.state is not State.CLOSED:
             assert self._loop is not None
             if self._timer is not None:
                 self._timer.cancel()
@@ -255,7 +264,15 @@ class AsyncioDriver:
     def _read_on(self) -> None:
         assert self._loop is not None
         self._is_reading = True
-        self._loop.add_reader(self._port.descriptor, self._readable)
+        self._watch(self._loop.add_reader, self._readable)
+
+    def _watch(self, add: Callable[..., None], call: Callable[[], None]) -> None:
+        """Have the loop call this. Raises ModbusConnectionError: the system has no room for it."""
+        try:
+            add(self._port.descriptor, call)
+        except OSError as error:
+            reason = f"cannot wait for {self._endpoint}: {error.strerror}"
+            raise ModbusConnectionError(reason, errno=error.errno) from error
 
     def _follow_port(self, now: float) -> None:
         """Go on when the port takes bytes again, or its pause is over."""
@@ -263,10 +280,12 @@ class AsyncioDriver:
         if self._port.has_unsent != self._is_writing:
             self._is_writing = self._port.has_unsent
             if self._is_writing:
-                self._loop.add_writer(self._port.descriptor, self._go_on)
+                self._watch(self._loop.add_writer, self._go_on)
             else:
                 self._loop.remove_writer(self._port.descriptor)
         if self._port.resume_at is not None:
+            if self._resume is not None:
+                self._resume.cancel()
             self._resume = self._loop.call_later(self._port.resume_at - now, self._go_on)
 
     def _go_on(self) -> None:
@@ -329,15 +348,29 @@ class AsyncioDriver:
         if attempt.cancelled() or self._connection.state is State.CLOSED:
             self._give_up(ModbusConnectionError("connecting was cancelled"))
         elif failure is None:
-            self._read_on()
-            self._conversation.opened(self._now())
-            self._turn()
+            self._begin()
         elif isinstance(failure, ModbusConnectionError):
-            self._conversation.failed(failure, self._now())
+            self._fail(failure)
         else:
             error = ModbusConnectionError(f"connecting was interrupted: {failure!r}")
             error.__cause__ = failure
             self._give_up(error)
+
+    def _begin(self) -> None:
+        """The port is open."""
+        try:
+            self._read_on()
+        except ModbusConnectionError as error:
+            self._close_port()
+            self._fail(error)
+        else:
+            self._conversation.opened(self._now())
+            self._turn()
+
+    def _fail(self, error: ModbusConnectionError) -> None:
+        self._conversation.failed(error, self._now())
+        if not self._conversation.is_wanted:  # whoever waited was told, and nothing is in flight
+            self._cancel_timers()
 
     def _give_up(self, error: ModbusConnectionError) -> None:
         self._port.close()

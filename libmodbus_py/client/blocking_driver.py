@@ -21,6 +21,7 @@ from .reconnecting import State
 from .shortcut import Shortcut
 
 if TYPE_CHECKING:
+    from ..ports.waiting import Waker
     from .options import Parts
     from .patience import Patience
 
@@ -52,7 +53,7 @@ class BlockingDriver:
         self._port = parts.port
         self._conversation = parts.conversation
         self._connection = parts.connection
-        self.waker = parts.port.waker()
+        self.waker = _waker(parts)
         self._now = self.waker.now
         self._shortcut = Shortcut(parts, native, self.waker) if is_short else None
         self._closed = False
@@ -85,7 +86,8 @@ class BlockingDriver:
                 self._is_busy = True
                 self._conversation.add(batch, self._now())
                 self._drive(batch, lock)
-            except Exception:
+            except Exception:  # nobody waits for it any more, so it must not be sent later
+                self._conversation.abandon(batch, self._now())
                 raise
             except BaseException:  # Ctrl-C: who knows what went out
                 self._interrupt()
@@ -106,6 +108,7 @@ class BlockingDriver:
         lock = self._lock
         with lock:
             self._check_turn()
+            batch = None
             try:
                 self._is_busy = True
                 if self._shortcut is not None and not broadcast and self._conversation.is_plain:
@@ -121,6 +124,8 @@ class BlockingDriver:
                     self._conversation.add(batch, self._now())
                 self._drive(batch, lock)
             except Exception:
+                if batch is not None:
+                    self._conversation.abandon(batch, self._now())
                 raise
             except BaseException:
                 self._interrupt()
@@ -285,6 +290,15 @@ class BlockingDriver:
             if self._connection.state is State.CONNECTING:
                 self._port.close()
                 self._connection.given_up()
+
+
+def _waker(parts: Parts) -> Waker:
+    try:
+        return parts.port.waker()
+    except OSError as error:
+        raise ModbusConnectionError(
+            f"cannot make a client of {parts.endpoint}: {error.strerror}", errno=error.errno
+        ) from error
 
 
 _drivers: weakref.WeakSet[BlockingDriver] = weakref.WeakSet()

@@ -162,6 +162,11 @@ class Watch:
         if self._subscription is not None:
             with contextlib.suppress(Exception):
                 await asyncio.wait_for(self._subscription.unsubscribe(), PATIENCE)
+            # nats-py forgets its tasks where the connection is closed already.
+            watching: Any = getattr(self._subscription._sub, "_jsi", None)
+            for task in (getattr(watching, "_hbtask", None), getattr(watching, "_fctask", None)):
+                if task is not None:
+                    task.cancel()
 
 
 async def open_bucket(client: Client, name: str) -> Bucket:

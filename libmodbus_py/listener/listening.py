@@ -321,7 +321,15 @@ def listening(
     except BaseException:
         source.close()
         raise
-    return Listener(name, framing, source, writer, clock)
+    try:
+        return Listener(name, framing, source, writer, clock)
+    except OSError as error:  # no descriptor is left
+        source.close()
+        if writer is not None:
+            writer.close()
+        raise ModbusConnectionError(
+            f"cannot listen to {name}: {error.strerror}", errno=error.errno
+        ) from error
 
 
 def _source(endpoint: Endpoint, target: Endpoint | None, clock: Clock) -> tuple[Source, Endpoint]:

@@ -18,7 +18,7 @@ from collections import deque
 from collections.abc import Callable
 
 from ..ports.endpoint import Endpoint
-from ..ports.waiting import Waker
+from ..ports.waiting import Waker, no_thread
 from ..protocol.errors import ModbusConnectionError
 from .separator import Direction
 from .source import Piece
@@ -68,9 +68,15 @@ class Tap:
         self._listener = _listening(endpoint)
         port: int = self._listener.getsockname()[1]
         self.endpoint: Endpoint = Endpoint(endpoint.scheme, host=endpoint.host, port=port)
-        self._waker = Waker()
-        self.descriptor: int = self._waker.descriptor
-        threading.Thread(target=self._accept, name="tap", daemon=True).start()
+        try:
+            self._waker = Waker()
+            self.descriptor: int = self._waker.descriptor
+            _start(threading.Thread(target=self._accept, name="tap", daemon=True))
+        except OSError as error:
+            self._listener.close()
+            raise ModbusConnectionError(
+                f"cannot listen on {endpoint}: {error.strerror}", errno=error.errno
+            ) from error
 
     def open(self) -> None:
         """It is open, and stays so."""
@@ -177,6 +183,13 @@ class Tap:
             self._unseen += cost
             self._pieces.append(piece)
             self._waker.wake()
+
+
+def _start(thread: threading.Thread) -> None:
+    try:
+        thread.start()
+    except RuntimeError as error:  # there are too many
+        raise no_thread(error) from error
 
 
 def _listening(endpoint: Endpoint) -> socket.socket:

@@ -8,6 +8,7 @@ import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from ..ports.waiting import no_thread
 from ..server.server import Server
 from .streams import Streams
 from .web import WebServer
@@ -43,15 +44,17 @@ def page_of(server: Server, host: str = "127.0.0.1", port: int = 0) -> Iterator[
         port: 0 for a free one.
 
     Raises:
-        OSError: the address cannot be had.
+        OSError: the address cannot be had, or no thread.
     """
     streams = Streams(server)
     web = WebServer(host, port, streams)
-    with server.tracing(streams.log.note):
-        streams.start()
-        web.start()
-        try:
-            yield Page(web.url)
-        finally:
-            web.end()
-            streams.end()
+    with contextlib.ExitStack() as stack:
+        stack.callback(web.server_close)
+        stack.enter_context(server.tracing(streams.log.note))
+        for part in (streams, web):
+            try:
+                part.start()
+            except RuntimeError as error:  # there are too many threads
+                raise no_thread(error) from error
+            stack.callback(part.end)
+        yield Page(web.url)

@@ -164,10 +164,11 @@ class SerialPort(Port):
         try:
             self._take_port()
             self._configure()
-        except OSError as error:
+        except (OSError, termios.error) as error:
             self.close()
+            number, reason = error.args[:2]
             raise ModbusConnectionError(
-                f"cannot open {self.device}: {error.strerror}", errno=error.errno
+                f"cannot open {self.device}: {reason}", errno=number
             ) from error
         except BaseException:
             self.close()
@@ -226,7 +227,9 @@ class SerialPort(Port):
 
     def _refusal(self, error: OSError | termios.error) -> OSError:
         if isinstance(error, termios.error):
-            return OSError(error.args[0], "not a serial port")
+            number, reason = error.args
+            is_other = number in (errno.ENOTTY, errno.EINVAL)
+            return OSError(number, "not a serial port" if is_other else reason)
         if not isinstance(error, BlockingIOError):
             return error
         if self._number in _open_here:

@@ -63,6 +63,12 @@ class SocketPort(Port):
         made = yield from self._connected(deadline)
         try:
             yield from self._preparing(made, deadline)
+        except ModbusConnectionError:
+            made.close()
+            raise
+        except OSError as error:  # of an option, or of the descriptor itself
+            made.close()
+            raise self._cannot_connect(error) from error
         except BaseException:
             made.close()
             raise
@@ -96,10 +102,11 @@ class SocketPort(Port):
             else:
                 return made
         assert last is not None  # getaddrinfo gives one address or raises
-        raise ModbusConnectionError(
-            f"cannot connect to {self}: {os.strerror(last.errno) if last.errno else last}",
-            errno=last.errno,
-        ) from last
+        raise self._cannot_connect(last) from last
+
+    def _cannot_connect(self, error: OSError) -> ModbusConnectionError:
+        reason = os.strerror(error.errno) if error.errno else error
+        return ModbusConnectionError(f"cannot connect to {self}: {reason}", errno=error.errno)
 
     def _addresses(self, deadline: float) -> Steps[list[Any]]:
         try:

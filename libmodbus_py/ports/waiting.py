@@ -8,6 +8,7 @@ do is so written once: connecting, and whatever else takes turns with the other 
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import select
 import socket
@@ -19,7 +20,7 @@ from typing import Any, NamedTuple, TypeVar
 # fmt: off
 __all__ = [
     "LONGEST", "READ", "WRITE", "Ready", "Resolve", "Steps", "Waker", "Woken", "as_os_error",
-    "milliseconds", "numeric", "run",
+    "milliseconds", "no_thread", "numeric", "run",
 ]
 # fmt: on
 
@@ -192,13 +193,23 @@ def _look_up(wanted: Resolve, waker: Waker) -> list[Any]:
             found.append(error)
         done.wake()
 
-    threading.Thread(target=look_up, name="look-up", daemon=True).start()
-    if not waker.wait(done.descriptor, READ, wanted.deadline):
-        raise TimeoutError
+    try:
+        threading.Thread(target=look_up, name="look-up", daemon=True).start()
+        if not waker.wait(done.descriptor, READ, wanted.deadline):
+            raise TimeoutError
+    except RuntimeError as error:  # there are too many threads
+        raise no_thread(error) from error
+    finally:
+        done.close()  # an error that the caller keeps would keep it open
     if isinstance(found[0], Exception):
         raise as_os_error(found[0])
     addresses: list[Any] = found[0]
     return addresses
+
+
+def no_thread(error: RuntimeError) -> OSError:
+    """Say that the system has no thread left, with the number that it gives for that."""
+    return OSError(errno.EAGAIN, str(error))
 
 
 def as_os_error(error: Exception) -> OSError:

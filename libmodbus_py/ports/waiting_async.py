@@ -7,7 +7,7 @@ from __future__ import annotations
 import asyncio
 from typing import Any, TypeVar
 
-from .waiting import READ, Ready, Resolve, Steps, as_os_error, numeric
+from .waiting import READ, Ready, Resolve, Steps, as_os_error, no_thread, numeric
 
 __all__ = ["resolve", "run_async"]
 
@@ -45,6 +45,8 @@ async def _look_up_async(wanted: Resolve) -> list[Any]:
             return await loop.getaddrinfo(wanted.host, wanted.port, type=wanted.kind)
     except UnicodeError as error:
         raise as_os_error(error) from error
+    except RuntimeError as error:  # the loop looks up in a thread, and there are too many
+        raise no_thread(error) from error
 
 
 def resolve(future: asyncio.Future[None]) -> None:

@@ -15,6 +15,8 @@ from contextlib import AbstractAsyncContextManager
 from functools import partial
 from typing import Generic, TypeVar
 
+from ..protocol.errors import ModbusConnectionError, ModbusError
+
 __all__ = ["Background"]
 
 logger: logging.Logger = logging.getLogger(__name__)
@@ -142,13 +144,17 @@ class InThread(Generic[Running]):
 
     def _run(self) -> None:
         try:
-            asyncio.run(self._serve())
+            with asyncio.Runner() as runner:
+                runner.get_loop()  # what the system may refuse, before there is a coroutine
+                runner.run(self._serve())
         except asyncio.CancelledError:
             pass
         except BaseException as error:
             self._failure = error
             if self._running is not None:
                 logger.error("the server has ended: %r", error)
+            elif isinstance(error, OSError) and not isinstance(error, ModbusError):
+                self._failure = _cannot_serve(error)
         if self._running is None:
             self._ready.release()
 
@@ -161,6 +167,13 @@ class InThread(Generic[Running]):
                 self._running = running
                 self._ready.release()
                 await asyncio.Event().wait()
+
+
+def _cannot_serve(error: OSError) -> ModbusConnectionError:
+    """Explain what an event loop, or what else a server is made of, could not have."""
+    made = ModbusConnectionError(f"cannot serve: {error.strerror or error}", errno=error.errno)
+    made.__cause__ = error
+    return made
 
 
 def _taken_lock() -> threading.Lock:

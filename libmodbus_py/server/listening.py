@@ -9,8 +9,10 @@ import os
 import socket
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 from ..ports.endpoint import Endpoint
+from ..ports.waiting import no_thread
 from ..protocol.errors import ModbusConnectionError
 
 __all__ = ["bound", "reason"]
@@ -49,9 +51,26 @@ async def bound(
 async def _addresses(
     endpoint: Endpoint, kind: socket.SocketKind
 ) -> list[tuple[socket.AddressFamily, str]]:
-    loop = asyncio.get_running_loop()
-    found = await loop.getaddrinfo(endpoint.host, endpoint.port, type=kind, flags=socket.AI_PASSIVE)
+    try:  # an address needs no look-up, and so no thread
+        found = socket.getaddrinfo(
+            endpoint.host,
+            endpoint.port,
+            type=kind,
+            flags=socket.AI_PASSIVE | socket.AI_NUMERICHOST,
+        )
+    except (OSError, UnicodeError):
+        found = await _looked_up(endpoint, kind)
     return list(dict.fromkeys((family, str(address[0])) for family, *_, address in found))
+
+
+async def _looked_up(endpoint: Endpoint, kind: socket.SocketKind) -> list[Any]:
+    loop = asyncio.get_running_loop()
+    try:
+        return await loop.getaddrinfo(
+            endpoint.host, endpoint.port, type=kind, flags=socket.AI_PASSIVE
+        )
+    except RuntimeError as error:  # the loop looks up in a thread, and there are too many
+        raise no_thread(error) from error
 
 
 def reason(error: OSError) -> str:

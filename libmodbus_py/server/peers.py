@@ -101,7 +101,11 @@ class Peers:
         self._epoll = make_epoll()
         _make_room_for_descriptors(self._epoll.fileno(), self._most)
         self._by_descriptor: dict[int, Peer] = {}
-        self.loop.add_reader(self._epoll.fileno(), self._turn)
+        try:
+            self.loop.add_reader(self._epoll.fileno(), self._turn)
+        except OSError:
+            self._epoll.close()
+            raise
         self._sweeping: asyncio.TimerHandle | None = None
         timeouts = [limits.frame_timeout, limits.idle_timeout or limits.frame_timeout]
         self._sweep_every = max(0.01, min(1.0, *(timeout / 4 for timeout in timeouts)))

@@ -20,9 +20,11 @@ from dataclasses import dataclass
 from ..ports.endpoint import Endpoint, parse
 from ..ports.tls import security_of
 from ..ports.trace import OnTraced
+from ..protocol.errors import ModbusConnectionError
 from ..security.security import Security
 from .background import Background
 from .limits import Limits, ServerStatistics
+from .listening import reason
 from .peers import Peers
 from .serial import SerialServer
 from .service import Service
@@ -107,13 +109,15 @@ class Serving(ABC):
             service = TracedService(answering, self._traces)
             with contextlib.ExitStack() as stack:
                 # At once, when a hook ends the program: others that are ready must not be called.
-                peers = Peers(self._limits, self.statistics, stack.close)
+                with _explained("cannot serve"):
+                    peers = Peers(self._limits, self.statistics, stack.close)
                 stack.callback(peers.close)
                 opened = []
                 for endpoint in endpoints:
                     server = self._make(endpoint, service, peers, sources, stack.close)
                     stack.callback(server.close)
-                    opened.append(await server.open())
+                    with _explained(f"cannot listen on {endpoint}"):
+                        opened.append(await server.open())
                 self._listening = opened
                 running = Running([str(endpoint) for endpoint in opened])
                 for url in running.urls:
@@ -211,6 +215,17 @@ class Serving(ABC):
         if endpoint.transport == "udp":
             return UdpServer(endpoint, service, sources, self.statistics, end)
         return SerialServer(endpoint, service, self.statistics, end)
+
+
+@contextlib.contextmanager
+def _explained(what: str) -> Iterator[None]:
+    """Turn any other OSError, as of epoll, into a ModbusConnectionError that says what failed."""
+    try:
+        yield
+    except ModbusConnectionError:
+        raise
+    except OSError as error:
+        raise ModbusConnectionError(f"{what}: {reason(error)}", errno=error.errno) from error
 
 
 def _checked(trace: OnTraced) -> OnTraced:

@@ -5,7 +5,6 @@ A TCP endpoint of a server: it listens, and hands over who connects.
 from __future__ import annotations
 
 import asyncio
-import errno
 import logging
 import socket
 from collections.abc import Callable
@@ -52,7 +51,7 @@ class TcpServer:
         self._secured = _plain if security is None else _within_tls(security, peers)
         self._listeners: list[socket.socket] = []
         self._retries: dict[socket.socket, asyncio.TimerHandle] = {}
-        self._is_short = False  # of descriptors or memory
+        self._is_short = False  # of descriptors or memory, as a rule
         self._endpoint = endpoint
         abandoned_in_children(self)
 
@@ -93,8 +92,6 @@ class TcpServer:
 
     def _pause(self, listener: socket.socket, error: OSError) -> None:
         """No descriptors, no memory: what waits to be accepted would wake the loop for ever."""
-        if error.errno not in (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM):
-            raise error
         if not self._is_short:
             logger.warning("%s: cannot accept: %s", self._endpoint, reason(error))
         self._is_short = True

@@ -96,6 +96,7 @@ class Polling:
         self._turn = asyncio.Event()
         self._is_unsettled = False
         self._has_ended = False
+        self._late: asyncio.TimerHandle | None = None
         self._connections: dict[str, Connection] = {}
         self._devices: dict[str, list[DeviceConfig]] = {}
         self._writes: set[asyncio.Task[None]] = set()
@@ -130,6 +131,8 @@ class Polling:
                 await self._service.begin()
             await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         finally:
+            if self._late is not None:
+                self._late.cancel()
             for task in (*tasks, *self._writes):
                 task.cancel()
             await asyncio.gather(*tasks, *self._writes, return_exceptions=True)
@@ -143,7 +146,7 @@ class Polling:
         """Ask nobody any more, tell the others, and end; within seconds, whatever they say."""
         self.worker.leave()
         self._turn.set()
-        asyncio.get_running_loop().call_later(PATIENCE, self._end)
+        self._late = asyncio.get_running_loop().call_later(PATIENCE, self._end)
 
     def _end(self) -> None:
         self._has_ended = True

@@ -160,8 +160,6 @@ def test_readings_over_tls(broker: Broker, tmp_path: Path) -> None:
     run(go())
 
 
-# paho leaves the socket of a failed handshake to the garbage collector, which takes it at once.
-@pytest.mark.filterwarnings("ignore:unclosed <ssl:ResourceWarning")
 @pytest.mark.parametrize("wrong", ["another authority", "another host"])
 def test_a_broker_that_is_not_trusted_gets_nothing(
     broker: Broker, tmp_path: Path, wrong: str

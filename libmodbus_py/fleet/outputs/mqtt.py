@@ -254,9 +254,22 @@ def _trust(ca: str | None) -> ssl.SSLContext:
     if ca is not None and not Path(ca).is_file():
         raise OutputError(f"ca: there is no file {ca!r}")
     try:
-        return ssl.create_default_context(cafile=ca)
+        context = ssl.create_default_context(cafile=ca)
     except ssl.SSLError as error:
         raise OutputError(f"ca: {ca!r} holds no certificate: {error.reason or error}") from None
+    context.sslsocket_class = _Handshaking
+    return context
+
+
+class _Handshaking(ssl.SSLSocket):
+    """Closed when its handshake fails, as of a certificate that is refused: paho forgets it."""
+
+    def do_handshake(self, block: bool = False) -> None:
+        try:
+            super().do_handshake(block)
+        except BaseException:
+            self.close()
+            raise
 
 
 @contextlib.contextmanager

@@ -61,7 +61,8 @@ class Pump:
         """Give what waits, within two seconds, and end."""
         self.buffer.close()
         self._closing.set()
-        asyncio.get_running_loop().call_later(LAST_WORDS, self.task.cancel)
+        late = asyncio.get_running_loop().call_later(LAST_WORDS, self.task.cancel)
+        self.task.add_done_callback(lambda task: late.cancel())
 
     async def _run(self) -> None:
         try:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import errno
 import os
 import queue
 import stat
@@ -64,10 +65,14 @@ class TextFile:
 
     async def open(self) -> None:
         self._jobs = queue.SimpleQueue()
-        self._thread = threading.Thread(
+        thread = threading.Thread(
             target=_work, args=(self._jobs,), name=f"writes {self.path}", daemon=True
         )
-        self._thread.start()
+        try:
+            thread.start()
+        except RuntimeError as error:  # there are too many
+            raise OSError(errno.EAGAIN, str(error), self.path) from error
+        self._thread = thread
         await self._have_done(self._open)
 
     async def write(self, readings: Sequence[Reading]) -> None:

@@ -1,0 +1,148 @@
+"""
+Servers, while the n-th call of the system fails: whoever asks afterwards is answered.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import socket
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from libmodbus_py import Device, Mapping, ModbusError, Server, TlsContext
+from libmodbus_py.protocol import framing
+from libmodbus_py.testing.line_ends import open_line
+from tests.faults.injecting import Scenario, Trial, eventually, tried
+from tests.support.certificates import Papers
+
+PART = ("server", "ports", "device", "security")
+
+TCP_REQUEST = bytes.fromhex("0001 0000 0006 01 03 0005 0001")
+TCP_ANSWER = bytes.fromhex("0001 0000 0005 01 03 02 0005")
+
+
+def on_line(body: bytes) -> bytes:
+    return body + framing.crc16(body).to_bytes(2, "little")
+
+
+LINE_REQUEST, LINE_ANSWER = on_line(TCP_REQUEST[6:]), on_line(TCP_ANSWER[6:])
+
+# How long somebody waits whose answer a fault took away.
+SHORT = 0.05
+
+Ask = Callable[[str], bytes]
+
+
+def server() -> Server:
+    """Return one whose registers hold their addresses."""
+    mapping = Mapping(holding_registers=10)
+    mapping.holding_registers[:] = range(10)
+    return Server({1: Device(mapping)})
+
+
+def port_of(url: str) -> tuple[str, int]:
+    host, _, port = url.rpartition("/")[2].rpartition(":")
+    return host, int(port)
+
+
+def over(kind: socket.SocketKind) -> Ask:
+    def ask(url: str) -> bytes:
+        with contextlib.suppress(OSError), socket.socket(socket.AF_INET, kind) as made:
+            made.settimeout(SHORT)
+            made.connect(port_of(url))
+            made.send(TCP_REQUEST)
+            return made.recv(300)
+        return b""
+
+    return ask
+
+
+def on_far_end(far: int) -> Ask:
+    def ask(url: str) -> bytes:
+        with contextlib.suppress(BlockingIOError):
+            os.read(far, 300)
+        os.write(far, LINE_REQUEST)
+        ready, _, _ = select.select([far], [], [], SHORT)
+        return os.read(far, 300) if ready else b""
+
+    return ask
+
+
+def secured(papers: Papers) -> Ask:
+    def ask(url: str) -> bytes:
+        with (
+            contextlib.suppress(ModbusError),
+            TlsContext(*port_of(url), security=papers.client(), timeout=1) as client,
+        ):
+            return TCP_ANSWER if client.read_holding_registers(5, 1) == [5] else b"wrong"
+        return b""
+
+    return ask
+
+
+def serving(url: str, ask: Ask, answer: bytes, make: Callable[[], Server] = server) -> Scenario:
+    """Serve in a thread, and ask while calls fail and when they do not any more."""
+
+    def scenario(trial: Trial) -> None:
+        background = make().background(url)
+        with contextlib.ExitStack() as stack:
+            running = None
+            with trial.faults(RuntimeError):
+                running = stack.enter_context(background)
+                ask(running.urls[0])
+                ask(running.urls[0])
+            if running is not None:
+                assert eventually(lambda: ask(running.urls[0]) == answer)
+            with trial.faults():
+                stack.close()
+        with make().background(url) as again:  # nothing holds the address any more
+            assert again.urls
+
+    return scenario
+
+
+@pytest.fixture(autouse=True)
+def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nobody waits for the next attempt."""
+    monkeypatch.setattr("libmodbus_py.server.serial.REOPEN_AFTER", 0.001)
+    monkeypatch.setattr("libmodbus_py.server.tcp.RETRY_AFTER", 0.001)
+
+
+def test_a_tcp_server() -> None:
+    found = tried(serving("tcp://127.0.0.1:0", over(socket.SOCK_STREAM), TCP_ANSWER), *PART)
+    assert not found, "\n".join(found)
+
+
+def test_a_udp_server() -> None:
+    found = tried(serving("udp://127.0.0.1:0", over(socket.SOCK_DGRAM), TCP_ANSWER), *PART)
+    assert not found, "\n".join(found)
+
+
+@pytest.fixture
+def line() -> Iterator[tuple[int, str]]:
+    """The far end of a line, and the path of the near one."""
+    far, near, path = open_line()
+    yield far, path
+    os.close(far)
+    os.close(near)
+
+
+def test_a_serial_server(line: tuple[int, str]) -> None:
+    far, path = line
+    found = tried(serving(f"rtu://{path}?baudrate=115200", on_far_end(far), LINE_ANSWER), *PART)
+    assert not found, "\n".join(found)
+
+
+def test_a_tls_server(tmp_path: Path) -> None:
+    papers = Papers(tmp_path)
+
+    def make() -> Server:
+        return Server(server().devices, security=papers.server())
+
+    ask = secured(papers)
+    found = tried(serving("tls://127.0.0.1:0", ask, TCP_ANSWER, make), "server", errors=1)
+    assert not found, "\n".join(found)

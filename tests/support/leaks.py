@@ -1,0 +1,279 @@
+"""
+What a test left: tasks, timers, event loops, threads, child processes, descriptors, by name.
+
+One fixture for all tests compares what there is before a test with what there is after it, when
+all that the test itself set up was torn down. What fixtures of a wider scope hold belongs to
+both. The comparison takes microseconds; names are looked for only where something differs.
+
+The garbage of each test is collected at its end, so that a warning from garbage (a socket that
+nobody closed, a coroutine that nobody awaited) fails the test that made it, not a later one.
+"""
+
+from __future__ import annotations
+
+import _thread
+import asyncio
+import contextlib
+import gc
+import logging
+import os
+import socket
+import threading
+import time
+import weakref
+from asyncio import base_events, runners
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+from _pytest.logging import caplog_records_key
+
+from libmodbus_py.device.reply import replier
+
+__all__ = ["LOOPS", "Snapshot", "nothing_left", "pytest_configure", "settled"]
+
+# Threads and processes that are about to end may take so long, in seconds. Only what is left
+# behind for good waits for all of it.
+MOMENT = 10.0
+GLANCE = 0.005
+
+DESCRIPTORS = "/proc/self/fd"
+TASKS = Path("/proc/self/task")
+
+
+class Snapshot(NamedTuple):
+    """
+    What there is at one time.
+
+    Attributes:
+        descriptors: numbers, as text.
+        threads: those that Python knows by name.
+        started: how many threads run Python in all.
+        children: process ids.
+    """
+
+    descriptors: frozenset[str]
+    threads: frozenset[threading.Thread]
+    started: int
+    children: frozenset[str]
+
+    @classmethod
+    def taken(cls) -> Snapshot:
+        """Look at all of it."""
+        threads = frozenset(threading.enumerate())
+        return cls(_descriptors(), threads, _thread._count(), _children())
+
+    def has_less_than(self, after: Snapshot) -> bool:
+        """Return whether something was added."""
+        return bool(
+            after.descriptors - self.descriptors
+            or after.threads - self.threads
+            or after.started > self.started
+            or after.children - self.children
+        )
+
+
+def _descriptors() -> frozenset[str]:
+    # The lowest free number is the one that the listing itself takes.
+    own = os.dup(0)
+    os.close(own)
+    return frozenset(os.listdir(DESCRIPTORS)) - {str(own)}
+
+
+def _children() -> frozenset[str]:
+    try:
+        os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)
+    except ChildProcessError:
+        return frozenset()
+    found: set[str] = set()
+    for task in TASKS.iterdir():
+        with contextlib.suppress(OSError):  # a thread that has ended meanwhile
+            found.update((task / "children").read_text().split())
+    return frozenset(found)
+
+
+# --- names -------------------------------------------------------------------------------
+
+
+def _names(before: Snapshot, after: Snapshot) -> list[str]:
+    names = [_named_descriptor(each) for each in sorted(after.descriptors - before.descriptors)]
+    names += [f"thread {each.name!r}" for each in after.threads - before.threads]
+    if after.started > before.started and not after.threads - before.threads:
+        names.append("a thread without a name")
+    names += [_named_process(each) for each in after.children - before.children]
+    return [name for name in names if name]
+
+
+def _named_descriptor(number: str) -> str:
+    try:
+        target = os.readlink(f"{DESCRIPTORS}/{number}")
+    except OSError:
+        return ""
+    owner = _owner(int(number))
+    return f"descriptor {number}: {target}{f', {owner}' if owner else ''}"
+
+
+def _owner(number: int) -> str:
+    """Return the addresses of a socket, or the object of the package with this descriptor."""
+    try:
+        copy = os.dup(number)
+    except OSError:  # closed meanwhile
+        return ""
+    try:
+        made = socket.socket(fileno=copy)
+    except OSError:
+        os.close(copy)
+        return next((f"of {each!r}" for each in gc.get_objects() if _holds(each, number)), "")
+    with made:
+        return f"{made.type.name} {made.getsockname()} {_peer(made)}".rstrip()
+
+
+def _peer(made: socket.socket) -> str:
+    with contextlib.suppress(OSError):
+        return f"connected to {made.getpeername()}"
+    return ""
+
+
+def _holds(each: object, number: int) -> bool:
+    if not type(each).__module__.startswith("libmodbus_py"):
+        return False
+    with contextlib.suppress(Exception):
+        return bool(getattr(each, "descriptor", -1) == number)
+    return False
+
+
+def _named_process(number: str) -> str:
+    with contextlib.suppress(OSError):
+        line = Path("/proc", number, "cmdline").read_bytes().replace(b"\0", b" ").strip()
+        state = Path("/proc", number, "stat").read_text().rpartition(")")[2].split()[0]
+        ended = " that has ended and was not waited for" if state == "Z" else ""
+        return f"process {number}{ended}: {line.decode(errors='replace')[:200]}"
+    return ""
+
+
+# --- event loops -------------------------------------------------------------------------
+
+
+class Loops:
+    """
+    The event loops of a test, and what they held when they were closed.
+
+    Attributes:
+        left: tasks and timers of loops that were closed since the last look, by name.
+    """
+
+    def __init__(self) -> None:
+        self.left: list[str] = []
+        self._open: weakref.WeakSet[asyncio.AbstractEventLoop] = weakref.WeakSet()
+        self._known: frozenset[int] = frozenset()
+        self._mains: weakref.WeakSet[Any] = weakref.WeakSet()
+
+    def begin(self) -> None:
+        """Forget what was left so far: fixtures of a wider scope may have left it."""
+        self.left.clear()
+        self._known = frozenset(map(id, self._open))
+
+    def made(self, loop: asyncio.AbstractEventLoop) -> None:
+        self._open.add(loop)
+
+    def running(self, runner: asyncio.Runner, coroutine: object, *_: object) -> None:
+        self._mains.add(coroutine)
+
+    def cancelling(self, loop: asyncio.AbstractEventLoop) -> None:
+        """
+        Note tasks that a runner is about to cancel: the program that it ran forgot them, unless
+        it was itself interrupted.
+        """
+        tasks = asyncio.all_tasks(loop)
+        if not any(each.get_coro() in self._mains for each in tasks):
+            self.left += map(_named_task, tasks)
+
+    def closing(self, loop: Any) -> None:
+        """Note timers that would have rung later; a loop that is closed already has none."""
+        self._open.discard(loop)
+        self.left += [f"timer {each!r}" for each in loop._scheduled if not each.cancelled()]
+
+    def names(self) -> list[str]:
+        """Return what is left."""
+        found = list(self.left)
+        for loop in list(self._open):
+            if id(loop) not in self._known and not loop.is_closed():
+                found.append(f"event loop {loop!r}")
+                found += [_named_task(each) for each in asyncio.all_tasks(loop)]
+        return found
+
+
+def _named_task(task: asyncio.Task[Any]) -> str:
+    coroutine = task.get_coro()
+    return f"task {task.get_name()!r}: {getattr(coroutine, '__qualname__', coroutine)}"
+
+
+LOOPS = Loops()
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Have event loops and their runners say what they hold when they end."""
+    if not hasattr(base_events.BaseEventLoop.close, "__wrapped__"):
+        _tell_before(base_events.BaseEventLoop, "__init__", LOOPS.made)
+        _tell_before(base_events.BaseEventLoop, "close", LOOPS.closing)
+        _tell_before(runners, "_cancel_all_tasks", LOOPS.cancelling)
+        _tell_before(runners.Runner, "run", LOOPS.running)
+
+
+def _tell_before(owner: Any, name: str, tell: Callable[..., None]) -> None:
+    wrapped = getattr(owner, name)
+
+    def telling(*arguments: Any, **options: Any) -> Any:
+        tell(*arguments)
+        return wrapped(*arguments, **options)
+
+    telling.__wrapped__ = wrapped  # type: ignore[attr-defined]
+    setattr(owner, name, telling)
+
+
+# --- each test ---------------------------------------------------------------------------
+
+
+@pytest.fixture(autouse=True)
+def nothing_left(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Fail a test that left something behind, by name."""
+    replier()  # each thread keeps one, and has it from its first request on
+    LOOPS.begin()
+    before = Snapshot.taken()
+    yield
+    if before.has_less_than(Snapshot.taken()):
+        _let_go_of_logs(request.node)
+    names = settled(before, LOOPS.names())
+    gc.freeze()
+    if names:
+        pytest.fail("left behind: " + "; ".join(names), pytrace=False)
+
+
+def _let_go_of_logs(item: pytest.Item) -> None:
+    """Drop the tracebacks that pytest keeps for its report; their texts are enough for it."""
+    for records in item.stash.get(caplog_records_key, {}).values():
+        for record in records:
+            if record.exc_info:
+                logging.Formatter().format(record)
+                record.exc_info = None
+
+
+def settled(before: Snapshot, names: list[str]) -> list[str]:
+    """
+    Collect garbage, and return the names of what is still there after a moment.
+
+    Args:
+        before: what there was.
+        names: of what event loops left.
+    """
+    # Frozen is what lived when the last test ended; so this looks at what this one made.
+    gc.collect()
+    until = time.monotonic() + MOMENT
+    while before.has_less_than(after := Snapshot.taken()):
+        left = _names(before, after)
+        if time.monotonic() > until:
+            return names + left
+        time.sleep(GLANCE)
+        gc.collect()
+    return names
