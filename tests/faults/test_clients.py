@@ -25,7 +25,7 @@ from libmodbus_py.ports.sockets import TcpPort
 from libmodbus_py.protocol import framing
 from tests.faults.injecting import Scenario, Trial, eventually, tried
 from tests.support.certificates import Papers, secured
-from tests.support.fake import FakeServer, FakeUnit, echo
+from tests.support.peers import FakeServer, FakeUnit, echo
 
 PART = ("client", "ports", "security")
 

@@ -16,7 +16,7 @@ from libmodbus_py.fleet.poller import Standing
 from tests.faults.injecting import Scenario, Trial, tried
 from tests.faults.test_clients import each_echoed, on_line
 from tests.fleet.fleets import meter, until
-from tests.support.fake import FakeServer, FakeUnit
+from tests.support.peers import FakeServer, FakeUnit
 
 PART = ("fleet", "client", "ports")
 

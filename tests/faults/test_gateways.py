@@ -13,7 +13,7 @@ from libmodbus_py import Gateway, Route
 from tests.faults.injecting import Scenario, Trial, eventually, tried
 from tests.faults.test_clients import each_echoed, on_line
 from tests.faults.test_servers import TCP_ANSWER, over
-from tests.support.fake import FakeServer, FakeUnit
+from tests.support.peers import FakeServer, FakeUnit
 
 PART = ("gateway", "server", "client", "ports", "device")
 

@@ -15,7 +15,7 @@ from libmodbus_py.listener.listening import listening
 from tests.faults.injecting import Scenario, Trial, eventually, tried
 from tests.faults.test_clients import on_line
 from tests.faults.test_servers import LINE_ANSWER, LINE_REQUEST, line, port_of
-from tests.support.fake import FakeServer
+from tests.support.peers import FakeServer
 
 __all__ = ["line"]
 
