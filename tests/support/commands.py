@@ -31,6 +31,7 @@ from pathlib import Path
 from typing import NamedTuple, Self, TextIO
 
 from libmodbus_py.cli.main import main
+from tests.support.leaks import lasts
 
 __all__ = ["PROGRAM", "Done", "Started", "Terminal", "ended", "on_terminal", "run"]
 
@@ -123,6 +124,8 @@ def _command_server() -> socket.socket:
             pass_fds=[theirs.fileno()],
             stdin=subprocess.DEVNULL,
         )
+
+    lasts(ours.fileno(), process.pid)
 
     def end() -> None:
         ours.close()

@@ -31,7 +31,7 @@ from _pytest.logging import caplog_records_key
 
 from libmodbus_py.device.reply import replier
 
-__all__ = ["LOOPS", "Snapshot", "nothing_left", "pytest_configure", "settled"]
+__all__ = ["LOOPS", "Snapshot", "lasts", "nothing_left", "pytest_configure", "settled"]
 
 # Threads and processes that are about to end may take so long, in seconds. Only what is left
 # behind for good waits for all of it.
@@ -40,6 +40,16 @@ GLANCE = 0.005
 
 DESCRIPTORS = "/proc/self/fd"
 TASKS = Path("/proc/self/task")
+
+# What the rest of the run keeps, whichever test had it made.
+LASTING_DESCRIPTORS: set[str] = set()
+LASTING_CHILDREN: set[str] = set()
+
+
+def lasts(descriptor: int, process: int) -> None:
+    """Let the rest of the run keep a descriptor and a child process: no test left them."""
+    LASTING_DESCRIPTORS.add(str(descriptor))
+    LASTING_CHILDREN.add(str(process))
 
 
 class Snapshot(NamedTuple):
@@ -62,7 +72,8 @@ class Snapshot(NamedTuple):
     def taken(cls) -> Snapshot:
         """Look at all of it."""
         threads = frozenset(threading.enumerate())
-        return cls(_descriptors(), threads, _thread._count(), _children())
+        descriptors = _descriptors() - LASTING_DESCRIPTORS
+        return cls(descriptors, threads, _thread._count(), _children() - LASTING_CHILDREN)
 
     def has_less_than(self, after: Snapshot) -> bool:
         """Return whether something was added."""
