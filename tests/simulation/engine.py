@@ -600,6 +600,9 @@ def _settle(answer: asyncio.Future[Any], result: object) -> None:
 class Subscription:
     """What a client subscribed to: messages wait here for a task that hands them over."""
 
+    # As nats-py's subscriptions to streams have it, whose tasks this one does without.
+    _sub = None
+
     def __init__(self, client: EngineClient, cb: Callable[[Any], Awaitable[None]] | None) -> None:
         self._client = client
         self._messages: asyncio.Queue[Message] = asyncio.Queue()
