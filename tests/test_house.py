@@ -18,13 +18,13 @@ PACKAGE = ROOT / "libmodbus_py"
 LONGEST = 60
 """Lines of a function."""
 
-LONG_FUNCTIONS = 5
+LONG_FUNCTIONS = 6
 """Of tests and their helpers; the package has none."""
 
-REAL_SLEEPS = 163
+REAL_SLEEPS = 132
 """Calls of `sleep` with a number, where real seconds pass."""
 
-MERELY_RUN = 5
+MERELY_RUN = 2
 """Tests that fail only if something is raised, which their names say."""
 
 Function = ast.FunctionDef | ast.AsyncFunctionDef

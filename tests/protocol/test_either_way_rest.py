@@ -124,3 +124,20 @@ def test_nothing_gives_nothing() -> None:
     frames.silence(is_long=True)
     assert taken(frames) == []
     assert (frames.offset, frames.end) == (0, 0)
+
+
+def test_whether_an_answer_is_awaited_is_asked_by_unit_and_function() -> None:
+    """A refusal has the function that was asked, and its highest bit."""
+    asked = []
+
+    def is_awaited(unit: int, function: int) -> bool:
+        asked.append((unit, function))
+        return True
+
+    for data in (rtu("11 83 02"), rtu("F7 03 02 00 07")):
+        frames = RtuEitherWay()
+        frames.feed(data)
+        frame = frames.take(is_awaited)
+        assert isinstance(frame, EitherWay)
+        assert frame.frame.pdu == data[1:-2]
+    assert asked == [(0x11, 3), (0xF7, 3)]
