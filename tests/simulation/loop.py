@@ -8,7 +8,7 @@ import asyncio
 import contextlib
 import math
 import selectors
-from collections.abc import Coroutine, Iterator, Mapping
+from collections.abc import Callable, Coroutine, Iterator, Mapping
 from typing import Any, TypeVar
 
 from .events import Events
@@ -50,7 +50,12 @@ class Descriptors:
 
 
 class Selector(selectors._BaseSelectorImpl):
-    """Waits in simulated time for simulated descriptors, and never for the system's."""
+    """
+    Waits in simulated time for simulated descriptors, and never for the system's.
+
+    Attributes:
+        interrupt: asked before the clock moves; it waits no longer if that returns True.
+    """
 
     def __init__(self, events: Events, descriptors: Descriptors) -> None:
         super().__init__()
@@ -60,6 +65,7 @@ class Selector(selectors._BaseSelectorImpl):
         self._readers: set[int] = set()
         self._writers: set[int] = set()
         self._system = selectors.DefaultSelector()
+        self.interrupt: Callable[[], bool] = lambda: False
 
     def _fileobj_lookup(self, fileobj: Any) -> int:
         return fileobj if isinstance(fileobj, int) else int(fileobj.fileno())
@@ -101,7 +107,7 @@ class Selector(selectors._BaseSelectorImpl):
         until = math.inf if timeout is None else self._events.now + max(0.0, timeout)
         self._events.advance(self._events.now)
         while not (ready := self._ready()):
-            if self._events.now >= until:
+            if self._events.now >= until or self.interrupt():
                 return []
             # Other threads may have woken the loop; for them alone the system is asked.
             if ready := self._system.select(0):
@@ -133,13 +139,37 @@ class VirtualLoop(asyncio.SelectorEventLoop):
 
     def __init__(self, events: Events, descriptors: Descriptors) -> None:
         self._events = events
-        super().__init__(Selector(events, descriptors))
+        self._waiting = Selector(events, descriptors)
+        super().__init__(self._waiting)
 
     def time(self) -> float:
         return self._events.now
 
     def before_cancelling(self) -> None:
         """Called before what is left is cancelled."""
+
+    def run_until(self, is_so: Callable[[], bool], seconds: float) -> bool:
+        """
+        Run until a condition holds, which is looked at whenever everybody waits.
+
+        Returns:
+            Whether it holds, after so many simulated seconds at most.
+        """
+        until = self._events.now + seconds
+        self._events.at(until, lambda: None)
+
+        def interrupt() -> bool:
+            if not is_so() and self._events.now < until:
+                return False
+            self.stop()
+            return True
+
+        self._waiting.interrupt = interrupt
+        try:
+            self.run_forever()
+        finally:
+            self._waiting.interrupt = lambda: False
+        return is_so()
 
 
 def run(main: Coroutine[Any, Any, Result], loop: VirtualLoop) -> Result:
