@@ -20,12 +20,13 @@ from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.ports.waiting import Woken
 from libmodbus_py.server.serving import Serving
 
+from .lines import Party, SerialLine
 from .loop import complaints_of
 from .network import Network
 from .ports import MemoryWaker
 from .sockets import MemorySocket
 
-__all__ = ["Stage", "Talker"]
+__all__ = ["LineEnd", "Stage", "Talker"]
 
 Result = TypeVar("Result")
 
@@ -83,7 +84,7 @@ class Stage(Network):
 
     def until(self, is_so: Callable[[], object], seconds: float = PATIENCE) -> bool:
         """Let time pass until a condition holds; return whether it does."""
-        return self._loop.run_until(lambda: bool(is_so()), seconds)
+        return bool(is_so()) or self._loop.run_until(lambda: bool(is_so()), seconds)
 
     def wait(self, awaited: Awaitable[Result]) -> Result:
         """Run something to its end in the loop of the servers."""
@@ -199,6 +200,10 @@ class Talker:
         """Whether something can be read now."""
         return self.end.is_readable
 
+    def can_write(self) -> bool:
+        """Whether the other side takes something now."""
+        return self.end.fileno() in self._stage.descriptors.writable
+
     def is_closed(self) -> bool:
         """Wait until the other side has closed; return False if bytes come in place of that."""
         try:
@@ -211,8 +216,7 @@ class Talker:
         Raises:
             TimeoutError: the other side takes nothing more.
         """
-        descriptor, writable = self.end.fileno(), self._stage.descriptors.writable
-        if not self._stage.until(lambda: descriptor in writable, self.timeout):
+        if not self._stage.until(self.can_write, self.timeout):
             raise TimeoutError("timed out")
 
     def settimeout(self, seconds: float | None) -> None:
@@ -237,3 +241,23 @@ class Talker:
         if self._resets and not self.end.is_closed:
             self.reset()
         self.end.close()
+
+
+class LineEnd(Party):
+    """
+    Somebody on a line who writes what he likes, and hears what others write.
+
+    Attributes:
+        heard: all of it.
+    """
+
+    def __init__(self, line: SerialLine) -> None:
+        self.heard: bytes = b""
+        self._line = line
+        line.join(self)
+
+    def hear(self, data: bytes) -> None:
+        self.heard += data
+
+    def write(self, data: bytes) -> None:
+        self._line.write(self, data)

@@ -22,9 +22,12 @@ def served() -> Server:
 
 @pytest.mark.parametrize("url", ["tcp://10.0.0.1:0", "udp://10.0.0.1:0", "rtu:///dev/line"])
 def test_a_blocking_client_and_a_server_in_one_thread(url: str) -> None:
-    with Stage(), served().background(url) as running:
-        with Context.from_url(running.urls[0], unit=17, timeout=3) as plc:
-            assert plc.read_holding_registers(2, 2) == [502, 503]
+    with (
+        Stage(),
+        served().background(url) as running,
+        Context.from_url(running.urls[0], unit=17, timeout=3) as plc,
+    ):
+        assert plc.read_holding_registers(2, 2) == [502, 503]
 
 
 def test_time_passes_only_while_the_test_waits() -> None:
