@@ -96,6 +96,19 @@ def test_the_time_of_a_frame_is_not_that_of_the_answer_before(stage: Stage) -> N
     assert server.statistics.closed_slow == 0
 
 
+def test_half_a_frame_behind_a_late_answer_has_its_time_from_then_on(stage: Stage) -> None:
+    faults = {None: [Fault("delay", seconds=500)]}
+    server = Server(Device(Mapping(holding_registers=1)), faults, Limits(frame_timeout=20))
+    with server.background("tcp://10.0.0.1:0") as running:
+        connection = stage.talk(running.urls[0])
+        connection.sendall(adu(READ_ONE, 1) + adu(READ_ONE, 2)[:5])
+        assert connection.receive(ONE_ANSWER) == adu(ANSWER_ONE)
+        answered = stage.now
+        assert connection.is_closed()
+        assert 20 <= stage.now - answered <= 21.01
+    assert server.statistics.closed_slow == 1
+
+
 # --- idle_timeout ------------------------------------------------------------------------
 
 

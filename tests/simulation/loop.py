@@ -58,6 +58,7 @@ class Selector(selectors._BaseSelectorImpl):
 
     Attributes:
         interrupt: asked before the clock moves; it waits no longer if that returns True.
+        turns: how often it was asked who is ready.
     """
 
     def __init__(self, events: Events, descriptors: Descriptors) -> None:
@@ -69,6 +70,7 @@ class Selector(selectors._BaseSelectorImpl):
         self._writers: set[int] = set()
         self._system = selectors.DefaultSelector()
         self.interrupt: Callable[[], bool] = lambda: False
+        self.turns: int = 0
 
     def _fileobj_lookup(self, fileobj: Any) -> int:
         return fileobj if isinstance(fileobj, int) else int(fileobj.fileno())
@@ -108,6 +110,7 @@ class Selector(selectors._BaseSelectorImpl):
 
     def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
         until = math.inf if timeout is None else self._events.now + max(0.0, timeout)
+        self.turns += 1
         self._events.advance(self._events.now)
         while not (ready := self._ready()):
             if self._events.now >= until or self.interrupt():
@@ -150,6 +153,11 @@ class VirtualLoop(asyncio.SelectorEventLoop):
 
     def before_cancelling(self) -> None:
         """Called before what is left is cancelled."""
+
+    @property
+    def turns(self) -> int:
+        """How many turns it has taken."""
+        return self._waiting.turns
 
     def call_later(
         self, delay: float, callback: Callable[..., object], *args: Any, context: Any = None

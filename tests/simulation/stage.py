@@ -76,6 +76,11 @@ class Stage(Network):
     def now(self) -> float:
         return self.events.now
 
+    @property
+    def turns(self) -> int:
+        """How many turns the loop of the servers has taken."""
+        return self._loop.turns
+
     # --- waiting --------------------------------------------------------------------------------
 
     def pass_time(self, seconds: float) -> None:
