@@ -8,12 +8,11 @@ the server's loop and in requests, from the arrival of its request to the answer
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import Self
 
 from libmodbus_py.ports.endpoint import parse
-from libmodbus_py.server.limits import ServerStatistics
 from tests.support.attacks import UNIT, Attack, Step, adu
 
 from .sockets import DELAY, MemorySocket, at_once
@@ -135,10 +134,18 @@ class _Attacker:
 
 @dataclass
 class Waited:
-    """What an innocent client had to wait for: of each request, turns and requests of others."""
+    """
+    What an innocent client had to wait for.
+
+    Attributes:
+        turns, others: of each of its requests: turns of the loop and requests of others.
+        longest: the most requests that were answered in one turn. Who comes when a turn has begun
+            waits for that many.
+    """
 
     turns: list[int] = field(default_factory=list)
     others: list[int] = field(default_factory=list)
+    longest: int = 0
 
 
 class Innocent:
@@ -147,16 +154,16 @@ class Innocent:
 
     Args:
         client: its connection.
-        statistics: of the server, which counts requests.
+        count: returns how many requests there were, of everybody.
     """
 
     FIRST = 1000
     VALUES = tuple(range(40_000, 40_010))
 
-    def __init__(self, stage: Stage, client: Talker, statistics: ServerStatistics) -> None:
+    def __init__(self, stage: Stage, client: Talker, count: Callable[[], int]) -> None:
         self._stage = stage
         self._client = client
-        self._statistics = statistics
+        self._requests = count
         self._transaction = 0
         self._arrived = self._answered = (0, 0)
         data = struct.pack(f">{len(self.VALUES)}H", *self.VALUES)
@@ -168,11 +175,22 @@ class Innocent:
         client.end.other.carriage = self._note_answer
 
     def poll(self, requests: int, among: Attackers | None = None) -> Waited:
-        """Ask so often; with attackers, whenever they have just sent, so that all arrive at once."""
+        """Ask so often; with attackers, when they have just sent, so that all arrive at once."""
         waited = Waited()
+        before = self._requests()
+
+        def note_turn() -> None:
+            nonlocal before
+            now = self._requests()
+            waited.longest, before = max(waited.longest, now - before), now
+
+        self._stage.call_each_turn(note_turn)
         for _ in range(requests):
-            before = among.sent if among else 0
-            self._stage.until(lambda: among and among.sent > before, 2 * PERIOD)  # noqa: B023
+            if among is not None:
+                sent = among.sent
+                # One second, or what a moment is to those who send nothing.
+                most = 1 if among.attack.sends else PERIOD
+                self._stage.until(lambda: among.sent > sent, most)  # noqa: B023
             self._ask(waited)
         return waited
 
@@ -186,7 +204,7 @@ class Innocent:
         waited.others.append(self._answered[1] - self._arrived[1] - 1)
 
     def _count(self) -> tuple[int, int]:
-        return self._stage.turns, self._statistics.requests
+        return self._stage.turns, self._requests()
 
     def _note_arrival(self) -> None:
         self._arrived = self._count()

@@ -58,7 +58,7 @@ class Selector(selectors._BaseSelectorImpl):
 
     Attributes:
         interrupt: asked before the clock moves; it waits no longer if that returns True.
-        turns: how often it was asked who is ready.
+        turns: how often it was asked who is ready; `on_turn` is called then.
     """
 
     def __init__(self, events: Events, descriptors: Descriptors) -> None:
@@ -71,6 +71,7 @@ class Selector(selectors._BaseSelectorImpl):
         self._system = selectors.DefaultSelector()
         self.interrupt: Callable[[], bool] = lambda: False
         self.turns: int = 0
+        self.on_turn: Callable[[], object] = lambda: None
 
     def _fileobj_lookup(self, fileobj: Any) -> int:
         return fileobj if isinstance(fileobj, int) else int(fileobj.fileno())
@@ -111,6 +112,7 @@ class Selector(selectors._BaseSelectorImpl):
     def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
         until = math.inf if timeout is None else self._events.now + max(0.0, timeout)
         self.turns += 1
+        self.on_turn()
         self._events.advance(self._events.now)
         while not (ready := self._ready()):
             if self._events.now >= until or self.interrupt():
@@ -158,6 +160,10 @@ class VirtualLoop(asyncio.SelectorEventLoop):
     def turns(self) -> int:
         """How many turns it has taken."""
         return self._waiting.turns
+
+    def call_each_turn(self, call: Callable[[], object]) -> None:
+        """Have a function called whenever a turn ends."""
+        self._waiting.on_turn = call
 
     def call_later(
         self, delay: float, callback: Callable[..., object], *args: Any, context: Any = None

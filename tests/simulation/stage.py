@@ -13,9 +13,14 @@ import errno
 import socket
 import struct
 from collections.abc import Awaitable, Callable, Iterator
+from types import SimpleNamespace
 from typing import Any, Self, TypeVar
 from unittest.mock import patch
 
+
+from libmodbus_py.client import blocking_driver
+from libmodbus_py.client.shortcut import Shortcut
+from libmodbus_py.gateway import circles
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.ports.waiting import Woken
 from libmodbus_py.server.serving import Serving
@@ -57,6 +62,9 @@ class Stage(Network):
         # An attribute of a class that is a function gets the server that it is called on.
         background = lambda server, *urls: self._serving(server, *urls)  # noqa: E731
         stack.enter_context(patch.object(Serving, "background", background))
+
+        stack.enter_context(patch.object(blocking_driver, "Shortcut", _without_c))
+        stack.enter_context(patch.object(circles, "os", SimpleNamespace(path=self._paths())))
         return self
 
     def __exit__(self, *raised: Any) -> None:
@@ -81,6 +89,10 @@ class Stage(Network):
         """How many turns the loop of the servers has taken."""
         return self._loop.turns
 
+    def call_each_turn(self, call: Callable[[], object]) -> None:
+        """Have a function called whenever a turn of the loop ends."""
+        self._loop.call_each_turn(call)
+
     # --- waiting --------------------------------------------------------------------------------
 
     def pass_time(self, seconds: float) -> None:
@@ -98,6 +110,10 @@ class Stage(Network):
             return await awaited
 
         return self._loop.run_until_complete(waiting())
+
+    def _paths(self) -> SimpleNamespace:
+        """Return what gateways ask of `os.path`: the lines of this stage are there."""
+        return SimpleNamespace(exists=self.lines.__contains__, realpath=str)
 
     def waker(self) -> MemoryWaker:
         return _StageWaker(self)

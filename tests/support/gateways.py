@@ -18,6 +18,7 @@ from typing import Any, NamedTuple, Self
 from libmodbus_py import Context, Device, Fault, Gateway, Route, Server
 from libmodbus_py.testing.line_ends import open_line, read_what_is_there, write_all
 from libmodbus_py.testing.wires import SerialWire
+from tests.simulation.stage import Stage
 from tests.support.interop import BAUDRATE, UNIT, make_device
 
 
@@ -41,9 +42,19 @@ class Passage(NamedTuple):
 
 
 @contextlib.contextmanager
-def ends(scheme: str) -> Iterator[tuple[str, str, SerialWire | None]]:
-    """Give the two ends of a line: where to listen, and where to find who listens there."""
-    if scheme in ("rtu", "ascii"):
+def ends(
+    scheme: str, stage: Stage | None = None, name: str = "line"
+) -> Iterator[tuple[str, str, SerialWire | None]]:
+    """
+    Return the two ends of a line: where to listen, and where to find who listens there.
+
+    Args:
+        stage: where the line is, in place of the system; then it has this name.
+    """
+    if stage is not None and scheme in ("rtu", "ascii"):
+        url = f"{scheme}:///dev/{name}?baudrate={BAUDRATE}"
+        yield url, url, None
+    elif scheme in ("rtu", "ascii"):
         with SerialWire() as wire:
             query = f"baudrate={BAUDRATE}"
             yield f"{scheme}://{wire.server}?{query}", f"{scheme}://{wire.client}?{query}", wire
@@ -60,6 +71,7 @@ def passage(
     faults: dict[int | None, list[Fault]] | None = None,
     line_options: str = "timeout=2",
     route: dict[str, Any] | None = None,
+    stage: Stage | None = None,
     **options: Any,
 ) -> Iterator[Passage]:
     """
@@ -68,15 +80,16 @@ def passage(
     Args:
         line_options: of the gateway's client, as in URLs.
         route: further arguments of the route; options: of the gateway.
+        stage: where all of it is, in place of the system.
     """
     given = {UNIT: make_device()} if devices is None else devices
     with contextlib.ExitStack() as stack:
-        here, there, wire = stack.enter_context(ends(back))
+        here, there, wire = stack.enter_context(ends(back, stage, "back"))
         running = stack.enter_context(Server(given, faults).background(here))
         line = there or running.urls[0]
         line += ("&" if "?" in line else "?") + line_options
         gateway = Gateway([Route(line, **(route or {}))], **options)
-        here, there, _ = stack.enter_context(ends(front))
+        here, there, _ = stack.enter_context(ends(front, stage, "front"))
         running = stack.enter_context(gateway.background(here))
         yield Passage(gateway, there or running.urls[0], line, wire)
 
