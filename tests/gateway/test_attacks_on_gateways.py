@@ -227,9 +227,9 @@ def test_floods_from_many_connections_leave_a_line_to_everybody(stage: Stage) ->
                 flood.end.send(request * 100)
                 while flood.has_input():
                     flood.recv(65_536)
-            before = line.units[1].requests
+            before = line.connection.requests
             assert context.read_holding_registers(0, 1) == [0]
             # The one on the line, one of each host, and its own.
-            assert line.units[1].requests - before <= 3
+            assert line.connection.requests - before <= 3
             assert line.waiting <= 8 * 16 + 16
         assert line.full > 0
