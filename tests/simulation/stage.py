@@ -45,10 +45,14 @@ class Stage(Network):
 
     Used as a context manager. Within it ``Server.background`` and ``Gateway.background`` serve in
     that loop, and `Context` is not carried in C.
+
+    Attributes:
+        missing: devices that gateways do not find.
     """
 
     def __init__(self, seed: int = 0) -> None:
         super().__init__(seed)
+        self.missing: set[str] = set()
         self._loop = self.loop()
         self._stack = contextlib.ExitStack()
 
@@ -112,8 +116,8 @@ class Stage(Network):
         return self._loop.run_until_complete(waiting())
 
     def _paths(self) -> SimpleNamespace:
-        """Return what gateways ask of `os.path`: the lines of this stage are there."""
-        return SimpleNamespace(exists=self.lines.__contains__, realpath=str)
+        """Return what gateways ask of `os.path`."""
+        return SimpleNamespace(exists=lambda path: path not in self.missing, realpath=str)
 
     def waker(self) -> MemoryWaker:
         return _StageWaker(self)
