@@ -53,7 +53,7 @@ def enough(attack: Attack) -> Attack:
 
 
 @pytest.mark.parametrize(
-    "attack", map(enough, ATTACKS), ids=lambda attack: attack.name.replace(" ", "-")
+    "attack", [*map(enough, ATTACKS)], ids=lambda attack: attack.name.replace(" ", "-")
 )
 def test_an_innocent_client_waits_for_few_of_the_others(
     stage: Stage, attack: Attack, tmp_path: Path
