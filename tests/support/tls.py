@@ -15,6 +15,8 @@ from typing import Any, Self
 from libmodbus_py import Device, Server
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.security.making import Identity
+from tests.simulation.network import CLIENT
+from tests.simulation.stage import Stage
 from tests.support.attacks import PATIENCE, connect
 from tests.support.certificates import Files, Papers
 
@@ -67,6 +69,7 @@ class TlsClient:
 
     Args:
         source: the address that it comes from.
+        stage: where the server is, in place of the system.
 
     Attributes:
         socket: what the records go over.
@@ -79,8 +82,11 @@ class TlsClient:
         context: ssl.SSLContext,
         session: ssl.SSLSession | None = None,
         source: str = "",
+        stage: Stage | None = None,
     ) -> None:
-        self.socket = connect(port, source=source)
+        self.socket: Any = (
+            stage.talk(port, source or CLIENT) if stage else connect(port, source=source)
+        )
         self._incoming, self._outgoing = ssl.MemoryBIO(), ssl.MemoryBIO()
         self.tls = context.wrap_bio(
             self._incoming, self._outgoing, server_hostname="localhost", session=session
