@@ -87,8 +87,8 @@ class Forwarded:
 
     # fmt: off
     __slots__ = (
-        "age", "asker", "client", "first", "from_unit", "host", "is_trial", "number", "others", "request",
-        "since", "started", "state", "submitted", "unit",
+        "age", "asker", "client", "first", "from_unit", "host", "is_trial", "number", "others",
+        "request", "since", "started", "state", "submitted", "unit",
     )
     # fmt: on
 
@@ -216,8 +216,7 @@ class Line:
         return 0
 
     def drop(self, each: Forwarded) -> None:
-        """Nobody wants its answer any more; what was sent already is not taken back."""
-        each.asker = None
+        """Take back a request whose asker is gone, unless it was sent or others want its answer."""
         each = each.first or each
         if each.submitted is not None or each.is_wanted:
             return
