@@ -466,3 +466,17 @@ def test_an_answer_still_kept_back_does_not_keep_the_server(stage: Stage, device
         assert stage.until(lambda: server.statistics.requests == 1)
         begun = stage.now
     assert stage.now - begun < 0.01
+
+
+def test_no_more_than_a_thousand_answers_are_kept_back(stage: Stage, device: Device) -> None:
+    """What comes meanwhile is lost."""
+    faults = {None: [Fault("delay", seconds=600)]}
+    with staged(stage, device, faults=faults) as (server, port), talker(stage, port) as client:
+        for number in range(1100):
+            client.send(adu(READ, number))
+        stage.pass_time(1)
+        assert server.statistics.requests == 1024
+        stage.pass_time(600)
+        client.send(adu(READ, 2000))
+        stage.pass_time(1)
+        assert server.statistics.requests == 1025

@@ -16,7 +16,7 @@ from libmodbus_py import Device, Server
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.security.making import Identity
 from tests.simulation.network import CLIENT
-from tests.simulation.stage import Stage
+from tests.simulation.stage import Stage, Talker
 from tests.support.attacks import PATIENCE, connect
 from tests.support.certificates import Files, Papers
 
@@ -176,7 +176,7 @@ def wait_until(is_so: Callable[[], bool]) -> bool:
     return True
 
 
-def closed(connection: socket.socket) -> bytes:
+def closed(connection: socket.socket | Talker) -> bytes:
     """Give what still comes until the server closes; a reset is a close, too."""
     data = b""
     with contextlib.suppress(ConnectionError):
