@@ -128,6 +128,7 @@ class Forwarded:
         told = 0
         for each in (self, *self.others) if self.others else (self,):
             asker, each.asker = each.asker, None
+            each.first = None  # which knows this one, too
             if asker is None:
                 told += 1
             else:
