@@ -112,7 +112,6 @@ def note(record_property: Record, undisturbed: Polled, attacked: Polled) -> None
     record_property("worst under attack, ms", round(attacked.worst * 1000, 2))
 
 
-
 def test_the_table_of_attacks_is_printed() -> None:
     name = ATTACKS[-1].name
     command = [sys.executable, "-m", "bench.attacks", "0.2", "--only", name]
