@@ -37,11 +37,9 @@ from tests.support.attacks import (
     ServerProcess,
     descriptor_limit,
 )
-
 from tests.support.attacks import Innocent as RealInnocent
-from tests.support.fake import until
 from tests.support.gateways import passage
-from tests.support.peers import FakeServer, until
+from tests.support.peers import until
 
 MEMORY = 32 << 20
 

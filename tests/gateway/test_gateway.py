@@ -42,9 +42,6 @@ from libmodbus_py.testing.wires import SerialWire
 from tests.simulation.scripted import Scripted, Write
 from tests.simulation.stage import Stage
 from tests.support.certificates import Papers
-from tests.support.gateways import Bus, passage
-
-from tests.support.fake import until
 from tests.support.gateways import passage
 from tests.support.interop import UNIT, exchanges, make_device, refusals
 from tests.support.peers import until

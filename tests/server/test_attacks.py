@@ -5,8 +5,6 @@ and waits for few of the others' requests, and nothing of the attack is left.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import subprocess
 import sys
 from dataclasses import replace
@@ -100,16 +98,6 @@ def test_an_innocent_client_of_the_system_loses_nothing() -> None:
             assert (polled.lost, polled.wrong) == (0, 0)
         assert grown < MEMORY
         assert server.has_descriptors(descriptors)
-        recovered = innocent.poll(0.1)
-        assert (recovered.lost, recovered.wrong) == (0, 0)
-        with Innocent(server.port, papers) as newcomer:
-            assert newcomer.poll(0.02).wrong == 0
-    note(record_property, undisturbed, attacked)
-
-
-def note(record_property: Record, undisturbed: Polled, attacked: Polled) -> None:
-    record_property("worst undisturbed, ms", round(undisturbed.worst * 1000, 2))
-    record_property("worst under attack, ms", round(attacked.worst * 1000, 2))
 
 
 def test_the_table_of_attacks_is_printed() -> None:

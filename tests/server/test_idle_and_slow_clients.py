@@ -17,7 +17,7 @@ from libmodbus_py import Device, Fault, Mapping, Server
 from libmodbus_py.server.limits import Limits
 from tests.simulation.stage import Stage, Talker
 from tests.support.attacks import PATIENCE, connect, receive
-from tests.support.fake import until
+from tests.support.peers import until
 from tests.support.served import (
     ANSWER_MOST,
     ANSWER_ONE,

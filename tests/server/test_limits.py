@@ -23,7 +23,7 @@ from libmodbus_py.server.limits import Limits, ServerStatistics
 from tests.simulation.sockets import MemoryListener
 from tests.simulation.stage import LineEnd, Stage
 from tests.support.attacks import ServerProcess, connect, descriptor_limit, receive
-from tests.support.fake import until
+from tests.support.peers import until
 from tests.support.served import (
     ANSWER_ONE,
     KINDS,

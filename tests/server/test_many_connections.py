@@ -24,7 +24,7 @@ from tests.support.attacks import (
     pipeline,
     receive,
 )
-from tests.support.fake import until
+from tests.support.peers import until
 from tests.support.served import KINDS, ONE_ANSWER, Served, ask, served
 
 # They are for whoever asks for a report, in whatever format.

@@ -32,7 +32,7 @@ from libmodbus_py import (
 from libmodbus_py.testing.wires import SerialWire
 from tests.simulation.stage import Stage
 from tests.support.certificates import Papers, secured
-from tests.support.fake import until
+from tests.support.peers import until
 
 SCHEMES = ["tcp", "rtu+tcp", "ascii+tcp", "tls", "udp", "rtu", "ascii"]
 

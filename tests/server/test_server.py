@@ -44,7 +44,7 @@ from libmodbus_py.server.serial import SerialServer
 from libmodbus_py.server.units import TcpUnits, Units
 from libmodbus_py.testing.wires import SerialWire
 from tests.simulation.stage import Stage
-from tests.support.fake import until
+from tests.support.peers import until
 
 READ = pdu.ReadHoldingRegisters(100, 2).encode()
 READ_ANSWER = bytes.fromhex("0304 03e8 03e9")

@@ -22,7 +22,7 @@ from libmodbus_py.server.sources import Sources
 from tests.simulation.stage import Stage, Talker
 from tests.support import vectors
 from tests.support.attacks import PATIENCE, READ_MOST, READ_ONE, adu
-from tests.support.fake import until
+from tests.support.peers import until
 
 UNIT = 17
 READ = bytes.fromhex("03 0064 0002")

@@ -17,10 +17,7 @@ from types import SimpleNamespace
 from typing import Any, Self, TypeVar
 from unittest.mock import patch
 
-
-from libmodbus_py.client import blocking_driver
-from libmodbus_py.client.shortcut import Shortcut
-from libmodbus_py.gateway import circles
+from libmodbus_py.gateway import circles, gateway
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.ports.waiting import Woken
 from libmodbus_py.server.serving import Serving
@@ -66,8 +63,7 @@ class Stage(Network):
         # An attribute of a class that is a function gets the server that it is called on.
         background = lambda server, *urls: self._serving(server, *urls)  # noqa: E731
         stack.enter_context(patch.object(Serving, "background", background))
-
-        stack.enter_context(patch.object(blocking_driver, "Shortcut", _without_c))
+        stack.enter_context(patch.object(gateway, "check_line", circles.check_line))
         stack.enter_context(patch.object(circles, "os", SimpleNamespace(path=self._paths())))
         return self
 

@@ -11,7 +11,6 @@ from typing import Any
 
 from libmodbus_py import Device, Fault, Mapping, Server, framing
 from libmodbus_py.server.limits import Limits
-from tests.simulation.network import CLIENT
 from tests.simulation.stage import Stage, Talker
 from tests.support.attacks import READ_MOST, READ_ONE, adu
 
@@ -64,7 +63,7 @@ class Served:
         self.url = url
         self._stage = stage
 
-    def connect(self, source: str = CLIENT) -> Talker:
+    def connect(self, source: str | None = None) -> Talker:
         return self._stage.talk(self.url, source)
 
     def counts(self, **expected: int) -> bool:

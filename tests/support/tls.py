@@ -15,7 +15,6 @@ from typing import Any, Self
 from libmodbus_py import Device, Server
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.security.making import Identity
-from tests.simulation.network import CLIENT
 from tests.simulation.stage import Stage, Talker
 from tests.support.attacks import PATIENCE, connect
 from tests.support.certificates import Files, Papers
@@ -85,7 +84,7 @@ class TlsClient:
         stage: Stage | None = None,
     ) -> None:
         self.socket: Any = (
-            stage.talk(port, source or CLIENT) if stage else connect(port, source=source)
+            stage.talk(port, source or None) if stage else connect(port, source=source)
         )
         self._incoming, self._outgoing = ssl.MemoryBIO(), ssl.MemoryBIO()
         self.tls = context.wrap_bio(
