@@ -5,8 +5,6 @@ and waits for few of the others' requests, and nothing of the attack is left.
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -98,13 +96,3 @@ def test_an_innocent_client_of_the_system_loses_nothing() -> None:
             assert (polled.lost, polled.wrong) == (0, 0)
         assert grown < MEMORY
         assert server.has_descriptors(descriptors)
-
-
-def test_the_table_of_attacks_is_printed() -> None:
-    name = ATTACKS[-1].name
-    command = [sys.executable, "-m", "bench.attacks", "0.2", "--only", name]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
-    row = next(line for line in done.stdout.splitlines() if line.startswith(name))
-    requests, lost = row.removeprefix(name).split()[:2]
-    assert int(requests) > 0
-    assert lost == "0"
