@@ -82,12 +82,13 @@ class Forwarded:
     Attributes:
         since: since when it waits.
         others: equal ones that get the same answer.
+        first: the equal one that is asked in place of this one; None for this one itself.
     """
 
     # fmt: off
     __slots__ = (
-        "age", "asker", "client", "from_unit", "host", "is_trial", "number", "others", "request",
-        "since", "started", "state", "submitted", "unit",
+        "age", "asker", "client", "first", "from_unit", "host", "is_trial", "number", "others",
+        "request", "since", "started", "state", "submitted", "unit",
     )
     # fmt: on
 
@@ -111,16 +112,23 @@ class Forwarded:
         self.since: float = since
         self.age: float = age
         self.others: list[Forwarded] = []
+        self.first: Forwarded | None = None
         self.is_trial: bool = False
         self.started: float = 0.0
         self.state: int = 0
         self.submitted: Submitted | None = None
+
+    @property
+    def is_wanted(self) -> bool:
+        """Whether anybody waits for the answer."""
+        return any(each.asker is not None for each in (self, *self.others))
 
     def tell(self, response: bytes | None) -> int:
         """Give how many do not wait any more."""
         told = 0
         for each in (self, *self.others) if self.others else (self,):
             asker, each.asker = each.asker, None
+            each.first = None  # which knows this one, too
             if asker is None:
                 told += 1
             else:
@@ -209,9 +217,9 @@ class Line:
         return 0
 
     def drop(self, each: Forwarded) -> None:
-        """Nobody wants its answer any more; what was sent already is not taken back."""
-        each.asker = None
-        if each.submitted is not None or any(other.asker for other in each.others):
+        """Take back a request whose asker is gone, unless it was sent or others want its answer."""
+        each = each.first or each
+        if each.submitted is not None or each.is_wanted:
             return
         if each.is_trial:
             if each in self._trials:
@@ -250,6 +258,7 @@ class Line:
         if first is None:
             return False
         first.others.append(each)
+        each.first = first
         self.statistics.unit(each.unit).merged += 1
         return True
 

@@ -7,11 +7,9 @@ from __future__ import annotations
 
 import os
 import signal
-import socket
 import subprocess
 import sys
-import threading
-import time
+from collections.abc import Callable
 
 import pytest
 
@@ -21,22 +19,27 @@ from libmodbus_py import (
     ExceptionResponse,
     Gateway,
     GatewayTargetFailedToRespond,
+    Limits,
     Mapping,
     ModbusConnectionError,
     Route,
     Server,
 )
-from libmodbus_py.ports.endpoint import parse
+from libmodbus_py.client.asynchronous import IN_FLIGHT
+from tests.simulation.attackers import Attackers, Innocent
+from tests.simulation.scripted import Scripted, Write
+from tests.simulation.stage import Stage
 from tests.support.attacks import (
     ATTACKS,
+    UNIT,
     Attack,
     AttackerProcess,
-    Innocent,
     ServerProcess,
     descriptor_limit,
 )
+from tests.support.attacks import Innocent as RealInnocent
 from tests.support.gateways import passage
-from tests.support.peers import FakeServer, until
+from tests.support.peers import until
 
 MEMORY = 32 << 20
 
@@ -56,75 +59,103 @@ OVER_TCP = [attack for attack in ATTACKS if attack.scheme == "tcp"]
 
 
 @pytest.mark.parametrize("attack", OVER_TCP, ids=lambda attack: attack.name.replace(" ", "-"))
-def test_an_innocent_client_loses_nothing(attack: Attack) -> None:
+def test_an_innocent_client_waits_for_few_of_the_others(stage: Stage, attack: Attack) -> None:
+    """Counted in requests to the device: a refused one costs it nothing."""
+    device = Server({UNIT: Device(Mapping(holding_registers=2000))})
+    with device.background("tcp://10.0.0.9:0") as behind:
+        made = Gateway([Route(f"{behind.urls[0]}?timeout=5")], limits=Limits(max_connections=1500))
+        with made.background("tcp://10.0.0.1:0") as running:
+            client = stage.talk(running.urls[0])
+            innocent = Innocent(stage, client, lambda: device.statistics.requests)
+            assert innocent.poll(3).others == [0] * 3
+            with Attackers(stage, attack, running.urls[0]) as attackers:
+                assert stage.until(lambda: attackers.all_attack, 10)
+                waited = innocent.poll(3, among=attackers)
+            # Each host has one turn; so many are on their way when it comes, and go with it.
+            assert max(waited.others) <= 2 * IN_FLIGHT + attack.connections
+            assert stage.until(lambda: made.statistics.connections == 1)
+            assert innocent.poll(3).others == [0] * 3
+            (line,) = made.passed.lines.values()
+            assert line.waiting == line.in_flight == 0
+
+
+def test_an_innocent_client_of_the_system_loses_nothing() -> None:
+    """The real copy of one attack: attackers, gateway and server are processes."""
+    attack = next(attack for attack in ATTACKS if attack.name == "flood of unknown functions")
     with (
         descriptor_limit(),
         ServerProcess() as server,
         GatewayProcess(server) as gateway,
-        Innocent(gateway.port) as innocent,
+        RealInnocent(gateway.port) as innocent,
         AttackerProcess(attack, gateway.port) as attackers,
     ):
-        innocent.poll(0.3)
+        innocent.poll(0.05)
         descriptors, resident = gateway.descriptors(), gateway.resident()
         attackers.begin()
-        attacked = innocent.poll(1, until=attackers.all_attack)
+        attacked = innocent.poll(0.2, until=attackers.all_attack)
         grown = gateway.resident() - resident
         attackers.end()
         assert attacked.requests > 0
         assert (attacked.lost, attacked.wrong) == (0, 0)
         assert grown < MEMORY
         assert gateway.has_descriptors(descriptors)
-        recovered = innocent.poll(0.1)
-        assert (recovered.lost, recovered.wrong) == (0, 0)
 
 
 def small() -> Device:
     return Device(Mapping(10, 10, 10, 10))
 
 
-def test_a_device_that_says_anything_has_nothing_of_it_passed_on() -> None:
+ANYTHING: dict[str, Callable[[bytes], bytes]] = {
+    "another transaction": lambda request: b"\xff\xff\0\0\0\5\1\3\2\0\1",
+    "another unit": lambda request: request[:2] + b"\0\0\0\5\2\3\2\0\1",
+    "another function": lambda request: request[:2] + b"\0\0\0\5\1\4\2\0\1",
+    "too much": lambda request: request[:2] + b"\0\0\0\7\1\3\4\0\1\0\1",
+    "another protocol": lambda request: request[:2] + b"\0\1\0\5\1\3\2\0\1",
+    "no frame": lambda request: b"\xff" * 300,
+}
+
+
+@pytest.mark.parametrize("what", ANYTHING)
+def test_a_device_that_says_anything_has_nothing_of_it_passed_on(stage: Stage, what: str) -> None:
     """What is no answer is 0B; what comes unasked, or for somebody else, is nothing."""
-    answers = [
-        lambda request: [request[:2] + b"\0\0\0\5\1\3\2\0\7"],  # good
-        lambda request: [b"\xff\xff\0\0\0\5\1\3\2\0\1"],  # another transaction
-        lambda request: [request[:2] + b"\0\0\0\5\2\3\2\0\1"],  # another unit
-        lambda request: [request[:2] + b"\0\0\0\5\1\4\2\0\1"],  # another function
-        lambda request: [request[:2] + b"\0\0\0\7\1\3\4\0\1\0\1"],  # too much
-        lambda request: [request[:2] + b"\0\1\0\5\1\3\2\0\1"],  # another protocol
-        lambda request: [b"\xff" * 300],
-    ]
-    for bad in answers[1:]:
-        with (
-            FakeServer(answers[0], bad, answers[0]) as device,
-            Gateway([Route(f"{device.url}?timeout=0.3&max_pause=0.1")]).background(
-                "tcp://127.0.0.1:0"
-            ) as running,
-            Context.from_url(running.urls[0], unit=1, timeout=5) as context,
-        ):
-            assert context.read_holding_registers(0, 1) == [7]
-            with pytest.raises(GatewayTargetFailedToRespond):
-                context.read_holding_registers(0, 1)
 
-            def answers_again(context: Context = context) -> bool:
-                try:
-                    return context.read_holding_registers(0, 1) == [7]
-                except GatewayTargetFailedToRespond:
-                    time.sleep(0.02)
-                    return False
+    def answer(request: bytes, write: Write) -> None:
+        is_second = len(device.requests) == 2
+        write(ANYTHING[what](request) if is_second else request[:2] + b"\0\0\0\5\1\3\2\0\7")
 
-            until(answers_again)
-
-
-def test_bytes_on_a_line_that_are_no_frame_cost_that_request_only() -> None:
+    device = Scripted(stage, "tcp://10.0.0.9:0", answer)
+    made = Gateway([Route(f"{device.url}?timeout=3&max_pause=1")])
     with (
-        passage("rtu+tcp", "rtu", {1: small()}) as through,
-        socket.create_connection(("127.0.0.1", parse(through.url).port)) as client,
+        made.background("tcp://10.0.0.1:0") as running,
+        Context.from_url(running.urls[0], unit=1, timeout=50) as context,
+    ):
+        assert context.read_holding_registers(0, 1) == [7]
+        asked = stage.now
+        with pytest.raises(GatewayTargetFailedToRespond):
+            context.read_holding_registers(0, 1)
+        assert stage.now - asked <= 3.01
+
+        def answers_again() -> bool:
+            try:
+                return context.read_holding_registers(0, 1) == [7]
+            except GatewayTargetFailedToRespond:
+                stage.pass_time(1)
+                return False
+
+        assert any(answers_again() for _ in range(60))
+
+
+def test_bytes_on_a_line_that_are_no_frame_cost_that_request_only(stage: Stage) -> None:
+    with (
+        passage("rtu+tcp", "rtu", {1: small()}, stage=stage) as through,
+        stage.talk(through.url) as client,
     ):
         client.sendall(os.urandom(2000))
         with through.context(1) as context:
             for _ in range(20):
                 assert context.read_holding_registers(0, 1) == [0]
-        until(lambda: through.gateway.statistics.bad_frames > 0)
+        stage.pass_time(1)
+        assert through.gateway.statistics.bad_frames > 0
 
 
 def test_a_hook_that_raises_is_an_exception_and_one_that_ends_ends_it() -> None:
@@ -180,38 +211,23 @@ def test_a_forked_child_has_nothing_of_its_lines(back: str) -> None:
             os.waitpid(child, 0)
 
 
-def test_floods_from_many_connections_leave_a_line_to_everybody() -> None:
-    """A hundred requests at a time on eight connections, and one client that asks in turn."""
-    with passage("tcp", "rtu", {1: small()}) as through, through.context(1, timeout=20) as context:
-        request = b"\0\1\0\0\0\6\1\3\0\0\0\1"
-        stop = threading.Event()
-
-        def flood() -> None:
-            address = ("127.0.0.1", parse(through.url).port)
-            with socket.create_connection(address, 5, ("127.0.0.2", 0)) as connection:
-                connection.setblocking(False)
-                while not stop.is_set():
-                    for act in (
-                        lambda: connection.send(request * 100),
-                        lambda: connection.recv(9999),
-                    ):
-                        try:
-                            act()
-                        except BlockingIOError:
-                            time.sleep(0.001)
-                        except OSError:
-                            return
-
-        threads = [threading.Thread(target=flood) for _ in range(8)]
-        for thread in threads:
-            thread.start()
-        try:
-            (line,) = through.gateway.passed.lines.values()
-            until(lambda: line.full > 0)
-            for _ in range(10):
-                assert context.read_holding_registers(0, 1) == [0]
+def test_floods_from_many_connections_leave_a_line_to_everybody(stage: Stage) -> None:
+    """As much as goes on eight connections of a host, and one client that asks in turn."""
+    request = b"\0\1\0\0\0\6\1\3\0\0\0\1"
+    with (
+        passage("tcp", "rtu", {1: small()}, stage=stage) as through,
+        through.context(1, timeout=20) as context,
+    ):
+        floods = [stage.talk(through.url, "10.0.0.2") for _ in range(8)]
+        (line,) = through.gateway.passed.lines.values()
+        for _ in range(10):
+            for flood in floods:
+                flood.end.send(request * 100)
+                while flood.has_input():
+                    flood.recv(65_536)
+            before = line.connection.requests
+            assert context.read_holding_registers(0, 1) == [0]
+            # The one on the line, one of each host, and its own.
+            assert line.connection.requests - before <= 3
             assert line.waiting <= 8 * 16 + 16
-        finally:
-            stop.set()
-            for thread in threads:
-                thread.join()
+        assert line.full > 0

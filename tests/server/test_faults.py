@@ -7,7 +7,6 @@ from __future__ import annotations
 import asyncio
 import socket
 import struct
-import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
@@ -41,6 +40,7 @@ from libmodbus_py.server.faults_due import Faults
 from libmodbus_py.server.limits import ServerStatistics
 from libmodbus_py.server.units import TcpUnits, Units
 from libmodbus_py.testing.wires import SerialWire
+from tests.simulation.stage import Stage, Talker
 from tests.support.certificates import Papers, secured
 
 FOREVER = 600.0  # longer than any test may last
@@ -56,52 +56,35 @@ def made_device() -> Device:
 
 
 @contextmanager
-def serving(scheme: str, faults: dict[int | None, list[Fault]], **devices: Any) -> Iterator[str]:
-    """Serve units 1 and 2; gives the URL for clients."""
+def serving(
+    stage: Stage, scheme: str, faults: dict[int | None, list[Fault]], **devices: Any
+) -> Iterator[str]:
+    """Serve units 1 and 2 on a stage; return the URL for clients."""
     units = devices.get("units") or {1: made_device(), 2: made_device()}
-    with ExitStack() as stack:
-        if scheme.endswith("tcp"):
-            address = client = f"{scheme}://127.0.0.1:0"
-        else:
-            wire = stack.enter_context(SerialWire())
-            address = f"{scheme}://{wire.server}?baudrate=115200"
-            client = f"{scheme}://{wire.client}?baudrate=115200"
-        running = stack.enter_context(Server(units, faults).background(address))
-        yield running.urls[0] if scheme.endswith("tcp") else client
+    place = "tcp://10.0.0.1:0" if scheme.endswith("tcp") else "x:///dev/line?baudrate=115200"
+    with Server(units, faults).background(scheme + place[place.index(":") :]) as running:
+        yield running.urls[0]
 
 
-def client_of(url: str, unit: int = 1, timeout: float = 0.2) -> Context:
+def client_of(url: str, unit: int = 1, timeout: float = 200) -> Context:
     return Context.from_url(url, unit=unit, timeout=timeout, native=False)
-
-
-def connect(url: str) -> socket.socket:
-    connection = socket.create_connection(("127.0.0.1", int(url.rpartition(":")[2])), 5)
-    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    return connection
 
 
 def adu(body: bytes, transaction: int = 1, unit: int = 1) -> bytes:
     return struct.pack(">HHHB", transaction, 0, 1 + len(body), unit) + body
 
 
-def receive(connection: socket.socket, size: int) -> bytes:
-    data = b""
-    while len(data) < size and (piece := connection.recv(size - len(data))):
-        data += piece
-    return data
-
-
 # --- what a client sees ----------------------------------------------------------------------
 
 SEEN: dict[str, tuple[Fault, type[Exception]]] = {
-    "delay": (Fault("delay", every=2, seconds=0.3), ModbusTimeoutError),
+    "delay": (Fault("delay", every=2, seconds=300), ModbusTimeoutError),
     "no_answer": (Fault("no_answer", every=2), ModbusTimeoutError),
     "exception": (Fault("exception", every=2, code=6), ServerDeviceBusy),
     "unknown exception": (Fault("exception", every=2, code=255), ExceptionResponse),
     "wrong_check": (Fault("wrong_check", every=2), FrameError),
     "wrong_transaction": (Fault("wrong_transaction", every=2), ModbusTimeoutError),
     "wrong_unit": (Fault("wrong_unit", every=2), InvalidResponse),
-    "trickle": (Fault("trickle", every=2, seconds=0.03), ModbusTimeoutError),
+    "trickle": (Fault("trickle", every=2, seconds=30), ModbusTimeoutError),
     "truncate": (Fault("truncate", every=2, length=5), ModbusTimeoutError),
     "disconnect": (Fault("disconnect", every=2), ModbusConnectionError),
     "disconnect midway": (Fault("disconnect", every=2, length=5), ModbusConnectionError),
@@ -125,39 +108,71 @@ CASES = [
 
 
 @pytest.mark.parametrize(("scheme", "name"), CASES)
-def test_a_client_sees_the_fault_and_the_next_request_succeeds(scheme: str, name: str) -> None:
+def test_a_client_sees_the_fault_and_the_next_request_succeeds(
+    stage: Stage, scheme: str, name: str
+) -> None:
     fault, error = SEEN[name]
     if scheme in ("rtu", "ascii"):
         error = ON_LINES.get(name, error)
     if scheme == "ascii" and name == "trickle":
         # Twice the bytes; and a line must not be noisy for longer than two timeouts.
         fault = replace(fault, seconds=0.015)
-    with serving(scheme, {1: [fault]}) as url, client_of(url) as client:
+    # A second of silence ends a frame there.
+    timeout = 0.2 if scheme == "ascii" else 200
+    with (
+        serving(stage, scheme, {1: [fault]}) as url,
+        client_of(url, timeout=timeout) as client,
+    ):
         assert client.read_holding_registers(0, 3) == [555, 0, 100]
         with pytest.raises(error) as seen:
             client.read_holding_registers(0, 3)
         assert type(seen.value) is error
-        client.timeout = 5
+        client.timeout = 5000
         assert client.read_holding_registers(0, 3) == [555, 0, 100]
 
 
-def test_a_late_answer_is_the_answer_to_its_own_request() -> None:
+@pytest.mark.parametrize("scheme", ["tcp", "rtu"])
+@pytest.mark.parametrize("kind", ["wrong_check", "disconnect"])
+def test_a_client_of_the_system_sees_the_fault_and_the_next_request_succeeds(
+    scheme: str, kind: str
+) -> None:
+    """The real copy, of those faults that take no time."""
+    server = Server({1: made_device()}, {1: [Fault(kind, every=2)]})
+    with ExitStack() as stack:
+        address = client = "tcp://127.0.0.1:0"
+        if scheme == "rtu":
+            wire = stack.enter_context(SerialWire())
+            address, client = f"rtu://{wire.server}", f"rtu://{wire.client}"
+        running = stack.enter_context(server.background(address))
+        client = client if scheme == "rtu" else running.urls[0]
+        plc = stack.enter_context(Context.from_url(client, unit=1, timeout=5))
+        assert plc.read_holding_registers(0, 3) == [555, 0, 100]
+        plc.timeout = 0.2 if scheme == "rtu" else 5
+        with pytest.raises((FrameError, ModbusConnectionError, ModbusTimeoutError)):
+            plc.read_holding_registers(0, 3)
+        plc.timeout = 5
+        assert plc.read_holding_registers(0, 3) == [555, 0, 100]
+
+
+def test_a_late_answer_is_the_answer_to_its_own_request(stage: Stage) -> None:
     with (
-        serving("tcp", {1: [Fault("delay", every=2, seconds=0.3)]}) as url,
+        serving(stage, "tcp", {1: [Fault("delay", every=2, seconds=300)]}) as url,
         client_of(url) as client,
     ):
         client.read_holding_registers(0, 1)
         with pytest.raises(ModbusTimeoutError):
             client.read_holding_registers(0, 1)
-        client.timeout = 5
+        client.timeout = 5000
         assert client.read_holding_registers(2, 1) == [100]
         assert client.late_answers == 1
 
 
 @pytest.mark.parametrize("scheme", ["tcp", "rtu", "ascii"])
-def test_a_client_with_patience_gets_delayed_and_trickled_answers(scheme: str) -> None:
-    faults = [Fault("delay", function=3, seconds=0.05), Fault("trickle", seconds=0.005)]
-    with serving(scheme, {1: faults}) as url, client_of(url, timeout=5) as client:
+def test_a_client_with_patience_gets_delayed_and_trickled_answers(
+    stage: Stage, scheme: str
+) -> None:
+    faults = [Fault("delay", function=3, seconds=50), Fault("trickle", seconds=0.5)]
+    with serving(stage, scheme, {1: faults}) as url, client_of(url, timeout=5000) as client:
         assert client.read_holding_registers(0, 3) == [555, 0, 100]
         assert client.read_coils(0, 3) == [False] * 3
 
@@ -213,9 +228,11 @@ def test_bytes_of_each_fault(
 
 @pytest.mark.parametrize("length", [None, 5, 512])
 @pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp"])
-def test_what_comes_before_the_connection_closes(scheme: str, length: int | None) -> None:
+def test_what_comes_before_the_connection_closes(
+    stage: Stage, scheme: str, length: int | None
+) -> None:
     fault = Fault("disconnect", function=3, length=length)
-    with serving(scheme, {1: [fault]}) as url, connect(url) as connection:
+    with serving(stage, scheme, {1: [fault]}) as url, stage.talk(url) as connection:
         if scheme == "tcp":
             connection.sendall(adu(b"\x01\0\0\0\x01", 7) + adu(READ, 8))
             before, answer = adu(b"\x01\x01\0", 7), adu(b"\x03\x02\x02\x2b", 8)
@@ -223,55 +240,53 @@ def test_what_comes_before_the_connection_closes(scheme: str, length: int | None
             framer = RtuFramer("client")
             connection.sendall(framer.encode(Frame(1, READ)))
             before, answer = b"", framer.encode(Frame(1, b"\x03\x02\x02\x2b"))
-        assert receive(connection, 100) == before + answer[: length or 0]
+        assert connection.receive(100) == before + answer[: length or 0]
 
 
-def test_what_is_asked_behind_a_closed_connection_is_not_executed() -> None:
+def test_what_is_asked_behind_a_closed_connection_is_not_executed(stage: Stage) -> None:
     device, other = made_device(), made_device()
     write = b"\x06\0\x01\0\x09"
     with (
-        serving("tcp", {1: [Fault("disconnect", function=3)]}, units={1: device, 2: other}) as url,
-        connect(url) as connection,
+        serving(
+            stage, "tcp", {1: [Fault("disconnect", function=3)]}, units={1: device, 2: other}
+        ) as url,
+        stage.talk(url) as connection,
     ):
         requests = adu(write.replace(b"\1", b"\0")) + adu(READ) + adu(write) + adu(write, 1, 2)
         connection.sendall(requests)
-        assert receive(connection, 100) == adu(b"\x06\0\0\0\x09")
+        assert connection.receive(100) == adu(b"\x06\0\0\0\x09")
         # The server answers others, so it has dealt with these.
-        with client_of(url, 2, timeout=5) as client:
+        with client_of(url, 2, timeout=5000) as client:
             client.read_coils(0, 1)
     assert device.mapping.holding_registers[0:2] == [9, 0]
     assert other.mapping.holding_registers[1] == 0
 
 
-def test_a_disconnect_comes_after_answers_that_are_kept_back() -> None:
-    faults = [Fault("delay", function=1, seconds=0.1), Fault("disconnect", function=3, length=512)]
-    with serving("tcp", {1: faults}) as url, connect(url) as connection:
+def test_a_disconnect_comes_after_answers_that_are_kept_back(stage: Stage) -> None:
+    faults = [Fault("delay", function=1, seconds=100), Fault("disconnect", function=3, length=512)]
+    with serving(stage, "tcp", {1: faults}) as url, stage.talk(url) as connection:
         connection.sendall(adu(b"\x01\0\0\0\x01", 1) + adu(READ, 2) + adu(READ, 3))
         expected = adu(b"\x01\x01\0", 1) + adu(b"\x03\x02\x02\x2b", 2)
-        assert receive(connection, 100) == expected
+        assert connection.receive(100) == expected
 
 
 @pytest.mark.parametrize("scheme", ["rtu", "ascii"])
-def test_noise_before_an_answer_is_skipped_on_lines(scheme: str) -> None:
+def test_noise_before_an_answer_is_skipped_on_lines(stage: Stage, scheme: str) -> None:
     with (
-        serving(scheme, {1: [Fault("garbage", data=b"\xff\xfe")]}) as url,
+        serving(stage, scheme, {1: [Fault("garbage", data=b"\xff\xfe")]}) as url,
         client_of(url) as client,
     ):
         assert client.read_holding_registers(0, 3) == [555, 0, 100]
 
 
-def test_garbage_and_disconnects_of_datagrams() -> None:
+def test_garbage_and_disconnects_of_datagrams(stage: Stage) -> None:
     faults = [
         Fault("garbage", function=3, data=b"\xaa", place="behind"),
         Fault("disconnect", function=1, length=4),
     ]
     device = made_device()
-    with (
-        Server(device, {1: faults}).background("udp://127.0.0.1:0") as running,
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as datagrams,
-    ):
-        datagrams.settimeout(5)
-        datagrams.connect(("127.0.0.1", int(running.urls[0].rpartition(":")[2])))
+    with Server(device, {1: faults}).background("udp://10.0.0.1:0") as running:
+        datagrams = stage.talk(running.urls[0])
         datagrams.send(adu(READ, 5))
         assert datagrams.recv(100) == adu(b"\x03\x02\x02\x2b", 5) + b"\xaa"
         datagrams.send(adu(b"\x01\0\0\0\x01", 6))
@@ -322,165 +337,164 @@ def test_the_transaction_before_0_is_65535() -> None:
     "fault", [Fault("delay", seconds=FOREVER), Fault("trickle", seconds=FOREVER)]
 )
 @pytest.mark.parametrize("unit", [1, 2])
-def test_others_are_answered_while_the_fault_lasts(fault: Fault, unit: int) -> None:
+def test_others_are_answered_while_the_fault_lasts(stage: Stage, fault: Fault, unit: int) -> None:
     # The other client asks another unit, or the same one by another function.
     only = Fault(fault.kind, function=3, seconds=fault.seconds)
-    with serving("tcp", {1: [only]}) as url, connect(url) as slow:
+    with serving(stage, "tcp", {1: [only]}) as url, stage.talk(url) as slow:
         slow.sendall(adu(READ))
-        head = receive(slow, 1 if fault.kind == "trickle" else 0)
-        with client_of(url, unit, timeout=5) as client:
+        head = slow.receive(1 if fault.kind == "trickle" else 0)
+        with client_of(url, unit, timeout=5000) as client:
             for _ in range(20):
                 assert client.read_coils(0, 8) == [False] * 8
-        slow.setblocking(False)
-        with pytest.raises(BlockingIOError):
-            slow.recv(1)
+        stage.pass_time(FOREVER / 2)
+        assert not slow.has_input()
         assert head == (b"\0" if fault.kind == "trickle" else b"")
 
 
-def test_a_server_stops_while_answers_wait() -> None:
-    with ExitStack() as stack:
-        url = stack.enter_context(serving("tcp", {None: [Fault("delay", seconds=FOREVER)]}))
-        for _ in range(5):
-            stack.enter_context(connect(url)).sendall(adu(READ))
-        time.sleep(0.05)
-        start = time.monotonic()
-    assert time.monotonic() - start < 5
+def test_a_server_stops_while_answers_wait(stage: Stage) -> None:
+    with serving(stage, "tcp", {None: [Fault("delay", seconds=FOREVER)]}) as url:
+        clients = [stage.talk(url) for _ in range(5)]
+        for client in clients:
+            client.sendall(adu(READ))
+        stage.pass_time(1)
+        begun = stage.now
+    assert stage.now - begun < 0.01
+    assert all(client.is_closed() for client in clients)
 
 
-def test_a_serial_server_stops_while_an_answer_waits() -> None:
+def test_a_serial_server_stops_while_an_answer_waits(stage: Stage) -> None:
     faults: dict[int | None, list[Fault]] = {None: [Fault("delay", seconds=FOREVER)]}
-    with serving("rtu", faults) as url, client_of(url, timeout=0.05) as client:
+    with serving(stage, "rtu", faults) as url, client_of(url, timeout=50) as client:
         with pytest.raises(ModbusTimeoutError):
             client.read_coils(0, 1)
-        start = time.monotonic()
-    assert time.monotonic() - start < 5
+        begun = stage.now
+    assert stage.now - begun < 0.01
 
 
-def test_a_client_that_leaves_costs_its_answers_only() -> None:
-    with serving("tcp", {1: [Fault("delay", function=3, seconds=0.05)]}) as url:
+def test_a_client_that_leaves_costs_its_answers_only(stage: Stage) -> None:
+    with serving(stage, "tcp", {1: [Fault("delay", function=3, seconds=50)]}) as url:
         for _ in range(10):
-            with connect(url) as connection:
+            with stage.talk(url) as connection:
                 connection.sendall(adu(READ) * 3)
-        time.sleep(0.1)
-        with client_of(url, timeout=5) as client:
+        stage.pass_time(100)
+        with client_of(url, timeout=5000) as client:
             assert client.read_holding_registers(0, 1) == [555]
 
 
 # --- the order of answers --------------------------------------------------------------------
 
 
-def test_answers_keep_their_order() -> None:
+def test_answers_keep_their_order(stage: Stage) -> None:
     faults = [
         Fault("delay", every=7, seconds=0.01),
         Fault("trickle", every=11, seconds=0.001),
     ]
-    with serving("tcp", {1: faults}) as url, connect(url) as connection:
+    with serving(stage, "tcp", {1: faults}) as url, stage.talk(url) as connection:
         numbers = range(500)
         connection.sendall(b"".join(adu(b"\x03\0\0\0\x01", number) for number in numbers[:250]))
         answers = b"".join(adu(b"\x03\x02\x02\x2b", number) for number in numbers)
-        received = receive(connection, 500)
+        received = connection.receive(500)
         connection.sendall(b"".join(adu(b"\x03\0\0\0\x01", number) for number in numbers[250:]))
-        received += receive(connection, len(answers) - 500)
+        received += connection.receive(len(answers) - 500)
         assert received == answers
 
 
-def blocks(connection: socket.socket, requests: bytes) -> bool:
-    """Send more than the system keeps; say whether the server stops to read it."""
-    connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 16)
-    connection.settimeout(0.5)
+def blocks(client: Talker, requests: bytes) -> bool:
+    """Send more than the network keeps; return whether the server stops to read it."""
+    client.settimeout(60)
     sent = 0
     try:
-        while sent < 1 << 24:
-            sent += connection.send(requests[sent % len(requests) :])
+        while sent < 1 << 21:
+            sent += client.send(requests[sent % len(requests) :])
     except TimeoutError:
         return True
     return False
 
 
-def test_what_is_not_answered_is_not_read() -> None:
+def test_what_is_not_answered_is_not_read(stage: Stage) -> None:
     faults: dict[int | None, list[Fault]] = {1: [Fault("delay", seconds=FOREVER)]}
-    with serving("tcp", faults) as url, connect(url) as flood:
+    with serving(stage, "tcp", faults) as url, stage.talk(url) as flood:
         assert blocks(flood, adu(READ) * 10_000)
 
 
-def test_a_client_that_does_not_take_its_answers_is_not_read() -> None:
+def test_a_client_that_does_not_take_its_answers_is_not_read(stage: Stage) -> None:
     # Also where faults end again and again, each of which lets the server go on.
     faults: dict[int | None, list[Fault]] = {1: [Fault("delay", every=50, seconds=0.001)]}
-    with serving("tcp", faults) as url, connect(url) as flood:
+    with serving(stage, "tcp", faults) as url, stage.talk(url) as flood:
         assert blocks(flood, adu(b"\x03\0\0\0\x08") * 10_000)
 
 
-def test_answers_that_nobody_waits_for_are_lost() -> None:
+def test_answers_that_nobody_waits_for_are_lost(stage: Stage) -> None:
     written: list[bytes] = []
 
     async def deliver() -> None:
         delivery = Delivery(written.append, lambda: None)
-        delivery.send([Piece(0.01, b"first")])
+        delivery.send([Piece(10, b"first")])
         for _ in range(3):
             delivery.send([Piece(0, bytes(MAX_WAITING // 2))])
         delivery.send([Piece(0, b"lost")])
-        await asyncio.sleep(0.05)
+        await asyncio.sleep(50)
         assert not delivery.is_waiting
         delivery.send([Piece(0, b"last")])
 
-    asyncio.run(deliver())
+    stage.wait(deliver())
     assert [data for data in written if len(data) < 10] == [b"first", b"last"]
     assert sum(map(len, written)) <= 2 * MAX_WAITING
 
 
-def test_delivery_tells_when_it_waits() -> None:
+def test_delivery_tells_when_it_waits(stage: Stage) -> None:
     told: list[bool] = []
 
     async def deliver() -> None:
         delivery = Delivery(lambda data: None, lambda: told.append(delivery.is_waiting))
         delivery.send([Piece(0, b"1")])
         assert told == []
-        delivery.send([Piece(0.001, b"2"), Piece(0.001, b"3")])
+        delivery.send([Piece(10, b"2"), Piece(10, b"3")])
         delivery.send([Piece(0, b"4")])
-        await asyncio.sleep(0.05)
+        await asyncio.sleep(50)
 
-    asyncio.run(deliver())
+    stage.wait(deliver())
     assert told == [True, False]
 
 
-def test_each_wait_begins_when_what_is_before_is_sent() -> None:
+def test_each_wait_begins_when_what_is_before_is_sent(stage: Stage) -> None:
     written: list[bytes] = []
 
     async def deliver() -> None:
         delivery = Delivery(written.append, lambda: None)
-        delivery.send([Piece(0.001, b"1")])
+        delivery.send([Piece(10, b"1")])
         delivery.send([Piece(FOREVER, b"2")])
-        await asyncio.sleep(0.05)
+        await asyncio.sleep(50)
         delivery.close()
 
-    asyncio.run(deliver())
+    stage.wait(deliver())
     assert written == [b"1"]
 
 
-def test_a_session_that_is_closed_sends_nothing_more() -> None:
+def test_a_session_that_is_closed_sends_nothing_more(stage: Stage) -> None:
     written: list[bytes] = []
-    units = Units(made_device(), Faults({None: [Fault("delay", seconds=0.001)]}))
+    units = Units(made_device(), Faults({None: [Fault("delay", seconds=10)]}))
 
     async def ask() -> None:
         session = ByFrame(TcpUnits(units), "tcp", "", ServerStatistics(), written.append)
         session.receive(adu(READ))
         session.close()
-        await asyncio.sleep(0.02)
+        await asyncio.sleep(50)
 
-    asyncio.run(ask())
+    stage.wait(ask())
     assert written == []
 
 
-def test_nothing_is_sent_after_close() -> None:
+def test_nothing_is_sent_after_close(stage: Stage) -> None:
     written: list[bytes] = []
 
     async def deliver() -> None:
         delivery = Delivery(written.append, lambda: None)
-        delivery.send([Piece(0, b"1"), Piece(0.001, b"2")])
+        delivery.send([Piece(0, b"1"), Piece(10, b"2")])
         delivery.close()
-        await asyncio.sleep(0.02)
+        await asyncio.sleep(50)
 
-    asyncio.run(deliver())
+    stage.wait(deliver())
     assert written == [b"1"]
 
 
@@ -564,9 +578,9 @@ def test_what_cannot_be_decoded_touches_nothing() -> None:
         assert hits(faults, 2, Frame(1, data)) == []
 
 
-def test_a_range_that_fails_leaves_the_rest_of_the_device_alone() -> None:
+def test_a_range_that_fails_leaves_the_rest_of_the_device_alone(stage: Stage) -> None:
     bad = Fault("exception", code=4, table="holding_registers", address=2)
-    with serving("tcp", {1: [bad]}) as url, client_of(url, timeout=5) as client:
+    with serving(stage, "tcp", {1: [bad]}) as url, client_of(url, timeout=5000) as client:
         assert client.read_holding_registers(0, 2) == [555, 0]
         with pytest.raises(ServerDeviceFailure):
             client.read_holding_registers(0, 3)
@@ -574,29 +588,31 @@ def test_a_range_that_fails_leaves_the_rest_of_the_device_alone() -> None:
         assert client.read_coils(2, 1) == [False]
 
 
-def test_units_without_faults_are_answered_in_c(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_units_without_faults_are_answered_in_c(
+    stage: Stage, monkeypatch: pytest.MonkeyPatch
+) -> None:
     quick, slow = made_device(), made_device()
     for device in (quick, slow):
         monkeypatch.setattr(device, "answer", lambda *_: pytest.fail("not in C"))
     faults: dict[int | None, list[Fault]] = {2: [Fault("exception", code=6)]}
     with (
-        serving("tcp", faults, units={1: quick, 2: slow}) as url,
-        client_of(url, timeout=5) as client,
+        serving(stage, "tcp", faults, units={1: quick, 2: slow}) as url,
+        client_of(url, timeout=5000) as client,
     ):
         assert client.read_holding_registers(0, 3) == [555, 0, 100]
         with pytest.raises(ServerDeviceBusy):
             client.for_unit(2).read_coils(0, 1)
 
 
-def test_what_is_answered_in_c_waits_behind_what_a_fault_keeps_back() -> None:
-    faults: dict[int | None, list[Fault]] = {2: [Fault("delay", seconds=0.1)]}
-    with serving("tcp", faults) as url, connect(url) as connection:
+def test_what_is_answered_in_c_waits_behind_what_a_fault_keeps_back(stage: Stage) -> None:
+    faults: dict[int | None, list[Fault]] = {2: [Fault("delay", seconds=100)]}
+    with serving(stage, "tcp", faults) as url, stage.talk(url) as connection:
         coil = b"\x01\0\0\0\x01"
         for requests in (adu(coil, 1, 1), adu(coil, 2, 2) + adu(coil, 3, 1) + adu(coil, 4, 2)):
             connection.sendall(requests)
         answers = [(1, 1), (2, 2), (3, 1), (4, 2)]
         expected = b"".join(adu(b"\x01\x01\0", *each) for each in answers)
-        assert receive(connection, len(expected)) == expected
+        assert connection.receive(len(expected)) == expected
 
 
 def test_the_first_fault_that_is_due_happens_and_all_count() -> None:
@@ -610,9 +626,9 @@ def test_the_first_fault_that_is_due_happens_and_all_count() -> None:
     assert other.kind == "exception"
 
 
-def test_faults_of_all_units_also_hit_units_that_do_not_exist() -> None:
+def test_faults_of_all_units_also_hit_units_that_do_not_exist(stage: Stage) -> None:
     with (
-        serving("tcp", {None: [Fault("exception", code=10, every=2)]}) as url,
+        serving(stage, "tcp", {None: [Fault("exception", code=10, every=2)]}) as url,
         client_of(url, unit=99) as client,
     ):
         with pytest.raises(GatewayTargetFailedToRespond):
@@ -621,9 +637,9 @@ def test_faults_of_all_units_also_hit_units_that_do_not_exist() -> None:
             client.read_coils(0, 1)
 
 
-def test_on_serial_lines_what_nobody_answers_is_not_counted() -> None:
+def test_on_serial_lines_what_nobody_answers_is_not_counted(stage: Stage) -> None:
     with (
-        serving("rtu", {None: [Fault("exception", code=6, every=2)]}) as url,
+        serving(stage, "rtu", {None: [Fault("exception", code=6, every=2)]}) as url,
         client_of(url, timeout=2) as client,
     ):
         client.for_unit(0).write_register(0, 7)
@@ -634,17 +650,17 @@ def test_on_serial_lines_what_nobody_answers_is_not_counted() -> None:
             client.read_holding_registers(0, 1)
 
 
-def test_a_broadcast_is_not_counted_where_one_device_answers_every_unit() -> None:
+def test_a_broadcast_is_not_counted_where_one_device_answers_every_unit(stage: Stage) -> None:
     device = made_device()
     faults: dict[int | None, list[Fault]] = {None: [Fault("exception", code=6, every=2)]}
-    with serving("rtu", faults, units=device) as url, client_of(url) as client:
+    with serving(stage, "rtu", faults, units=device) as url, client_of(url) as client:
         client.for_unit(0).write_register(0, 7)
         assert client.read_holding_registers(0, 1) == [7]
 
 
-def test_a_device_in_listen_only_mode_stays_silent() -> None:
+def test_a_device_in_listen_only_mode_stays_silent(stage: Stage) -> None:
     with (
-        serving("rtu", {None: [Fault("exception", code=6, function=3)]}) as url,
+        serving(stage, "rtu", {None: [Fault("exception", code=6, function=3)]}) as url,
         client_of(url) as client,
     ):
         client.diagnostics(pdu.SubFunction.FORCE_LISTEN_ONLY)
@@ -652,12 +668,15 @@ def test_a_device_in_listen_only_mode_stays_silent() -> None:
             client.read_holding_registers(0, 1)
 
 
-def test_wrong_transactions_never_happen_where_there_are_none() -> None:
-    with serving("rtu+tcp", {None: [Fault("wrong_transaction")]}) as url, client_of(url) as client:
+def test_wrong_transactions_never_happen_where_there_are_none(stage: Stage) -> None:
+    with (
+        serving(stage, "rtu+tcp", {None: [Fault("wrong_transaction")]}) as url,
+        client_of(url) as client,
+    ):
         assert client.read_holding_registers(0, 1) == [555]
 
 
-def test_a_refused_write_is_not_executed_and_all_others_are() -> None:
+def test_a_refused_write_is_not_executed_and_all_others_are(stage: Stage) -> None:
     for kind in KINDS:
         if kind in ("delay", "trickle"):
             continue
@@ -665,21 +684,22 @@ def test_a_refused_write_is_not_executed_and_all_others_are() -> None:
         settings: dict[str, Any] = {"code": 6} if kind == "exception" else {}
         settings |= {"length": 3} if kind in ("truncate", "garbage") else {}
         with (
-            serving("tcp", {1: [Fault(kind, **settings)]}, units={1: device}) as url,
-            connect(url) as connection,
+            serving(stage, "tcp", {1: [Fault(kind, **settings)]}, units={1: device}) as url,
+            stage.talk(url) as connection,
         ):
             connection.sendall(adu(b"\x06\0\0\0\x09"))
             with suppress(OSError):  # what closes may have closed before
                 connection.shutdown(socket.SHUT_WR)
-            while connection.recv(100):
-                pass
+            with suppress(ConnectionResetError):
+                while connection.recv(100):
+                    pass
         assert device.mapping.holding_registers[0] == (555 if kind == "exception" else 9), kind
 
 
 @pytest.mark.parametrize("transport", ["rtu", "tcp"])
-def test_counters_know_the_refusals_of_a_fault(transport: str) -> None:
+def test_counters_know_the_refusals_of_a_fault(stage: Stage, transport: str) -> None:
     with (
-        serving(transport, {1: [Fault("exception", code=6, function=3)]}) as url,
+        serving(stage, transport, {1: [Fault("exception", code=6, function=3)]}) as url,
         client_of(url, timeout=2) as client,
     ):
         for _ in range(3):
@@ -692,10 +712,13 @@ def test_counters_know_the_refusals_of_a_fault(transport: str) -> None:
         assert read(pdu.SubFunction.SERVER_MESSAGE_COUNT) == 7
 
 
-def test_a_reserved_function_gets_no_answer_and_no_fault() -> None:
-    with serving("tcp", {None: [Fault("exception", code=6)]}) as url, connect(url) as connection:
+def test_a_reserved_function_gets_no_answer_and_no_fault(stage: Stage) -> None:
+    with (
+        serving(stage, "tcp", {None: [Fault("exception", code=6)]}) as url,
+        stage.talk(url) as connection,
+    ):
         connection.sendall(adu(b"\x83\x01", 1) + adu(READ, 2))
-        assert receive(connection, 9) == adu(b"\x83\x06", 2)
+        assert connection.receive(9) == adu(b"\x83\x06", 2)
 
 
 # --- what cannot be --------------------------------------------------------------------------

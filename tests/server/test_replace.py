@@ -6,11 +6,9 @@ from __future__ import annotations
 
 import asyncio
 import gc
-import os
 import socket
 import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
@@ -32,7 +30,9 @@ from libmodbus_py import (
     pdu,
 )
 from libmodbus_py.testing.wires import SerialWire
+from tests.simulation.stage import Stage
 from tests.support.certificates import Papers, secured
+from tests.support.peers import until
 
 SCHEMES = ["tcp", "rtu+tcp", "ascii+tcp", "tls", "udp", "rtu", "ascii"]
 
@@ -55,13 +55,6 @@ def connected(scheme: str, server: Server, tmp_path: Path, **options: Any) -> It
             url = stack.enter_context(server.background(f"{scheme}://127.0.0.1:0")).urls[0]
         client = Context.from_url(url, unit=1, native=False, **{"timeout": 2, **options})
         yield stack.enter_context(client)
-
-
-def until(is_so: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + 20
-    while not is_so():
-        assert time.monotonic() < deadline
-        time.sleep(0.005)
 
 
 @pytest.mark.parametrize("scheme", SCHEMES)
@@ -155,13 +148,13 @@ def test_faults_that_stay_go_on_counting() -> None:
     assert seen == [False, False, True] * 3
 
 
-def test_a_broadcast_goes_to_the_new_devices(tmp_path: Path) -> None:
+def test_a_broadcast_goes_to_the_new_devices(stage: Stage) -> None:
     server = Server({1: holding(1), 2: holding(1)})
-    with connected("rtu", server, tmp_path) as client:
-        client.read_holding_registers(0, 1)
-        devices = {1: holding(0), 3: holding(0)}
-        server.replace(devices)
-        until(lambda: client.read_holding_registers(0, 1) == [0])
+    line = "rtu:///dev/line"
+    with server.background(line), Context.from_url(line, unit=1, timeout=50) as client:
+        assert client.read_holding_registers(0, 1) == [1]
+        server.replace({1: holding(0), 3: holding(0)})
+        assert client.read_holding_registers(0, 1) == [0]
         client.for_unit(0).write_register(0, 7)
         assert client.for_unit(3).read_holding_registers(0, 1) == [7]
         with pytest.raises(ModbusTimeoutError):
@@ -181,19 +174,21 @@ def test_notes_about_a_line_stay_with_their_unit(scheme: str, tmp_path: Path) ->
         assert count(pdu.SubFunction.SERVER_MESSAGE_COUNT) > 5
 
 
-def test_an_answer_that_is_kept_back_still_comes(tmp_path: Path) -> None:
-    server = Server({1: holding(1)}, {1: [Fault("delay", seconds=0.5)]})
-    with connected("tcp", server, tmp_path, timeout=10) as client:
-        assert client.read_holding_registers(0, 1) == [1]
-        asked: list[Any] = []
-        thread = threading.Thread(target=lambda: asked.extend(client.read_holding_registers(0, 1)))
-        requests = server.statistics.requests
-        thread.start()
-        until(lambda: server.statistics.requests > requests)
+def test_an_answer_that_is_kept_back_still_comes(stage: Stage) -> None:
+    server = Server({1: holding(1)}, {1: [Fault("delay", seconds=500)]})
+    with (
+        server.background("tcp://10.0.0.1:0") as running,
+        stage.talk(running.urls[0]) as waiting,
+        Context.from_url(running.urls[0], unit=1, timeout=1000) as client,
+    ):
+        waiting.sendall(bytes.fromhex("0001 0000 0006 01 03 0000 0001"))
+        stage.pass_time(1)
         server.replace({1: holding(2)})
-        thread.join()
-        assert asked == [1]
+        asked = stage.now
         assert client.read_holding_registers(0, 1) == [2]
+        assert stage.now - asked < 0.01
+        assert waiting.receive(11)[-2:] == b"\0\1"
+        assert stage.now - asked == pytest.approx(499, abs=0.1)
 
 
 def test_a_hook_may_replace_what_calls_it() -> None:
@@ -216,7 +211,7 @@ def test_a_hook_may_replace_what_calls_it() -> None:
                     client.read_coils(0, 1)
 
 
-def test_replaced_again_and_again_while_a_hundred_clients_read() -> None:
+def test_replaced_again_and_again_while_a_hundred_clients_read(stage: Stage) -> None:
     """Nobody is disconnected, or gets anything but an answer of one of the devices."""
     server = Server({1: holding(0)})
     seen: set[int] = set()
@@ -236,24 +231,21 @@ def test_replaced_again_and_again_while_a_hundred_clients_read() -> None:
     async def all_of_it(url: str) -> list[int]:
         stopped = asyncio.Event()
         polls = [asyncio.create_task(poll(url, stopped)) for _ in range(100)]
-        for number in range(200):
+        for number in range(15):
             faults = {1: [Fault("exception", code=6, every=3)]} if number % 2 else None
             server.replace({1: holding(number)}, faults)  # type: ignore[arg-type]
             await asyncio.sleep(0.001)
-        await asyncio.sleep(0.2)
         stopped.set()
         return await asyncio.gather(*polls)
 
-    with server.background("tcp://127.0.0.1:0") as running:
-        descriptors = len(os.listdir("/proc/self/fd"))
-        counts = asyncio.run(all_of_it(running.urls[0]))
-        assert min(counts) > 0
+    with server.background("tcp://10.0.0.1:0") as running:
+        counts = stage.wait(all_of_it(running.urls[0]))
+        assert min(counts) > 15
         assert server.statistics.accepted == 100
-        assert 199 in seen
-        until(lambda: server.statistics.connections == 0)
-        assert len(os.listdir("/proc/self/fd")) <= descriptors
+        assert seen == set(range(15))
+        assert stage.until(lambda: server.statistics.connections == 0)
     gc.collect()
-    assert sum(isinstance(each, Device) for each in gc.get_objects()) < 100
+    assert sum(isinstance(each, Device) for each in gc.get_objects()) < 15
 
 
 def test_replacing_while_it_ends_is_harmless() -> None:

@@ -15,10 +15,10 @@ import ssl
 import struct
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -26,6 +26,7 @@ import pytest
 from libmodbus_py import Access, Context, Device, Fault, Limits, Mapping, Server
 from libmodbus_py.security.making import Identity, make
 from libmodbus_py.security.role import encode_role
+from tests.simulation.stage import Stage
 from tests.support import certificates
 from tests.support.attacks import ANSWER_ONE, PATIENCE, READ_MOST, READ_ONE, adu
 from tests.support.certificates import Papers
@@ -82,6 +83,14 @@ def noting(roles: list[str | None]) -> Device:
 def served(papers: Papers, noting: Device) -> Iterator[tuple[Server, int]]:
     with serving(papers, noting) as served:
         yield served
+
+
+def connect(
+    stage: Stage, papers: Papers, port: int, version: ssl.TLSVersion | None = None
+) -> TlsClient:
+    """Return a client on the stage, after the handshake."""
+    told = context(papers, certificates.client(), version)
+    return TlsClient(port, told, stage=stage).handshake()
 
 
 def requests(count: int) -> bytes:
@@ -463,17 +472,19 @@ def test_a_certificate_that_expired_meanwhile_resumes_nothing(
     papers: Papers,
     served: tuple[Server, int],
     caplog: pytest.LogCaptureFixture,
+    monkeypatch: pytest.MonkeyPatch,
     version: ssl.TLSVersion,
 ) -> None:
     """OpenSSL looks at the dates when a session begins, and not again."""
     server, port = served
-    end = datetime.now(UTC) + timedelta(seconds=4)
-    begin = end - timedelta(hours=1)
+    end = datetime.now(UTC) + timedelta(hours=1)
+    begin = end - timedelta(hours=2)
     told = context(papers, make_client(begin, end), version)
     with TlsClient(port, told).handshake() as client:
         assert client.ask(ONE, len(ONE_ANSWER)) == ONE_ANSWER
         session = client.tls.session
-    time.sleep(max(0.0, (end - datetime.now(UTC)).total_seconds()) + 1.1)
+    later = SimpleNamespace(time=lambda: end.timestamp() + 1)
+    monkeypatch.setattr("libmodbus_py.security.tunnel.time", later)
     with caplog.at_level(logging.INFO, LOGGER), TlsClient(port, told, session) as client:
         client.handshake()
         assert client.tls.session_reused
@@ -497,13 +508,15 @@ def make_client(begin: datetime, end: datetime) -> Identity:
     ["a record", "a byte in a record", "a record in bytes", "two records", "one and a half"],
 )
 def test_records_may_cut_requests_anywhere(
-    papers: Papers, kind: str, cut: str, version: ssl.TLSVersion
+    stage: Stage, papers: Papers, kind: str, cut: str, version: ssl.TLSVersion
 ) -> None:
     make_device, options = KINDS[kind]
     sent = requests(50)
     with (
         serving(papers, make_device(), **options) as (server, port),
-        TlsClient(port, context(papers, certificates.client(), version)).handshake() as client,
+        TlsClient(
+            port, context(papers, certificates.client(), version), stage=stage
+        ).handshake() as client,
     ):
         if cut == "a record":
             client.send(sent)
@@ -515,7 +528,7 @@ def test_records_may_cut_requests_anywhere(
         else:
             end = 7 if cut == "two records" else 18
             client.send(sent[:end])
-            time.sleep(0.05)
+            stage.pass_time(1)
             client.send(sent[end:])
         assert client.receive(len(answers(50))) == answers(50)
         assert server.statistics.requests == 50
@@ -524,13 +537,15 @@ def test_records_may_cut_requests_anywhere(
 @VERSION
 @KIND
 def test_a_record_full_of_requests_is_answered_in_order(
-    papers: Papers, kind: str, version: ssl.TLSVersion
+    stage: Stage, papers: Papers, kind: str, version: ssl.TLSVersion
 ) -> None:
     make_device, options = KINDS[kind]
     count = 16_384 // 12
     with (
         serving(papers, make_device(), **options) as (server, port),
-        TlsClient(port, context(papers, certificates.client(), version)).handshake() as client,
+        TlsClient(
+            port, context(papers, certificates.client(), version), stage=stage
+        ).handshake() as client,
     ):
         for _ in range(3):
             client.send(requests(count))
@@ -543,7 +558,7 @@ def test_a_record_full_of_requests_is_answered_in_order(
 @pytest.mark.parametrize("rate", [None, 1000])
 @pytest.mark.parametrize("cuts", [[12], [12, 24], [12, 30], [12, 36, 40]], ids=repr)
 def test_records_read_together_are_carried_out_in_order(
-    papers: Papers, kind: str, cuts: list[int], rate: int | None
+    stage: Stage, papers: Papers, kind: str, cuts: list[int], rate: int | None
 ) -> None:
     """The first holds one request and nothing else; what follows does not overtake it."""
     pdus = ("06 0000 0005", "03 0000 0001", "06 0000 0006", "03 0000 0001")
@@ -560,14 +575,14 @@ def test_records_read_together_are_carried_out_in_order(
             server,
             port,
         ),
-        TlsClient(port, context(papers, certificates.client())).handshake() as client,
+        connect(stage, papers, port) as client,
     ):
         client.send(*pieces)
         assert client.receive(len(expected)) == expected
         assert server.statistics.requests == 4
 
 
-def test_a_record_full_of_requests_is_answered_in_slices(papers: Papers) -> None:
+def test_a_record_full_of_requests_is_answered_in_slices(stage: Stage, papers: Papers) -> None:
     """Others have their turns between: what one record carries is up to 1365 requests."""
     turns: list[str] = []
     device = Device(
@@ -577,13 +592,13 @@ def test_a_record_full_of_requests_is_answered_in_slices(papers: Papers) -> None
     told = context(papers, certificates.client())
     with (
         serving(papers, device) as (_, port),
-        TlsClient(port, told).handshake() as greedy,
-        TlsClient(port, told).handshake() as modest,
+        TlsClient(port, told, stage=stage).handshake() as greedy,
+        TlsClient(port, told, stage=stage).handshake() as modest,
     ):
         *begin, end = (greedy.encrypt(requests(count)) for _ in range(1))
         assert not begin
         greedy.socket.sendall(end[:-1])
-        time.sleep(0.2)  # all but the last byte is with the server
+        stage.pass_time(1)  # all but the last byte is with the server
         modest.send(ONE)
         greedy.socket.sendall(end[-1:])
         modest.send(ONE)
@@ -617,14 +632,14 @@ def test_requests_in_the_last_flight_of_the_handshake_are_answered(
 @KIND
 @VERSION
 def test_who_says_goodbye_behind_a_request_gets_the_answer_and_a_goodbye(
-    papers: Papers, kind: str, version: ssl.TLSVersion
+    stage: Stage, papers: Papers, kind: str, version: ssl.TLSVersion
 ) -> None:
     make_device, options = KINDS[kind]
     with serving(papers, make_device(), **options) as (server, port):
         told = context(papers, certificates.client(), version)
-        with TlsClient(port, told).handshake() as other:
+        with TlsClient(port, told, stage=stage).handshake() as other:
             for count in (1, 2, 1365):
-                with TlsClient(port, told).handshake() as client:
+                with TlsClient(port, told, stage=stage).handshake() as client:
                     sent = client.encrypt(requests(count))
                     # In one segment, if it is short: both are received in one turn.
                     client.socket.sendall(sent + client.goodbye())
@@ -632,7 +647,7 @@ def test_who_says_goodbye_behind_a_request_gets_the_answer_and_a_goodbye(
                     received = raw_records(client)
                     assert len(received) > len(answers(count))
                     assert other.receive(len(ONE_ANSWER)) == ONE_ANSWER
-        assert wait_until(lambda: server.statistics.connections == 0)
+        assert stage.until(lambda: server.statistics.connections == 0)
         assert server.statistics.requests == 1 + 2 + 1365 + 3
         assert server.statistics.closed_out_of_step == 0
 
@@ -645,10 +660,12 @@ def raw_records(client: TlsClient) -> bytes:
     return data
 
 
-def test_what_comes_behind_a_goodbye_is_not_looked_at(papers: Papers, device: Device) -> None:
+def test_what_comes_behind_a_goodbye_is_not_looked_at(
+    stage: Stage, papers: Papers, device: Device
+) -> None:
     with (
         serving(papers, device) as (server, port),
-        TlsClient(port, context(papers, certificates.client())).handshake() as client,
+        connect(stage, papers, port) as client,
     ):
         late = client.encrypt(ONE)
         client.socket.sendall(client.goodbye() + late * 3)
@@ -656,10 +673,12 @@ def test_what_comes_behind_a_goodbye_is_not_looked_at(papers: Papers, device: De
         assert server.statistics.requests == 0
 
 
-def test_who_closes_his_half_of_tcp_still_gets_his_answers(papers: Papers, device: Device) -> None:
+def test_who_closes_his_half_of_tcp_still_gets_his_answers(
+    stage: Stage, papers: Papers, device: Device
+) -> None:
     with (
         serving(papers, device) as (_, port),
-        TlsClient(port, context(papers, certificates.client())).handshake() as client,
+        connect(stage, papers, port) as client,
     ):
         client.send(requests(50))
         client.socket.shutdown(socket.SHUT_WR)
@@ -667,22 +686,24 @@ def test_who_closes_his_half_of_tcp_still_gets_his_answers(papers: Papers, devic
         assert client.read() == b""
 
 
-def test_answers_that_are_kept_back_come_in_order(papers: Papers, device: Device) -> None:
-    late = {None: [Fault("delay", seconds=0.2, every=3)]}
+def test_answers_that_are_kept_back_come_in_order(
+    stage: Stage, papers: Papers, device: Device
+) -> None:
+    late = {None: [Fault("delay", seconds=200, every=3)]}
     with (
         serving(papers, device, faults=late) as (_, port),
-        TlsClient(port, context(papers, certificates.client())).handshake() as client,
+        connect(stage, papers, port) as client,
     ):
         client.send(requests(4), *(adu(READ_ONE, number) for number in range(4, 8)))
         assert client.receive(len(answers(8))) == answers(8)
 
 
 def test_a_header_that_makes_no_sense_closes_after_what_came_before(
-    papers: Papers, device: Device
+    stage: Stage, papers: Papers, device: Device
 ) -> None:
     with serving(papers, device) as (server, port):
         told = context(papers, certificates.client())
-        with TlsClient(port, told).handshake() as client:
+        with TlsClient(port, told, stage=stage).handshake() as client:
             client.send(ONE, b"\0\1\0\0\xff\xff\1\3")
             assert client.receive(len(ONE_ANSWER)) == ONE_ANSWER
             assert client.read() == b""  # with a goodbye
@@ -693,43 +714,47 @@ def test_a_header_that_makes_no_sense_closes_after_what_came_before(
 
 
 @KIND
-def test_who_does_not_read_is_not_answered_for_ever(papers: Papers, kind: str) -> None:
+def test_who_does_not_read_is_not_answered_for_ever(
+    stage: Stage, papers: Papers, kind: str
+) -> None:
     make_device, options = KINDS[kind]
     count, limits = 1365, Limits(max_unsent=10_000)
     block = b"".join(adu(READ_MOST, number) for number in range(count))
     told = context(papers, certificates.client())
     with (
         serving(papers, make_device(), limits=limits, **options) as (server, port),
-        TlsClient(port, told) as client,
+        TlsClient(port, told, stage=stage) as client,
     ):
         client.handshake()
         statistics = server.statistics
-        client.socket.settimeout(4)  # it may be slow to answer, before it stops
+        client.socket.settimeout(600)
         sent = 0
         with contextlib.suppress(TimeoutError):
-            for _ in range(200):  # 70 MB of answers
+            for _ in range(50):
                 client.send(block)
                 sent += count
-        assert sent < 200 * count
-        assert wait_until(lambda: statistics.paused > 0)
+        assert sent < 50 * count
+        assert stage.until(lambda: statistics.paused > 0)
         # And a slice at a time: a record has 350 kB of answers.
         before = statistics.requests
-        time.sleep(0.3)
+        stage.pass_time(600)
         assert statistics.requests == before < sent
 
 
-def test_who_does_not_read_gets_all_when_he_does(papers: Papers, device: Device) -> None:
+def test_who_does_not_read_gets_all_when_he_does(
+    stage: Stage, papers: Papers, device: Device
+) -> None:
     count, limits = 1365, Limits(max_unsent=1000)
     told = context(papers, certificates.client())
     with (
         serving(papers, device, limits=limits) as (server, port),
-        TlsClient(port, told).handshake() as client,
+        TlsClient(port, told, stage=stage).handshake() as client,
     ):
         block = b"".join(adu(READ_MOST, number) for number in range(count))
-        for _ in range(30):  # more answers than the system takes
+        for _ in range(2):  # more answers than the network in memory carries
             client.send(block)
-        assert wait_until(lambda: server.statistics.paused > 0)
-        for _ in range(30):
+        assert stage.until(lambda: server.statistics.paused > 0)
+        for _ in range(2):
             for number in range(count):
                 answer = client.receive(len(MOST_ANSWER))
                 assert answer[:2] == struct.pack(">H", number)
@@ -737,70 +762,76 @@ def test_who_does_not_read_gets_all_when_he_does(papers: Papers, device: Device)
 
 
 def test_who_says_goodbye_and_does_not_read_is_not_waited_for(
-    papers: Papers, device: Device
+    stage: Stage, papers: Papers, device: Device
 ) -> None:
-    limits = Limits(frame_timeout=0.5, max_unsent=2**30)
+    limits = Limits(frame_timeout=50, max_unsent=2**30)
     block = b"".join(adu(READ_MOST, number) for number in range(1365))
     told = context(papers, certificates.client())
     with (
         serving(papers, device, limits=limits) as (server, port),
-        TlsClient(port, told).handshake() as client,
+        TlsClient(port, told, stage=stage).handshake() as client,
     ):
-        sent = client.encrypt(*[block] * 30)  # 10 MB of answers
+        sent = client.encrypt(*[block] * 2)  # 700 kB of answers
         client.socket.sendall(sent + client.goodbye())
-        assert wait_until(lambda: server.statistics.connections == 0)
-        assert server.statistics.requests == 30 * 1365
+        begun = stage.now
+        assert stage.until(lambda: server.statistics.connections == 0)
+        assert server.statistics.requests == 2 * 1365
+        assert 50 <= stage.now - begun <= 51.1
         assert server.statistics.closed_slow == 1
 
 
 @KIND
-def test_requests_per_second_hold_within_a_record(papers: Papers, kind: str) -> None:
+def test_requests_per_second_hold_within_a_record(stage: Stage, papers: Papers, kind: str) -> None:
     make_device, options = KINDS[kind]
     limits = Limits(requests_per_second=200)
     told = context(papers, certificates.client())
     with (
         serving(papers, make_device(), limits=limits, **options) as (server, port),
-        TlsClient(port, told).handshake() as client,
+        TlsClient(port, told, stage=stage).handshake() as client,
     ):
-        begin = time.monotonic()
+        begin = stage.now
         client.send(requests(800))
         assert client.receive(len(answers(800))) == answers(800)
         # 200 at once, the rest at 200 a second; the last slice is not waited for.
-        assert time.monotonic() - begin > 2.0
+        assert 2.0 < stage.now - begin <= 3.01
         assert server.statistics.throttled > 1
 
 
 @pytest.mark.parametrize("version", VERSIONS.values(), ids=VERSIONS)
 def test_who_is_idle_after_the_handshake_stays(
-    papers: Papers, device: Device, version: ssl.TLSVersion
+    stage: Stage, papers: Papers, device: Device, version: ssl.TLSVersion
 ) -> None:
     """Only a frame, or a record, that has begun must end in time."""
     limits = Limits(frame_timeout=0.2, handshake_timeout=5)
     told = context(papers, certificates.client(), version)
     with (
         serving(papers, device, limits=limits) as (server, port),
-        TlsClient(port, told).handshake() as client,
+        TlsClient(port, told, stage=stage).handshake() as client,
     ):
         for _ in range(2):
-            time.sleep(0.8)
+            stage.pass_time(30)
             assert client.ask(ONE, len(ONE_ANSWER)) == ONE_ANSWER
         client.send(b"")
         assert server.statistics.closed_slow == 0
 
 
 @pytest.mark.parametrize("half", ["frame", "record", "header"])
-def test_what_has_begun_must_end_in_time(papers: Papers, device: Device, half: str) -> None:
-    limits = Limits(frame_timeout=0.3)
+def test_what_has_begun_must_end_in_time(
+    stage: Stage, papers: Papers, device: Device, half: str
+) -> None:
+    limits = Limits(frame_timeout=30)
     with (
         serving(papers, device, limits=limits) as (server, port),
-        TlsClient(port, context(papers, certificates.client())).handshake() as client,
+        connect(stage, papers, port) as client,
     ):
         assert client.ask(ONE, len(ONE_ANSWER)) == ONE_ANSWER
         if half == "frame":
             client.send(ONE[:9])
         else:
             client.socket.sendall(client.encrypt(ONE)[: 3 if half == "header" else 20])
+        begun = stage.now
         assert client.read() == b""  # with a goodbye
+        assert 30 <= stage.now - begun <= 31.01
         assert server.statistics.closed_slow == 1
 
 
@@ -847,36 +878,38 @@ def records(stream: bytes) -> Iterator[tuple[int, int]]:
 
 @VERSION
 def test_the_server_says_goodbye_when_it_ends(
-    papers: Papers, device: Device, version: ssl.TLSVersion
+    stage: Stage, papers: Papers, device: Device, version: ssl.TLSVersion
 ) -> None:
     told = context(papers, certificates.client(), version)
     with serving(papers, device) as (_, port):
-        client = TlsClient(port, told).handshake()
+        client = TlsClient(port, told, stage=stage).handshake()
         assert client.ask(ONE, len(ONE_ANSWER)) == ONE_ANSWER
     with client:
         assert client.read() == b""
 
 
 def test_the_server_says_goodbye_to_whom_it_closes_for_others(
-    papers: Papers, device: Device
+    stage: Stage, papers: Papers, device: Device
 ) -> None:
     told = context(papers, certificates.client())
     with (
         serving(papers, device, limits=Limits(max_connections=1)) as (server, port),
-        TlsClient(port, told).handshake() as first,
+        TlsClient(port, told, stage=stage).handshake() as first,
     ):
         assert first.ask(ONE, len(ONE_ANSWER)) == ONE_ANSWER
-        with TlsClient(port, told).handshake() as second:
+        with TlsClient(port, told, stage=stage).handshake() as second:
             assert first.read() == b""
             assert second.ask(ONE, len(ONE_ANSWER)) == ONE_ANSWER
         assert server.statistics.closed_for_others == 1
 
 
-def test_the_server_says_goodbye_to_the_idle(papers: Papers, device: Device) -> None:
-    limits = Limits(idle_timeout=0.3)
+def test_the_server_says_goodbye_to_the_idle(stage: Stage, papers: Papers, device: Device) -> None:
+    limits = Limits(idle_timeout=300)
     with (
         serving(papers, device, limits=limits) as (server, port),
-        TlsClient(port, context(papers, certificates.client())).handshake() as client,
+        connect(stage, papers, port) as client,
     ):
+        begun = stage.now
         assert client.read() == b""
+        assert stage.now - begun == pytest.approx(300, abs=1.01)
         assert server.statistics.closed_idle == 1

@@ -8,7 +8,7 @@ import asyncio
 import contextlib
 import math
 import selectors
-from collections.abc import Coroutine, Iterator, Mapping
+from collections.abc import Callable, Coroutine, Iterator, Mapping
 from typing import Any, TypeVar
 
 from .events import Events
@@ -16,6 +16,9 @@ from .events import Events
 __all__ = ["Descriptors", "Stuck", "VirtualLoop", "complaints_of", "run"]
 
 Result = TypeVar("Result")
+
+# No timer is more exact. A shorter one might end before the clock moved at all, and again.
+SHORTEST_DELAY = 1e-6
 
 # Descriptors of the simulation begin here; those below are the system's.
 FIRST_DESCRIPTOR = 10**6
@@ -50,7 +53,13 @@ class Descriptors:
 
 
 class Selector(selectors._BaseSelectorImpl):
-    """Waits in simulated time for simulated descriptors, and never for the system's."""
+    """
+    Waits in simulated time for simulated descriptors, and never for the system's.
+
+    Attributes:
+        interrupt: asked before the clock moves; it waits no longer if that returns True.
+        turns: how often it was asked who is ready; `on_turn` is called then.
+    """
 
     def __init__(self, events: Events, descriptors: Descriptors) -> None:
         super().__init__()
@@ -60,6 +69,9 @@ class Selector(selectors._BaseSelectorImpl):
         self._readers: set[int] = set()
         self._writers: set[int] = set()
         self._system = selectors.DefaultSelector()
+        self.interrupt: Callable[[], bool] = lambda: False
+        self.turns: int = 0
+        self.on_turn: Callable[[], object] = lambda: None
 
     def _fileobj_lookup(self, fileobj: Any) -> int:
         return fileobj if isinstance(fileobj, int) else int(fileobj.fileno())
@@ -99,9 +111,11 @@ class Selector(selectors._BaseSelectorImpl):
 
     def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
         until = math.inf if timeout is None else self._events.now + max(0.0, timeout)
+        self.turns += 1
+        self.on_turn()
         self._events.advance(self._events.now)
         while not (ready := self._ready()):
-            if self._events.now >= until:
+            if self._events.now >= until or self.interrupt():
                 return []
             # Other threads may have woken the loop; for them alone the system is asked.
             if ready := self._system.select(0):
@@ -133,13 +147,52 @@ class VirtualLoop(asyncio.SelectorEventLoop):
 
     def __init__(self, events: Events, descriptors: Descriptors) -> None:
         self._events = events
-        super().__init__(Selector(events, descriptors))
+        self._waiting = Selector(events, descriptors)
+        super().__init__(self._waiting)
 
     def time(self) -> float:
         return self._events.now
 
     def before_cancelling(self) -> None:
         """Called before what is left is cancelled."""
+
+    @property
+    def turns(self) -> int:
+        """How many turns it has taken."""
+        return self._waiting.turns
+
+    def call_each_turn(self, call: Callable[[], object]) -> None:
+        """Have a function called whenever a turn ends."""
+        self._waiting.on_turn = call
+
+    def call_later(
+        self, delay: float, callback: Callable[..., object], *args: Any, context: Any = None
+    ) -> asyncio.TimerHandle:
+        shortest = SHORTEST_DELAY if delay > 0 else 0.0
+        return super().call_later(max(shortest, delay), callback, *args, context=context)
+
+    def run_until(self, is_so: Callable[[], bool], seconds: float) -> bool:
+        """
+        Run until a condition holds, which is looked at whenever everybody waits.
+
+        Returns:
+            Whether it holds, after so many simulated seconds at most.
+        """
+        until = self._events.now + seconds
+        self._events.at(until, lambda: None)
+
+        def interrupt() -> bool:
+            if not is_so() and self._events.now < until:
+                return False
+            self.stop()
+            return True
+
+        self._waiting.interrupt = interrupt
+        try:
+            self.run_forever()
+        finally:
+            self._waiting.interrupt = lambda: False
+        return is_so()
 
 
 def run(main: Coroutine[Any, Any, Result], loop: VirtualLoop) -> Result:

@@ -24,7 +24,7 @@ from libmodbus_py.ports.endpoint import Endpoint, parse
 from libmodbus_py.ports.port import Port
 from libmodbus_py.protocol.errors import ModbusConnectionError
 from libmodbus_py.server import serial as serial_server
-from libmodbus_py.server import serving, tcp
+from libmodbus_py.server import serving, tcp, udp
 from libmodbus_py.server.peers import Peers
 
 from .events import Events
@@ -32,7 +32,7 @@ from .lines import MemorySerialPort, SerialLine
 from .loop import Descriptors, VirtualLoop, run
 from .ports import MemoryTcpPort, MemoryUdpPort, MemoryWaker
 from .processes import HOST, StoppableLoop
-from .sockets import MemoryEpoll, MemoryListener, MemorySocket, pair
+from .sockets import DELAY, MemoryDatagrams, MemoryEpoll, MemoryListener, MemorySocket, pair
 
 __all__ = ["Accept", "Network"]
 
@@ -74,6 +74,7 @@ class Network:
         self.tap: Tap | None = None
         self.has_processes: bool = False
         self._hosts: dict[tuple[str, ADDRESS], tuple[Accept, str]] = {}
+        self._datagrams: dict[ADDRESS, MemoryDatagrams] = {}
         self._sockets: dict[int, MemorySocket] = {}
         self._ports = 49_152
         self._connections = itertools.count(1)
@@ -130,12 +131,14 @@ class Network:
 
     # --- who connects -------------------------------------------------------------------------
 
-    def connect(self, host: str, port: int) -> tuple[MemorySocket | None, int]:
-        """Connect over TCP: see `ports.Connect`."""
+    def connect(
+        self, host: str, port: int, source: str | None = None
+    ) -> tuple[MemorySocket | None, int]:
+        """Connect over TCP, from an address or that of the process: see `ports.Connect`."""
         near, far = pair(self.events, self.descriptors)
         self.descriptors.writable.discard(near.fileno())
         if host not in self.unreachable:
-            origin = HOST.get()
+            origin = source or HOST.get()
             self.events.after(CONNECTING, self._establish, near, far, (host, port), origin)
         return near, 0
 
@@ -166,7 +169,9 @@ class Network:
     def _note_written(self, device: str, is_unit: bool, data: bytes) -> None:
         self._note_sent(device, 0, not is_unit, data)
 
-    def open_datagrams(self, host: str, port: int) -> tuple[MemorySocket | None, int]:
+    def open_datagrams(
+        self, host: str, port: int, source: str | None = None
+    ) -> tuple[MemorySocket | None, int]:
         """Return a socket whose datagrams go to a port."""
         near, far = pair(self.events, self.descriptors, is_datagram=True)
         accept, url = self._hosts.get(("udp", (host, port)), (None, ""))
@@ -174,8 +179,16 @@ class Network:
             far.on_input = partial(near.reset, errno.ECONNREFUSED)
         else:
             self._follow(near, far, url)
-            accept(far, (HOST.get(), self.new_port()))
+            accept(far, (source or HOST.get(), self.new_port()))
         return near, 0
+
+    def send_datagram(self, data: bytes, source: ADDRESS, target: ADDRESS) -> None:
+        """Send a datagram that says it comes from there; nobody hears it where nobody listens."""
+        self.events.after(DELAY, self._deliver, data, source, target)
+
+    def _deliver(self, data: bytes, source: ADDRESS, target: ADDRESS) -> None:
+        if (receiver := self._datagrams.get(target)) is not None:
+            receiver.put(data, source)
 
     def waker(self) -> MemoryWaker:
         return MemoryWaker(self.events, self.descriptors)
@@ -189,6 +202,7 @@ class Network:
         with (
             patch.dict(client_options.PORTS, ports),
             patch.object(tcp, "bound", self._bound),
+            patch.object(udp, "bound", self._bound),
             patch.object(serving, "Peers", partial(Peers, make_epoll=self._epoll)),
             patch.object(serial_server, "SerialPort", self._serial),
             patch.object(gateway, "check_line", _any_line),
@@ -238,9 +252,40 @@ class Network:
             raise ModbusConnectionError(
                 f"cannot listen on {endpoint}: Address already in use", errno=errno.EADDRINUSE
             )
+        if kind == socket.SOCK_DGRAM:
+            return [self._listening_for_datagrams(key, str(given))], given
         listener = MemoryListener(self.descriptors, partial(self._hosts.pop, key, None))
         self._hosts[key] = listener.put, str(given)
         return [listener], given
+
+    def _listening_for_datagrams(self, key: tuple[str, ADDRESS], url: str) -> MemoryDatagrams:
+        address = key[1]
+        ends: dict[ADDRESS, MemorySocket] = {}
+
+        def accept(end: MemorySocket, source: ADDRESS) -> None:
+            ends[source] = end
+            end.on_input = partial(self._take_datagram, end, source, made)
+
+        def send(data: bytes, target: ADDRESS) -> None:
+            if target in ends:
+                ends[target].send(data)
+            else:
+                self.send_datagram(data, address, target)
+
+        def close() -> None:
+            self._hosts.pop(key, None)
+            self._datagrams.pop(address, None)
+            for end in ends.values():
+                end.on_input = partial(end.other.reset, errno.ECONNREFUSED)
+
+        made = MemoryDatagrams(self.descriptors, send, close)
+        self._hosts[key] = accept, url
+        self._datagrams[address] = made
+        return made
+
+    def _take_datagram(self, end: MemorySocket, source: ADDRESS, receiver: MemoryDatagrams) -> None:
+        while end.is_readable:
+            receiver.put(end.recv(65_536), source)
 
 
 def _any_line(*_: object) -> None:

@@ -22,6 +22,7 @@ __all__ = [
     "CAPACITY",
     "DELAY",
     "Carriage",
+    "MemoryDatagrams",
     "MemoryEpoll",
     "MemoryListener",
     "MemorySocket",
@@ -220,6 +221,10 @@ class MemorySocket:
     def is_readable(self) -> bool:
         return bool(self._inbox or self._has_ended or self._error)
 
+    @property
+    def has_failed(self) -> bool:
+        return self._error != 0
+
     def _follow(self) -> None:
         """Say whether there is something to read."""
         if self._descriptor < 0:
@@ -289,6 +294,47 @@ class MemoryListener:
             self._descriptor = -1
 
 
+class MemoryDatagrams:
+    """A socket of a server that receives datagrams from anybody, and answers them."""
+
+    def __init__(
+        self,
+        descriptors: Descriptors,
+        send: Callable[[bytes, tuple[str, int]], object],
+        on_close: Callable[[], object],
+    ) -> None:
+        self._descriptors = descriptors
+        self._descriptor = descriptors.new()
+        self._inbox: deque[tuple[bytes, tuple[str, int]]] = deque()
+        self._send = send
+        self._on_close = on_close
+
+    def fileno(self) -> int:
+        return self._descriptor
+
+    def put(self, data: bytes, source: tuple[str, int]) -> None:
+        """Have a datagram arrive."""
+        self._inbox.append((data, source))
+        self._descriptors.readable.add(self._descriptor)
+
+    def recvfrom(self, size: int) -> tuple[bytes, tuple[str, int]]:
+        if not self._inbox:
+            self._descriptors.readable.discard(self._descriptor)
+            raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
+        data, source = self._inbox.popleft()
+        return data[:size], source
+
+    def sendto(self, data: bytes, target: tuple[str, int]) -> int:
+        self._send(data, target)
+        return len(data)
+
+    def close(self) -> None:
+        if self._descriptor >= 0:
+            self._on_close()
+            self._descriptors.forget(self._descriptor)
+            self._descriptor = -1
+
+
 class MemoryEpoll:
     """In place of `select.epoll`; it is readable itself while any of its sockets is ready."""
 
@@ -335,6 +381,8 @@ class MemoryEpoll:
         can_read = descriptor in self._descriptors.readable
         can_write = descriptor in self._descriptors.writable
         events = wanted & (can_read * select.EPOLLIN | can_write * select.EPOLLOUT)
+        if descriptor in self._wanted and self._sockets[descriptor].has_failed:
+            events |= select.EPOLLERR | select.EPOLLHUP  # whether wanted or not
         if events:
             self._ready[descriptor] = events
         else:

@@ -15,6 +15,7 @@ from typing import Any, Self
 from libmodbus_py import Device, Server
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.security.making import Identity
+from tests.simulation.stage import Stage, Talker
 from tests.support.attacks import PATIENCE, connect
 from tests.support.certificates import Files, Papers
 
@@ -67,6 +68,7 @@ class TlsClient:
 
     Args:
         source: the address that it comes from.
+        stage: where the server is, in place of the system.
 
     Attributes:
         socket: what the records go over.
@@ -79,8 +81,11 @@ class TlsClient:
         context: ssl.SSLContext,
         session: ssl.SSLSession | None = None,
         source: str = "",
+        stage: Stage | None = None,
     ) -> None:
-        self.socket = connect(port, source=source)
+        self.socket: Any = (
+            stage.talk(port, source or None) if stage else connect(port, source=source)
+        )
         self._incoming, self._outgoing = ssl.MemoryBIO(), ssl.MemoryBIO()
         self.tls = context.wrap_bio(
             self._incoming, self._outgoing, server_hostname="localhost", session=session
@@ -170,7 +175,7 @@ def wait_until(is_so: Callable[[], bool]) -> bool:
     return True
 
 
-def closed(connection: socket.socket) -> bytes:
+def closed(connection: socket.socket | Talker) -> bytes:
     """Give what still comes until the server closes; a reset is a close, too."""
     data = b""
     with contextlib.suppress(ConnectionError):

@@ -1,0 +1,261 @@
+"""
+Clients that begin a frame and do not end it, ask nothing, or do not read: how long each is borne.
+
+Seconds are simulated, and exact but for how often the server looks: every quarter of the shortest
+limit, and at least once a second.
+"""
+
+from __future__ import annotations
+
+import socket
+import threading
+from pathlib import Path
+
+import pytest
+
+from libmodbus_py import Device, Fault, Mapping, Server
+from libmodbus_py.server.limits import Limits
+from tests.simulation.stage import Stage, Talker
+from tests.support.attacks import PATIENCE, connect, receive
+from tests.support.peers import until
+from tests.support.served import (
+    ANSWER_MOST,
+    ANSWER_ONE,
+    KINDS,
+    MOST_ANSWER,
+    ONE_ANSWER,
+    READ_MOST,
+    READ_ONE,
+    adu,
+    ask,
+    rtu,
+    served,
+)
+
+KIND = pytest.mark.parametrize("kind", KINDS)
+
+WRITE_MOST = bytes.fromhex("10 0000 007b f6") + bytes(246)
+
+# The beginning of a long request, which only silence tells from the whole one that follows.
+NEVER_ENDED = bytes.fromhex("11 10 0000 007b f6")
+
+
+# --- frame_timeout -----------------------------------------------------------------------
+
+
+@KIND
+@pytest.mark.parametrize("frame_timeout", [0.4, 1000])
+def test_a_trickle_does_not_extend_the_time_of_a_frame(
+    stage: Stage, kind: str, frame_timeout: float
+) -> None:
+    with served(stage, kind, frame_timeout=frame_timeout) as server:
+        slow, silent = server.connect(), server.connect()
+        ask(slow)
+        begun = stage.now
+        for byte in adu(WRITE_MOST):
+            slow.sendall(bytes([byte]))
+            if stage.until(slow.has_input, frame_timeout / 8):
+                break
+        assert slow.is_closed()
+        assert (
+            frame_timeout <= stage.now - begun <= frame_timeout + min(1, frame_timeout / 4) + 0.01
+        )
+        assert server.counts(closed_slow=1, connections=1, requests=1)
+        ask(silent)  # who begins nothing has all the time
+
+
+@KIND
+def test_a_frame_that_begins_where_another_ends_has_its_own_time(stage: Stage, kind: str) -> None:
+    with served(stage, kind, frame_timeout=1) as server:
+        slow = server.connect()
+        request = adu(READ_ONE)
+        slow.sendall(request[:3])
+        stage.pass_time(0.99)
+        slow.sendall(request[3:] + request[:5])
+        second = stage.now
+        assert slow.receive(ONE_ANSWER) == adu(ANSWER_ONE)
+        stage.pass_time(0.99)  # almost two seconds after the first one began
+        slow.sendall(request[5:] + request[:8])
+        third = stage.now
+        assert slow.receive(ONE_ANSWER) == adu(ANSWER_ONE)
+        assert slow.is_closed()
+        assert third - second < 1 <= stage.now - third <= 1.26
+        assert server.counts(closed_slow=1, connections=0)
+
+
+def test_the_time_of_a_frame_is_not_that_of_the_answer_before(stage: Stage) -> None:
+    """The rest of it has come, but is not read before the answer has gone."""
+    faults = {None: [Fault("delay", seconds=500)]}
+    server = Server(Device(Mapping(holding_registers=1)), faults, Limits(frame_timeout=0.2))
+    with server.background("tcp://10.0.0.1:0") as running:
+        connection = stage.talk(running.urls[0])
+        connection.sendall(adu(READ_ONE, 1) + adu(READ_ONE, 2)[:5])
+        connection.sendall(adu(READ_ONE, 2)[5:])
+        expected = adu(ANSWER_ONE, 1) + adu(ANSWER_ONE, 2)
+        assert connection.receive(len(expected)) == expected
+    assert server.statistics.closed_slow == 0
+
+
+def test_half_a_frame_behind_a_late_answer_has_its_time_from_then_on(stage: Stage) -> None:
+    faults = {None: [Fault("delay", seconds=500)]}
+    server = Server(Device(Mapping(holding_registers=1)), faults, Limits(frame_timeout=20))
+    with server.background("tcp://10.0.0.1:0") as running:
+        connection = stage.talk(running.urls[0])
+        connection.sendall(adu(READ_ONE, 1) + adu(READ_ONE, 2)[:5])
+        assert connection.receive(ONE_ANSWER) == adu(ANSWER_ONE)
+        answered = stage.now
+        assert connection.is_closed()
+        assert 20 <= stage.now - answered <= 21.01
+    assert server.statistics.closed_slow == 1
+
+
+# --- idle_timeout ------------------------------------------------------------------------
+
+
+@KIND
+@pytest.mark.parametrize("idle_timeout", [0.5, 3600])
+def test_who_asks_nothing_is_closed(stage: Stage, kind: str, idle_timeout: float) -> None:
+    look = min(1, idle_timeout / 4)
+    with served(stage, kind, idle_timeout=idle_timeout, frame_timeout=4 * look) as server:
+        stranger, known, busy = (server.connect() for _ in range(3))
+        stage.pass_time(idle_timeout / 2)
+        ask(known)
+        begun = stage.now
+        closed: dict[Talker, float] = {}
+        while len(closed) < 2:
+            ask(busy)
+            stage.pass_time(idle_timeout / 20)
+            for each in (stranger, known):
+                if each.has_input():
+                    closed.setdefault(each, stage.now - begun)
+        # The server knows since when to a twentieth of a second.
+        late = look + 0.05 + idle_timeout / 20
+        assert idle_timeout / 2 - 0.01 <= closed[stranger] <= idle_timeout / 2 + late
+        assert idle_timeout - 0.01 <= closed[known] <= idle_timeout + late
+        assert stranger.is_closed()
+        assert known.is_closed()
+        ask(busy)
+        assert server.counts(connections=1, closed_idle=2)
+
+
+def test_nobody_is_closed_for_asking_nothing_where_no_limit_says_so(stage: Stage) -> None:
+    with served(stage, idle_timeout=None) as server:
+        known, stranger = server.connect(), server.connect()
+        ask(known)
+        stage.pass_time(2 * 3600)
+        ask(known)
+        ask(stranger)
+        assert server.counts(connections=2, closed_idle=0, closed_slow=0)
+
+
+def test_who_is_answered_when_silence_completes_its_frames_is_not_idle(stage: Stage) -> None:
+    with served(stage, "plain", "rtu+tcp", idle_timeout=0.8) as server:
+        sly, idle = server.connect(), server.connect()
+        answer = rtu(ANSWER_ONE)
+        for _ in range(12):
+            sly.sendall(NEVER_ENDED + rtu(READ_ONE))
+            assert sly.receive(len(answer)) == answer
+            stage.pass_time(0.1)
+        assert server.counts(connections=1, closed_idle=1, requests=12)
+        assert idle.is_closed()
+
+
+@pytest.mark.parametrize("sent", [b"", adu(READ_ONE)[:5]], ids=["idle", "slow"])
+def test_clients_of_the_system_are_closed_in_time(sent: bytes) -> None:
+    """The real copy of what this file shows in simulated seconds."""
+    limits = Limits(frame_timeout=0.1, idle_timeout=0.2)
+    server = Server({17: Device(Mapping(holding_registers=1))}, limits=limits)
+    with (
+        server.background("tcp://127.0.0.1:0") as running,
+        connect(int(running.urls[0].rpartition(":")[2])) as client,
+    ):
+        client.sendall(sent)
+        assert client.recv(1) == b""
+    assert (server.statistics.closed_slow, server.statistics.closed_idle) == (
+        (1, 0) if sent else (0, 1)
+    )
+
+
+# --- max_unsent --------------------------------------------------------------------------
+
+# More answers than the network in memory carries at once, and the server keeps.
+MANY = 1200
+
+# The most that one read of the server takes.
+ONE_READ = 1024 // len(adu(READ_MOST))
+
+
+def pipelined(count: int) -> bytes:
+    return b"".join(adu(READ_MOST, number & 0xFFFF) for number in range(count))
+
+
+def answers(count: int) -> bytes:
+    return b"".join(adu(ANSWER_MOST, number & 0xFFFF) for number in range(count))
+
+
+@KIND
+@pytest.mark.parametrize("max_unsent", [0, 65_536])
+def test_who_never_reads_is_not_read_and_later_gets_every_answer(
+    stage: Stage, kind: str, max_unsent: int
+) -> None:
+    with served(stage, kind, max_unsent=max_unsent, frame_timeout=10) as server:
+        deaf, other = server.connect(), server.connect()
+        deaf.sendall(pipelined(MANY))
+        assert server.counts(paused=1)
+        before = server.statistics.requests
+        # What is on its way to the client, the limit, and one read more than that.
+        most = deaf.end.capacity + max_unsent + ONE_READ * MOST_ANSWER
+        assert max_unsent < before * MOST_ANSWER <= most
+        stage.pass_time(3000)
+        for _ in range(20):
+            ask(other)
+        assert server.counts(requests=before + 20, connections=2, closed_slow=0)
+        assert deaf.receive(MANY * MOST_ANSWER) == answers(MANY)
+        ask(deaf)
+        assert server.counts(connections=2, requests=MANY + 21)
+
+
+@KIND
+def test_who_says_that_nothing_more_comes_still_gets_every_answer(stage: Stage, kind: str) -> None:
+    with served(stage, kind) as server:
+        deaf = server.connect()
+        deaf.sendall(pipelined(MANY))
+        deaf.shutdown(socket.SHUT_WR)
+        assert server.counts(paused=1)
+        assert deaf.receive(MANY * MOST_ANSWER) == answers(MANY)
+        assert deaf.is_closed()
+        assert server.counts(connections=0)
+
+
+@KIND
+def test_the_last_answers_must_be_taken_within_the_time_of_a_frame(stage: Stage, kind: str) -> None:
+    """Too few for the limit, but more than the system takes; then nonsense."""
+    with served(stage, kind, max_unsent=2**30, frame_timeout=20) as server:
+        deaf = server.connect()
+        deaf.sendall(pipelined(MANY) + bytes(8))
+        begun = stage.now
+        assert stage.until(lambda: server.statistics.connections == 0)
+        assert 20 <= stage.now - begun <= 21.01
+        assert server.counts(closed_out_of_step=1, closed_slow=1, requests=MANY)
+
+
+def most_in_the_system() -> int:
+    """Bytes that the system may keep for a connection on its way out."""
+    return int(Path("/proc/sys/net/ipv4/tcp_wmem").read_text().split()[2])
+
+
+def test_a_deaf_client_of_the_system_is_not_read() -> None:
+    """The real copy: what the system buffers is the system's affair."""
+    count = 2 * most_in_the_system() // MOST_ANSWER
+    server = Server({17: Device(Mapping(holding_registers=125))})
+    with server.background("tcp://127.0.0.1:0") as running, socket.socket() as deaf:
+        deaf.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        deaf.settimeout(PATIENCE)
+        deaf.connect(("127.0.0.1", int(running.urls[0].rpartition(":")[2])))
+        sender = threading.Thread(target=deaf.sendall, args=[pipelined(count)])
+        sender.start()
+        until(lambda: server.statistics.paused)
+        assert server.statistics.requests < count
+        assert receive(deaf, count * MOST_ANSWER) == answers(count)
+        sender.join()
+    assert server.statistics.requests == count

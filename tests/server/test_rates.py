@@ -1,0 +1,251 @@
+"""
+How many requests of an address are answered in a second: `requests_per_second`, in simulated time.
+"""
+
+from __future__ import annotations
+
+import gc
+from contextlib import ExitStack
+
+import pytest
+
+from libmodbus_py import Device, Mapping, Server
+from libmodbus_py.server.limits import Allowance, Limits
+from libmodbus_py.server.peers import Peer
+from tests.simulation.stage import Stage
+from tests.support.attacks import connect, receive
+from tests.support.served import (
+    ANSWER_ONE,
+    KINDS,
+    ONE_ANSWER,
+    OTHER,
+    READ_ONE,
+    adu,
+    ask,
+    rtu,
+    served,
+)
+
+KIND = pytest.mark.parametrize("kind", KINDS)
+
+# The beginning of a long request, which only silence tells from the whole one that follows.
+NEVER_ENDED = bytes.fromhex("11 10 0000 007b f6")
+
+# A header whose length cannot be: the connection is closed.
+OUT_OF_STEP = bytes.fromhex("0001 0000 ffff 11 03")
+
+
+def test_an_allowance_is_of_one_second_and_grows_with_time() -> None:
+    allowance = Allowance(10, now=100)
+    allowance.spend(10)
+    assert allowance.wait(100) == 0
+    allowance.spend(5)
+    assert allowance.wait(100) == pytest.approx(0.5)
+    assert allowance.wait(100.2) == pytest.approx(0.3)
+    assert allowance.wait(100.5) == 0
+    allowance.spend(1)
+    assert allowance.wait(100.5) == pytest.approx(0.1)
+    allowance.wait(1000)
+    allowance.spend(11)
+    assert allowance.wait(1000) == pytest.approx(0.1)
+
+
+def test_a_slow_allowance_begins_with_one_request() -> None:
+    allowance = Allowance(0.1, now=0)
+    allowance.spend(1)
+    assert allowance.wait(0) == 0
+    allowance.spend(1)
+    assert allowance.wait(0) == pytest.approx(10)
+
+
+@KIND
+@pytest.mark.parametrize("rate", [20, 0.5])
+def test_one_by_one_requests_take_their_time(stage: Stage, kind: str, rate: float) -> None:
+    with served(stage, kind, requests_per_second=rate) as server:
+        eager, other = server.connect(), server.connect(OTHER)
+        at_once = max(1, int(rate))
+        begun = stage.now
+        for number in range(at_once + 12):
+            ask(eager, number)
+        # Those at once are free, and the one that overdraws is answered.
+        assert (12 - 1) / rate == pytest.approx(stage.now - begun, abs=0.03)
+        begun = stage.now
+        ask(other)
+        assert stage.now - begun < 0.001
+        assert server.counts(requests=at_once + 13, connections=2, throttled=11)
+
+
+@KIND
+def test_requests_sent_at_once_wait_and_none_is_lost(stage: Stage, kind: str) -> None:
+    """For longer than a frame may take, and one of them is cut where reading stopped."""
+    count = 300
+    with served(stage, kind, requests_per_second=100, frame_timeout=0.2) as server:
+        eager, other = server.connect(), server.connect(OTHER)
+        begun = stage.now
+        eager.sendall(b"".join(adu(READ_ONE, number) for number in range(count)))
+        assert stage.until(lambda: server.statistics.throttled)
+        for number in range(50):
+            ask(other, number)
+        assert stage.now - begun < 0.1
+        expected = b"".join(adu(ANSWER_ONE, number) for number in range(count))
+        assert eager.receive(len(expected)) == expected
+        at_once = 1024 // len(adu(READ_ONE))
+        assert (count - 100 - at_once) / 100 - 0.001 <= stage.now - begun <= (count - 100) / 100
+        assert server.counts(requests=count + 50, connections=2, closed_slow=0)
+
+
+def test_a_rate_holds_on_connections_of_the_system() -> None:
+    """The real copy: nothing is lost, and the clients wait."""
+    server = Server(
+        {17: Device(Mapping(holding_registers=1))}, limits=Limits(requests_per_second=150)
+    )
+    with (
+        server.background("tcp://127.0.0.1:0") as running,
+        connect(int(running.urls[0].rpartition(":")[2])) as client,
+    ):
+        client.sendall(b"".join(adu(READ_ONE, number) for number in range(300)))
+        expected = b"".join(adu(ANSWER_ONE, number) for number in range(300))
+        assert receive(client, len(expected)) == expected
+    assert server.statistics.throttled > 0
+
+
+def peers_in_memory() -> int:
+    gc.collect()
+    return sum(isinstance(each, Peer) for each in gc.get_objects())
+
+
+@KIND
+def test_a_connection_lost_while_it_waits_leaves_nothing(stage: Stage, kind: str) -> None:
+    before = peers_in_memory()  # errors that tests keep may hold some
+    with served(stage, kind, requests_per_second=0.001) as server:
+        for number in range(20):
+            eager = server.connect(f"10.3.0.{1 + number}")
+            eager.sendall(adu(READ_ONE) * 2)
+            assert eager.receive(2 * ONE_ANSWER) == adu(ANSWER_ONE) * 2
+            eager.sendall(adu(READ_ONE))
+            assert server.counts(connections=1, throttled=1 + number)
+            eager.reset()
+            assert server.counts(connections=0)
+        assert peers_in_memory() <= before
+
+
+@KIND
+def test_connections_of_an_address_share_what_it_may_ask(stage: Stage, kind: str) -> None:
+    with served(stage, kind, requests_per_second=10) as server:
+        eager = [server.connect() for _ in range(8)]
+        begun = stage.now
+        while stage.now < begun + 10:
+            for client in eager:
+                client.sendall(adu(READ_ONE))
+            stage.pass_time(0.05)
+        answered = server.statistics.requests
+        # Ten are free, ten come in each second, and one read may overdraw.
+        at_once = 256 // len(adu(READ_ONE))
+        assert 10 * 11 - 1 <= answered <= 10 * 11 + at_once
+        asked = stage.now
+        ask(server.connect(OTHER))
+        assert stage.now - asked < 0.01
+        assert server.statistics.throttled >= 8
+
+
+@KIND
+def test_a_new_connection_brings_nothing_new_to_ask(stage: Stage, kind: str) -> None:
+    with served(stage, kind, requests_per_second=5) as server:
+        begun = stage.now
+        for _ in range(300):
+            with server.connect() as client:
+                client.sendall(adu(READ_ONE))
+                stage.pass_time(0.02)
+        # Five are free, and a read may overdraw.
+        free = 5 + 5 * (stage.now - begun)
+        assert free - 2 <= server.statistics.requests <= free + 1
+        assert stage.until(lambda: server.statistics.connections == 0)
+
+
+@KIND
+def test_requests_count_though_what_follows_ends_the_connection(stage: Stage, kind: str) -> None:
+    with served(stage, kind, requests_per_second=5) as server:
+        begun = stage.now
+        for _ in range(100):
+            with server.connect() as client:
+                client.sendall(2 * adu(READ_ONE) + OUT_OF_STEP)
+                stage.pass_time(0.02)
+        # Five are free, and a read may overdraw.
+        assert 5 <= server.statistics.requests <= 5 + 2 + 5 * (stage.now - begun)
+        assert stage.until(lambda: server.statistics.connections == 0)
+
+
+def test_to_be_refused_brings_nothing_new_to_ask_either(stage: Stage) -> None:
+    limits = {"requests_per_second": 0.5, "max_connections": 1, "when_full": "refuse"}
+    with served(stage, "plain", **limits) as server:
+        with server.connect() as eager:
+            ask(eager)
+            ask(eager)
+        assert server.counts(connections=0)
+        with server.connect(OTHER) as other:
+            ask(other)
+            assert server.connect().is_closed()
+        assert server.counts(connections=0, refused_full=1)
+        before = server.statistics.throttled
+        server.connect().sendall(adu(READ_ONE))
+        assert server.counts(throttled=before + 1)
+
+
+@KIND
+def test_all_connections_that_wait_are_answered_in_the_end(stage: Stage, kind: str) -> None:
+    with served(stage, kind, requests_per_second=40) as server:
+        begun = stage.now
+        eager = [server.connect() for _ in range(8)]
+        for _ in range(10):
+            for client in eager:
+                client.sendall(adu(READ_ONE))
+        for client in eager:
+            assert client.receive(10 * ONE_ANSWER) == 10 * adu(ANSWER_ONE)
+        assert stage.now - begun <= 1.01
+        assert server.counts(requests=80, connections=8)
+
+
+@KIND
+def test_a_connection_that_waits_and_is_closed_does_not_keep_the_others(
+    stage: Stage, kind: str
+) -> None:
+    with served(stage, kind, requests_per_second=2) as server:
+        first, second = server.connect(), server.connect()
+        for _ in range(4):
+            ask(first)
+        first.sendall(adu(READ_ONE))
+        assert server.counts(throttled=2)
+        second.sendall(adu(READ_ONE))
+        assert server.counts(throttled=3)
+        first.reset()
+        waited = stage.now
+        assert second.receive(ONE_ANSWER) == adu(ANSWER_ONE)
+        assert stage.now - waited <= 0.5
+
+
+def test_frames_that_silence_completes_count_as_requests(stage: Stage) -> None:
+    with served(stage, "plain", "rtu+tcp", requests_per_second=2, idle_timeout=1) as server:
+        sly, idle = server.connect(), server.connect()
+        begun = stage.now
+        for _ in range(300):
+            sly.sendall(NEVER_ENDED + rtu(READ_ONE))
+            stage.pass_time(0.05)
+        seconds = stage.now - begun
+        assert server.statistics.throttled >= 1
+        # Its whole allowance, what one read may overdraw, and what it gets meanwhile.
+        assert 2 * seconds <= server.statistics.requests <= 2 + 256 // 15 + 2 * seconds
+        assert idle.is_closed()
+
+
+def test_all_of_a_thousand_that_wait_are_answered(stage: Stage) -> None:
+    """Each in its turn: none is forgotten, however many there are."""
+    limits = {"requests_per_second": 10, "connections_per_address": 1000}
+    with served(stage, "plain", **limits) as server, ExitStack() as stack:
+        eager = [stack.enter_context(server.connect()) for _ in range(1000)]
+        begun = stage.now
+        for client in eager:
+            client.sendall(adu(READ_ONE))
+        for client in eager:
+            assert client.receive(ONE_ANSWER) == adu(ANSWER_ONE)
+        assert stage.now - begun == pytest.approx((1000 - 10 - 1) / 10, abs=0.2)
+        assert server.counts(requests=1000)

@@ -1,0 +1,203 @@
+"""
+How many connections a server has, of all clients and of one address, and who goes for others.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+from contextlib import ExitStack
+
+import pytest
+
+from libmodbus_py import Device, Mapping, Server
+from libmodbus_py.server.by_frame import ByFrame
+from libmodbus_py.server.faults_due import Faults
+from libmodbus_py.server.limits import Limits, ServerStatistics
+from libmodbus_py.server.peers import Peers
+from libmodbus_py.server.units import TcpUnits, Units
+from tests.simulation.stage import Stage
+from tests.support.attacks import connect, descriptor_limit, receive
+from tests.support.served import ANSWER_ONE, KINDS, ONE_ANSWER, OTHER, READ_ONE, adu, ask, served
+
+KIND = pytest.mark.parametrize("kind", KINDS)
+
+
+def test_as_many_connections_as_descriptors_leave() -> None:
+    with descriptor_limit(200):
+        assert 1 <= Limits().connections() < 200
+    with descriptor_limit(20):
+        assert Limits().connections() == 1
+    assert Limits(max_connections=7).connections() == 7
+
+
+@KIND
+def test_first_go_those_that_never_asked_then_the_longest_idle(stage: Stage, kind: str) -> None:
+    with served(stage, kind, max_connections=3) as server:
+        first, second, stranger = (server.connect() for _ in range(3))
+        ask(first)
+        ask(second)
+        stage.pass_time(0.1)
+        ask(first)  # now the second one is the longest idle
+
+        third = server.connect()
+        ask(third)
+        assert stranger.is_closed()
+        ask(server.connect())
+        assert second.is_closed()
+        ask(first)
+        ask(third)
+        assert server.counts(connections=3, accepted=5, closed_for_others=2, refused_full=0)
+
+
+@KIND
+def test_a_full_server_can_refuse(stage: Stage, kind: str) -> None:
+    with served(stage, kind, max_connections=2, when_full="refuse") as server:
+        first, second = server.connect(), server.connect()
+        ask(first)
+        ask(second)
+        assert server.connect().is_closed()
+        ask(first)
+        ask(second)
+        assert server.counts(connections=2, accepted=2, closed_for_others=0, refused_full=1)
+        first.close()
+        assert server.counts(connections=1)
+        ask(server.connect())
+
+
+def test_endpoints_share_their_connections(stage: Stage) -> None:
+    server = Server(Device(Mapping()), limits=Limits(max_connections=1))
+    with server.background("tcp://10.0.0.1:0", "rtu+tcp://10.0.0.1:0") as running:
+        first = stage.talk(running.urls[0])
+        stage.pass_time(0.01)
+        stage.talk(running.urls[1])
+        assert first.is_closed()
+    assert server.statistics.closed_for_others == 1
+
+
+def test_connections_left_at_the_end_are_closed(stage: Stage) -> None:
+    with served(stage) as server:
+        connection = server.connect()
+        ask(connection)
+    assert connection.is_closed()
+    assert server.statistics.connections == 0
+
+
+def test_connections_of_the_system_are_closed_for_others_and_at_the_end() -> None:
+    """The real copy of what this file shows in memory."""
+    server = Server({17: Device(Mapping(holding_registers=1))}, limits=Limits(max_connections=1))
+    with ExitStack() as stack:
+        with server.background("tcp://127.0.0.1:0") as running:
+            port = int(running.urls[0].rpartition(":")[2])
+            first = stack.enter_context(connect(port))
+            first.sendall(adu(READ_ONE))
+            assert receive(first, ONE_ANSWER) == adu(ANSWER_ONE)
+            second = stack.enter_context(connect(port))
+            assert first.recv(1) == b""
+            second.sendall(adu(READ_ONE))
+            assert receive(second, ONE_ANSWER) == adu(ANSWER_ONE)
+        assert second.recv(1) == b""
+
+
+# --- connections_per_address -------------------------------------------------------------
+
+
+def test_an_address_may_have_a_tenth_of_all_but_eight_at_least() -> None:
+    for most, of_one in ((1000, 100), (200, 20), (80, 8), (5, 8), (1, 8)):
+        assert Limits(max_connections=most).connections_of_address() == of_one, most
+        made = Limits(max_connections=most, connections_per_address=3)
+        assert made.connections_of_address() == 3, most
+
+
+@KIND
+def test_an_address_with_too_many_makes_room_among_its_own(stage: Stage, kind: str) -> None:
+    with served(stage, kind, max_connections=6, connections_per_address=3) as server:
+        others = [server.connect(OTHER) for _ in range(3)]
+        ask(others[0])
+        assert server.counts(connections=3)
+        first, second, stranger = (server.connect() for _ in range(3))
+        ask(first)
+        ask(second)
+        for number in range(20):
+            newcomer = server.connect()
+            assert stranger.is_closed()
+            stranger = newcomer
+            assert server.counts(connections=6, closed_for_others=1 + number)
+        ask(stranger)
+        ask(server.connect())
+        assert first.is_closed()
+        for other in others:  # two of them are strangers, who would have gone first
+            ask(other)
+        assert server.counts(connections=6, refused_full=0, refused_address=0)
+
+
+@KIND
+def test_an_address_with_too_many_can_be_refused(stage: Stage, kind: str) -> None:
+    with served(stage, kind, connections_per_address=2, when_full="refuse") as server:
+        first, second = server.connect(), server.connect()
+        ask(first)
+        ask(second)
+        for _ in range(3):
+            assert server.connect().is_closed()
+        other = server.connect(OTHER)
+        ask(other)
+        other.close()
+        ask(first)
+        assert server.counts(connections=2, refused_address=3, refused_full=0, closed_for_others=0)
+        second.close()
+        assert server.counts(connections=1)
+        ask(server.connect())
+
+
+def test_ipv4_within_ipv6_is_the_same_address() -> None:
+    """As a listener for both families would say it."""
+
+    async def refused(*hosts: str) -> int:
+        statistics = ServerStatistics()
+        peers = Peers(Limits(connections_per_address=1, when_full="refuse"), statistics)
+        device = Units(Device(Mapping()), Faults({}))
+        with ExitStack() as stack:
+            stack.callback(peers.close)
+            for host in hosts:
+                ours, theirs = socket.socketpair()
+                stack.enter_context(ours)
+                peers.admit(
+                    theirs,
+                    (host, 1),
+                    lambda peer: ByFrame(
+                        TcpUnits(device), "tcp", peer.address, statistics, peer.write
+                    ),
+                )
+            return statistics.refused_address
+
+    assert asyncio.run(refused("192.0.2.7", "::ffff:192.0.2.7", "::ffff:192.0.2.7")) == 2
+    assert asyncio.run(refused("192.0.2.7", "::ffff:192.0.2.8", "::192.0.2.7")) == 0
+
+
+# --- allow -------------------------------------------------------------------------------
+
+
+@KIND
+def test_hosts_outside_are_closed_at_once(stage: Stage, kind: str) -> None:
+    with served(stage, kind, allow=["127.0.0.2", "127.1.0.0/16"]) as server:
+        for source in ("127.0.0.1", "127.0.0.3"):
+            assert server.connect(source).is_closed()
+        for source in ("127.0.0.2", "127.1.2.3"):
+            with server.connect(source) as inside:
+                ask(inside)
+        assert server.counts(connections=0, accepted=2, disallowed=2)
+
+
+@pytest.mark.parametrize(("allow", "allowed"), [("::1", True), ("2001:db8::/32", False)])
+def test_hosts_of_ipv6(allow: str, allowed: bool) -> None:
+    server = Server(Device(Mapping(holding_registers=1)), limits=Limits(allow=[allow]))
+    with (
+        server.background("tcp://[::1]:0") as running,
+        connect(int(running.urls[0].rpartition(":")[2]), "::1") as connection,
+    ):
+        if allowed:
+            connection.sendall(adu(READ_ONE))
+            assert receive(connection, ONE_ANSWER) == adu(ANSWER_ONE)
+        else:
+            assert connection.recv(1) == b""
+    assert server.statistics.disallowed == (not allowed)
