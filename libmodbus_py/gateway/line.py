@@ -218,6 +218,7 @@ class Line:
 
     def drop(self, each: Forwarded) -> None:
         """Take back a request whose asker is gone, unless it was sent or others want its answer."""
+        each.asker = None
         each = each.first or each
         if each.submitted is not None or each.is_wanted:
             return
@@ -331,7 +332,8 @@ class Line:
             each.submitted.withdraw()
             self._end(each)
             self._note_silence(each.unit, now)
-            self._hold(each, now)
+            # The client lets the line fall silent as after a timeout.
+            self._hold(each.unit, each.started + LATEST * self._client.timeout - now)
             self.statistics.unit(each.unit).given_up += 1
             self._refuse(each, NO_ANSWER)
             self._go_on()
@@ -403,7 +405,7 @@ class Line:
             return
         if isinstance(error, FrameError | InvalidResponse):
             unit.invalid += 1
-            self._hold(each, now)
+            self._hold(each.unit, self._client.timeout)
         elif isinstance(error, ModbusConnectionError):
             unit.lost += 1
         else:
@@ -424,16 +426,13 @@ class Line:
                 self.statistics.unit(unit).resting += 1
                 self._refuse(each, NO_ANSWER)
 
-    def _hold(self, each: Forwarded, now: float) -> None:
-        """Until the line was quiet for a timeout: the client would wait, and others with it."""
+    def _hold(self, unit: int, seconds: float) -> None:
+        """Ask a unit nothing meanwhile: the client would wait, and others with it."""
         if self._has_ids:
             return
-        unit, timeout = each.unit, self._client.timeout
-        # The client waits for what was withdrawn as for what was not answered in time.
-        pause = max(timeout, each.started + LATEST * timeout - now)
         if unit in self._held:
             self._held[unit].cancel()
-        self._held[unit] = self._loop.call_later(pause, self._release, unit)
+        self._held[unit] = self._loop.call_later(seconds, self._release, unit)
 
     def _release(self, unit: int) -> None:
         del self._held[unit]

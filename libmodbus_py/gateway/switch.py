@@ -326,6 +326,7 @@ class ForwardingSession(Framed):
 
     def _withdraw(self, forwarded: Forwarded) -> None:
         line = self._asked.pop(forwarded)
-        forwarded.asker = None
-        if line is not None:
+        if line is None:
+            forwarded.asker = None
+        else:
             line.drop(forwarded)
