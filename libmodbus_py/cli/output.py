@@ -25,6 +25,7 @@ def prepare() -> None:
 def abandon() -> None:
     """Print nowhere from now on, for what is in the buffer would fail again at the end."""
     with contextlib.suppress(OSError, ValueError):
+        printed = sys.stdout.fileno()
         nowhere = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nowhere, sys.stdout.fileno())
+        os.dup2(nowhere, printed)
         os.close(nowhere)

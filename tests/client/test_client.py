@@ -221,7 +221,6 @@ class Counting:
         self._batch = batch
         self._held: list[tuple[bytes, Write]] = []
         self._in_flight = 0
-        self._late = asyncio.get_running_loop().call_later(0, int)
         self.most = 0
 
     def __call__(self, request: bytes, write: Write) -> None:
@@ -235,7 +234,6 @@ class Counting:
     def _answer(self, size: int) -> None:
         if len(self._held) != size:
             return
-        self._late.cancel()
         while self._held:
             request, write = self._held.pop()
             self._in_flight -= 1

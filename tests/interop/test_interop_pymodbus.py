@@ -1031,7 +1031,9 @@ class TestWherePymodbusServerErrs:
         self, transport: str, error: type[ModbusError]
     ) -> None:
         # On RTU it has no length for it, and waits.
-        timeout = TIMEOUT if transport in NOT_RTU else 0.2
+        # Without ids the answer to another function ends no wait.
+        has_ids = transport in ("tcp", "udp")
+        timeout = TIMEOUT if has_ids else 1.0 if transport in NOT_RTU else 0.2
         with pymodbus_server(transport, timeout=timeout) as context, pytest.raises(error):
             context.encapsulated_transport(13, b"abc")
 
@@ -1040,7 +1042,9 @@ class TestWherePymodbusServerErrs:
         self, transport: str, record_property: Record
     ) -> None:
         # 80 01 instead of the code with 80 and 01; on RTU it has no length, and waits.
-        timeout = TIMEOUT if transport in NOT_RTU else 0.2
+        # Without ids the answer to another function ends no wait.
+        has_ids = transport in ("tcp", "udp")
+        timeout = TIMEOUT if has_ids else 1.0 if transport in NOT_RTU else 0.2
         error = InvalidResponse if transport in NOT_RTU else ModbusTimeoutError
         cases = (
             (case_id("pymodbus", "client", transport, function, "pinned"), function)
