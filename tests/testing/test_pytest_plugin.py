@@ -33,7 +33,11 @@ READ_TEXT = "unit 1: ReadHoldingRegisters(address=0, count=1) -> [[]0[]]"
 @pytest.fixture
 def suite(pytester: pytest.Pytester) -> pytest.Pytester:
     """A suite for which every warning is an error; without a plugin that takes a second to load."""
-    pytester.makeini("[pytest]\nfilterwarnings = error\naddopts = -p no:hypothesispytest")
+    # An editable installation says that the package has the tests, too, which are imported here.
+    ignored = "ignore:Module already imported:pytest.PytestAssertRewriteWarning"
+    pytester.makeini(
+        f"[pytest]\nfilterwarnings =\n    error\n    {ignored}\naddopts = -p no:hypothesispytest"
+    )
     return pytester
 
 
