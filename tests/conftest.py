@@ -20,7 +20,7 @@ from tests.support.c_programs import SOURCES, compile_c
 from tests.support.certificates import Papers, secured
 from tests.support.clients import KINDS, Connect, connecting
 
-pytest_plugins = ["tests.support.alone", "tests.support.golden", "tests.support.leaks"]
+pytest_plugins = ["tests.support.golden", "tests.support.leaks"]
 
 UNIT = 17
 

