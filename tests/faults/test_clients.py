@@ -25,6 +25,7 @@ from libmodbus_py.ports.sockets import TcpPort
 from libmodbus_py.protocol import framing
 from tests.faults.injecting import Scenario, Trial, eventually, tried
 from tests.support.certificates import Papers, secured
+from tests.support.names import resolve
 from tests.support.peers import FakeServer, FakeUnit, echo
 
 PART = ("client", "ports", "security")
@@ -60,8 +61,9 @@ def tcp(folder: Path) -> Iterator[str]:
 
 @contextlib.contextmanager
 def named(folder: Path) -> Iterator[str]:
-    with tcp(folder) as url:
-        yield url.replace("127.0.0.1", "localhost")
+    with tcp(folder) as url, pytest.MonkeyPatch.context() as patched:
+        resolve(patched, "device.example")
+        yield url.replace("127.0.0.1", "device.example")
 
 
 @contextlib.contextmanager

@@ -313,9 +313,10 @@ def test_another_event_loop_is_refused_in_their_words() -> None:
             await connection.close()
 
     def in_two_loops() -> None:
-        asyncio.run(read(made[0]))
-        asyncio.run(go_on())
-        gc.collect()
+        with asyncio.Runner() as first:
+            first.run(read(made[0]))
+            asyncio.run(go_on())
+            gc.collect()  # while the loop is there, which its timer belongs to
 
     with FakeServer(lambda request: [fake.echo(request)]) as server:
         params = theirs.ModbusTcpParams(host="127.0.0.1", port=server.port)

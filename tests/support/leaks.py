@@ -198,7 +198,8 @@ class Loops:
         """
         tasks = asyncio.all_tasks(loop)
         if not any(each.get_coro() in self._mains for each in tasks):
-            self.left += map(_named_task, tasks)
+            # What was cancelled is about to end, whoever cancelled it.
+            self.left += [_named_task(each) for each in tasks if not each.cancelling()]
 
     def closing(self, loop: Any) -> None:
         """Note timers that would have rung later; a loop that is closed already has none."""
