@@ -124,7 +124,11 @@ class Mqtt:
             max_queued_incoming_messages=MOST_MESSAGES,
         )
         with _as_os_error():
-            await client.__aenter__()
+            try:
+                await client.__aenter__()
+            except BaseException:
+                _let_go(client)
+                raise
             self._client = client
             if self._status:
                 await client.publish(self._status, b"online", 1, True)
@@ -187,6 +191,13 @@ class Mqtt:
         outcome = await commands.answer(device, name, wanted_of(data))
         with contextlib.suppress(OSError), _as_os_error():
             await client.publish(f"{topic}/result", json.dumps(outcome).encode(), self._qos)
+
+
+def _let_go(client: aiomqtt.Client) -> None:
+    """Close the socket of a client that could not connect: aiomqtt 2.5 keeps it, and a task."""
+    paho = client._client
+    if paho.socket() is not None:
+        paho._sock_close()
 
 
 async def _all(publishing: list[Coroutine[Any, Any, None]]) -> None:
