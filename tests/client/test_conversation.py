@@ -698,7 +698,7 @@ EVENTS = st.lists(
 
 @pytest.mark.parametrize("url", [TCP, TCP.replace("tcp", "udp"), LINE, "rtu+tcp://192.0.2.1"])
 @given(events=EVENTS, retries=st.integers(0, 2), spacing=st.sampled_from([0.0, 0.05]))
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 def test_no_schedule_gives_a_wrong_value_leaves_anybody_waiting_or_leaks_a_slot(
     url: str, events: list[tuple[str, int]], retries: int, spacing: float
 ) -> None:

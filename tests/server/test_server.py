@@ -350,7 +350,6 @@ def test_connections_that_come_and_go_leave_nothing(port: int) -> None:
 
 @settings(
     max_examples=60,
-    deadline=None,
     suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
 @given(body=st.binary(min_size=1, max_size=253), transaction=st.integers(0, 0xFFFF))

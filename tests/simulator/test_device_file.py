@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from libmodbus_py import (
@@ -393,7 +393,6 @@ def test_a_random_walk_with_a_seed_is_the_same_whenever_it_is_read() -> None:
         assert inputs(often, 0) == inputs(seldom, 0)
 
 
-@settings(deadline=None)
 @given(step=st.floats(0.01, 500), start=st.integers(0, 10**12), seed=st.integers(0, 1 << 63))
 def test_no_move_of_a_random_walk_is_longer_than_its_step(
     step: float, start: int, seed: int

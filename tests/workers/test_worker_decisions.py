@@ -114,7 +114,6 @@ class Fleet(RuleBasedStateMachine):
 Fleet.TestCase.settings = settings(
     max_examples=8,
     stateful_step_count=25,
-    deadline=None,
     # A failing schedule is told by its steps; shorter ones take minutes to find.
     phases=[Phase.explicit, Phase.reuse, Phase.generate],
     suppress_health_check=list(HealthCheck),
