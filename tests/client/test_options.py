@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import pdu
+from libmodbus_py import Context, pdu
 from tests.support.clients import World
 from tests.support.peers import Write, echo
 
@@ -99,3 +99,9 @@ def test_nothing_is_sent_for_bad_arguments(world: World, ask: Any, named: str) -
             ask(plc)
         assert plc.read_holding_registers(5, 1) == [5]
         assert len(peer.requests) == 1
+
+
+@pytest.mark.parametrize("native", [None, 1, "yes"])
+def test_native_is_true_or_false(native: Any) -> None:
+    with pytest.raises(TypeError, match=f"native must be True or False, not {native!r}"):
+        Context.from_url("tcp://127.0.0.1", native=native)
