@@ -194,13 +194,13 @@ class InTurn(Conversation):
                     self._is_noisy = True
                 elif each.unit != asked.batch.unit:
                     self._note_other(asked, each.unit, now)
+                elif self._is_echo(asked, each.pdu):
+                    self._is_noisy = True
+                    self._wrong = InvalidResponse("the request itself came back; echo=True?")
                 elif now < self._silence.left_at:
                     self._note_early()
                 elif each.pdu[0] & 0x7F != asked.function:
                     self._note_other_function(asked, each)
-                elif self._is_echo(asked, each.pdu):
-                    self._is_noisy = True
-                    self._wrong = InvalidResponse("the request itself came back; echo=True?")
                 else:
                     self._end(asked, each.pdu, now)
 

@@ -215,6 +215,17 @@ def test_an_answer_before_the_request_can_have_left_is_an_earlier_one() -> None:
     assert batch.outcomes == [[5]]
 
 
+def test_an_echo_is_told_however_early_it_comes() -> None:
+    """A two-wire transceiver hears each byte while it is sent."""
+    talk = Talk("ascii:///dev/nowhere?baudrate=9600", is_timed=True)
+    batch = talk.ask(5)
+    talk.wait(0.005)
+    talk.come(talk.sent[0])
+    talk.wait(1)
+    assert kinds(batch) == [InvalidResponse]
+    assert "echo=True?" in str(batch.outcomes[0])
+
+
 def test_a_line_that_is_faster_than_its_settings_is_believed() -> None:
     """Where nothing but an early answer came, the port is no real one: adapters over networks."""
     talk = Talk("rtu:///dev/nowhere?baudrate=9600&silence=0", is_timed=True)
