@@ -13,7 +13,7 @@ class BuildPy(build_py):
     def run(self) -> None:
         super().run()
         if not self.editable_mode:
-            into = Path(self.build_lib, "libmodbus_py", "simulator", EXAMPLES)
+            into = Path(self.build_lib, "libmodbus_py", "tools", "simulator", EXAMPLES)
             shutil.copytree(EXAMPLES, into, dirs_exist_ok=True)
 
 

@@ -22,8 +22,8 @@ from contextlib import ExitStack, contextmanager
 from bench.children import resident_memory
 from bench.memory import raise_descriptor_limit
 from libmodbus_py import Device, DeviceConfig, Fleet, Limits, Mapping, Point, RegisterMap, Server
-from libmodbus_py.fleet.outputs.json_lines import JsonLines
-from libmodbus_py.fleet.statistics import LATENESS_BOUNDS
+from libmodbus_py.services.fleet.outputs.json_lines import JsonLines
+from libmodbus_py.services.fleet.statistics import LATENESS_BOUNDS
 
 ON_TIME, WANTED_ON_TIME = 0.1, 0.99
 WANTED_MEMORY = 25 * 1024

@@ -16,7 +16,7 @@ import time
 from collections.abc import Iterator
 
 from libmodbus_py import AsyncClient, Context, ExceptionResponse, pdu
-from libmodbus_py.testing.wires import SerialWire
+from libmodbus_py.tools.testing.wires import SerialWire
 from tests.support.gateways import Bus
 
 ME = [sys.executable, "-m", "libmodbus_py"]

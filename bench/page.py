@@ -17,8 +17,8 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from tests.page.browsers import browser, missing
-from tests.page.watching import Visitor, until
+from tests.tools.page.browsers import browser, missing
+from tests.tools.page.watching import Visitor, until
 
 CELLS = 10_000
 UPDATES = 10  # a second

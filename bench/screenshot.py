@@ -14,14 +14,14 @@ from pathlib import Path
 from typing import Any
 
 from libmodbus_py import Context, Fault, ModbusError, Server, device_file, page_of
-from tests.page.browsers import browser, missing
-from tests.page.watching import until
+from tests.tools.page.browsers import browser, missing
+from tests.tools.page.watching import until
 
 ROOT = Path(__file__).resolve().parents[1]
 
 WIDTH, HEIGHT = 1200, 700
 MOST_BYTES = 200_000
-EXAMPLES = ROOT / "libmodbus_py" / "simulator" / "examples"
+EXAMPLES = ROOT / "libmodbus_py" / "tools" / "simulator" / "examples"
 # The meter of the examples has none.
 FAULTS = [
     Fault("disconnect", table="input_registers", address=0, count=1, length=5, every=5),

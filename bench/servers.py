@@ -58,7 +58,7 @@ def ours_with_metrics() -> None:
     """As Prometheus scrapes it, but each second."""
     import prometheus_client
 
-    from libmodbus_py.integrations.prometheus import collect
+    from libmodbus_py.services.integrations.prometheus import collect
 
     def scrape() -> None:
         while True:

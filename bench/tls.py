@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bench.children import Child, processor_time
-from libmodbus_py.security.making import make, write
+from libmodbus_py.tools.certificates import make, write
 
 REQUEST = bytes.fromhex("0001 0000 0006 01 03 0000 000a")
 ANSWER_SIZE = 29

@@ -1,8 +1,9 @@
 """
 A serial line on which things go wrong, one at a time and on demand.
 
-Two pseudo-terminals, joined like the cable of `libmodbus_py.testing.wires.SerialWire`. The next
-frame of one side suffers what `arm` says; all others pass untouched.
+Two pseudo-terminals, joined like the cable of
+`libmodbus_py.tools.testing.wires.SerialWire`. The next frame of one side suffers what `arm`
+says; all others pass untouched.
 
 What is injected is what the framing promises to notice, so that a wrong value
 that gets through is a defect and no bad luck:
@@ -33,7 +34,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Literal, NamedTuple, Self
 
-from libmodbus_py.testing.line_ends import open_line, read_what_is_there, write_all
+from libmodbus_py.tools.testing.line_ends import open_line, read_what_is_there, write_all
 
 __all__ = ["FAULTS", "FOREIGN", "UNITS", "BadLine", "Framing", "Hurt", "Piece", "Sender"]
 

@@ -14,8 +14,6 @@ from pathlib import Path
 from typing import Any
 
 from libmodbus_py import Device, FrameError, InvalidResponse, Mapping, device_file, pdu
-from libmodbus_py.listener.separator import LineFraming, Separator
-from libmodbus_py.listener.transaction import Heard
 from libmodbus_py.protocol.errors import (
     ExceptionResponse,
     IllegalDataAddress,
@@ -31,6 +29,8 @@ from libmodbus_py.protocol.framing import (
     UdpFramer,
 )
 from libmodbus_py.security.role import RoleError, decode_role, encode_role, role_of
+from libmodbus_py.tools.listener.separator import LineFraming, Separator
+from libmodbus_py.tools.listener.transaction import Heard
 
 __all__ = [
     "FRAMERS",

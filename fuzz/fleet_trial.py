@@ -26,11 +26,11 @@ from typing import Any
 from fuzz.asked_devices import UNITS, Asked, Workers, asked_devices, fleet_file, until
 from fuzz.command import numbers
 from fuzz.nats_servers import NatsServers, Way
-from libmodbus_py.engine.buckets import open_bucket
-from libmodbus_py.engine.connection import connected
-from libmodbus_py.engine.troubles import EngineGone
-from libmodbus_py.workers.polling import BUCKET
-from libmodbus_py.workers.status import fleet_status
+from libmodbus_py.services.engine.buckets import open_bucket
+from libmodbus_py.services.engine.connection import connected
+from libmodbus_py.services.engine.troubles import EngineGone
+from libmodbus_py.services.workers.polling import BUCKET
+from libmodbus_py.services.workers.status import fleet_status
 
 INTERVAL = 2.0
 

@@ -22,9 +22,9 @@ from fuzz.checks import (
     check_stream,
     examples,
 )
-from libmodbus_py.listener.separator import LineFraming
-from libmodbus_py.security.making import make
 from libmodbus_py.security.role import encode_role
+from libmodbus_py.tools.certificates import make
+from libmodbus_py.tools.listener.separator import LineFraming
 
 __all__ = ["TARGETS", "Target"]
 

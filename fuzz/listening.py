@@ -19,9 +19,9 @@ from typing import Any, Literal, NamedTuple
 from fuzz.bad_line import FAULTS, UNITS, Hurt
 from fuzz.command import numbers, progress
 from libmodbus_py import Device, Mapping, pdu
-from libmodbus_py.listener.separator import Separator
-from libmodbus_py.listener.transaction import Heard, Transaction
 from libmodbus_py.protocol.framing import Frame, make_framer
+from libmodbus_py.tools.listener.separator import Separator
+from libmodbus_py.tools.listener.transaction import Heard, Transaction
 
 __all__ = ["LATENCY", "Framing", "Result", "Told", "heard", "line", "measure"]
 

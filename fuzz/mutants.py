@@ -49,17 +49,22 @@ BUILD = Path("build/mutants")
 
 # The files that decide about requests, turns, time and bytes.
 DECIDING = [
-    *("client", "gateway", "fleet", "workers", "protocol"),
-    *(
-        f"server/{name}.py"
-        for name in ("by_chunk", "by_frame", "delivery", "devices", "faults_due")
-    ),
-    *(f"server/{name}.py" for name in ("faulty", "framed", "idle", "limits", "peers", "service")),
+    *("client", "services/gateway", "services/fleet", "services/workers", "protocol"),
+    *(f"server/{name}.py" for name in ("by_chunk", "by_frame", "devices", "faulty", "framed")),
+    *(f"server/{name}.py" for name in ("idle", "limits", "peers", "service")),
+    *(f"server/faults/{name}.py" for name in ("delivery", "due")),
 ]
 
 # Where the tests of a folder stand, if not in the folder of the same name; all have the world.
-BESIDE = {"engine": ("workers",), "binding": ("client", "server"), "device": ("device", "server")}
+BESIDE = {
+    "services/engine": ("services/workers",),
+    "binding": ("client", "server"),
+    "device": ("device", "server"),
+}
 WORLD = "simulation"
+
+GROUPS = ("services", "tools")
+"""Folders of the package that hold folders only."""
 
 # Imported before the first fork, for they take the time of many tests.
 HEAVY = ("asyncio", "cffi", "cryptography.x509", "hypothesis", "ssl", "pytest_timeout", "xdist")
@@ -262,7 +267,8 @@ class Trial:
 
 
 def _beside(path: Path) -> tuple[str, ...]:
-    name = path.parts[1]
+    depth = 3 if path.parts[1] in GROUPS else 2
+    name = "/".join(path.parts[1:depth])
     return (*BESIDE.get(name, (name,)), WORLD)
 
 

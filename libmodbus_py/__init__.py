@@ -4,20 +4,11 @@ Modbus for Python on Debian's libmodbus.
 Its folders, floor by floor. Imports run downwards only, and those on one floor do not know
 each other::
 
-    cli                 libmodbus-py: read, write, scan, listen, serve, gateway, demo, certificates
-    integrations        metrics for Prometheus; a backend for Home Assistant
-    page                a live page of a server, in a browser
-    workers             machines that share the devices of a fleet
-    fleet               many devices polled, and what is read given to outputs
-    gateway             requests passed on from any endpoint to any line
-    simulator           devices from a file, which move, wait and err
-    testing             for tests: lines with a tap, recording servers, the pytest plugin
-    scan                who answers on a line or network, and what they have
-    client   server     who asks: TcpContext, ..., AsyncClient; who answers: Server;
-    listener            and who only listens: transactions of others on a line
+    cli                 libmodbus-py: read, write, scan, listen, serve, gateway, poll, demo
+    services            gateway, fleet, workers, engine, integrations
+    tools               files, listener, scan, simulator, testing, page, certificates
+    client   server     who asks: TcpContext, ..., AsyncClient; who answers: Server
     maps                what stands where in a device, and plans of few requests for it
-    toml                what files in TOML have in common
-    engine              the way to NATS, where workers find each other
     ports    device     what carries bytes, and waits for them; one unit and its tables
     binding  security   the C library; who may talk, proven by certificates
     protocol            bytes and values: PDUs, frames, errors; no socket, no clock
@@ -34,7 +25,7 @@ docstring of each folder names its files.
 Addresses are 0-based and times are in seconds everywhere.
 """
 
-from .late import late
+from .late import late, moved
 from .version import __version__ as __version__
 
 TYPE_CHECKING = False  # typing, which has it, takes two milliseconds
@@ -57,22 +48,9 @@ if TYPE_CHECKING:
     from .device.mapping import Mapping
     from .device.record_file import RecordFile
     from .device.rules import Allow, Rules
-    from .fleet.config import DeviceConfig
-    from .fleet.fleet import Fleet
-    from .fleet.readings import Reading
-    from .gateway.gateway import Gateway
-    from .gateway.routes import Route
-    from .listener.capture import CaptureError
-    from .listener.listening import Listener, listening
-    from .listener.separator import Separator
-    from .listener.summary import Summary
-    from .listener.transaction import Transaction
-    from .maps.drafts import MapError
-    from .maps.map_file import load_map
     from .maps.plan import Plan, Read
     from .maps.point import Point
     from .maps.register_map import RegisterMap
-    from .page.page import Page, page_of
     from .ports.trace import Traced
     from .protocol import errors, framing, pdu, values
     from .protocol.errors import (
@@ -93,13 +71,26 @@ if TYPE_CHECKING:
         ServerDeviceBusy,
         ServerDeviceFailure,
     )
-    from .scan.scanning import Found, Scan, scanning
-    from .scan.searching import Extent, Search, searching
     from .security.security import Security
-    from .server.faults import Fault
+    from .server.faults.fault import Fault
     from .server.limits import Limits
     from .server.server import Running, Server
-    from .simulator import device_file
+    from .services.fleet.config import DeviceConfig
+    from .services.fleet.fleet import Fleet
+    from .services.fleet.readings import Reading
+    from .services.gateway.gateway import Gateway
+    from .services.gateway.routes import Route
+    from .tools.files.maps.drafts import MapError
+    from .tools.files.maps.map_file import load_map
+    from .tools.listener.capture import CaptureError
+    from .tools.listener.listening import Listener, listening
+    from .tools.listener.separator import Separator
+    from .tools.listener.summary import Summary
+    from .tools.listener.transaction import Transaction
+    from .tools.page.page import Page, page_of
+    from .tools.scan.scanning import Found, Scan, scanning
+    from .tools.scan.searching import Extent, Search, searching
+    from .tools.simulator import device_file
 
 # fmt: off
 __all__ = [
@@ -131,22 +122,22 @@ _HOMES = {
     "device.mapping": ("Mapping",),
     "device.record_file": ("RecordFile",),
     "device.rules": ("Allow", "Rules"),
-    "fleet.config": ("DeviceConfig",),
-    "fleet.fleet": ("Fleet",),
-    "fleet.readings": ("Reading",),
-    "gateway.gateway": ("Gateway",),
-    "gateway.routes": ("Route",),
-    "listener.capture": ("CaptureError",),
-    "listener.listening": ("Listener", "listening"),
-    "listener.separator": ("Separator",),
-    "listener.summary": ("Summary",),
-    "listener.transaction": ("Transaction",),
-    "maps.drafts": ("MapError",),
-    "maps.map_file": ("load_map",),
+    "services.fleet.config": ("DeviceConfig",),
+    "services.fleet.fleet": ("Fleet",),
+    "services.fleet.readings": ("Reading",),
+    "services.gateway.gateway": ("Gateway",),
+    "services.gateway.routes": ("Route",),
+    "tools.listener.capture": ("CaptureError",),
+    "tools.listener.listening": ("Listener", "listening"),
+    "tools.listener.separator": ("Separator",),
+    "tools.listener.summary": ("Summary",),
+    "tools.listener.transaction": ("Transaction",),
+    "tools.files.maps.drafts": ("MapError",),
+    "tools.files.maps.map_file": ("load_map",),
     "maps.plan": ("Plan", "Read"),
     "maps.point": ("Point",),
     "maps.register_map": ("RegisterMap",),
-    "page.page": ("Page", "page_of"),
+    "tools.page.page": ("Page", "page_of"),
     "ports.trace": ("Traced",),
     "protocol.errors": (
         "Acknowledge", "ExceptionResponse", "FrameError", "GatewayPathUnavailable",
@@ -155,24 +146,42 @@ _HOMES = {
         "ModbusConnectionError", "ModbusError", "ModbusTimeoutError",
         "NegativeAcknowledge", "ServerDeviceBusy", "ServerDeviceFailure",
     ),
-    "scan.scanning": ("Found", "Scan", "scanning"),
-    "scan.searching": ("Extent", "Search", "searching"),
+    "tools.scan.scanning": ("Found", "Scan", "scanning"),
+    "tools.scan.searching": ("Extent", "Search", "searching"),
     "security.security": ("Security",),
-    "server.faults": ("Fault",),
+    "server.faults.fault": ("Fault",),
     "server.limits": ("Limits",),
     "server.server": ("Running", "Server"),
 }
 
 # Those that are modules; they have short paths, too: ``from libmodbus_py.pdu import ReadCoils``.
 _MODULES = {
-    "device_file": "simulator.device_file", "errors": "protocol.errors",
+    "device_file": "tools.simulator.device_file", "errors": "protocol.errors",
     "framing": "protocol.framing", "low_level": "binding.low_level", "pdu": "protocol.pdu",
     "values": "protocol.values",
 }
 # fmt: on
 
+# Where modules were before, and programs may still look for them.
+_MOVED = {
+    "engine": "services.engine",
+    "fleet": "services.fleet",
+    "gateway": "services.gateway",
+    "integrations": "services.integrations",
+    "listener": "tools.listener",
+    "page": "tools.page",
+    "scan": "tools.scan",
+    "security.making": "tools.certificates",
+    "server.delivery": "server.faults.delivery",
+    "simulator": "tools.simulator",
+    "testing": "tools.testing",
+    "toml": "tools.files",
+    "workers": "services.workers",
+}
+
 if not TYPE_CHECKING:  # checkers would take any name for one of ours
     __getattr__ = late(__name__, _HOMES, _MODULES)
+    moved(__name__, _MOVED)
 
 
 def __dir__() -> list[str]:

@@ -4,7 +4,7 @@ The short path of `simulator.device_file`: whoever imports this has that very mo
 
 import sys
 
-from .simulator import device_file
-from .simulator.device_file import *  # noqa: F403 (for type checkers)
+from .tools.simulator import device_file
+from .tools.simulator.device_file import *  # noqa: F403 (for type checkers)
 
 sys.modules[__name__] = device_file

@@ -115,7 +115,7 @@ def test_it_runs_the_demonstration(home: Path) -> None:
 def test_it_has_the_examples(home: Path) -> None:
     loads = (
         "from libmodbus_py.device_file import load\n"
-        "from libmodbus_py.simulator import example_files as these\n"
+        "from libmodbus_py.tools.simulator import example_files as these\n"
         "for name in these.described(): print(name, load(these.path_of(name)))"
     )
     told = run(home / "bin" / "python", "-c", loads)

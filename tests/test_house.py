@@ -30,7 +30,7 @@ MERELY_RUN = 2
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 
 # Where these come from, seconds are simulated.
-CLOCKS = ("tests.simulation", "tests.workers.memory_engine")
+CLOCKS = ("tests.simulation", "tests.services.workers.memory_engine")
 
 # What fails a test, besides `assert`; `timeout` fails what does not happen.
 FAILING = {"raises", "fail", "warns", "timeout", "fnmatch_lines", "no_fnmatch_line", "wait_for"}

@@ -97,7 +97,9 @@ def test_lines_are_known_although_a_function_moves(tank: Path) -> None:
 
 
 def test_the_same_seed_draws_the_same() -> None:
-    first, again, other = (list(map(str, chosen(["gateway"], 5, seed))) for seed in (1, 1, 2))
+    first, again, other = (
+        list(map(str, chosen(["services/gateway"], 5, seed))) for seed in (1, 1, 2)
+    )
     assert first == again != other
     assert len(first) == 5
 
@@ -109,7 +111,7 @@ from fuzz.covering import Covering
 from fuzz.mutants import Trial
 from fuzz.mutations import mutants
 
-path = Path("libmodbus_py/fleet/schedule.py")
+path = Path("libmodbus_py/services/fleet/schedule.py")
 (mutant,) = [each for each in mutants(path) if str(each).endswith("misses - 1 -> (misses + 1)")]
 for file in sys.argv[1:]:
     trial = Trial(Covering(), Path("."), 1)
@@ -130,7 +132,7 @@ def test_a_mutant_is_killed_by_a_test_that_notices(tmp_path: Path) -> None:
     for folder in ("libmodbus_py", "fuzz"):
         (tmp_path / folder).symlink_to(ROOT / folder)
     for kind, body in BODIES.items():
-        head = "import threading\nfrom libmodbus_py.fleet.schedule import pause_after\n"
+        head = "import threading\nfrom libmodbus_py.services.fleet.schedule import pause_after\n"
         (tmp_path / f"test_{kind}.py").write_text(f"{head}\n\ndef test_it():\n    {body}\n")
     command = [sys.executable, "-c", TRYING, *(f"test_{kind}.py" for kind in BODIES)]
     done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True, cwd=tmp_path)

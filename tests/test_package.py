@@ -44,7 +44,7 @@ MODULES = {
 
 # Older Pythons than 3.13 have no modbus-connection, which one folder is about.
 LACKING = [
-    f"integrations.{name}"
+    f"services.integrations.{name}"
     for name in ("modbus_connection",)
     if importlib.util.find_spec(name) is None
 ]

@@ -10,7 +10,7 @@ import shlex
 from pathlib import Path
 from typing import Any
 
-from ..security.making import Identity, make, write
+from ..tools.certificates import Identity, make, write
 from .help import VerbatimHelp
 
 __all__ = ["add_command"]

@@ -25,7 +25,7 @@ from ..protocol import pdu
 from ..protocol.errors import ExceptionResponse
 from ..protocol.values import parse_reference
 from ..server.server import Server
-from ..testing.wires import SerialWire, TcpWire
+from ..tools.testing.wires import SerialWire, TcpWire
 
 __all__ = ["add_command"]
 

@@ -228,10 +228,10 @@ def map_of(file: str) -> RegisterMap:
     Raises:
         ValueError: it cannot be read, the first mistake in it, or there is no such example.
     """
-    from ..maps.map_file import load_map
+    from ..tools.files.maps.map_file import load_map
 
     if os.path.basename(file) == file and not os.path.splitext(file)[1]:
-        from ..simulator import example_files
+        from ..tools.simulator import example_files
 
         file = example_files.map_of(file)
     return load_map(file)

@@ -18,6 +18,6 @@ In the order in which a request goes through::
     by_chunk     ByChunk: Modbus/TCP by the chunk, in C; requests of many peers together
     framed       what goes frame by frame has in common; ByFrame (by_frame) asks devices
     units        which device answers a frame, on TCP and on serial lines
-    faults       Fault: what goes wrong with an answer, where a simulation wants it; which is due
-                 (faults_due), who gives such answers (faulty), and when they go (delivery)
+    faults       Fault: what goes wrong with an answer, where a simulation wants it;
+                 faulty gives such answers
 """

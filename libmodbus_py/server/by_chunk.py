@@ -13,7 +13,7 @@ from collections.abc import Callable
 from ..protocol.errors import FrameError
 from ..protocol.framing import Frame, TcpFramer
 from ..protocol.pdu import MAX_PDU
-from .delivery import Delivery
+from .faults.delivery import Delivery
 from .faulty import FaultyAnswers
 from .framed import FOUND_AT_ONCE
 from .limits import ServerStatistics

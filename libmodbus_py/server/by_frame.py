@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 from ..protocol.errors import FrameError
 from ..protocol.framing import AsciiFramer, Frame, Framing
-from .delivery import Delivery
+from .faults.delivery import Delivery
 from .faulty import FaultyAnswers
 from .framed import Framed
 from .limits import ServerStatistics

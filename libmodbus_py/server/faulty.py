@@ -5,7 +5,7 @@ What answers the requests of one connection or port while faults happen there.
 from __future__ import annotations
 
 from ..protocol.framing import Frame, Framer, TcpFramer
-from .delivery import Delivery, pieces
+from .faults.delivery import Delivery, pieces
 from .limits import ServerStatistics
 from .units import SerialUnits, TcpUnits
 

@@ -18,8 +18,8 @@ from ..ports.endpoint import Endpoint
 from ..ports.trace import OnTraced
 from ..security.security import Security
 from .devices import Devices
-from .faults import Fault
-from .faults_due import Faults
+from .faults.due import Faults
+from .faults.fault import Fault
 from .limits import Limits
 from .service import Service
 from .serving import Running, Serving

@@ -16,7 +16,7 @@ from ..protocol.checks import integer
 from ..protocol.errors import GatewayTargetFailedToRespond
 from ..protocol.framing import Frame
 from ..protocol.pdu import Diagnostics
-from .faults_due import Faults
+from .faults.due import Faults
 
 __all__ = ["UNKNOWN_UNIT_POLICIES", "SerialUnits", "TcpUnits", "Units", "UnknownUnit"]
 

@@ -9,7 +9,7 @@ from typing import Any, cast
 
 import pytest
 
-from libmodbus_py.cli.announcing import announcing
+from libmodbus_py.cli.serve.announcing import announcing
 
 
 def test_localhost_is_open_to_nobody_else(capsys: pytest.CaptureFixture[str]) -> None:

@@ -124,7 +124,7 @@ def test_a_place_that_cannot_be_says_so(tmp_path: Path) -> None:
 def test_without_cryptography_it_says_what_to_install(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    missing = [name for name in sys.modules if name.startswith("libmodbus_py.security.making")]
+    missing = [name for name in sys.modules if name.startswith("libmodbus_py.tools.certificates")]
     for name in missing:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "cryptography", None)

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 import pytest
 
 from libmodbus_py import Device, Mapping, Server
-from libmodbus_py.testing.wires import SerialWire
+from libmodbus_py.tools.testing.wires import SerialWire
 from tests.support.cases import each_case
 from tests.support.commands import Started, on_terminal, run
 

@@ -29,7 +29,7 @@ from tests.support.commands import Done, Started, on_terminal, run
 from tests.support.golden import Golden
 from tests.support.peers import until
 
-DECODED = Path(__file__).parents[1] / "listener" / "decoded.pcapng"
+DECODED = Path(__file__).parents[1] / "tools" / "listener" / "decoded.pcapng"
 
 
 def listen(*arguments: object) -> Done:
@@ -99,7 +99,7 @@ def test_a_signal_right_behind_the_first_line_ends_it_well(
         if str(text).startswith("listening on "):
             signal.raise_signal(signal.SIGTERM)
 
-    monkeypatch.setattr("libmodbus_py.cli.listen.print", print_and_interrupt, raising=False)
+    monkeypatch.setattr("libmodbus_py.cli.find.listen.print", print_and_interrupt, raising=False)
     done = listen("rtu+tcp://127.0.0.1:0", "--between", target)
     assert done.code == 0
     assert done.out == "0 transactions, 0 runs of damaged bytes\n"

@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from libmodbus_py import Device, Mapping, Server, device_file
-from libmodbus_py.testing.wires import SerialWire
+from libmodbus_py.tools.testing.wires import SerialWire
 from tests.support.cases import each_case
 from tests.support.commands import Started, on_terminal, run
 from tests.support.peers import FakeServer, mbap, refusing, until, url_of

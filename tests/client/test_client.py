@@ -28,7 +28,7 @@ from libmodbus_py import (
 )
 from libmodbus_py.client.asynchronous import AsyncClient
 from libmodbus_py.protocol.pdu import ServerId, SubFunction
-from libmodbus_py.testing.wires import SerialWire
+from libmodbus_py.tools.testing.wires import SerialWire
 from tests.interop.test_interop_pymodbus import (
     FRAMERS,
     SERIAL_SETTINGS,

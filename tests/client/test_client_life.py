@@ -23,7 +23,7 @@ from libmodbus_py import (
     pdu,
 )
 from libmodbus_py.client.asynchronous import AsyncClient
-from libmodbus_py.testing.wires import SerialWire
+from libmodbus_py.tools.testing.wires import SerialWire
 from tests.support.peers import FakeUnit, refusing, url_of
 from tests.support.scripted import run
 

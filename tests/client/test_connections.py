@@ -29,7 +29,7 @@ from libmodbus_py import (
     State,
     pdu,
 )
-from libmodbus_py.testing.wires import SerialWire
+from libmodbus_py.tools.testing.wires import SerialWire
 from tests.simulation.network import Network
 from tests.simulation.scripted import Scripted
 from tests.support.clients import (

@@ -145,7 +145,7 @@ import os, resource, sys
 from libmodbus_py import *
 resource.setrlimit(resource.RLIMIT_NOFILE, (4096, resource.getrlimit(resource.RLIMIT_NOFILE)[1]))
 taken = [os.open("/dev/null", os.O_RDONLY) for _ in range(1100)]
-from libmodbus_py.testing.wires import SerialWire
+from libmodbus_py.tools.testing.wires import SerialWire
 mapping = Mapping(holding_registers=range(5, 10))
 with SerialWire() as wire, Server(Device(mapping)).background(
     "tcp://127.0.0.1:0", f"rtu://{wire.server}"

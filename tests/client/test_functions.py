@@ -35,7 +35,7 @@ from libmodbus_py import (
     pdu,
 )
 from libmodbus_py.protocol.pdu import ServerId, SubFunction
-from libmodbus_py.testing.wires import SerialWire
+from libmodbus_py.tools.testing.wires import SerialWire
 from tests.support.cases import each_case
 from tests.support.certificates import Papers, secured
 from tests.support.peers import UNKNOWN_FUNCTION, FakeServer, mbap

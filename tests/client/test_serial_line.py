@@ -26,7 +26,7 @@ from libmodbus_py import (
     State,
     framing,
 )
-from libmodbus_py.testing.wires import SerialWire
+from libmodbus_py.tools.testing.wires import SerialWire
 from tests.support.c_programs import SOURCES, compile_c
 from tests.support.clients import ALL, Connect, asking, read
 from tests.support.peers import FakeUnit, answer

@@ -30,7 +30,7 @@ from libmodbus_py import (
     Traced,
     pdu,
 )
-from libmodbus_py.security.making import Identity
+from libmodbus_py.tools.certificates import Identity
 from tests.support import certificates
 from tests.support.certificates import (
     Papers,

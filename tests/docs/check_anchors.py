@@ -16,14 +16,14 @@ PUBLIC = [
     "libmodbus_py.device_file",
     "libmodbus_py.errors",
     "libmodbus_py.framing",
-    "libmodbus_py.integrations.prometheus",
+    "libmodbus_py.services.integrations.prometheus",
     "libmodbus_py.low_level",
     "libmodbus_py.protocol.pdu",  # where griffe finds what `libmodbus_py.pdu` stands for
     "libmodbus_py.values",
 ]
 
 if importlib.util.find_spec("modbus_connection"):  # older Pythons than 3.13 have none
-    PUBLIC.append("libmodbus_py.integrations.modbus_connection")
+    PUBLIC.append("libmodbus_py.services.integrations.modbus_connection")
 
 
 def anchors(site: Path) -> set[str]:

@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Self
 
 from libmodbus_py import Device, Mapping, Server
-from libmodbus_py.testing.wires import SerialWire
+from libmodbus_py.tools.testing.wires import SerialWire
 
 __all__ = ["Home"]
 

@@ -11,14 +11,14 @@ from pathlib import Path
 import pytest
 
 from libmodbus_py import Fleet, Point, RegisterMap
-from libmodbus_py.fleet.outputs.json_lines import JsonLines
-from libmodbus_py.fleet.poller import Standing
+from libmodbus_py.services.fleet.outputs.json_lines import JsonLines
+from libmodbus_py.services.fleet.poller import Standing
 from tests.faults.injecting import Scenario, Trial, tried
 from tests.faults.test_clients import each_echoed, on_line
-from tests.fleet.fleets import meter, until
+from tests.services.fleet.fleets import meter, until
 from tests.support.peers import FakeServer, FakeUnit
 
-PART = ("fleet", "client", "ports")
+PART = ("services.fleet", "client", "ports")
 
 ONE = RegisterMap([Point("value", "holding_registers", 5)])
 
@@ -58,7 +58,7 @@ def is_up(fleet: Fleet) -> bool:
 @pytest.fixture(autouse=True)
 def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nobody waits long for the next attempt."""
-    monkeypatch.setattr("libmodbus_py.fleet.outputs.pump.FIRST_PAUSE", 0.001)
+    monkeypatch.setattr("libmodbus_py.services.fleet.outputs.pump.FIRST_PAUSE", 0.001)
 
 
 def test_a_fleet_on_networks_and_lines(tmp_path: Path) -> None:

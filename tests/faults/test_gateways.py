@@ -15,7 +15,7 @@ from tests.faults.test_clients import each_echoed, on_line
 from tests.faults.test_servers import TCP_ANSWER, over
 from tests.support.peers import FakeServer, FakeUnit
 
-PART = ("gateway", "server", "client", "ports", "device")
+PART = ("services.gateway", "server", "client", "ports", "device")
 
 # A line is asked again after so long, and a client waits for it.
 TIMEOUT = 0.02

@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import pytest
 
-from libmodbus_py.listener.listening import listening
+from libmodbus_py.tools.listener.listening import listening
 from tests.faults.injecting import Scenario, Trial, eventually, tried
 from tests.faults.test_clients import on_line
 from tests.faults.test_servers import LINE_ANSWER, LINE_REQUEST, line, port_of
@@ -43,7 +43,7 @@ def hearing(url: str, between: str | None, say: Callable[[str], None]) -> Scenar
 @pytest.fixture(autouse=True)
 def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nobody waits for the next attempt."""
-    monkeypatch.setattr("libmodbus_py.listener.listening.REOPEN_AFTER", 0.001)
+    monkeypatch.setattr("libmodbus_py.tools.listener.listening.REOPEN_AFTER", 0.001)
 
 
 def test_a_listener_on_a_line(line: tuple[int, str]) -> None:
@@ -52,7 +52,7 @@ def test_a_listener_on_a_line(line: tuple[int, str]) -> None:
     def say(url: str) -> None:
         os.write(far, LINE_REQUEST + LINE_ANSWER)
 
-    found = tried(hearing(f"rtu://{path}?baudrate=115200", None, say), "listener", "ports")
+    found = tried(hearing(f"rtu://{path}?baudrate=115200", None, say), "tools.listener", "ports")
     assert not found, "\n".join(found)
 
 
@@ -73,5 +73,5 @@ def test_a_listener_between_clients_and_a_device() -> None:
         between = f"rtu+tcp://127.0.0.1:{device.port}"
         scenario = hearing("rtu+tcp://127.0.0.1:0", between, say)
         # What listens can always be shut down, and that is what ends its thread.
-        found = tried(scenario, "listener", "ports", without="shut down")
+        found = tried(scenario, "tools.listener", "ports", without="shut down")
     assert not found, "\n".join(found)

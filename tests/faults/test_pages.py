@@ -9,7 +9,7 @@ import socket
 
 import pytest
 
-from libmodbus_py.page.page import page_of
+from libmodbus_py.tools.page.page import page_of
 from tests.faults.injecting import Scenario, Trial, eventually, tried
 from tests.faults.test_servers import server
 
@@ -55,6 +55,6 @@ def shown() -> Scenario:
 
 
 def test_a_page_with_its_stream(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("libmodbus_py.page.web.SWEEP", 0.005)
-    monkeypatch.setattr("libmodbus_py.page.streams.PERIOD", 0.005)
-    assert not (found := tried(shown(), "page")), "\n".join(found)
+    monkeypatch.setattr("libmodbus_py.tools.page.web.SWEEP", 0.005)
+    monkeypatch.setattr("libmodbus_py.tools.page.streams.PERIOD", 0.005)
+    assert not (found := tried(shown(), "tools.page")), "\n".join(found)

@@ -31,7 +31,7 @@ from libmodbus_py import (
 )
 from libmodbus_py.binding.low_level import lib, loaded_version
 from libmodbus_py.client import libmodbus as carrier
-from libmodbus_py.testing.wires import SerialWire
+from libmodbus_py.tools.testing.wires import SerialWire
 from tests.support.c_programs import compile_c
 from tests.support.cases import each
 from tests.support.interop import (

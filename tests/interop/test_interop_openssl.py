@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from libmodbus_py.security.making import make
 from libmodbus_py.security.role import ROLE_OID, role_of
+from libmodbus_py.tools.certificates import make
 from tests.support import certificates
 
 

@@ -35,7 +35,7 @@ from libmodbus_py import (
     pdu,
 )
 from libmodbus_py.protocol.pdu import SubFunction
-from libmodbus_py.testing.wires import SerialWire
+from libmodbus_py.tools.testing.wires import SerialWire
 from tests.support.cases import each
 from tests.support.interop import (
     BAUDRATE,

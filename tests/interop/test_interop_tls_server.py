@@ -16,7 +16,7 @@ import pytest
 from pymodbus.client import AsyncModbusTlsClient, ModbusTlsClient
 
 from libmodbus_py import Access, Device, Mapping
-from libmodbus_py.testing.wires import TcpWire
+from libmodbus_py.tools.testing.wires import TcpWire
 from tests.interop.test_interop_pymodbus import COUNTING, Asked, asked, asked_in_vain
 from tests.support import certificates
 from tests.support.attacks import adu

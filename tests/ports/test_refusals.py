@@ -21,7 +21,7 @@ from libmodbus_py.ports import read_only, serial
 from libmodbus_py.ports.read_only import ReadOnlySerialPort
 from libmodbus_py.ports.serial import SerialPort, set_odd_baudrate
 from libmodbus_py.ports.sockets import TcpPort, UdpPort
-from libmodbus_py.testing.wires import SerialWire
+from libmodbus_py.tools.testing.wires import SerialWire
 
 
 @pytest.fixture

@@ -23,7 +23,7 @@ import pytest
 from libmodbus_py import ModbusConnectionError
 from libmodbus_py.ports.port import Silence
 from libmodbus_py.ports.serial import SerialPort
-from libmodbus_py.testing.wires import SerialWire
+from libmodbus_py.tools.testing.wires import SerialWire
 from tests.support.cases import each_case
 from tests.support.peers import FakeUnit, until
 

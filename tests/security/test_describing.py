@@ -17,7 +17,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from libmodbus_py.security.describing import describe
-from libmodbus_py.security.making import make
+from libmodbus_py.tools.certificates import make
 from tests.support import certificates
 from tests.support.cases import each_case
 

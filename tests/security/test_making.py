@@ -14,7 +14,7 @@ import pytest
 from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from libmodbus_py.security.making import Identity, make, write
+from libmodbus_py.tools.certificates import Identity, make, write
 from tests.support import certificates
 
 # Set by default from Python 3.13 on: RFC 5280 to the letter.

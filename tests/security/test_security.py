@@ -21,7 +21,7 @@ from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric import rsa
 
 from libmodbus_py import Device, Mapping, Security, Server
-from libmodbus_py.security.making import make
+from libmodbus_py.tools.certificates import make
 from tests.support import certificates
 from tests.support.cases import each_case
 from tests.support.certificates import Files, Papers

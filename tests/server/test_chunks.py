@@ -18,7 +18,7 @@ from libmodbus_py import Access, Device, Hook, IllegalDataAddress, Mapping, pdu
 from libmodbus_py.protocol.errors import FrameError
 from libmodbus_py.server.by_chunk import ByChunk, Singles
 from libmodbus_py.server.by_frame import ByFrame
-from libmodbus_py.server.faults_due import Faults
+from libmodbus_py.server.faults.due import Faults
 from libmodbus_py.server.limits import ServerStatistics
 from libmodbus_py.server.units import TcpUnits, Units
 from tests.support.cases import each_case

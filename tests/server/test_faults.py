@@ -34,12 +34,12 @@ from libmodbus_py import (
 )
 from libmodbus_py.protocol.framing import AsciiFramer, Frame, Framer, RtuFramer, TcpFramer
 from libmodbus_py.server.by_frame import ByFrame
-from libmodbus_py.server.delivery import MAX_WAITING, Delivery, Piece, pieces
-from libmodbus_py.server.faults import KINDS, Fault
-from libmodbus_py.server.faults_due import Faults
+from libmodbus_py.server.faults.delivery import MAX_WAITING, Delivery, Piece, pieces
+from libmodbus_py.server.faults.due import Faults
+from libmodbus_py.server.faults.fault import KINDS, Fault
 from libmodbus_py.server.limits import ServerStatistics
 from libmodbus_py.server.units import TcpUnits, Units
-from libmodbus_py.testing.wires import SerialWire
+from libmodbus_py.tools.testing.wires import SerialWire
 from tests.simulation.stage import Stage, Talker
 from tests.support.certificates import Papers, secured
 

@@ -15,7 +15,7 @@ HEAD = """
 import os, signal, socket, struct, sys, termios, threading, time
 from libmodbus_py import Device, Mapping, ModbusConnectionError, Server
 from libmodbus_py.ports.serial import SerialPort
-from libmodbus_py.testing.wires import SerialWire
+from libmodbus_py.tools.testing.wires import SerialWire
 
 PATIENCE = 20
 READ = struct.pack(">HHHB", 7, 0, 6, 1) + b"\\3\\0\\0\\0\\1"

@@ -29,7 +29,7 @@ from libmodbus_py import (
     ServerDeviceBusy,
     pdu,
 )
-from libmodbus_py.testing.wires import SerialWire
+from libmodbus_py.tools.testing.wires import SerialWire
 from tests.simulation.stage import Stage
 from tests.support.certificates import Papers, secured
 from tests.support.peers import until

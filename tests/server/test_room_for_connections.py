@@ -12,7 +12,7 @@ import pytest
 
 from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.server.by_frame import ByFrame
-from libmodbus_py.server.faults_due import Faults
+from libmodbus_py.server.faults.due import Faults
 from libmodbus_py.server.limits import Limits, ServerStatistics
 from libmodbus_py.server.peers import Peers
 from libmodbus_py.server.units import TcpUnits, Units

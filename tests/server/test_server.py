@@ -37,12 +37,12 @@ from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.server import serial as serial_server
 from libmodbus_py.server.by_chunk import ByChunk, Singles
 from libmodbus_py.server.devices import Devices
-from libmodbus_py.server.faults_due import Faults
+from libmodbus_py.server.faults.due import Faults
 from libmodbus_py.server.limits import Limits, ServerStatistics
 from libmodbus_py.server.peers import Peers
 from libmodbus_py.server.serial import SerialServer
 from libmodbus_py.server.units import TcpUnits, Units
-from libmodbus_py.testing.wires import SerialWire
+from libmodbus_py.tools.testing.wires import SerialWire
 from tests.simulation.stage import Stage
 from tests.support.peers import until
 

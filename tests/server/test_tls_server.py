@@ -24,8 +24,8 @@ from typing import Any
 import pytest
 
 from libmodbus_py import Access, Context, Device, Fault, Limits, Mapping, Server
-from libmodbus_py.security.making import Identity, make
 from libmodbus_py.security.role import encode_role
+from libmodbus_py.tools.certificates import Identity, make
 from tests.simulation.stage import Stage
 from tests.support import certificates
 from tests.support.attacks import ANSWER_ONE, PATIENCE, READ_MOST, READ_ONE, adu

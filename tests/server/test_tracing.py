@@ -31,7 +31,7 @@ from libmodbus_py import (
     Server,
     Traced,
 )
-from libmodbus_py.testing.wires import SerialWire
+from libmodbus_py.tools.testing.wires import SerialWire
 from tests.support.attacks import connect
 from tests.support.certificates import Papers, secured
 from tests.support.talk import ascii_frame, rtu

@@ -25,7 +25,7 @@ from libmodbus_py import (
     Server,
     pdu,
 )
-from libmodbus_py.testing.wires import SerialWire
+from libmodbus_py.tools.testing.wires import SerialWire
 
 
 def guarded(authorize: Any) -> Device:

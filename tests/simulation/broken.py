@@ -14,10 +14,10 @@ from unittest.mock import patch
 from libmodbus_py.client.asyncio_driver import AsyncioDriver
 from libmodbus_py.client.in_flight import InFlight
 from libmodbus_py.client.in_turn import InTurn
-from libmodbus_py.gateway.silent_units import SilentUnits, Standing
-from libmodbus_py.gateway.turns import Turns
 from libmodbus_py.protocol.framing import Frame
-from libmodbus_py.workers.worker import Worker
+from libmodbus_py.services.gateway.silent_units import SilentUnits, Standing
+from libmodbus_py.services.gateway.turns import Turns
+from libmodbus_py.services.workers.worker import Worker
 
 from .world import Options
 

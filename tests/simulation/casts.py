@@ -14,7 +14,7 @@ from functools import partial
 from typing import Any
 
 from libmodbus_py import AsyncClient, Context, Gateway, Route
-from tests.workers import simulated as workers_simulated
+from tests.services.workers import simulated as workers_simulated
 
 from .fleets import fleet, plant
 from .processes import HOST

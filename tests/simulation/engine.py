@@ -22,10 +22,10 @@ import nats.errors
 import nats.js.errors as js_errors
 from nats.js import api
 
-from libmodbus_py.engine.buckets import Bucket
-from libmodbus_py.engine.connection import PATIENCE, PAUSE
-from libmodbus_py.workers.polling import BUCKET
-from libmodbus_py.workers.view import Entry
+from libmodbus_py.services.engine.buckets import Bucket
+from libmodbus_py.services.engine.connection import PATIENCE, PAUSE
+from libmodbus_py.services.workers.polling import BUCKET
+from libmodbus_py.services.workers.view import Entry
 
 from .network import Network
 

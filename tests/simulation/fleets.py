@@ -10,8 +10,8 @@ from contextlib import asynccontextmanager
 from functools import partial
 
 from libmodbus_py import AsyncClient, Device, DeviceConfig, Gateway, Mapping, Route, Server
-from libmodbus_py.workers.records import Settings
-from tests.workers.trial import MAP, Asked
+from libmodbus_py.services.workers.records import Settings
+from tests.services.workers.trial import MAP, Asked
 
 from .engine import Engine
 from .workers import SimulatedWorker, push_fleet

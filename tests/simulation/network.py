@@ -18,14 +18,14 @@ from unittest.mock import patch
 
 from libmodbus_py.client import options as client_options
 from libmodbus_py.client.shortcut import Shortcut
-from libmodbus_py.fleet import fleet
-from libmodbus_py.gateway import gateway
 from libmodbus_py.ports.endpoint import Endpoint, parse
 from libmodbus_py.ports.port import Port
 from libmodbus_py.protocol.errors import ModbusConnectionError
 from libmodbus_py.server import serial as serial_server
 from libmodbus_py.server import serving, tcp, udp
 from libmodbus_py.server.peers import Peers
+from libmodbus_py.services.fleet import fleet
+from libmodbus_py.services.gateway import gateway
 
 from .events import Events
 from .lines import MemorySerialPort, SerialLine

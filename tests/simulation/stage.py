@@ -17,10 +17,10 @@ from types import SimpleNamespace
 from typing import Any, Self, TypeVar
 from unittest.mock import patch
 
-from libmodbus_py.gateway import circles, gateway
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.ports.waiting import Woken
 from libmodbus_py.server.serving import Serving
+from libmodbus_py.services.gateway import circles, gateway
 
 from .lines import Party, SerialLine
 from .loop import complaints_of

@@ -10,10 +10,10 @@ from typing import Any
 import pytest
 
 from libmodbus_py import Device, DeviceConfig, Mapping, Point, RegisterMap, Server
-from libmodbus_py.engine.buckets import Change
-from libmodbus_py.engine.troubles import EngineError
 from libmodbus_py.ports.trace import Traced
-from libmodbus_py.workers.records import Settings
+from libmodbus_py.services.engine.buckets import Change
+from libmodbus_py.services.engine.troubles import EngineError
+from libmodbus_py.services.workers.records import Settings
 
 from .engine import Engine
 from .network import Network

@@ -9,12 +9,12 @@ import asyncio
 from collections.abc import Collection, Iterable, Sequence
 from typing import Any, cast
 
-from libmodbus_py.engine.buckets import open_bucket
-from libmodbus_py.fleet.config import DeviceConfig
-from libmodbus_py.fleet.outputs.output import Output
-from libmodbus_py.workers.polling import Polling
-from libmodbus_py.workers.pushing import Pushed, connections_of, push, seen_now
-from libmodbus_py.workers.records import Settings
+from libmodbus_py.services.engine.buckets import open_bucket
+from libmodbus_py.services.fleet.config import DeviceConfig
+from libmodbus_py.services.fleet.outputs.output import Output
+from libmodbus_py.services.workers.polling import Polling
+from libmodbus_py.services.workers.pushing import Pushed, connections_of, push, seen_now
+from libmodbus_py.services.workers.records import Settings
 
 from .engine import Engine
 from .network import Network

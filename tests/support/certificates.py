@@ -21,8 +21,8 @@ from cryptography.hazmat.primitives.asymmetric import rsa
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from libmodbus_py import Security, Server
-from libmodbus_py.security.making import Identity, make
 from libmodbus_py.security.role import ROLE_OID, encode_role
+from libmodbus_py.tools.certificates import Identity, make
 
 __all__ = [
     "HOSTS",

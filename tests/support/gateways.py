@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 from libmodbus_py import Context, Device, Fault, Gateway, Route, Server
-from libmodbus_py.testing.wires import SerialWire
+from libmodbus_py.tools.testing.wires import SerialWire
 from tests.simulation.stage import Stage
 from tests.support.interop import BAUDRATE, UNIT, make_device
 

@@ -15,7 +15,7 @@ from typing import NamedTuple, TypeVar
 from libmodbus_py import Context, Device, Mapping, Server
 from libmodbus_py.ports.endpoint import Endpoint, parse
 from libmodbus_py.protocol.pdu import ServerId
-from libmodbus_py.testing.wires import SerialWire, TcpWire
+from libmodbus_py.tools.testing.wires import SerialWire, TcpWire
 from tests.support.cases import Check, each
 from tests.support.certificates import Papers
 

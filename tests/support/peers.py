@@ -22,7 +22,7 @@ from functools import partial
 from typing import Any, Self
 
 from libmodbus_py import framing
-from libmodbus_py.testing.line_ends import open_line, read_what_is_there, write_all
+from libmodbus_py.tools.testing.line_ends import open_line, read_what_is_there, write_all
 
 # fmt: off
 __all__ = [

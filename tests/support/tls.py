@@ -14,7 +14,7 @@ from typing import Any, Self
 
 from libmodbus_py import Device, Server
 from libmodbus_py.ports.endpoint import parse
-from libmodbus_py.security.making import Identity
+from libmodbus_py.tools.certificates import Identity
 from tests.simulation.stage import Stage, Talker
 from tests.support.attacks import PATIENCE, connect
 from tests.support.certificates import Files, Papers

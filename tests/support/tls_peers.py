@@ -20,7 +20,7 @@ from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.ciphers.aead import AESGCM
 from cryptography.hazmat.primitives.kdf.hkdf import HKDFExpand
 
-from libmodbus_py.security.making import Identity
+from libmodbus_py.tools.certificates import Identity
 from tests.support.certificates import Papers
 from tests.support.peers import Answer, echo
 

@@ -1,0 +1,269 @@
+"""
+What was read, as people and programs want it: rows, and the fields of JSON.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple
+
+from ...protocol.spelling import shown
+from ...protocol.values import Reading, ValueType, readings, value_type
+from ..failing import CommandError
+from ..items import REGISTERS, Item
+
+__all__ = ["Outcome", "Row", "View", "aligned", "view_of"]
+
+
+class Row(NamedTuple):
+    """
+    One value.
+
+    Attributes:
+        where: its number or name.
+        text: as people read it.
+        plain: as a cell of CSV.
+        unit: of the value, such as "V".
+    """
+
+    where: str
+    text: str
+    plain: str
+    unit: str = ""
+
+
+class View:
+    """
+    Cells as they are: registers as numbers, bits as 0 and 1.
+
+    The base of all.
+
+    Args:
+        item: what was read.
+        in_hex: whether registers are in hex.
+    """
+
+    def __init__(self, item: Item, *, in_hex: bool = False) -> None:
+        self.item = item
+        self._in_hex = in_hex and item.table in (*REGISTERS, "fifo_queue")
+
+    @property
+    def is_text(self) -> bool:
+        """Whether it begins at the left, as text does."""
+        return False
+
+    def titles(self) -> list[str]:
+        """What its columns are called; as many as it has rows, if that is known before."""
+        if self.item.table == "fifo_queue":
+            raise ValueError("fifo has no --csv: nobody knows how many columns there will be")
+        return [f"{self.item.word} {number}" for number in self._numbers(self.item.count)]
+
+    def rows(self, cells: list[int]) -> list[Row]:
+        form = "0x{:04X}" if self._in_hex else "{}"
+        texts = [form.format(cell) for cell in cells]
+        numbers = self._numbers(len(texts))
+        return [Row(f"{at:>5}", text, text) for at, text in zip(numbers, texts, strict=True)]
+
+    def fields(self, cells: list[int]) -> dict[str, Any]:
+        return {**self.whence, "values": cells}
+
+    @property
+    def whence(self) -> dict[str, Any]:
+        found: dict[str, Any] = {"table": self.item.table, "address": self.item.first}
+        return {**found, "file": self.item.file} if self.item.table == "file" else found
+
+    def _numbers(self, count: int) -> Iterable[int]:
+        first, step = self.item.first, self.item.size
+        return range(first, first + count * step, step)
+
+
+class _Typed(View):
+    """Values of a type; each row has the number of the first register."""
+
+    def __init__(self, item: Item, kind: ValueType) -> None:
+        super().__init__(item)
+        self._kind = kind
+
+    @property
+    def is_text(self) -> bool:
+        return self._kind.is_text
+
+    def rows(self, cells: list[int]) -> list[Row]:
+        values = self._values(cells)
+        numbers = self._numbers(len(values))
+        return [
+            Row(f"{at:>5}", *_texts(value, self._kind))
+            for at, value in zip(numbers, values, strict=True)
+        ]
+
+    def fields(self, cells: list[int]) -> dict[str, Any]:
+        values = [_as_json(value) for value in self._values(cells)]
+        kind = {"type": self._kind.name, "order": self._kind.order}
+        return {**self.whence, **kind, "values": values}
+
+    def _values(self, cells: list[int]) -> list[Any]:
+        try:
+            return self._kind.decode_many(cells)
+        except ValueError as error:
+            place = f"{self.item.table.replace('_', ' ')} from {self.item.first}"
+            raise CommandError(f"{place}: {error}") from None
+
+
+class _Readings(View):
+    """Every reading of the registers as one value."""
+
+    def __init__(self, item: Item) -> None:
+        super().__init__(item)
+        if item.table not in REGISTERS:
+            raise ValueError(f"{item.word} has no --type")
+        limit = REGISTERS[item.table][0]
+        if not 1 <= item.count <= limit:
+            raise ValueError(f"count must be in 1..{limit}, not {item.count}")
+
+    @property
+    def is_text(self) -> bool:
+        return True
+
+    def titles(self) -> list[str]:
+        raise ValueError("--type all has no --csv")
+
+    def rows(self, cells: list[int]) -> list[Row]:
+        found = self._readings(cells)
+        width = max(len(reading.type) for reading in found)
+        return [
+            Row(f"{name:<{width}}  {order}", *_texts(value, value_type(name)))
+            for name, order, value in found
+        ]
+
+    def fields(self, cells: list[int]) -> dict[str, Any]:
+        found = self._readings(cells)
+        rows = [{**reading._asdict(), "value": _as_json(reading.value)} for reading in found]
+        return {**self.whence, "registers": cells, "readings": rows}
+
+    def _readings(self, cells: list[int]) -> list[Reading]:
+        found = readings(cells)
+        if not found:
+            raise CommandError(f"{len(cells)} registers can only be text, and these are not")
+        return found
+
+
+class _Named(View):
+    """A point of a map."""
+
+    def __init__(self, item: Item, point: Any) -> None:
+        super().__init__(item)
+        self._point = point
+
+    @property
+    def is_text(self) -> bool:
+        return self.item.kind is not None and self.item.kind.is_text
+
+    def titles(self) -> list[str]:
+        point = self._point
+        return [point.name] if point.count == 1 else [f"{point.name}[{at}]" for at in self._range]
+
+    def rows(self, cells: list[int]) -> list[Row]:
+        value, point = self._value(cells), self._point
+        values = [value] if point.count == 1 else value
+        return [
+            Row(title, *self._texts(each), point.unit)
+            for title, each in zip(self.titles(), values, strict=True)
+        ]
+
+    def fields(self, cells: list[int]) -> dict[str, Any]:
+        value = self._value(cells)
+        shown_value = [_as_json(each) for each in value] if self._point.count > 1 else value
+        return {"name": self._point.name, "value": _as_json(shown_value)}
+
+    @property
+    def _range(self) -> range:
+        return range(self._point.count)
+
+    def _value(self, cells: list[int]) -> Any:
+        bits = [bool(cell) for cell in cells] if self.item.kind is None else cells
+        try:
+            return self._point.decode(bits)
+        except ValueError as error:
+            raise CommandError(str(error)) from None
+
+    def _texts(self, value: Any) -> tuple[str, str]:
+        kind = self.item.kind
+        is_as_read = self._point.scale == 1 and self._point.offset == 0
+        if kind is not None and is_as_read:
+            return _texts(value, kind)
+        text = str(int(value) if isinstance(value, bool) else value)
+        return text, text
+
+
+class Outcome(NamedTuple):
+    """
+    What was read of one item.
+
+    Attributes:
+        view: how it is shown.
+        rows: its values; none if it failed.
+        fields: of JSON.
+        failure: why there are none.
+    """
+
+    view: View
+    rows: list[Row]
+    fields: dict[str, Any]
+    failure: str = ""
+
+
+def view_of(item: Item, *, as_all: bool, in_hex: bool) -> View:
+    """
+    Give how an item is shown.
+
+    Args:
+        as_all: with every reading of its registers.
+        in_hex: registers that are no values.
+
+    Raises:
+        ValueError: an item that cannot be shown so.
+    """
+    if item.point is not None:
+        return _Named(item, item.point)
+    if as_all:
+        return _Readings(item)
+    return View(item, in_hex=in_hex) if item.kind is None else _Typed(item, item.kind)
+
+
+def aligned(groups: Sequence[tuple[View, list[Row]]]) -> list[str]:
+    """Give a line for each row; with the table in front where there are several items."""
+    several = len(groups) > 1
+    wheres = [
+        [_where(view, row) if several else row.where for row in rows] for view, rows in groups
+    ]
+    label = max((len(where) for group in wheres for where in group), default=0)
+    numbers = max(
+        (len(row.text) for view, rows in groups if not view.is_text for row in rows), default=0
+    )
+    lines = []
+    for (view, rows), group in zip(groups, wheres, strict=True):
+        width = 0 if view.is_text else numbers
+        lines += [
+            f"{where:<{label}}  {row.text:>{width}}{' ' if row.unit else ''}{row.unit}"
+            for where, row in zip(group, rows, strict=True)
+        ]
+    return lines
+
+
+def _where(view: View, row: Row) -> str:
+    return row.where if view.item.point is not None else f"{view.item.word:<8} {row.where}"
+
+
+def _texts(value: Any, kind: ValueType) -> tuple[str, str]:
+    text = shown(value, kind)
+    return text, value if isinstance(value, str) else text
+
+
+def _as_json(value: Any) -> Any:
+    """As JSON has it: bits as 0 and 1; nan and inf, which JSON lacks, as text."""
+    if isinstance(value, list):
+        return [int(each) if isinstance(each, bool) else each for each in value]
+    if isinstance(value, bool):
+        return int(value)
+    return str(value) if isinstance(value, float) and not math.isfinite(value) else value

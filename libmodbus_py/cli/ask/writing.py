@@ -1,0 +1,179 @@
+"""
+Writing: a request for each item, all of which are checked before the first is sent.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+from contextlib import closing
+from typing import TYPE_CHECKING, Any
+
+from ...protocol import pdu
+from ...protocol.errors import IllegalDataAddress
+from ...protocol.framing import Frame, make_framer
+from ...protocol.spelling import bit_of, decimal_of, number_of, value_of
+from ..connecting import connected, endpoint_of
+from ..failing import CommandError
+from ..items import REGISTERS, Item, Words
+from .views import View, aligned
+
+if TYPE_CHECKING:
+    from ...maps.register_map import RegisterMap
+
+__all__ = ["write"]
+
+Request = pdu.Request[Any]
+
+
+def write(options: argparse.Namespace) -> int:
+    """Send, or show what would be sent."""
+    requests = _requests(options)
+    if options.dry_run:
+        _show(options, [request for request, _ in requests])
+        return 0
+    with closing(connected(options)) as context:
+        for request, item in requests:
+            try:
+                result = context.execute(request)
+            except IllegalDataAddress as error:
+                raise CommandError(f"{error}{item.hint}") from None
+            if options.and_read:
+                _print_registers(options, request, result)
+    return 0
+
+
+def _show(options: argparse.Namespace, requests: list[Request]) -> None:
+    """As frames of the endpoint, in the order of sending."""
+    endpoint = endpoint_of(options)
+    connected(options).close()  # which checks the options
+    framer = make_framer(endpoint.framing, "client")
+    unit = endpoint.client_options.get("unit", 1)
+    for number, request in enumerate(requests, 1):
+        adu = framer.encode(Frame(unit, request.encode(), number))
+        text = repr(adu.decode())[1:-1] if endpoint.framing == "ascii" else adu.hex(" ")
+        print(f"> {text}  unit {unit}, {request}")
+
+
+def _print_registers(options: argparse.Namespace, request: Request, values: list[int]) -> None:
+    address: int = request.read_address  # type: ignore[attr-defined]
+    first = address + (1 if options.count_from_1 else 0)
+    view = View(Item("holding_registers", address, len(values), first=first))
+    print("\n".join(aligned([(view, view.rows(values))])))
+
+
+# --- requests ------------------------------------------------------------------------
+
+
+def _requests(options: argparse.Namespace) -> list[tuple[Request, Item]]:
+    """In the order in which they were typed, for devices may want one written before another."""
+    words = Words(options, options.what)
+    found: list[tuple[Request, Item]] = []
+    while words:
+        item = words.take_item()
+        values = words.take_values()
+        if words.map is not None and item.point is not None:
+            requests = _point_requests(options, words.map, item, values)
+        else:
+            requests = [_request(options, item, values)]
+        found += [(request, item) for request in requests]
+    if len(found) > 1 and (options.mask or options.and_read):
+        raise ValueError("--mask and --and-read are for one item")
+    return found
+
+
+def _point_requests(
+    options: argparse.Namespace, points: RegisterMap, item: Item, texts: list[str]
+) -> list[pdu.Request[None]]:
+    assert item.point is not None
+    if options.mask or options.and_read:
+        raise ValueError("--mask and --and-read take a register, and no name")
+    values = {item.point.name: _point_value(item, texts)}
+    return points.writes(values, multiple=options.multiple)
+
+
+def _point_value(item: Item, texts: list[str]) -> Any:
+    """As the point takes it: scaled numbers are typed as people write them."""
+    point = item.point
+    assert point is not None
+    if len(texts) != item.count:
+        many = "a value" if item.count == 1 else f"{item.count} values"
+        raise ValueError(f"{point.name} takes {many} behind its name, and {len(texts)} are there")
+    values = [
+        _parsed(item, text, is_scaled=point.scale != 1 or point.offset != 0) for text in texts
+    ]
+    return values[0] if item.count == 1 else values
+
+
+def _parsed(item: Item, text: str, *, is_scaled: bool) -> Any:
+    try:
+        if item.kind is None:
+            return bit_of(text)
+        if not is_scaled:
+            return value_of(text, item.kind)
+        return int(text) if re.fullmatch("[+-]?[0-9]+", text) else decimal_of(text)
+    except ValueError as error:
+        name = item.point.name if item.point else item.word
+        raise ValueError(f"{name}: {error}") from None
+
+
+def _request(options: argparse.Namespace, item: Item, texts: list[str]) -> Request:
+    if item.table in ("discrete_inputs", "input_registers", "fifo_queue"):
+        raise ValueError(f"{item.table.replace('_', ' ')} can only be read")
+    if options.mask:
+        return _mask(options, item, texts)
+    if not texts:
+        raise ValueError(f"there is no value to write to {item.word} {item.first}")
+    if item.table == "coils":
+        bits = tuple(bit_of(text) for text in texts)
+        if len(bits) == 1 and not options.multiple:
+            return pdu.WriteCoil(item.address, bits[0])
+        return pdu.WriteCoils(item.address, bits)
+    values = _registers(item, texts)
+    if options.and_read:
+        return _and_read(options, item, values)
+    if item.table == "file":
+        return pdu.WriteFileRecords(((item.file, item.address, values),))
+    if len(values) == 1 and not options.multiple:
+        return pdu.WriteRegister(item.address, values[0])
+    return pdu.WriteRegisters(item.address, values)
+
+
+def _mask(options: argparse.Namespace, item: Item, texts: list[str]) -> Request:
+    if item.table != "holding_registers":
+        raise ValueError(f"--mask is for holding registers, not {item.word}")
+    if texts:
+        raise ValueError("--mask is in place of values")
+    return pdu.MaskWriteRegister(item.address, *(number_of("mask", text) for text in options.mask))
+
+
+def _and_read(options: argparse.Namespace, item: Item, values: tuple[int, ...]) -> Request:
+    if item.table != "holding_registers":
+        raise ValueError(f"--and-read is for holding registers, not {item.word}")
+    names = ("address", "count")
+    address, count = (number_of(*pair) for pair in zip(names, options.and_read, strict=True))
+    base = 1 if options.count_from_1 else 0
+    return pdu.ReadWriteRegisters(address - base, count, item.address, values)
+
+
+def _registers(item: Item, texts: list[str]) -> tuple[int, ...]:
+    if item.kind is None:
+        return tuple(_register(text) for text in texts)
+    kind, limit = item.kind, REGISTERS[item.table][1]
+    most = limit // kind.registers
+    if not most:
+        raise ValueError(f"{kind.name} takes {kind.registers} registers, and a request {limit}")
+    if len(texts) > most:
+        # In values, for a request's own error would say it in registers.
+        raise ValueError(
+            f"the number of values of {kind.name} must be in 1..{most}, not {len(texts)}"
+        )
+    return tuple(kind.encode_many([value_of(text, kind) for text in texts]))
+
+
+def _register(text: str) -> int:
+    """Signed and unsigned are the same 16 bits."""
+    value = number_of("value", text)
+    if not -0x8000 <= value <= 0xFFFF:
+        raise ValueError(f"value must be in -32768..65535, not {value}")
+    return value & 0xFFFF

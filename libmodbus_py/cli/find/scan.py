@@ -1,0 +1,324 @@
+"""
+The command scan: who answers at which settings, and what they have.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+import sys
+from typing import Any
+
+from ...protocol.pdu import DeviceIdentification, ServerId
+from ...protocol.pdu.interface import OBJECT_NAMES
+from ...tools.scan.places import BAUDRATES, PARITIES
+from ...tools.scan.scanning import Found, Progress, Scan, scanning
+from ...tools.scan.searching import MOST_REQUESTS, Extent, Search, Searching, searching
+from .. import connecting, security
+from ..help import VerbatimHelp
+from ..main import INTERRUPTED
+from ..status import Status
+
+__all__ = ["add_command", "missing", "progress"]
+
+MOST_IN_ALL = 10 * MOST_REQUESTS
+"""Requests of all searches together."""
+
+MOST_SHOWN = 60
+"""Characters of what a device says about itself."""
+
+
+EXAMPLES = """\
+examples:
+  libmodbus-py scan /dev/ttyUSB0
+  libmodbus-py scan /dev/ttyUSB0 --baudrates 9600,19200 --parities E --units 1-20,42
+  libmodbus-py scan 192.0.2.10 --units 1,17,255 --json
+  libmodbus-py scan "rtu:///dev/ttyUSB0?baudrate=9600&parity=N" --deep"""
+
+
+def add_command(commands: Any) -> None:
+    """Tell argparse of it."""
+    command = commands.add_parser(
+        "scan",
+        description="Asks each unit for one register at each setting, and writes nothing. "
+        "What\nthe URL says of baud rate, parity, unit and timeout holds unless told otherwise.",
+        epilog="exit code 0 if a unit was found, 1 if none was or the line failed, 130 on Ctrl-C"
+        f"\n\n{EXAMPLES}\n\n{connecting.URLS}",
+        formatter_class=VerbatimHelp,
+    )
+    command.add_argument("url", metavar="URL", help="such as rtu:///dev/ttyUSB0 or tcp://192.0.2.1")
+    command.add_argument(
+        "--baudrates",
+        type=_baudrates,
+        metavar="LIST",
+        help=f"of a serial port ({','.join(map(str, BAUDRATES))})",
+    )
+    command.add_argument(
+        "--parities",
+        type=_parities,
+        metavar="LIST",
+        help=f"of a serial port ({','.join(PARITIES)}); N goes with 2 stop bits, unless the URL "
+        "says otherwise, and finds devices with 1 as well",
+    )
+    command.add_argument(
+        "--units",
+        type=_units,
+        metavar="LIST",
+        help="such as 1,5,9-12 (1-247; on networks 255, too)",
+    )
+    command.add_argument(
+        "--timeout", type=float, metavar="S", help="seconds for an answer (0.6; on networks 1)"
+    )
+    command.add_argument(
+        "--deep",
+        action="store_true",
+        help="find which tables and ranges exist, in at most "
+        f"{MOST_REQUESTS} requests to each unit",
+    )
+    command.add_argument("--json", action="store_true", help="print one line of JSON")
+    security.add_arguments(command)
+    command.set_defaults(run=_scan)
+
+
+# --- what is typed ---------------------------------------------------------------------
+
+
+def _units(text: str) -> list[int]:
+    units: list[int] = []
+    for part in text.split(","):
+        match = re.fullmatch(r"\s*([0-9]{1,3})\s*(?:-\s*([0-9]{1,3})\s*)?", part, re.ASCII)
+        if match is None:
+            raise argparse.ArgumentTypeError(f"{part!r} must be a unit, or two such as 1-247")
+        first, last = int(match[1]), int(match[2] or match[1])
+        if not first <= last <= 255:
+            raise argparse.ArgumentTypeError(f"{part!r} must go up, within 0..255")
+        units += range(first, last + 1)
+    return units
+
+
+def _baudrates(text: str) -> list[int]:
+    parts = text.split(",")
+    for part in parts:
+        if not re.fullmatch(r"\s*[0-9]{1,7}\s*", part, re.ASCII):
+            raise argparse.ArgumentTypeError(f"{part!r} must be bits per second, such as 9600")
+    return [int(part) for part in parts]
+
+
+def _parities(text: str) -> list[str]:
+    parts = [part.strip().upper() for part in text.split(",")]
+    for part in parts:
+        if part not in PARITIES:
+            raise argparse.ArgumentTypeError(f"{part!r} must be one of {', '.join(PARITIES)}")
+    return parts
+
+
+# --- the scan --------------------------------------------------------------------------
+
+
+class _Report:
+    """What was found so far: printed as it comes, or in the end as JSON."""
+
+    def __init__(self, as_json: bool) -> None:
+        self.found: list[Found] = []
+        self.extents: dict[str, list[Extent]] = {}
+        self.notes: list[str] = []
+        self._as_json = as_json
+        self._status = Status()
+
+    def progress(self, told: Progress | Searching) -> None:
+        self._status.show(progress(told, len(self.found)))
+
+    def say(self, text: str) -> None:
+        """To whoever started it."""
+        self._status.clear()
+        print(text, file=sys.stderr, flush=True)
+
+    def add(self, found: Found) -> None:
+        self.found.append(found)
+        self._print(_line(found))
+
+    def deepen(self, found: Found, extents: list[Extent], requests: int) -> None:
+        self.extents[found.url] = extents
+        self._print(_toml(found, extents, requests))
+
+    def end(self, *, stopped: bool) -> None:
+        self._status.clear()
+        for note in self.notes:
+            self.say(note)
+        if self._as_json:
+            told = [_told(each, self.extents.get(each.url)) for each in self.found]
+            print(json.dumps({"found": told, "notes": self.notes, "stopped": stopped}), flush=True)
+        elif not self.found:
+            self.say("nobody was found" + " so far" * stopped)
+
+    def _print(self, text: str) -> None:
+        if not self._as_json:
+            self._status.clear()
+            print(text, flush=True)
+
+
+def progress(told: Progress | Searching, found: int = 0) -> str:
+    """How far it is."""
+    if isinstance(told, Searching):
+        table = told.table.replace("_", " ")
+        return f"unit {told.unit}, {table}: request {told.requests} of {told.most_requests}"
+    return (
+        f"{told.setting}: unit {told.unit}; {told.done} of {told.total} asked, {found} found, "
+        f"{_duration(told.left)} left at most"
+    )
+
+
+def _scan(options: argparse.Namespace) -> int:
+    report = _Report(options.json)
+    secured = security.told(options)
+    scan = scanning(
+        connecting.url_of(options.url),
+        baudrates=options.baudrates,
+        parities=options.parities,
+        units=options.units,
+        timeout=options.timeout,
+        security=secured,
+        on_progress=report.progress,
+    )
+    report.say(_estimate(scan, options.deep))
+    stopped = True
+    try:
+        with scan:
+            try:
+                for found in scan:
+                    report.add(found)
+            finally:
+                report.notes += scan.notes
+        if options.deep:
+            _search(report, options.timeout, secured)
+        stopped = False
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    finally:
+        report.end(stopped=stopped)
+    return 0 if report.found else 1
+
+
+def _search(report: _Report, timeout: float | None, secured: Any) -> None:
+    left = MOST_IN_ALL
+    for found in report.found:
+        if left < MOST_REQUESTS:
+            report.notes.append(
+                f"the bound of {MOST_IN_ALL} requests in all left unit {found.unit} and those "
+                "behind it without a search"
+            )
+            return
+        search: Search = searching(
+            found.url, timeout=timeout, security=secured, on_progress=report.progress
+        )
+        try:
+            with search:
+                for _ in search:
+                    pass
+        finally:
+            left -= search.requests
+            report.deepen(found, search.extents, search.requests)
+
+
+def _estimate(scan: Scan, deep: bool) -> str:
+    more = f"; then up to {MOST_REQUESTS} requests to each unit found" if deep else ""
+    return (
+        f"{scan.total} probes, {_duration(scan.longest)} at most, and "
+        f"{_duration(scan.longest_found)} more for each unit found{more}; Ctrl-C ends it"
+    )
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 10:
+        return f"{seconds:.1f} s"
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes} min {rest} s" if minutes else f"{rest} s"
+
+
+# --- what was found --------------------------------------------------------------------
+
+
+def _line(found: Found) -> str:
+    where = "" if found.baudrate is None else f" at {_setting(found)}"
+    what = "" if found.exception is None else f", exception {found.exception}"
+    late = ", late" * found.is_late
+    who = "any unit" if found.is_any else f"unit {found.unit}"
+    parts = [f"{who}{where}: {found.took * 1000:.0f} ms{what}{late}"]
+    if found.identification is not None:
+        parts.append(_identification(found.identification))
+    if found.server_id is not None:
+        parts.append(f"server id {_safe(found.server_id.data)}")
+    return "; ".join(part for part in parts if part)
+
+
+def _setting(found: Found) -> str:
+    return f"{found.baudrate} {found.data_bits}{found.parity}{found.stop_bits}"
+
+
+def _identification(told: DeviceIdentification) -> str:
+    return ", ".join(_safe(value) for _, value in sorted(told.objects.items()) if value)
+
+
+def _safe(data: bytes) -> str:
+    """Nothing that a terminal would obey, in no more than a line has."""
+    shown = "".join(chr(byte) if 0x20 <= byte < 0x7F else f"\\x{byte:02x}" for byte in data)
+    return shown if len(shown) <= MOST_SHOWN else f"{shown[:MOST_SHOWN]}..."
+
+
+def _toml(found: Found, extents: list[Extent], requests: int) -> str:
+    """As a device file has it."""
+    where = "" if found.baudrate is None else f" at {_setting(found)}"
+    lines = [f"\n# unit {found.unit}{where}: {requests} requests"]
+    lines += [f"# {extent.table}: {text}" for extent in extents if (text := missing(extent))]
+    lines += ["[[unit]]"] + [f"id = {found.unit}"] * (not found.is_any)
+    for extent in extents:
+        for each in extent.ranges:
+            lines += [f"\n[[unit.{extent.table}]]", f"address = {each.start}"]
+            lines += [f"count = {len(each)}"] * (len(each) > 1)
+    return "\n".join(lines)
+
+
+def missing(extent: Extent) -> str:
+    """What a reader must know of what is not there."""
+    told = [f"ended by {extent.ended}"] * bool(extent.ended)
+    if extent.unseen:
+        told.append(f"ranges of up to {extent.unseen} may have been missed")
+    return ", ".join(told)
+
+
+def _told(found: Found, extents: list[Extent] | None) -> dict[str, Any]:
+    settings = {name: getattr(found, name) for name in ("baudrate", "parity", "data_bits")}
+    told: dict[str, Any] = {"unit": found.unit, "url": found.url, **settings}
+    told |= {"stop_bits": found.stop_bits, "took": round(found.took, 4)}
+    told |= {"exception": found.exception, "is_late": found.is_late, "is_any": found.is_any}
+    told["server_id"] = _id(found.server_id)
+    told["identification"] = _objects(found.identification)
+    if extents is not None:
+        told["tables"] = {each.table: _extent(each) for each in extents}
+    return told
+
+
+def _id(server_id: ServerId | None) -> str | None:
+    return None if server_id is None else server_id.data.hex()
+
+
+def _objects(told: DeviceIdentification | None) -> dict[str, str] | None:
+    """Names or numbers -> text."""
+    if told is None:
+        return None
+    return {
+        OBJECT_NAMES.get(number, str(number)): value.decode("ascii", "backslashreplace")
+        for number, value in told.objects.items()
+    }
+
+
+def _extent(extent: Extent) -> dict[str, Any]:
+    ranges = [{"address": each.start, "count": len(each)} for each in extent.ranges]
+    return {
+        "ranges": ranges,
+        "unseen": extent.unseen,
+        "ended": extent.ended,
+        "most": extent.most,
+        "requests": extent.requests,
+    }

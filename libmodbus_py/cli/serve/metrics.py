@@ -1,0 +1,57 @@
+"""
+Metrics of a server, over HTTP, as told by an option.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+from collections.abc import Iterator
+from typing import Any, TextIO
+
+from ...protocol.errors import ModbusConnectionError
+from ..addresses import Address, address_like
+
+__all__ = ["add_argument", "exposed"]
+
+
+def add_argument(command: argparse.ArgumentParser) -> None:
+    """Tell argparse of it."""
+    command.add_argument(
+        "--metrics",
+        type=address_like("127.0.0.1:9400"),
+        metavar="HOST:PORT",
+        help="answer Prometheus here, over HTTP",
+    )
+
+
+@contextlib.contextmanager
+def exposed(
+    server: Any, address: Address | None, *others: Any, to: TextIO | None = None
+) -> Iterator[None]:
+    """
+    Expose the statistics of a server, and others, while the block runs, if there is an address.
+
+    Args:
+        to: where that is told; the standard output unless given.
+
+    Raises:
+        ImportError: what this needs is not installed.
+        ModbusConnectionError: the address cannot be had, with errno.
+    """
+    if address is None:
+        yield
+        return
+    from ...services.integrations import exposition, prometheus
+
+    prometheus.collect(server, *others)
+    with contextlib.ExitStack() as stack:
+        try:
+            url = stack.enter_context(exposition.exposing(*address))
+        except OSError as error:
+            place = ":".join(map(str, address))
+            raise ModbusConnectionError(
+                f"cannot listen for metrics on {place}: {error.strerror}", errno=error.errno
+            ) from error
+        print(f"metrics on {url}", flush=True, file=to)
+        yield

@@ -1,0 +1,269 @@
+"""
+The command poll: a fleet of devices, until a signal; SIGHUP reads the file again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import contextlib
+import gc
+import logging
+import resource
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from ...services.fleet.config import DeviceConfig
+from ...services.fleet.files import FleetFile, load
+from ...services.fleet.fleet import Fleet
+from ...services.fleet.outputs.csv_rows import CsvRows
+from ...services.fleet.outputs.json_lines import JsonLines
+from ...services.fleet.outputs.last_values import LastValues
+from ...services.fleet.outputs.output import Output, OutputError
+from ...services.fleet.trial import Tried, overloads, trying
+from ..failing import CommandError
+from ..status import Status
+from . import fleet as workers
+from . import metrics
+from .hangup import unless_closed
+
+__all__ = ["add_command"]
+
+logger: logging.Logger = logging.getLogger(__name__)
+
+REDRAWN = 1.0
+"""Seconds between two states of the status line."""
+
+ON_TIME = 0.1
+"""Polls that begin no later are on time."""
+
+STANDARD_OUTPUT = "-"
+
+
+def add_command(commands: Any) -> None:
+    """Tell argparse of it."""
+    command = commands.add_parser(
+        "poll",
+        description="Without an output in the file or an option, readings go to the standard"
+        " output as lines of JSON, unless that is a terminal.",
+        epilog="exit code 0; 1 if a device gave no answer to --once or --check, a line cannot keep"
+        " its intervals, or the standard output is gone",
+    )
+    command.add_argument("file", metavar="FILE", help="a fleet file, such as fleet.toml")
+    mode = command.add_mutually_exclusive_group()
+    mode.add_argument("--once", action="store_true", help="poll each device once")
+    mode.add_argument(
+        "--check", action="store_true", help="ask each device once, and print how that went"
+    )
+    for name, form in (("json", "lines of JSON"), ("csv", "CSV")):
+        command.add_argument(
+            f"--{name}",
+            nargs="?",
+            const=STANDARD_OUTPUT,
+            metavar="PATH",
+            help=f"append readings to a file as {form}; without PATH, to the standard output",
+        )
+    metrics.add_argument(command)
+    workers.add_arguments(command)
+    command.set_defaults(run=_poll)
+
+
+def _poll(options: argparse.Namespace) -> int:
+    file = load(options.file)
+    _allow_descriptors()
+    if options.check:
+        return asyncio.run(_check(file.devices))
+    if options.push and options.engine is None:
+        raise ValueError("--push needs --engine")
+    for each in overloads(file.devices):
+        logger.warning("%s", each)
+    values = LastValues({each.name: each.labels for each in file.devices})
+    outputs = _outputs(file, options)
+    if options.engine is not None:
+        return _poll_with_others(options, file, outputs, values)
+    fleet = Fleet(file.devices, outputs=[*outputs, *([values] if options.metrics else [])])
+    is_printed = any(map(_prints, outputs))
+    has_screen = sys.stderr.isatty() and not (is_printed and sys.stdout.isatty())
+    with metrics.exposed(fleet, options.metrics, values, to=sys.stderr):
+        try:
+            asyncio.run(_run(fleet, options, has_screen))
+        except OutputError as error:
+            if isinstance(error.__cause__, OSError):
+                raise error.__cause__ from None
+            raise CommandError(str(error)) from None
+    return 1 if options.once and fleet.statistics.failures else 0
+
+
+def _allow_descriptors() -> None:
+    """As many as may be: each connection is one, and systems begin with 1024."""
+    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    with contextlib.suppress(OSError, ValueError):
+        resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
+
+
+def _poll_with_others(
+    options: argparse.Namespace, file: FleetFile, outputs: list[Output], values: LastValues
+) -> int:
+    if options.once:
+        raise ValueError("--once is for one machine, without --engine")
+    has_screen = sys.stderr.isatty() and not (any(map(_prints, outputs)) and sys.stdout.isatty())
+    return workers.poll(
+        options,
+        file,
+        [*outputs, *([values] if options.metrics else [])],
+        lambda fleet: metrics.exposed(fleet, options.metrics, values, to=sys.stderr),
+        _show if has_screen else None,
+    )
+
+
+def _outputs(file: FleetFile, options: argparse.Namespace) -> list[Output]:
+    outputs = file.made_outputs()
+    for make, path in ((JsonLines, options.json), (CsvRows, options.csv)):
+        if path is not None:
+            outputs.append(make(path))
+    if not (outputs or options.metrics or options.engine or sys.stdout.isatty()):
+        outputs.append(JsonLines())
+    if sum(map(_prints, outputs)) > 1:
+        raise ValueError("only one output may be the standard output")
+    return outputs
+
+
+def _prints(output: Output) -> bool:
+    return getattr(output, "path", None) == STANDARD_OUTPUT
+
+
+# --- polling ------------------------------------------------------------------------------------
+
+
+async def _run(fleet: Fleet, options: argparse.Namespace, has_screen: bool) -> None:
+    started = time.monotonic()
+    stopped = asyncio.Event()
+    polling = asyncio.create_task(fleet.run(once=options.once))
+    screen = asyncio.create_task(_show(fleet)) if has_screen else None
+    with _signals(stopped, lambda: _read_again(fleet, options.file)):
+        await asyncio.sleep(0)
+        # Else every full search for garbage looks through all devices: a tenth of a second.
+        gc.collect()
+        gc.freeze()
+        waiting = asyncio.create_task(stopped.wait())
+        try:
+            await asyncio.wait([polling, waiting], return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            for task in (waiting, screen, polling):
+                if task is not None:
+                    task.cancel()
+            await asyncio.wait([polling, *([screen] if screen else [])])
+            if stopped.is_set() or has_screen:
+                print(_summary(fleet, time.monotonic() - started), file=sys.stderr, flush=True)
+    if not polling.cancelled():
+        polling.result()
+
+
+@contextlib.contextmanager
+def _signals(stopped: asyncio.Event, read_again: Any) -> Iterator[None]:
+    loop = asyncio.get_running_loop()
+    calls: dict[signal.Signals, Callable[[], object]] = {
+        signal.SIGINT: stopped.set,
+        signal.SIGTERM: stopped.set,
+        signal.SIGHUP: unless_closed(read_again),
+    }
+    for number, call in calls.items():
+        loop.add_signal_handler(number, call)
+    try:
+        yield
+    finally:
+        for number in calls:
+            loop.remove_signal_handler(number)
+
+
+def _read_again(fleet: Fleet, path: str) -> None:
+    """What was good before goes on, if this is not."""
+    try:
+        devices = load(path).devices
+        fleet.replace(devices)
+    except (TypeError, ValueError) as error:
+        logger.error("nothing is changed: %s", error)
+        return
+    logger.warning("%s: %d devices", path, len(devices))
+
+
+async def _show(fleet: Fleet) -> None:
+    """Draw the status line anew, until cancelled."""
+    status = Status()
+    polls, at = 0, time.monotonic()
+    try:
+        while True:
+            await asyncio.sleep(REDRAWN)
+            now, statistics = time.monotonic(), fleet.statistics
+            rate = (statistics.polls - polls) / (now - at)
+            polls, at = statistics.polls, now
+            status.show(
+                f"{_standing(fleet)}; {rate:.0f} polls a second,"
+                f" at most {statistics.take_worst() * 1000:.0f} ms late{_troubles(fleet)}"
+            )
+    finally:
+        status.clear()
+
+
+def _standing(fleet: Fleet) -> str:
+    statistics = fleet.statistics
+    return f"{statistics.devices} devices: {statistics.up} up, {statistics.down} down"
+
+
+def _troubles(fleet: Fleet) -> str:
+    statistics = fleet.statistics
+    told = f"; {statistics.skipped} skipped" if statistics.skipped else ""
+    for name, output in statistics.outputs.items():
+        if output.trouble or output.dropped:
+            told += f"; {name}: {output.dropped} dropped"
+    return told
+
+
+def _summary(fleet: Fleet, seconds: float) -> str:
+    statistics = fleet.statistics
+    lines = [
+        f"{statistics.polls} polls in {seconds:.1f} s,"
+        f" {statistics.within(ON_TIME):.1%} within {ON_TIME * 1000:.0f} ms of their time;"
+        f" {statistics.failures} without an answer, {statistics.skipped} skipped;"
+        f" {statistics.readings} readings"
+    ]
+    for name, output in statistics.outputs.items():
+        trouble = f": {output.trouble}" if output.trouble else ""
+        lines.append(f"{name}: {output.written} written, {output.dropped} dropped{trouble}")
+    return "\n".join(lines)
+
+
+# --- trying -------------------------------------------------------------------------------------
+
+TABLE = "{:<24} {:<36} {:>4} {:>8} {:>9} {:>9}  {}"
+
+
+async def _check(devices: list[DeviceConfig]) -> int:
+    print(TABLE.format("device", "url", "unit", "requests", "took", "interval", "result"))
+    failed = 0
+    async with contextlib.aclosing(trying(devices)) as results:
+        async for each in results:
+            print(_row(each), flush=True)
+            failed += bool(each.problem)
+    too_much = overloads(devices)
+    for line in too_much:
+        print(f"libmodbus-py: {line}", file=sys.stderr)
+    if failed:
+        print(f"libmodbus-py: {failed} of {len(devices)} devices failed", file=sys.stderr)
+    return 1 if failed or too_much else 0
+
+
+def _row(each: Tried) -> str:
+    device = each.device
+    return TABLE.format(
+        device.name,
+        str(device.endpoint),
+        device.unit,
+        each.requests,
+        f"{each.seconds * 1000:.0f} ms",
+        f"{device.interval:g} s",
+        each.problem or "ok",
+    )

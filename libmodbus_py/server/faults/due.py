@@ -1,0 +1,116 @@
+"""
+Which fault is due: the requests of one server, counted.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+
+from ...device.access import Touched, touched_by
+from ...protocol.checks import integer
+from ...protocol.framing import Frame
+from .fault import Fault
+
+__all__ = ["Faults"]
+
+
+class _Counted:
+    """A fault, and how far it is."""
+
+    def __init__(self, fault: Fault) -> None:
+        self.fault = fault
+        self._every = fault.every or 1
+        self._count = 0
+        self._random = random.Random(fault.seed)
+
+    def is_due(self) -> bool:
+        if self.fault.probability is not None:
+            return self._random.random() < self.fault.probability
+        self._count += 1
+        return self._count % self._every == 0
+
+    def happening(self) -> Fault:
+        """The fault as it happens this time: with the bytes that chance gives."""
+        fault = self.fault
+        if fault.kind != "garbage" or fault.length is None:
+            return fault
+        return replace(fault, data=self._random.randbytes(fault.length), length=None, seed=None)
+
+
+class Faults:
+    """
+    The faults of one server.
+
+    Args:
+        faults: ``{unit 0..255: faults}``; None is every unit.
+        before: those of the same server until now: equal ones go on counting.
+
+    Raises:
+        TypeError, ValueError: a unit or a fault is none.
+    """
+
+    def __init__(
+        self, faults: Mapping[int | None, Iterable[Fault]], before: Faults | None = None
+    ) -> None:
+        self._by_unit: dict[int | None, list[_Counted]] = {}
+        for unit, given_faults in faults.items():
+            key = None if unit is None else integer("faults: unit", unit, 0, 255)
+            known = [] if before is None else list(before._by_unit.get(key, ()))
+            self._by_unit[key] = [_counted(_checked(fault), known) for fault in given_faults]
+
+    def __bool__(self) -> bool:
+        return any(self._by_unit.values())
+
+    def share(self, unit: int, others: Iterable[int]) -> None:
+        """Have the faults of a unit happen to these, too, unless they have their own."""
+        if unit in self._by_unit:
+            for other in others:
+                self._by_unit.setdefault(other, self._by_unit[unit])
+
+    def concern(self, unit: int) -> bool:
+        """Whether anything may happen to the answers of a unit."""
+        return bool(self._by_unit.get(unit) or self._by_unit.get(None))
+
+    def due(self, request: Frame, *, has_transaction: bool) -> Fault | None:
+        """
+        Count a request that is going to be answered.
+
+        Args:
+            request: as it came in.
+            has_transaction: whether its line has transactions.
+
+        Returns:
+            The fault that happens to it.
+        """
+        touched: Touched | None = None
+        first: _Counted | None = None
+        for key in (request.unit, None):
+            for each in self._by_unit.get(key, ()):
+                fault = each.fault
+                if fault.function not in (None, request.pdu[0]):
+                    continue
+                if fault.kind == "wrong_transaction" and not has_transaction:
+                    continue
+                if not fault.is_everywhere:
+                    touched = touched or touched_by(request.pdu)
+                    if not fault.hits(touched):
+                        continue
+                if each.is_due() and first is None:
+                    first = each
+        return None if first is None else first.happening()
+
+
+def _checked(fault: object) -> Fault:
+    if not isinstance(fault, Fault):
+        raise TypeError(f"faults must be {{unit or None: [Fault, ...]}}, not {fault!r}")
+    return fault
+
+
+def _counted(fault: Fault, known: list[_Counted]) -> _Counted:
+    """Take it from those that are known, each once."""
+    for at, each in enumerate(known):
+        if each.fault == fault:
+            return known.pop(at)
+    return _Counted(fault)

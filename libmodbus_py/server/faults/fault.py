@@ -1,0 +1,206 @@
+"""
+A fault: what goes wrong with the answers of a server, with which of them, and how often.
+
+`faults_due` counts the requests of a server and says which fault is due, `delivery` makes
+it happen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal, get_args
+
+from ...device.access import Touched
+from ...protocol.checks import integer, seconds
+from ...protocol.tables import TABLE_SIZE, TABLES, Table
+
+__all__ = ["KINDS", "PLACES", "Fault"]
+
+KINDS: dict[str, str | None] = {
+    "delay": "seconds",
+    "no_answer": None,
+    "exception": "code",
+    "wrong_check": None,
+    "wrong_transaction": None,
+    "wrong_unit": None,
+    "trickle": "seconds",
+    "truncate": "length",
+    "disconnect": None,
+    "garbage": None,
+}
+"""Kind of fault -> the one setting that it needs."""
+
+OPTIONAL: dict[str, tuple[str, ...]] = {
+    "disconnect": ("length",),
+    "garbage": ("data", "length", "place"),
+}
+"""Kind of fault -> the settings that it can have."""
+
+Place = Literal["before", "instead", "behind"]
+
+PLACES: tuple[Place, ...] = get_args(Place)
+"""Where garbage comes, seen from the answer."""
+
+LONGEST = 512
+"""More bytes than any frame has."""
+
+
+def _data(name: str, value: object) -> None:
+    if not isinstance(value, bytes):
+        raise TypeError(f"{name} must be bytes, not {type(value).__name__}")
+    if not 1 <= len(value) <= LONGEST:
+        raise ValueError(f"{name} must have 1..{LONGEST} bytes, not {len(value)}")
+
+
+def _one_of(choices: tuple[str, ...]) -> Callable[[str, object], None]:
+    def check(name: str, value: object) -> None:
+        if value not in choices:
+            raise ValueError(f"{name} must be one of {', '.join(choices)}, not {value!r}")
+
+    return check
+
+
+SETTINGS: dict[str, Callable[[str, object], object]] = {
+    "seconds": seconds,
+    "code": lambda name, value: integer(name, value, 1, 0xFF),
+    "length": lambda name, value: integer(name, value, 1, LONGEST),
+    "data": _data,
+    "place": _one_of(PLACES),
+}
+
+
+@dataclass(frozen=True)
+class Fault:
+    """
+    What goes wrong with the answers of a unit, and how often.
+
+    A fault counts the requests of its unit, function and range that are answered, on all
+    lines and from all clients together. Where several are due, the unit's own come
+    before those of all units, and the first of each before the next. The request is
+    executed, whatever becomes of its answer; only "exception" executes nothing.
+
+    Attributes:
+        kind: what goes wrong:
+
+            * "delay": the answer, and what follows it on that connection, comes
+              `seconds` later;
+            * "no_answer": none comes;
+            * "exception": the request is refused with the exception `code`;
+            * "wrong_check": CRC or LRC is wrong; TCP has none, and there the
+              header says that 0 bytes follow;
+            * "wrong_transaction": the answer has the transaction of the request
+              before; serial lines have none, and there it never happens;
+            * "wrong_unit": the answer says that another unit gave it;
+            * "trickle": between the bytes of the answer pass `seconds`; over UDP each is a
+              datagram;
+            * "truncate": only the first `length` bytes come, header or first
+              character included, and never all of them;
+            * "disconnect": the first `length` bytes of the answer come, none unless it is
+              given, all of a shorter answer; then the connection is closed, over TLS with
+              its goodbye, and what the client asked behind it is not executed. Serial
+              ports and UDP have no connection: there the rest of the answer is missing,
+              and no more;
+            * "garbage": bytes that are no part of the answer come in its `place`, the
+              bytes of `data` or `length` random ones; over UDP in the same datagram.
+
+        function: 1..127, the only function that it happens to; None for all.
+        every: 1 or more: it happens to every so manieth request; None for 1.
+        probability: 0..1, of happening to a request, in place of `every`.
+        seed: makes `probability` hit the same requests each time, and random bytes be the same.
+        seconds: 0.001..86400.
+        code: 1..255.
+        length: 1..512 bytes; of "disconnect" 0..512.
+        table: it happens only to requests that read or write this table: "coils",
+            "discrete_inputs", "holding_registers", "input_registers"; None for any.
+        address: 0..65535, and only to those that touch one of the `count` addresses from
+            there on, in `table` or in any; None for all.
+        count: 1..65536; None for 1.
+        data: 1..512 bytes.
+        place: "before" the answer, "instead" of it or "behind" it; None for before.
+
+    Raises:
+        TypeError, ValueError: an attribute that cannot be, or that its kind needs or lacks.
+    """
+
+    kind: str
+    function: int | None = None
+    every: int | None = None
+    probability: float | None = None
+    seed: int | None = None
+    seconds: float | None = None
+    code: int | None = None
+    length: int | None = None
+    table: Table | None = None
+    address: int | None = None
+    count: int | None = None
+    data: bytes | None = None
+    place: Place | None = None
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.kind, str) or self.kind not in KINDS:
+            raise ValueError(f"kind must be one of {', '.join(KINDS)}, not {self.kind!r}")
+        for name, check in SETTINGS.items():
+            self._check_setting(name, check)
+        if self.kind == "garbage" and (self.data is None) == (self.length is None):
+            raise ValueError("data or length is missing, and garbage needs one of them, not both")
+        if self.function is not None:
+            integer("function", self.function, 1, 0x7F)
+        self._check_where()
+        self._check_how_often()
+
+    def _check_setting(self, name: str, check: Callable[[str, object], object]) -> None:
+        value = getattr(self, name)
+        if value is None:
+            if name == KINDS[self.kind]:
+                raise ValueError(f"{name} is missing, which {self.kind} needs")
+        elif name != KINDS[self.kind] and name not in OPTIONAL.get(self.kind, ()):
+            raise ValueError(f"{name} means nothing for {self.kind}")
+        elif (self.kind, name) == ("disconnect", "length"):
+            integer(name, value, 0, LONGEST)
+        else:
+            check(name, value)
+
+    def _check_where(self) -> None:
+        if self.table is not None:
+            _one_of(tuple(TABLES))("table", self.table)
+        if self.address is not None:
+            integer("address", self.address, 0, TABLE_SIZE - 1)
+        if self.count is not None:
+            if self.address is None:
+                raise ValueError("count means nothing without address")
+            integer("count", self.count, 1, TABLE_SIZE)
+
+    def _check_how_often(self) -> None:
+        if self.every is not None:
+            integer("every", self.every, 1, 1_000_000_000)
+            if self.probability is not None:
+                raise ValueError("probability means nothing beside every")
+        if self.probability is not None:
+            self._check_probability(self.probability)
+        if self.seed is not None:
+            is_random = self.kind == "garbage" and self.length is not None
+            if self.probability is None and not is_random:
+                raise ValueError("seed means nothing without probability")
+            integer("seed", self.seed, 0, (1 << 64) - 1)
+
+    def _check_probability(self, given: Any) -> None:
+        if isinstance(given, bool) or not isinstance(given, int | float):
+            raise TypeError(f"probability must be a number in 0..1, not {type(given).__name__}")
+        if not 0 <= given <= 1:
+            raise ValueError(f"probability must be in 0..1, not {given:g}")
+
+    @property
+    def is_everywhere(self) -> bool:
+        """Whether it happens to requests whatever they touch."""
+        return self.table is None and self.address is None
+
+    def hits(self, touched: Touched) -> bool:
+        """Whether it happens to what touches this."""
+        first = 0 if self.address is None else self.address
+        stop = TABLE_SIZE if self.address is None else first + (self.count or 1)
+        return any(
+            access.table == self.table or (self.table is None and access.table in TABLES)
+            for access in (*touched.writes, *touched.reads)
+            if access.address < stop and first < access.address + access.count
+        )

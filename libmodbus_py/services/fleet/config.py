@@ -1,0 +1,276 @@
+"""
+What a fleet is made of: its devices, as frozen values, and as text that can be kept anywhere.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import MISSING, dataclass, field, fields
+from functools import lru_cache
+from typing import Any
+
+from ...client.options import Settings, assembled
+from ...maps.point import Point
+from ...maps.register_map import PointPlan, RegisterMap
+from ...ports.endpoint import Endpoint, parse
+from ...protocol.checks import integer, seconds
+
+__all__ = [
+    "DeviceConfig",
+    "by_connection",
+    "checked",
+    "devices_from_json",
+    "devices_to_json",
+]
+
+SHORTEST_INTERVAL = 0.01
+
+LONGEST_NAME = 100
+
+# Beyond it an interval of seconds has no meaning to anybody.
+LONGEST_INTERVAL = 86_400.0
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceConfig:
+    """
+    One device: where it is, what is read of it, and how often.
+
+    Args:
+        name: 1 to 100 characters that can be printed; no other device of the fleet has it.
+        url: of its connection, with its options, but without `unit`.
+        map: what it has.
+        unit: 0..255.
+        items: names of the map that are read; all that can be read unless given.
+        gap: how many registers or bits in a row that nobody asked for may be read to save a
+            request, 0..2000.
+        max_registers: the most a request may ask of it, 1..125.
+        interval: seconds from one poll to the next, 0.01..86400.
+        timeout: seconds for one request; None for that of the URL.
+        spacing: seconds that it rests between an answer and its next request; a pause for
+            all on a line is ``request_spacing`` in its URL.
+        on_change: whether only values are told that changed.
+        dead_bands: by name, how far a value must be from what was told last to be told again.
+        labels: of its metrics, and for templates of topics.
+        zone: of the workers that may poll it; empty for any.
+
+    Raises:
+        TypeError, ValueError: an argument of the wrong type or range; the message begins with
+            its name.
+    """
+
+    name: str
+    url: str
+    map: RegisterMap = field(repr=False)
+    unit: int = 1
+    items: tuple[str, ...] = ()
+    gap: int = 0
+    max_registers: int = 125
+    interval: float = 10.0
+    timeout: float | None = None
+    spacing: float = 0.0
+    on_change: bool = False
+    dead_bands: Mapping[str, float] = field(default_factory=dict)
+    labels: Mapping[str, str] = field(default_factory=dict)
+    zone: str = ""
+    endpoint: Endpoint = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        _text("name", self.name, 1)
+        _text("zone", self.zone, 0)
+        object.__setattr__(self, "endpoint", _endpoint(self.url))
+        integer("unit", self.unit, 0, 255)
+        if self.unit == 0 and self.endpoint.framing in ("rtu", "ascii"):
+            raise ValueError("unit must not be 0 there, a broadcast, which nobody answers")
+        if not isinstance(self.map, RegisterMap):
+            raise TypeError(f"map must be a RegisterMap, not {type(self.map).__name__}")
+        object.__setattr__(self, "items", _items(self.items, self.map))
+        integer("gap", self.gap, 0, 2000)
+        integer("max_registers", self.max_registers, 1, 125)
+        self.plan()
+        seconds("interval", self.interval, SHORTEST_INTERVAL, LONGEST_INTERVAL)
+        if self.timeout is not None:
+            seconds("timeout", self.timeout)
+        seconds("spacing", self.spacing, low=0)
+        if not isinstance(self.on_change, bool):
+            raise TypeError(f"on_change must be true or false, not {self.on_change!r}")
+        self._check_dead_bands()
+        if not isinstance(self.labels, Mapping):
+            raise TypeError(f"labels must be a table, not {type(self.labels).__name__}")
+        for key, value in self.labels.items():
+            _text(f"labels.{key}", value, 0)
+
+    def _check_dead_bands(self) -> None:
+        if not isinstance(self.dead_bands, Mapping):
+            raise TypeError(f"dead_bands must be a table, not {type(self.dead_bands).__name__}")
+        for name, band in self.dead_bands.items():
+            if name not in self.names:
+                raise ValueError(f"dead_bands.{name}: nothing of this name is read")
+            if isinstance(band, bool) or not isinstance(band, int | float) or not band >= 0:
+                raise ValueError(f"dead_bands.{name} must be a number, 0 or more, not {band!r}")
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of what is read."""
+        return self.items or readable(self.map)
+
+    def plan(self) -> PointPlan:
+        """
+        Make the requests of a poll.
+
+        Raises:
+            ValueError: a value takes more than `max_registers`.
+        """
+        try:
+            return self.map.plan(self.names, gap=self.gap, max_registers=self.max_registers)
+        except ValueError as error:
+            raise ValueError(f"max_registers: {error}") from None
+
+    @property
+    def connection_key(self) -> str:
+        """Devices with the same one share a connection."""
+        endpoint = self.endpoint
+        place = endpoint.device or f"{endpoint.host}:{endpoint.port}"
+        return f"{endpoint.transport}:{place}"
+
+
+def readable(points: RegisterMap) -> tuple[str, ...]:
+    """Names of all that can be read."""
+    return tuple(name for name, point in points.items() if point.access != "write")
+
+
+def _items(given: object, points: RegisterMap) -> tuple[str, ...]:
+    if isinstance(given, str) or not isinstance(given, Iterable):
+        raise TypeError(f"items must be a list of names, not {type(given).__name__}")
+    items = tuple(given)
+    for at, name in enumerate(items):
+        if name not in points:
+            raise ValueError(f"items[{at}]: the map has no {name!r}; it has {_some(points)}")
+        if points[name].access == "write":
+            raise ValueError(f"items[{at}]: {name!r} can only be written")
+        if name in items[:at]:
+            raise ValueError(f"items[{at}]: {name!r} is given twice")
+    if not (items or readable(points)):
+        raise ValueError("map: nothing in it can be read")
+    return items
+
+
+def _some(names: Iterable[str], most: int = 8) -> str:
+    all_names = list(names)
+    return ", ".join(all_names[:most]) + ", ..." * (len(all_names) > most)
+
+
+def _text(name: str, value: object, least: int) -> None:
+    if not isinstance(value, str):
+        raise TypeError(f"{name} must be text, not {type(value).__name__}")
+    if not least <= len(value) <= LONGEST_NAME or not value.isprintable():
+        wanted = f"{least}..{LONGEST_NAME} characters that can be printed"
+        raise ValueError(f"{name} must have {wanted}, not {value[:LONGEST_NAME]!r}")
+
+
+@lru_cache(maxsize=4096)
+def _endpoint(url: str) -> Endpoint:
+    try:
+        endpoint = parse(url)
+    except (TypeError, ValueError) as error:
+        raise type(error)(f"url: {error}") from None
+    if "unit" in endpoint.client_options:
+        raise ValueError(f"url: {url!r}: the unit stands beside it: unit = ...")
+    try:  # what a client cannot have is refused now, not when it is made
+        assembled(endpoint, Settings.of(endpoint, {}), 1)
+    except (TypeError, ValueError) as error:
+        raise type(error)(f"url: {error}") from None
+    return endpoint
+
+
+def by_connection(devices: Iterable[DeviceConfig]) -> dict[str, list[DeviceConfig]]:
+    """Connection key -> its devices, in their order."""
+    found: dict[str, list[DeviceConfig]] = {}
+    for device in devices:
+        found.setdefault(device.connection_key, []).append(device)
+    return found
+
+
+def checked(devices: Iterable[DeviceConfig]) -> list[DeviceConfig]:
+    """
+    Give the devices of one fleet.
+
+    Raises:
+        TypeError, ValueError: two have one name, or lead to one place in two ways; the
+            message begins with ``devices[N]``.
+    """
+    found = list(devices)
+    names: dict[str, int] = {}
+    places: dict[str, int] = {}
+    for at, device in enumerate(found):
+        if not isinstance(device, DeviceConfig):
+            raise TypeError(f"devices[{at}] must be a DeviceConfig, not {type(device).__name__}")
+        first = names.setdefault(device.name, at)
+        if first != at:
+            raise ValueError(f"devices[{at}].name: {device.name!r} is that of devices[{first}]")
+        first = places.setdefault(device.connection_key, at)
+        url = found[first].endpoint.url
+        if url != device.endpoint.url:
+            raise ValueError(f"devices[{at}].url: devices[{first}] leads there with {url}")
+    return found
+
+
+# --- as text ----------------------------------------------------------------------------------
+
+DEVICE = tuple(each for each in fields(DeviceConfig) if each.init and each.name != "map")
+
+POINT = tuple(each for each in fields(Point) if each.init)
+
+
+def devices_to_json(devices: Iterable[DeviceConfig]) -> str:
+    """Write devices, with their maps, as JSON; equal ones give equal text."""
+    maps: dict[str, int] = {}
+    seen: dict[int, int] = {}  # most devices share a map: each is written once
+    told = []
+    for device in devices:
+        if id(device.map) not in seen:
+            seen[id(device.map)] = maps.setdefault(_map_to_json(device.map), len(maps))
+        told.append({**_changed(device, DEVICE), "map": seen[id(device.map)]})
+    return f'{{"maps": [{", ".join(maps)}], "devices": {json.dumps(told)}}}'
+
+
+def devices_from_json(text: str) -> list[DeviceConfig]:
+    """
+    Read what `devices_to_json` wrote. Equal maps become one.
+
+    Raises:
+        ValueError: it is nothing of this kind.
+    """
+    try:
+        content = json.loads(text)
+        maps = [_map_from_json(json.dumps(each)) for each in content["maps"]]
+        return [_device(each, maps) for each in content["devices"]]
+    except (TypeError, LookupError, AttributeError, ValueError, RecursionError) as error:
+        raise ValueError(f"this is no text of devices: {error}") from None
+
+
+def _device(given: dict[str, Any], maps: list[RegisterMap]) -> DeviceConfig:
+    return DeviceConfig(
+        **{**given, "map": maps[given["map"]], "items": tuple(given.get("items", ()))}
+    )
+
+
+def _map_to_json(points: RegisterMap) -> str:
+    return json.dumps([_changed(point, POINT) for point in points.values()])
+
+
+@lru_cache(maxsize=4096)
+def _map_from_json(text: str) -> RegisterMap:
+    return RegisterMap([Point(**each) for each in json.loads(text)])
+
+
+def _changed(value: object, of: Iterable[Any]) -> dict[str, Any]:
+    """Those of its fields that are not as they would be anyway."""
+    told: dict[str, Any] = {}
+    for each in of:
+        given = getattr(value, each.name)
+        usual = each.default_factory() if each.default_factory is not MISSING else each.default
+        if given != usual:
+            told[each.name] = dict(given) if isinstance(given, Mapping) else given
+    return told

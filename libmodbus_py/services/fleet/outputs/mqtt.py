@@ -1,0 +1,294 @@
+"""
+Readings to an MQTT broker, and writes by name from it. Needs aiomqtt (the extra ``mqtt``).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import logging
+import re
+import ssl
+from collections.abc import Coroutine, Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from urllib.parse import quote, unquote, urlsplit
+
+from ....protocol.checks import integer
+from ..buffer import MOST_KEPT
+from ..commands import Commands, wanted_of
+from ..readings import Reading
+from .forms import payload
+from .output import OutputError
+
+if TYPE_CHECKING:
+    import aiomqtt
+
+__all__ = ["Mqtt"]
+
+logger: logging.Logger = logging.getLogger(__name__)
+
+SCHEMES = {"mqtt": 1883, "mqtts": 8883}
+
+# Seconds for an answer of the broker.
+PATIENCE = 5.0
+
+# Publishes with QoS 1 that wait for their acknowledgement together.
+TOGETHER = 8
+
+# Messages that wait to be looked at; paho drops what comes beyond.
+MOST_MESSAGES = 100
+
+
+class Mqtt:
+    """
+    Publishes each reading to a topic of its own, retained, so that whoever subscribes has the
+    last values at once: ``{"time": ..., "value": 230.5, "unit": "V", "quality": "good"}``.
+
+    `status` says "online" while this is connected, and "offline" when it is not: the broker
+    does (last will).
+
+    Args:
+        url: such as "mqtt://192.0.2.1" or "mqtts://broker.example:8883" (TLS).
+        user, password: None for none.
+        topic: with {device} and {name}, whose characters ``/ + # %`` become %2F and so on.
+        status: the topic of the last will; empty for none.
+        retain: whether the broker keeps the last value of each topic.
+        qos: 0, or 1 for readings that the broker must acknowledge.
+        ca: a file of authorities to trust, for mqtts; those of the system unless given.
+        client_id: None for one made up by the broker.
+        commands: whether what is published to `topic` + "/set" is written to the device; see
+            `Commands`. Its outcome is published to `topic` + "/set/result".
+        buffer: readings that wait for the broker, at most; then the oldest are dropped.
+
+    Raises:
+        TypeError, ValueError: an argument of the wrong type or range.
+    """
+
+    def __init__(
+        self,
+        url: str,
+        *,
+        user: str | None = None,
+        password: str | None = None,
+        topic: str = "modbus/{device}/{name}",
+        status: str = "modbus/status",
+        retain: bool = True,
+        qos: int = 0,
+        ca: str | None = None,
+        client_id: str | None = None,
+        commands: bool = False,
+        buffer: int = MOST_KEPT,
+    ) -> None:
+        self._host, self._port, self._is_secure = _place(url)
+        self.name: str = f"mqtt {self._host}:{self._port}"
+        self.buffer: int = buffer
+        if password is not None and user is None:
+            raise ValueError("user must be given with a password")
+        for key, flag in (("retain", retain), ("commands", commands)):
+            if not isinstance(flag, bool):
+                raise TypeError(f"{key} must be true or false, not {flag!r}")
+        self._topic = _topic(topic)
+        self._status = _plain_topic("status", status)
+        self._retain = retain
+        self._qos = integer("qos", qos, 0, 1)
+        if ca is not None and not self._is_secure:
+            raise ValueError("ca is for mqtts://, and means nothing here")
+        self._ca = ca
+        self._options = {"username": user, "password": password, "identifier": client_id}
+        self.takes_commands: bool = commands
+        self._commands: Commands | None = None
+        self._client: aiomqtt.Client | None = None
+        self._listening: asyncio.Task[None] | None = None
+        self._answering: set[asyncio.Task[None]] = set()
+
+    def attach(self, commands: Commands) -> None:
+        """Have these carry out what is wanted."""
+        self._commands = commands
+
+    async def open(self) -> None:
+        try:
+            import aiomqtt
+        except ImportError:
+            raise OutputError("MQTT needs aiomqtt: pip install 'libmodbus-py[mqtt]'") from None
+        will = aiomqtt.Will(self._status, b"offline", 1, True) if self._status else None
+        client = aiomqtt.Client(
+            self._host,
+            self._port,
+            **self._options,  # type: ignore[arg-type]
+            will=will,
+            timeout=PATIENCE,
+            keepalive=30,
+            tls_context=await asyncio.to_thread(_trust, self._ca) if self._is_secure else None,
+            max_queued_incoming_messages=MOST_MESSAGES,
+        )
+        with _as_os_error():
+            try:
+                await client.__aenter__()
+            except BaseException:
+                _let_go(client)
+                raise
+            self._client = client
+            if self._status:
+                await client.publish(self._status, b"online", 1, True)
+            if self.takes_commands:
+                await client.subscribe(f"{_filter(self._topic)}/set", 1)
+        self._listening = asyncio.create_task(self._listen(client))
+
+    async def write(self, readings: Sequence[Reading]) -> None:
+        client = self._client
+        assert client is not None
+        if self._listening is None or self._listening.done():
+            raise ConnectionResetError(f"{self.name}: the connection was lost")
+        with _as_os_error():
+            step = TOGETHER if self._qos else 1
+            for at in range(0, len(readings), step):
+                await _all([self._publish(client, each) for each in readings[at : at + step]])
+
+    async def _publish(self, client: aiomqtt.Client, reading: Reading) -> None:
+        topic = self._topic.format(device=_part(reading.device), name=_part(reading.name))
+        text = json.dumps(payload(reading), ensure_ascii=False)
+        await client.publish(topic, text.encode(), self._qos, self._retain)
+
+    async def close(self) -> None:
+        client, self._client = self._client, None
+        tasks = [*self._answering, *([self._listening] if self._listening else [])]
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+        self._listening = None
+        if client is None:
+            return
+        with contextlib.suppress(OSError, TimeoutError), _as_os_error():
+            async with asyncio.timeout(1.0):
+                if self._status:
+                    await client.publish(self._status, b"offline", 1, True)
+        with contextlib.suppress(OSError), _as_os_error():
+            await client.__aexit__(None, None, None)
+
+    # --- commands ---------------------------------------------------------------------------
+
+    async def _listen(self, client: aiomqtt.Client) -> None:
+        """Until the connection is lost."""
+        with contextlib.suppress(OSError), _as_os_error():
+            async for message in client.messages:
+                if self._commands is not None and not message.retain:  # that is one of yesterday
+                    answering = self._answer(client, self._commands, message)
+                    task = asyncio.create_task(answering)
+                    self._answering.add(task)
+                    task.add_done_callback(self._answering.discard)
+
+    async def _answer(
+        self, client: aiomqtt.Client, commands: Commands, message: aiomqtt.Message
+    ) -> None:
+        topic = str(message.topic)
+        found = _pattern(self._topic).fullmatch(topic.removesuffix("/set"))
+        data = message.payload if isinstance(message.payload, bytes) else b""
+        if found is None:
+            return
+        device, name = unquote(found["device"]), unquote(found["name"])
+        outcome = await commands.answer(device, name, wanted_of(data))
+        with contextlib.suppress(OSError), _as_os_error():
+            await client.publish(f"{topic}/result", json.dumps(outcome).encode(), self._qos)
+
+
+def _let_go(client: aiomqtt.Client) -> None:
+    """Close the socket of a client that could not connect: aiomqtt 2.5 keeps it, and a task."""
+    paho = client._client
+    if paho.socket() is not None:
+        paho._sock_close()
+
+
+async def _all(publishing: list[Coroutine[Any, Any, None]]) -> None:
+    if len(publishing) == 1:
+        await publishing[0]
+        return
+    for outcome in await asyncio.gather(*publishing, return_exceptions=True):
+        if isinstance(outcome, BaseException):
+            raise outcome
+
+
+def _place(url: object) -> tuple[str, int, bool]:
+    if not isinstance(url, str):
+        raise TypeError(f"url must be text, not {type(url).__name__}")
+    parts = urlsplit(url)
+    if parts.username is not None or parts.password is not None:
+        raise ValueError("url: user and password stand beside it")
+    if parts.scheme not in SCHEMES or not parts.hostname or parts.path not in ("", "/"):
+        raise ValueError(f'url must be such as "mqtt://192.0.2.1:1883", not {url!r}')
+    try:
+        port = parts.port or SCHEMES[parts.scheme]
+    except ValueError:
+        raise ValueError(f"url: the port must be in 1..65535: {url!r}") from None
+    return parts.hostname, port, parts.scheme == "mqtts"
+
+
+def _topic(topic: object) -> str:
+    _plain_topic("topic", topic)
+    assert isinstance(topic, str)
+    if sorted(re.findall(r"\{.*?\}", topic)) != ["{device}", "{name}"]:
+        raise ValueError(f"topic must hold {{device}} and {{name}} once, not {topic!r}")
+    if re.sub(r"\{(device|name)\}", "", topic).strip("/") == topic or "}{" in topic:
+        raise ValueError(f"topic: {{device}} and {{name}} must stand apart: {topic!r}")
+    return topic
+
+
+def _plain_topic(key: str, topic: object) -> str:
+    if not isinstance(topic, str):
+        raise TypeError(f"{key} must be text, not {type(topic).__name__}")
+    if set("+#\0") & set(topic) or len(topic.encode()) > 1000 or topic.startswith("$"):
+        raise ValueError(f"{key} must be a topic without + and #, not {topic!r}")
+    return topic
+
+
+def _part(name: str) -> str:
+    """A name as one level of a topic; no two names have the same."""
+    return re.sub(r"[/+#%\0]", lambda found: quote(found[0], safe=""), name)
+
+
+def _filter(topic: str) -> str:
+    """What subscribes to all topics of a template: each level with a name is any."""
+    return "/".join("+" if "{" in level else level for level in topic.split("/"))
+
+
+def _pattern(topic: str) -> re.Pattern[str]:
+    return re.compile(
+        "".join(
+            f"(?P<{part[1:-1]}>[^/]+)" if part.startswith("{") else re.escape(part)
+            for part in re.split(r"(\{\w+\})", topic)
+        )
+    )
+
+
+def _trust(ca: str | None) -> ssl.SSLContext:
+    if ca is not None and not Path(ca).is_file():
+        raise OutputError(f"ca: there is no file {ca!r}")
+    try:
+        context = ssl.create_default_context(cafile=ca)
+    except ssl.SSLError as error:
+        raise OutputError(f"ca: {ca!r} holds no certificate: {error.reason or error}") from None
+    context.sslsocket_class = _Handshaking
+    return context
+
+
+class _Handshaking(ssl.SSLSocket):
+    """Closed when its handshake fails, as of a certificate that is refused: paho forgets it."""
+
+    def do_handshake(self, block: bool = False) -> None:
+        try:
+            super().do_handshake(block)
+        except BaseException:
+            self.close()
+            raise
+
+
+@contextlib.contextmanager
+def _as_os_error() -> Iterator[None]:
+    """What aiomqtt raises, as what an output does."""
+    import aiomqtt
+
+    try:
+        yield
+    except aiomqtt.MqttError as error:
+        raise OSError(re.sub(r"^\[code:\d+\] ", "", str(error))) from None

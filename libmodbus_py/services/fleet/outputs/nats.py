@@ -1,0 +1,68 @@
+"""
+Readings to NATS from one machine. Needs nats-py (the extra ``nats``); several machines that
+share a fleet have `workers`.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ....protocol.checks import integer, seconds
+from ...engine.connection import connected, disconnect, parse_servers, shown
+from ...engine.troubles import EngineError, EngineGone
+from ..buffer import MOST_KEPT
+from .output import OutputError
+from .stream import LIMITS, Stream
+
+__all__ = ["Nats"]
+
+MOST_BYTES = 1 << 40
+
+
+class Nats(Stream):
+    """
+    Publishes one message for each poll of a device to ``modbus.readings.DEVICE``, in a stream
+    of JetStream that keeps them for whoever comes.
+
+    Args:
+        url: of its servers, with commas between them: "nats://192.0.2.1,nats://192.0.2.2".
+            Credentials come from the environment, as of the engine of several machines.
+        max_age: for how many seconds the stream keeps a message, 1 to 1e8.
+        max_bytes: how much it keeps, 1 MiB or more; then the oldest go.
+        buffer: readings that wait for the servers, at most; then the oldest are dropped.
+
+    Raises:
+        TypeError, ValueError: an argument of the wrong type or range.
+    """
+
+    def __init__(
+        self,
+        url: str,
+        *,
+        max_age: float = LIMITS["max_age"],
+        max_bytes: int = LIMITS["max_bytes"],
+        buffer: int = MOST_KEPT,
+    ) -> None:
+        self.buffer: int = integer("buffer", buffer, 1, 10_000_000)
+        self._servers = parse_servers(url)
+        limits: dict[str, Any] = {
+            "max_age": seconds("max_age", max_age, 1.0, 1e8),
+            "max_bytes": integer("max_bytes", max_bytes, 1 << 20, MOST_BYTES),
+        }
+        super().__init__(None, limits)
+        self.name: str = f"nats {shown(self._servers)}"
+
+    async def open(self) -> None:
+        await self.close()
+        try:
+            self._client = await connected(self._servers, name="libmodbus-py poll")
+        except EngineGone as error:
+            raise OSError(str(error)) from None
+        except EngineError as error:  # wrong credentials, an old server: waiting mends nothing
+            raise OutputError(str(error)) from None
+        await super().open()
+
+    async def close(self) -> None:
+        client, self._client = self._client, None
+        if client is not None:
+            await disconnect(client)

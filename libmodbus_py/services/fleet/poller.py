@@ -1,0 +1,153 @@
+"""
+One device while it is polled: where its poll stands, and how it stands itself.
+"""
+
+from __future__ import annotations
+
+from enum import Enum
+from typing import Any
+
+from ...client.asynchronous import Submitted
+from ...maps.register_map import PointPlan
+from ...protocol.errors import ModbusError
+from .config import DeviceConfig
+from .readings import Changes, Quality, Reading, is_down
+from .schedule import pause_after
+
+__all__ = ["Poller", "Reads", "Standing"]
+
+
+class Standing(Enum):
+    """How a device stands."""
+
+    NEW = "new"
+    UP = "up"
+    DOWN = "down"
+
+
+class Reads:
+    """
+    What is read of a kind of device; thousands share one.
+
+    Args:
+        config: of one of them.
+    """
+
+    __slots__ = ("__weakref__", "names", "plan", "units")
+
+    def __init__(self, config: DeviceConfig) -> None:
+        self.plan: PointPlan = config.plan()
+        self.names: tuple[str, ...] = config.names
+        self.units: tuple[str, ...] = tuple(config.map[name].unit for name in config.names)
+
+
+class Poller:
+    """
+    Asks for nothing itself: it knows what is to be asked next, and what came of it.
+
+    Args:
+        config: of the device.
+        reads: what is read of it.
+
+    Attributes:
+        standing: NEW until its first poll is over.
+        told_standing: how it stood when that was counted.
+        error: of its last poll, the first one; None if there was none.
+        at: when it is to be polled next, or was the last time; its phase.
+        planned: when the poll that is on its way was due; None if none is.
+        misses: polls in a row without an answer.
+        submitted: the request that is in flight, or None.
+        asked_at: when that was sent.
+        rest_until: when its next request may be sent.
+        took: the longest time that an answer took, fading.
+    """
+
+    # fmt: off
+    __slots__ = (
+        "_answers", "_changes", "asked_at", "at", "config", "error", "is_trial", "misses",
+        "planned", "reads", "rest_until", "standing", "submitted", "told_standing", "took",
+    )
+    # fmt: on
+
+    def __init__(self, config: DeviceConfig, reads: Reads) -> None:
+        self.config: DeviceConfig = config
+        self.reads: Reads = reads
+        self.standing: Standing = Standing.NEW
+        self.told_standing: Standing = Standing.NEW
+        self.error: Exception | None = None
+        self.at: float = 0.0
+        self.planned: float | None = None
+        self.misses: int = 0
+        self.is_trial: bool = False
+        self.submitted: Submitted | None = None
+        self.asked_at: float = 0.0
+        self.rest_until: float = 0.0
+        self.took: float = 0.0
+        self._answers: list[Any] = []
+        bands = config.dead_bands
+        self._changes = Changes(config.on_change, [bands.get(name) for name in reads.names])
+
+    @property
+    def name(self) -> str:
+        return self.config.name
+
+    @property
+    def has_begun(self) -> bool:
+        return bool(self._answers)
+
+    @property
+    def next_request(self) -> Any:
+        """None when the poll is over."""
+        asked = len(self._answers)
+        return self.reads.plan.requests[asked] if asked < len(self.reads.plan.requests) else None
+
+    def begin(self) -> None:
+        """A poll begins."""
+        self._answers = []
+
+    def take(self, outcome: Any) -> None:
+        """Take an answer, or the error in its place; silence at its beginning ends the poll."""
+        self._answers.append(outcome)
+        if isinstance(outcome, ModbusError) and is_down(outcome) and not self._has_answered:
+            self._answers = [outcome] * len(self.reads.plan.requests)
+
+    @property
+    def _has_answered(self) -> bool:
+        return any(
+            not isinstance(answer, ModbusError) or not is_down(answer) for answer in self._answers
+        )
+
+    def conclude(self, now: float) -> None:
+        """A poll is over."""
+        errors = [answer for answer in self._answers if isinstance(answer, ModbusError)]
+        self.error = errors[0] if errors else None
+        self.misses = 0 if self._has_answered else self.misses + 1
+        self.standing = Standing.DOWN if self.misses else Standing.UP
+        self.rest_until = now + self.config.spacing
+
+    def readings(self, time: float) -> list[Reading]:
+        """Give what is told of the poll."""
+        reads, device = self.reads, self.config.name
+        values = list(reads.plan.results(self._answers, return_exceptions=True).values())
+        self._answers = []
+        return [
+            Reading(time, device, reads.names[at], *_told(values[at], reads.units[at]))
+            for at in self._changes.pick(values)
+        ]
+
+    @property
+    def pause(self) -> float:
+        """How long it rests after its last poll, which got no answer."""
+        return pause_after(self.misses, self.config.interval)
+
+    @property
+    def is_refused(self) -> bool:
+        """Whether the device answered, but not with what was asked for."""
+        return self.standing is Standing.UP and self.error is not None
+
+
+def _told(value: Any, unit: str) -> tuple[Any, str, Quality, str]:
+    if isinstance(value, Exception):
+        quality: Quality = "down" if is_down(value) else "bad"
+        return None, unit, quality, type(value).__name__
+    return value, unit, "good", ""

@@ -1,0 +1,128 @@
+"""
+What was read, and which of it is told.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from typing import Any, Literal, NamedTuple
+
+from ...protocol.errors import (
+    ExceptionResponse,
+    FrameError,
+    GatewayPathUnavailable,
+    GatewayTargetFailedToRespond,
+    InvalidResponse,
+    ModbusError,
+)
+
+__all__ = ["Changes", "Quality", "Reading", "is_down", "time_text"]
+
+Quality = Literal["good", "bad", "down"]
+
+
+class Reading(NamedTuple):
+    """
+    A value of a device, or why there is none.
+
+    Attributes:
+        time: of the answer, in seconds since the epoch.
+        device: its name.
+        name: of the point in its map.
+        value: scaled; None unless the quality is good.
+        unit: of the value, such as "V".
+        quality: "good"; "bad" if the device refused, or what it answered is no such value;
+            "down" if it gave no answer.
+        reason: what went wrong, as the error is called: "IllegalDataAddress",
+            "ModbusTimeoutError"; empty if the quality is good.
+    """
+
+    time: float
+    device: str
+    name: str
+    value: Any
+    unit: str
+    quality: Quality
+    reason: str = ""
+
+
+def time_text(time: float) -> str:
+    """Write a time as ISO 8601 has it, in UTC, to the millisecond."""
+    return f"{datetime.fromtimestamp(time, UTC).isoformat(timespec='milliseconds')[:-6]}Z"
+
+
+# A gateway's word for what would be silence without it.
+OF_GATEWAYS = (GatewayPathUnavailable, GatewayTargetFailedToRespond)
+
+# Somebody is there, and says so.
+ANSWERS = (ExceptionResponse, FrameError, InvalidResponse)
+
+
+def is_down(error: BaseException) -> bool:
+    """Whether an error means that the device gave no answer."""
+    return isinstance(error, OF_GATEWAYS) or (
+        isinstance(error, ModbusError) and not isinstance(error, ANSWERS)
+    )
+
+
+class Changes:
+    """
+    Which values of one device are told.
+
+    What is not good is told once, when it begins; then the first good value is.
+
+    Args:
+        on_change: whether good values are told only if they changed.
+        bands: for each point how far its value must be from what was told last; None for
+            any change, or for each value without `on_change`.
+    """
+
+    __slots__ = ("_are_good", "_bands", "_last", "_on_change", "_reasons")
+
+    def __init__(self, on_change: bool, bands: Sequence[float | None]) -> None:
+        self._on_change = on_change
+        self._bands = bands if any(band is not None for band in bands) else None
+        self._last: list[Any] | None = None
+        if self._on_change or self._bands:
+            self._last = [None] * len(bands)
+        self._reasons: list[str | None] = [None] * len(bands)
+        self._are_good = False
+
+    def pick(self, values: Sequence[Any]) -> Sequence[int]:
+        """Give which are told; an exception stands in place of a value that is none."""
+        are_good = not any(isinstance(value, Exception) for value in values)
+        if self._last is None and are_good and self._are_good:
+            return range(len(values))
+        self._are_good = are_good
+        return [at for at, value in enumerate(values) if self._is_told(at, value)]
+
+    def _is_told(self, at: int, value: Any) -> bool:
+        reason = type(value).__name__ if isinstance(value, Exception) else ""
+        if self._reasons[at] == reason and (reason or not self._is_news(at, value)):
+            return False
+        self._reasons[at] = reason
+        if self._last is not None and not reason:
+            self._last[at] = value
+        return True
+
+    def _is_news(self, at: int, value: Any) -> bool:
+        if self._last is None:
+            return True
+        band = None if self._bands is None else self._bands[at]
+        if band is None and not self._on_change:
+            return True
+        return _differs(self._last[at], value, band or 0.0)
+
+
+def _differs(last: Any, value: Any, band: float) -> bool:
+    if isinstance(value, list):
+        pairs = zip(last, value, strict=False)
+        return len(last) != len(value) or any(_differs(*pair, band) for pair in pairs)
+    if not isinstance(value, int | float) or isinstance(value, bool):
+        return bool(last != value)
+    if math.isfinite(value) and math.isfinite(last):
+        return bool(abs(value - last) > band)
+    is_same: bool = value == last or (math.isnan(value) and math.isnan(last))
+    return not is_same

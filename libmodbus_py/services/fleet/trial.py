@@ -1,0 +1,150 @@
+"""
+What a fleet would do: whether each device answers, and what serial lines can carry.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncGenerator, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from ...client.asynchronous import AsyncClient
+from ...ports.endpoint import Endpoint
+from ...ports.serial import SerialPort
+from ...protocol.errors import ModbusError
+from ...protocol.framing import Frame, make_framer
+from .config import DeviceConfig, by_connection
+
+__all__ = ["Overload", "Tried", "overloads", "trying"]
+
+# Lines that are tried together.
+MOST_AT_ONCE = 64
+
+# Serial line, 2.5.1.1: frames are this many characters apart.
+SILENCE = 3.5
+
+
+@dataclass(frozen=True, slots=True)
+class Tried:
+    """
+    How a device answered when it was asked once.
+
+    Attributes:
+        device: which.
+        requests: that a poll takes.
+        seconds: that this one took.
+        problem: what failed first; empty if nothing did.
+    """
+
+    device: DeviceConfig
+    requests: int
+    seconds: float
+    problem: str
+
+
+@dataclass(frozen=True, slots=True)
+class Overload:
+    """
+    A serial line on which more is to be read than it can carry.
+
+    Attributes:
+        url: of the line.
+        baudrate: bits per second.
+        needed: seconds of requests and answers in each `interval`, answered at once.
+        interval: the shortest one of its devices, in seconds.
+    """
+
+    url: str
+    baudrate: int
+    needed: float
+    interval: float
+
+    def __str__(self) -> str:
+        return (
+            f"line {self.url.partition('?')[0]} at {self.baudrate}:"
+            f" {self.needed:.3g} s of requests each {self.interval:g} s"
+        )
+
+
+def overloads(devices: Iterable[DeviceConfig]) -> list[Overload]:
+    """Find the serial lines that cannot keep the intervals of their devices, whoever answers."""
+    found: list[Overload] = []
+    for group in by_connection(devices).values():
+        endpoint = group[0].endpoint
+        if endpoint.transport != "serial":
+            continue
+        shortest = min(each.interval for each in group)
+        needed = sum(_seconds(each) * shortest / each.interval for each in group)
+        if needed > shortest:
+            found.append(Overload(endpoint.url, _port(endpoint).baudrate, needed, shortest))
+    return found
+
+
+def _port(endpoint: Endpoint) -> SerialPort:
+    return SerialPort(endpoint.device, **endpoint.serial_settings)
+
+
+def _seconds(device: DeviceConfig) -> float:
+    """What a poll takes on a serial line: characters, and the silence around frames."""
+    endpoint = device.endpoint
+    character = _port(endpoint).character
+    framer = make_framer(endpoint.framing, "client")
+    silence = SILENCE if endpoint.framing == "rtu" else 0.0
+    sizes = [
+        len(framer.encode(Frame(device.unit, pdu))) + silence
+        for request in device.plan().requests
+        for pdu in (request.encode(), request.encode_response([0] * _count(request)))
+    ]
+    return sum(sizes) * character
+
+
+def _count(request: Any) -> int:
+    count: int = request.count
+    return count
+
+
+async def trying(devices: Sequence[DeviceConfig]) -> AsyncGenerator[Tried, None]:
+    """Ask each device once, those of a line one after the other; gives them as they come."""
+    found: asyncio.Queue[Tried] = asyncio.Queue()
+    free = asyncio.Semaphore(MOST_AT_ONCE)
+    tasks = [
+        asyncio.create_task(_try_line(group, free, found))
+        for group in by_connection(devices).values()
+    ]
+    try:
+        for _ in devices:
+            yield await found.get()
+        await asyncio.gather(*tasks)
+    finally:
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+
+
+async def _try_line(
+    devices: list[DeviceConfig], free: asyncio.Semaphore, found: asyncio.Queue[Tried]
+) -> None:
+    async with free:
+        client = AsyncClient(devices[0].endpoint.url)
+        try:
+            for device in devices:
+                found.put_nowait(await _try(client, device))
+        finally:
+            await client.close()
+
+
+async def _try(client: AsyncClient, device: DeviceConfig) -> Tried:
+    now = asyncio.get_running_loop().time
+    plan, start = device.plan(), now()
+    unit = client.for_unit(device.unit, timeout=device.timeout)
+    problem = ""
+    try:
+        values = plan.results(
+            await unit.execute_many(plan.requests, max_in_flight=1), return_exceptions=True
+        )
+        wrong = [each for each in values.values() if isinstance(each, ValueError)]
+        problem = str(wrong[0]) if wrong else ""
+    except ModbusError as error:
+        problem = str(error)
+    return Tried(device, len(plan.requests), now() - start, problem)

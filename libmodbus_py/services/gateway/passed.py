@@ -1,0 +1,105 @@
+"""
+A request as a gateway passes it on: bytes in, bytes out, judged by what is known of it.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+from ...device.access import Touched, Who, touched
+from ...protocol import pdu
+from ...protocol.errors import ExceptionResponse, IllegalDataValue, IllegalFunction
+
+__all__ = ["Passed", "passed"]
+
+# Pollers ask the same again and again.
+REMEMBERED = 512
+
+READS = (
+    pdu.ReadCoils,
+    pdu.ReadDiscreteInputs,
+    pdu.ReadHoldingRegisters,
+    pdu.ReadInputRegisters,
+)
+"""What changes nothing, and may be answered with what was read before."""
+
+
+class Passed(pdu.Request[bytes]):
+    """
+    Any request PDU, unchanged; its result is the response PDU.
+
+    A response must be one by the rules of its function, if that is known: else it is an
+    InvalidResponse. Of other functions it is whatever begins with their code.
+
+    Args:
+        data: the PDU, 1..253 bytes.
+        known: what it is decoded to; None where it cannot be.
+
+    Attributes:
+        is_read: whether it reads a table and does nothing else.
+    """
+
+    # fmt: off
+    __slots__ = ("_is_answered", "function", "is_read", "is_write", "known", "pdu", "repeatable")
+    # fmt: on
+
+    def __init__(self, data: bytes, known: pdu.Request[Any] | None) -> None:
+        self.pdu: bytes = data
+        self.known: pdu.Request[Any] | None = known
+        self.function: int = data[0]  # type: ignore[misc]  # here it is data, not the class's own
+        self.is_read: bool = isinstance(known, READS)
+        self.is_write: bool = known is not None and known.is_write  # type: ignore[misc]
+        self.repeatable: bool = known is not None and known.repeatable  # type: ignore[misc]
+        self._is_answered = known is None or known.expects_response
+
+    @property
+    def expects_response(self) -> bool:
+        return self._is_answered
+
+    def touches(self, who: Who) -> Touched:
+        """What it writes and reads in tables."""
+        return touched(self.known, who)
+
+    def encode(self) -> bytes:
+        return self.pdu
+
+    def decode_response(self, pdu: bytes) -> bytes:
+        if self.known is not None:
+            self.known.decode_response(pdu)
+        elif not pdu or pdu[0] != self.function:
+            raise self._refusal(pdu)
+        return pdu
+
+    def response_to_broadcast(self) -> bytes:
+        """What a device answers to this write when it is not a broadcast."""
+        assert self.known is not None
+        return self.known.encode_response(None)
+
+    def __str__(self) -> str:
+        if self.known is not None:
+            return str(self.known)
+        return f"a request of {len(self.pdu)} bytes"
+
+
+@lru_cache(REMEMBERED)
+def passed(data: bytes) -> Passed:
+    """
+    Give a request that can be passed on.
+
+    What is wrong in it but its length is for its device to say: some have more than the
+    specification.
+
+    Raises:
+        IllegalFunction: there can be no function of this code.
+        IllegalDataValue: a known function has no request of this length: on a line nobody
+            would find its end.
+    """
+    if not 1 <= data[0] <= 0x7F:
+        raise IllegalFunction(f"no function {data[0]}", function=data[0])
+    if pdu.request_length(data) not in (len(data), 0):
+        raise IllegalDataValue(f"a request of {len(data)} bytes", function=data[0])
+    try:
+        return Passed(data, pdu.decode_request(data))
+    except ExceptionResponse:
+        return Passed(data, None)

@@ -1,0 +1,191 @@
+"""
+Routes: which unit is reached over which line, and what may be done there.
+"""
+
+from __future__ import annotations
+
+import re
+import reprlib
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+from ...client.options import Settings, assembled
+from ...device.access import Access
+from ...device.rules import Allow
+from ...ports.endpoint import Endpoint, parse
+from ...protocol.checks import integer, seconds
+
+__all__ = ["Route", "by_unit", "parse_route", "units_of"]
+
+# What neither changes a device nor may do what nobody knows.
+HARMLESS: tuple[int | str, ...] = (
+    7,
+    11,
+    12,
+    17,
+    "43/14",
+    "8/0",
+    "8/2",
+    *(f"8/{number}" for number in range(11, 19)),
+)
+
+# One, a range, or several of both.
+_UNITS = re.compile(r"[0-9]{1,3}(-[0-9]{1,3})?(,[0-9]{1,3}(-[0-9]{1,3})?)*")
+
+
+@dataclass(frozen=True)
+class Route:
+    """
+    A line, and the units that are reached over it.
+
+    Args:
+        to: the URL of the line, with its settings and the options of clients, such as
+            "rtu:///dev/ttyUSB0?baudrate=19200&timeout=0.5". Routes with the same URL share one
+            connection.
+        units: those of clients: numbers 0..255, or text such as "1-10,17"; None for 1..247, and
+            for 0..254 where the line is Modbus/TCP or UDP.
+        device_units: what they are on the line, as many, in the same order; one for all of them;
+            None for the same.
+        cache: seconds that an answer to a read (functions 1 to 4) may be old, 0..86400; 0 to ask
+            each time.
+        merge: whether equal reads (functions 1 to 4) that wait are asked once.
+        read_only: whether only what reads is passed on.
+        writable: what may be written, and nothing else: as `write` of `Allow`; None for all.
+            Functions that may write and nobody knows where are not passed on then, nor if
+            `read_only`.
+
+    Raises:
+        TypeError, ValueError: an argument of the wrong type or range.
+    """
+
+    to: str
+    units: str | Iterable[int] | None = None
+    device_units: str | int | Iterable[int] | None = None
+    cache: float = 0.0
+    merge: bool = False
+    read_only: bool = False
+    writable: Literal["all"] | Iterable[str | Access] | None = None
+    endpoint: Endpoint = field(init=False, repr=False, compare=False)
+    ways: dict[int, int] = field(init=False, repr=False, compare=False)
+    allow: Allow | None = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        endpoint = parse(self.to)
+        if "unit" in endpoint.client_options:
+            raise ValueError(f"to: {self.to!r}: unit means nothing here; device_units does")
+        # What a client cannot have is refused now, not when it is made.
+        assembled(endpoint, Settings.of(endpoint, {}), 1)
+        for name in ("merge", "read_only"):
+            if not isinstance(getattr(self, name), bool):
+                raise TypeError(f"{name} must be True or False, not {getattr(self, name)!r}")
+        if self.read_only and self.writable is not None:
+            raise ValueError("writable: there is nothing to write, for read_only is set")
+        seconds("cache", self.cache, low=0)
+        units = self._units(endpoint)
+        for name, value in (
+            ("endpoint", endpoint),
+            ("units", tuple(units)),
+            ("ways", dict(zip(units, self._device_units(units), strict=True))),
+            ("allow", self._allow()),
+        ):
+            object.__setattr__(self, name, value)
+
+    def _units(self, endpoint: Endpoint) -> Sequence[int]:
+        if self.units is None:
+            return range(255) if endpoint.framing in ("tcp", "udp") else range(1, 248)
+        return units_of("units", self.units)
+
+    def _device_units(self, units: Sequence[int]) -> Sequence[int]:
+        if self.device_units is None:
+            return units
+        given: str | Iterable[int] = (
+            [self.device_units] if isinstance(self.device_units, int) else self.device_units
+        )
+        found = units_of("device_units", given, distinct=False)
+        object.__setattr__(self, "device_units", tuple(found))
+        if len(found) not in (1, len(units)):
+            raise ValueError(
+                f"device_units must be one, or {len(units)} as units, not {len(found)}"
+            )
+        return found if len(found) == len(units) else found * len(units)
+
+    def _allow(self) -> Allow | None:
+        if self.read_only:
+            return Allow(read="all", functions=HARMLESS)
+        if self.writable is None:
+            return None
+        try:
+            made = Allow(read="all", write=self.writable, functions=HARMLESS)
+        except (TypeError, ValueError) as error:
+            raise type(error)(str(error).replace("write", "writable", 1)) from None
+        object.__setattr__(self, "writable", "all" if self.writable == "all" else made.write)
+        return made
+
+
+def units_of(name: str, given: object, *, distinct: bool = True) -> list[int]:
+    """
+    Read units: numbers, or text such as "1-10,17".
+
+    Raises:
+        TypeError, ValueError: by name.
+    """
+    if isinstance(given, str):
+        if not _UNITS.fullmatch(given):
+            raise ValueError(f'{name} must be such as "1-10,17", not {reprlib.repr(given)}')
+        found: list[int] = []
+        for part in given.split(","):
+            first, _, last = part.partition("-")
+            integer(name, int(last or first), 0, 255)
+            found += range(int(first), int(last or first) + 1)
+    elif isinstance(given, Iterable):
+        found = [integer(f"{name}[{at}]", unit, 0, 255) for at, unit in enumerate(given)]
+    else:
+        raise TypeError(f"{name} must be text or a list, not {type(given).__name__}")
+    if not found:
+        raise ValueError(f"{name} must hold at least one")
+    if distinct and (twice := {unit for unit in found if found.count(unit) > 1}):
+        raise ValueError(f"{name}: {min(twice)} is given twice")
+    return found
+
+
+def parse_route(text: str) -> Route:
+    """
+    Read what stands on a command line: a URL, or ``UNITS=URL``, or ``UNITS:DEVICE_UNITS=URL``.
+
+    Raises:
+        ValueError: it is none.
+    """
+    before, equals, url = text.partition("=")
+    if not equals or "://" in before:
+        return Route(text)
+    units, colon, device_units = before.partition(":")
+    return Route(url, units, device_units if colon else None)
+
+
+def by_unit(routes: Iterable[Route]) -> dict[int, Route]:
+    """
+    Give the route of each unit.
+
+    Raises:
+        TypeError, ValueError: two of them are for one unit, or lead to one place in two ways.
+    """
+    found: dict[int, Route] = {}
+    places: dict[str, tuple[int, str]] = {}
+    for at, route in enumerate(routes):
+        if not isinstance(route, Route):
+            raise TypeError(f"routes[{at}] must be a Route, not {type(route).__name__}")
+        endpoint = route.endpoint
+        place = endpoint.device or f"{endpoint.transport}:{endpoint.host}:{endpoint.port}"
+        first, url = places.setdefault(place, (at, endpoint.url))
+        if url != endpoint.url:
+            raise ValueError(
+                f"routes[{at}].to: routes[{first}] leads there with other options, {url}"
+            )
+        for unit in route.ways:
+            if unit in found:
+                raise ValueError(
+                    f"routes[{at}].units: there is a route for unit {unit} before this"
+                )
+            found[unit] = route
+    return found

@@ -1,0 +1,417 @@
+"""
+The statistics of clients, servers, gateways and fleets as metrics of Prometheus.
+
+::
+
+    from libmodbus_py.services.integrations.prometheus import collect
+
+    collect(server, plc)                  # in prometheus_client's own REGISTRY
+    prometheus_client.start_http_server(9400)
+
+Statistics are read when somebody scrapes; requests cost nothing more than without.
+
+* ``modbus_client_requests_total{endpoint,function,result}``: what became of requests;
+* ``modbus_client_request_duration_seconds{endpoint}``: how long answers took, a histogram;
+* ``modbus_client_last_success_timestamp_seconds{endpoint}``: when the last answer came;
+* ``modbus_client_..._total{endpoint}`` and ``modbus_server_..._total``: the counters of
+  `Statistics` (`requests` is ``modbus_client_requests_sent_total``) and `ServerStatistics`;
+* ``modbus_server_connections``: those open now;
+* ``modbus_gateway_..._total``: the counters of `GatewayStatistics`, those of its lines with
+  the label ``line``, and those of their units with ``line`` and ``unit``; the lines' own
+  connections are clients, ``endpoint`` being where they lead;
+* ``modbus_fleet_...``: the counters of `FleetStatistics`, those of its outputs with the label
+  ``output``, and how late polls began, a histogram;
+* ``modbus_fleet_value{device,name,unit}``: the last values of a fleet that are numbers and good
+  (`LastValues`), with the labels of their devices.
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+import threading
+import time
+import weakref
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import fields
+from itertools import accumulate
+from operator import add
+from typing import Any, NamedTuple, Protocol
+
+from ...client.statistics import TIME_BOUNDS, Statistics
+from ...server.limits import ServerStatistics
+from ..fleet.outputs.last_values import KeptReadings
+from ..fleet.readings import Reading
+from ..fleet.statistics import LATENESS_BOUNDS, FleetStatistics, OutputStatistics
+from ..gateway.statistics import GatewayStatistics, LineStatistics, UnitStatistics
+
+try:
+    from prometheus_client import REGISTRY as REGISTRY
+    from prometheus_client import CollectorRegistry as CollectorRegistry
+    from prometheus_client import MetricsHandler as MetricsHandler
+    from prometheus_client.core import Metric
+    from prometheus_client.registry import Collector as _Collector
+except ImportError as error:
+    raise ImportError(
+        "metrics need prometheus_client: pip install 'libmodbus-py[metrics]'"
+    ) from error
+
+__all__ = ["Collector", "collect"]
+
+Labels = tuple[tuple[str, str], ...]
+
+
+class Counted(Protocol):
+    """A client, a server or a gateway; this has `passed`, too."""
+
+    @property
+    def statistics(self) -> Any: ...
+
+
+class Family(NamedTuple):
+    """One metric: its name, "counter", "gauge" or "histogram", and what it tells."""
+
+    name: str
+    type: str
+    text: str
+    # Makes one value of those of two objects with the same labels.
+    together: Callable[[float, float], float] = add
+
+
+class Sample(NamedTuple):
+    """Which value of which metric; equal ones add up."""
+
+    family: Family
+    suffix: str
+    labels: Labels
+
+
+Values = dict[Sample, float]
+
+
+class Kind(NamedTuple):
+    """
+    How objects with one kind of statistics become metrics.
+
+    Attributes:
+        families: all that it has.
+        read: gives the values of statistics.
+        labels: gives those that all values of an object have; takes its name, too.
+    """
+
+    families: list[Family]
+    read: Callable[[Any], Values]
+    labels: Callable[[Any, str], Labels]
+
+
+# --- which metrics there are ---------------------------------------------------------------
+
+
+def _texts(kind: type) -> dict[str, str]:
+    """What the docstring says of each attribute: that, and nothing else, is the help."""
+    section = re.split(r"\nAttributes:\n", inspect.getdoc(kind) or "")[-1]
+    found = re.findall(r"^ {4}(\w+): (.*(?:\n {8}.*)*)", section, re.MULTILINE)
+    return {name: text[0].upper() + re.sub(r"\s+", " ", text[1:]) for name, text in found}
+
+
+def _counters(prefix: str, kind: type, others: Iterable[str]) -> dict[str, Family]:
+    """Attribute -> metric, for those that only count up."""
+    texts = _texts(kind)
+    names = [each.name for each in fields(kind) if each.name not in others]
+    return {name: Family(f"{prefix}_{name}", "counter", texts.get(name, name)) for name in names}
+
+
+# fmt: off
+REQUESTS = Family(
+    "modbus_client_requests", "counter", "What became of requests, each repetition for itself."
+)
+DURATION = Family(
+    "modbus_client_request_duration_seconds", "histogram", "From sending to the answer that fits."
+)
+LAST_SUCCESS = Family(
+    "modbus_client_last_success_timestamp_seconds", "gauge", "When the last answer that fits came.",
+    max,
+)
+CLIENT = _counters("modbus_client", Statistics, (
+    "results", "answer_times", "answer_seconds", "last_success",
+))
+# fmt: on
+# The name is that of what became of them.
+CLIENT["requests"] = CLIENT["requests"]._replace(name="modbus_client_requests_sent")
+SERVER = _counters("modbus_server", ServerStatistics, ())
+SERVER["connections"] = SERVER["connections"]._replace(type="gauge")
+GATEWAY = _counters("modbus_gateway", GatewayStatistics, ("lines",))
+FLEET = _counters(
+    "modbus_fleet",
+    FleetStatistics,
+    (
+        "lateness",
+        "late_seconds",
+        "outputs",
+        "worst",
+    ),
+)
+OUTPUT = _counters("modbus_fleet_output", OutputStatistics, ("buffer", "trouble"))
+OUTPUT["dropped"] = Family("modbus_fleet_output_dropped", "counter", "For too many waited.")
+OUTPUT["waiting"] = Family("modbus_fleet_output_waiting", "gauge", "Those that wait now.")
+LATENESS = Family("modbus_fleet_lateness_seconds", "histogram", "How late polls began.")
+VALUE = Family("modbus_fleet_value", "gauge", "The last value of a point.", max)
+LINE = _counters("modbus_gateway_line", LineStatistics, ("url", "connection", "units"))
+UNIT = _counters("modbus_gateway_unit", UnitStatistics, ())
+for _families, _gauges in (
+    (LINE, ("waiting", "in_flight")),
+    (UNIT, ("is_silent",)),
+    (FLEET, ("devices", "up", "down")),
+):
+    for _name in _gauges:
+        _families[_name] = _families[_name]._replace(type="gauge")
+
+
+def _attributes(families: dict[str, Family], statistics: Any) -> Values:
+    return {
+        Sample(family, "" if family.type == "gauge" else "_total", ()): getattr(statistics, name)
+        for name, family in families.items()
+    }
+
+
+def _of_client(statistics: Statistics) -> Values:
+    values = _attributes(CLIENT, statistics)
+    # Copies, for another thread may count meanwhile.
+    for (function, result), count in statistics.results.copy().items():
+        labels = (("function", str(function)), ("result", result))
+        values[Sample(REQUESTS, "_total", labels)] = count
+    times, seconds = statistics.answer_times, statistics.answer_seconds
+    values |= _histogram(DURATION, TIME_BOUNDS, times, seconds)
+    if (last := statistics.last_success) is not None:
+        values[Sample(LAST_SUCCESS, "", ())] = time.time() - (time.monotonic() - last)
+    return values
+
+
+def _histogram(
+    family: Family, bounds: Iterable[float], counts: list[int], seconds: float
+) -> Values:
+    sums = list(accumulate(counts.copy()))
+    buckets = zip([*map(str, bounds), "+Inf"], sums, strict=True)
+    values = {Sample(family, "_bucket", (("le", bound),)): float(sum_) for bound, sum_ in buckets}
+    values[Sample(family, "_count", ())] = sums[-1]
+    values[Sample(family, "_sum", ())] = seconds
+    return values
+
+
+def _of_fleet(statistics: FleetStatistics) -> Values:
+    values = _attributes(FLEET, statistics)
+    values |= _histogram(LATENESS, LATENESS_BOUNDS, statistics.lateness, statistics.late_seconds)
+    for name, output in statistics.outputs.copy().items():
+        _label(values, _attributes(OUTPUT, output), ("output", name))
+    return values
+
+
+def _of_readings(kept: KeptReadings) -> Values:
+    return {
+        Sample(VALUE, "", _labels_of(each, kept.labels)): float(each.value)
+        for each in kept.by_name.copy().values()
+        if isinstance(each.value, int | float)
+    }
+
+
+def _labels_of(reading: Reading, labels: Mapping[str, Mapping[str, str]]) -> Labels:
+    own = {"device": reading.device, "name": reading.name, "unit": reading.unit}
+    others = {
+        re.sub(r"^(?=\d)|\W", "_", key, flags=re.ASCII): value
+        for key, value in labels.get(reading.device, {}).items()
+    }
+    return tuple({**others, **own}.items())
+
+
+def _of_gateway(statistics: GatewayStatistics) -> Values:
+    values = _attributes(GATEWAY, statistics)
+    for url, line in statistics.lines.copy().items():
+        place = url.partition("?")[0]
+        _label(values, _attributes(LINE, line), ("line", place))
+        _label(values, _of_client(line.connection), ("endpoint", place))
+        for number, unit in line.units.copy().items():
+            _label(values, _attributes(UNIT, unit), ("line", place), ("unit", str(number)))
+    return values
+
+
+def _label(values: Values, more: Values, *labels: tuple[str, str]) -> None:
+    """Take these, too, with these labels before their own."""
+    _add(
+        values,
+        {sample._replace(labels=labels + sample.labels): more[sample] for sample in more},
+    )
+
+
+KINDS: dict[type, Kind] = {
+    Statistics: Kind(
+        [REQUESTS, DURATION, LAST_SUCCESS, *CLIENT.values()],
+        _of_client,
+        # Settings of serial ports are of no interest here.
+        lambda client, name: (("endpoint", client.url.partition("?")[0]),),
+    ),
+    ServerStatistics: Kind(
+        [*SERVER.values()],
+        lambda statistics: _attributes(SERVER, statistics),
+        lambda server, name: (("server", name),) if name else (),
+    ),
+    GatewayStatistics: Kind(
+        [*GATEWAY.values(), *LINE.values(), *UNIT.values()],
+        _of_gateway,
+        lambda gateway, name: (("server", name),) if name else (),
+    ),
+    FleetStatistics: Kind(
+        [*FLEET.values(), *OUTPUT.values(), LATENESS],
+        _of_fleet,
+        lambda fleet, name: (("fleet", name),) if name else (),
+    ),
+    KeptReadings: Kind([VALUE], _of_readings, lambda values, name: ()),
+}
+"""Class of statistics -> what is made of them."""
+
+
+# --- the collector --------------------------------------------------------------------------
+
+
+class _Watched:
+    """Statistics as long as somebody has them, and what they were when last looked at."""
+
+    def __init__(self, statistics: Any, kind: Kind, labels: Labels) -> None:
+        self._statistics = weakref.ref(statistics)
+        self._kind = kind
+        self.labels = labels
+        self.values: Values = {}
+
+    def of(self, statistics: object) -> bool:
+        return self._statistics() is statistics
+
+    @property
+    def is_gone(self) -> bool:
+        return self._statistics() is None
+
+    def look(self) -> None:
+        """Read the values; those of what is gone stay as they were."""
+        statistics = self._statistics()
+        if statistics is not None:
+            self.values = {
+                sample._replace(labels=self.labels + sample.labels): value
+                for sample, value in self._kind.read(statistics).items()
+            }
+
+
+class Collector(_Collector):
+    """
+    Gives metrics of clients, servers, gateways and fleets to a registry. Safe from any thread.
+
+    Objects are held weakly: one that nobody has any more disappears. Clients of the same
+    endpoint, and servers of the same name, add up; what those that disappeared have
+    counted remains as long as there is another one, for a counter must not fall.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._watched: list[_Watched] = []
+        self._past: dict[Labels, Values] = {}
+
+    def add(self, *objects: Counted, name: str = "") -> None:
+        """
+        Have them among the metrics; once, however often they are added.
+
+        Args:
+            objects: clients, whose handles (`for_unit`) are one, servers, gateways, fleets, and
+                what keeps the `LastValues` of one.
+            name: the label ``server`` of servers and gateways, ``fleet`` of fleets; empty for
+                none.
+
+        Raises:
+            TypeError: an object is none of them.
+        """
+        watched = [
+            (each, statistics)
+            for each in objects
+            for statistics in (getattr(each, "statistics", None), getattr(each, "passed", None))
+            if statistics is not None or not hasattr(each, "statistics")
+        ]
+        for each, statistics in watched:
+            if type(statistics) not in KINDS:
+                given = type(each).__name__
+                raise TypeError(f"objects must be clients, servers and gateways, not {given}")
+        with self._lock:
+            for each, statistics in watched:
+                if not any(other.of(statistics) for other in self._watched):
+                    kind = KINDS[type(statistics)]
+                    labels = kind.labels(each, name)
+                    self._watched.append(_Watched(statistics, kind, labels))
+            self._forget_gone()  # nobody may ever scrape
+
+    def describe(self) -> Iterator[Metric]:
+        """All metrics there may be, for a registry to know their names."""
+        for kind in KINDS.values():
+            for family in kind.families:
+                yield Metric(family.name, family.text, family.type)
+
+    def collect(self) -> Iterator[Metric]:
+        """The metrics as they are now, for a registry."""
+        with self._lock:
+            values = self._values()
+        metrics: dict[Family, Metric] = {}
+        for (family, suffix, labels), value in values.items():
+            if family not in metrics:
+                metrics[family] = Metric(family.name, family.text, family.type)
+            metrics[family].add_sample(family.name + suffix, dict(labels), value)
+        yield from metrics.values()
+
+    def _values(self) -> Values:
+        for each in self._watched:
+            each.look()
+        self._forget_gone()
+        values: Values = {}
+        for some in [*self._past.values(), *(each.values for each in self._watched)]:
+            _add(values, some)
+        return values
+
+    def _forget_gone(self) -> None:
+        gone = [each for each in self._watched if each.is_gone]
+        self._watched = [each for each in self._watched if each not in gone]
+        for each in gone:
+            past = self._past.setdefault(each.labels, {})
+            _add(past, {key: each.values[key] for key in each.values if _stays(key)})
+        present = {each.labels for each in self._watched}
+        self._past = {labels: past for labels, past in self._past.items() if labels in present}
+
+
+def _stays(sample: Sample) -> bool:
+    return sample.family.type != "gauge"
+
+
+def _add(values: Values, more: Values) -> None:
+    for sample, value in more.items():
+        values[sample] = (
+            sample.family.together(values[sample], value) if sample in values else value
+        )
+
+
+_collectors: weakref.WeakKeyDictionary[CollectorRegistry, Collector] = weakref.WeakKeyDictionary()
+_collectors_lock = threading.Lock()
+
+
+def collect(*objects: Counted, name: str = "", registry: CollectorRegistry = REGISTRY) -> Collector:
+    """
+    Have clients, servers, gateways and fleets among the metrics of a registry.
+
+    Args:
+        objects, name: as for `Collector.add`.
+        registry: prometheus_client's default one unless given. It has one collector,
+            which is registered with the first objects.
+
+    Raises:
+        TypeError: an object is none of them.
+        ValueError: the registry has metrics of these names from elsewhere.
+    """
+    with _collectors_lock:
+        collector = _collectors.get(registry)
+        if collector is None:
+            collector = Collector()
+            registry.register(collector)
+            _collectors[registry] = collector
+    collector.add(*objects, name=name)
+    return collector

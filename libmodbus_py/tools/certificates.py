@@ -1,0 +1,237 @@
+"""
+Certificates for trying things out, and for tests: authorities, servers, clients with roles.
+
+Keys are EC P-256, which every peer must understand (MB-TCP-Security-v36, R-61, R-62), unless
+others are given. What is made here passes the strict checks of Python 3.13 (RFC 5280).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from ipaddress import ip_address
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..security.extra import require_cryptography
+from ..security.role import ROLE_OID, encode_role
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from cryptography import x509
+    from cryptography.hazmat.primitives.asymmetric import ec, rsa
+
+    PrivateKey = ec.EllipticCurvePrivateKey | rsa.RSAPrivateKey
+
+__all__ = ["Identity", "make", "write"]
+
+EARLIER = timedelta(hours=1)
+"""Certificates begin before they are made: the clocks of devices are wrong."""
+
+MAX_DAYS = 36_500
+"""A century: what is longer is a typo."""
+
+
+@dataclass(frozen=True)
+class Identity:
+    """
+    A certificate with its key.
+
+    Attributes:
+        certificate: as `cryptography` has it.
+        key: the private key to it.
+        issuers: the authorities above it, nearest first, without the one that signed itself:
+            a peer is shown these, and must know that one (R-46).
+    """
+
+    certificate: x509.Certificate
+    key: PrivateKey
+    issuers: tuple[x509.Certificate, ...] = ()
+
+    @property
+    def der(self) -> bytes:
+        """The certificate alone."""
+        from cryptography.hazmat.primitives.serialization import Encoding
+
+        return self.certificate.public_bytes(Encoding.DER)
+
+    @property
+    def pem(self) -> bytes:
+        """The certificate and its issuers."""
+        from cryptography.hazmat.primitives.serialization import Encoding
+
+        chain = (self.certificate, *self.issuers)
+        return b"".join(each.public_bytes(Encoding.PEM) for each in chain)
+
+    def key_pem(self, password: bytes | None = None) -> bytes:
+        """Give the private key (PKCS #8), encrypted if there is a password."""
+        from cryptography.hazmat.primitives import serialization
+
+        encryption: serialization.KeySerializationEncryption = (
+            serialization.NoEncryption()
+            if password is None
+            else serialization.BestAvailableEncryption(password)
+        )
+        return self.key.private_bytes(
+            serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, encryption
+        )
+
+
+def make(
+    name: str,
+    issuer: Identity | None = None,
+    *,
+    is_authority: bool = False,
+    role: str | None = None,
+    hosts: Iterable[str] = (),
+    begin: datetime | None = None,
+    days: float = 365,
+    key: PrivateKey | None = None,
+) -> Identity:
+    """
+    Make a key and a certificate to it.
+
+    Args:
+        name: the common name, 1..64 characters.
+        issuer: who signs; None: it signs itself.
+        is_authority: whether it may sign others.
+        role: put into it, if there is one.
+        hosts: names and IP addresses that it is good for, as a server.
+        begin: when it begins to be valid, with a timezone; None: an hour ago.
+        days: how long from then on, up to 36500.
+        key: its private key; None: a new one, EC P-256.
+
+    Raises:
+        ImportError: cryptography is not installed.
+        ValueError: a name, role, host or time that cannot be.
+    """
+    require_cryptography()
+    from cryptography import x509
+    from cryptography.hazmat.primitives import hashes
+    from cryptography.hazmat.primitives.asymmetric import ec
+
+    if not 0 < days <= MAX_DAYS:
+        raise ValueError(f"days must be in 1..{MAX_DAYS}, not {days:g}")
+    key = key or ec.generate_private_key(ec.SECP256R1())
+    subject = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, name)])
+    begin = begin or datetime.now(UTC) - EARLIER
+    builder = x509.CertificateBuilder(
+        issuer_name=subject if issuer is None else issuer.certificate.subject,
+        subject_name=subject,
+        public_key=key.public_key(),
+        serial_number=x509.random_serial_number(),
+    )
+    builder = builder.not_valid_before(begin).not_valid_after(begin + timedelta(days=days))
+    signer = key if issuer is None else issuer.key
+    for extension, is_critical in (
+        *_usage(is_authority=is_authority),
+        (x509.SubjectKeyIdentifier.from_public_key(key.public_key()), False),
+        (x509.AuthorityKeyIdentifier.from_issuer_public_key(signer.public_key()), False),
+        *_names(hosts),
+        *_role(role),
+    ):
+        builder = builder.add_extension(extension, critical=is_critical)
+    return Identity(builder.sign(signer, hashes.SHA256()), key, _issuers(issuer))
+
+
+def _usage(*, is_authority: bool) -> Iterable[tuple[x509.ExtensionType, bool]]:
+    from cryptography import x509
+    from cryptography.x509.oid import ExtendedKeyUsageOID
+
+    yield x509.BasicConstraints(ca=is_authority, path_length=None), True
+    yield (
+        x509.KeyUsage(
+            digital_signature=not is_authority,
+            key_cert_sign=is_authority,
+            crl_sign=is_authority,
+            content_commitment=False,
+            key_encipherment=False,
+            data_encipherment=False,
+            key_agreement=False,
+            encipher_only=False,
+            decipher_only=False,
+        ),
+        True,
+    )
+    if not is_authority:
+        # Devices are servers in the morning and clients in the afternoon.
+        purposes = ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH
+        yield x509.ExtendedKeyUsage(purposes), False
+
+
+def _names(hosts: Iterable[str]) -> Iterable[tuple[x509.ExtensionType, bool]]:
+    from cryptography import x509
+
+    names = [_name(host) for host in hosts]
+    if names:
+        yield x509.SubjectAlternativeName(names), False
+
+
+def _name(host: str) -> x509.GeneralName:
+    from cryptography import x509
+
+    try:
+        return x509.IPAddress(ip_address(host))
+    except ValueError:
+        if not (host and host.isascii()):
+            raise ValueError(f"the host {host!r} is no address and no ASCII name") from None
+        return x509.DNSName(host)
+
+
+def _role(role: str | None) -> Iterable[tuple[x509.ExtensionType, bool]]:
+    from cryptography import x509
+
+    if role is not None:
+        oid = x509.ObjectIdentifier(ROLE_OID)
+        yield x509.UnrecognizedExtension(oid, encode_role(role)), False
+
+
+def _issuers(issuer: Identity | None) -> tuple[x509.Certificate, ...]:
+    if issuer is None or issuer.certificate.issuer == issuer.certificate.subject:
+        return ()
+    return (issuer.certificate, *issuer.issuers)
+
+
+# --- files ---------------------------------------------------------------------------
+
+
+def write(directory: Path, identities: Mapping[str, Identity]) -> dict[str, tuple[Path, Path]]:
+    """
+    Write ``NAME.pem``, a certificate with its issuers, and ``NAME-key.pem``, which its owner
+    alone can read. All or nothing; nothing is overwritten.
+
+    Args:
+        directory: made if there is none.
+        identities: by name.
+
+    Returns:
+        The paths of certificate and key, by name.
+
+    Raises:
+        FileExistsError: there is such a file already.
+        OSError: it cannot be written.
+    """
+    directory.mkdir(parents=True, exist_ok=True)
+    written: list[Path] = []
+    paths: dict[str, tuple[Path, Path]] = {}
+    try:
+        for name, identity in identities.items():
+            certificate, key = directory / f"{name}.pem", directory / f"{name}-key.pem"
+            paths[name] = certificate, key
+            for path, mode, data in (
+                (certificate, 0o644, identity.pem),
+                (key, 0o600, identity.key_pem()),
+            ):
+                # Created with its mode, so that a key is at no time anybody's to read.
+                with open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "wb") as file:
+                    written.append(path)
+                    file.write(data)
+    except BaseException:
+        for path in written:
+            with contextlib.suppress(OSError):
+                path.unlink()
+        raise
+    return paths

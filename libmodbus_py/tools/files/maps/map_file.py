@@ -1,0 +1,63 @@
+"""
+Register maps from files.
+"""
+
+from __future__ import annotations
+
+from os import PathLike, fspath
+from pathlib import PurePath
+
+from ....maps.register_map import RegisterMap
+from ..texts import read_text
+from . import csv_form, toml_form
+from .drafts import Contents, MapError, collected
+
+__all__ = ["contents_of", "load_map"]
+
+
+def load_map(path: str | PathLike[str]) -> RegisterMap:
+    """
+    Read a register map from a file of up to 512 KiB, with up to 10000 points.
+
+    Args:
+        path: it ends with ``.toml`` (a table ``[[point]]`` for each, with the arguments of
+            `Point` as keys) or ``.csv``, ``.tsv`` or ``.txt`` (columns as vendors name them,
+            found by their headings).
+
+    Raises:
+        MapError: it cannot be read, or the first mistake in it, with file, line, column and
+            what is allowed.
+    """
+    contents = contents_of(path, most=1)
+    if contents.mistakes:
+        raise MapError(contents.mistakes[0].of(fspath(path)))
+    return RegisterMap(contents.points.values())
+
+
+def contents_of(path: str | PathLike[str], most: int) -> Contents:
+    """
+    Read a file up to the mistake with the number `most`.
+
+    Raises:
+        MapError: it cannot be read.
+    """
+    form = _FORMS.get(PurePath(path).suffix.lower())
+    if form is None:
+        raise MapError(f"{fspath(path)}: a register map must end with one of {', '.join(_FORMS)}")
+    return form(read_text(path, MapError), most)
+
+
+def _from_toml(text: str, most: int) -> Contents:
+    return collected(toml_form.drafts(text), most)
+
+
+def _from_csv(text: str, most: int) -> Contents:
+    columns = csv_form.header(text)
+    if not isinstance(columns, csv_form.Columns):
+        return Contents(mistakes=[columns])
+    contents = collected(csv_form.drafts(text, columns), most)
+    contents.ignored = columns.ignored
+    return contents
+
+
+_FORMS = {".toml": _from_toml, ".csv": _from_csv, ".tsv": _from_csv, ".txt": _from_csv}

@@ -1,0 +1,50 @@
+"""
+Register maps as text, in the forms that files have.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Iterable
+from dataclasses import fields
+from typing import Any
+
+from ....maps.point import Point
+
+__all__ = ["csv_text", "toml_text"]
+
+_DEFAULTS = {each.name: each.default for each in fields(Point) if each.init}
+
+
+def toml_text(points: Iterable[Point]) -> str:
+    """Give a table for each, with what differs from what `Point` takes unless told."""
+    return "\n".join(
+        "\n".join(["[[point]]", *(f"{key} = {_shown(value)}" for key, value in _said(point)), ""])
+        for point in points
+    )
+
+
+def csv_text(points: Iterable[Point]) -> str:
+    """Give a line for each; a padding cannot be told in CSV."""
+    said = [dict(_said(point)) for point in points]
+    used = [key for key in _DEFAULTS if key != "padding" and any(key in keys for keys in said)]
+    text = io.StringIO(newline="")
+    csv.writer(text, lineterminator="\n").writerows(
+        [used, *([keys.get(key, "") for key in used] for keys in said)]
+    )
+    return text.getvalue()
+
+
+def _said(point: Point) -> list[tuple[str, Any]]:
+    return [
+        (key, value)
+        for key, default in _DEFAULTS.items()
+        if (value := getattr(point, key)) is not None and value != default
+    ]
+
+
+def _shown(value: Any) -> str:
+    # What JSON says of printable text and of numbers, TOML reads, too.
+    return json.dumps(value, ensure_ascii=False)

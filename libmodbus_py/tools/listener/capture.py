@@ -1,0 +1,294 @@
+"""
+Captures: what was heard as pcapng, which Wireshark decodes without options, and back.
+
+A frame is an exported PDU (link type 252) for the dissector "mbtcp": the PDU behind a made-up
+MBAP header, from or to port 502 of 10.0.0.UNIT. Bytes that are no frame go to "mbrtu". Each port
+that was listened at is an interface.
+
+Blocks: draft-ietf-opsawg-pcapng, sections 4.1-4.3. Tags: epan/exported_pdu.h of Wireshark.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+from collections.abc import Iterator
+from typing import BinaryIO, NamedTuple, Self
+
+from ...protocol.framing import Frame, mbap
+from ...protocol.pdu import MAX_PDU
+from .hearing import Candidate, Damage
+from .transaction import Heard
+
+__all__ = ["CaptureError", "CaptureReader", "CaptureWriter", "Recorded"]
+
+UPPER_PDU = 252
+MODBUS_PORT = 502
+FIRST_CLIENT_PORT = 49152  # the dynamic ports (RFC 6335)
+
+_SECTION, _INTERFACE, _PACKET = 0x0A0D0D0A, 1, 6
+_BYTE_ORDER = 0x1A2B3C4D
+_IF_NAME, _IF_TSRESOL = 2, 9
+_DISSECTOR, _IPV4_SRC, _IPV4_DST, _PORT_TYPE, _SRC_PORT, _DST_PORT = 12, 20, 21, 24, 25, 26
+_TCP = 2
+
+CLIENT = bytes([10, 0, 1, 0])
+
+# More than any block has that was written here or saved by Wireshark.
+MAX_BLOCK = 1 << 20
+MAX_INTERFACES = 256
+
+
+class CaptureError(ValueError):
+    """A file that is no capture of this package: what is wrong, and where."""
+
+
+def _padded(data: bytes) -> bytes:
+    return data + bytes(-len(data) % 4)
+
+
+def _block(kind: int, body: bytes) -> bytes:
+    size = 12 + len(body)
+    return struct.pack("<II", kind, size) + body + struct.pack("<I", size)
+
+
+def _tag(kind: int, value: bytes) -> bytes:
+    value = _padded(value)
+    return struct.pack(">HH", kind, len(value)) + value
+
+
+def _ports(source: int, target: int) -> bytes:
+    values = ((_PORT_TYPE, _TCP), (_SRC_PORT, source), (_DST_PORT, target))
+    return b"".join(_tag(kind, struct.pack(">I", value)) for kind, value in values)
+
+
+class CaptureWriter:
+    """
+    Writes a capture, each frame at once.
+
+    Args:
+        path: of the file; what it held is lost.
+        names: of the interfaces, such as URLs.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], *names: str) -> None:
+        self._path = os.fspath(path)
+        self._file = open(path, "wb", buffering=0)  # noqa: SIM115  # closed by close()
+        self._ids: dict[tuple[int, int, int], int] = {}
+        self._last_id = 0
+        section = struct.pack("<IHHq", _BYTE_ORDER, 1, 0, -1)
+        blocks = [_block(_SECTION, section)]
+        for name in names:
+            text = name.encode()[:1000]
+            option = struct.pack("<HH", _IF_NAME, len(text)) + _padded(text) + bytes(4)
+            blocks.append(_block(_INTERFACE, struct.pack("<HHI", UPPER_PDU, 0, 0) + option))
+        try:
+            self._write(b"".join(blocks))
+        except BaseException:
+            self.close()
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Any number of times."""
+        self._file.close()
+
+    def write(self, heard: Heard, interface: int = 0, link: int = 0) -> None:
+        """
+        Write what was heard.
+
+        Args:
+            heard: a frame that was named, or damaged bytes.
+            interface: which of `names`.
+            link: number of the connection, where there are several.
+
+        Raises:
+            OSError: the disk is full, or the file closed.
+        """
+        port = FIRST_CLIENT_PORT + link % (65536 - FIRST_CLIENT_PORT)
+        if heard.frame is None:
+            # Whose bytes they are nobody knows: both ports are the client's.
+            tags = _tag(_DISSECTOR, b"mbrtu") + _ports(port, port)
+            data = tags + bytes(4) + heard.data
+        else:
+            data = self._exported(heard, heard.frame, interface, port)
+        time = max(round(heard.ended * 1_000_000), 0)
+        head = struct.pack("<IIIII", interface, time >> 32, time & 0xFFFFFFFF, len(data), len(data))
+        self._write(_block(_PACKET, head + _padded(data)))
+
+    def _exported(self, heard: Heard, frame: Frame, interface: int, port: int) -> bytes:
+        # Answers carry the number of the last question to their unit.
+        key = interface, port, frame.unit
+        if heard.part == "request" or key not in self._ids:
+            self._last_id = self._last_id % 0xFFFF + 1
+            self._ids[key] = self._last_id
+        client, unit = (CLIENT, port), (bytes([10, 0, 0, frame.unit]), MODBUS_PORT)
+        source, target = (client, unit) if heard.part == "request" else (unit, client)
+        head = (
+            _tag(_DISSECTOR, b"mbtcp")
+            + _tag(_IPV4_SRC, source[0])
+            + _tag(_IPV4_DST, target[0])
+            + _ports(source[1], target[1])
+            + bytes(4)
+        )
+        if len(self._ids) > 4096:  # connections that came and went
+            self._ids.clear()
+        return head + mbap(self._ids.get(key, self._last_id), frame.unit, frame.pdu)
+
+    def _write(self, data: bytes) -> None:
+        try:
+            while data:  # a pipe may take less
+                data = data[self._file.write(data) or 0 :]
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, self._path) from error
+
+
+class Recorded(NamedTuple):
+    """What was heard on one connection; `link` tells connections and interfaces apart."""
+
+    link: int
+    found: Candidate | Damage
+
+
+class CaptureReader:
+    """
+    Reads what `CaptureWriter` wrote, also when Wireshark saved it again.
+
+    Args:
+        path: of the file.
+
+    Attributes:
+        recorded: an iterator of `Recorded`; raises CaptureError where the file is no such
+            capture, or ends inside a block.
+
+    Raises:
+        OSError: the file cannot be read.
+        CaptureError: it does not begin as a pcapng file does.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self._path = os.fspath(path)
+        self._file: BinaryIO = open(path, "rb")  # noqa: SIM115  # closed by close()
+        self._order = "<"
+        self._at = 0
+        self._units: list[float] = []  # of each interface: seconds that one of its ticks takes
+        try:
+            kind, body = self._next_block() or (0, b"")
+            if kind != _SECTION:
+                raise self._error("no pcapng file")
+        except BaseException:
+            self.close()
+            raise
+        self._begin(body)
+        self.recorded: Iterator[Recorded] = self._read()
+
+    def close(self) -> None:
+        """Any number of times."""
+        self._file.close()
+
+    def _read(self) -> Iterator[Recorded]:
+        while (block := self._next_block()) is not None:
+            kind, body = block
+            if kind == _SECTION:
+                self._begin(body)
+            elif kind == _INTERFACE:
+                self._add_interface(body)
+            elif kind == _PACKET:
+                yield self._packet(body)
+
+    def _next_block(self) -> tuple[int, bytes] | None:
+        start = self._at
+        head = self._exactly(8, may_end=True)
+        if not head:
+            return None
+        if head[:4] == struct.pack("<I", _SECTION):
+            order = self._exactly(4)
+            self._order = "<" if order == struct.pack("<I", _BYTE_ORDER) else ">"
+        else:
+            order = b""
+        kind, size = struct.unpack(self._order + "II", head)
+        if not 12 + len(order) <= size <= MAX_BLOCK or size % 4:
+            raise self._error(f"a block of {size} bytes", start)
+        body = order + self._exactly(size - 12 - len(order))
+        if self._exactly(4) != head[4:]:
+            raise self._error("a block whose two lengths differ", start)
+        return kind, body
+
+    def _exactly(self, size: int, *, may_end: bool = False) -> bytes:
+        data = self._file.read(size)
+        if len(data) != size and (data or not may_end):
+            raise self._error("it ends inside a block")
+        self._at += size
+        return data
+
+    def _begin(self, body: bytes) -> None:
+        if body[:4] != struct.pack(self._order + "I", _BYTE_ORDER):
+            raise self._error("no pcapng file")
+        self._units.clear()
+
+    def _add_interface(self, body: bytes) -> None:
+        link_type = int.from_bytes(body[:2], "little" if self._order == "<" else "big")
+        if link_type != UPPER_PDU:
+            raise self._error(f"packets of link type {link_type}, not {UPPER_PDU}")
+        if len(self._units) == MAX_INTERFACES:
+            raise self._error(f"more than {MAX_INTERFACES} interfaces")
+        resolution = dict(self._pairs(body[8:], self._order)).get(_IF_TSRESOL, b"\x06")[:1]
+        if not resolution or resolution[0] > 12:
+            raise self._error("times in other parts of a second than powers of ten")
+        self._units.append(10.0 ** -resolution[0])
+
+    def _pairs(self, data: bytes, order: str) -> Iterator[tuple[int, bytes]]:
+        """Options of a block, or tags of a packet: the last one is number 0."""
+        at = 0
+        while at < len(data):
+            if len(data) < at + 4:
+                raise self._error("an option without a length")
+            kind, size = struct.unpack_from(order + "HH", data, at)
+            at += 4
+            value, end = data[at : at + size], at + size
+            if len(value) != size:
+                raise self._error("an option longer than its block")
+            at = end + -end % 4
+            if kind == 0:
+                value = data[at:]
+                at = len(data)
+            yield kind, value
+
+    def _packet(self, body: bytes) -> Recorded:
+        if len(body) < 20:
+            raise self._error("a packet without a head")
+        interface, high, low, size, _ = struct.unpack_from(self._order + "IIIII", body)
+        if interface >= len(self._units):
+            raise self._error(f"a packet of interface {interface}, which there is not")
+        data = body[20 : 20 + size]
+        if len(data) != size:
+            raise self._error("a packet longer than its block")
+        at = (high << 32 | low) * self._units[interface]
+        tags = dict(self._pairs(data, ">"))
+        dissector = tags.get(_DISSECTOR, b"").rstrip(b"\0")
+        source, target = (int.from_bytes(tags.get(kind, b"")) for kind in (_SRC_PORT, _DST_PORT))
+        asks = target == MODBUS_PORT
+        link = interface << 16 | (source if asks else target) & 0xFFFF
+        if dissector == b"mbrtu":
+            return Recorded(link, Damage(at, at, tags.get(0, b"")))
+        if dissector != b"mbtcp":
+            raise self._error("a packet that is for neither mbtcp nor mbrtu")
+        frame = self._frame(tags.get(0, b""))
+        return Recorded(link, Candidate(at, at, frame, asks, not asks))
+
+    def _frame(self, adu: bytes) -> Frame:
+        if not 8 <= len(adu) <= 7 + MAX_PDU or adu[2:4] != b"\0\0":
+            raise self._error("a packet that is no frame of Modbus/TCP")
+        return Frame(adu[6], adu[7:])
+
+    def _error(self, what: str, at: int | None = None) -> CaptureError:
+        where = self._at if at is None else at
+        return CaptureError(f"{self._path}: byte {where}: {what}")

@@ -1,0 +1,168 @@
+"""
+Bytes and times in; frames that may be requests or responses, and bytes that are none, out.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Callable, Iterator
+from typing import NamedTuple, Protocol
+
+from ...protocol.either_way import EitherWay, RtuEitherWay, may_be
+from ...protocol.errors import MAX_RECEIVED, FrameError
+from ...protocol.framing import Frame, Framer
+
+__all__ = ["Candidate", "Damage", "FramerHearing", "Hearing", "RtuHearing"]
+
+IsAwaited = Callable[[int, int], bool]
+
+
+class Candidate(NamedTuple):
+    """A good frame: when it came, and what it may be."""
+
+    began: float
+    ended: float
+    frame: Frame
+    may_ask: bool
+    may_answer: bool
+
+
+class Damage(NamedTuple):
+    """Bytes that are no frame, 600 at most."""
+
+    began: float
+    ended: float
+    data: bytes
+
+
+class Hearing(Protocol):
+    """What all have; `quiet`: seconds without a byte after which `silence` should be called."""
+
+    quiet: float
+
+    def hear(self, data: bytes, at: float, is_awaited: IsAwaited) -> Iterator[Candidate | Damage]:
+        """Take bytes that came at a time, in seconds; give what they are, in their order."""
+        ...
+
+    def silence(
+        self, is_awaited: IsAwaited, *, is_long: bool = False
+    ) -> Iterator[Candidate | Damage]:
+        """Take it that the line is quiet; for so long that no frame will be completed."""
+        ...
+
+
+class RtuHearing:
+    """Requests and responses in one stream, as on a line; each frame with its own time."""
+
+    quiet: float = RtuEitherWay.quiet
+
+    def __init__(self) -> None:
+        self._frames = RtuEitherWay()
+        self._offsets: list[int] = []  # where in the stream each piece begins,
+        self._times: list[float] = []  # and when it came
+        self._damage: Damage | None = None
+
+    def hear(self, data: bytes, at: float, is_awaited: IsAwaited) -> Iterator[Candidate | Damage]:
+        # Of pieces that are only waited on, as many as there are bytes.
+        self._offsets.append(self._frames.end)
+        self._times.append(at)
+        self._frames.feed(data)
+        yield from self._take(is_awaited)
+
+    def silence(
+        self, is_awaited: IsAwaited, *, is_long: bool = False
+    ) -> Iterator[Candidate | Damage]:
+        self._frames.silence(is_long=is_long)
+        yield from self._take(is_awaited)
+        # What still waits may turn out to be the end of it.
+        if self._frames.end == self._frames.offset:
+            yield from self._flush()
+
+    def _take(self, is_awaited: IsAwaited) -> Iterator[Candidate | Damage]:
+        while (found := self._frames.take(is_awaited)) is not None:
+            began, ended = self._time(found.start), self._time(found.end - 1)
+            if isinstance(found, EitherWay):
+                yield from self._flush()
+                yield Candidate(began, ended, found.frame, found.may_ask, found.may_answer)
+            else:
+                yield from self._add(Damage(began, ended, found.data))
+        self._forget()
+
+    def _add(self, damage: Damage) -> Iterator[Damage]:
+        """A run of bytes that are no frame is one, up to a size."""
+        if self._damage is None:
+            self._damage = damage
+        else:
+            began, _, data = self._damage
+            self._damage = Damage(began, damage.ended, data + damage.data)
+        if len(self._damage.data) >= MAX_RECEIVED:
+            yield from self._flush()
+
+    def _flush(self) -> Iterator[Damage]:
+        damage, self._damage = self._damage, None
+        if damage is None:
+            return
+        for at in range(0, len(damage.data), MAX_RECEIVED):
+            yield damage._replace(data=damage.data[at : at + MAX_RECEIVED])
+
+    def _time(self, offset: int) -> float:
+        return self._times[bisect_right(self._offsets, offset) - 1]
+
+    def _forget(self) -> None:
+        done = max(bisect_right(self._offsets, self._frames.offset) - 1, 0)
+        del self._offsets[:done]
+        del self._times[:done]
+
+
+class FramerHearing:
+    """
+    Frames that a framer cuts out; their times are those of the pieces that end them.
+
+    Args:
+        make_framer: for one direction of RTU, or ASCII, whose frames have marks of their own.
+        is_asking: whether it is the direction of requests; None for both in one stream.
+    """
+
+    def __init__(self, make_framer: Callable[[], Framer], is_asking: bool | None) -> None:
+        self._make_framer = make_framer
+        self._framer = make_framer()
+        self._tail = b""  # what waits in the framer for the rest of its frame
+        self._is_asking = is_asking
+        self._began: float | None = None
+        self._at = 0.0
+        self.quiet: float = self._framer.quiet or 0.0
+
+    def hear(self, data: bytes, at: float, is_awaited: IsAwaited) -> Iterator[Candidate | Damage]:
+        self._at = at
+        began = at if self._began is None else self._began
+        found = self._framer.scan(data)
+        pending, data = self._framer.pending, self._tail + data
+        self._tail = data[-pending:] if pending else b""
+        if not found and not pending:  # skipped, as what comes before a colon
+            yield Damage(began, at, data[:MAX_RECEIVED])
+        for each in found:
+            yield self._heard(each, began)
+            began = at
+        if not self._framer.pending:
+            self._began = None
+        elif self._began is None or found:
+            self._began = at
+
+    def silence(
+        self, is_awaited: IsAwaited, *, is_long: bool = False
+    ) -> Iterator[Candidate | Damage]:
+        began = self._at if self._began is None else self._began
+        for each in self._framer.scan_silence():
+            yield self._heard(each, began)
+        if is_long and self._framer.pending:
+            yield Damage(began, self._at, self._tail[-self._framer.pending :])
+            self._framer = self._make_framer()
+        if not self._framer.pending:
+            self._began = None
+
+    def _heard(self, found: Frame | FrameError, began: float) -> Candidate | Damage:
+        if isinstance(found, FrameError):
+            return Damage(began, self._at, found.received)
+        is_asking = self._is_asking
+        either = may_be(found.pdu) if is_asking is None else (is_asking, not is_asking)
+        return Candidate(began, self._at, found, *either)

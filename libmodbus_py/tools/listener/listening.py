@@ -1,0 +1,369 @@
+"""
+listening(url): transactions as they pass, for a ``for`` loop or an ``async for`` loop.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import os
+import select
+import threading
+import time
+from collections import deque
+from functools import partial
+from typing import Self
+
+from ...ports.endpoint import Endpoint, parse
+from ...ports.waiting import READ, Ready, Steps, Waker, Woken, run
+from ...ports.waiting_async import run_async
+from ...protocol.errors import ModbusConnectionError
+from .capture import CaptureReader, CaptureWriter
+from .separator import LineFraming, Separator
+from .source import Piece, SerialSource, Source
+from .summary import Summary
+from .tap import Tap
+from .transaction import Heard, OnHeard, Transaction
+
+__all__ = ["Listener", "listening"]
+
+logger: logging.Logger = logging.getLogger(__name__)
+
+# How long a port that is gone is left alone before the next attempt.
+REOPEN_AFTER = 1.0
+
+# How often a quiet line is looked at for questions that nobody answered.
+IDLE = 1.0
+
+# Connections, or what a capture takes for such, that are followed at once.
+MAX_SEPARATORS = 256
+
+
+class Listener:
+    """
+    What passes on a line, as an iterator of `Transaction`; made by `listening`.
+
+    Use it in a ``with`` or ``async with`` block, which closes it. Iteration ends at the end of a
+    capture, and once it was closed; a port that is unplugged is waited for and opened again.
+    Whoever takes the transactions should do it at once: a serial port keeps 4096 bytes, and what
+    is read late has come late. A tap passes bytes on whatever happens here.
+
+    Attributes:
+        url: where it listens, with the port it got; or the path of the capture.
+        summary: what was heard so far, counted.
+
+    Raises, while iterating:
+        CaptureError: a capture that is read is none, or ends inside a block.
+        OSError: the capture that is written cannot be.
+        RuntimeError: another thread or task is iterating.
+    """
+
+    def __init__(
+        self,
+        url: str,
+        framing: LineFraming,
+        source: Source | CaptureReader,
+        writer: CaptureWriter | None,
+        clock: Clock,
+    ) -> None:
+        self.url: str = url
+        self.summary: Summary = Summary()
+        self._framing: LineFraming = framing
+        self._reader = source if isinstance(source, CaptureReader) else None
+        self._source = None if isinstance(source, CaptureReader) else source
+        self._writer = writer
+        self._clock = clock
+        self._separators: dict[int, Separator] = {}
+        self._ready: deque[Transaction] = deque()
+        self._lock = threading.RLock()  # a signal handler may close, too
+        self._is_busy = False
+        self._is_closed = False
+        self._waker = Waker()
+        self._epoll = select.epoll()
+        self._epoll.register(self._waker.descriptor, READ)
+        if self._source is not None:
+            self._epoll.register(self._source.descriptor, READ)
+        self._is_open = True  # else the port is gone
+        self._tick_after: float = IDLE
+
+    # --- opening and closing --------------------------------------------------------------
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close it, also from another thread or a signal handler. Any number of times."""
+        with self._lock:
+            self._is_closed = True
+            if self._is_busy:
+                self._waker.wake()
+            else:
+                self._free()
+
+    def __del__(self) -> None:
+        with contextlib.suppress(Exception):  # it may not have come so far
+            self.close()
+
+    def _free(self) -> None:
+        for each in (self._source, self._writer, self._reader, self._epoll, self._waker):
+            if each is not None:
+                each.close()
+
+    def _enter(self) -> bool:
+        """Begin to wait; False if it is closed."""
+        with self._lock:
+            if self._is_busy:
+                raise RuntimeError("another thread or task is listening already")
+            self._is_busy = not self._is_closed
+            return self._is_busy
+
+    def _leave(self) -> None:
+        with self._lock:
+            self._is_busy = False
+            if self._is_closed:
+                self._free()
+
+    # --- iterating ------------------------------------------------------------------------
+
+    def __iter__(self) -> Self:
+        return self
+
+    def __next__(self) -> Transaction:
+        found = None
+        if self._enter():
+            try:
+                found = run(self._next(), self._waker)
+            except Woken:
+                pass
+            finally:
+                self._leave()
+        if found is None:
+            raise StopIteration
+        return found
+
+    def __aiter__(self) -> Self:
+        return self
+
+    async def __anext__(self) -> Transaction:
+        found = None
+        if self._enter():
+            try:
+                # A flood, or a capture, never waits; others in this loop want their turn.
+                await asyncio.sleep(0)
+                found = await run_async(self._next())
+            finally:
+                self._leave()
+        if found is None:
+            raise StopAsyncIteration
+        return found
+
+    def rest(self) -> list[Transaction]:
+        """Give the questions that are still open as unanswered: for whoever stops listening."""
+        return [*self._ready, *self._noted(self._end_all())]
+
+    def _next(self) -> Steps[Transaction | None]:
+        while not self._ready and not self._is_closed:
+            if self._reader is not None:
+                if not self._read_on(self._reader):
+                    break
+            elif self._source is not None and self._is_open:
+                yield from self._hearing(self._source)
+            elif self._source is not None:
+                yield from self._reopening(self._source)
+        return self._ready.popleft() if self._ready and not self._is_closed else None
+
+    def _hearing(self, source: Source) -> Steps[None]:
+        deadline = time.monotonic() + self._tick_after
+        is_ready = yield Ready(self._epoll.fileno(), READ, deadline)
+        if self._is_closed:
+            return
+        if not is_ready:
+            self._tick_after = IDLE
+            now = self._clock()
+            for each in self._separators.values():
+                self._ready += self._noted(each.tick(now))
+            return
+        try:
+            pieces = source.receive()
+        except ModbusConnectionError as error:
+            logger.warning("%s: %s; waiting for it to come back", self.url, error)
+            self._is_open = False
+            source.close()  # epoll forgets it with that
+            self._ready += self._noted(self._end_all())
+            return
+        for piece in pieces:
+            self._ready += self._noted(self._feed(piece))
+
+    def _reopening(self, source: Source) -> Steps[None]:
+        yield Ready(self._epoll.fileno(), READ, time.monotonic() + REOPEN_AFTER)
+        if self._is_closed:
+            return
+        with contextlib.suppress(ModbusConnectionError):
+            source.open()
+            self._epoll.register(source.descriptor, READ)
+            self._is_open = True
+            logger.warning("%s: is back", self.url)
+
+    # --- what is heard --------------------------------------------------------------------
+
+    def _feed(self, piece: Piece) -> list[Transaction]:
+        if not piece.data:
+            gone = self._separators.pop(piece.link, None)
+            return gone.end() if gone is not None else []
+        separator, done = self._separator(piece.link)
+        self._tick_after = min(separator.quiet, IDLE)
+        return done + separator.feed(piece.data, piece.at, piece.sender)
+
+    def _read_on(self, reader: CaptureReader) -> bool:
+        recorded = next(reader.recorded, None)
+        if recorded is None:
+            self._ready += self._noted(self._end_all())
+            return bool(self._ready)
+        separator, done = self._separator(recorded.link)
+        self._ready += self._noted(done + separator.take(recorded.found))
+        return True
+
+    def _separator(self, link: int) -> tuple[Separator, list[Transaction]]:
+        """Give that of a connection; and what ends because there are too many."""
+        made = self._separators.get(link)
+        if made is not None:
+            return made, []
+        done: list[Transaction] = []
+        if len(self._separators) >= MAX_SEPARATORS:
+            done = self._separators.pop(next(iter(self._separators))).end()
+        self._separators[link] = Separator(self._framing, self._on_heard(link))
+        return self._separators[link], done
+
+    def _on_heard(self, link: int) -> OnHeard:
+        if self._writer is None:
+            return _ignore
+        return partial(self._writer.write, interface=0, link=link)
+
+    def _end_all(self) -> list[Transaction]:
+        separators, self._separators = self._separators, {}
+        return [done for each in separators.values() for done in each.end()]
+
+    def _noted(self, done: list[Transaction]) -> list[Transaction]:
+        for each in done:
+            self.summary.note(each)
+        return done
+
+
+def _ignore(heard: Heard) -> None:
+    """Nobody captures."""
+
+
+class Clock:
+    """Seconds since the epoch that only go forward, corrected where nothing was heard for long."""
+
+    def __init__(self) -> None:
+        self._offset = time.time() - time.monotonic()
+        self._last = time.monotonic()
+
+    def __call__(self) -> float:
+        now = time.monotonic()
+        if now - self._last > 60.0:
+            self._offset = max(self._offset, time.time() - now)
+        self._last = now
+        return now + self._offset
+
+
+def listening(
+    url: str,
+    *,
+    between: str | None = None,
+    capture: str | os.PathLike[str] | None = None,
+) -> Listener:
+    """
+    Listen to what others say on a line.
+
+    Args:
+        url: a serial port (rtu, ascii), opened for reading only; or where clients connect
+            (rtu+tcp, ascii+tcp), with `between`; or the path of a capture, ending in .pcapng.
+        between: the device that such clients want, under the same scheme: what they and it
+            send is passed on unchanged, both ways.
+        capture: the path of a pcapng file to write, which Wireshark decodes and `url` takes.
+
+    Returns:
+        An iterator, blocking and asyncio, that is open.
+
+    Raises:
+        TypeError, ValueError: a URL is wrong, or cannot be listened to.
+        ModbusConnectionError: the port cannot be opened, with errno.
+        OSError: a capture cannot be opened.
+        CaptureError: `url` is no capture.
+    """
+    clock = Clock()
+    source: Source | CaptureReader
+    framing: LineFraming = "rtu"
+    if isinstance(url, str) and url.endswith(".pcapng") and "://" not in url:
+        if between is not None:
+            raise ValueError("a capture has nothing to be between")
+        if capture is not None and os.path.exists(capture) and os.path.samefile(url, capture):
+            raise ValueError(f"{url}: a capture cannot be written over itself")
+        name, source = url, CaptureReader(url)
+    else:
+        endpoint = _endpoint(url)
+        source, endpoint = _source(endpoint, None if between is None else _endpoint(between), clock)
+        name, framing = str(endpoint), "ascii" if endpoint.framing == "ascii" else "rtu"
+    try:
+        writer = None if capture is None else CaptureWriter(capture, name)
+    except BaseException:
+        source.close()
+        raise
+    try:
+        return Listener(name, framing, source, writer, clock)
+    except OSError as error:  # no descriptor is left
+        source.close()
+        if writer is not None:
+            writer.close()
+        raise ModbusConnectionError(
+            f"cannot listen to {name}: {error.strerror}", errno=error.errno
+        ) from error
+
+
+def _source(endpoint: Endpoint, target: Endpoint | None, clock: Clock) -> tuple[Source, Endpoint]:
+    """Open it; and give the endpoint as it is."""
+    _check(endpoint, target)
+    if target is not None:
+        tap = Tap(endpoint, target, clock)
+        return tap, tap.endpoint
+    port = SerialSource(endpoint, clock)
+    port.open()
+    return port, endpoint
+
+
+def _endpoint(url: str) -> Endpoint:
+    endpoint = parse(url)
+    if endpoint.client_options:
+        names = ", ".join(endpoint.client_options)
+        raise ValueError(f"{url!r}: {names} is for clients, and means nothing to a listener")
+    return endpoint
+
+
+def _check(endpoint: Endpoint, target: Endpoint | None) -> None:
+    """Raises ValueError."""
+    if endpoint.transport == "serial":
+        if target is not None:
+            raise ValueError("between needs rtu+tcp or ascii+tcp; a serial port is only read")
+        return
+    if endpoint.transport != "tcp" or endpoint.framing not in ("rtu", "ascii"):
+        raise ValueError(
+            f"{endpoint}: the scheme must be rtu, ascii, or rtu+tcp or ascii+tcp with between"
+        )
+    if target is None:
+        raise ValueError(f"{endpoint}: the device is missing, which it is to be between")
+    if target.scheme != endpoint.scheme:
+        raise ValueError(f"{target}: the scheme must be {endpoint.scheme}, for no byte is changed")
+    if target.port == 0:
+        raise ValueError(f"{target}: the port of the device is missing")

@@ -1,0 +1,139 @@
+"""
+Bytes and times in, transactions out: for one line, or one connection.
+
+No clock and no port: give it bytes with times from anywhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Literal
+
+from ...protocol.framing import AsciiFramer, RtuFramer, is_delimiter
+from ...protocol.pdu import Diagnostics, SubFunction
+from .hearing import Candidate, Damage, FramerHearing, Hearing, RtuHearing
+from .pairing import Pairing
+from .transaction import OnHeard, Transaction
+
+__all__ = ["Direction", "LineFraming", "Separator"]
+
+LineFraming = Literal["rtu", "ascii"]
+
+# Who sent the bytes, if that is known.
+Direction = Literal["client", "server"]
+
+
+# No gap inside a frame is longer: what ASCII promises (serial line, 2.5.2.1) is more than enough
+# for RTU, too.
+LONGEST_GAP = 1.0
+
+
+class Separator:
+    """
+    Says of the bytes on a line what they are.
+
+    Args:
+        framing: "rtu" or "ascii".
+        on_heard: called with each frame as soon as it is named.
+
+    Attributes:
+        quiet: seconds without a byte after which `tick` should be called.
+
+    Raises:
+        ValueError: no such framing.
+    """
+
+    def __init__(self, framing: LineFraming, on_heard: OnHeard = lambda heard: None) -> None:
+        if framing not in ("rtu", "ascii"):
+            raise ValueError(f'framing must be "rtu" or "ascii", not {framing!r}')
+        self._framing = framing
+        self._pairing = Pairing(on_heard)
+        self._hearings: dict[Direction | None, Hearing] = {}
+        self._ascii: list[AsciiFramer] = []
+        self._last: dict[Direction | None, float] = {}
+        self._is_quiet: set[Direction | None] = set()
+        self.quiet: float = self._hearing(None).quiet
+
+    def feed(self, data: bytes, at: float, direction: Direction | None = None) -> list[Transaction]:
+        """
+        Take bytes, give the transactions that have ended, oldest first.
+
+        Args:
+            data: in any pieces.
+            at: when they came, in seconds of any clock that only goes forward.
+            direction: who sent them, if that is known; None if it must be found out.
+        """
+        self._wait(at)
+        if data:
+            self._last[direction] = at
+            self._is_quiet.discard(direction)
+            found = self._hearing(direction).hear(data, at, self._pairing.is_awaited)
+            self._take(found)
+        return self._given()
+
+    def tick(self, at: float) -> list[Transaction]:
+        """Take it that nothing more came until then; as `feed`."""
+        self._wait(at)
+        self._pairing.tick(at)
+        return self._given()
+
+    def end(self) -> list[Transaction]:
+        """Take it that nothing more will ever come; as `feed`."""
+        for hearing in self._hearings.values():
+            self._take(hearing.silence(self._pairing.is_awaited, is_long=True))
+        self._last.clear()
+        self._pairing.end()
+        return self._given()
+
+    def take(self, found: Candidate | Damage) -> list[Transaction]:
+        """Take what others have cut out, as from a capture; as `feed`."""
+        self._pairing.take(found)
+        return self._given()
+
+    def _wait(self, at: float) -> None:
+        for direction, last in list(self._last.items()):
+            hearing = self._hearing(direction)
+            is_long = at - last >= LONGEST_GAP
+            if is_long or (at - last >= hearing.quiet and direction not in self._is_quiet):
+                self._is_quiet.add(direction)
+                self._take(hearing.silence(self._pairing.is_awaited, is_long=is_long))
+            if is_long:
+                del self._last[direction]
+
+    def _take(self, found: Iterator[Candidate | Damage]) -> None:
+        for each in found:
+            self._pairing.take(each)
+
+    def _given(self) -> list[Transaction]:
+        done, self._pairing.done = self._pairing.done, []
+        for each in done:
+            self._follow_delimiter(each)
+        return done
+
+    def _hearing(self, direction: Direction | None) -> Hearing:
+        if direction not in self._hearings:
+            self._hearings[direction] = self._made(direction)
+        return self._hearings[direction]
+
+    def _made(self, direction: Direction | None) -> Hearing:
+        is_asking = None if direction is None else direction == "client"
+        if self._framing == "ascii":
+            framer = AsciiFramer()
+            self._ascii.append(framer)
+            return FramerHearing(lambda: framer, is_asking)
+        if is_asking is None:
+            return RtuHearing()
+        return FramerHearing(lambda: RtuFramer("server" if is_asking else "client"), is_asking)
+
+    def _follow_delimiter(self, done: Transaction) -> None:
+        """Function 8, sub-functions 3 and 1: another end of ASCII frames, and LF again."""
+        request = done.request
+        if self._ascii and isinstance(request, Diagnostics) and done.kind == "answered":
+            if request.sub_function == SubFunction.CHANGE_ASCII_DELIMITER:
+                self._end_with(request.data[0])
+            elif request.sub_function == SubFunction.RESTART_COMMUNICATIONS:
+                self._end_with(0x0A)
+
+    def _end_with(self, delimiter: int) -> None:
+        for framer in self._ascii if is_delimiter(delimiter) else ():
+            framer.delimiter = delimiter

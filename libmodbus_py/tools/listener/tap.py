@@ -1,0 +1,210 @@
+"""
+A tap in between: clients connect to it, it connects to the device, and shows what passes.
+
+Every connection has a thread of its own that passes bytes on before it shows them, so that nobody
+waits for whoever listens.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import logging
+import select
+import socket
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+
+from ...ports.endpoint import Endpoint
+from ...ports.waiting import Waker, no_thread
+from ...protocol.errors import ModbusConnectionError
+from .separator import Direction
+from .source import Piece
+
+__all__ = ["MAX_LINKS", "Tap"]
+
+logger: logging.Logger = logging.getLogger(__name__)
+
+# Connections at once; one more is refused.
+MAX_LINKS = 64
+
+# Bytes that are shown later, while nobody looks; what comes beyond is passed on unseen.
+MAX_UNSEEN = 1 << 20
+
+# What a piece costs beside its bytes.
+PIECE_COST = 100
+
+CONNECT_TIMEOUT = 10.0
+
+READ_SIZE = 65_536
+
+
+class Tap:
+    """
+    Args:
+        endpoint: where clients connect; port 0 for a free one.
+        target: where the device is.
+        clock: gives the time of each piece, in seconds.
+
+    Attributes:
+        descriptor: readable once there is something to take.
+        endpoint: as it is, with the port it got.
+
+    Raises:
+        ModbusConnectionError: the endpoint cannot be opened, with errno.
+    """
+
+    def __init__(self, endpoint: Endpoint, target: Endpoint, clock: Callable[[], float]) -> None:
+        self._target = target
+        self._clock = clock
+        self._lock = threading.RLock()
+        self._pieces: deque[Piece] = deque()
+        self._unseen = 0
+        self._links: dict[int, tuple[socket.socket, ...]] = {}
+        self._count = 0
+        self._is_closed = False
+        self._listener = _listening(endpoint)
+        port: int = self._listener.getsockname()[1]
+        self.endpoint: Endpoint = Endpoint(endpoint.scheme, host=endpoint.host, port=port)
+        try:
+            self._waker = Waker()
+            self.descriptor: int = self._waker.descriptor
+            _start(threading.Thread(target=self._accept, name="tap", daemon=True))
+        except OSError as error:
+            self._listener.close()
+            raise ModbusConnectionError(
+                f"cannot listen on {endpoint}: {error.strerror}", errno=error.errno
+            ) from error
+
+    def open(self) -> None:
+        """It is open, and stays so."""
+
+    def receive(self) -> list[Piece]:
+        """Give what has passed, oldest first; a piece without bytes ends a connection."""
+        with self._lock:
+            self._waker.clear()
+            pieces, self._pieces = self._pieces, deque()
+            self._unseen = 0
+        return list(pieces)
+
+    def close(self) -> None:
+        """End all connections. Any number of times."""
+        with self._lock:
+            self._is_closed = True
+            for ends in (*self._links.values(), (self._listener,)):
+                for end in ends:
+                    _shut_down(end)
+            self._listener.close()
+            self._waker.close()
+
+    # --- in threads -------------------------------------------------------------------------
+
+    def _accept(self) -> None:
+        while True:
+            try:
+                client, _ = self._listener.accept()
+            except OSError as error:
+                if self._is_closed or error.errno in (errno.EBADF, errno.EINVAL):
+                    return
+                time.sleep(0.1)  # no descriptor is left: wait for one
+                continue
+            self._begin(client)
+
+    def _begin(self, client: socket.socket) -> None:
+        with self._lock:
+            if self._is_closed or len(self._links) >= MAX_LINKS:
+                client.close()
+                return
+            self._count += 1
+            number = self._count
+            self._links[number] = (client,)
+        thread = threading.Thread(target=self._link, args=(number, client), daemon=True)
+        try:
+            thread.start()
+        except RuntimeError:  # no thread is left
+            self._end(number, client)
+
+    def _link(self, number: int, client: socket.socket) -> None:
+        ends = [client]
+        try:
+            place = self._target.host, self._target.port
+            server = socket.create_connection(place, timeout=CONNECT_TIMEOUT)
+            ends.append(server)
+            with self._lock:
+                if self._is_closed:
+                    return
+                self._links[number] = client, server
+            for end in ends:
+                end.settimeout(None)
+                end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                end.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+            self._carry(number, client, server)
+        except OSError as error:
+            if not self._is_closed and len(ends) == 1:
+                logger.warning("cannot connect to %s: %s", self._target, error)
+        finally:
+            self._end(number, *ends)
+
+    def _carry(self, number: int, client: socket.socket, server: socket.socket) -> None:
+        poll = select.poll()
+        ways: dict[int, tuple[Direction, socket.socket, socket.socket]] = {
+            client.fileno(): ("client", client, server),
+            server.fileno(): ("server", server, client),
+        }
+        for descriptor in ways:
+            poll.register(descriptor, select.POLLIN)
+        while ways:
+            for descriptor, _ in poll.poll():
+                sender, source, sink = ways[descriptor]
+                data = source.recv(READ_SIZE)
+                at = self._clock()
+                if not data:
+                    poll.unregister(descriptor)
+                    del ways[descriptor]
+                    _shut_down(sink, socket.SHUT_WR)
+                    continue
+                sink.sendall(data)
+                self._show(Piece(number, sender, at, data))
+
+    def _end(self, number: int, *ends: socket.socket) -> None:
+        with self._lock:
+            self._links.pop(number, None)
+            for end in ends:
+                end.close()
+        self._show(Piece(number, "client", self._clock(), b""))
+
+    def _show(self, piece: Piece) -> None:
+        with self._lock:
+            cost = len(piece.data) + PIECE_COST
+            if self._is_closed or self._unseen + cost > MAX_UNSEEN:
+                return
+            self._unseen += cost
+            self._pieces.append(piece)
+            self._waker.wake()
+
+
+def _start(thread: threading.Thread) -> None:
+    try:
+        thread.start()
+    except RuntimeError as error:  # there are too many
+        raise no_thread(error) from error
+
+
+def _listening(endpoint: Endpoint) -> socket.socket:
+    try:
+        found = socket.getaddrinfo(
+            endpoint.host, endpoint.port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
+        )
+        family, _, _, _, address = found[0]
+        return socket.create_server(address[:2], family=family)
+    except (OSError, UnicodeError) as error:
+        number = error.errno if isinstance(error, OSError) else None
+        why = getattr(error, "strerror", None) or error
+        raise ModbusConnectionError(f"cannot listen on {endpoint}: {why}", errno=number) from error
+
+
+def _shut_down(end: socket.socket, how: int = socket.SHUT_RDWR) -> None:
+    with contextlib.suppress(OSError):
+        end.shutdown(how)

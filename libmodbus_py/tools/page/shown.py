@@ -1,0 +1,106 @@
+"""
+What there is to be seen: units, their tables and points.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from ...device.device import Device
+from ...maps.point import Point
+from ...protocol.tables import TABLES
+from ...server.server import Server
+from ...server.units import SERVER_ITSELF
+
+__all__ = ["Shown", "Unit", "shown_of"]
+
+
+@dataclass(frozen=True)
+class Unit:
+    """
+    One device.
+
+    Attributes:
+        number: 0..255; None for a device that answers every unit.
+        name, description: what its file says, if anything.
+        points: what has a name.
+    """
+
+    number: int | None
+    device: Device
+    name: str
+    description: str
+    points: tuple[Point, ...]
+
+    def as_json(self) -> dict[str, Any]:
+        mapping = self.device.mapping
+        tables = {table: getattr(mapping, table).ranges for table in TABLES}
+        return {
+            "number": self.number,
+            "name": self.name,
+            "description": self.description,
+            "tables": {
+                table: [[each.start, each.stop] for each in ranges]
+                for table, ranges in tables.items()
+                if ranges
+            },
+            "points": [_point_as_json(each) for each in self.points],
+        }
+
+
+def _point_as_json(point: Point) -> list[Any]:
+    many = f" x {point.count}" if point.count > 1 else ""
+    order = "" if point.order == "ABCD" else f" {point.order}"
+    kind = f"{point.type or 'bit'}{order}{many}"
+    return [
+        point.name,
+        point.table,
+        point.address,
+        kind,
+        point.unit,
+        point.access,
+        point.description,
+    ]
+
+
+@dataclass(frozen=True)
+class Shown:
+    """
+    All devices of a server.
+
+    Attributes:
+        given: what the server was given; another one makes this old.
+    """
+
+    given: Device | Mapping[int, Device]
+    units: dict[int | None, Unit]
+
+    def as_json(self) -> list[dict[str, Any]]:
+        return [unit.as_json() for unit in self.units.values()]
+
+    def units_of(self, number: int, *, is_line: bool) -> list[int | None]:
+        """Which of them a request meant, by its unit and its kind of line."""
+        if is_line and number == 0:
+            return list(self.units)
+        if None in self.units:
+            return [None]
+        # The server itself is its only device (messaging guide, 4.4.2).
+        if len(self.units) == 1 and number in SERVER_ITSELF and not is_line:
+            return list(self.units)
+        return [number] if number in self.units else []
+
+
+def shown_of(server: Server) -> Shown:
+    """See what a server has now."""
+    given = server.devices
+    devices = {None: given} if isinstance(given, Device) else dict(sorted(given.items()))
+    return Shown(given, {number: _unit(number, device) for number, device in devices.items()})
+
+
+def _unit(number: int | None, device: Device) -> Unit:
+    """Only some devices have names, such as those of device files."""
+    points = getattr(device, "points", {})
+    name, description = (str(getattr(device, key, "")) for key in ("name", "description"))
+    return Unit(number, device, name, description, tuple(points.values()))

@@ -1,0 +1,162 @@
+"""
+Where to ask: an endpoint with each setting that its line may have.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
+
+from ...client.blocking import Context
+from ...ports.endpoint import Endpoint
+from ...protocol.checks import integer, seconds
+from ...security.security import Security
+
+__all__ = ["BAUDRATES", "PARITIES", "STOP_BITS", "Place", "listed", "places"]
+
+BAUDRATES = (9600, 19200, 115200)
+
+PARITIES = ("E", "N", "O")
+
+# Serial line, 2.5.1: no parity means two stop bits. A receiver looks at the first one only, so
+# this finds devices with one stop bit as well.
+STOP_BITS = {"E": 1, "N": 2, "O": 1}
+
+# Seconds, unless told otherwise. After a request to another unit a server made with libmodbus
+# takes what comes within 0.5 s for that one's answer: whoever asks sooner finds only every second
+# of them, if any. On a network may be a gateway, which waits for somebody itself.
+ON_LINES, ON_NETWORKS = 0.6, 1.0
+
+# Bits of the longest character (serial line, 2.5.1), and characters for each byte.
+CHARACTER = 11
+CHARACTERS = {"rtu": 1, "ascii": 2}
+
+# Timeouts in a row mean that units are not there, and a new connection would lose late answers.
+NEVER_DEAD = 1_000_000
+
+Item = TypeVar("Item")
+
+
+@dataclass(frozen=True)
+class Place:
+    """
+    An endpoint with one setting.
+
+    Attributes:
+        endpoint: its own options included.
+        timeout: seconds that a unit has for its answer, apart from the time on the line.
+        security: for TLS.
+    """
+
+    endpoint: Endpoint
+    timeout: float
+    security: Security | None = None
+
+    @property
+    def is_serial(self) -> bool:
+        return self.endpoint.transport == "serial"
+
+    @property
+    def has_broadcast(self) -> bool:
+        return self.endpoint.framing in ("rtu", "ascii")
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Baud rate, parity, data bits and stop bits; empty on networks."""
+        if not self.is_serial:
+            return {}
+        told = {"baudrate": 19200, "parity": "E", "data_bits": 8, "stop_bits": 1}
+        told |= self.endpoint.serial_settings
+        return {name: told[name] for name in ("baudrate", "parity", "data_bits", "stop_bits")}
+
+    def __str__(self) -> str:
+        if not self.is_serial:
+            return str(self.endpoint)
+        return "{baudrate} {data_bits}{parity}{stop_bits}".format(**self.settings)
+
+    def url(self, unit: int) -> str:
+        """Give the URL of a client of that unit, as it is asked here."""
+        others = {**self.endpoint.client_options, "unit": unit}
+        return replace(self.endpoint, client_options=others).url
+
+    def wait(self, size: int) -> float:
+        """Give the seconds until an answer must be there, if it and its request have that size."""
+        if not self.is_serial:
+            return self.timeout
+        characters = size * CHARACTERS[self.endpoint.framing]
+        return self.timeout + characters * CHARACTER / float(self.settings["baudrate"])
+
+    def context(self, **options: Any) -> Context:
+        """
+        Make a client; it sends nothing by itself, and nothing twice.
+
+        Raises:
+            TypeError, ValueError: the URL or its options.
+        """
+        told: dict[str, Any] = {"retries": 0, "busy_retries": 0, "max_pause": 0}
+        told["timeouts_before_reconnect"] = NEVER_DEAD
+        if self.endpoint.framing in ("tcp", "udp"):
+            # The transaction id says whose answer it is, also where all are unit 255.
+            told["accept_unit"] = "any"
+        if self.security is not None:
+            told["security"] = self.security
+        return Context(self.endpoint, {**told, **options})
+
+
+def places(
+    endpoint: Endpoint,
+    baudrates: Iterable[int] | None,
+    parities: Iterable[str] | None,
+    timeout: float | None,
+    security: Security | None = None,
+) -> list[Place]:
+    """
+    Give an endpoint with each setting; what its URL says holds unless told otherwise.
+
+    Raises:
+        TypeError, ValueError: a setting that no line has, or any for a network.
+    """
+    if timeout is None:
+        usual = ON_LINES if endpoint.transport == "serial" else ON_NETWORKS
+        timeout = endpoint.client_options.get("timeout", usual)
+    timeout = seconds("timeout", timeout)
+    if endpoint.transport != "serial":
+        for name, told in (("baudrates", baudrates), ("parities", parities)):
+            if told is not None:
+                raise ValueError(f"{name} are for serial ports, not for {endpoint.scheme}://")
+        return [Place(endpoint, timeout, security)]
+    said = endpoint.options
+    rates = [said["baudrate"]] if "baudrate" in said else BAUDRATES
+    kinds = [said["parity"]] if "parity" in said else PARITIES
+    return [
+        Place(_set(endpoint, rate, parity), timeout, security)
+        for rate in listed("baudrates", baudrates, rates)
+        for parity in listed("parities", parities, kinds)
+    ]
+
+
+def _set(endpoint: Endpoint, baudrate: int, parity: str) -> Endpoint:
+    integer("baudrate", baudrate, 1, 4_000_000)
+    if parity not in STOP_BITS:
+        raise ValueError(f"parity must be one of {', '.join(STOP_BITS)}, not {parity!r}")
+    stop_bits = endpoint.options.get("stop_bits", STOP_BITS[parity])
+    made = {**endpoint.options, "baudrate": baudrate, "parity": parity, "stop_bits": stop_bits}
+    return replace(endpoint, options=made)
+
+
+def listed(name: str, told: Iterable[Item] | None, usual: Iterable[Item]) -> list[Item]:
+    """
+    Give each once, in the order told.
+
+    Raises:
+        TypeError: no list.
+        ValueError: nothing in it.
+    """
+    chosen = usual if told is None else told
+    if not isinstance(chosen, Iterable):
+        raise TypeError(f"{name} must be a list, not {type(told).__name__}")
+    made = list(dict.fromkeys(chosen))
+    if not made:
+        raise ValueError(f"{name} must hold at least one")
+    return made

@@ -1,0 +1,346 @@
+"""
+All units at all settings, one after the other.
+"""
+
+from __future__ import annotations
+
+import errno
+from collections.abc import Callable, Generator, Iterable, Iterator
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+from ...ports.endpoint import parse
+from ...protocol.checks import integer
+from ...protocol.errors import ModbusConnectionError
+from ...protocol.pdu import DeviceIdentification, ServerId
+from ...security.security import Security
+from .places import Place, listed, places
+from .probe import LONGEST_SIZE, MOST_PAGES, PROBE_SIZE, Answer, Asker, Nothing
+from .walking import Walk, Walker
+
+__all__ = ["Found", "Progress", "Scan", "scanning"]
+
+UNITS = range(1, 248)
+
+# TCP guide, 4.4.2: what a device directly on a network should be asked as.
+DIRECT = 255
+
+# Reserved (serial line, 2.2), and none that devices have for all, as 248, 254 and 255 are.
+RESERVED = (249, 252, 250, 251, 253)
+
+# Answers waited for behind a probe: to function 17, without which the line must be silent for as
+# long, and to 43/14.
+MORE_ASKED = 2 + MOST_PAGES
+
+
+class Progress(NamedTuple):
+    """
+    Where a scan stands.
+
+    Attributes:
+        setting: such as "9600 8E1"; the URL on networks.
+        unit: who is asked now.
+        done, total: how many of all probes.
+        left: seconds that the rest takes at most, if nobody more is found.
+    """
+
+    setting: str
+    unit: int
+    done: int
+    total: int
+    left: float
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """
+    A unit that answered.
+
+    Attributes:
+        unit: who.
+        url: of a client for it, settings included.
+        took: seconds until its answer.
+        exception: the code of that answer; None if it was a register.
+        baudrate, parity, data_bits, stop_bits: of the serial port; None on networks.
+        is_late: whether the answer came only while others were asked.
+        is_any: whether the server answers all units alike, reserved ones included, and so is one
+            device.
+        server_id: what function 17 tells, or None.
+        identification: what function 43/14 tells, or None.
+    """
+
+    unit: int
+    url: str
+    took: float
+    exception: int | None
+    baudrate: int | None = None
+    parity: str | None = None
+    data_bits: int | None = None
+    stop_bits: int | None = None
+    is_late: bool = False
+    is_any: bool = False
+    server_id: ServerId | None = None
+    identification: DeviceIdentification | None = None
+
+
+class Scan(Walker[Found]):
+    """
+    An iterator over `Found`, made by `scanning`, which can be left at any time.
+
+    It asks while it is iterated, by one thread, and only reads. `close` may be called from
+    anywhere; it, the end, an exception, Ctrl-C, and dropping it all close the port and restore
+    its settings.
+
+    Iterating raises ModbusConnectionError if there is no connection, or none any more, and
+    what `on_progress` raises.
+
+    Attributes:
+        total: probes, if nobody is found.
+        longest: seconds that it takes at most, if nobody is found.
+        longest_found: seconds that each unit found takes more, at most.
+        notes: what else was seen, a line for each.
+        requests: how many were sent.
+    """
+
+    def __init__(self, scanned: _Places) -> None:
+        super().__init__(scanned)
+        self.total: int = scanned.total
+        self.longest: float = scanned.longest
+        self.longest_found: float = scanned.longest_found
+        self.notes: list[str] = scanned.notes
+
+
+class _Places(Walk[Found]):
+    """All places."""
+
+    def __init__(
+        self,
+        asked_at: list[Place],
+        units: list[int],
+        on_progress: Callable[[Progress], object] | None,
+    ) -> None:
+        super().__init__()
+        self.notes: list[str] = []
+        self.total: int = len(asked_at) * len(units)
+        self.longest: float = sum(_longest(place, len(units)) for place in asked_at)
+        self.longest_found: float = max(MORE_ASKED * each.wait(LONGEST_SIZE) for each in asked_at)
+        self._places = asked_at
+        self._units = units
+        self._on_progress = on_progress
+        self._left = self.longest
+        self._done = 0
+
+    def steps(self) -> Generator[Found, None, None]:
+        refused: list[ModbusConnectionError] = []
+        for place in self._places:
+            try:
+                with self._asking(place) as asker:
+                    units = _Units(place, asker, self._units, self._tell, self._skip)
+                    yield from units.steps(self.notes)
+            except ModbusConnectionError as error:
+                if self.is_closed:
+                    return
+                # What this port cannot be set to says nothing of the other settings.
+                if not (place.is_serial and error.errno == errno.EINVAL):
+                    raise
+                refused.append(error)
+                self.notes.append(f"{place}: {error}")
+                self._skip(place, len(self._units))
+        if len(refused) == len(self._places):
+            raise refused[0]
+
+    def _tell(self, place: Place, unit: int) -> None:
+        if self._on_progress is not None:
+            left = max(0.0, self._left)
+            self._on_progress(Progress(str(place), unit, self._done, self.total, left))
+        self._skip(place, 1)
+
+    def _skip(self, place: Place, count: int) -> None:
+        self._done += count
+        self._left -= count * _each(place)
+
+
+class _Units:
+    """All units at one place."""
+
+    def __init__(
+        self,
+        place: Place,
+        asker: Asker,
+        units: list[int],
+        tell: Callable[[Place, int], None],
+        skip: Callable[[Place, int], None],
+    ) -> None:
+        self._place = place
+        self._asker = asker
+        self._units = units
+        self._tell = tell
+        self._skip = skip
+        self._nothing: list[tuple[int, Nothing]] = []
+        self._latest = 0.0
+        self._is_known = False  # how units are answered that nobody can be
+        self._usual: Answer | None = None
+        self._alike: list[tuple[int, Answer]] = []
+        self._others = 0
+
+    def steps(self, notes: list[str]) -> Generator[Found, None, None]:
+        """Ask; what was seen besides is added to the notes, also when it is left early."""
+        try:
+            yield from self._walk(notes)
+        finally:
+            notes += self._seen()
+
+    def _walk(self, notes: list[str]) -> Generator[Found, None, None]:
+        for index, unit in enumerate(self._units):
+            self._tell(self._place, unit)
+            answer = self._asker.probe(unit)
+            if isinstance(answer, Nothing):
+                self._nothing.append((unit, answer))
+                if answer.is_never_silent:
+                    notes.append(
+                        f"{self._place}: the line does not fall silent, so nobody was asked from "
+                        f"unit {unit} on; others talk there, or at another rate or parity"
+                    )
+                    self._skip(self._place, len(self._units) - index - 1)
+                    return
+            else:
+                if not self._is_known:
+                    self._learn()
+                if self._usual is not None and self._usual.exception is None:
+                    self._skip(self._place, len(self._units) - index - 1)
+                    self._alike.append((unit, answer))
+                    break
+                if self._usual is not None and self._usual.exception == answer.exception:
+                    self._alike.append((unit, answer))
+                else:
+                    self._others += 1
+                    yield self._found(unit, answer)
+            yield from self._late()
+        if self._alike and not self._others:
+            unit, answer = self._alike[0]
+            notes.append(
+                f"{self._place}: every unit is answered alike, reserved ones included: "
+                "the server ignores the unit, and is one device"
+            )
+            yield self._found(unit, answer, is_any=True)
+
+    def _learn(self) -> None:
+        """Ask two units that nobody may be: a server that ignores the unit answers as them, too."""
+        self._is_known = True
+        chosen = [unit for unit in RESERVED if unit not in self._units][:2]
+        answers = [self._asker.probe(unit) for unit in chosen]
+        if len(answers) < 2:
+            return
+        first, second = answers
+        if isinstance(first, Nothing) or isinstance(second, Nothing):
+            return
+        if first.exception == second.exception:
+            self._usual = first
+
+    def _late(self) -> Generator[Found, None, None]:
+        for unit, answer in self._asker.late():
+            self._latest = max(self._latest, answer.took)
+            if unit in self._units:
+                self._nothing = [each for each in self._nothing if each[0] != unit]
+                self._others += 1
+                yield replace(self._made(unit, answer), is_late=True)
+
+    def _found(self, unit: int, answer: Answer, is_any: bool = False) -> Found:
+        server_id = self._asker.server_id(unit)
+        identification = self._asker.identification(unit)
+        made = self._made(unit, answer)
+        return replace(made, is_any=is_any, server_id=server_id, identification=identification)
+
+    def _made(self, unit: int, answer: Answer) -> Found:
+        return Found(unit, self._place.url(unit), *answer, **self._place.settings)
+
+    # --- what was seen besides ------------------------------------------------------------
+
+    def _seen(self) -> Iterator[str]:
+        gateway = [unit for unit, nothing in self._nothing if nothing.is_gateway]
+        if gateway:
+            yield (
+                f"{self._place}: a gateway says of {len(gateway)} units that nobody is there "
+                "(exception 10 or 11); they are not counted as found"
+            )
+        noise = [each for each in self._nothing if each[1].is_noise]
+        if noise:
+            unit, nothing = noise[0]
+            hint = "; something is there at another rate or parity, or others talk"
+            yield (
+                f"{self._place}: {len(noise)} of the probes brought bytes that are no answer"
+                f"{hint * self._place.is_serial} (unit {unit}: {nothing.error.args[0]})"
+            )
+        if self._latest:
+            yield (
+                f"{self._place}: answers came late, after up to {self._latest:.2g} s; "
+                "a longer timeout may find more"
+            )
+        if self._alike and self._others:
+            yield (
+                f"{self._place}: {len(self._alike)} units are answered as those that nobody can "
+                f"be (exception {self._alike[0][1].exception}); they are not counted as found"
+            )
+
+
+def _each(place: Place) -> float:
+    """Give the seconds that a unit takes which is not there."""
+    spacing = float(place.endpoint.client_options.get("request_spacing", 0.0))
+    silence = 3.5 * 11 / place.settings["baudrate"] if place.is_serial else 0.0
+    return max(place.wait(PROBE_SIZE) + max(0.002, silence), spacing)
+
+
+def _longest(place: Place, units: int) -> float:
+    """With two more that nobody can be, and connecting."""
+    delay = float(place.endpoint.client_options.get("connect_delay", 0.0))
+    return (units + 2) * _each(place) + place.timeout + delay
+
+
+def scanning(
+    url: str,
+    *,
+    baudrates: Iterable[int] | None = None,
+    parities: Iterable[str] | None = None,
+    units: Iterable[int] | None = None,
+    timeout: float | None = None,
+    security: Security | None = None,
+    on_progress: Callable[[Progress], object] | None = None,
+) -> Scan:
+    """
+    Find the units that answer at a place, by reading alone.
+
+    Each unit is asked for holding register 0 at each setting; an exception is an answer, but
+    for those with which gateways say that nobody is there (10 and 11). Whoever answers is
+    asked for functions 17 and 43/14. Nothing is sent before the result is iterated.
+
+    Args:
+        url: as of a client. What it says of baud rate, parity, unit and timeout holds unless
+            told otherwise here.
+        baudrates: for serial ports; 9600, 19200 and 115200.
+        parities: likewise; "E", "N" and "O". Stop bits are those of the URL; else 2 without
+            parity and 1 with it, which finds devices of either kind.
+        units: 0..255; 1..247, and 255 on tcp, tls and udp. Not 0 where it is a broadcast.
+        timeout: seconds for each answer, 0.001..86400; 0.6 on serial ports, 1 elsewhere.
+        security: for "tls", unless the URL says it.
+        on_progress: called with a `Progress` before each unit is asked.
+
+    Raises:
+        TypeError, ValueError: an argument, named with its range.
+    """
+    endpoint = parse(url)
+    asked_at = places(endpoint, baudrates, parities, timeout, security)
+    if on_progress is not None and not callable(on_progress):
+        raise TypeError(f"on_progress must be callable, not {type(on_progress).__name__}")
+    for place in asked_at:
+        place.context().close()  # what the URL says else is checked here
+    usual = _usual_units(asked_at[0])
+    lowest = int(asked_at[0].has_broadcast)
+    chosen = [integer("units", unit, lowest, 255) for unit in listed("units", units, usual)]
+    return Scan(_Places(asked_at, chosen, on_progress))
+
+
+def _usual_units(place: Place) -> list[int]:
+    told = place.endpoint.client_options.get("unit")
+    if told is not None:
+        return [told]
+    return [*UNITS] if place.has_broadcast else [*UNITS, DIRECT]

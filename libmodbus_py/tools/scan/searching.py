@@ -1,0 +1,265 @@
+"""
+The tables of one unit: which ranges of them exist.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from ...ports.endpoint import parse
+from ...protocol.checks import integer
+from ...protocol.errors import (
+    Acknowledge,
+    ExceptionResponse,
+    IllegalFunction,
+    ModbusConnectionError,
+    ModbusError,
+    ServerDeviceBusy,
+)
+from ...protocol.tables import TABLES
+from ...security.security import Security
+from .halving import Cells, halving
+from .places import Place, places
+from .probe import LONGEST_SIZE, NOBODY, Asker, Nothing
+from .walking import Walk, Walker
+
+__all__ = ["MOST_REQUESTS", "Extent", "Search", "Searching", "searching"]
+
+MOST_REQUESTS = 2000
+
+# Seconds before a device is asked again that was busy.
+BUSY_PAUSES = (0.1, 0.2, 0.4, 0.8)
+
+# After so many reads without an answer it is asked whether it is there at all: some say nothing
+# where exception 2 should be.
+SILENT = 4
+
+
+class Searching(NamedTuple):
+    """
+    Where a search stands.
+
+    Attributes:
+        unit: who is asked.
+        table: which of its tables.
+        requests, most_requests: how many were sent of those that may be.
+    """
+
+    unit: int
+    table: str
+    requests: int
+    most_requests: int
+
+
+@dataclass(frozen=True, slots=True)
+class Extent:
+    """
+    What exists of a table.
+
+    Attributes:
+        table: "coils", "discrete_inputs", "holding_registers" or "input_registers".
+        ranges: of addresses that can be read, ascending.
+        unseen: how many addresses in a row were not asked for at most: shorter ranges may
+            have been missed.
+        ended: why not all was asked that was worth it, or empty.
+        most: how many cells a read may ask for, as far as was seen.
+        requests: how many it took.
+    """
+
+    table: str
+    ranges: list[range]
+    unseen: int
+    ended: str
+    most: int
+    requests: int
+
+
+class Search(Walker[Extent]):
+    """
+    An iterator over the `Extent` of each table, made by `searching`; can be left at any time.
+
+    It asks while it is iterated, by one thread, and only reads. `close` may be called from
+    anywhere; it, the end, an exception, Ctrl-C, and dropping it all close the connection.
+
+    Iterating raises ModbusConnectionError if there is no connection, or none any more, and
+    what `on_progress` raises.
+
+    Attributes:
+        longest: seconds that it takes at most, if nothing is answered.
+        extents: of the tables so far, that of one which was left in the middle included.
+        requests: how many were sent.
+    """
+
+    def __init__(self, searched: _Tables) -> None:
+        super().__init__(searched)
+        self.longest: float = searched.longest
+        self.extents: list[Extent] = searched.extents
+
+
+class _Tables(Walk[Extent]):
+    """All tables of a unit."""
+
+    def __init__(
+        self,
+        place: Place,
+        unit: int,
+        most_requests: int,
+        on_progress: Callable[[Searching], object] | None,
+    ) -> None:
+        super().__init__()
+        # A line must be silent for as long after a question without an answer.
+        self.longest: float = 2 * most_requests * place.wait(LONGEST_SIZE)
+        self.extents: list[Extent] = []
+        self._place = place
+        self._unit = unit
+        self._most_requests = most_requests
+        self._on_progress = on_progress
+        self._silent = 0
+
+    def steps(self) -> Generator[Extent, None, None]:
+        try:
+            with self._asking(self._place) as asker:
+                for index, table in enumerate(TABLES):
+                    left = self._most_requests - asker.requests
+                    ended = self._table(asker, table, left // (len(TABLES) - index))
+                    yield self.extents[-1]
+                    if ended in (_GONE, _BUSY):
+                        return
+        except ModbusConnectionError:
+            if not self.is_closed:
+                raise
+
+    def _table(self, asker: Asker, table: str, most: int) -> str:
+        """Search a table with so many requests; says why it ended early."""
+        cells = Cells(TABLES[table].most_read)
+        begun = asker.requests
+        ended = _EARLY
+        try:
+            ended = self._halve(asker, table, cells, begun + most)
+        finally:
+            self.extents.append(
+                Extent(
+                    table,
+                    cells.ranges,
+                    0 if ended == _NO_FUNCTION else cells.unseen,
+                    ended,
+                    cells.most,
+                    asker.requests - begun,
+                )
+            )
+        return ended
+
+    def _halve(self, asker: Asker, table: str, cells: Cells, until: int) -> str:
+        steps = halving(cells)
+        read = next(steps)
+        while True:
+            if asker.requests >= until:
+                return _BOUND
+            self._tell(asker, table)
+            try:
+                answered = self._is_answered(asker, TABLES[table].read(read.start, len(read)))
+            except _EndedError as error:
+                return error.args[0] if error.args[0] != _NO_FUNCTION or not cells.ranges else ""
+            try:
+                read = steps.send(answered)
+            except StopIteration:
+                return ""
+
+    def _tell(self, asker: Asker, table: str) -> None:
+        if self._on_progress is not None:
+            self._on_progress(Searching(self._unit, table, asker.requests, self._most_requests))
+
+    # --- one read -------------------------------------------------------------------------
+
+    def _is_answered(self, asker: Asker, request: Any) -> bool:
+        for pause in (*BUSY_PAUSES, None):
+            try:
+                self._twice(asker, request)
+            except (Acknowledge, ServerDeviceBusy):
+                if pause is None:
+                    raise _EndedError(_BUSY) from None
+                asker.waker.sleep(pause)
+            except IllegalFunction:
+                raise _EndedError(_NO_FUNCTION) from None
+            except NOBODY:
+                raise _EndedError(_GONE) from None
+            except ModbusConnectionError:
+                raise
+            except ModbusError:
+                return False
+            else:
+                return True
+        raise AssertionError
+
+    def _twice(self, asker: Asker, request: Any) -> None:
+        """Ask again what was lost or damaged, and whether anybody is there after many such."""
+        try:
+            asker.read(self._unit, request)
+        except (ExceptionResponse, ModbusConnectionError):
+            self._silent = 0
+            raise
+        except ModbusError:
+            self._silent += 1
+            self._check_there(asker)
+            asker.read(self._unit, request)
+        self._silent = 0
+
+    def _check_there(self, asker: Asker) -> None:
+        if self._silent >= SILENT:
+            self._silent = 0
+            if isinstance(asker.probe(self._unit), Nothing):
+                raise _EndedError(_GONE)
+
+
+_EARLY = "whoever searched, or a lost connection"
+_BOUND = "the bound on requests"
+_BUSY = "the device stays busy"
+_GONE = "the unit answers no more"
+_NO_FUNCTION = "the device lacks the function"
+
+
+class _EndedError(Exception):
+    """Why a table is left."""
+
+
+def searching(
+    url: str,
+    *,
+    timeout: float | None = None,
+    most_requests: int = MOST_REQUESTS,
+    security: Security | None = None,
+    on_progress: Callable[[Searching], object] | None = None,
+) -> Search:
+    """
+    Find the ranges that a unit's tables have, by reading alone.
+
+    Single addresses are tried: usual ones, neighbours of what was found, and halves of halves of
+    the rest; from each that can be read, reads grow until one is refused, and halving it finds
+    the end, or how many cells a read may ask for. Nothing is sent before the result is iterated.
+
+    Args:
+        url: of a client of the unit: that of `Found.url`.
+        timeout: seconds for each answer, 0.001..86400; that of the URL, or 0.6 on serial ports
+            and 1 elsewhere.
+        most_requests: 4..1000000, of all tables; each gets its part of what is left.
+        security: for "tls", unless the URL says it.
+        on_progress: called with a `Searching` before each read.
+
+    Raises:
+        TypeError, ValueError: an argument, named with its range.
+    """
+    endpoint = parse(url)
+    baudrates = parities = None
+    if endpoint.transport == "serial":
+        # As for clients, which have one setting.
+        baudrates = [endpoint.options.get("baudrate", 19200)]
+        parities = [endpoint.options.get("parity", "E")]
+    (place,) = places(endpoint, baudrates, parities, timeout, security)
+    integer("most_requests", most_requests, len(TABLES), 1_000_000)
+    if on_progress is not None and not callable(on_progress):
+        raise TypeError(f"on_progress must be callable, not {type(on_progress).__name__}")
+    place.context().close()  # what the URL says else is checked here
+    unit = integer("unit", endpoint.client_options.get("unit", 1), int(place.has_broadcast), 255)
+    return Search(_Tables(place, unit, most_requests, on_progress))

@@ -1,0 +1,304 @@
+"""
+Values that move by themselves: counters, waves, random walks, copies.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from ...protocol.checks import integer, seconds
+from ...protocol.tables import TABLES
+from .runs import Behaviour, Compute, Run, Runs, ScaledType
+
+__all__ = ["BEHAVIOURS", "Copy", "Counter", "RandomWalk", "Sine"]
+
+Number = int | float
+
+# With more of them a walk would go on for longer than any clock.
+MOST_WAVES = 16
+
+# Each copy of a copy is computed when the last one is read.
+MOST_COPIES = 8
+
+# So that sums and products of them are numbers, too.
+LARGEST = 1e100
+
+
+def _number(name: str, value: object) -> None:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise TypeError(f"{name} must be a number, not {type(value).__name__}")
+    if not -LARGEST <= value <= LARGEST:
+        raise ValueError(f"{name} must be in {-LARGEST:g}..{LARGEST:g}, not {value}")
+
+
+def _check_between(low: Number, high: Number) -> None:
+    _number("low", low)
+    _number("high", high)
+    if low >= high:
+        raise ValueError(f"high must be above low, which is {low}, not {high}")
+
+
+def _numeric(run: Run, **numbers: Number) -> tuple[Number, Number]:
+    """Give the limits of a run's values; the numbers, which are named, must keep them."""
+    if run.kind.limits is None:
+        raise ValueError(f"only numbers can move by themselves, not {run.kind.name}")
+    low, high = run.kind.limits
+    for name, number in numbers.items():
+        if not low <= number <= high:
+            raise ValueError(f"{name} must be in {low}..{high} for {run.kind.name}, not {number}")
+    return run.kind.limits
+
+
+def _step(run: Run) -> Number:
+    """What lies between two values of a run; 0 for floats."""
+    if isinstance(run.kind, ScaledType):
+        return run.kind.step
+    return int(run.kind.limits is not None and isinstance(run.kind.limits[0], int))
+
+
+@dataclass(frozen=True)
+class Counter:
+    """
+    Goes up (or down) by a step at each interval.
+
+    Attributes:
+        step: how far; may be negative.
+        interval: seconds from one step to the next, 0.001..86400.
+        start: the first value.
+        wrap: where it begins again at `start`, which it never reaches; what
+            the last step goes beyond it is kept. None is the end of the type;
+            a float then stays at its end.
+    """
+
+    step: Number = 1
+    interval: float = 1.0
+    start: Number = 0
+    wrap: Number | None = None
+
+    def __post_init__(self) -> None:
+        _number("step", self.step)
+        seconds("interval", self.interval)
+        _number("start", self.start)
+        if self.step == 0:
+            raise ValueError("step must not be 0")
+        if self.wrap is not None:
+            _number("wrap", self.wrap)
+            if (self.wrap - self.start) * self.step <= 0:
+                side = "above" if self.step > 0 else "below"
+                raise ValueError(f"wrap must be {side} start, which is {self.start}")
+
+    def begin(self, run: Run, runs: Runs) -> Compute:
+        low, high = _numeric(run, start=self.start)
+        wrap = self.wrap
+        beyond = _step(run)
+        if wrap is None and beyond:
+            wrap = high + beyond if self.step > 0 else low - beyond
+        elif wrap is not None and not low - (beyond or 1) <= wrap <= high + (beyond or 1):
+            span = f"{low - (beyond or 1)}..{high + (beyond or 1)} for {run.kind.name}"
+            raise ValueError(f"wrap must be in {span}, not {wrap}")
+
+        def compute(indices: range, now: float) -> list[Number]:
+            way = self.step * int(now / self.interval)
+            # Both have the sign of the step.
+            value = self.start + (way if wrap is None else way % (wrap - self.start))
+            return [value] * len(indices)
+
+        return compute
+
+
+@dataclass(frozen=True)
+class Sine:
+    """
+    Swings between two values, from the middle upwards at first.
+
+    Attributes:
+        low, high: the lowest and the highest value.
+        period: seconds from one top to the next, 0.001..86400.
+    """
+
+    low: Number
+    high: Number
+    period: float
+
+    def __post_init__(self) -> None:
+        _check_between(self.low, self.high)
+        seconds("period", self.period)
+
+    def begin(self, run: Run, runs: Runs) -> Compute:
+        _numeric(run, low=self.low, high=self.high)
+
+        def compute(indices: range, now: float) -> list[Number]:
+            share = (1 + math.sin(math.tau * now / self.period)) / 2
+            return [self.low * (1 - share) + self.high * share] * len(indices)
+
+        return compute
+
+
+@dataclass(frozen=True)
+class RandomWalk:
+    """
+    Moves by chance, from the middle on, and turns round at its limits.
+
+    Attributes:
+        low, high: the lowest and the highest value.
+        step: the longest move up or down.
+        interval: seconds from one move to the next, 0.001..86400.
+        seed: makes every start walk the same way, whenever it is read; each value of a
+            run its own.
+    """
+
+    low: Number
+    high: Number
+    step: Number
+    interval: float = 1.0
+    seed: int | None = None
+
+    def __post_init__(self) -> None:
+        _check_between(self.low, self.high)
+        _number("step", self.step)
+        if not 0 < self.step <= self.high - self.low:
+            span = f"more than 0 and up to {self.high - self.low}"
+            raise ValueError(f"step must be {span}, not {self.step}")
+        seconds("interval", self.interval)
+        if self.seed is not None:
+            integer("seed", self.seed, 0, (1 << 64) - 1)
+
+    def begin(self, run: Run, runs: Runs) -> Compute:
+        _numeric(run, low=self.low, high=self.high)
+        place = _mixed(list(TABLES).index(run.table), run.first)
+        low, high, span = self.low, self.high, self.high - self.low
+        waves = [self.step * 3 / 8]
+        while waves[-1] < span and len(waves) < MOST_WAVES:
+            waves.append(4 * waves[-1])
+
+        def compute(indices: range, now: float) -> list[Number]:
+            seed = _mixed(runs.seed, place) if self.seed is None else self.seed
+            moves = int(now / self.interval)
+            ways = [span / 2 + _way(_mixed(seed, index), moves, waves) for index in indices]
+            # At the limits it turns round, as often as it must.
+            turned = [low + abs((way + span) % (2 * span) - span) for way in ways]
+            return [min(max(value, low), high) for value in turned]
+
+        return compute
+
+
+def _way(seed: int, moves: int, waves: list[float]) -> float:
+    """
+    How far a walk has come after so many moves, counted from the start.
+
+    Random points, joined by straight lines: in the first wave one at each move, and in each
+    next one, which is four times as high, one at every 16th of those before. So it gets four
+    times as far in 16 times the moves, as a walk of single steps does; no move is longer than
+    8/3 of the first wave, and it costs the same however long nobody looked.
+    """
+    way = 0.0
+    for wave, height in enumerate(waves):
+        point, rest = divmod(moves, 1 << 4 * wave)
+        here = _point(seed, wave, point)
+        if rest:
+            here += (_point(seed, wave, point + 1) - here) * rest / (1 << 4 * wave)
+        way += height * here
+    return way
+
+
+def _point(seed: int, wave: int, at: int) -> float:
+    """A number in -1..1; 0 at the start."""
+    return _mixed(seed + wave, at) / (1 << 63) - 1 if at else 0.0
+
+
+def _mixed(seed: int, number: int) -> int:
+    """Make a random number of 64 bits of two numbers: SplitMix64."""
+    bits = (seed + (number + 1) * 0x9E3779B97F4A7C15) & 0xFFFFFFFFFFFFFFFF
+    bits = (bits ^ bits >> 30) * 0xBF58476D1CE4E5B9 & 0xFFFFFFFFFFFFFFFF
+    bits = (bits ^ bits >> 27) * 0x94D049BB133111EB & 0xFFFFFFFFFFFFFFFF
+    return bits ^ bits >> 31
+
+
+@dataclass(frozen=True)
+class Copy:
+    """
+    Follows other values, one for each of the run.
+
+    The number is rounded, and stops at the ends of its type. Function 23 reads the
+    copies of what was there before it wrote.
+
+    Attributes:
+        address: where the first of the other values begins, 0..65535.
+        table: where it is: "coils", "discrete_inputs", "holding_registers",
+            "input_registers".
+        scale: what the other value is multiplied with.
+    """
+
+    address: int
+    table: str
+    scale: Number = 1
+
+    def __post_init__(self) -> None:
+        integer("address", self.address, 0, 0xFFFF)
+        if self.table not in TABLES:
+            raise ValueError(f"table must be one of {', '.join(TABLES)}, not {self.table!r}")
+        _number("scale", self.scale)
+
+    def begin(self, run: Run, runs: Runs) -> Compute:
+        self._check(run, runs)
+
+        def compute(indices: range, now: float) -> list[Any]:
+            values: list[Any] = []
+            for source, places in self._sources(indices, runs):
+                found = runs.values(source, places, now)
+                is_number = source.kind.limits is not None
+                values += [value * self.scale for value in found] if is_number else found
+            return values
+
+        return compute
+
+    def _check(self, run: Run, runs: Runs) -> None:
+        for source, _ in self._sources(range(run.count), runs):
+            is_number = source.kind.limits is not None and run.kind.limits is not None
+            if not is_number and (source.kind.name != run.kind.name or self.scale != 1):
+                raise ValueError(
+                    f"{source.kind.name} cannot become {run.kind.name}; what is no number is copied"
+                    " to its own type, without scale"
+                )
+        self._check_row(range(run.count), runs, 1)
+
+    def _check_row(self, indices: range, runs: Runs, copies: int) -> None:
+        if copies > MOST_COPIES:
+            raise ValueError(f"more than {MOST_COPIES} copies in a row, or a circle of them")
+        for source, places in self._sources(indices, runs):
+            if isinstance(source.behaviour, Copy):
+                source.behaviour._check_row(places, runs, copies + 1)
+
+    def _sources(self, indices: range, runs: Runs) -> Iterator[tuple[Run, range]]:
+        """
+        Find the values that some of the run follow: runs, and indices in them.
+
+        Raises:
+            ValueError: there is none.
+        """
+        first = runs.find(self.table, self.address)
+        width = first.kind.registers if first is not None else 1
+        while indices:
+            address = self.address + indices[0] * width
+            source = runs.find(self.table, address)
+            if source is None or (address - source.first) % source.kind.registers:
+                raise ValueError(f"in {self.table} no value begins at {address}")
+            at = (address - source.first) // source.kind.registers
+            stride, rest = divmod(indices.step * width, source.kind.registers)
+            # In another rhythm than that of these values only the first is sure to be one.
+            end = at + 1 if rest else source.count
+            places = range(at, end, stride or 1)[: len(indices)]
+            yield source, places
+            indices = indices[len(places) :]
+
+
+BEHAVIOURS: dict[str, Callable[..., Behaviour]] = {
+    "counter": Counter,
+    "sine": Sine,
+    "random_walk": RandomWalk,
+    "copy": Copy,
+}
+"""Name -> class."""

@@ -1,0 +1,125 @@
+"""
+Device files: whole simulated devices, written in TOML.
+
+``docs/how-to/simulator.md`` explains every key, and the example plant
+(``libmodbus-py serve --example plant``) has each once. In short::
+
+    [[unit]]                            one or more; without id: any unit
+      id, name, description, exception_status
+      map                               register maps, whose points all exist
+      [unit.values], [unit.moves]       what the points are, and how they move, by name
+      [unit.defaults]                   what ranges have unless they say something else
+      [unit.server_id]                  identifier, running, additional
+      [unit.identification]             VendorName = "...", 128 = "..."
+      [[unit.coils]]                    ranges, also discrete_inputs, input_registers
+      [[unit.holding_registers]]        and holding_registers: address, count, value or
+                                        values, type, order, encoding, padding, access;
+                                        counter, sine, random_walk or copy;
+                                        name, description, unit, scale, offset
+      [[unit.file]]                     records of a file: number, record, count, ...
+      [[unit.fifo]]                     address, values
+      [[unit.fault]]                    as `faults.Fault`
+      [unit.roles.NAME]                 who may read and write what, in place of those below
+    [[fault]]                           of all units
+    [defaults]                          of all units
+    [roles.NAME]                        read, write, functions, as `Allow`; "" without a role
+
+What lies in no range does not exist: it is answered with exception 2, as is what a
+range does not allow.
+
+A file takes up to 512 KiB, 1000 faults, 10000 named ranges and points of register maps, and
+524288 cells, where cells are the records of each file from 0 to its last one, and what is not 0
+in the tables; a value with a scale counts as 16. Whatever it says, there are devices or a
+`DeviceFileError` within a second, without the time to read register maps.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from functools import partial
+from os import PathLike, fspath
+from os.path import dirname
+from typing import Any
+
+from ...server.faults.fault import Fault
+from ..files.texts import load_file
+from ..files.toml_text import read_toml
+from .checks import DeviceFileError, checked, inside
+from .keys import FAULT, FILE
+from .mapped import Maps
+from .ranges import Budget, defaults_of
+from .simulated import SimulatedDevice, Simulation, simulation
+from .units import made_unit
+
+__all__ = ["DeviceFileError", "SimulatedDevice", "Simulation", "load", "parse"]
+
+# All of them are looked at for each request.
+MAX_FAULTS = 1000
+
+
+def load(path: str | PathLike[str], *, clock: Callable[[], float] = time.monotonic) -> Simulation:
+    """
+    Read a device file. Its values begin to move now.
+
+    Args:
+        path: of the file; those of register maps in it begin in its folder.
+        clock: gives seconds.
+
+    Raises:
+        DeviceFileError: it cannot be read, is no TOML, or says what cannot be.
+    """
+    maps = Maps(dirname(fspath(path)))
+    try:
+        return load_file(path, partial(_parse, maps=maps, clock=clock), DeviceFileError)
+    except DeviceFileError as error:
+        error.files = maps.files
+        raise
+
+
+def parse(
+    text: str,
+    *,
+    clock: Callable[[], float] = time.monotonic,
+    folder: str | PathLike[str] = "",
+) -> Simulation:
+    """
+    Read the text of a device file.
+
+    Args:
+        folder: where the paths of register maps in it begin.
+
+    Raises:
+        DeviceFileError: it is no TOML, or says what cannot be.
+    """
+    return _parse(text, maps=Maps(fspath(folder)), clock=clock)
+
+
+def _parse(text: str, *, maps: Maps, clock: Callable[[], float]) -> Simulation:
+    with inside(""):
+        content = read_toml(text)
+    given = checked("", content, FILE, required=("unit",))
+    defaults = defaults_of("", given)
+    faults: dict[int | None, list[Fault]] = {None: _faults("fault", given)}
+    devices: dict[int | None, SimulatedDevice] = {}
+    budget = Budget()
+    of_all = {"roles": given["roles"]} if "roles" in given else {}
+    for at, own in enumerate(given["unit"]):
+        where, unit = f"unit[{at}]", of_all | own
+        if "id" not in unit and len(given["unit"]) > 1:
+            raise DeviceFileError(f"{where}.id is missing; only a single unit can be without")
+        said = own, content.get("roles")
+        number, device = made_unit(where, unit, said, defaults, maps, clock, budget)
+        if number in devices:
+            raise DeviceFileError(f"{where}.id: there is a unit {number} before this")
+        devices[number] = device
+        faults[number] = faults.get(number, []) + _faults(f"{where}.fault", unit)
+        if sum(map(len, faults.values())) > MAX_FAULTS:
+            raise DeviceFileError(f"{where}.fault: more than {MAX_FAULTS} faults in one file")
+    if not devices:
+        raise DeviceFileError("unit must hold at least one")
+    return simulation(devices, {unit: each for unit, each in faults.items() if each}, maps.files)
+
+
+def _faults(where: str, given: Mapping[str, Any]) -> list[Fault]:
+    return [FAULT(f"{where}[{at}]", each) for at, each in enumerate(given.get("fault", ()))]

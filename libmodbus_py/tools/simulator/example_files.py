@@ -1,0 +1,60 @@
+"""
+The device files that come with the package, and their register maps, by name: in ``examples`` of
+a checkout, and beside this module where the package was built.
+"""
+
+from __future__ import annotations
+
+import os
+
+__all__ = ["DEVICES", "described", "map_of", "path_of"]
+
+# The other files there are of gateways and fleets.
+DEVICES = ("iem3155", "meter", "plant", "sdm630", "victron_gx")
+
+
+def described() -> dict[str, str]:
+    """Give the name of each, and what its first line says of it."""
+    folder = _folder()
+    return {name: _first_line(os.path.join(folder, f"{name}.toml")) for name in DEVICES}
+
+
+def path_of(name: str) -> str:
+    """
+    Give the file of an example.
+
+    Raises:
+        ValueError: there is none of that name.
+    """
+    if name not in (known := described()):
+        raise ValueError(f"there is no example {name!r}; there are {', '.join(known)}")
+    return os.path.join(_folder(), f"{name}.toml")
+
+
+def map_of(name: str) -> str:
+    """
+    Give the register map of an example.
+
+    Raises:
+        ValueError: there is none of that name.
+    """
+    folder = _folder()
+    known = [each for each in DEVICES if os.path.exists(os.path.join(folder, f"{each}.csv"))]
+    if name not in known:
+        raise ValueError(
+            f"{name!r} is no file of a register map, which ends with .csv or .toml, "
+            f"and no example, which are {', '.join(known)}"
+        )
+    return os.path.join(folder, f"{name}.csv")
+
+
+def _folder() -> str:
+    # None is in a zip: the compiled modules of the package cannot be either.
+    here = os.path.dirname(__file__)
+    built = os.path.join(here, "examples")
+    return built if os.path.isdir(built) else os.path.join(here, *[".."] * 3, "examples")
+
+
+def _first_line(path: str) -> str:
+    with open(path, encoding="utf-8") as file:
+        return file.readline().strip("# \n")

@@ -1,0 +1,160 @@
+"""
+A device file that is read again while its devices are served.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import gc
+import os
+import threading
+from collections.abc import Callable
+
+from ...server.server import Server
+from .device_file import load
+from .simulated import Simulation
+
+__all__ = ["Reloader"]
+
+# Seconds between two looks at the files, of which two must see the same: who writes a file
+# takes a while.
+LOOK_EVERY = 0.5
+
+# What changes when a file is written, or another one is put in its place.
+Signature = tuple[int, int, int] | None
+
+
+class Reloader:
+    """
+    Reads a device file again when it is asked to, or when the file or a register map of it changes.
+
+    It is read in a thread, so clients are answered meanwhile, and their connections stay. A
+    mistake in it leaves the devices as they were. See `Simulation.going_on_from` for what
+    becomes of values that clients wrote.
+
+    Args:
+        server: serves `simulation`.
+        path: of the file.
+        is_watching: whether to look for changes.
+        tell: called in the thread with one line about each reading, or mistake.
+    """
+
+    def __init__(
+        self,
+        server: Server,
+        path: str,
+        simulation: Simulation,
+        *,
+        is_watching: bool,
+        tell: Callable[[str], object],
+    ) -> None:
+        self._server = server
+        self._path = path
+        self._simulation = simulation
+        self._is_watching = is_watching
+        self._tell = tell
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._asked = threading.Event()
+        self._is_closed = False
+        self._thread = threading.Thread(target=self._run, name="device file", daemon=True)
+        self._files = (path, *simulation.files)
+        self._read_signatures = self._signatures()
+
+    def start(self) -> None:
+        """Begin, in the loop of the server."""
+        self._loop = asyncio.get_running_loop()
+        self._thread.start()
+
+    def ask(self) -> None:
+        """Have the file read again, soon; in any thread, and from signal handlers of the loop."""
+        self._asked.set()
+
+    def close(self) -> None:
+        """End. Any number of times, and also if it never began."""
+        self._is_closed = True
+        self._asked.set()
+        if self._thread.ident is not None:
+            self._thread.join()
+
+    # --- in the thread -------------------------------------------------------------------------
+
+    def _run(self) -> None:
+        seen = self._read_signatures
+        while True:
+            is_asked = self._asked.wait(LOOK_EVERY if self._is_watching else None)
+            if self._is_closed:
+                return
+            self._asked.clear()
+            before, seen = seen, self._signatures()
+            if is_asked or seen == before != self._read_signatures:
+                self._read_again()
+                seen = self._read_signatures
+
+    def _signatures(self) -> dict[str, Signature]:
+        return {path: _signature(path) for path in self._files}
+
+    def _read_again(self) -> None:
+        self._read_signatures = self._signatures()
+        try:
+            simulation = load(self._path)
+        except ValueError as error:
+            self._follow(getattr(error, "files", ()))
+            self._tell(f"nothing is changed: {error}")
+            return
+        self._follow(simulation.files)
+        if (outcome := self._exchanged(simulation)) is not None:
+            self._tell(outcome)
+        del simulation
+        gc.collect()  # old devices are circles, and their tables larger than they look
+
+    def _follow(self, maps: tuple[str, ...]) -> None:
+        """Look at these maps from now on; those that are new are as they were just read."""
+        self._files = (self._path, *maps)
+        known = self._read_signatures
+        self._read_signatures = {
+            path: known[path] if path in known else _signature(path) for path in self._files
+        }
+
+    def _exchanged(self, simulation: Simulation) -> str | None:
+        """Have it served, in the loop: nobody writes meanwhile; None if the loop has ended."""
+        done = threading.Event()
+        outcome = ""
+
+        def exchange() -> None:
+            nonlocal outcome
+            try:
+                outcome = self._exchange(simulation)
+            finally:
+                done.set()
+
+        assert self._loop is not None
+        with contextlib.suppress(RuntimeError):
+            self._loop.call_soon_threadsafe(exchange)
+            while not done.wait(0.1):
+                if self._is_closed:
+                    return None
+            return outcome
+        return None
+
+    # --- in the loop ---------------------------------------------------------------------------
+
+    def _exchange(self, simulation: Simulation) -> str:
+        try:
+            # Before values are taken over: nothing may be changed if it cannot be served.
+            self._server.replace(*simulation)
+        except ValueError as error:
+            return f"nothing is changed: {self._path}: {error}"
+        self._simulation = simulation.going_on_from(self._simulation)
+        self._server.replace(*self._simulation)
+        devices = self._simulation.devices
+        count = len(devices) if isinstance(devices, dict) else 1
+        return f"{self._path}: read again, {count} unit{'s' * (count != 1)}"
+
+
+def _signature(path: str) -> Signature:
+    try:
+        found = os.stat(path)
+    except (OSError, ValueError):
+        return None
+    return found.st_mtime_ns, found.st_size, found.st_ino

@@ -1,0 +1,162 @@
+"""
+Simulated devices: they know the names of what they have, and go on from those before them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from functools import cached_property
+from typing import Any, NamedTuple
+
+from ...device.device import Device
+from ...device.mapping import Mapping as Tables
+from ...maps.point import Point
+from ...maps.register_map import RegisterMap
+from ...protocol.tables import TABLES
+from ...server.faults.fault import Fault
+from .clockwork import Clockwork
+from .ranges import Range
+
+__all__ = ["Served", "SimulatedDevice", "Simulation"]
+
+
+class SimulatedDevice(Device):
+    """
+    A device of a device file.
+
+    Attributes:
+        name, description: as the file says them; "" unless it does.
+    """
+
+    def __init__(
+        self,
+        mapping: Tables,
+        *,
+        name: str,
+        description: str,
+        definition: object,
+        ranges: list[Range],
+        mapped: Mapping[str, Point],
+        clockwork: Clockwork,
+        **options: Any,
+    ) -> None:
+        super().__init__(mapping, **options)
+        self.name: str = name
+        self.description: str = description
+        self._definition = definition
+        self._ranges = ranges
+        self._mapped = mapped
+        self._clockwork = clockwork
+        self._first_fifos = {address: tuple(queue) for address, queue in self.fifos.items()}
+
+    @cached_property
+    def points(self) -> RegisterMap:
+        """
+        What its tables hold, by name: the points of its register maps, and its ranges.
+
+        Ranges without a name are called after their table and address, such as
+        "holding_registers_100".
+        """
+        points = dict(self._mapped)
+        own = [each for each in self._ranges if each.run.table in TABLES and not each.is_mapped]
+        for each in sorted(own, key=lambda each: "name" not in each.told):
+            name = f"{each.run.table}_{each.run.first}"
+            while name in points:
+                name += "_"
+            point = each.point(name)
+            points[point.name] = point
+        return RegisterMap(points.values())
+
+    def is_as(self, other: SimulatedDevice) -> bool:
+        """Whether a file says the same of both."""
+        return self._definition == other._definition
+
+    def go_on_from(self, before: SimulatedDevice) -> None:
+        """Have what clients wrote into ranges and queues that both files have alike."""
+        self._clockwork.go_on_from(before._clockwork)
+        self.diagnostic_register: int = before.diagnostic_register
+        known = {each.identity for each in before._ranges}
+        with before.mapping, self.mapping:
+            for each in self._ranges:
+                if each.identity in known and each.run.table in TABLES:
+                    self._copy(before, each)
+                elif each.identity in known:
+                    self._copy_records(before, each)
+            for address, first in self._first_fifos.items():
+                if before._first_fifos.get(address) == first:
+                    self.fifos[address] = before.fifos[address]
+
+    def _copy(self, before: SimulatedDevice, each: Range) -> None:
+        old = getattr(before.mapping, each.run.table)
+        new = getattr(self.mapping, each.run.table)
+        first, stop = each.run.first, each.run.stop
+        # What is the same is not written: pages of zeros take no memory.
+        if _cells(old, first, stop) != _cells(new, first, stop):
+            new[first:stop] = old[first:stop]
+
+    def _copy_records(self, before: SimulatedDevice, each: Range) -> None:
+        first, length = each.run.first, each.run.stop - each.run.first
+        written = before.files[each.file].read(first, length)
+        self.files[each.file].write(first, tuple(written))
+
+
+def _cells(table: Any, first: int, stop: int) -> bytes:
+    start = table.addresses.start
+    return bytes(table.view[first - start : stop - start])
+
+
+class Served(NamedTuple):
+    """What a `Server` serves."""
+
+    devices: SimulatedDevice | dict[int, SimulatedDevice]
+    faults: dict[int | None, list[Fault]]
+
+
+class Simulation(Served):
+    """
+    What a device file describes; ``Server(*load("plant.toml"))`` serves it.
+
+    Attributes:
+        devices: by unit, or one that answers every unit.
+        faults: by unit; those of None are for every unit.
+        files: the register maps that it was made of.
+    """
+
+    files: tuple[str, ...] = ()
+
+    def going_on_from(self, before: Simulation) -> Simulation:
+        """
+        Give the same devices as another simulation has, where the files say the same of a unit.
+
+        Of other units values stay that clients wrote into ranges whose place, type and first
+        values both files have alike; what moves goes on. The other one is used no more.
+        """
+        known = dict(before._by_unit())
+        devices: dict[int | None, SimulatedDevice] = {}
+        for unit, device in self._by_unit():
+            devices[unit] = device
+            if (old := known.get(unit)) is None:
+                continue
+            if device.is_as(old):
+                devices[unit] = old
+            else:
+                device.go_on_from(old)
+        return simulation(devices, self.faults, self.files)
+
+    def _by_unit(self) -> Iterator[tuple[int | None, SimulatedDevice]]:
+        if isinstance(self.devices, dict):
+            yield from self.devices.items()
+        else:
+            yield None, self.devices
+
+
+def simulation(
+    devices: Mapping[int | None, SimulatedDevice],
+    faults: dict[int | None, list[Fault]],
+    files: tuple[str, ...],
+) -> Simulation:
+    """Make it of devices by unit; None is every unit."""
+    by_unit = {unit: device for unit, device in devices.items() if unit is not None}
+    made = Simulation(devices.get(None, by_unit), faults)
+    made.files = files
+    return made

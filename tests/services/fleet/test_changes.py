@@ -1,0 +1,160 @@
+"""
+Which values are told, what they are called, and which wait for an output.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from typing import Any
+
+import pytest
+
+from libmodbus_py import (
+    FrameError,
+    GatewayTargetFailedToRespond,
+    IllegalDataAddress,
+    InvalidResponse,
+    ModbusConnectionError,
+    ModbusTimeoutError,
+    Reading,
+)
+from libmodbus_py.services.fleet.buffer import Buffer
+from libmodbus_py.services.fleet.outputs.forms import as_csv, as_json
+from libmodbus_py.services.fleet.readings import Changes, is_down, time_text
+
+NAN = math.nan
+
+
+def told(values: list[Any], *, on_change: bool = False, band: float | None = None) -> list[Any]:
+    changes = Changes(on_change, [band])
+    return [value for value in values if list(changes.pick([value]))]
+
+
+@pytest.mark.parametrize(
+    ("options", "values", "expected"),
+    [
+        ({}, [1, 1, 2], [1, 1, 2]),
+        ({"on_change": True}, [1, 1, 2, 2, 1], [1, 2, 1]),
+        ({"on_change": True}, [True, True, False], [True, False]),
+        ({"on_change": True}, ["a", "a", "b"], ["a", "b"]),
+        ({"on_change": True}, [[1, 2], [1, 2], [1, 3]], [[1, 2], [1, 3]]),
+        ({"on_change": True}, [NAN, NAN, 1.0, NAN], [NAN, 1.0, NAN]),
+        ({"on_change": True}, [math.inf, math.inf, -math.inf], [math.inf, -math.inf]),
+        # From what was told last, not from the value before: a slow drift is told as well.
+        ({"band": 1.0}, [10, 10.6, 11.0, 11.1, 10.5, 10.0], [10, 11.1, 10.0]),
+        ({"band": 0.0}, [1, 1, 2], [1, 2]),
+        ({"band": 1.0}, [[1, 5], [1.5, 5.5], [1.5, 6.5]], [[1, 5], [1.5, 6.5]]),
+    ],
+)
+def test_what_is_told(options: Any, values: list[Any], expected: list[Any]) -> None:
+    assert repr(told(values, **options)) == repr(expected)
+
+
+@pytest.mark.parametrize("options", [{}, {"on_change": True}, {"band": 5.0}])
+def test_what_is_not_good_is_told_when_it_begins_and_when_it_ends(options: Any) -> None:
+    down, other = ModbusTimeoutError("no answer"), IllegalDataAddress()
+    values = [down, down, other, other, down, 7]
+    assert told(values, **options) == [down, other, down, 7]
+    assert told([7, down, 7], **options) == [7, down, 7]
+
+
+def test_points_are_told_for_themselves() -> None:
+    changes = Changes(False, [1.0, None])
+    assert list(changes.pick([10, 5])) == [0, 1]
+    assert list(changes.pick([10.5, 5])) == [1]
+    assert list(changes.pick([12, 5])) == [0, 1]
+
+
+@pytest.mark.parametrize(
+    ("error", "expected"),
+    [
+        (ModbusTimeoutError("no answer"), True),
+        (ModbusConnectionError("lost"), True),
+        (GatewayTargetFailedToRespond(), True),
+        (IllegalDataAddress(), False),
+        (FrameError("noise"), False),
+        (InvalidResponse("unit 3 answered"), False),
+        (ValueError("no bcd16"), False),
+    ],
+)
+def test_down_is_who_gives_no_answer(error: Exception, expected: bool) -> None:
+    assert is_down(error) is expected
+
+
+def test_times_are_written_as_iso_8601() -> None:
+    assert time_text(0.0004) == "1970-01-01T00:00:00.000Z"
+    assert time_text(1_700_000_000.1239) == "2023-11-14T22:13:20.123Z"
+
+
+def test_readings_as_text() -> None:
+    readings = [
+        Reading(0.0, "a,b", "voltage", 230.5, "V", "good"),
+        Reading(0.0, "ä", "flags", [True, False], "", "good"),
+        Reading(0.0, "c", "rest", None, "", "down", "ModbusTimeoutError"),
+        Reading(0.0, "c", "nan", NAN, "", "good"),
+    ]
+    time = '"time": "1970-01-01T00:00:00.000Z"'
+    assert as_json(readings).decode().splitlines() == [
+        f'{{"device": "a,b", "name": "voltage", {time}, "value": 230.5, "unit": "V",'
+        ' "quality": "good"}',
+        f'{{"device": "ä", "name": "flags", {time}, "value": [true, false], "unit": "",'
+        ' "quality": "good"}',
+        f'{{"device": "c", "name": "rest", {time}, "value": null, "unit": "",'
+        ' "quality": "down", "reason": "ModbusTimeoutError"}',
+        f'{{"device": "c", "name": "nan", {time}, "value": "nan", "unit": "", "quality": "good"}}',
+    ]
+    assert as_csv(readings[:3]).decode().splitlines() == [
+        '1970-01-01T00:00:00.000Z,"a,b",voltage,230.5,V,good,',
+        '1970-01-01T00:00:00.000Z,ä,flags,"[true, false]",,good,',
+        "1970-01-01T00:00:00.000Z,c,rest,,,down,ModbusTimeoutError",
+    ]
+
+
+# --- what waits ----------------------------------------------------------------------------
+
+
+def readings(*numbers: int) -> list[Reading]:
+    return [Reading(0.0, "device", "name", number, "", "good") for number in numbers]
+
+
+def test_the_oldest_are_dropped_and_counted() -> None:
+    async def go() -> None:
+        buffer = Buffer(3)
+        buffer.put(readings(1, 2))
+        buffer.put(readings(3, 4))
+        assert (len(buffer), buffer.dropped) == (3, 1)
+        buffer.put(readings(*range(10, 20)))
+        assert (len(buffer), buffer.dropped) == (3, 11)
+        assert await buffer.take(2) == readings(17, 18)
+        # Room for one alone: what is put back is older than what is there.
+        buffer.put(readings(20))
+        buffer.put_back(readings(17, 18))
+        assert (len(buffer), buffer.dropped) == (3, 12)
+        assert await buffer.take(9) == readings(18, 19, 20)
+
+    asyncio.run(go())
+
+
+def test_who_waits_is_woken() -> None:
+    async def go() -> None:
+        buffer = Buffer(3)
+        assert await buffer.take(1, 0.01) == []
+        waiting = asyncio.create_task(buffer.take(5))
+        await asyncio.sleep(0)
+        buffer.put(readings(1))
+        assert await waiting == readings(1)
+        waiting = asyncio.create_task(buffer.take(5))
+        await asyncio.sleep(0)
+        buffer.close()
+        assert await waiting == []
+        buffer.put(readings(1))
+        assert buffer.is_over
+
+    asyncio.run(go())
+
+
+@pytest.mark.parametrize("most", [0, -1, 10**9, True, "9"])
+def test_bad_bound_is_named(most: Any) -> None:
+    with pytest.raises((TypeError, ValueError), match="buffer must be"):
+        Buffer(most)

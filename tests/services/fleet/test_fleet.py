@@ -1,0 +1,497 @@
+"""
+Fleets that poll: who shares a connection, who is down, what is skipped, what changes.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections import Counter
+from itertools import pairwise
+
+import pytest
+
+from libmodbus_py import (
+    Device,
+    Fleet,
+    IllegalDataAddress,
+    Mapping,
+    ModbusConnectionError,
+    Point,
+    RegisterMap,
+    Server,
+)
+from libmodbus_py.services.fleet import poller
+from libmodbus_py.services.fleet.poller import Standing
+from libmodbus_py.tools.testing.wires import SerialWire
+from tests.services.fleet.fleets import (
+    NETWORK,
+    Peer,
+    good,
+    meter,
+    polling,
+    simulated,
+    simulated_run,
+    stand_still,
+    until,
+)
+
+# --- what is read ------------------------------------------------------------------------
+
+
+def test_readings_are_named_scaled_and_timed() -> None:
+    async def go() -> None:
+        time_of_day = NETWORK.get().time_of_day
+        before = time_of_day()
+        async with (
+            Server({1: simulated(2305), 2: simulated(100)}).serving("tcp://127.0.0.1:0") as running,
+            polling(
+                meter("a", running.urls[0]), meter("b", running.urls[0], unit=2, items=("voltage",))
+            ) as (fleet, readings),
+        ):
+            await until(lambda: len(readings) > 20)
+            a = [each for each in readings if each.device == "a"]
+            assert [each[2:] for each in a[:3]] == [
+                ("voltage", 230.5, "V", "good", ""),
+                ("power", -1, "W", "good", ""),
+                ("setpoint", 20, "C", "good", ""),
+            ]
+            assert {each[2:4] for each in readings if each.device == "b"} == {("voltage", 10.0)}
+            assert all(before <= each.time <= time_of_day() for each in readings)
+            assert (fleet.statistics.devices, fleet.statistics.up) == (2, 2)
+            assert fleet.statistics.readings >= len(readings)
+        assert [each.standing for each in fleet.devices.values()] == []
+
+    simulated_run(go())
+
+
+def test_units_of_a_place_share_a_connection() -> None:
+    async def go() -> None:
+        async with Peer() as one, Peer() as other:
+            devices = [meter(f"one {unit}", one.url, unit=unit) for unit in range(1, 21)]
+            async with polling(*devices, meter("other", other.url)):
+                await until(lambda: set(one.units) == set(range(1, 21)) and other.requests)
+                assert len(one.connections) == len(other.connections) == 1
+
+    simulated_run(go())
+
+
+def test_a_poll_with_several_requests_is_not_torn() -> None:
+    """Twenty units of a line, each with three requests: one follows the other."""
+    far = RegisterMap([Point(f"p{at}", "holding_registers", 100 * at) for at in range(3)])
+
+    async def go() -> None:
+        async with Peer() as peer:
+            url = f"{peer.url}?max_in_flight=1"
+            devices = [meter(f"{unit}", url, unit=unit, map=far) for unit in range(1, 21)]
+            async with polling(*devices):
+                await until(lambda: len(peer.requests) > 150)
+            for at in range(0, 150, 3):
+                three = peer.requests[at : at + 3]
+                assert [each[8:10] for each in three] == [b"\0\0", b"\0\x64", b"\0\xc8"]
+                assert len({each[6] for each in three}) == 1
+
+    simulated_run(go())
+
+
+def test_what_a_device_refuses_is_bad_and_the_rest_good() -> None:
+    holes = RegisterMap([Point("there", "holding_registers", 0), Point("not", "coils", 9)])
+
+    async def go() -> None:
+        device = Device(Mapping(holding_registers=1))
+        async with (
+            Server({1: device}).serving("tcp://127.0.0.1:0") as running,
+            polling(meter("a", running.urls[0], map=holes)) as (fleet, readings),
+        ):
+            await until(lambda: fleet.statistics.polls > 5 and len(readings) > 5)
+            assert [each[2:] for each in readings if each.name == "not"] == [
+                ("not", None, "", "bad", "IllegalDataAddress")
+            ]
+            assert {each[2:] for each in readings if each.name == "there"} == {
+                ("there", 0, "", "good", "")
+            }
+            device_now = fleet.devices["a"]
+            assert device_now.standing is Standing.UP
+            assert isinstance(device_now.error, IllegalDataAddress)
+            assert fleet.statistics.refusals > 4
+            assert fleet.statistics.failures == 0
+
+    simulated_run(go())
+
+
+def test_registers_that_hold_no_such_value_are_bad_alone() -> None:
+    clock = RegisterMap(
+        [Point("clock", "holding_registers", 0, type="bcd16"), Point("x", "holding_registers", 1)]
+    )
+
+    async def go() -> None:
+        device = Device(Mapping(holding_registers={0: [0xF000, 5]}))
+        async with (
+            Server({1: device}).serving("tcp://127.0.0.1:0") as running,
+            polling(meter("a", running.urls[0], map=clock)) as (_, readings),
+        ):
+            await until(lambda: len(readings) > 2)
+            assert readings[0][2:] == ("clock", None, "", "bad", "ValueError")
+            assert readings[1][2:] == ("x", 5, "", "good", "")
+
+    simulated_run(go())
+
+
+# --- who is down ---------------------------------------------------------------------------
+
+
+async def even(request: bytes) -> bytes | None:
+    return await good(request) if request[6] % 2 == 0 else None
+
+
+def test_fifty_dead_units_on_a_gateway_cost_the_others_nothing() -> None:
+    async def go() -> None:
+        async with Peer(even) as peer:
+            url = f"{peer.url}?timeout=0.3"
+            devices = [meter(f"{unit}", url, unit=unit, interval=0.2) for unit in range(1, 101)]
+            async with polling(*devices) as (fleet, readings):
+                await until(lambda: fleet.statistics.down == 50 and fleet.statistics.up == 50)
+                peer.requests.clear()
+                alive = range(2, 101, 2)
+                await until(lambda: min(map(Counter(peer.units).__getitem__, alive)) >= 6)
+                # A timeout for each try of the dead at each interval would be as many for them.
+                dead = [unit for unit in peer.units if unit % 2]
+                assert len(dead) < len(peer.units) / 3
+            # Each point that is down was told once.
+            down = Counter((each.device, each.name) for each in readings if each.quality == "down")
+            of_the_dead = [count for (unit, _), count in down.items() if int(unit) % 2]
+            assert of_the_dead == [1] * 150
+
+    simulated_run(go())
+
+
+def test_a_dead_unit_on_a_line_costs_others_an_answer() -> None:
+    """Not its timeout, which is two seconds."""
+
+    async def go() -> None:
+        units = {1: simulated(), 3: simulated()}
+        url = "rtu:///dev/line?baudrate=115200"
+        async with (
+            Server(units).serving(url),
+            polling(*(meter(f"{unit}", f"{url}&timeout=2", unit=unit) for unit in (1, 2, 3))) as (
+                fleet,
+                _,
+            ),
+        ):
+            await until(lambda: fleet.statistics.down == 1 and fleet.statistics.up == 2)
+            polls = fleet.statistics.polls
+            await until(lambda: fleet.statistics.polls > polls + 4)  # who waited for the first
+            tries = fleet.statistics.failures
+            fleet.statistics.take_worst()
+            await until(lambda: fleet.statistics.failures >= tries + 3)
+            # As long as an answer of the others takes, and the silence after it.
+            assert fleet.statistics.take_worst() < 0.1
+
+    simulated_run(go())
+
+
+def test_real_connections_are_polled() -> None:
+    """Over TCP, and on a line with a unit that is not there."""
+
+    async def go() -> None:
+        with SerialWire() as wire:
+            units = {1: simulated(100), 3: simulated(300)}
+            line = f"rtu://{wire.client}?timeout=0.5"
+            async with (
+                Server(units).serving(f"rtu://{wire.server}", "tcp://127.0.0.1:0") as running,
+                polling(
+                    *(meter(f"{unit}", line, unit=unit, interval=0.2) for unit in (1, 2, 3)),
+                    meter("tcp", running.urls[1], unit=3),
+                ) as (fleet, readings),
+            ):
+                await until(lambda: fleet.statistics.up == 3 and fleet.statistics.down == 1)
+                await fleet.write("1", {"setpoint": 25})
+                await until(lambda: readings[-1].value == 25)
+            told = {each[1:4] for each in readings if each.name == "voltage"}
+            assert told == {
+                ("1", "voltage", 10.0),
+                ("2", "voltage", None),
+                ("3", "voltage", 30.0),
+                ("tcp", "voltage", 30.0),
+            }
+
+    asyncio.run(asyncio.wait_for(go(), 60))
+
+
+def test_who_is_back_is_told_and_polled_as_before() -> None:
+    async def go() -> None:
+        is_there = True
+
+        async def answer(request: bytes) -> bytes | None:
+            return await good(request) if is_there else None
+
+        async with Peer(answer) as peer:
+            device = meter("a", f"{peer.url}?timeout=0.05", items=("power",))
+            async with polling(device) as (fleet, readings):
+                await until(lambda: len(readings) >= 3)
+                is_there = False
+                await until(lambda: readings[-1].quality == "down")
+                assert readings[-1][2:] == ("power", None, "W", "down", "ModbusTimeoutError")
+                before = len(readings)
+                await until(lambda: fleet.devices["a"].misses >= 3)
+                # It rests for 0.4 s then, not 0.1.
+                assert fleet.devices["a"].at - asyncio.get_running_loop().time() > 0.15
+                assert len(readings) == before
+                is_there = True
+                await until(lambda: len(readings) >= before + 3)
+                assert {each.quality for each in readings[before:]} == {"good"}
+                assert fleet.statistics.up == 1
+                assert fleet.statistics.down == 0
+
+    simulated_run(go())
+
+
+def test_a_connection_that_is_back_ends_the_rest_of_all_on_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Nineteen rest for a thousand seconds; one is tried, and has them all polled."""
+
+    def pause(misses: int, interval: float) -> float:
+        return 0.1 if interval < 0.15 else 1000.0
+
+    monkeypatch.setattr(poller, "pause_after", pause)
+
+    async def go() -> None:
+        async with Peer() as peer:
+            port = peer.port
+        url = f"tcp://127.0.0.1:{port}?max_pause=0.1"
+        devices = [meter(f"{unit}", url, unit=unit, interval=0.2) for unit in range(2, 21)]
+        async with polling(meter("1", url), *devices) as (fleet, _):
+            await until(lambda: fleet.statistics.down == 20)
+            assert isinstance(fleet.devices["1"].error, ModbusConnectionError)
+            server = Server({unit: simulated() for unit in range(1, 21)})
+            async with server.serving(f"tcp://127.0.0.1:{port}"):
+                await until(lambda: fleet.statistics.up == 20)
+
+    simulated_run(go())
+
+
+# --- what is late --------------------------------------------------------------------------
+
+
+def test_late_polls_are_skipped_never_piled_up() -> None:
+    async def go() -> None:
+        waiting = most = 0
+
+        async def slow(request: bytes) -> bytes:
+            nonlocal waiting, most
+            waiting += 1
+            most = max(most, waiting)
+            await asyncio.sleep(0.25)
+            waiting -= 1
+            return await good(request)
+
+        async with Peer(slow) as peer, polling(meter("a", peer.url, interval=0.05)) as (fleet, _):
+            await until(lambda: fleet.statistics.polls >= 4)
+            assert most == 1
+            assert fleet.statistics.skipped >= 8
+
+    simulated_run(go())
+
+
+def test_a_loop_that_stood_still_skips_and_counts() -> None:
+    async def go() -> None:
+        async with Peer() as peer:
+            devices = [meter(f"{unit}", peer.url, unit=unit) for unit in range(1, 11)]
+            async with polling(*devices) as (fleet, _):
+                await until(lambda: fleet.statistics.polls >= 10)
+                before, polls = fleet.statistics.skipped, fleet.statistics.polls
+                stand_still(1.0)
+                await until(lambda: fleet.statistics.polls >= polls + 10)
+                # Ten devices each missed nine or ten, and are polled once for all of them.
+                assert 60 <= fleet.statistics.skipped - before <= 200
+                assert fleet.statistics.take_worst() > 0.5
+
+    simulated_run(go())
+
+
+def test_a_device_rests_between_its_requests() -> None:
+    far = RegisterMap([Point(f"p{at}", "holding_registers", 100 * at) for at in range(3)])
+
+    async def go() -> None:
+        async with Peer() as peer, polling(meter("a", peer.url, map=far, spacing=0.05)):
+            await until(lambda: len(peer.times) > 6)
+        rests = [after - before for before, after in pairwise(peer.times)]
+        # From the end of an answer on, which takes twice the way here: 0.2 ms.
+        assert min(rests) == pytest.approx(0.0504)
+
+    simulated_run(go())
+
+
+def test_timeouts_are_those_of_each_device() -> None:
+    async def never(request: bytes) -> None:
+        return None
+
+    async def go() -> None:
+        async with Peer(never) as peer:
+            fast = meter("fast", f"{peer.url}?timeout=5", unit=1, timeout=0.05)
+            slow = meter("slow", f"{peer.url}?timeout=5", unit=2)
+            async with polling(fast, slow) as (fleet, _):
+                await until(lambda: fleet.devices["fast"].misses >= 2)
+                assert fleet.devices["slow"].misses == 0
+
+    simulated_run(go())
+
+
+# --- once ----------------------------------------------------------------------------------
+
+
+def test_once_polls_each_once_and_ends() -> None:
+    async def go() -> None:
+        async with Peer(even) as peer:
+            url = f"{peer.url}?timeout=0.1"
+            fleet = Fleet(meter(f"{unit}", url, unit=unit, interval=60) for unit in range(1, 11))
+            kept = fleet.readings()
+            await fleet.run(once=True)
+            assert sorted(peer.units) == list(range(1, 11))
+            assert fleet.statistics.polls == 10
+            assert fleet.statistics.failures == 5
+            told = [each async for each in kept]
+            assert Counter(each.quality for each in told) == {"good": 15, "down": 15}
+            await Fleet().run(once=True)
+
+    simulated_run(go())
+
+
+# --- devices that come and go -------------------------------------------------------------
+
+
+def test_replacing_touches_only_what_changed() -> None:
+    async def go() -> None:
+        async with Peer() as one, Peer() as two, Peer() as three:
+            a, b = meter("a", one.url, unit=1), meter("b", one.url, unit=2)
+            c = meter("c", two.url)
+            async with polling(a, b, c) as (fleet, _):
+                await until(lambda: fleet.statistics.up == 3)
+                same = fleet.devices["a"]
+                changed = meter("b", one.url, unit=3)
+                fleet.replace([a, changed, meter("d", three.url)])
+                assert fleet.devices["a"] is same
+                assert set(fleet.devices) == {"a", "b", "d"}
+                await until(lambda: 3 in one.units and three.requests)
+                assert len(one.connections) == 1
+                await until(lambda: two.connections[0].is_closing())
+                two.requests.clear()
+                one.requests.clear()
+                await until(lambda: len(one.requests) > 10)
+                assert 2 not in one.units
+                assert two.requests == []
+                assert fleet.statistics.devices == 3
+                await until(lambda: fleet.statistics.up == 3)
+
+    simulated_run(go())
+
+
+def test_a_line_with_other_options_is_made_anew() -> None:
+    async def go() -> None:
+        async with Peer() as peer:
+            a, b = meter("a", peer.url), meter("b", peer.url, unit=2)
+            async with polling(a, b) as (fleet, _):
+                await until(lambda: fleet.statistics.up == 2)
+                url = f"{peer.url}?timeout=2"
+                fleet.replace([meter("a", url), meter("b", url, unit=2)])
+                await until(lambda: len(peer.connections) == 2 and fleet.statistics.up == 2)
+                await until(lambda: peer.connections[0].is_closing())
+                assert fleet.statistics.devices == 2
+
+    simulated_run(go())
+
+
+def test_when_remove_returns_nothing_is_sent() -> None:
+    async def go() -> None:
+        async def slow(request: bytes) -> bytes:
+            await asyncio.sleep(0.02)
+            return await good(request)
+
+        async with Peer(slow) as one, Peer() as other:
+            devices = [meter(f"{unit}", one.url, unit=unit, interval=0.02) for unit in range(1, 40)]
+            async with polling(*devices, meter("other", other.url)) as (fleet, _):
+                await until(lambda: len(one.requests) > 100)
+                fleet.remove(devices[0].connection_key)
+                await asyncio.sleep(0)  # what was sent already is read
+                await asyncio.sleep(0.05)
+                count = len(one.requests)
+                others = len(other.requests)
+                await until(lambda: len(other.requests) > others + 3)
+                assert len(one.requests) == count
+                assert set(fleet.devices) == {"other"}
+                fleet.add(devices[:2])
+                await until(lambda: len(one.requests) > count + 4)
+
+    simulated_run(go())
+
+
+def test_what_cannot_be_changes_nothing() -> None:
+    async def go() -> None:
+        async with Peer() as peer, polling(meter("a", peer.url)) as (fleet, _):
+            for bad, text in (
+                (meter("a", peer.url, unit=5), "'a' is that of devices"),
+                (meter("b", f"{peer.url}?timeout=3", unit=5), "leads there with"),
+            ):
+                with pytest.raises(ValueError, match=text):
+                    fleet.add([bad])
+            with pytest.raises(TypeError, match=r"devices\[0\] must be a DeviceConfig, not str"):
+                fleet.replace(["a"])  # type: ignore[list-item]
+            assert set(fleet.devices) == {"a"}
+            with pytest.raises(RuntimeError, match="polls already"):
+                await fleet.run()
+            await until(lambda: fleet.statistics.up == 1)
+
+    simulated_run(go())
+
+
+# --- may_ask -----------------------------------------------------------------------------
+
+
+def test_what_may_not_be_asked_is_neither_sent_nor_told() -> None:
+    async def go() -> None:
+        allowed: set[str] = set()
+        async with Peer() as one, Peer() as two:
+            devices = [meter("one", one.url), meter("two", two.url)]
+            keys = [each.connection_key for each in devices]
+            async with polling(*devices, may_ask=lambda key: key in allowed) as (fleet, readings):
+                await until(lambda: fleet.statistics.held >= 4)
+                assert one.connections == two.connections == readings == []
+                allowed.add(keys[0])
+                await until(lambda: len(readings) > 6)
+                assert {each.device for each in readings} == {"one"}
+                assert two.connections == []
+                allowed.clear()
+                await asyncio.sleep(0.05)
+                count, held = len(one.requests), fleet.statistics.held
+                await until(lambda: fleet.statistics.held >= held + 6)
+                assert len(one.requests) == count
+                # It is not the device that is down: nobody asked it.
+                assert fleet.statistics.down == 0
+                assert {each.quality for each in readings} == {"good"}
+
+    simulated_run(go())
+
+
+# --- writes ------------------------------------------------------------------------------
+
+
+def test_writes_by_name() -> None:
+    async def go() -> None:
+        device = simulated()
+        async with (
+            Server({1: device}).serving("tcp://127.0.0.1:0") as running,
+            polling(meter("a", running.urls[0])) as (fleet, readings),
+        ):
+            await fleet.write("a", {"setpoint": 25})
+            assert device.mapping.holding_registers[2] == 25
+            await until(lambda: readings and readings[-1].value == 25)
+            for bad, text in (({"setpoint": 31}, "10..30"), ({"voltage": 1}, "access is read")):
+                with pytest.raises(ValueError, match=text):
+                    await fleet.write("a", bad)
+            with pytest.raises(ValueError, match="no point 'nothing'"):
+                await fleet.write("a", {"nothing": 1})
+            with pytest.raises(KeyError):
+                await fleet.write("b", {"setpoint": 25})
+            assert device.mapping.holding_registers[2] == 25
+
+    simulated_run(go())

@@ -1,0 +1,338 @@
+"""
+Fleet files: what they say, and what is wrong with them: file, line, key, what is allowed.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from libmodbus_py import DeviceConfig, Fleet, Point, RegisterMap
+from libmodbus_py.services.fleet.config import by_connection, devices_from_json, devices_to_json
+from libmodbus_py.services.fleet.files import FleetFileError, load
+from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
+from tests.services.fleet.fleets import METER, meter
+
+MAP = """name,table,address,type,scale,unit,access
+voltage,holding_registers,0,uint16,0.1,V,read
+power,holding_registers,2,float32,,W,read
+reset,coils,5,,,,write
+"""
+
+FLEET = """
+devices = "more.csv"
+
+[defaults]
+map = "meter.csv"
+interval = 2.5
+labels = {site = "here"}
+dead_bands = {voltage = 0.5, power = 10}
+
+[[device]]
+name = "pump"
+url = "tcp://192.0.2.7?timeout=2"
+unit = 3
+labels = {line = "A"}
+
+[[device]]
+name = "valve"
+url = "rtu:///dev/ttyUSB0?baudrate=19200"
+items = ["voltage"]
+on_change = true
+zone = "east"
+timeout = 0.5
+spacing = 0.1
+
+[[device]]
+name = "own"
+url = "udp://[::1]:1502"
+dead_bands = {level = 2}
+
+[[device.point]]
+name = "level"
+table = "input_registers"
+address = 7
+scale = 0.01
+
+[output.json]
+path = "readings.jsonl"
+
+[output.mqtt]
+url = "mqtts://192.0.2.1"
+user = "u"
+password = "${TEST_MQTT_PASSWORD}"
+commands = true
+"""
+
+CSV = """# a list
+name;url;unit;map;items;interval;on_change;labels.site;zone
+north 1;tcp://192.0.2.8;4;;voltage;7,5;;;
+"""
+
+CSV_RIGHT = CSV.replace("7,5", "7.5").replace("voltage;", "voltage;", 1)
+
+
+def written(folder: Path, fleet: str = FLEET, csv: str = CSV_RIGHT, points: str = MAP) -> Path:
+    (folder / "meter.csv").write_text(points)
+    (folder / "more.csv").write_text(csv)
+    (folder / "fleet.toml").write_text(fleet)
+    return folder / "fleet.toml"
+
+
+def test_a_file_with_every_key(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TEST_MQTT_PASSWORD", "secret")
+    # One unit has the bands of the defaults that it reads; one has no map of these.
+    fleet = FLEET.replace("dead_bands = {voltage = 0.5, power = 10}", "")
+    fleet = fleet.replace("[[device]]", "[[device]]\ndead_bands = {power = 10}", 1)
+    file = load(written(tmp_path, fleet))
+    pump, valve, own, north = file.devices
+    assert [each.name for each in file.devices] == ["pump", "valve", "own", "north 1"]
+    assert (pump.unit, pump.interval, pump.timeout) == (3, 2.5, None)
+    assert pump.labels == {"site": "here", "line": "A"}
+    assert pump.names == ("voltage", "power")
+    assert pump.dead_bands == {"power": 10}
+    assert (valve.names, valve.on_change, valve.zone) == (("voltage",), True, "east")
+    assert (valve.timeout, valve.spacing) == (0.5, 0.1)
+    assert own.map["level"] == Point("level", "input_registers", 7, scale=0.01)
+    assert own.dead_bands == {"level": 2}
+    assert (north.unit, north.interval, north.names) == (4, 7.5, ("voltage",))
+    assert north.labels == {"site": "here"}
+    assert pump.map is valve.map is north.map
+    assert file.outputs["json"] == {"path": str(tmp_path / "readings.jsonl")}
+    assert file.outputs["mqtt"]["password"] == "secret"
+    assert "secret" not in repr(file)
+    fleet_of_it = Fleet.from_file(tmp_path / "fleet.toml")
+    assert set(fleet_of_it.statistics.outputs) == set()
+    assert [type(each) for each in file.made_outputs()][1] is Mqtt
+
+
+def test_the_example_of_the_source_tree_can_be_loaded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MQTT_PASSWORD", "secret")
+    file = load(Path(__file__).parents[3] / "examples" / "fleet.toml")
+    assert len(file.devices) > 2
+    assert set(file.outputs) == {"json", "csv", "mqtt"}
+
+
+SIMPLE = '[[device]]\nname = "a"\nurl = "tcp://h"\nmap = "meter.csv"\n'
+
+
+@pytest.mark.parametrize(
+    ("fleet", "line", "said"),
+    [
+        ("", None, "device must hold at least one table: [[device]]"),
+        ("device = 3", 1, "device must be an array of tables"),
+        ("x = 3", 1, "x: no such key; allowed are devices, defaults, device, output"),
+        ("[[device]]\nnam = 3", 2, "device[0].nam: no such key; allowed are name, url, map, unit"),
+        ("[[device]]\nname = 'a'", 1, "device[0].url is missing"),
+        (SIMPLE + "unit = 256", 5, "device[0].unit must be in 0..255, not 256"),
+        (SIMPLE + "unit = '1'", 5, "device[0].unit must be an integer"),
+        (SIMPLE + "interval = 0", 5, "device[0].interval must be in 0.01..86400 seconds, not 0"),
+        (SIMPLE + "timeout = -1", 5, "device[0].timeout must be in 0.001..86400 seconds"),
+        (SIMPLE + "on_change = 1", 5, "device[0].on_change must be true or false, not 1"),
+        (SIMPLE + "items = ['volts']", 5, "device[0].items[0]: the map has no 'volts'; it has"),
+        (SIMPLE + "items = ['reset']", 5, "device[0].items[0]: 'reset' can only be written"),
+        (SIMPLE + "items = ['power', 'power']", 5, "device[0].items[1]: 'power' is given twice"),
+        (SIMPLE + "items = 'power'", 5, "device[0].items must be a list of names, not str"),
+        (SIMPLE + "dead_bands = {x = 1}", 5, "device[0].dead_bands.x: nothing of this name"),
+        (SIMPLE + "dead_bands = {power = -1}", 5, "device[0].dead_bands.power must be a number"),
+        (SIMPLE + "labels = {x = 1}", 5, "device[0].labels.x must be text, not int"),
+        (SIMPLE + "max_registers = 1", 5, "device[0].max_registers: items['power']: float32 takes"),
+        (SIMPLE.replace("tcp://h", "http://h"), 3, "device[0].url: 'http://h': the scheme must"),
+        (SIMPLE.replace("tcp://h", "tcp://h?unit=3"), 3, "the unit stands beside it"),
+        (SIMPLE.replace("tcp://h", "rtu://h"), 3, "a device is missing"),
+        (
+            SIMPLE.replace("tcp://h", "rtu+tcp://h?max_in_flight=4"),
+            3,
+            "device[0].url: max_in_flight must be 1",
+        ),
+        (SIMPLE.replace('"tcp://h"', '"rtu:///dev/x"\nunit = 0'), 4, "unit must not be 0 there"),
+        (SIMPLE.replace("meter", "metre"), 4, "device[0].map: cannot read"),
+        (SIMPLE.replace('"meter.csv"', "7"), 4, "device[0].map must be the name of a file, not 7"),
+        (SIMPLE + "[[device.point]]\nname = 'x'", 5, "device[0].point: there is a map already"),
+        (
+            SIMPLE.replace('map = "meter.csv"\n', "")
+            + "[[device.point]]\nname = 'x'\ntable = 'coils'\naddress = 70000",
+            7,
+            "device[0].point[0].address must be in 0..65535",
+        ),
+        (SIMPLE + SIMPLE, 6, "device[1].name: 'a' is that of device[0]"),
+        (
+            SIMPLE + SIMPLE.replace('"a"', '"b"').replace("//h", "//h?timeout=3"),
+            7,
+            "device[1].url: device[0] leads there with tcp://h:502",
+        ),
+        ("[defaults]\nname = 'x'\n" + SIMPLE, 2, "defaults.name: no such key"),
+        (
+            "[output.json]\npth = 'x'\n" + SIMPLE,
+            2,
+            "output.json.pth: no such key; allowed are path",
+        ),
+        ("[output.jsn]\n" + SIMPLE, 1, "output.jsn: no such key; allowed are json, csv, mqtt"),
+        ("[output.json]\npath = 7\n" + SIMPLE, 2, "output.json.path must be text"),
+        ("[output.mqtt]\nuser = 'x'\n" + SIMPLE, 1, "output.mqtt.url is missing"),
+        (
+            "[output.mqtt]\nurl = 'http://x'\n" + SIMPLE,
+            2,
+            'output.mqtt.url must be such as "mqtt://192.0.2.1:1883"',
+        ),
+        (
+            "[output.mqtt]\nurl = 'mqtt://x'\npassword = 'secret'\n" + SIMPLE,
+            3,
+            "output.mqtt.password must not stand here: write ${NAME}",
+        ),
+        (
+            "[output.mqtt]\nurl = 'mqtt://x'\npassword = '${NOT_THERE}'\n" + SIMPLE,
+            3,
+            "output.mqtt.password: ${NOT_THERE}: the environment has no such variable",
+        ),
+        (
+            "[output.mqtt]\nurl = 'mqtt://x'\npassword_file = 'none'\n" + SIMPLE,
+            3,
+            "output.mqtt.password_file: cannot read",
+        ),
+        (
+            "[output.mqtt]\nurl = 'mqtt://x'\ntopic = 'a/b'\n" + SIMPLE,
+            3,
+            "topic must hold {device}",
+        ),
+        (
+            "[output.mqtt]\nurl = 'mqtt://x'\nqos = 2\n" + SIMPLE,
+            3,
+            "output.mqtt.qos must be in 0..1",
+        ),
+        ("devices = 'none.csv'\n" + SIMPLE, 1, "devices: cannot read"),
+        ("devices = ['a']\n" + SIMPLE, 1, "devices must be the name of a file in CSV"),
+    ],
+)
+def test_what_is_wrong_is_told_with_its_line(
+    tmp_path: Path, fleet: str, line: int | None, said: str
+) -> None:
+    path = written(tmp_path, fleet)
+    with pytest.raises(FleetFileError) as caught:
+        load(path)
+    text = str(caught.value)
+    place = f"{path}, line {line}: " if line else f"{path}: "
+    assert text.startswith(place)
+    assert said in text
+    assert "\n" not in text
+    assert "secret" not in text
+
+
+ROWS = "name,url,unit,map\na,tcp://h,1,meter.csv\n"
+
+
+@pytest.mark.parametrize(
+    ("csv", "said"),
+    [
+        ("nam,url\nx,y\n", "line 1: no such column: 'nam'; allowed are name, url, unit"),
+        ("name,name\nx,y\n", "line 1: two columns name"),
+        (ROWS + "b,tcp://i,x,meter.csv\n", "line 3, column unit: must be a whole number, not 'x'"),
+        (ROWS + "b,tcp://i,999,meter.csv\n", "line 3: unit must be in 0..255, not 999"),
+        (ROWS + "b,,1,meter.csv\n", "line 3: url is missing"),
+        (ROWS + "b,tcp://i,1,none.csv\n", "line 3: map: cannot read"),
+        (ROWS + "\n# x\na,tcp://i,1,meter.csv\n", "line 5, column name: 'a' is that of devices: "),
+        (ROWS + "b,tcp://i,1,meter.csv,more\n", "line 3: 5 cells, but only 4 columns"),
+        (ROWS + 'b,"tcp\n', "line 3: no CSV"),
+        ("name,url,map,interval\na,tcp://h,meter.csv,1_0\n", "line 2"),
+    ],
+)
+def test_what_is_wrong_in_a_list_of_devices(tmp_path: Path, csv: str, said: str) -> None:
+    path = written(tmp_path, 'devices = "more.csv"', csv)
+    if "1_0" in csv:
+        assert load(path).devices[0].interval == 10  # as Python reads numbers
+        return
+    with pytest.raises(FleetFileError) as caught:
+        load(path)
+    assert str(caught.value).startswith(f"{path}, line 1: devices: {tmp_path / 'more.csv'}, line ")
+    assert said in str(caught.value)
+
+
+def test_ten_thousand_devices_are_read_in_time(tmp_path: Path) -> None:
+    rows = "name,url,unit,map\n" + "".join(
+        f"device {at},tcp://10.0.{at // 2560}.{at // 10 % 256},{at % 10 + 1},meter.csv\n"
+        for at in range(10_000)
+    )
+    file = load(written(tmp_path, 'devices = "more.csv"', rows))
+    assert len(file.devices) == 10_000
+    assert len(by_connection(file.devices)) == 1000
+    assert len({id(each.map) for each in file.devices}) == 1
+
+
+def test_a_file_for_the_map_with_a_mistake_is_named(tmp_path: Path) -> None:
+    path = written(tmp_path, SIMPLE, points=MAP.replace("float32", "float33"))
+    with pytest.raises(FleetFileError, match=re.escape("meter.csv, line 3, column type: ")):
+        load(path)
+
+
+# --- devices as text -------------------------------------------------------------------------
+
+
+def test_devices_come_back_from_json_as_they_were() -> None:
+    other = RegisterMap([Point("ä", "coils", 3, access="read", description="x")])
+    devices = [
+        meter("a", "tcp://192.0.2.1", unit=3, items=("power",), dead_bands={"power": 2.5}),
+        meter("b", "tcp://192.0.2.1", timeout=2.0, labels={"k": "v"}, zone="z", on_change=True),
+        DeviceConfig("c", "rtu:///dev/ttyUSB0?parity=N", other, gap=5, spacing=0.2),
+    ]
+    text = devices_to_json(devices)
+    again = devices_from_json(text)
+    assert again == devices
+    assert devices_to_json(again) == text
+    assert again[0].map is again[1].map is devices_from_json(text)[0].map
+    assert again[0] != meter("a", "tcp://192.0.2.1", unit=4)
+    assert text.count("voltage") == 1
+    assert devices_from_json(devices_to_json([])) == []
+    json.loads(text)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        *("", "{}", "[]", '{"maps": [], "devices": [{"map": 0}]}', "[" * 100_000),
+        *('{"maps": [[]], "devices": [3]}', '{"maps": [], "devices": [{"name": "a"}]}'),
+        *('{"maps": [7], "devices": []}', '{"maps": [[]], "devices": [{"map": 0, "url": []}]}'),
+    ],
+)
+def test_other_text_is_refused(text: str) -> None:
+    with pytest.raises(ValueError, match="this is no text of devices"):
+        devices_from_json(text)
+
+
+@pytest.mark.parametrize(
+    ("keys", "named"),
+    [
+        ({"name": ""}, "name must have 1..100 characters"),
+        ({"name": "a\nb"}, "name must have"),
+        ({"name": "x" * 101}, "name must have"),
+        ({"name": 7}, "name must be text"),
+        ({"map": {}}, "map must be a RegisterMap, not dict"),
+        ({"spacing": "1"}, "spacing must be a number of seconds"),
+        ({"gap": -1}, "gap must be in 0..2000"),
+        ({"zone": None}, "zone must be text"),
+        ({"labels": []}, "labels must be a table"),
+        ({"dead_bands": 3}, "dead_bands must be a table"),
+        ({"dead_bands": {"power": float("nan")}}, "dead_bands.power must be a number"),
+        ({"url": None}, "url: url must be a string"),
+        ({"map": RegisterMap([Point("x", "coils", 0, access="write")])}, "nothing in it can be"),
+    ],
+)
+def test_bad_device_is_named(keys: Any, named: str) -> None:
+    with pytest.raises((TypeError, ValueError), match=named):
+        DeviceConfig(**{"name": "a", "url": "tcp://h", "map": METER, **keys})
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        ("tcp://192.0.2.1", "tcp://192.0.2.1:502"),
+        ("rtu:///dev/ttyUSB0", "ascii:///dev/ttyUSB0"),
+        ("tcp://[::1]", "tcp://[::1]:502?timeout=3"),
+    ],
+)
+def test_one_place_is_one_connection(one: str, other: str) -> None:
+    assert meter("a", one).connection_key == meter("b", other).connection_key
+    assert meter("a", one).connection_key != meter("b", "tcp://192.0.2.9").connection_key

@@ -1,0 +1,441 @@
+"""
+MQTT with a real broker: last values, the last will, commands; a broker that dies and returns.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import aiomqtt
+import pytest
+
+from libmodbus_py import Fleet, Server
+from libmodbus_py.services.fleet.outputs import mqtt
+from libmodbus_py.services.fleet.outputs import pump as pumps
+from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
+from libmodbus_py.services.fleet.outputs.output import OutputError
+from libmodbus_py.tools.certificates import Identity
+from tests.services.fleet.fleets import LONGEST, RealPeer, meter, simulated, until
+from tests.support import certificates
+from tests.support.certificates import Papers
+from tests.support.programs import program
+
+
+class Broker:
+    """mosquitto, which can be killed and started again at the same port."""
+
+    def __init__(self, folder: Path) -> None:
+        with socket.create_server(("127.0.0.1", 0)) as taken:
+            self.port: int = taken.getsockname()[1]
+        self.url = f"mqtt://127.0.0.1:{self.port}"
+        self._folder = folder
+        (folder / "passwords").write_text("")
+        (folder / "passwords").chmod(0o600)
+        command = [program("mosquitto_passwd"), "-b", str(folder / "passwords"), "user", "secret"]
+        subprocess.run(command, check=True, capture_output=True)
+        self.settings = [f"listener {self.port} 127.0.0.1", "allow_anonymous true"]
+        self.process: subprocess.Popen[bytes] | None = None
+
+    def start(self) -> None:
+        file = self._folder / "mosquitto.conf"
+        # Root's broker stays root's, and can read what root wrote; any other user's ignores this.
+        file.write_text("\n".join([*self.settings, "user root", ""]))
+        self.process = subprocess.Popen(
+            [program("mosquitto"), "-c", str(file)],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        for _ in range(int(LONGEST * 100)):
+            try:
+                socket.create_connection(("127.0.0.1", self.port), 1).close()
+                return
+            except OSError:
+                assert self.process.poll() is None
+                time.sleep(0.01)
+
+    def kill(self) -> None:
+        assert self.process is not None
+        self.process.kill()
+        self.process.wait()
+
+
+@pytest.fixture
+def broker(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Broker]:
+    monkeypatch.setattr(pumps, "FIRST_PAUSE", 0.05)
+    monkeypatch.setattr(pumps, "LONGEST_SILENCE", 0.1)
+    made = Broker(tmp_path)
+    made.start()
+    yield made
+    made.kill()
+
+
+def run(test: Any) -> Any:
+    return asyncio.run(asyncio.wait_for(test, 2 * LONGEST))
+
+
+@asynccontextmanager
+async def hearing(broker: Broker, *topics: str) -> AsyncIterator[list[tuple[str, Any, bool]]]:
+    """What a subscriber gets: topic, payload, whether it was kept."""
+    heard: list[tuple[str, Any, bool]] = []
+
+    async def listen(client: aiomqtt.Client) -> None:
+        async for message in client.messages:
+            assert isinstance(message.payload, bytes)
+            text = message.payload.decode()
+            found = json.loads(text) if text.startswith("{") else text
+            heard.append((str(message.topic), found, message.retain))
+
+    async with aiomqtt.Client("127.0.0.1", broker.port) as client:
+        for topic in topics:
+            await client.subscribe(topic, 1)
+        task = asyncio.create_task(listen(client))
+        try:
+            yield heard
+        finally:
+            task.cancel()
+            await asyncio.wait([task])
+
+
+async def publish(broker: Broker, topic: str, payload: bytes, *, retain: bool = False) -> None:
+    async with aiomqtt.Client("127.0.0.1", broker.port) as client:
+        await client.publish(topic, payload, 1, retain)
+
+
+def heard_of(heard: list[tuple[str, Any, bool]], topic: str) -> list[Any]:
+    return [payload for each, payload, _ in heard if each == topic]
+
+
+@pytest.mark.parametrize("qos", [0, 1])
+def test_last_values_are_kept_for_who_comes_later(broker: Broker, qos: int) -> None:
+    async def go() -> None:
+        async with RealPeer() as peer:
+            device = meter("plant/1 +", peer.url, interval=60)
+            await Fleet([device], outputs=[Mqtt(broker.url, qos=qos)]).run(once=True)
+        async with hearing(broker, "#") as heard:
+            await until(lambda: len(heard) >= 4)
+        assert all(retained for _, _, retained in heard)
+        values = {topic: found for topic, found, _ in heard if topic != "modbus/status"}
+        assert set(values) == {f"modbus/plant%2F1 %2B/{name}" for name in device.names}
+        told = values["modbus/plant%2F1 %2B/voltage"]
+        assert {**told, "time": ""} == {"time": "", "value": 0.7, "unit": "V", "quality": "good"}
+        assert heard_of(heard, "modbus/status") == ["offline"]
+
+    run(go())
+
+
+def secure(broker: Broker, papers: Papers, identity: Identity) -> str:
+    """Have it listen for TLS, too; gives that URL."""
+    broker.kill()
+    files = papers.files(identity)
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+    broker.settings += [f"listener {port} 127.0.0.1", f"certfile {files.cert}"]
+    broker.settings += [f"keyfile {files.key}", "allow_anonymous true"]
+    broker.start()
+    return f"mqtts://127.0.0.1:{port}"
+
+
+def test_readings_over_tls(broker: Broker, tmp_path: Path) -> None:
+    papers = Papers(tmp_path)
+    url = secure(broker, papers, certificates.server())
+
+    async def go() -> None:
+        async with RealPeer() as peer:
+            device = meter("a", peer.url, interval=60)
+            output = Mqtt(url, ca=str(papers.ca))
+            await Fleet([device], outputs=[output]).run(once=True)
+        async with hearing(broker, "#") as heard:
+            await until(lambda: len(heard) >= 4)
+
+    run(go())
+
+
+@pytest.mark.parametrize("wrong", ["another authority", "another host"])
+def test_a_broker_that_is_not_trusted_gets_nothing(
+    broker: Broker, tmp_path: Path, wrong: str
+) -> None:
+    papers = Papers(tmp_path)
+    is_foreign = wrong == "another authority"
+    identity = certificates.server(**({} if is_foreign else {"hosts": ("other.example",)}))
+    trusted = papers.authority(certificates.foreign_authority()) if is_foreign else papers.ca
+    url = secure(broker, papers, identity)
+
+    async def go() -> None:
+        async with RealPeer() as peer, hearing(broker, "#") as heard:
+            output = Mqtt(url, ca=str(trusted), password="secret", user="user")
+            async with Fleet([meter("a", peer.url, interval=0.05)], outputs=[output]) as fleet:
+                statistics = fleet.statistics.outputs[output.name]
+                await until(lambda: statistics.trouble)
+                assert "certificate" in statistics.trouble.lower()
+            assert heard == []
+
+    run(go())
+
+
+def test_a_file_of_authorities_that_is_none_is_told(tmp_path: Path) -> None:
+    (tmp_path / "ca.pem").write_text("nothing")
+    output = Mqtt("mqtts://127.0.0.1:1", ca=str(tmp_path / "ca.pem"))
+    with pytest.raises(OutputError, match="holds no certificate"):
+        run(output.open())
+
+
+def test_the_last_will_says_who_is_gone(broker: Broker, tmp_path: Path) -> None:
+    """A poller is killed: the broker says so, not the poller."""
+    (tmp_path / "meter.csv").write_text("name,table,address\nx,holding_registers,0\n")
+    (tmp_path / "fleet.toml").write_text(
+        f'[output.mqtt]\nurl = "{broker.url}"\nstatus = "poller"\n'
+        '[[device]]\nname = "a"\nurl = "tcp://127.0.0.1:1"\nmap = "meter.csv"\n'
+    )
+
+    async def go() -> None:
+        async with hearing(broker, "poller") as heard:
+            program = [sys.executable, "-m", "libmodbus_py", "poll", str(tmp_path / "fleet.toml")]
+            with subprocess.Popen(program) as poller:
+                await until(lambda: heard_of(heard, "poller") == ["online"])
+                poller.kill()
+            await until(lambda: heard_of(heard, "poller")[1:] == ["offline"])
+
+    run(go())
+
+
+def test_a_broker_that_dies_and_returns_loses_little_and_stops_nobody(
+    broker: Broker, caplog: pytest.LogCaptureFixture
+) -> None:
+    async def go() -> None:
+        async with RealPeer() as peer:
+            output = Mqtt(broker.url)
+            fleet = Fleet([meter("a", peer.url, interval=0.05)], outputs=[output])
+            async with fleet:
+                statistics = fleet.statistics.outputs[output.name]
+                await until(lambda: statistics.written > 10)
+                broker.kill()
+                await until(lambda: statistics.trouble)
+                before = fleet.statistics.polls
+                await until(lambda: fleet.statistics.polls > before + 10)
+                assert statistics.waiting > 0
+                await asyncio.to_thread(broker.start)
+                written = statistics.written
+                await until(lambda: statistics.written > written + 30 and not statistics.trouble)
+                async with hearing(broker, "modbus/#") as heard:
+                    await until(lambda: heard_of(heard, "modbus/status") == ["online"])
+            assert fleet.statistics.failures == 0
+            # Those in the connection when it was lost are lost with it (QoS 0), no others.
+            assert statistics.dropped == 0
+
+    run(go())
+    assert "takes readings again" in caplog.text
+    assert "Traceback" not in caplog.text
+
+
+def test_a_broker_is_missed_though_nothing_is_to_be_told(broker: Broker) -> None:
+    """Nothing changes, so nothing is published; commands and "online" must be back all the same."""
+
+    async def go() -> None:
+        async with RealPeer() as peer:
+            output = Mqtt(broker.url, commands=True)
+            async with Fleet([meter("a", peer.url, on_change=True)], outputs=[output]) as fleet:
+                statistics = fleet.statistics.outputs[output.name]
+                await until(lambda: statistics.written == 3)
+                broker.kill()
+                await until(lambda: statistics.trouble)
+                await asyncio.to_thread(broker.start)
+                async with hearing(broker, "modbus/#") as heard:
+                    await until(lambda: "online" in heard_of(heard, "modbus/status"))
+
+    run(go())
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"user": "user", "password": "wrong"}, "Not authorized"),
+        ({}, "Not authorized"),
+    ],
+)
+def test_wrong_credentials_are_one_line(
+    broker: Broker, options: Any, said: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    async def go() -> None:
+        broker.kill()
+        broker.settings[1] = f"password_file {broker._folder / 'passwords'}"
+        await asyncio.to_thread(broker.start)
+        async with RealPeer() as peer:
+            output = Mqtt(broker.url, **options)
+            async with Fleet([meter("a", peer.url)], outputs=[output]) as fleet:
+                statistics = fleet.statistics.outputs[output.name]
+                await until(lambda: statistics.failures > 1)
+                assert said in statistics.trouble
+                assert fleet.statistics.failures == 0
+            right = Mqtt(broker.url, user="user", password="secret")
+            fleet = Fleet([meter("a", peer.url, interval=60)], outputs=[right])
+            await fleet.run(once=True)
+            assert fleet.statistics.outputs[right.name].written == 3
+
+    run(go())
+    warned = [each for each in caplog.records if each.levelno >= logging.WARNING]
+    assert len([each for each in warned if said in each.getMessage()]) == 1
+    assert "wrong" not in caplog.text
+    assert "secret" not in caplog.text
+
+
+def test_nobody_there_is_one_line(caplog: pytest.LogCaptureFixture) -> None:
+    async def go() -> None:
+        async with RealPeer() as peer:
+            output = Mqtt("mqtt://127.0.0.1:1")
+            async with Fleet([meter("a", peer.url)], outputs=[output]) as fleet:
+                await until(lambda: fleet.statistics.outputs[output.name].failures)
+                await until(lambda: fleet.statistics.polls > 3)
+
+    run(go())
+    assert caplog.text.count("mqtt 127.0.0.1:1: ") == 1
+    assert "refused" in caplog.text
+    assert "Traceback" not in caplog.text
+
+
+def test_a_connection_that_says_nothing_stops_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(mqtt, "PATIENCE", 0.2)
+
+    async def go() -> None:
+        silent = socket.create_server(("127.0.0.1", 0))
+        port = silent.getsockname()[1]
+        async with RealPeer() as peer:
+            output = Mqtt(f"mqtt://127.0.0.1:{port}")
+            async with Fleet([meter("a", peer.url, interval=0.05)], outputs=[output]) as fleet:
+                await until(lambda: fleet.statistics.outputs[output.name].trouble)
+                assert "timed out" in fleet.statistics.outputs[output.name].trouble
+                await until(lambda: fleet.statistics.polls > 5)
+        silent.close()
+
+    run(go())
+
+
+# --- commands ---------------------------------------------------------------------------------
+
+
+@asynccontextmanager
+async def commanded(broker: Broker, **options: Any) -> AsyncIterator[tuple[Fleet, Any, Any]]:
+    device = simulated()
+    async with Server({1: device}).serving("tcp://127.0.0.1:0") as running:
+        output = Mqtt(broker.url, **options)
+        devices = [
+            meter("a", running.urls[0], interval=0.02),
+            meter("down", "tcp://127.0.0.1:1"),
+        ]
+        async with (
+            Fleet(devices, outputs=[output]) as fleet,
+            hearing(broker, "modbus/+/+/set/result") as heard,
+        ):
+            await until(lambda: fleet.statistics.outputs[output.name].written)
+            yield fleet, heard, device
+
+
+def test_writes_are_answered_with_their_outcome(broker: Broker) -> None:
+    cases: list[tuple[str, bytes, str]] = [
+        ("a/setpoint", b"21", ""),
+        ("a/setpoint", b'{"value": 22, "id": "x7"}', ""),
+        ("a/setpoint", b"31", "setpoint: value must be in 10..30, not 31"),
+        ("a/setpoint", b'"22"', "setpoint: value must be"),
+        ("a/voltage", b"1", "access is read"),
+        ("a/nothing", b"1", "no point 'nothing'"),
+        ("nobody/setpoint", b"21", "there is no device 'nobody'"),
+        ("down/setpoint", b"21", "cannot connect"),
+        ("a/setpoint", b"hot", "it must be a value in JSON, not b'hot'"),
+        ("a/setpoint", b"", "it must be a value in JSON"),
+        ("a/setpoint", b'{"val": 3}', "an object must have a value"),
+        ("a/setpoint", b'{"value": 3, "id": [1]}', "id must be text or a number"),
+        ("a/setpoint", b"[" * 4000, "it must be a value in JSON"),
+        ("a/setpoint", b"1" * 5000, "at most 4096 bytes"),
+    ]
+
+    async def go() -> None:
+        async with commanded(broker, commands=True) as (fleet, heard, device):
+            for at, (topic, data, error) in enumerate(cases):
+                await publish(broker, f"modbus/{topic}/set", data)
+                await until(lambda at=at: len(heard) > at)
+                result_topic, outcome, _ = heard[at]
+                assert result_topic == f"modbus/{topic}/set/result"
+                assert outcome["ok"] is not bool(error)
+                assert error in outcome.get("error", "")
+                assert outcome.get("id") == ("x7" if b"x7" in data else None)
+            assert device.mapping.holding_registers[2] == 22
+            assert fleet.statistics.commands == 2
+            assert fleet.statistics.refused_commands == len(cases) - 2
+            # One that the broker kept was meant for yesterday.
+            await publish(broker, "modbus/a/setpoint/set", b"15", retain=True)
+            await until(lambda: device.mapping.holding_registers[2] == 15)
+        async with commanded(broker, commands=True) as (fleet, heard, device):
+            await publish(broker, "modbus/a/setpoint/set", b"16")
+            await until(lambda: device.mapping.holding_registers[2] == 16 and heard)
+            assert fleet.statistics.commands == 1
+
+    run(go())
+
+
+def test_off_unless_enabled(broker: Broker) -> None:
+    async def go() -> None:
+        async with commanded(broker) as (fleet, heard, device):
+            await publish(broker, "modbus/a/setpoint/set", b"21")
+            before = fleet.statistics.polls
+            await until(lambda: fleet.statistics.polls > before + 5)
+            assert (heard, device.mapping.holding_registers[2]) == ([], 20)
+
+    run(go())
+
+
+def test_a_flood_of_commands_is_bounded(broker: Broker) -> None:
+    async def go() -> None:
+        async with commanded(broker, commands=True) as (fleet, heard, _):
+            async with aiomqtt.Client("127.0.0.1", broker.port) as client:
+                for at in range(500):
+                    await client.publish("modbus/down/setpoint/set", b"21", 0)
+                    if at % 50 == 0:
+                        assert len(asyncio.all_tasks()) < 300
+            polls = fleet.statistics.polls
+            await until(lambda: fleet.statistics.polls > polls + 5)
+            await until(lambda: len(heard) > 20)
+            assert fleet.statistics.commands == 0
+            assert fleet.statistics.up == 1
+
+    run(go())
+
+
+# --- what cannot be -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [
+        ({"url": 7}, "url must be text"),
+        ({"url": "mqtt://u:p@h"}, "url: user and password stand beside it"),
+        ({"url": "mqtt://h:99999"}, "url: the port"),
+        ({"url": "mqtt://h/x"}, "url must be such as"),
+        ({"password": "x"}, "user must be given"),
+        ({"retain": 1}, "retain must be true or false"),
+        ({"qos": 3}, "qos must be in 0..1"),
+        ({"ca": "x"}, "ca is for mqtts"),
+        ({"topic": "x/{device}"}, "topic must hold"),
+        ({"topic": "x/{device}/{name}/{zone}"}, "topic must hold"),
+        ({"topic": "x/{device}{name}"}, "must stand apart"),
+        ({"topic": "#/{device}/{name}"}, "must be a topic without"),
+        ({"status": "+"}, "status must be a topic without"),
+    ],
+)
+def test_bad_option_is_named(options: Any, named: str) -> None:
+    with pytest.raises((TypeError, ValueError), match=named):
+        Mqtt(**{"url": "mqtt://192.0.2.1", **options})
+
+
+def test_without_aiomqtt_one_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "aiomqtt", None)
+    with pytest.raises(OutputError, match=r"pip install 'libmodbus-py\[mqtt\]'"):
+        asyncio.run(Mqtt("mqtt://192.0.2.1").open())

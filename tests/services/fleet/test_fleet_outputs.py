@@ -1,0 +1,255 @@
+"""
+Outputs that are slow, full, gone or wrong: polling goes on, and what was lost is counted.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import json
+import os
+import threading
+from collections.abc import Sequence
+from contextlib import suppress
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from libmodbus_py import Fleet, Reading
+from libmodbus_py.services.fleet.outputs import pump as pumps
+from libmodbus_py.services.fleet.outputs import text_file
+from libmodbus_py.services.fleet.outputs.csv_rows import CsvRows
+from libmodbus_py.services.fleet.outputs.json_lines import JsonLines
+from libmodbus_py.services.fleet.outputs.output import Output, OutputError
+from tests.services.fleet.fleets import LONGEST, Peer, RealPeer, meter, simulated_run, until
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Outputs are tried again sooner."""
+    monkeypatch.setattr(pumps, "FIRST_PAUSE", 0.02)
+    monkeypatch.setattr(pumps, "LAST_WORDS", 0.2)
+    monkeypatch.setattr(text_file, "LAST_WAIT", 0.2)
+
+
+def run(test: Any) -> Any:
+    return asyncio.run(asyncio.wait_for(test, 2 * LONGEST))
+
+
+class Odd:
+    """An output that does what it is told."""
+
+    name = "odd"
+
+    def __init__(self, *manners: Any) -> None:
+        self.buffer = 20
+        self.manners = list(manners)
+        self.taken: list[Reading] = []
+        self.opened_at: list[float] = []
+        self.closed = 0
+
+    @property
+    def opened(self) -> int:
+        return len(self.opened_at)
+
+    async def open(self) -> None:
+        self.opened_at.append(asyncio.get_running_loop().time())
+
+    async def write(self, readings: Sequence[Reading]) -> None:
+        if readings and self.manners:
+            manner = self.manners.pop(0)
+            if isinstance(manner, BaseException):
+                raise manner
+            await asyncio.sleep(manner)
+        self.taken += readings
+
+    async def close(self) -> None:
+        self.closed += 1
+
+
+async def polled(
+    output: Output, is_so: Any, interval: float = 0.02, kind: type[Peer | RealPeer] = Peer
+) -> Fleet:
+    async with kind() as peer:
+        fleet = Fleet([meter("a", peer.url, interval=interval)], outputs=[output])
+        async with fleet:
+            await until(lambda: is_so(fleet))
+    return fleet
+
+
+def test_what_waits_is_given_at_the_end() -> None:
+    output = Odd()
+    fleet = simulated_run(polled(output, lambda fleet: fleet.statistics.polls > 5))
+    assert len(output.taken) == fleet.statistics.readings
+    assert (output.opened, output.closed) == (1, 1)
+    assert fleet.statistics.outputs["odd"].written == len(output.taken)
+
+
+def test_a_slow_output_loses_the_oldest_and_stops_nobody() -> None:
+    output = Odd(1.5)
+    fleet = simulated_run(polled(output, lambda fleet: fleet.statistics.polls > 30))
+    lost = fleet.statistics.outputs["odd"]
+    assert lost.dropped > 10
+    assert len(output.taken) + lost.dropped == fleet.statistics.readings
+    # Those that were taken before it was slow, and the last ones.
+    assert len(output.taken) <= 3 + 2 * output.buffer
+
+
+def test_one_that_fails_is_opened_again_and_loses_nothing(caplog: Any) -> None:
+    output = Odd(OSError(errno.EIO, "no"), OSError(errno.EIO, "no"), 0, RuntimeError("a bug"))
+    output.buffer = 1000
+    fleet = simulated_run(polled(output, lambda fleet: fleet.statistics.polls > 60, interval=0.05))
+    # Twice as long after each failure, and as at first after a success.
+    pauses = [after - before for before, after in pairwise(output.opened_at)]
+    assert pauses == pytest.approx([0.5, 1.0, 0.5], abs=0.1)
+    statistics = fleet.statistics.outputs["odd"]
+    assert statistics.failures == 3
+    assert output.opened == output.closed == 4
+    assert statistics.dropped == 0
+    assert len(output.taken) == fleet.statistics.readings
+    warned = [each for each in caplog.records if each.levelname == "WARNING"]
+    told = [each.getMessage() for each in warned]
+    assert told.count("odd: no") == 1  # each trouble once
+    assert "odd: a bug" in told
+    assert told.count("odd takes readings again") == 2
+
+
+@pytest.mark.parametrize("error", [OutputError("gone"), SystemError("?"), GeneratorExit()])
+def test_what_ends_an_output(error: BaseException) -> None:
+    """OutputError and what is no Exception end `run`; the rest are tried again."""
+
+    async def go() -> None:
+        async with Peer() as peer:
+            fleet = Fleet([meter("a", peer.url)], outputs=[Odd(error)])
+            if isinstance(error, SystemError):
+                with pytest.raises(TimeoutError):
+                    await asyncio.wait_for(fleet.run(), 1)
+            else:
+                with pytest.raises(type(error)):
+                    await fleet.run()
+
+    simulated_run(go())
+
+
+def test_without_run_polling_goes_on_when_an_output_is_gone() -> None:
+    simulated_run(polled(Odd(OutputError("gone")), lambda fleet: fleet.statistics.polls > 10))
+
+
+def test_who_iterates_no_more_loses_the_oldest() -> None:
+    async def go() -> None:
+        async with Peer() as peer:
+            fleet = Fleet([meter("a", peer.url, interval=0.02)])
+            kept = fleet.readings(buffer=10)
+            forgotten = fleet.readings()
+            del forgotten
+            async with fleet:
+                assert (await anext(kept)).device == "a"
+                await until(lambda: kept.dropped > 20)
+                first = await anext(kept)
+            rest = [first, *[each async for each in kept]]
+            assert len(rest) == 10
+            assert len(fleet._buffers) == 1
+
+    simulated_run(go())
+
+
+# --- files ------------------------------------------------------------------------------------
+
+
+def test_files_are_appended_to(tmp_path: Path) -> None:
+    rows, lines = tmp_path / "a.csv", tmp_path / "a.jsonl"
+
+    async def go() -> Fleet:
+        async with RealPeer() as peer:
+            outputs = [CsvRows(str(rows)), JsonLines(str(lines))]
+            fleet = Fleet([meter("a", peer.url, interval=60)], outputs=outputs)
+            await fleet.run(once=True)
+        return fleet
+
+    for _ in range(2):
+        fleet = run(go())
+        assert [each.written for each in fleet.statistics.outputs.values()] == [3, 3]
+    head, *body = rows.read_text().splitlines()
+    assert head == "time,device,name,value,unit,quality,reason"
+    assert [each.split(",")[1:4] for each in body] == [
+        *(["a", "voltage", "0.7"], ["a", "power", "7"], ["a", "setpoint", "7"]),
+    ] * 2
+    told = [json.loads(each) for each in lines.read_text().splitlines()]
+    assert [(each["name"], each["value"]) for each in told] == [
+        *(("voltage", 0.7), ("power", 7), ("setpoint", 7)),
+    ] * 2
+
+
+@pytest.mark.usefixtures("quick")
+@pytest.mark.parametrize("path", ["/dev/full", "/nowhere/at/all", "/proc/version"])
+def test_a_file_that_cannot_be_written_stops_nobody(path: str, caplog: Any) -> None:
+    output = JsonLines(path)
+    fleet = run(polled(output, lambda fleet: fleet.statistics.polls > 10, kind=RealPeer))
+    statistics = fleet.statistics.outputs[f"json {path}"]
+    assert statistics.written == 0
+    assert statistics.failures >= 1
+    assert path in statistics.trouble
+    assert caplog.text.count(f"json {path}: ") == 1
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_file_that_is_full_ends_with_a_whole_line(tmp_path: Path) -> None:
+    """Written as far as it goes: the half line is taken back, and written when there is room."""
+    import resource
+
+    path = tmp_path / "a.jsonl"
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+
+    async def go() -> None:
+        async with RealPeer() as peer:
+            fleet = Fleet([meter("a", peer.url, interval=0.02)], outputs=[JsonLines(str(path))])
+            async with fleet:
+                await until(path.exists)
+                resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))
+                await until(lambda: fleet.statistics.outputs[f"json {path}"].failures > 1)
+                for line in path.read_text().splitlines():
+                    json.loads(line)
+                assert path.stat().st_size <= 1000
+                resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+                await until(lambda: path.stat().st_size > 3000)
+        assert all(json.loads(line) for line in path.read_text().splitlines())
+        assert len(path.read_text().splitlines()) == fleet.statistics.readings
+
+    import signal
+
+    before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    try:
+        run(go())
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+        signal.signal(signal.SIGXFSZ, before)
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_pipe_that_nobody_reads_stops_nobody_and_leaves_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "pipe"
+    os.mkfifo(path)
+    reader = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    threads = threading.active_count()
+    try:
+        output = JsonLines(str(path), buffer=100)
+
+        async def go() -> Fleet:
+            async with RealPeer() as peer:
+                devices = [meter(f"{at}", peer.url, unit=at, interval=0.02) for at in range(1, 21)]
+                fleet = Fleet(devices, outputs=[output])
+                async with fleet:
+                    await until(lambda: fleet.statistics.outputs[output.name].dropped > 100)
+                    before = fleet.statistics.polls
+                    await until(lambda: fleet.statistics.polls > before + 20)
+            return fleet
+
+        assert run(go()).statistics.failures == 0
+    finally:
+        with suppress(BlockingIOError):
+            while os.read(reader, 1 << 16):
+                pass
+        os.close(reader)
+    run(until(lambda: threading.active_count() <= threads))

@@ -1,0 +1,393 @@
+"""
+Devices that share a line, in simulated time: whose poll is next, and what a silent one costs.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from itertools import pairwise
+from typing import Any
+
+import pytest
+
+from libmodbus_py import DeviceConfig, Fleet, Point, RegisterMap
+from libmodbus_py.services.fleet import line as fleet_line
+from libmodbus_py.services.fleet.poller import Standing
+from tests.simulation.network import Network
+from tests.simulation.scripted import Scripted, Write
+from tests.support.talk import rtu
+
+# Two requests: the points are too far apart for one.
+MAP = RegisterMap([Point("near", "holding_registers", 0), Point("far", "holding_registers", 9)])
+ONE = RegisterMap([Point("near", "holding_registers", 0)])
+
+TIMEOUT = 0.5
+
+
+class Plant:
+    """
+    A fleet on a line with units that answer each request after `delay`, if at all.
+
+    Attributes:
+        asked: time, unit and address of each request.
+        silent: units that give no answer.
+    """
+
+    def __init__(self, url: str = "rtu:///dev/line", options: str = "?timeout=0.5") -> None:
+        self.network = Network(1)
+        self.asked: list[tuple[float, int, int]] = []
+        self.silent: set[int] = set()
+        self.refusing: set[int] = set()
+        self.delay = 0.02
+        self.delays: dict[int, float] = {}
+        self.peer = Scripted(self.network, url, self._answer)
+        self.url = self.peer.url + options
+        self.fleet: Fleet
+        self.readings: list[Any] = []
+
+    def _answer(self, request: bytes, write: Write) -> None:
+        has_ids = self.url.startswith("tcp")
+        unit, body = (request[6], request[7:]) if has_ids else (request[0], request[1:-2])
+        address = int.from_bytes(body[1:3], "big")
+        self.asked.append((self.now, unit, address))
+        if unit in self.silent:
+            return
+        pdu = b"\x03\x02\x00" + bytes([unit])
+        if unit in self.refusing:
+            pdu = b"\x83\x02"
+        answer = rtu(bytes([unit, *pdu]).hex())
+        if has_ids:
+            answer = request[:4] + (len(pdu) + 1).to_bytes(2, "big") + bytes([unit]) + pdu
+        write(answer, self.delays.get(unit, self.delay))
+
+    @property
+    def now(self) -> float:
+        return self.network.events.now
+
+    def device(self, unit: int, points: RegisterMap = ONE, **options: Any) -> DeviceConfig:
+        given = {"interval": 1.0, "unit": unit, **options}
+        return DeviceConfig(f"device {unit}", self.url, points, **given)
+
+    def run(
+        self,
+        main: Callable[[], Awaitable[None]],
+        *devices: DeviceConfig,
+        may_ask: Callable[[str], bool] | None = None,
+    ) -> None:
+        async def whole() -> None:
+            self.fleet = Fleet(devices, may_ask=may_ask)
+            collecting = asyncio.create_task(self._collect())
+            await asyncio.sleep(0)
+            async with self.fleet:
+                await main()
+            await collecting
+
+        self.network.run(whole)
+
+    async def _collect(self) -> None:
+        async for reading in self.fleet.readings():
+            self.readings.append((self.now, reading))
+
+    def units(self, since: float = 0.0) -> list[int]:
+        return [unit for at, unit, _ in self.asked if at >= since]
+
+    def times(self, unit: int) -> list[float]:
+        return [at for at, each, _ in self.asked if each == unit]
+
+
+def gaps(times: list[float]) -> list[float]:
+    return [round(after - before, 3) for before, after in pairwise(times)]
+
+
+def test_each_device_is_polled_at_its_interval() -> None:
+    plant = Plant()
+
+    async def main() -> None:
+        await asyncio.sleep(10)
+        assert len(plant.times(1)) in (10, 11)
+        assert len(plant.times(2)) in (5, 6)
+        assert set(gaps(plant.times(1))) <= {0.999, 1.0, 1.001}
+        statistics = plant.fleet.statistics
+        assert (statistics.devices, statistics.up, statistics.down) == (2, 2, 0)
+        assert (statistics.skipped, statistics.failures, statistics.held) == (0, 0, 0)
+        assert statistics.polls == statistics.readings
+        # One may be on its way.
+        assert len(plant.asked) - statistics.polls in (0, 1)
+
+    plant.run(main, plant.device(1), plant.device(2, interval=2.0))
+
+
+def test_the_requests_of_a_poll_go_out_one_after_the_other() -> None:
+    """All of a poll should be of one moment: no other device comes between."""
+    plant = Plant()
+
+    async def main() -> None:
+        await asyncio.sleep(10)
+        polls = plant.asked[: len(plant.asked) // 2 * 2]
+        assert len(polls) >= 30
+        for first, second in zip(polls[::2], polls[1::2], strict=True):
+            assert (first[1:], second[1:]) == ((first[1], 0), (first[1], 9))
+
+    # They are due at the same time, for an interval so short puts them close together.
+    plant.run(main, *(plant.device(unit, MAP, interval=0.25) for unit in (1, 2, 3)))
+
+
+def test_a_device_rests_between_its_requests_and_others_are_asked() -> None:
+    plant = Plant()
+
+    async def main() -> None:
+        await asyncio.sleep(20)
+        times = plant.times(1)
+        assert min(gaps(times)) >= 0.3 + plant.delay - 0.01
+        assert len(times) > 20
+        others = set(gaps(plant.times(2)))
+        assert others
+        assert max(others) < 0.2
+
+    plant.run(main, plant.device(1, MAP, spacing=0.3), plant.device(2, interval=0.1))
+
+
+def test_a_poll_whose_time_comes_before_the_last_is_over_is_skipped() -> None:
+    plant = Plant()
+
+    async def main() -> None:
+        plant.delay = 0.25
+        await asyncio.sleep(10)
+        statistics = plant.fleet.statistics
+        assert statistics.polls < 40
+        assert statistics.skipped > 50
+        assert statistics.polls + statistics.skipped == pytest.approx(100, abs=3)
+
+    plant.run(main, plant.device(1, interval=0.1))
+
+
+class TestSilentDevices:
+    def test_one_that_is_silent_rests_longer_each_time(self) -> None:
+        plant = Plant()
+
+        async def main() -> None:
+            plant.silent.add(1)
+            await asyncio.sleep(200)
+            found = gaps(plant.times(1))
+            assert [round(each) for each in found[:6]] == [2, 3, 5, 9, 17, 33]
+            assert max(found) < 65
+            poller = plant.fleet.devices["device 1"]
+            assert poller.standing is Standing.DOWN
+            statistics = plant.fleet.statistics
+            assert (statistics.up, statistics.down) == (0, 1)
+            assert statistics.failures == statistics.polls
+            assert {reading.quality for _, reading in plant.readings} == {"down"}
+            plant.silent.clear()
+            await asyncio.sleep(65)
+            assert poller.standing is Standing.UP
+            assert (statistics.up, statistics.down) == (1, 0)
+            # It is polled at its interval again.
+            await asyncio.sleep(5)
+            assert gaps(plant.times(1))[-3:] == [1.0, 1.0, 1.0]
+
+        plant.run(main, plant.device(1))
+
+    def test_a_try_makes_way_for_others(self) -> None:
+        """It costs them no more than one of their own answers takes."""
+        plant = Plant()
+
+        async def main() -> None:
+            plant.silent.add(9)
+            await asyncio.sleep(60)
+            before = plant.fleet.statistics.skipped
+            begun = plant.now
+            await asyncio.sleep(30)
+            since = [at for at in plant.times(1) if at >= begun]
+            assert len(since) > 250
+            assert max(gaps(since)) < 0.25
+            assert plant.fleet.statistics.skipped - before < 5
+            assert len(plant.times(9)) >= 4
+
+        plant.run(main, plant.device(9), plant.device(1, interval=0.1))
+
+    def test_one_try_in_some_waits_to_the_end(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        """It may have become slower than all others, and would never be found."""
+        monkeypatch.setattr(fleet_line, "TRIES_BEFORE_LONG", 6)
+        plant = Plant()
+
+        async def main() -> None:
+            plant.silent.add(9)
+            await asyncio.sleep(10)
+            plant.silent.clear()
+            plant.delays[9] = 0.4
+            while plant.fleet.devices["device 9"].standing is not Standing.UP:
+                await asyncio.sleep(1)
+                assert len(plant.times(9)) <= 7
+            assert len(plant.times(9)) == 7
+
+        plant.run(main, plant.device(9), plant.device(1, interval=0.1))
+
+    def test_it_is_tried_on_a_line_that_never_rests(self) -> None:
+        plant = Plant()
+
+        async def main() -> None:
+            plant.silent.add(9)
+            plant.delay = 0.06
+            await asyncio.sleep(60)
+            assert plant.fleet.statistics.skipped > 100
+            assert len(plant.times(9)) >= 4
+            plant.silent.clear()
+            plant.delays[9] = 0.03
+            await asyncio.sleep(70)
+            assert plant.fleet.devices["device 9"].standing is Standing.UP
+
+        plant.run(main, plant.device(9), plant.device(1, interval=0.05))
+
+    def test_silence_at_the_beginning_ends_a_poll(self) -> None:
+        plant = Plant()
+
+        async def main() -> None:
+            plant.silent.add(1)
+            await asyncio.sleep(1.9)
+            assert [address for *_, address in plant.asked] == [0]
+            assert [reading.quality for _, reading in plant.readings] == ["down", "down"]
+
+        plant.run(main, plant.device(1, MAP))
+
+    def test_a_refusal_is_an_answer(self) -> None:
+        plant = Plant()
+
+        async def main() -> None:
+            plant.refusing.add(1)
+            await asyncio.sleep(10)
+            statistics = plant.fleet.statistics
+            assert statistics.refusals == statistics.polls
+            assert (statistics.up, statistics.failures) == (1, 0)
+            assert len(plant.asked) >= 18
+
+        plant.run(main, plant.device(1, MAP))
+
+
+class TestChanges:
+    def test_a_device_that_is_removed_is_asked_no_more(self) -> None:
+        plant = Plant()
+        one, two = plant.device(1), plant.device(2)
+
+        async def main() -> None:
+            await asyncio.sleep(5)
+            plant.fleet.replace([two])
+            removed = plant.now
+            await asyncio.sleep(5)
+            assert set(plant.units(removed)) == {2}
+            assert plant.fleet.statistics.devices == plant.fleet.statistics.up == 1
+            assert list(plant.fleet.devices) == ["device 2"]
+
+        plant.run(main, one, two)
+
+    def test_one_that_waits_or_is_in_flight_can_be_removed(self) -> None:
+        plant = Plant()
+        devices = [plant.device(unit, interval=0.1) for unit in (1, 2, 3)]
+
+        async def main() -> None:
+            plant.delay = 0.2
+            for _ in range(30):
+                await asyncio.sleep(0.23)
+                plant.fleet.replace(devices[1:])
+                plant.fleet.replace(devices)
+            line = next(iter(plant.fleet._lines.values()))
+            plant.fleet.replace(devices[2:])
+            since = plant.now + 0.6
+            await asyncio.sleep(3)
+            assert set(plant.units(since)) == {3}
+            assert line._in_flight <= 1
+            assert list(line.pollers) == ["device 3"]
+
+        plant.run(main, *devices)
+
+    def test_a_silent_one_that_is_removed_makes_room(self) -> None:
+        plant = Plant()
+        silent, good = plant.device(9), plant.device(1)
+
+        async def main() -> None:
+            plant.silent.add(9)
+            while plant.units()[-1:] != [9]:
+                await asyncio.sleep(0.01)
+            plant.fleet.replace([good])
+            since = plant.now
+            await asyncio.sleep(5)
+            assert len(plant.units(since)) >= 4
+            assert plant.fleet.statistics.down == 0
+
+        plant.run(main, silent, good)
+
+    def test_a_connection_that_stands_again_has_its_devices_asked_at_once(self) -> None:
+        plant = Plant("tcp://10.0.0.1", "?timeout=0.5&max_pause=0.5")
+
+        async def main() -> None:
+            plant.network.unlisten(plant.url)
+            plant.peer.drop_all()
+            await asyncio.sleep(100)
+            assert plant.asked == []
+            assert plant.fleet.statistics.down == 3
+            plant.network.listen(plant.peer.url, plant.peer._accept)
+            # One that rests for a minute is asked when another finds the connection.
+            begun = plant.now
+            while plant.fleet.statistics.up < 3:
+                await asyncio.sleep(0.1)
+                assert plant.now < begun + 70
+            first = plant.asked[0][0]
+            assert plant.now - first < 2.5
+
+        plant.run(main, *(plant.device(unit) for unit in (1, 2, 3)))
+
+    def test_over_tcp_as_many_are_asked_at_once_as_the_url_says(self) -> None:
+        plant = Plant("tcp://10.0.0.1", "?timeout=5&max_in_flight=3")
+
+        async def main() -> None:
+            plant.delay = 1.0
+            await asyncio.sleep(30)
+            most = max(
+                sum(at <= other < at + 0.99 for other, *_ in plant.asked) for at, *_ in plant.asked
+            )
+            assert most == 3
+
+        plant.run(main, *(plant.device(unit, interval=0.5) for unit in range(1, 9)))
+
+
+class TestLease:
+    def test_what_may_not_be_asked_is_held_and_counted(self) -> None:
+        plant = Plant()
+        keys: list[str] = []
+        allowed = [False]
+
+        def may_ask(key: str) -> bool:
+            keys.append(key)
+            return allowed[0]
+
+        async def main() -> None:
+            await asyncio.sleep(5)
+            statistics = plant.fleet.statistics
+            assert plant.asked == []
+            assert statistics.held >= 4
+            assert (statistics.polls, statistics.down) == (0, 0)
+            assert plant.readings == []
+            assert set(keys) == {"serial:/dev/line"}
+            held = statistics.held
+            allowed[0] = True
+            await asyncio.sleep(5)
+            assert len(plant.asked) >= 4
+            assert statistics.held == held
+            assert statistics.up == 1
+
+        plant.run(main, plant.device(1), may_ask=may_ask)
+
+    def test_a_poll_that_is_held_does_not_keep_others_from_their_turn(self) -> None:
+        plant = Plant()
+
+        async def main() -> None:
+            await asyncio.sleep(5)
+            assert plant.fleet.statistics.skipped == 0
+            assert plant.fleet.statistics.held >= 8
+
+        plant.run(main, plant.device(1), plant.device(2), may_ask=lambda key: False)
+
+
+def test_bounds_are_those_that_are_documented() -> None:
+    assert fleet_line.TRIES_BEFORE_LONG == 16
+    assert 0 < fleet_line.SHORTEST_TRY < TIMEOUT

@@ -1,0 +1,1135 @@
+"""
+A gateway between clients and devices, on real sockets and pseudo-terminals.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import socket
+import struct
+import threading
+from collections import Counter
+from collections.abc import Collection, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+
+from libmodbus_py import (
+    Access,
+    AsyncClient,
+    Context,
+    Device,
+    ExceptionResponse,
+    Fault,
+    Gateway,
+    GatewayPathUnavailable,
+    GatewayTargetFailedToRespond,
+    IllegalDataValue,
+    IllegalFunction,
+    Limits,
+    Mapping,
+    ModbusTimeoutError,
+    Route,
+    Server,
+    framing,
+    pdu,
+)
+from libmodbus_py.ports.endpoint import parse
+from libmodbus_py.services.gateway.statistics import LineStatistics
+from libmodbus_py.tools.testing.wires import SerialWire
+from tests.simulation.scripted import Scripted, Write
+from tests.simulation.stage import Stage
+from tests.support.certificates import Papers
+from tests.support.gateways import passage
+from tests.support.interop import UNIT, exchanges, make_device, refusals
+from tests.support.peers import until
+
+FRONTS = ["tcp", "udp", "rtu+udp", "rtu+tcp", "ascii+tcp", "rtu", "ascii"]
+SIDES = [(front, back) for front in FRONTS for back in FRONTS]
+
+READ_ONE = bytes.fromhex("03 0000 0001")
+
+
+def adu(data: bytes, transaction: int = 1, unit: int = 1) -> bytes:
+    return struct.pack(">HHHB", transaction, 0, 1 + len(data), unit) + data
+
+
+LINE = "rtu:///dev/line"
+
+
+def small() -> Device:
+    return Device(Mapping(10, 10, 10, 10))
+
+
+def receive(connection: socket.socket, size: int) -> bytes:
+    data = b""
+    while len(data) < size and (piece := connection.recv(size - len(data))):
+        data += piece
+    return data
+
+
+def value(unit: int, address: int) -> int:
+    """What a unit of a bus has there, and no other one."""
+    return (unit * 10_000 + address) & 0xFFFF
+
+
+def bus(
+    stage: Stage,
+    units: set[int],
+    late: dict[int, int] | None = None,
+    seconds: float = 0.0,
+    damaged: Collection[int] = (),
+) -> Scripted:
+    """
+    Units on a line that answer reads of one register.
+
+    Args:
+        units: those that there are; they may come and go.
+        late: unit -> every so manieth answer of it comes so many seconds later.
+        damaged: units whose first answer has a wrong CRC.
+    """
+    framer = framing.make_framer("rtu", "server")
+    asked: Counter[int] = Counter()
+
+    def answer(request: bytes, write: Write) -> None:
+        unit, address = request[0], int.from_bytes(request[2:4], "big")
+        if unit not in units:
+            return
+        asked[unit] += 1
+        data = framer.encode(framing.Frame(unit, b"\3\2" + value(unit, address).to_bytes(2, "big")))
+        if unit in damaged and asked[unit] == 1:
+            data = data[:-2] + b"\0\0"
+        every = (late or {}).get(unit, 0)
+        write(data, after=seconds if every and asked[unit] % every == 0 else 0.0)
+
+    return Scripted(stage, LINE, answer)
+
+
+class Gate:
+    """Unit 1 on the line behind a gateway, which answers from when it is opened on."""
+
+    def __init__(self, stage: Stage) -> None:
+        self.asked: list[int] = []
+        self.kinds: list[str] = []
+        self._device = Device(Mapping(10, 10, 10, 10))
+        self._framer = framing.make_framer("rtu", "server")
+        self._is_open = False
+        self._held: list[tuple[bytes, Write]] = []
+        Scripted(stage, LINE, self._take)
+
+    def open(self) -> None:
+        self._is_open = True
+        held, self._held = self._held, []
+        for request, write in held:
+            self._answer(request, write)
+
+    def _take(self, request: bytes, write: Write) -> None:
+        self.asked.append(int.from_bytes(request[2:4], "big"))
+        self.kinds.append("read" if request[1] == 3 else "write")
+        if self._is_open:
+            self._answer(request, write)
+        else:
+            self._held.append((request, write))
+
+    def _answer(self, request: bytes, write: Write) -> None:
+        answer = self._device.answer(request[1:-2])
+        write(self._framer.encode(framing.Frame(request[0], answer)))
+
+
+@contextlib.contextmanager
+def gated(stage: Stage, route: dict[str, Any] | None = None, **options: Any) -> Iterator[Gated]:
+    """A gateway before a gate, with its line and where clients find it."""
+    gate = Gate(stage)
+    made = Gateway([Route(f"{LINE}?timeout=1000", **(route or {}))], longest_wait=5000, **options)
+    with made.background("tcp://10.0.0.1:0") as running:
+        (line,) = made.passed.lines.values()
+        yield Gated(gate, line, running.urls[0])
+
+
+class Gated(NamedTuple):
+    gate: Gate
+    line: LineStatistics
+    url: str
+
+
+@contextlib.contextmanager
+def connected(url: str) -> Iterator[socket.socket]:
+    with socket.create_connection(("127.0.0.1", parse(url).port), 10) as connection:
+        yield connection
+
+
+# --- any side to any side -------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("front", "back"), SIDES, ids=["-".join(sides) for sides in SIDES])
+def test_any_function_goes_from_any_side_to_any(stage: Stage, front: str, back: str) -> None:
+    with passage(front, back, stage=stage) as through, through.context() as context:
+        every_function(context)
+
+
+@pytest.mark.parametrize(("front", "back"), [("tcp", "rtu"), ("rtu", "udp"), ("ascii", "tcp")])
+def test_any_function_goes_over_sockets_and_ports_of_the_system(front: str, back: str) -> None:
+    """The real copy."""
+    with passage(front, back) as through, through.context() as context:
+        every_function(context)
+
+
+def every_function(context: Context) -> None:
+    for each in exchanges():
+        try:
+            assert each.ask(context) == each.answer, each
+            assert each.look(context) == each.seen, each
+        finally:
+            restore(context)
+    for each in refusals():
+        with pytest.raises(ExceptionResponse):
+            each.ask(context)
+    assert context.read_file_records([(4, 7, 2)]) == [[5007, 5008]]
+    context.write_file_records([(4, 7, [1, 2])])
+    assert context.read_file_records([(4, 7, 2)]) == [[1, 2]]
+    assert context.read_fifo_queue(100) == [440, 4740]
+    assert context.read_exception_status() == 0x6D
+    assert context.report_server_id().additional == b"libmodbus-py"
+    assert context.read_device_identification("extended").objects[128] == b"private"
+    assert context.read_comm_event_counter().status == 0
+    assert context.read_comm_event_log().events is not None
+    assert context.diagnostics(0, 0x1234) == 0x1234
+    with pytest.raises(IllegalFunction):
+        context.execute(pdu.EncapsulatedTransport(13, b"abc"))
+
+
+def restore(context: Context) -> None:
+    fresh = make_device().mapping
+    context.write_registers(100, fresh.holding_registers[100:223])
+    context.write_registers(223, fresh.holding_registers[223:300])
+    context.write_registers(300, fresh.holding_registers[300:400])
+    context.write_coils(10, fresh.coils[10:1978])
+
+
+def test_functions_that_nobody_knows_go_through_as_bytes(stage: Stage) -> None:
+    """On a line between, their ends are found by the CRC."""
+
+    @pdu.register
+    class Own(pdu.Request[bytes]):
+        function = 101
+        request_length = pdu.unknown_length
+        response_length = pdu.unknown_length
+
+        def __init__(self, data: bytes) -> None:
+            self.data = data
+
+        def encode(self) -> bytes:
+            return bytes([self.function]) + self.data
+
+        @classmethod
+        def decode(cls, pdu: bytes) -> Own:
+            return cls(pdu[1:])
+
+        def encode_response(self, result: bytes) -> bytes:
+            return bytes([self.function]) + result
+
+        def _decode_response(self, pdu: bytes) -> bytes:
+            return pdu[1:]
+
+    device = Device(Mapping(), handlers={Own: lambda request: request.data[::-1]})
+    try:
+        for front, back in (("tcp", "rtu"), ("rtu", "tcp"), ("udp", "ascii"), ("ascii", "rtu+tcp")):
+            with (
+                passage(front, back, {1: device}, stage=stage) as through,
+                through.context(1) as context,
+            ):
+                assert context.execute(pdu.RawRequest(101, b"abc")) == b"cba"
+                assert context.execute(pdu.RawRequest(101, bytes(252))) == bytes(252)
+                with pytest.raises(IllegalFunction):
+                    context.execute(pdu.RawRequest(66, b"x"))
+    finally:
+        del pdu.REQUESTS[101]
+
+
+def test_over_tls_roles_are_asked(tmp_path: Path) -> None:
+    papers = Papers(tmp_path)
+    seen: list[object] = []
+
+    def authorize(asked: object) -> bool:
+        seen.append(asked)
+        return asked.role == "Operator"  # type: ignore[attr-defined]
+
+    with (
+        Server({1: small()}).background("tcp://127.0.0.1:0") as behind,
+        Gateway([Route(behind.urls[0])], security=papers.server(), authorize=authorize).background(
+            "tls://127.0.0.1:0"
+        ) as running,
+    ):
+        for role, is_allowed in (("Operator", True), ("Viewer", False), (None, False)):
+            security = papers.client(role=role)
+            with Context.from_url(running.urls[0], unit=1, security=security) as context:
+                if is_allowed:
+                    context.write_register(3, 4)
+                    assert context.read_holding_registers(3, 1) == [4]
+                    continue
+                with pytest.raises(IllegalFunction):
+                    context.write_register(3, 5)
+    assert seen[0].writes == (Access("holding_registers", 3, 1, (4,), 0, 1, *_who(seen[0])),)  # type: ignore[attr-defined]
+
+
+def _who(asked: Any) -> tuple[str, str | None]:
+    return asked.peer, asked.role
+
+
+# --- routes -----------------------------------------------------------------------------------
+
+
+def numbered(number: int) -> Device:
+    device = small()
+    device.mapping.holding_registers[0] = number
+    return device
+
+
+@contextlib.contextmanager
+def gateway(routes: list[Route], *urls: str, **options: Any) -> Iterator[tuple[Gateway, str]]:
+    made = Gateway(routes, **options)
+    with made.background(*(urls or ("tcp://127.0.0.1:0",))) as running:
+        yield made, running.urls[0]
+
+
+def test_units_go_to_their_lines_and_are_others_there(stage: Stage) -> None:
+    with (
+        Server({n: numbered(n) for n in (1, 2, 3)}).background("tcp://10.0.0.9:0") as one,
+        Server({n: numbered(100 + n) for n in (1, 7)}).background(LINE),
+        gateway(
+            [
+                Route(one.urls[0], "1-2"),
+                Route(f"{LINE}?timeout=300", "11-17", "1-7"),
+                Route(one.urls[0], [20, 21], 3),
+            ]
+        ) as (made, url),
+        Context.from_url(url, timeout=2000) as context,
+    ):
+
+        def ask(unit: int) -> int:
+            return context.for_unit(unit).read_holding_registers(0, 1)[0]
+
+        assert [ask(unit) for unit in (1, 2, 11, 17, 20, 21)] == [1, 2, 101, 107, 3, 3]
+        for unit in (3, 10, 18, 22, 0, 247):
+            with pytest.raises(GatewayPathUnavailable):
+                ask(unit)
+        asked = stage.now
+        with pytest.raises(GatewayTargetFailedToRespond):
+            ask(12)
+        assert stage.now - asked == pytest.approx(300, abs=0.1)
+        assert made.passed.no_route == 6
+        assert len(made.passed.lines) == 2  # those with one URL share its connection
+
+
+def test_the_transaction_id_and_the_unit_come_back(stage: Stage) -> None:
+    with (
+        passage("tcp", "rtu", {1: small()}, stage=stage) as through,
+        stage.talk(through.url) as client,
+    ):
+        for transaction in (0xABCD, 0, 0xFFFF, 0xABCD):
+            client.sendall(adu(READ_ONE, transaction, 1))
+            assert client.receive(11) == adu(bytes.fromhex("03 02 0000"), transaction, 1)
+
+
+def test_the_gateway_itself_is_unit_255_with_its_statistics(stage: Stage) -> None:
+    with (
+        passage("tcp", "rtu", {1: small()}, line_options="timeout=0.2", stage=stage) as through,
+        through.context(1) as context,
+    ):
+        for _ in range(3):
+            context.read_holding_registers(0, 1)
+        with pytest.raises(ExceptionResponse):
+            context.read_holding_registers(9, 2)
+        with pytest.raises(GatewayTargetFailedToRespond):
+            context.for_unit(2).read_holding_registers(0, 1)
+        own = context.for_unit(255)
+
+        def numbers(first: int, count: int) -> list[int]:
+            words = own.read_input_registers(first, 2 * count)
+            return [high << 16 | low for high, low in zip(words[::2], words[1::2], strict=True)]
+
+        version, lines, _, connections, requests = numbers(0, 5)
+        assert (version, lines, connections, requests) == (1, 1, 1, 6)
+        assert numbers(1000 + 20, 4) == [4, 4, 1, 0]
+        assert numbers(1000 + 40, 4) == [1, 0, 0, 1]
+        assert numbers(1000 + 58, 1) == [1]  # it is silent
+        assert numbers(100, 2) == [0, 0]
+        assert own.read_device_identification().names["ProductCode"] == "Gateway"
+        with pytest.raises(ExceptionResponse):
+            own.read_input_registers(1000 + 256 * 20, 1)
+
+
+def test_255_goes_where_a_route_says_it_and_the_gateway_where_it_is_told(stage: Stage) -> None:
+    with (
+        Server({255: numbered(7)}).background("tcp://10.0.0.9:0") as behind,
+        gateway([Route(behind.urls[0], "255")], own_units=[0, 250]) as (_, url),
+        Context.from_url(url) as context,
+    ):
+        assert context.for_unit(255).read_holding_registers(0, 1) == [7]
+        for unit in (0, 250):
+            assert context.for_unit(unit).read_input_registers(1, 1) == [1]
+
+
+# --- broadcasts -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("front", ["tcp", "udp", "rtu+tcp"])
+def test_a_broadcast_reaches_every_unit_of_every_line(stage: Stage, front: str) -> None:
+    devices = [small() for _ in range(4)]
+    first, second = "rtu:///dev/first", "ascii:///dev/second"
+    with (
+        Server({1: devices[0], 2: devices[1]}).background(first),
+        Server({3: devices[2], 4: devices[3]}).background(second),
+        gateway([Route(first, "1-2"), Route(second, "3-4")], f"{front}://10.0.0.1:0") as (
+            made,
+            url,
+        ),
+        Context.from_url(url, unit=0, timeout=5) as context,
+    ):
+        context.write_registers(2, [8, 9])
+        stage.pass_time(0.1)
+        assert all(each.mapping.holding_registers[2:4] == [8, 9] for each in devices)
+        assert made.passed.broadcasts == 1
+        if front != "rtu+tcp":  # there a client knows that nobody answers
+            with pytest.raises(GatewayPathUnavailable):
+                context.read_holding_registers(0, 1)
+
+
+@pytest.mark.parametrize("is_there", [True, False])
+def test_a_broadcast_that_a_line_did_not_take_is_not_reported_done(
+    stage: Stage, is_there: bool
+) -> None:
+    if not is_there:
+        stage.unreachable.add("10.0.0.9")
+    with (
+        gateway([Route("rtu+tcp://10.0.0.9:5020?timeout=300", "1")]) as (_, url),
+        Context.from_url(url, unit=0, timeout=5000) as context,
+        pytest.raises(GatewayTargetFailedToRespond),
+    ):
+        context.write_register(0, 1)
+    assert (stage.now >= 1300) == (not is_there)
+
+
+def test_a_broadcast_is_done_when_all_lines_have_sent_it(stage: Stage) -> None:
+    """One sends it at once; the other, a server that takes unit 0 for one, never answers."""
+    device = small()
+    mute = Scripted(stage, "tcp://10.0.0.9:0", lambda request, write: None)
+    with (
+        Server({1: device}).background(LINE),
+        gateway([Route(LINE, "1"), Route(f"{mute.url}?timeout=500", "2")]) as (_, url),
+        Context.from_url(url, unit=0, timeout=5000) as context,
+    ):
+        asked = stage.now
+        with pytest.raises(GatewayTargetFailedToRespond):
+            context.write_register(0, 1)
+        assert stage.now - asked == pytest.approx(500, abs=0.1)
+        assert device.mapping.holding_registers[0] == 1
+
+
+def test_unit_0_of_a_line_may_have_a_route(stage: Stage) -> None:
+    device = small()
+    with (
+        passage(
+            "tcp", "rtu", {1: device}, route={"units": "0,7", "device_units": "0"}, stage=stage
+        ) as through,
+        through.context(7) as context,
+    ):
+        for unit in (7, 0):
+            context.for_unit(unit).write_register(0, unit + 1)
+            assert stage.until(lambda unit=unit: device.mapping.holding_registers[0] == unit + 1)
+            with pytest.raises(GatewayTargetFailedToRespond):
+                context.for_unit(unit).read_holding_registers(0, 1)
+
+
+# --- no answer, late answers -------------------------------------------------------------------
+
+
+def test_a_silent_unit_costs_its_timeout_once_and_then_nothing(stage: Stage) -> None:
+    """Counted in what goes over the line: 40 polls of it are no more than a few requests."""
+    with (
+        passage("tcp", "rtu", {1: small()}, line_options="timeout=0.5", stage=stage) as through,
+        through.context(1) as good,
+    ):
+        silent = good.for_unit(9)
+        for _ in range(40):
+            assert good.read_holding_registers(0, 1) == [0]
+            with pytest.raises(GatewayTargetFailedToRespond):
+                silent.read_holding_registers(0, 1)
+        (line,) = through.gateway.passed.lines.values()
+        assert line.units[1].requests == 40
+        assert line.units[9].requests <= 6
+        assert line.units[9].resting >= 34
+
+
+def test_a_silent_unit_is_good_again_when_it_answers(stage: Stage) -> None:
+    """It rests for twice the timeout, then twice as long; and is tried when that is over."""
+    stage.line("/dev/line")
+    with (
+        gateway([Route(f"{LINE}?timeout=2")]) as (made, url),
+        Context.from_url(url, unit=1, timeout=50) as context,
+    ):
+
+        def answers() -> bool:
+            try:
+                return context.read_holding_registers(0, 1) == [0]
+            except GatewayTargetFailedToRespond:
+                return False
+
+        def comes_after(seconds: float) -> None:
+            """Refuse at once for so long, and not a tenth of a second longer."""
+            begun = stage.now
+            while stage.now < begun + seconds - 0.2:
+                asked = stage.now
+                assert not answers()
+                assert stage.now - asked < 0.01
+                stage.pass_time(0.1)
+            stage.pass_time(begun + seconds + 0.01 - stage.now)
+
+        (line,) = made.passed.lines.values()
+        assert not answers()
+        comes_after(4)
+        asked = stage.now
+        assert not answers()
+        assert stage.now - asked == pytest.approx(2, abs=0.01)
+        assert line.units[1].requests == 2
+        with Server({1: small()}).background(LINE):
+            comes_after(8)
+            assert answers()
+            for _ in range(20):
+                assert answers()
+            assert line.units[1].requests == 23
+
+
+def test_a_unit_that_is_back_is_found_on_a_line_that_never_rests(stage: Stage) -> None:
+    """Somebody asks the next thing before he has half of his answers."""
+    units = {1}
+    bus(stage, units)
+    request = pdu.ReadHoldingRegisters(0, 1).encode()
+    with (
+        gateway([Route(f"{LINE}?timeout=0.1")]) as (made, url),
+        Context.from_url(url, unit=2, timeout=5) as context,
+    ):
+        with pytest.raises(GatewayTargetFailedToRespond):
+            context.read_holding_registers(7, 1)
+        (line,) = made.passed.lines.values()
+        poller = stage.talk(url, "10.0.0.2").end
+
+        def poll() -> None:
+            while poller.is_readable:
+                poller.send(adu(request) * (len(poller.recv(11)) // 11))
+
+        poller.on_input = poll
+        poller.send(adu(request) * 8)
+        assert stage.until(lambda: line.connection.responses > 20)
+        units.add(2)
+
+        def answers() -> bool:
+            try:
+                return context.read_holding_registers(7, 1) == [value(2, 7)]
+            except GatewayTargetFailedToRespond:
+                stage.pass_time(0.02)
+                return False
+
+        begun = stage.now
+        while not answers():
+            assert stage.now - begun < 0.3 + 0.1  # its rest, and the timeout of a trial
+        assert line.waiting > 0
+        poller.on_input = None
+
+
+def test_a_request_that_tries_a_silent_unit_makes_way_for_others(stage: Stage) -> None:
+    bus(stage, {1, 2, 3})
+    with (
+        gateway([Route(f"{LINE}?timeout=100")]) as (made, url),
+        Context.from_url(url, unit=1, timeout=900) as good,
+        stage.talk(url) as other,
+    ):
+        with pytest.raises(GatewayTargetFailedToRespond):
+            good.for_unit(9).read_holding_registers(0, 1)
+        (line,) = made.passed.lines.values()
+        silent = line.units[9]
+        stage.pass_time(201)
+        other.sendall(adu(READ_ONE, unit=9))
+        stage.pass_time(50)
+        assert (silent.requests, other.has_input()) == (2, False)
+        asked = stage.now
+        assert good.read_holding_registers(3, 1) == [value(1, 3)]
+        assert stage.now - asked < 0.1
+        assert (silent.given_up, silent.timeouts) == (1, 1)
+        assert other.receive(9)[7:] == b"\x83\x0b"
+
+
+def test_late_answers_are_never_anybody_elses(stage: Stage) -> None:
+    """A unit whose every third answer comes after its timeout, and good ones beside it."""
+    bus(stage, {1, 2, 3}, late={2: 3}, seconds=0.6)
+
+    async def poll(client: AsyncClient, unit: int, first: int) -> tuple[int, int]:
+        right = failed = 0
+        for at in range(first, first + 60):
+            try:
+                got = await client.for_unit(unit).read_holding_registers(at, 1)
+            except ExceptionResponse:
+                failed += 1
+                continue
+            assert got == [value(unit, at)]
+            right += 1
+        return right, failed
+
+    with gateway([Route(f"{LINE}?timeout=0.5")]) as (made, url):
+
+        async def all_of_them() -> list[tuple[int, int]]:
+            async with (
+                AsyncClient(url, timeout=10) as one,
+                AsyncClient(url, timeout=10) as other,
+            ):
+                jobs = [poll(one, 1, 0), poll(one, 2, 300), poll(other, 3, 500), poll(other, 2, 7)]
+                return await asyncio.gather(*jobs)
+
+        found = stage.wait(all_of_them())
+        assert [right for right, _ in found[::2]] == [60, 60]
+        assert sum(failed for _, failed in found[1::2]) > 0
+        (line,) = made.passed.lines.values()
+        assert line.units[2].answers > 0
+        stage.pass_time(1)
+        assert line.connection.late_answers > 0
+
+
+def test_a_damaged_answer_has_its_unit_wait_and_nobody_else(stage: Stage) -> None:
+    """The line must be silent before that unit is asked again; others need not wait for it."""
+    heard = bus(stage, {1, 2, 3}, damaged={1})
+    with gateway([Route(f"{LINE}?timeout=2")]) as (_, url), stage.talk(url) as client:
+        client.sendall(adu(READ_ONE, 1, unit=1))
+        assert client.receive(9) == adu(b"\x83\x0b", 1, unit=1)
+        refused = stage.now
+        client.sendall(adu(READ_ONE, 2, unit=1) + adu(READ_ONE, 3, unit=2))
+        stage.pass_time(1)
+        client.sendall(adu(READ_ONE, 4, unit=3))
+        answers = client.receive(33)
+        assert (answers[1], answers[12], answers[23]) == (3, 4, 2)
+        assert heard.times[1] - refused < 0.01
+        assert heard.times[2] - refused == pytest.approx(1, abs=0.01)
+        assert heard.times[3] - refused == pytest.approx(2, abs=0.01)
+
+
+def test_who_asks_again_without_ids_gets_the_answer_to_that_only(stage: Stage) -> None:
+    """It has given up the first request: the answer to that would be taken for the second's."""
+    device = small()
+    device.mapping.holding_registers[:] = range(10)
+    slow = {1: [Fault("delay", seconds=0.3)]}
+    options = "timeout=5&max_in_flight=2"
+    with (
+        passage(
+            "rtu+tcp", "tcp", {1: device}, faults=slow, line_options=options, stage=stage
+        ) as through,
+        stage.talk(through.url) as client,
+    ):
+        framer = framing.make_framer("rtu", "server")
+        first, second = (
+            framer.encode(framing.Frame(1, pdu.ReadHoldingRegisters(at, 1).encode()))
+            for at in (3, 4)
+        )
+        client.sendall(first)
+        stage.pass_time(0.05)
+        client.sendall(second)
+        assert client.receive(7)[3:5] == b"\0\4"
+        stage.pass_time(3000)
+        assert not client.has_input()
+        (line,) = through.gateway.passed.lines.values()
+        assert line.unwanted == 1
+
+
+# --- queues -----------------------------------------------------------------------------------
+
+
+def test_one_more_than_may_wait_is_told_that_it_is_busy(stage: Stage) -> None:
+    slow = {1: [Fault("delay", seconds=0.2)]}
+    with (
+        passage("tcp", "rtu", {1: small()}, faults=slow, queue=2, stage=stage) as through,
+        stage.talk(through.url) as client,
+    ):
+        client.sendall(b"".join(adu(READ_ONE, number) for number in range(6)))
+        refused = client.receive(3 * 9)
+        assert refused[7::9] == b"\x83\x83\x83"
+        assert refused[8::9] == bytes([6, 6, 6])
+        assert [refused[at + 1] for at in (0, 9, 18)] == [3, 4, 5]
+        with through.context(1) as other:  # one client fills its own queue only
+            assert other.read_holding_registers(0, 1) == [0]
+        assert client.receive(3 * 11)[8::11] == bytes([2, 2, 2])
+
+
+def test_a_client_with_many_requests_has_others_wait_for_one(stage: Stage) -> None:
+    with (
+        gated(stage) as (gate, line, url),
+        stage.talk(url) as eager,
+        stage.talk(url) as modest,
+    ):
+        eager.sendall(adu(READ_ONE) * 15)
+        assert stage.until(lambda: gate.asked)
+        modest.sendall(adu(pdu.ReadHoldingRegisters(7, 1).encode()))
+        assert stage.until(lambda: line.waiting == 15)
+        gate.open()
+        modest.receive(11)
+        eager.receive(15 * 11)
+        assert gate.asked.index(7) <= 2
+
+
+def test_what_waits_for_too_long_is_told_so(stage: Stage) -> None:
+    slow = {1: [Fault("delay", seconds=0.3)]}
+    with (
+        passage("tcp", "rtu", {1: small()}, faults=slow, longest_wait=0.1, stage=stage) as through,
+        stage.talk(through.url) as client,
+    ):
+        client.sendall(adu(READ_ONE, 1) + adu(READ_ONE, 2))
+        assert client.receive(11)[7] == 3
+        assert client.receive(9)[7:] == b"\x83\6"
+
+
+@pytest.mark.parametrize(("writes_first", "place"), [(True, 1), (False, 6)])
+def test_writes_overtake_reads_where_they_may(stage: Stage, writes_first: bool, place: int) -> None:
+    with (
+        gated(stage, writes_first=writes_first) as (gate, line, url),
+        stage.talk(url) as client,
+    ):
+        client.sendall(adu(READ_ONE) * 6 + adu(bytes.fromhex("06 0000 0001"), 9))
+        assert stage.until(lambda: line.waiting == 6)
+        gate.open()
+        client.receive(6 * 11 + 12)
+        assert gate.kinds.index("write") == place
+
+
+# --- options of routes --------------------------------------------------------------------------
+
+
+def test_equal_reads_that_wait_are_asked_once(stage: Stage) -> None:
+    same = pdu.ReadHoldingRegisters(5, 1).encode()
+    with (
+        gated(stage, {"merge": True}) as (gate, line, url),
+        stage.talk(url) as one,
+        stage.talk(url) as other,
+    ):
+        one.sendall(adu(READ_ONE, 1) + adu(same, 2))
+        assert stage.until(lambda: line.waiting == 1)
+        other.sendall(adu(same, 3) + adu(same, 4))
+        assert stage.until(lambda: line.units[1].merged == 2)
+        gate.open()
+        assert one.receive(22)[12] == 2
+        answers = other.receive(22)
+        assert (answers[1], answers[12]) == (3, 4)
+        assert gate.asked == [0, 5]
+
+
+@pytest.mark.parametrize("leaving", [("one",), ("other",), ("one", "other")], ids="-".join)
+def test_who_leaves_does_not_take_away_what_others_joined(
+    stage: Stage, leaving: tuple[str, ...]
+) -> None:
+    """A merged read is asked as long as one of those who wanted it is there, and not after that."""
+    same = pdu.ReadHoldingRegisters(5, 1).encode()
+    with (
+        gated(stage, {"merge": True}) as (gate, line, url),
+        stage.talk(url) as blocker,
+        stage.talk(url) as one,
+        stage.talk(url) as other,
+    ):
+        blocker.sendall(adu(READ_ONE, 1))
+        assert stage.until(lambda: gate.asked)
+        for number, client in enumerate((one, other), start=2):
+            client.sendall(adu(same, number))
+            stage.pass_time(1)
+        assert (line.waiting, line.units[1].merged) == (1, 1)
+        clients = {"one": one, "other": other}
+        for name in leaving:
+            clients[name].close()
+            stage.pass_time(1)
+        assert line.waiting == (len(leaving) < 2)
+        gate.open()
+        assert blocker.receive(11)[:2] == b"\0\1"
+        for number, (name, client) in enumerate(clients.items(), start=2):
+            if name not in leaving:
+                assert client.receive(11)[:2] == bytes([0, number])
+        stage.pass_time(1)
+        assert gate.asked == ([0, 5] if len(leaving) < 2 else [0])
+        assert line.unwanted == (len(leaving) == 1)
+        assert (line.waiting, line.in_flight) == (0, 0)
+
+
+@pytest.mark.parametrize("leaving", ["one", "other"])
+def test_an_answer_is_unwanted_by_whoever_left_while_it_was_on_its_way(
+    stage: Stage, leaving: str
+) -> None:
+    same = pdu.ReadHoldingRegisters(5, 1).encode()
+    with (
+        gated(stage, {"merge": True}) as (gate, line, url),
+        stage.talk(url) as one,
+        stage.talk(url) as other,
+    ):
+        one.sendall(adu(READ_ONE, 1) + adu(same, 2))
+        stage.pass_time(1)
+        other.sendall(adu(same, 3))
+        stage.pass_time(1)
+        assert line.units[1].merged == 1
+        {"one": one, "other": other}[leaving].reset()
+        stage.pass_time(1)
+        gate.open()
+        left, answers = (other, 11) if leaving == "one" else (one, 22)
+        assert len(left.receive(answers)) == answers
+        assert gate.asked == [0, 5]
+        # Who left wanted the first one, too.
+        assert line.unwanted == (2 if leaving == "one" else 1)
+
+
+def test_a_read_after_one_that_was_given_up_is_asked_for_itself(stage: Stage) -> None:
+    """What nobody waits for any more cannot be joined."""
+    same = pdu.ReadHoldingRegisters(5, 1).encode()
+    with (
+        gated(stage, {"merge": True}) as (gate, line, url),
+        stage.talk(url) as blocker,
+        stage.talk(url) as gone,
+        stage.talk(url) as later,
+    ):
+        blocker.sendall(adu(READ_ONE, 1))
+        stage.pass_time(1)
+        gone.sendall(adu(same, 2))
+        stage.pass_time(1)
+        gone.close()
+        stage.pass_time(1)
+        later.sendall(adu(same, 3))
+        stage.pass_time(1)
+        gate.open()
+        assert later.receive(11)[:2] == b"\0\3"
+        assert gate.asked == [0, 5]
+        assert line.units[1].merged == 0
+
+
+def test_a_read_after_a_write_is_not_one_with_a_read_before_it(stage: Stage) -> None:
+    same = pdu.ReadHoldingRegisters(5, 1).encode()
+    write = pdu.WriteRegister(5, 7).encode()
+    with gated(stage, {"merge": True}) as (gate, line, url), stage.talk(url) as client:
+        client.sendall(adu(READ_ONE, 1) + adu(same, 2) + adu(write, 3) + adu(same, 4))
+        assert stage.until(lambda: line.waiting == 3)
+        gate.open()
+        assert client.receive(11 + 11 + 12 + 11)[-2:] == b"\0\7"
+
+
+def test_answers_are_given_again_until_they_are_old_or_something_is_written(stage: Stage) -> None:
+    reads: list[int] = []
+    device = Device(
+        Mapping(10, 10, 10, 10), before_read=lambda access: reads.append(access.address)
+    )
+    with (
+        passage("tcp", "rtu", {1: device}, route={"cache": 30}, stage=stage) as through,
+        through.context(1) as context,
+        through.context(1) as other,
+    ):
+        for client in (context, other) * 5:
+            assert client.read_holding_registers(2, 2) == [0, 0]
+        assert len(reads) == 1
+        other.write_register(3, 9)
+        for client in (context, other):
+            assert client.read_holding_registers(2, 2) == [0, 9]
+        assert len(reads) == 2
+        assert context.read_exception_status() == 0  # may change what it likes
+        assert context.read_holding_registers(2, 2) == [0, 9]
+
+
+def test_an_answer_that_is_too_old_is_not_given_again(stage: Stage) -> None:
+    reads: list[int] = []
+    device = Device(
+        Mapping(10, 10, 10, 10), before_read=lambda access: reads.append(access.address)
+    )
+    with (
+        passage("tcp", "rtu", {1: device}, route={"cache": 30}, stage=stage) as through,
+        through.context(1) as context,
+    ):
+        context.read_holding_registers(2, 2)
+        stage.pass_time(29.9)
+        context.read_holding_registers(2, 2)
+        assert len(reads) == 1
+        stage.pass_time(0.1)
+        context.read_holding_registers(2, 2)
+        assert len(reads) == 2
+
+
+def test_read_only_is_read_only(stage: Stage) -> None:
+    device = make_device()
+    with (
+        passage("tcp", "rtu", {UNIT: device}, route={"read_only": True}, stage=stage) as through,
+        through.context() as context,
+    ):
+        assert context.read_holding_registers(100, 2) == [1100, 1101]
+        assert context.report_server_id().running
+        assert context.diagnostics(0, 7) == 7
+        assert context.read_device_identification().names["VendorName"] == "vendor"
+        for write in (
+            lambda: context.write_register(100, 1),
+            lambda: context.write_coils(10, [True]),
+            lambda: context.read_write_registers(100, 1, 100, [1]),
+            lambda: context.mask_write_register(100, 0, 0),
+            lambda: context.write_file_records([(4, 7, [1])]),
+            lambda: context.diagnostics(1),
+            lambda: context.execute(pdu.RawRequest(100, b"")),
+            lambda: context.execute(pdu.RawRequest(6, b"\0\1\0\2")),
+            lambda: context.execute(pdu.RawRequest(15, b"\0\0\0\1\1\1")),
+            lambda: context.execute(pdu.EncapsulatedTransport(13, b"")),
+            lambda: context.for_unit(0).write_register(100, 1),
+        ):
+            with pytest.raises(IllegalFunction):
+                write()
+        assert device.mapping.holding_registers[100] == 1100
+        assert through.gateway.passed.refused == 11
+
+
+def test_what_may_be_written_is_and_nothing_else(stage: Stage) -> None:
+    route = {"writable": ["coils", Access("holding_registers", 110, 10)]}
+    with passage("tcp", "rtu", route=route, stage=stage) as through, through.context() as context:
+        context.write_coil(10, False)
+        context.write_registers(110, range(10))
+        context.read_write_registers(100, 5, 115, [1])
+        for first, count in ((109, 2), (115, 6), (100, 1)):
+            with pytest.raises(IllegalFunction):
+                context.write_registers(first, [0] * count)
+        with pytest.raises(IllegalFunction):
+            context.execute(pdu.RawRequest(16, bytes.fromhex("006e 0001 04 0000 0000")))
+        assert context.read_holding_registers(109, 3) == [1109, 0, 1]
+
+
+def test_what_cannot_be_passed_on_is_refused_here(stage: Stage) -> None:
+    """A wrong length would have everybody on a line look for the end in vain."""
+    with passage("tcp", "rtu", {1: small()}, stage=stage) as through, through.context(1) as context:
+        for request in (
+            pdu.RawRequest(3, b"\0\0\0\1\0"),
+            pdu.RawRequest(16, b"\0\0\0\1\2\0"),
+            pdu.RawRequest(7, b"\0"),
+        ):
+            with pytest.raises(IllegalDataValue):
+                context.execute(request)
+        with pytest.raises(IllegalDataValue):  # of the device
+            context.execute(pdu.RawRequest(3, b"\0\0\0\0"))
+        (line,) = through.gateway.passed.lines.values()
+        assert line.units[1].requests == 1
+
+
+def test_an_answer_that_is_none_is_not_passed_on(stage: Stage) -> None:
+    for fault in (Fault("wrong_check", every=2), Fault("truncate", every=2, length=6)):
+        with (
+            passage(
+                "tcp",
+                "rtu",
+                {1: small()},
+                faults={1: [fault]},
+                line_options="timeout=0.2",
+                stage=stage,
+            ) as through,
+            through.context(1) as context,
+        ):
+            for _ in range(3):
+                assert context.read_holding_registers(0, 1) == [0]
+                with pytest.raises(GatewayTargetFailedToRespond):
+                    context.read_holding_registers(0, 1)
+                stage.pass_time(60 if fault.kind == "truncate" else 0)
+
+
+def test_networks_that_are_not_allowed_are_not_served(stage: Stage) -> None:
+    limits = Limits(allow=["192.0.2.0/24"])
+    with (
+        passage("tcp", "tcp", {1: small()}, limits=limits, stage=stage) as through,
+        stage.talk(through.url) as client,
+    ):
+        assert client.recv(1) == b""
+
+
+# --- life -------------------------------------------------------------------------------------
+
+
+def test_one_connection_to_the_device_is_shared(stage: Stage) -> None:
+    with (
+        Server({1: small()}, limits=Limits(max_connections=1, when_full="refuse")).background(
+            "tcp://10.0.0.9:0"
+        ) as behind,
+        gateway([Route(behind.urls[0])]) as (_, url),
+        contextlib.ExitStack() as stack,
+    ):
+        contexts = [stack.enter_context(Context.from_url(url, unit=1)) for _ in range(8)]
+        for each in contexts * 3:
+            assert each.read_holding_registers(0, 1) == [0]
+
+
+def test_a_device_that_goes_and_comes_back_is_found_again(stage: Stage) -> None:
+    """After the pause between two attempts, 2 s at the most."""
+    device = "tcp://10.0.0.9:5020"
+    with (
+        gateway([Route(f"{device}?timeout=5")]) as (_, url),
+        Context.from_url(url, unit=1, timeout=50) as context,
+    ):
+        for _ in range(2):
+            with pytest.raises(GatewayTargetFailedToRespond):
+                context.read_holding_registers(0, 1)
+            with Server({1: small()}).background(device):
+                stage.pass_time(2)
+                assert context.read_holding_registers(0, 1) == [0]
+
+
+def test_a_serial_port_that_is_unplugged_and_comes_back_is_opened_again(tmp_path: Path) -> None:
+    port = tmp_path / "ttyUSB0"
+    with contextlib.ExitStack() as stack:
+        before, after = (stack.enter_context(SerialWire()) for _ in range(2))
+        port.symlink_to(before.client)
+        _, url = stack.enter_context(gateway([Route(f"rtu://{port}?timeout=0.3")]))
+        context = stack.enter_context(Context.from_url(url, unit=1, timeout=5))
+
+        def answers() -> bool:
+            try:
+                return context.read_holding_registers(0, 1) == [0]
+            except GatewayTargetFailedToRespond:
+                return False
+
+        with Server({1: small()}).background(f"rtu://{before.server}"):
+            assert answers()
+        before.unplug()
+        assert not answers()
+        port.unlink()
+        port.symlink_to(after.client)
+        with Server({1: small()}).background(f"rtu://{after.server}"):
+            until(answers)
+
+
+def test_routes_change_and_connections_stay(stage: Stage) -> None:
+    stage.missing.add("/dev/nowhere")
+    with (
+        Server({n: numbered(n) for n in (1, 2)}).background("tcp://10.0.0.9:0") as one,
+        Server({n: numbered(10 + n) for n in (1, 2)}).background("tcp://10.0.0.9:0") as other,
+        gateway([Route(one.urls[0], "1"), Route(other.urls[0], "2")]) as (made, url),
+        Context.from_url(url) as context,
+    ):
+
+        def ask(unit: int) -> int:
+            return context.for_unit(unit).read_holding_registers(0, 1)[0]
+
+        assert (ask(1), ask(2)) == (1, 12)
+        connects = made.passed.lines[one.urls[0]].connection
+        made.change_routes([Route(one.urls[0], "1-2"), Route(other.urls[0], "3", "2")])
+        assert stage.until(lambda: ask(2) == 2)
+        assert (ask(1), ask(3)) == (1, 12)
+        assert made.passed.lines[one.urls[0]].connection is connects
+        assert connects.connects == 1
+        made.change_routes([Route(one.urls[0], "1")])
+        assert stage.until(lambda: list(made.passed.lines) == [one.urls[0]])
+        with pytest.raises(GatewayPathUnavailable):
+            ask(3)
+        for bad in (
+            [Route(one.urls[0], "1"), Route(other.urls[0], "1")],
+            [Route(url, "1")],
+            [Route("rtu:///dev/nowhere", "1")],
+            [],
+        ):
+            with pytest.raises(ValueError, match=r"route|listens|port"):
+                made.change_routes(bad)
+        assert ask(1) == 1
+        assert context.statistics.connects == 1
+
+
+@pytest.mark.parametrize("resets", [False, True])
+def test_who_closes_with_requests_waiting_costs_nothing(stage: Stage, resets: bool) -> None:
+    with gated(stage) as (gate, line, url):
+        client = stage.talk(url)
+        requests = [pdu.ReadHoldingRegisters(at, 1).encode() for at in range(8)]
+        client.sendall(b"".join(adu(each) for each in requests))
+        assert stage.until(lambda: line.waiting == 7 and gate.asked)
+        (client.reset if resets else client.close)()
+        assert stage.until(lambda: line.waiting == 0)
+        gate.open()
+        with Context.from_url(url, unit=1) as context:
+            assert context.read_holding_registers(9, 1) == [0]
+        assert gate.asked == [0, 9]
+        # Who only says that it sends nothing more may still listen.
+        assert (line.waiting, line.in_flight, line.unwanted) == (0, 0, resets)
+
+
+def test_who_closes_while_its_request_tries_a_silent_unit_lets_others_try(stage: Stage) -> None:
+    """A trial that waits for its turn is given up; another one may then begin."""
+    bus(stage, {1})
+    with (
+        gateway([Route(f"{LINE}?timeout=10")]) as (made, url),
+        stage.talk(url) as one,
+        stage.talk(url) as other,
+    ):
+        (line,) = made.passed.lines.values()
+        for unit in (8, 9):
+            one.sendall(adu(READ_ONE, unit=unit))
+            assert one.receive(9)[7:] == b"\x83\x0b"
+        stage.pass_time(60)
+        one.sendall(adu(READ_ONE, unit=8))  # the line is busy with that trial
+        stage.pass_time(1)
+        with stage.talk(url) as gone:
+            gone.sendall(adu(READ_ONE, unit=9))
+            stage.pass_time(1)
+            other.sendall(adu(READ_ONE, 1, unit=9))
+            assert other.receive(9)[7:] == b"\x83\x0b"  # for another one tries it
+            assert line.units[9].resting == 1
+        stage.pass_time(1)
+        other.sendall(adu(READ_ONE, 2, unit=9))
+        stage.pass_time(30)
+        assert line.units[9].requests == 2
+        assert other.receive(9) == adu(b"\x83\x0b", 2, unit=9)
+
+
+def test_who_says_that_he_will_ask_no_more_gets_his_answer(stage: Stage) -> None:
+    slow = {1: [Fault("delay", seconds=0.1)]}
+    with (
+        passage("tcp", "rtu", {1: small()}, faults=slow, stage=stage) as through,
+        stage.talk(through.url) as client,
+    ):
+        client.sendall(adu(READ_ONE))
+        client.shutdown(socket.SHUT_WR)
+        assert client.receive(12) == adu(b"\3\2\0\0")
+
+
+def test_closing_it_in_the_middle_leaves_nothing(stage: Stage) -> None:
+    """The stage fails the test for a task or an exception that is left."""
+    slow = {1: [Fault("delay", seconds=500)]}
+    server = Server({1: small()}, slow)
+    with server.background("tcp://10.0.0.9:0") as behind:
+        for _ in range(3):
+            with gateway([Route(behind.urls[0])]) as (_, url):
+                client = stage.talk(url)
+                client.sendall(adu(READ_ONE) * 8)
+                stage.pass_time(0.05)
+            assert client.is_closed()
+        stage.pass_time(501)
+        assert server.statistics.connections == 0
+
+
+def test_a_gateway_of_the_system_that_is_closed_in_the_middle_leaves_no_thread() -> None:
+    """The real copy."""
+    slow = {1: [Fault("delay", seconds=500)]}
+    with Server({1: small()}, slow).background("tcp://127.0.0.1:0") as behind:
+        threads = threading.active_count()
+        made = Gateway([Route(behind.urls[0])])
+        with made.background("tcp://127.0.0.1:0") as running, connected(running.urls[0]) as client:
+            client.sendall(adu(READ_ONE) * 8)
+            until(lambda: any(line.in_flight for line in made.passed.lines.values()))
+        assert threading.active_count() == threads
+
+
+def test_a_gateway_can_serve_again_but_not_twice_at_once() -> None:
+    with Server({1: small()}).background("tcp://127.0.0.1:0") as behind:
+        made = Gateway([Route(behind.urls[0])])
+        for _ in range(2):
+            with made.background("tcp://127.0.0.1:0") as running:
+                with Context.from_url(running.urls[0], unit=1) as context:
+                    assert context.read_holding_registers(0, 1) == [0]
+                with pytest.raises(RuntimeError), made.background("tcp://127.0.0.1:0"):
+                    pass
+
+
+def test_as_a_slave_on_a_line_it_is_silent_for_units_it_does_not_have(stage: Stage) -> None:
+    """They may be there, beside it."""
+    with (
+        passage("rtu", "tcp", {1: small()}, route={"units": "1"}, stage=stage) as through,
+        through.context(1, timeout=0.3) as context,
+    ):
+        assert context.read_holding_registers(0, 1) == [0]
+        with pytest.raises(ModbusTimeoutError):
+            context.for_unit(2).read_holding_registers(0, 1)
+        assert through.gateway.passed.no_route == 1

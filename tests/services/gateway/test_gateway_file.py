@@ -1,0 +1,166 @@
+"""
+Gateway files and routes: what they describe, and every mistake with its line and key.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from libmodbus_py import Access, Gateway, Route
+from libmodbus_py.services.gateway import config
+from libmodbus_py.services.gateway.routes import parse_route
+
+EXAMPLE = Path(__file__).parents[3] / "examples" / "gateway.toml"
+
+TO = 'to = "tcp://192.0.2.1"\n'
+
+
+def test_the_example_has_every_key_and_is_read() -> None:
+    file = config.load(EXAMPLE)
+    assert file.listen == ("tcp://127.0.0.1:1502", "udp://127.0.0.1:1502")
+    shared, looking = file.routes
+    assert shared.ways == {1: 255}
+    assert (shared.cache, shared.merge, shared.read_only) == (0.2, True, False)
+    assert shared.writable == ("coils", Access("holding_registers", 100, 20))
+    assert looking.ways == {101: 255}
+    assert looking.read_only
+    assert file.options["queue"] == 16
+    assert file.options["limits"].requests_per_second == 5000
+    Gateway(file.routes, **file.options)
+    text = EXAMPLE.read_text()
+    for key in (*config.KEYS, *config.ROUTE):
+        assert key in text
+
+
+WRONG: dict[str, tuple[str, int, str]] = {
+    "no route": ("queue = 1\n", 1, "route must hold at least one table"),
+    "no such key": ("colour = 1\n[[route]]\n" + TO, 1, "colour: no such key; allowed are listen"),
+    "no such key of a route": (f"[[route]]\n{TO}colour = 1\n", 3, "route[0].colour: no such key"),
+    "nowhere": ("[[route]]\nunits = [1]\n", 1, "route[0].to is missing"),
+    "no URL": ('[[route]]\nto = "192.0.2.1"\n', 2, "the scheme must be one of tcp"),
+    "no such option": ('[[route]]\nto = "tcp://192.0.2.1?speed=1"\n', 2, "'speed' must be one of"),
+    "bad option": ('[[route]]\nto = "tcp://192.0.2.1?timeout=0"\n', 2, "timeout must be in"),
+    "unit of a client": ('[[route]]\nto = "tcp://192.0.2.1?unit=3"\n', 2, "device_units does"),
+    "unknown port": ('[[route]]\nto = "rtu:///dev/nowhere"\n', 2, "there is no port /dev/nowhere"),
+    "units": (f'[[route]]\n{TO}units = "1-300"\n', 3, "route[0].units must be in 0..255, not 300"),
+    "units, twice": (f"[[route]]\n{TO}units = [4, 4]\n", 3, "units: 4 is given twice"),
+    "two routes": (
+        f"[[route]]\n{TO}units = [4]\n[[route]]\n{TO}units = [5, 4]\n",
+        6,
+        "route[1].units: there is a route for unit 4 before this",
+    ),
+    "two ways to one place": (
+        f'[[route]]\n{TO}units = [1]\n[[route]]\nto = "tcp://192.0.2.1?timeout=2"\nunits = [2]\n',
+        5,
+        "route[0] leads there with other options",
+    ),
+    "device units": (
+        f'[[route]]\n{TO}units = "1-3"\ndevice_units = "1-2"\n',
+        4,
+        "route[0].device_units must be one, or 3 as units, not 2",
+    ),
+    "a circle": (
+        'listen = ["tcp://0.0.0.0:1502"]\n[[route]]\nto = "tcp://localhost:1502"\n',
+        3,
+        "the gateway itself listens on tcp://0.0.0.0:1502",
+    ),
+    "cache": (f"[[route]]\n{TO}cache = -1\n", 3, "route[0].cache must be in 0..86400"),
+    "merge": (f"[[route]]\n{TO}merge = 1\n", 3, "route[0].merge must be True or False"),
+    "writable": (f'[[route]]\n{TO}writable = ["inputs"]\n', 3, "must be one of coils"),
+    "part": (
+        f'[[route]]\n{TO}writable = [{{ table = "coils", address = 1 }}]\n',
+        3,
+        "route[0].writable[0].count is missing",
+    ),
+    "both": (f"[[route]]\n{TO}read_only = true\nwritable = []\n", 4, "read_only is set"),
+    "queue": (f"queue = 0\n[[route]]\n{TO}", 1, "queue must be in 1..1024, not 0"),
+    "wait": (f'longest_wait = "x"\n[[route]]\n{TO}', 1, "longest_wait must be a number"),
+    "own units": (f"own_units = [256]\n[[route]]\n{TO}", 1, "own_units[0] must be in 0..255"),
+    "limits": (f'[limits]\nallow = ["x"]\n[[route]]\n{TO}', 2, "limits.allow: 'x'"),
+    "limit": (f"[limits]\nspeed = 1\n[[route]]\n{TO}", 2, "limits.speed: no such key"),
+    "listen": (f'listen = ["tcp://:1"]\n[[route]]\n{TO}', 1, "listen[0]: 'tcp://:1': a host"),
+    "listen with options": (
+        f'listen = ["tcp://127.0.0.1?timeout=1"]\n[[route]]\n{TO}',
+        1,
+        "timeout is for clients",
+    ),
+    "roles": (f'[roles.""]\nread = ["x"]\n[[route]]\n{TO}', 2, "must be one of coils"),
+    "no TOML": ("listen = [\n", 2, ""),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_mistakes_are_told_with_file_line_and_key(tmp_path: Path, name: str) -> None:
+    text, line, said = WRONG[name]
+    path = tmp_path / "gateway.toml"
+    path.write_text(text)
+    with pytest.raises(config.GatewayFileError) as seen:
+        config.load(path)
+    if name not in ("no TOML", "no route"):
+        assert str(seen.value).startswith(f"{path}, line {line}: ")
+    assert str(path) in str(seen.value)
+    assert said in str(seen.value)
+
+
+def test_a_line_that_leads_back_is_seen_by_device_and_port(tmp_path: Path) -> None:
+    (tmp_path / "port").symlink_to("/dev/null")
+    for listen, to in (
+        ("rtu:///dev/null", f"rtu://{tmp_path / 'port'}?timeout=2"),
+        ("udp://[::]:1502", "udp://127.0.0.1:1502"),
+        ("tls://127.0.0.1:802", "tcp://127.0.0.1:802"),
+        ("rtu+tcp://0.0.0.0:1502", "tcp://127.0.0.5:1502"),
+    ):
+        with pytest.raises(config.GatewayFileError, match="the gateway itself listens"):
+            config.parse(f'listen = ["{listen}"]\n[[route]]\nto = "{to}"\n')
+    for listen, to in (
+        ("udp://0.0.0.0:1502", "tcp://127.0.0.1:1502"),
+        ("tcp://127.0.0.1:1502", "tcp://127.0.0.1:1503"),
+        ("tcp://0.0.0.0:1502", "tcp://192.0.2.1:1502"),
+    ):
+        config.parse(f'listen = ["{listen}"]\n[[route]]\nto = "{to}"\n')
+
+
+@pytest.mark.parametrize(
+    ("text", "ways"),
+    [
+        ("rtu:///dev/ttyUSB0?baudrate=9600", {unit: unit for unit in range(1, 248)}),
+        ("tcp://192.0.2.1", {unit: unit for unit in range(255)}),
+        ("1-3=rtu:///dev/ttyUSB0?baudrate=9600", {1: 1, 2: 2, 3: 3}),
+        ("1-2,9:11-12,19=tcp://192.0.2.1?timeout=1", {1: 11, 2: 12, 9: 19}),
+        ("0-255:1=tcp://192.0.2.1", dict.fromkeys(range(256), 1)),
+    ],
+)
+def test_routes_of_a_command_line(text: str, ways: dict[int, int]) -> None:
+    assert parse_route(text).ways == ways
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "x=tcp://192.0.2.1", "1-=tcp://192.0.2.1", "1:=tcp://192.0.2.1", "1", "2-1=tcp://b"],
+)
+def test_what_is_no_route(text: str) -> None:
+    with pytest.raises(ValueError, match=r"must|missing"):
+        parse_route(text)
+
+
+def test_what_a_gateway_is_given_is_checked() -> None:
+    routes = [Route("tcp://192.0.2.1")]
+    wrong: list[tuple[Any, dict[str, Any]]] = [
+        (routes[0], {}),
+        ([], {}),
+        (["tcp://192.0.2.1"], {}),
+        (routes, {"queue": 0}),
+        (routes, {"longest_wait": 0}),
+        (routes, {"writes_first": 1}),
+        (routes, {"own_units": "1000"}),
+        (routes, {"authorize": 3}),
+        (routes, {"limits": {}}),
+        (routes, {"security": "x"}),
+    ]
+    for given, options in wrong:
+        with pytest.raises((TypeError, ValueError)):
+            Gateway(given, **options)
+    Gateway(routes, own_units=())

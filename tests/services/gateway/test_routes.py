@@ -1,0 +1,218 @@
+"""
+Which units go where, and what a route lets through.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from libmodbus_py import Route
+from libmodbus_py.ports.endpoint import Endpoint, parse
+from libmodbus_py.services.gateway import circles
+from libmodbus_py.services.gateway.circles import check_line
+from libmodbus_py.services.gateway.config import MOST_ROUTES, _routes
+from libmodbus_py.services.gateway.manner import Manner
+
+TCP, LINE = "tcp://192.0.2.1", "rtu:///dev/ttyUSB0"
+
+
+@pytest.mark.parametrize(
+    ("url", "units"),
+    [
+        (TCP, range(255)),
+        ("udp://192.0.2.1", range(255)),
+        (LINE, range(1, 248)),
+        ("rtu+tcp://192.0.2.1", range(1, 248)),
+        ("ascii:///dev/ttyUSB0", range(1, 248)),
+    ],
+)
+def test_a_route_has_the_units_that_its_line_can_have(url: str, units: range) -> None:
+    route = Route(url)
+    assert route.units == tuple(units)
+    assert route.ways == {unit: unit for unit in units}
+
+
+def test_a_route_keeps_joins_and_forbids_nothing_unless_told() -> None:
+    route = Route(LINE)
+    assert (route.cache, route.merge, route.read_only, route.writable) == (0, False, False, None)
+    assert route.allow is None
+
+
+@pytest.mark.parametrize(
+    ("units", "device_units", "ways"),
+    [
+        ("1-3", None, {1: 1, 2: 2, 3: 3}),
+        ("1-3", 9, {1: 9, 2: 9, 3: 9}),
+        ("1-3", "11-13", {1: 11, 2: 12, 3: 13}),
+        ([5, 7], [7, 5], {5: 7, 7: 5}),
+        ([5, 7], [2, 2], {5: 2, 7: 2}),
+        ([0, 255], None, {0: 0, 255: 255}),
+        ("4", [1], {4: 1}),
+    ],
+)
+def test_units_may_be_others_on_the_line(
+    units: Any, device_units: Any, ways: dict[int, int]
+) -> None:
+    assert Route(TCP, units, device_units).ways == ways
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "text"),
+    [
+        ({"units": 5}, TypeError, "units must be text or a list, not int"),
+        ({"units": None, "device_units": 1.5}, TypeError, "device_units"),
+        ({"units": "1-3", "device_units": "1-2"}, ValueError, "one, or 3 as units, not 2"),
+        ({"units": [256]}, ValueError, r"units\[0\]"),
+        ({"units": [-1]}, ValueError, r"units\[0\]"),
+        ({"units": [1, 1]}, ValueError, "units"),
+        ({"units": []}, ValueError, "units"),
+        ({"merge": 1}, TypeError, "merge must be True or False, not 1"),
+        ({"read_only": None}, TypeError, "read_only must be True or False"),
+        ({"read_only": True, "writable": "all"}, ValueError, "writable: there is nothing"),
+        ({"cache": -1}, ValueError, "cache"),
+        ({"writable": ["coils[5:2]"]}, ValueError, "writable"),
+    ],
+)
+def test_what_cannot_be_is_named(
+    options: dict[str, Any], error: type[Exception], text: str
+) -> None:
+    with pytest.raises(error, match=text):
+        Route(TCP, **options)
+
+
+def test_a_url_with_a_unit_means_nothing_here() -> None:
+    with pytest.raises(ValueError, match=r"to: .*device_units does"):
+        Route(f"{TCP}?unit=3")
+
+
+def test_what_only_reads_may_pass_where_nothing_is_written() -> None:
+    """By the functions of the specification (6.7 to 6.13 and 6.21)."""
+    allow = Route(TCP, read_only=True).allow
+    assert allow is not None
+    counters = {f"8/{number}" for number in range(11, 19)}
+    assert set(allow.functions) == {7, 11, 12, 17, "43/14", "8/0", "8/2"} | counters
+    assert not allow.write
+
+
+def test_what_may_be_written_is_as_it_was_given() -> None:
+    assert Route(TCP, writable="all").writable == "all"
+    some = Route(TCP, writable=["coils"])
+    assert some.allow is not None
+    assert some.writable == some.allow.write
+    assert "7" not in map(str, some.writable or ())
+
+
+@pytest.mark.parametrize("count", [1, MOST_ROUTES])
+def test_a_file_has_as_many_routes_as_there_can_be_units(count: int) -> None:
+    assert len(_routes({"route": [{}] * count})) == count
+
+
+@pytest.mark.parametrize("routes", [[], None, {}, [{}] * (MOST_ROUTES + 1)])
+def test_a_file_has_routes_and_not_too_many(routes: object) -> None:
+    with pytest.raises(ValueError, match="route must hold at"):
+        _routes({"route": routes})
+
+
+@pytest.mark.parametrize("queue", [1, 1024])
+def test_bounds_of_a_queue_are_allowed(queue: int) -> None:
+    assert Manner(queue=queue).queue == queue
+
+
+@pytest.mark.parametrize("queue", [0, 1025])
+def test_what_a_queue_cannot_be(queue: int) -> None:
+    with pytest.raises(ValueError, match="queue"):
+        Manner(queue=queue)
+
+
+def test_options_of_a_gateway_unless_given() -> None:
+    manner = Manner()
+    assert (manner.own, manner.queue, manner.longest_wait) == (frozenset({255}), 16, 5.0)
+    assert manner.writes_first is False
+    assert Manner(()).own == Manner("").own == frozenset()
+    assert Manner([1, 2]).own == frozenset({1, 2})
+
+
+# --- lines that lead back ---------------------------------------------------------------------
+
+
+def leads_back(line: str, listening: str) -> bool:
+    try:
+        check_line("to", parse(line), [parse(listening)])
+    except ValueError as error:
+        return "to: the gateway itself listens on" in str(error)
+    return False
+
+
+@pytest.mark.parametrize(
+    ("line", "listening", "is_own"),
+    [
+        ("tcp://127.0.0.1:1502", "tcp://127.0.0.1:1502", True),
+        ("tcp://127.0.0.1:1502", "tcp://127.0.0.1:1503", False),
+        ("udp://127.0.0.1:1502", "tcp://127.0.0.1:1502", False),
+        ("tcp://127.0.0.1:1502", "udp://127.0.0.1:1502", False),
+        ("udp://127.0.0.1:1502", "udp://127.0.0.1:1502", True),
+        ("rtu+tcp://127.0.0.1:1502", "tcp://127.0.0.1:1502", True),
+        ("tcp://localhost:1502", "tcp://127.0.0.1:1502", True),
+        ("tcp://[::1]:1502", "tcp://127.0.0.1:1502", True),
+        ("tcp://127.0.0.9:1502", "tcp://0.0.0.0:1502", True),
+        ("tcp://[::1]:1502", "tcp://[::]:1502", True),
+        ("tcp://192.0.2.1:1502", "tcp://127.0.0.1:1502", False),
+        ("tcp://192.0.2.1:1502", "tcp://192.0.2.1:1502", True),
+        ("tcp://192.0.2.1:1502", "tcp://0.0.0.0:1502", False),
+        ("tcp://[2001:db8::1]:1502", "tcp://[::]:1502", False),
+        ("tcp://meter.example:1502", "tcp://0.0.0.0:1502", False),
+        ("tcp://127.0.0.1:1502", "tcp://192.0.2.1:1502", False),
+    ],
+)
+def test_a_line_to_where_the_gateway_listens_is_seen(
+    line: str, listening: str, is_own: bool
+) -> None:
+    assert leads_back(line, listening) is is_own
+
+
+@pytest.mark.parametrize(("host", "is_six"), [("192.0.2.1", False), ("2001:db8::1", True)])
+def test_an_address_of_this_machine_is_found_by_binding_to_it(
+    host: str, is_six: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    families = []
+
+    class Probe:
+        def __init__(self, family: int, kind: int) -> None:
+            families.append(family)
+
+        def __enter__(self) -> Probe:
+            return self
+
+        def __exit__(self, *_: object) -> None:
+            pass
+
+        def bind(self, address: tuple[str, int]) -> None:
+            assert address == (host, 0)
+
+    socket = circles.socket
+    monkeypatch.setattr(socket, "socket", Probe)
+    url = f"tcp://[{host}]:1502" if is_six else f"tcp://{host}:1502"
+    assert leads_back(url, "tcp://0.0.0.0:1502")
+    assert families == [socket.AF_INET6 if is_six else socket.AF_INET]
+
+
+def test_a_serial_port_is_the_same_by_any_of_its_names(tmp_path: Path) -> None:
+    port, other = tmp_path / "port", tmp_path / "other"
+    port.touch()
+    other.touch()
+    (tmp_path / "by-id").symlink_to(port)
+    own = f"rtu://{port}"
+    assert leads_back(f"ascii://{tmp_path / 'by-id'}", own)
+    assert not leads_back(f"rtu://{other}", own)
+    assert not leads_back("tcp://127.0.0.1", own)
+    with pytest.raises(ValueError, match="to: there is no port /dev/nowhere"):
+        check_line("to", parse("rtu:///dev/nowhere"), [])
+
+
+def test_an_endpoint_elsewhere_is_fine() -> None:
+    given: list[Endpoint] = []
+    check_line("to", parse(TCP), given)
+    assert given == []

@@ -1,0 +1,24 @@
+"""
+The backend of modbus-connection where that is not installed.
+"""
+
+from __future__ import annotations
+
+import importlib
+import sys
+
+import pytest
+
+NAME = "libmodbus_py.services.integrations.modbus_connection"
+
+
+def test_import_says_in_one_line_what_is_needed(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in [each for each in sys.modules if each.startswith(NAME)]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "modbus_connection", None)
+    with pytest.raises(ImportError) as caught:
+        importlib.import_module(NAME)
+    assert str(caught.value) == (
+        "the backend of modbus-connection needs Python 3.13 or newer, and it: "
+        "pip install 'libmodbus-py[homeassistant]'"
+    )

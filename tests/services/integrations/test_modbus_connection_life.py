@@ -1,0 +1,407 @@
+"""
+Connections of the backend that are lost, cut, cancelled, closed and misused.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import logging
+import os
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from libmodbus_py import pdu
+from libmodbus_py.protocol.framing import Frame, make_framer
+from tests.support import peers as fake
+from tests.support.peers import FakeServer, FakeUnit, dead
+from tests.support.scripted import Scripted, Write, answer, echo, ignore, run
+
+theirs: Any = pytest.importorskip(
+    "modbus_connection", reason="the backend of modbus-connection needs Python 3.13"
+)
+
+backend: Any = pytest.importorskip("libmodbus_py.services.integrations.modbus_connection")
+
+LONG, SHORT = 5.0, 0.2
+
+
+def tcp(server: Scripted, timeout: float = LONG, **times: float) -> Any:
+    params = theirs.ModbusTcpParams(host="127.0.0.1", port=server.port)
+    return backend.ModbusConnection(params, timeout=timeout, **times)
+
+
+def read(connection: Any, address: int = 7) -> Any:
+    return connection.for_unit(1).read_holding_registers(address, 1)
+
+
+async def until(condition: Callable[[], object]) -> None:
+    async with asyncio.timeout(LONG):
+        while not condition():
+            await asyncio.sleep(0.001)
+
+
+def hang_up(server: Scripted) -> Callable[[bytes, Write], object]:
+    return lambda request, write: server.drop_all()
+
+
+def test_a_loss_in_the_midst_fails_the_request_and_is_told_once() -> None:
+    async def go() -> None:
+        async with Scripted(echo).serving() as server:
+            connection = tcp(server)
+            told: list[bool] = []
+            connection.on_connection_lost(lambda: told.append(connection.connected))
+            await read(connection)
+            server.on_request = hang_up(server)
+            with pytest.raises(
+                theirs.ModbusConnectionError, match=r"^read_holding_registers\(7, 1\)"
+            ):
+                await read(connection)
+            await asyncio.sleep(0)
+            assert told == [False]
+            assert len(server.requests) == 2  # none was sent twice
+            server.on_request = echo
+            assert await read(connection) == [7]
+            assert server.connections == 2
+            await connection.close()
+            await asyncio.sleep(0)
+            assert told == [False]  # closing is no loss
+
+    run(go())
+
+
+def test_a_loss_at_rest_is_told_without_a_request() -> None:
+    async def go() -> None:
+        async with Scripted(echo).serving() as server:
+            connection = tcp(server)
+            told: list[None] = []
+            connection.on_connection_lost(lambda: told.append(None))
+            await read(connection)
+            server.drop_all()
+            await until(lambda: told)
+            assert not connection.connected
+            assert "connection lost" in connection.last_error
+            await connection.close()
+
+    run(go())
+
+
+def test_a_callback_that_raises_harms_nobody() -> None:
+    complaints: list[Any] = []
+
+    async def go() -> None:
+        asyncio.get_running_loop().set_exception_handler(lambda _, said: complaints.append(said))
+        async with Scripted(echo).serving() as server:
+            connection = tcp(server)
+            connection.on_connection_lost(lambda: 1 // 0)
+            server.on_request = hang_up(server)
+            with pytest.raises(theirs.ModbusConnectionError):
+                await read(connection)
+            server.on_request = echo
+            assert await read(connection) == [7]
+            await connection.close()
+
+    asyncio.run(go())
+    assert [type(each["exception"]) for each in complaints] == [ZeroDivisionError]
+
+
+def test_a_late_answer_is_not_the_next_ones() -> None:
+    async def go() -> None:
+        held: list[bytes] = []
+
+        def late(request: bytes, write: Write) -> None:
+            held.append(request)
+            for each in held if len(held) > 1 else []:
+                write(answer(each))
+
+        async with Scripted(late).serving() as server:
+            connection = tcp(server, SHORT)
+            with pytest.raises(theirs.ModbusTimeoutError):
+                await read(connection, 1)
+            assert await read(connection, 2) == [2]
+            assert connection.statistics.late_answers == 1
+            assert server.connections == 1
+            await connection.close()
+
+    run(go())
+
+
+def test_a_late_answer_on_a_line_is_not_the_next_ones() -> None:
+    def frame(value: int) -> bytes:
+        return make_framer("rtu", "server").encode(Frame(1, bytes([3, 2, 0, value])))
+
+    async def go() -> None:
+        params = theirs.ModbusSerialParams(device=line.path)
+        connection = backend.ModbusConnection(params, timeout=SHORT)
+        with pytest.raises(theirs.ModbusTimeoutError):
+            await read(connection, 1)
+        asking = asyncio.create_task(read(connection, 2))
+        await asyncio.sleep(SHORT / 4)
+        line.write(frame(1))
+        assert await asking == [2]
+        await connection.close()
+
+    with FakeUnit(lambda request: [], lambda request: [frame(2)]) as line:
+        run(go())
+
+
+def test_a_silent_device_keeps_the_link_whatever_often() -> None:
+    async def go() -> None:
+        async with Scripted(ignore).serving() as server:
+            connection = tcp(server, 0.02)
+            for _ in range(5):
+                with pytest.raises(theirs.ModbusTimeoutError):
+                    await read(connection)
+            assert connection.connected
+            assert server.connections == 1
+            await connection.close()
+
+    run(go())
+
+
+def test_one_request_at_a_time_whoever_asks() -> None:
+    async def go() -> None:
+        open_now: list[bytes] = []
+        most = 0
+
+        def slowly(request: bytes, write: Write) -> None:
+            nonlocal most
+            open_now.append(request)
+            most = max(most, len(open_now))
+
+            def done() -> None:
+                open_now.remove(request)
+                write(answer(request))
+
+            asyncio.get_running_loop().call_later(0.002, done)
+
+        async with Scripted(slowly).serving() as server:
+            connection = tcp(server)
+            found = await asyncio.gather(*(read(connection, number) for number in range(20)))
+            assert found == [[number] for number in range(20)]
+            assert (most, server.connections) == (1, 1)
+            await connection.close()
+
+    run(go())
+
+
+@pytest.mark.parametrize("turns", range(12))
+def test_cancelled_at_any_moment(turns: int) -> None:
+    """It leaves neither a lock held nor a link that answers the wrong request."""
+
+    async def go() -> None:
+        async with Scripted(echo).serving() as server:
+            connection = tcp(server)
+            asking = asyncio.create_task(read(connection, 1))
+            for _ in range(turns):
+                await asyncio.sleep(0)
+            asking.cancel()
+            await asyncio.wait([asking])
+            assert await read(connection, 2) == [2]
+            await connection.close()
+
+    run(go())
+
+
+@pytest.mark.parametrize("turns", [1, 2, 3, 5, 8])
+def test_connecting_that_nobody_waits_for_leaves_nothing(turns: int) -> None:
+    async def go() -> None:
+        async with Scripted(echo).serving() as server:
+            connecting = asyncio.create_task(
+                backend.connect_tcp("127.0.0.1", port=server.port, timeout=LONG)
+            )
+            for _ in range(turns):
+                await asyncio.sleep(0)
+            connecting.cancel()
+            await asyncio.wait([connecting])
+            if not connecting.cancelled():
+                await connecting.result().close()
+            await until(lambda: server.writers)
+            await until(lambda: all(each.transport.is_closing() for each in server.writers))
+
+    run(go())
+
+
+def test_who_waits_for_a_quiet_line_when_it_is_lost_makes_no_link_of_his_own() -> None:
+    async def go() -> None:
+        writers: list[asyncio.StreamWriter] = []
+
+        async def silent(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+            writers.append(writer)
+            await reader.read()
+            writer.close()
+
+        server = await asyncio.start_server(silent, "127.0.0.1", 0)
+        port = server.sockets[0].getsockname()[1]
+        params = theirs.ModbusSerialParams(device=f"socket://127.0.0.1:{port}")
+        connection = backend.ModbusConnection(params, timeout=SHORT)
+        with pytest.raises(theirs.ModbusTimeoutError):
+            await read(connection)
+        asking = asyncio.create_task(read(connection))  # once the line was quiet for as long
+        await asyncio.sleep(SHORT / 4)
+        writers[0].close()
+        with pytest.raises(theirs.ModbusConnectionError):
+            await asking
+        assert not connection.connected
+        assert len(writers) == 1
+        await connection.close()
+        server.close()
+
+    run(go())
+
+
+def test_closing_while_it_connects() -> None:
+    async def go() -> None:
+        params = theirs.ModbusTcpParams(host="127.0.0.1", port=port)
+        connection = backend.ModbusConnection(params, timeout=SHORT)
+        asking = asyncio.create_task(read(connection))
+        await asyncio.sleep(SHORT / 4)
+        await connection.close()
+        with pytest.raises(theirs.ModbusTimeoutError, match="no connection"):
+            await asking
+        with pytest.raises(theirs.ClientClosedError, match=r"^read_holding_registers\(7, 1\): "):
+            await read(connection)
+
+    with dead() as port:
+        run(go())
+
+
+def test_closing_cuts_a_request_that_hangs() -> None:
+    async def go() -> None:
+        async with Scripted(ignore).serving() as server:
+            connection = tcp(server)
+            asking = asyncio.create_task(read(connection))
+            await until(lambda: server.requests)
+            await connection.close()
+            with pytest.raises(theirs.ModbusConnectionError):
+                await asking
+
+    run(go())
+
+
+def test_many_reconnections_leave_nothing() -> None:
+    async def go() -> None:
+        async with Scripted(echo).serving() as server:
+            connection = tcp(server)
+            for number in range(300):
+                await read(connection)
+                if number % 3:
+                    await connection.disconnect()
+                else:
+                    server.drop_all()
+                    await until(lambda: not connection.connected)
+            assert connection.statistics.connects == 300
+            assert not connection._later
+            await connection.close()
+
+    gc.collect()
+    before = len(os.listdir("/proc/self/fd")), threading.active_count()
+    run(go())
+    gc.collect()
+    assert (len(os.listdir("/proc/self/fd")), threading.active_count()) <= before
+
+
+def test_another_event_loop_is_refused_in_their_words() -> None:
+    async def go_on() -> None:
+        connection = made.pop()
+        with pytest.raises(theirs.ModbusConnectionError, match="another event loop"):
+            await read(connection)
+        with pytest.raises(theirs.ModbusConnectionError, match="another event loop"):
+            await connection.close()
+
+    def in_two_loops() -> None:
+        with asyncio.Runner() as first:
+            first.run(read(made[0]))
+            asyncio.run(go_on())
+            gc.collect()  # while the loop is there, which its timer belongs to
+
+    with FakeServer(lambda request: [fake.echo(request)]) as server:
+        params = theirs.ModbusTcpParams(host="127.0.0.1", port=server.port)
+        made = [backend.ModbusConnection(params, timeout=LONG)]
+        with pytest.warns(ResourceWarning, match="was not closed"):
+            in_two_loops()
+
+
+def test_a_loss_while_it_waits_to_be_ready_heals() -> None:
+    async def go() -> None:
+        async with Scripted(echo).serving() as server:
+            connection = tcp(server, connect_delay=0.05)
+            asking = asyncio.create_task(read(connection))
+            await until(lambda: server.writers)
+            server.drop_all()
+            assert await asking == [7]
+            assert server.connections == 2
+            await connection.close()
+
+    run(go())
+
+
+def test_units_0_and_255_on_tcp_and_broadcasts_on_lines() -> None:
+    async def on_tcp() -> None:
+        async with Scripted(echo).serving() as server:
+            connection = tcp(server)
+            for unit in (0, 255):
+                assert await connection.for_unit(unit).read_holding_registers(7, 1) == [7]
+            assert [request[6] for request in server.requests] == [0, 255]
+            await connection.close()
+
+    async def on_a_line() -> None:
+        params = theirs.ModbusSerialParams(device=line.path)
+        connection = backend.ModbusConnection(params, timeout=SHORT)
+        await connection.for_unit(0).write_register(1, 2)
+        with pytest.raises(ValueError, match="broadcast"):
+            await connection.for_unit(0).read_holding_registers(1, 1)
+        await connection.close()
+
+    run(on_tcp())
+    with FakeUnit(lambda request: []) as line:
+        run(on_a_line())
+    assert len(line.requests) == 1
+
+
+def test_a_unit_that_needs_longer_gets_a_new_link() -> None:
+    async def go() -> None:
+        async with Scripted(echo).serving() as server:
+            connection = tcp(server, SHORT)
+            unit = connection.for_unit(1)
+            await read(connection)
+            unit.require_timeout(LONG)
+            await until(lambda: not connection.connected)
+            await read(connection)
+            assert connection._client.timeout == LONG
+            unit.require_timeout(None)
+            unit.require_connect_delay(0)
+            unit.set_message_spacing(0.001)
+            assert await read(connection) == [7]
+            await unit.disconnect()
+            assert not unit.connected
+            await connection.close()
+
+    run(go())
+
+
+def test_no_time_at_all_is_the_shortest(caplog: pytest.LogCaptureFixture) -> None:
+    async def go() -> None:
+        async with Scripted(ignore).serving() as server:
+            connection = tcp(server, 0)
+            with pytest.raises(theirs.ModbusError):
+                await read(connection)
+            await connection.close()
+
+    with caplog.at_level(logging.WARNING):
+        run(go())
+    assert not caplog.records
+
+
+def test_the_wire_carries_what_was_asked() -> None:
+    async def go() -> None:
+        async with Scripted(echo).serving() as server:
+            connection = tcp(server)
+            await read(connection, 0x6B)
+            await connection.close()
+            assert server.requests[0][7:] == pdu.ReadHoldingRegisters(0x6B, 1).encode()
+
+    run(go())

@@ -1,0 +1,612 @@
+"""
+Metrics, as Prometheus's own parser reads them, beside what really happened.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import dataclasses
+import gc
+import re
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+import urllib.request
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from prometheus_client import CollectorRegistry, generate_latest
+from prometheus_client.openmetrics.exposition import generate_latest as generate_openmetrics
+from prometheus_client.openmetrics.parser import text_string_to_metric_families as parse_openmetrics
+from prometheus_client.parser import text_string_to_metric_families
+
+from libmodbus_py import (
+    AsyncClient,
+    Context,
+    Device,
+    Gateway,
+    GatewayTargetFailedToRespond,
+    IllegalDataAddress,
+    Mapping,
+    ModbusTimeoutError,
+    Route,
+    Server,
+)
+from libmodbus_py.cli.main import main
+from libmodbus_py.client.statistics import TIME_BOUNDS, Statistics
+from libmodbus_py.server.limits import ServerStatistics
+from libmodbus_py.services.integrations import exposition
+from libmodbus_py.services.integrations.exposition import exposing
+from libmodbus_py.services.integrations.prometheus import Collector, collect
+from tests.simulation.network import Network
+from tests.simulation.scripted import Scripted, Write
+from tests.simulation.sockets import DELAY
+from tests.support.peers import echo, until
+
+# To a peer in memory and back.
+WAY = 2 * DELAY
+
+DEVICE = Device(Mapping(holding_registers=100, coils=8))
+
+Scraped = dict[tuple[str, tuple[tuple[str, str], ...]], float]
+
+
+def values(registry: CollectorRegistry) -> Scraped:
+    return parsed(generate_latest(registry).decode())
+
+
+def parsed(text: str) -> Scraped:
+    """Name and labels -> value; each may be there once."""
+    found: Scraped = {}
+    for family in text_string_to_metric_families(text):
+        for sample in family.samples:
+            key = sample.name, tuple(sorted(sample.labels.items()))
+            assert key not in found, key
+            found[key] = sample.value
+    return found
+
+
+def of(found: Scraped, name: str, **labels: str) -> float:
+    return found[name, tuple(sorted(labels.items()))]
+
+
+def histogram(found: Scraped, endpoint: str) -> list[float]:
+    name = "modbus_client_request_duration_seconds_bucket"
+    bounds = [*map(str, TIME_BOUNDS), "+Inf"]
+    return [of(found, name, endpoint=endpoint, le=bound) for bound in bounds]
+
+
+@pytest.fixture
+def registry() -> CollectorRegistry:
+    return CollectorRegistry(auto_describe=True)
+
+
+@contextlib.contextmanager
+def served(**options: Any) -> Iterator[tuple[Server, str]]:
+    server = Server(DEVICE, **options)
+    with server.background("tcp://127.0.0.1:0") as running:
+        yield server, running.urls[0]
+
+
+# --- what they tell ----------------------------------------------------------------------
+
+
+def test_both_clients_and_the_server_tell_what_happened(registry: CollectorRegistry) -> None:
+    async def ask(url: str) -> None:
+        async with AsyncClient(url) as plc:
+            collect(plc, registry=registry)
+            await asyncio.gather(*(plc.read_holding_registers(0, 1) for _ in range(20)))
+            with pytest.raises(IllegalDataAddress):
+                await plc.read_holding_registers(200, 1)
+            found.update(values(registry))
+
+    found: Scraped = {}
+    with served() as (server, url), Context.from_url(url, unit=1) as plc:
+        collect(server, plc, registry=registry)
+        start = time.monotonic()
+        for _ in range(5):
+            plc.write_coil(0, True)
+            plc.read_coils(0, 8)
+        with pytest.raises(IllegalDataAddress):
+            plc.read_coils(7, 2)
+        passed = time.monotonic() - start
+        before = values(registry)
+        asyncio.run(ask(url))
+    name = "modbus_client_requests_total"
+    assert of(before, name, endpoint=url, function="1", result="ok") == 5
+    assert of(before, name, endpoint=url, function="5", result="ok") == 5
+    assert of(before, name, endpoint=url, function="1", result="exception") == 1
+    assert of(before, "modbus_client_requests_sent_total", endpoint=url) == 11
+    assert of(before, "modbus_client_responses_total", endpoint=url) == 11
+    assert of(before, "modbus_client_exceptions_total", endpoint=url) == 1
+    assert of(before, "modbus_client_connects_total", endpoint=url) == 1
+    counts = histogram(before, url)
+    assert counts == sorted(counts)
+    duration = "modbus_client_request_duration_seconds"
+    assert counts[-1] == of(before, f"{duration}_count", endpoint=url) == 11
+    assert 0 < of(before, f"{duration}_sum", endpoint=url) <= passed
+    assert of(before, "modbus_server_requests_total") == 11
+    assert of(before, "modbus_server_refused_total") == 1
+    assert of(before, "modbus_server_connections") == 1
+    # Both clients have the same endpoint: they add up.
+    assert of(found, name, endpoint=url, function="3", result="ok") == 20
+    assert of(found, name, endpoint=url, function="3", result="exception") == 1
+    assert of(found, name, endpoint=url, function="1", result="ok") == 5
+    assert of(found, "modbus_client_requests_sent_total", endpoint=url) == 32
+    assert histogram(found, url)[-1] == 32
+    assert of(found, "modbus_server_connections") == 2
+    assert of(found, "modbus_server_accepted_total") == 2
+    assert of(found, "modbus_server_requests_total") == 32
+
+
+def test_the_histogram_puts_answers_where_they_belong(registry: CollectorRegistry) -> None:
+    """Each bound that is beyond the way to the peer has an answer that comes before it."""
+    network = Network()
+    took = [0.9 * bound for bound in TIME_BOUNDS if bound > 2 * WAY]
+    delays = [*(each - WAY for each in took), 60.0]
+
+    def late(request: bytes, write: Write) -> None:
+        write(echo(request), after=delays[len(peer.requests) - 1])
+
+    peer = Scripted(network, "tcp://10.0.0.1", late)
+    with network.installed(), Context.from_url(peer.url, timeout=30) as plc:
+        collect(plc, registry=registry)
+        for _ in took:
+            plc.read_holding_registers(0, 1)
+        with pytest.raises(ModbusTimeoutError):
+            plc.read_holding_registers(0, 1)
+        found = values(registry)
+    below = [sum(each <= bound for each in took) for bound in TIME_BOUNDS]
+    assert histogram(found, peer.url) == [*below, len(took)]
+    total = of(found, "modbus_client_request_duration_seconds_sum", endpoint=peer.url)
+    assert total == pytest.approx(sum(took))
+    assert of(
+        found, "modbus_client_requests_total", endpoint=peer.url, function="3", result="timeout"
+    ) == of(found, "modbus_client_timeouts_total", endpoint=peer.url)
+
+
+def test_the_last_success_is_a_time_of_day(registry: CollectorRegistry) -> None:
+    name = "modbus_client_last_success_timestamp_seconds"
+    with served() as (_, url), Context.from_url(url) as plc:
+        collect(plc, registry=registry)
+        assert not [key for key in values(registry) if key[0] == name]
+        before = time.time()
+        plc.read_coils(0, 1)
+        with Context.from_url(url) as other:  # of two the later
+            collect(other, registry=registry)
+            other.read_coils(0, 1)
+            # The clocks may be set against each other meanwhile.
+            assert before - 1 <= of(values(registry), name, endpoint=url) <= time.time() + 1
+
+
+def test_every_attribute_has_its_metric_and_its_text(registry: CollectorRegistry) -> None:
+    """HELP is what the documentation says; names follow Prometheus's rules."""
+    with served() as (server, url), Context.from_url(url) as plc:
+        plc.read_coils(0, 1)
+        collect(server, plc, registry=registry)
+        text = generate_latest(registry).decode()
+    families = {each.name: each for each in text_string_to_metric_families(text)}
+    for kind, prefix in ((Statistics, "modbus_client_"), (ServerStatistics, "modbus_server_")):
+        for field in dataclasses.fields(kind):
+            if field.name in ("answer_times", "answer_seconds", "results", "last_success"):
+                continue  # those have tests of their own
+            name = "requests_sent" if (kind, field.name) == (Statistics, "requests") else field.name
+            family = families[prefix + name]
+            documented = re.sub(r"\s+", " ", kind.__doc__ or "").lower()
+            assert f"{field.name}: {family.documentation}".lower() in documented
+            assert family.type == ("gauge" if field.name == "connections" else "counter")
+    for line in text.splitlines():
+        if not line.startswith("#"):
+            assert re.match(r"modbus_(client|server)_[a-z_]+[ {]", line)
+    # The stricter form of the same.
+    strict = [*parse_openmetrics(generate_openmetrics(registry).decode())]
+    assert {each.name for each in strict} == families.keys()
+
+
+def test_endpoints_are_labels_without_settings(registry: CollectorRegistry) -> None:
+    plc = Context.from_url("rtu:///dev/null?baudrate=9600&timeout=0.1")
+    collect(plc, Context.from_url("tcp://[::1]:1502?unit=3"), registry=registry)
+    labels = {dict(labels).get("endpoint") for _, labels in values(registry)}
+    assert labels == {"rtu:///dev/null"}  # nobody has the other one
+    plc.close()
+
+
+# --- who is there --------------------------------------------------------------------------
+
+
+def test_names_tell_servers_apart_and_equal_ones_add_up(registry: CollectorRegistry) -> None:
+    servers = [Server(DEVICE) for _ in range(5)]
+    for number, server in enumerate(servers):
+        server.statistics.accepted = 10**number
+    collect(servers[0], servers[1], registry=registry)
+    collect(servers[2], servers[3], name="boilers", registry=registry)
+    collect(servers[4], name="pumps", registry=registry)
+    name = "modbus_server_accepted_total"
+    found = {labels: value for (each, labels), value in values(registry).items() if each == name}
+    assert found == {
+        (): 11,
+        (("server", "boilers"),): 1100,
+        (("server", "pumps"),): 10000,
+    }
+
+
+def test_a_client_that_is_dropped_disappears(registry: CollectorRegistry) -> None:
+    with served() as (_, url):
+        with Context.from_url(url) as plc:
+            collect(plc, registry=registry)
+            plc.read_coils(0, 1)
+            assert values(registry)
+        handle = plc.for_unit(3)
+        del plc
+        gc.collect()
+        assert values(registry)  # the handle is the same client
+        del handle
+        gc.collect()
+        assert not values(registry)
+
+
+def test_a_client_is_counted_once_however_often_it_is_added(registry: CollectorRegistry) -> None:
+    with served() as (_, url), Context.from_url(url) as plc:
+        for each in (plc, plc, plc.for_unit(2)):
+            collect(each, registry=registry)
+        plc.read_coils(0, 1)
+        plc.for_unit(9).read_coils(0, 1)
+        assert of(values(registry), "modbus_client_requests_sent_total", endpoint=url) == 2
+
+
+def test_a_counter_does_not_fall_when_one_of_two_clients_is_dropped(
+    registry: CollectorRegistry,
+) -> None:
+    """Prometheus would take that for a restart, and what is left for new."""
+    name = "modbus_client_requests_sent_total"
+    with served() as (_, url), Context.from_url(url) as stays:
+        collect(stays, registry=registry)
+        stays.read_coils(0, 1)
+        for already in (0, 3, 6):
+            with Context.from_url(url) as plc:
+                collect(plc, registry=registry)
+                for _ in range(3):
+                    plc.read_coils(0, 1)
+                assert of(values(registry), name, endpoint=url) == 1 + already + 3
+            del plc
+            gc.collect()
+            assert of(values(registry), name, endpoint=url) == 1 + already + 3
+            assert histogram(values(registry), url)[-1] == 1 + already + 3
+    del stays
+    gc.collect()
+    assert not values(registry)
+
+
+def test_clients_that_come_and_go_leave_nothing_though_nobody_scrapes(
+    registry: CollectorRegistry,
+) -> None:
+    stays = Context.from_url("tcp://127.0.0.1:1")
+    collector = collect(stays, registry=registry)
+    for turn in range(200):
+        for port in ("1", "2"):
+            collect(Context.from_url(f"tcp://127.0.0.1:{port}"), registry=registry)
+        if turn in (100, 199):
+            gc.collect()
+            collect(stays, registry=registry)
+            holders = [each for each in vars(collector).values() if hasattr(each, "__len__")]
+            assert max(map(len, holders)) <= 3
+    stays.close()
+
+
+def test_a_closed_server_stays_as_long_as_somebody_has_it(registry: CollectorRegistry) -> None:
+    with served() as (server, url), Context.from_url(url) as plc:
+        collect(server, registry=registry)
+        plc.read_coils(0, 1)
+    assert of(values(registry), "modbus_server_requests_total") == 1
+    assert of(values(registry), "modbus_server_connections") == 0
+    del server
+    gc.collect()
+    assert not values(registry)
+
+
+def test_what_is_neither_client_nor_server_is_refused(registry: CollectorRegistry) -> None:
+    server = Server(DEVICE)
+    for wrong in (DEVICE, None, "tcp://127.0.0.1"):
+        with pytest.raises(TypeError, match="objects must be clients, servers and gateways, not "):
+            collect(server, wrong, registry=registry)  # type: ignore[arg-type]
+    assert not values(registry)  # not the first one without the others
+
+
+def test_a_registry_has_one_collector_and_knows_its_names(registry: CollectorRegistry) -> None:
+    server = Server(DEVICE)
+    assert collect(server, registry=registry) is collect(registry=registry)
+    other = CollectorRegistry()
+    assert collect(server, registry=other) is not collect(registry=registry)
+    assert of(values(other), "modbus_server_requests_total") == 0
+    with pytest.raises(ValueError, match="modbus_client_requests"):
+        registry.register(Collector())
+
+
+# --- while others work -----------------------------------------------------------------------
+
+
+def test_scrapes_during_load_are_right_and_never_go_back(registry: CollectorRegistry) -> None:
+    """Two threads ask for changing functions, two scrape."""
+    found: list[list[float]] = []
+    errors: list[BaseException] = []
+    done = threading.Event()
+
+    def scrape() -> None:
+        seen = []
+        try:
+            while not done.is_set():
+                now = values(registry)
+                seen.append(of(now, "modbus_client_requests_sent_total", endpoint=url))
+                counts = histogram(now, url)
+                assert counts == sorted(counts)
+        except BaseException as error:
+            errors.append(error)
+        found.append(seen)
+
+    def ask() -> None:
+        with Context.from_url(url) as client:
+            collect(client, registry=registry)
+            clients.append(client)
+            for turn in range(200):
+                client.read_coils(0, 1)
+                client.write_register(turn % 100, turn)
+                if turn % 100 == 0:
+                    with contextlib.suppress(IllegalDataAddress):
+                        client.read_input_registers(0, 1)
+
+    clients: list[Context] = []
+    with served() as (server, url), Context.from_url(url) as plc:
+        collect(server, plc, registry=registry)
+        threads = [threading.Thread(target=each) for each in (scrape, scrape, ask, ask)]
+        for thread in threads:
+            thread.start()
+        for thread in threads[2:]:
+            thread.join()
+        done.set()
+        for thread in threads[:2]:
+            thread.join()
+        now = values(registry)
+    assert not errors
+    assert all(seen == sorted(seen) and seen for seen in found)
+    name = "modbus_client_requests_total"
+    assert of(now, name, endpoint=url, function="1", result="ok") == 400
+    assert of(now, name, endpoint=url, function="6", result="ok") == 400
+    assert of(now, name, endpoint=url, function="4", result="exception") == 4
+    assert of(now, "modbus_server_requests_total") == 804
+
+
+def test_a_scrape_may_meet_results_that_are_new(registry: CollectorRegistry) -> None:
+    """A dictionary that grows cannot be gone through."""
+
+    def grow() -> None:
+        while not done.is_set():
+            for function in range(1000):
+                plc.statistics.note(function, "ok")
+            plc.statistics.results.clear()
+
+    done = threading.Event()
+    plc = Context.from_url("tcp://127.0.0.1:1")
+    collect(plc, registry=registry)
+    thread = threading.Thread(target=grow)
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(1e-5)
+    try:
+        thread.start()
+        for _ in range(50):
+            generate_latest(registry)
+    finally:
+        sys.setswitchinterval(interval)
+        done.set()
+        thread.join()
+    plc.close()
+
+
+def test_requests_know_nothing_of_collectors(registry: CollectorRegistry) -> None:
+    """All that a client has is as it was before; and no file below imports this one."""
+    with served() as (server, url), Context.from_url(url) as plc:
+        seen = [list(map(id, gc.get_referents(each))) for each in (plc, server, plc.statistics)]
+        collect(server, plc, registry=registry)
+        again = [list(map(id, gc.get_referents(each))) for each in (plc, server, plc.statistics)]
+        assert again == seen
+    program = "import sys, libmodbus_py; print([n for n in sys.modules if 'prometheus' in n])"
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert run.stdout == "[]\n"
+
+
+def test_without_prometheus_client_the_extra_is_named() -> None:
+    program = (
+        "import sys; sys.modules['prometheus_client'] = None\n"
+        "import libmodbus_py.services.integrations.prometheus"
+    )
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    last = run.stderr.splitlines()[-1]
+    assert last == (
+        "ImportError: metrics need prometheus_client: pip install 'libmodbus-py[metrics]'"
+    )
+
+
+# --- over HTTP ------------------------------------------------------------------------------
+
+
+def fetched(url: str) -> Scraped:
+    with urllib.request.urlopen(url, timeout=20) as answer:
+        assert answer.headers["Content-Type"].startswith("text/plain")
+        return parsed(answer.read().decode())
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "::1"])
+def test_metrics_are_exposed_while_the_block_runs(registry: CollectorRegistry, host: str) -> None:
+    server = Server(DEVICE)
+    collect(server, registry=registry)
+    threads = threading.active_count()
+    with exposing(host, 0, registry) as url:
+        assert of(fetched(url), "modbus_server_connections") == 0
+        assert host in url
+    until(lambda: threading.active_count() <= threads)  # a timer that was cancelled ends soon
+    with pytest.raises(OSError, match="refused"):
+        urllib.request.urlopen(url, timeout=5)
+
+
+@pytest.fixture
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Who asks for metrics has less time for it."""
+    monkeypatch.setattr(exposition, "PATIENCE", 0.5)
+
+
+@pytest.mark.usefixtures("impatient")
+def test_whoever_asks_nothing_does_not_keep_others_for_long(registry: CollectorRegistry) -> None:
+    server = Server(DEVICE)
+    collect(server, registry=registry)
+    with exposing("127.0.0.1", 0, registry) as url:
+        port = int(url.split(":")[2].partition("/")[0])
+        with socket.create_connection(("127.0.0.1", port)) as idle:
+            idle.sendall(b"GET ")
+            assert of(fetched(url), "modbus_server_connections") == 0
+        with socket.create_connection(("127.0.0.1", port)) as rude:
+            rude.sendall(b"\0\1\2 nonsense\r\n\r\n" * 100)
+        assert of(fetched(url), "modbus_server_connections") == 0
+
+
+@pytest.mark.usefixtures("impatient")
+def test_whoever_asks_slowly_does_not_keep_others_for_long(registry: CollectorRegistry) -> None:
+    """A byte now and then is no reason to wait for the next one; nor is it when all ends."""
+    server = Server(DEVICE)
+    collect(server, registry=registry)
+    done = threading.Event()
+
+    def trickle(peer: socket.socket) -> None:
+        with contextlib.suppress(OSError):
+            while not done.wait(0.05):
+                peer.sendall(b"x")
+
+    with contextlib.ExitStack() as stack:
+        with exposing("127.0.0.1", 0, registry) as url:
+            port = int(url.split(":")[2].partition("/")[0])
+            for _ in range(2):
+                peer = stack.enter_context(socket.create_connection(("127.0.0.1", port)))
+                thread = threading.Thread(target=trickle, args=(peer,))
+                thread.start()
+                stack.callback(thread.join)
+                stack.callback(done.set)
+            assert of(fetched(url), "modbus_server_connections") == 0
+            stack.enter_context(socket.create_connection(("127.0.0.1", port))).sendall(b"GET")
+        assert not done.is_set()
+
+
+ARGUMENTS = ["serve", "tcp://127.0.0.1:0"]
+
+COMMAND = [sys.executable, "-m", "libmodbus_py", *ARGUMENTS]
+
+
+@pytest.mark.parametrize(
+    ("address", "stop"), [("127.0.0.1:0", signal.SIGTERM), ("[::1]:0", signal.SIGINT)]
+)
+def test_serve_exposes_its_metrics(address: str, stop: int) -> None:
+    command = [*COMMAND, "--metrics", address]
+    pipes: Any = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    with subprocess.Popen(command, **pipes) as process:
+        try:
+            assert process.stdout is not None
+            line = process.stdout.readline()
+            found = re.fullmatch(r"metrics on (http://(\S+):\d+/metrics)\n", line)
+            assert found, line
+            assert found[2] == address.removesuffix(":0")
+            url = process.stdout.readline().removeprefix("listening on ").rstrip("\n")
+            with Context.from_url(url, timeout=5) as plc:
+                plc.read_holding_registers(0, 1)
+                scraped = fetched(found[1])
+            assert of(scraped, "modbus_server_requests_total") == 1
+            assert of(scraped, "modbus_server_connections") == 1
+            assert ("process_open_fds", ()) in scraped
+            process.send_signal(stop)
+            assert process.wait(20) == 0
+            assert process.stderr is not None
+            assert process.stderr.read() == ""
+        finally:
+            process.kill()
+
+
+def test_serve_says_when_the_port_of_metrics_is_taken(capsys: pytest.CaptureFixture[str]) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        place = f"127.0.0.1:{taken.getsockname()[1]}"
+        assert main([*ARGUMENTS, "--metrics", place]) == 1
+    told = capsys.readouterr()
+    assert told.out == ""
+    wanted = f"libmodbus-py: cannot listen for metrics on {place}: Address already in use\n"
+    assert told.err == wanted
+
+
+def test_serve_says_what_an_address_of_metrics_is(capsys: pytest.CaptureFixture[str]) -> None:
+    for wrong in ("9400", "127.0.0.1", ":9400", "127.0.0.1:x", "::1:9400", "a/b:1"):
+        with pytest.raises(SystemExit) as ended:
+            main([*ARGUMENTS, "--metrics", wrong])
+        told = capsys.readouterr().err
+        assert ended.value.code == 2, wrong
+        assert f"must be HOST:PORT, such as 127.0.0.1:9400, not {wrong!r}" in told
+        assert told.count("\n") == 1, wrong
+
+
+def test_serve_says_which_extra_is_missing() -> None:
+    program = (
+        "import sys; sys.modules['prometheus_client'] = None\n"
+        "from libmodbus_py.cli.main import main\n"
+        "sys.exit(main(['serve', 'tcp://127.0.0.1:0', '--metrics', '127.0.0.1:0']))"
+    )
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert (run.returncode, run.stdout) == (1, "")
+    wanted = "metrics need prometheus_client: pip install 'libmodbus-py[metrics]'"
+    assert run.stderr == f"libmodbus-py: {wanted}\n"
+
+
+# --- gateways ---------------------------------------------------------------------------------
+
+
+def test_a_gateway_tells_of_its_lines_and_units() -> None:
+    registry = CollectorRegistry()
+    with Server({5: DEVICE}).background("tcp://127.0.0.1:0") as behind:
+        line = behind.urls[0]
+        gateway = Gateway([Route(f"{line}?timeout=2", units=range(5, 7))])
+        collect(gateway, registry=registry, name="hall")
+        with (
+            gateway.background("tcp://127.0.0.1:0") as running,
+            Context.from_url(running.urls[0], unit=5) as plc,
+        ):
+            for _ in range(3):
+                plc.read_holding_registers(0, 1)
+            with pytest.raises(IllegalDataAddress):
+                plc.read_holding_registers(100, 1)
+            with pytest.raises(GatewayTargetFailedToRespond):
+                plc.for_unit(6).read_coils(0, 1)
+            found = values(registry)
+    of_gateway = {name: count for (name, labels), count in found.items() if not labels[1:]}
+    assert of_gateway["modbus_gateway_requests_total"] == 5
+    place = (("line", line), ("server", "hall"))
+    assert found["modbus_gateway_line_full_total", place] == 0
+    assert found["modbus_gateway_line_waiting", place] == 0
+    unit = (*place, ("unit", "5"))
+    assert found["modbus_gateway_unit_requests_total", unit] == 4
+    assert found["modbus_gateway_unit_exceptions_total", unit] == 1
+    assert found["modbus_gateway_unit_is_silent", unit] == 0
+    client = (("endpoint", line), ("server", "hall"))
+    assert found["modbus_client_connects_total", client] == 1
+    assert found["modbus_server_accepted_total", (("server", "hall"),)] == 1
+
+
+def test_a_gateway_tells_a_browser() -> None:
+    command = [sys.executable, "-m", "libmodbus_py", "gateway", "tcp://127.0.0.1:0"]
+    command += ["--to", "tcp://127.0.0.1:9", "--metrics", "127.0.0.1:0"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        address = process.stdout.readline().removeprefix("metrics on ").strip()
+        process.stdout.readline()
+        try:
+            with urllib.request.urlopen(address, timeout=20) as answer:
+                assert "modbus_gateway_requests_total 0.0" in answer.read().decode()
+        finally:
+            process.send_signal(signal.SIGTERM)
+            assert process.wait(20) == 0

@@ -1,0 +1,168 @@
+"""
+A bucket and a client of an engine in memory, and a clock that moves to whatever is next.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import selectors
+from collections.abc import Awaitable, Callable, Coroutine
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+from libmodbus_py.services.engine.buckets import Change
+from libmodbus_py.services.engine.troubles import EngineError
+
+Result = TypeVar("Result")
+
+
+class _Selector(selectors.DefaultSelector):
+    """Waits for nothing: time passes at once."""
+
+    now = 1000.0
+
+    def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
+        ready = super().select(0)
+        if not ready:
+            assert timeout is not None, "everybody waits, and nothing will ever happen"
+            self.now += max(0.0, timeout)
+        return ready
+
+
+class _Loop(asyncio.SelectorEventLoop):
+    def __init__(self) -> None:
+        self._clock = _Selector()
+        super().__init__(self._clock)
+
+    def time(self) -> float:
+        return self._clock.now
+
+
+def run(main: Coroutine[Any, Any, Result]) -> Result:
+    """Run a coroutine in simulated time; no task may be left."""
+    with asyncio.Runner(loop_factory=_Loop) as runner:
+
+        async def whole() -> Result:
+            result = await main
+            assert asyncio.all_tasks() == {asyncio.current_task()}
+            return result
+
+        return runner.run(whole())
+
+
+def now() -> float:
+    """The simulated time."""
+    return asyncio.get_running_loop().time()
+
+
+@dataclass
+class Message:
+    """What came to a subject."""
+
+    subject: str
+    data: bytes
+    reply: str = ""
+
+
+class MemoryClient:
+    """
+    A connection to the engine.
+
+    Attributes:
+        published: subject and data of each message.
+        is_broken: whether `publish` fails.
+    """
+
+    max_payload = 1 << 20
+
+    def __init__(self) -> None:
+        self.is_connected = True
+        self.is_broken = False
+        self.published: list[tuple[str, bytes]] = []
+        self.subscribed: dict[str, Callable[[Any], Awaitable[None]]] = {}
+
+    async def subscribe(self, subject: str, cb: Callable[[Any], Awaitable[None]]) -> None:
+        self.subscribed[subject] = cb
+
+    async def publish(self, subject: str, data: bytes) -> None:
+        if self.is_broken:
+            raise ConnectionError
+        self.published.append((subject, data))
+
+    async def deliver(self, subject: str, data: bytes, reply: str = "") -> None:
+        for take in self.subscribed.values():
+            await take(Message(subject, data, reply))
+
+
+class MemoryWatch:
+    """See `libmodbus_py.services.engine.buckets.Watch`."""
+
+    def __init__(self, bucket: MemoryBucket, on_change: Callable[[Change | None], None]) -> None:
+        self.is_broken = False
+        self.on_change = on_change
+        self._bucket = bucket
+
+    async def end(self) -> None:
+        self.is_broken = True
+        self._bucket.watches.remove(self)
+
+
+class MemoryBucket:
+    """
+    A key-value bucket; see `libmodbus_py.services.engine.buckets.Bucket`.
+
+    Attributes:
+        error: raised by each call, if there is one.
+        is_mute: whether a watch is told nothing of what is there.
+        holds: whether writes take until this is over.
+        watched: how often somebody began to watch.
+        watches: those that go on.
+        puts: keys and values that somebody wanted written.
+    """
+
+    name = "modbus-fleet"
+
+    def __init__(self) -> None:
+        self.client = MemoryClient()
+        self.values: dict[str, tuple[bytes | None, int]] = {}
+        self.error: EngineError | None = None
+        self.is_mute = False
+        self.holds: asyncio.Event | None = None
+        self.watched = 0
+        self.watches: list[MemoryWatch] = []
+        self.puts: list[tuple[str, bytes | None]] = []
+        self._revisions = itertools.count(1)
+
+    async def put(self, key: str, value: bytes | None, last: int) -> int:
+        self.puts.append((key, value))
+        if self.holds is not None:
+            await self.holds.wait()
+        await asyncio.sleep(0)
+        if self.error is not None:
+            raise self.error
+        if self.values.get(key, (None, 0))[1] != last:
+            return 0
+        revision = self.write(key, value)
+        return 1 if value is None else revision
+
+    def write(self, key: str, value: bytes | None) -> int:
+        """Write without a condition, and tell all who watch."""
+        revision = next(self._revisions)
+        self.values[key] = value, revision
+        for watch in list(self.watches):
+            watch.on_change(Change(key, value, revision))
+        return revision
+
+    async def watch(self, on_change: Callable[[Change | None], None]) -> MemoryWatch:
+        await asyncio.sleep(0)
+        if self.error is not None:
+            raise self.error
+        self.watched += 1
+        watch = MemoryWatch(self, on_change)
+        self.watches.append(watch)
+        if not self.is_mute:
+            for key, (value, revision) in sorted(self.values.items(), key=lambda each: each[1][1]):
+                on_change(Change(key, value, revision))
+            on_change(None)
+        return watch

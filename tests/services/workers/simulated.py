@@ -1,0 +1,234 @@
+"""
+Workers around a bucket, in simulated time: messages are late, writes are late or lost, clocks
+go wrong, processes stop. Every asking is recorded at its real time.
+"""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+import random
+from dataclasses import dataclass, field
+
+from libmodbus_py.services.workers.records import Connection, Settings
+from libmodbus_py.services.workers.view import Entry
+from libmodbus_py.services.workers.worker import Put, Worker
+
+LEASE = 10.0
+TICK = 0.1
+TIMEOUT = 0.5
+
+
+class Bucket:
+    """One stream with one value for each key, written on conditions."""
+
+    def __init__(self) -> None:
+        self.revision = 0
+        self.latest: dict[str, Entry] = {}
+        self.watchers: list[Process] = []
+
+    def put(self, put: Put) -> int:
+        """Give the revision, or 0."""
+        known = self.latest.get(put.key)
+        if (known.revision if known else 0) != put.last:
+            return 0
+        self.write(put.key, put.value)
+        return self.revision
+
+    def write(self, key: str, value: bytes | None) -> None:
+        self.revision += 1
+        self.latest[key] = entry = Entry(key, value, self.revision)
+        for watcher in self.watchers:
+            watcher.send(entry)
+
+    def purge(self, *keys: str) -> None:
+        """Without telling anybody."""
+        for key in keys or list(self.latest):
+            self.latest.pop(key, None)
+
+
+@dataclass
+class Process:
+    """A worker with a clock, and ways to the bucket and back."""
+
+    world: World
+    name: str
+    zones: tuple[str, ...]
+    rate: float
+    offset: float
+    delay: float = 0.01
+    is_cut: bool = False
+    is_stopped: bool = False
+    inbox: list[tuple[float, int, Entry | None]] = field(default_factory=list)
+    counter: itertools.count[int] = field(default_factory=itertools.count)
+    # When it watches again, if it has lost something.
+    again_at: float | None = 0.0
+    open: set[str] = field(default_factory=set)
+
+    def __post_init__(self) -> None:
+        self.worker = Worker(self.new_id, self.zones)
+
+    def new_id(self) -> str:
+        return f"{self.name}.{next(self.world.nonces)}"
+
+    @property
+    def now(self) -> float:
+        return self.offset + self.rate * self.world.now
+
+    def send(self, entry: Entry | None) -> None:
+        """From the bucket: in order, at some time."""
+        if self.is_cut or self.again_at is not None:
+            # A gap: nothing comes after it before all is read again.
+            self.again_at = self.again_at or self.world.now + 1
+            return
+        last = self.inbox[-1][0] if self.inbox else 0.0
+        at = max(last, self.world.now + self.delay * self.world.random.random())
+        self.inbox.append((at, next(self.counter), entry))
+
+    def watch(self) -> None:
+        self.again_at = None
+        self.inbox.clear()
+        self.worker.begins()
+        for entry in sorted(self.world.bucket.latest.values(), key=lambda each: each.revision):
+            self.send(entry)
+        self.send(None)
+
+    def turn(self) -> None:
+        """One round of its loop; what waits in the inbox comes before or after its clock."""
+        if self.is_stopped:
+            return
+        if self.again_at is not None and not self.is_cut and self.world.now >= self.again_at:
+            self.watch()
+        ready = [each for each in self.inbox if each[0] <= self.world.now]
+        if self.world.random.random() < 0.2:
+            ready = ready[: self.world.random.randrange(len(ready) + 1)]
+        for each in ready:
+            self.inbox.remove(each)
+            entry = each[2]
+            if entry is None:
+                self.worker.is_synced(self.now)
+            else:
+                self.worker.saw(entry, self.now)
+        puts = self.worker.step(self.now)
+        self.world.cut_off(self, self.open - set(self.worker.active))
+        self.open = set(self.worker.active)
+        for put in puts:
+            self.write(put)
+        if self.again_at is None and self.worker.is_blind(self.now):
+            self.again_at = self.world.now
+
+    def write(self, put: Put) -> None:
+        chance = self.world.random.random()
+        if self.is_cut:
+            # What a client keeps for when it is connected again.
+            if chance < 0.02:
+                self.world.later(chance * 500, put, self)
+        else:
+            self.world.later(self.delay * chance, put, self)
+
+
+class World:
+    """All of it; what happens is decided by a seed and by who calls the methods."""
+
+    def __init__(self, seed: int) -> None:
+        self.random = random.Random(seed)
+        self.now = 1000.0
+        self.nonces = itertools.count(1)
+        self.bucket = Bucket()
+        self.bucket.write("settings", Settings(LEASE).encode())
+        self.processes: list[Process] = []
+        self.writes: list[tuple[float, int, Put, Process]] = []
+        self.confirmed: list[tuple[float, int, Put, Process, int]] = []
+        self.order = itertools.count()
+        # Of each connection: who asked it last, and until when its answer may come.
+        self.asked: dict[str, tuple[Process, float]] = {}
+        self.polls = 0
+        self.last_asked: dict[str, float] = {}
+        self.doubles: list[str] = []
+        self.connections: dict[str, Connection] = {}
+
+    def start(self, *zones: str) -> Process:
+        random = self.random
+        process = Process(
+            self,
+            random.choice("abc"),
+            zones or ("",),
+            random.uniform(0.95, 1.05),
+            random.uniform(0, 1e6),
+        )
+        self.processes.append(process)
+        self.bucket.watchers.append(process)
+        process.watch()
+        return process
+
+    def kill(self, process: Process) -> None:
+        self.processes.remove(process)
+        self.bucket.watchers.remove(process)
+
+    def configure(self, number: int, zone: str = "") -> None:
+        """Have a connection in a zone, and in no other one."""
+        connection = Connection(zone, f"tcp:192.0.2.{number}:502", TIMEOUT, "[]")
+        before = self.connections.get(connection.key)
+        self.connections[connection.key] = connection
+        self.bucket.write(connection.bucket_key, connection.encode())
+        if before is not None and before.bucket_key != connection.bucket_key:
+            self.bucket.write(before.bucket_key, None)
+
+    def unconfigure(self, number: int) -> None:
+        known = self.connections.pop(f"tcp:192.0.2.{number}:502", None)
+        if known is not None:
+            self.bucket.write(known.bucket_key, None)
+
+    def later(self, delay: float, put: Put, sender: Process) -> None:
+        heapq.heappush(self.writes, (self.now + delay, next(self.order), put, sender))
+
+    def write(self) -> None:
+        """What has arrived, and what was confirmed: perhaps while its sender sees nothing."""
+        while self.writes and self.writes[0][0] <= self.now:
+            _, _, put, sender = heapq.heappop(self.writes)
+            revision = self.bucket.put(put)
+            if revision and not sender.is_cut:
+                at = self.now + sender.delay * self.random.random()
+                entry = (at, next(self.order), put, sender, revision)
+                heapq.heappush(self.confirmed, entry)
+        while self.confirmed and self.confirmed[0][0] <= self.now:
+            _, _, put, sender, revision = heapq.heappop(self.confirmed)
+            if not sender.is_stopped:
+                sender.worker.was_written(put, revision)
+
+    def run(self, seconds: float) -> None:
+        until = self.now + seconds
+        while self.now < until:
+            self.now += TICK * self.random.uniform(0.2, 1)
+            self.write()
+            for process in self.random.sample(self.processes, len(self.processes)):
+                self.ask(process)
+                process.turn()
+                self.ask(process)
+
+    def ask(self, process: Process) -> None:
+        """Whatever may be asked is asked."""
+        if process.is_stopped:
+            return
+        for key in process.worker.active:
+            if process.worker.may_ask(key, process.now):
+                self._asked(process, key)
+
+    def _asked(self, process: Process, key: str) -> None:
+        self.polls += 1
+        self.last_asked[key] = self.now
+        other, until = self.asked.get(key, (process, 0.0))
+        if other is not process and self.now < until:
+            self.doubles.append(f"{self.now:.2f} {key}: {process.worker.lease.id}")
+        self.asked[key] = process, self.now + TIMEOUT * 0.9
+
+    def cut_off(self, process: Process, keys: set[str]) -> None:
+        """Whoever is asked no more is not waited for, either."""
+        for key in keys:
+            if self.asked.get(key, (None,))[0] is process:
+                del self.asked[key]
+
+    @property
+    def unasked(self) -> list[str]:
+        """Those that are there, and were not asked for a while."""
+        return [key for key in self.connections if self.last_asked.get(key, 0) < self.now - 1]

@@ -1,0 +1,184 @@
+"""
+The files in deploy/: three servers with TLS between them, a worker and a viewer who prove who
+they are; and what their own tools say to them.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import re
+import shutil
+import signal
+import ssl
+import subprocess
+import time
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from fuzz.asked_devices import UNITS, Workers, asked_devices, fleet_file, until
+from fuzz.nats_servers import NatsServers, free_ports
+from libmodbus_py.cli.main import main
+from libmodbus_py.services.workers.polling import BUCKET
+
+nats = pytest.importorskip("nats")
+
+# Servers elect a leader within ten seconds, on a machine that does nothing else.
+PATIENCE = 90.0
+
+POLLER = {"NATS_USER": "poller", "NATS_PASSWORD": "POLLER_PASSWORD-x"}
+
+DEPLOY = Path(__file__).parents[3] / "deploy"
+
+
+@pytest.mark.timeout(300)
+def test_the_configuration_of_nats_works_as_it_stands(tmp_path, monkeypatch, capsys):
+    """And a worker waits for servers that are still starting, and bears the loss of a leader."""
+    subprocess.run(
+        [str(DEPLOY / "certificates.sh"), str(tmp_path), "127.0.0.1"], check=True, timeout=30
+    )
+    certificates = tmp_path / "127.0.0.1"
+    ca = tmp_path / "ca.pem"
+    for name in ("POLLER_PASSWORD", "VIEWER_PASSWORD"):
+        monkeypatch.setenv(name, f"{name}-x")
+    for name in ("NATS_NAME", "NATS_ROUTE_1", "NATS_ROUTE_2"):
+        monkeypatch.setenv(name, "nats-route://127.0.0.1:1")
+    for name, value in POLLER.items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.setenv("NATS_CA", str(ca))
+    monkeypatch.setattr("libmodbus_py.cli.serve.fleet.ELECTION", 0.5)
+    mqtt = free_ports(3)
+
+    def config(number: int) -> str:
+        """As it stands, but for places and ports: three share a machine here."""
+        text = (DEPLOY / "nats-server.conf").read_text().replace("/etc/nats", str(certificates))
+        text = text.replace("0.0.0.0:8883", f"127.0.0.1:{mqtt[number]}")
+        return re.sub(r"\n  (routes|store_dir): .*", "", text)
+
+    with (
+        NatsServers(3, config=config) as servers,
+        asked_devices(1) as (urls, asked),
+    ):
+        # They may have elected a leader meanwhile, who is not the same after a new start.
+        for number in range(3):
+            servers.kill(number)
+        servers.start(0)
+        file = fleet_file(tmp_path, urls, interval=0.3, engine="lease = 2")
+        engine = servers.urls.replace("nats:", "tls:")
+        push = ["poll", str(file), "--engine", engine, "--push"]
+
+        # No leader is elected by one of three.
+        assert main(push) == 1
+        assert "are most of its servers up?" in capsys.readouterr().err.splitlines()[-1]
+        monkeypatch.setenv("NATS_CA", "")
+        assert main([*push, "--engine", engine.partition(",")[0]]) == 1
+        assert "certificate is not trusted" in capsys.readouterr().err
+        monkeypatch.setenv("NATS_CA", str(ca))
+
+        with Workers(file, tmp_path) as workers:
+            workers.start("a", engine)
+            workers.start("b", engine)
+            for name in ("a", "b"):
+                until(partial(_is_waiting, workers, name), PATIENCE)
+            workers.signal("a", signal.SIGINT)
+            assert workers.ended("a") == 130
+            assert "Traceback" not in workers.said("a")
+            # With two of three there is a leader, but no place for three copies.
+            servers.start(1)
+            until(lambda: "too few of its servers are up" in workers.said("b"), PATIENCE)
+            assert asked.polls == 0
+            servers.start(2)
+            until(lambda: asked.polls > 0, PATIENCE)
+            told = workers.said("b").splitlines()
+            assert len(told) == len(set(told))
+
+            looking = ["mosquitto_sub", "-h", "127.0.0.1", "-p", str(mqtt[0])]
+            looking += ["-u", "viewer", "-P", "VIEWER_PASSWORD-x", "-t", "modbus/readings/#"]
+            looking += ["--cafile", str(ca), "-C", "1", "-W", "20"]
+            heard = subprocess.run(looking, capture_output=True, text=True, timeout=30)
+            assert json.loads(heard.stdout)["values"]["level"]["quality"] == "good", heard.stderr
+            asyncio.run(_viewer_may_only_look(engine, ca))
+
+            servers.kill(asyncio.run(_leader(engine, ca)))
+            # A lease that nobody confirms is over by then.
+            lost = time.monotonic() + 2.0
+            until(lambda: asked.since(lost) == UNITS, PATIENCE)
+            workers.signal("b", signal.SIGTERM)
+            assert workers.ended("b") == 0
+        assert asked.doubles == 0
+
+
+def _is_waiting(workers: Workers, name: str) -> bool:
+    said = workers.said(name)
+    return "waiting for the engine" in said and ("no leader" in said or "no answer" in said)
+
+
+async def _leader(engine: str, ca: Path) -> int:
+    """Return the number of the server that leads the bucket of the fleet."""
+    client = await nats.connect(
+        engine.split(","),
+        user=POLLER["NATS_USER"],
+        password=POLLER["NATS_PASSWORD"],
+        tls=ssl.create_default_context(cafile=ca),
+    )
+    try:
+        info = await client.jetstream().stream_info(f"KV_{BUCKET}")
+        return int(info.cluster.leader[1:])
+    finally:
+        await client.close()
+
+
+async def _viewer_may_only_look(engine: str, ca: Path) -> None:
+    refused: list[str] = []
+    trusting = ssl.create_default_context(cafile=ca)
+    trusting.verify_flags |= ssl.VERIFY_X509_STRICT  # as from Python 3.13 on
+
+    async def note(error: Exception) -> None:
+        refused.append(str(error))
+
+    client = await nats.connect(
+        engine.split(","),
+        user="viewer",
+        password="VIEWER_PASSWORD-x",
+        tls=trusting,
+        error_cb=note,
+    )
+    try:
+        for subject in ("modbus.write.d0-1.setpoint", "$KV.modbus-fleet.settings"):
+            await client.publish(subject, b"20")
+        await client.flush()
+        until_two = 100
+        while len(refused) < 2 and until_two:
+            until_two -= 1
+            await asyncio.sleep(0.05)
+        assert len(refused) == 2
+        assert all("permissions violation" in each.lower() for each in refused)
+    finally:
+        await client.close()
+
+
+@pytest.mark.skipif(not shutil.which("systemd-analyze"), reason="no systemd here")
+def test_systemd_takes_the_unit(tmp_path):
+    text = (DEPLOY / "libmodbus-py-poll.service").read_text()
+    unit = tmp_path / "libmodbus-py-poll.service"
+    # Its program is not installed here.
+    unit.write_text(text.replace("/opt/libmodbus-py/bin/libmodbus-py", "/bin/true"))
+    done = subprocess.run(
+        ["systemd-analyze", "verify", str(unit)], capture_output=True, text=True, timeout=30
+    )
+    told = [line for line in done.stderr.splitlines() if unit.name in line]
+    assert told == []
+
+
+def test_what_compose_mounts_and_reads_is_explained_beside_it():
+    """The client for compose files is no package of Debian; names at least must be right."""
+    text = (DEPLOY / "compose.yaml").read_text()
+    conf = (DEPLOY / "nats-server.conf").read_text()
+    for path in re.findall(r'_file: "(/etc/nats/[\w.]+)"', conf):
+        assert f":{path}:ro" in text
+    assert "- nats:/var/lib/nats\n" in text
+    variables = set(re.findall(r'(?<!")\$([A-Z_0-9]+)', conf)) | {"NATS_NAME"}
+    example = (DEPLOY / "nats.env.example").read_text()
+    assert variables == set(re.findall(r"^([A-Z_0-9]+)=", example, re.MULTILINE))

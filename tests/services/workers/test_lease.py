@@ -1,0 +1,165 @@
+"""
+How a worker counts its lease, when it must read all again, and what a fleet file may say of it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+
+from libmodbus_py.services.workers.lease import Lease
+from libmodbus_py.services.workers.pushing import settings_of
+from libmodbus_py.services.workers.records import SETTINGS, Member, Settings
+from libmodbus_py.services.workers.view import Entry, View
+from libmodbus_py.services.workers.worker import Worker
+
+LEASE = 10.0
+
+
+def member(beat: int, state: Any = "here", id: str = "a.1") -> Member:
+    return Member(id, state, ("",), LEASE, beat)
+
+
+class TestLease:
+    def test_it_begins_when_its_value_was_sent_and_is_used_in_part(self) -> None:
+        lease = Lease("a.1")
+        assert lease.next_beat(100.0, LEASE, False) == 1
+        assert lease.until == -math.inf
+        lease.came_back(member(1))
+        assert lease.until == 109.0
+        assert lease.joined
+
+    def test_who_has_not_joined_has_none_although_it_was_written(self) -> None:
+        lease = Lease("a.1")
+        lease.next_beat(100.0, LEASE, False)
+        lease.is_confirmed(1, 7)
+        assert (lease.until, lease.revision) == (-math.inf, 7)
+
+    def test_a_confirmation_extends_it_and_an_older_one_takes_nothing_back(self) -> None:
+        lease = Lease("a.1")
+        lease.next_beat(100.0, LEASE, False)
+        lease.came_back(member(1))
+        assert lease.next_beat(105.0, LEASE, False) == 2
+        assert lease.next_beat(108.0, LEASE, False) == 3
+        lease.is_confirmed(3, 9)
+        assert (lease.until, lease.revision) == (117.0, 9)
+        lease.is_confirmed(2, 8)
+        assert (lease.until, lease.revision) == (117.0, 9)
+
+    def test_a_value_that_was_never_sent_extends_nothing(self) -> None:
+        lease = Lease("a.1")
+        lease.next_beat(100.0, LEASE, False)
+        lease.came_back(member(5))
+        assert lease.until == -math.inf
+
+    @pytest.mark.parametrize(
+        ("is_granted", "hurry", "pause"),
+        [(True, False, 1.0), (False, False, 2.0), (True, True, 0.1), (False, True, 0.1)],
+    )
+    def test_it_is_asked_for_again_in_time(
+        self, is_granted: bool, hurry: bool, pause: float
+    ) -> None:
+        lease = Lease("a.1")
+        lease.next_beat(100.0, LEASE, False)
+        if is_granted:
+            lease.came_back(member(1))
+        assert lease.next_beat(100.0 + pause - 0.001, LEASE, hurry) is None
+        assert lease.next_beat(100.0 + pause, LEASE, hurry) == 2
+
+
+class TestBlindness:
+    def _worker(self) -> Worker:
+        worker = Worker(lambda: "a.1", {""})
+        worker.begins()
+        worker.saw(Entry(SETTINGS, Settings(LEASE).encode(), 1), 0.0)
+        return worker
+
+    def test_who_is_reading_is_not_blind(self) -> None:
+        worker = self._worker()
+        assert not worker.is_blind(1000.0)
+        worker.is_synced(0.0)
+        assert worker.is_blind(1000.0)
+        worker.begins()
+        assert not worker.is_blind(1000.0)
+
+    def test_who_knows_of_no_fleet_is_not_blind(self) -> None:
+        worker = Worker(lambda: "a.1", {""})
+        worker.begins()
+        worker.is_synced(0.0)
+        assert not worker.is_blind(1000.0)
+
+    def test_who_does_not_see_its_own_values_is_blind(self) -> None:
+        worker = self._worker()
+        worker.is_synced(0.0)
+        assert not worker.is_blind(2.9)
+        assert worker.is_blind(3.1)
+        worker.saw(Entry("worker.a.1", member(1).encode(), 2), 3.0)
+        assert not worker.is_blind(5.9)
+        assert worker.is_blind(6.1)
+
+    def test_all_is_read_again_after_a_while(self) -> None:
+        worker = self._worker()
+        worker.is_synced(0.0)
+        for at in range(1, 700):
+            worker.saw(Entry("worker.a.1", member(at).encode(), 1 + at), float(at))
+            assert worker.is_blind(float(at)) == (at > 60 * LEASE)
+
+
+class TestView:
+    def test_a_worker_that_is_deleted_and_never_ended_has_vanished(self) -> None:
+        view = View()
+        view.add(Entry("worker.a.1", member(1).encode(), 1), 5.0)
+        view.add(Entry("worker.b.1", member(1, "ended", "b.1").encode(), 2), 5.0)
+        assert sorted(view.members) == ["a.1", "b.1"]
+        view.add(Entry("worker.a.1", None, 3), 6.0)
+        view.add(Entry("worker.b.1", None, 4), 7.0)
+        assert view.members == {}
+        assert list(view.vanished.values()) == [6.0]
+
+    def test_what_is_known_is_not_taken_again(self) -> None:
+        view = View()
+        assert view.add(Entry("worker.a.1", member(2).encode(), 2), 5.0)
+        assert not view.add(Entry("worker.a.1", member(1).encode(), 1), 6.0)
+        assert not view.add(Entry("worker.a.1", member(2).encode(), 2), 6.0)
+        assert view.members["a.1"].beat == 2
+        assert view.seen["worker.a.1"] == (2, 5.0)
+        assert view.revision == 2
+
+
+class TestSettings:
+    def test_usual_settings(self) -> None:
+        assert settings_of({}) == Settings(10.0, "stop", False, {})
+
+    def test_all_of_them(self) -> None:
+        given = {
+            "lease": 0.5,
+            "on_engine_loss": "continue",
+            "commands": True,
+            "max_age": 60,
+            "max_bytes": 1 << 16,
+        }
+        limits = {"max_age": 60, "max_bytes": 1 << 16}
+        assert settings_of(given) == Settings(0.5, "continue", True, limits)
+        assert settings_of({"lease": 60}).lease == 60
+
+    @pytest.mark.parametrize(
+        ("given", "error", "text"),
+        [
+            ({"leases": 1}, ValueError, "engine.leases: no such key; allowed are lease, "),
+            ({"lease": 0.4}, ValueError, "engine.lease must be in 0.5..60.0 s, not 0.4"),
+            ({"lease": 61}, ValueError, "engine.lease must be in 0.5..60.0 s, not 61"),
+            ({"lease": "1"}, TypeError, "engine.lease"),
+            ({"on_engine_loss": "wait"}, ValueError, "must be stop or continue, not 'wait'"),
+            ({"commands": 1}, TypeError, "engine.commands must be true or false, not 1"),
+            ({"max_age": 0}, ValueError, "engine.max_age"),
+            ({"max_bytes": 1}, ValueError, "engine.max_bytes"),
+        ],
+    )
+    def test_what_is_wrong_is_named(
+        self, given: dict[str, Any], error: type[Exception], text: str
+    ) -> None:
+        with pytest.raises(error) as caught:
+            settings_of(given)
+        assert text in str(caught.value)

@@ -1,0 +1,495 @@
+"""
+A worker with its clock, its bucket and its fleet: in one process, in simulated time.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+import os
+import socket
+import time
+from collections.abc import AsyncIterator, Callable, Sequence
+from contextlib import asynccontextmanager
+from typing import Any
+
+import pytest
+
+from libmodbus_py import DeviceConfig, Point, RegisterMap
+from libmodbus_py.services.engine.troubles import EngineGone
+from libmodbus_py.services.fleet.buffer import Buffer
+from libmodbus_py.services.fleet.config import checked, devices_to_json
+from libmodbus_py.services.fleet.outputs.output import OutputError
+from libmodbus_py.services.fleet.statistics import FleetStatistics, OutputStatistics
+from libmodbus_py.services.workers import polling
+from libmodbus_py.services.workers.polling import MOST_WRITES, PATIENCE, SAID_AGAIN, Polling, clock
+from libmodbus_py.services.workers.records import SETTINGS, Connection, Settings
+from tests.services.workers.memory_engine import MemoryBucket, now, run
+
+LEASE = 10.0
+MAP = RegisterMap([Point("level", "holding_registers", 0)])
+
+
+class Fleet:
+    """
+    Notes what it is to poll; see `libmodbus_py.Fleet`.
+
+    Attributes:
+        devices: what it polls.
+        replaced: how often they changed.
+        error: ends it, once it is set.
+    """
+
+    def __init__(self, *, outputs: Sequence[Any], may_ask: Callable[[str], bool]) -> None:
+        self.outputs = outputs
+        self.may_ask = may_ask
+        self.statistics = FleetStatistics()
+        self.devices: dict[str, DeviceConfig] = {}
+        self.replaced = 0
+        self.error: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+
+    async def run(self) -> None:
+        await self.error
+
+    def replace(self, devices: list[DeviceConfig]) -> None:
+        self.devices = {each.name: each for each in checked(devices)}
+        self.replaced += 1
+
+    async def write(self, device: str, values: dict[str, Any]) -> None:
+        self.devices[device]
+
+
+@pytest.fixture(autouse=True)
+def simulated(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(polling, "Fleet", Fleet)
+
+
+def connection(*names: str, host: int = 1) -> Connection:
+    """A connection with devices of these names."""
+    devices = [DeviceConfig(each, f"tcp://192.0.2.{host}", MAP) for each in names]
+    return Connection("", devices[0].connection_key, 1.0, devices_to_json(devices))
+
+
+def filled(*connections: Connection, **settings: Any) -> MemoryBucket:
+    bucket = MemoryBucket()
+    bucket.write(SETTINGS, Settings(LEASE, **settings).encode())
+    for each in connections:
+        bucket.write(each.bucket_key, each.encode())
+    return bucket
+
+
+def made(bucket: MemoryBucket, settings: Settings | None = None, **options: Any) -> Polling:
+    given: Any = bucket
+    return Polling(given.client, given, settings or Settings(LEASE), clock=now, **options)
+
+
+@asynccontextmanager
+async def at_work(bucket: MemoryBucket, **options: Any) -> AsyncIterator[Polling]:
+    """A worker that polls, and leaves at the end."""
+    worker = made(bucket, **options)
+    running = asyncio.create_task(worker.run())
+    try:
+        yield worker
+    finally:
+        worker.leave()
+        await running
+
+
+async def until(is_so: Callable[[], object], within: float = 60.0) -> float:
+    """Wait for it in simulated time, and return the seconds that it took."""
+    begun = now()
+    async with asyncio.timeout(within):
+        while not is_so():
+            await asyncio.sleep(0.01)
+    return now() - begun
+
+
+def names(worker: Polling) -> list[str]:
+    return sorted(worker.fleet.devices)
+
+
+def members(bucket: MemoryBucket) -> list[dict[str, Any]]:
+    """What workers said of themselves last."""
+    return [
+        json.loads(value)
+        for key, (value, _) in bucket.values.items()
+        if key.startswith("worker.") and value is not None
+    ]
+
+
+class TestLife:
+    def test_a_worker_alone_polls_all_and_says_that_it_has_ended(self) -> None:
+        async def main() -> None:
+            pumps = connection("pump 1", "pump 2")
+            bucket = filled(pumps, connection("valve", host=2))
+            async with at_work(bucket) as worker:
+                # It cannot know that nobody had them before, and waits for the longest lease.
+                took = await until(lambda: len(names(worker)) == 3)
+                assert took > LEASE
+                assert worker._may_ask(pumps.key)
+                assert not worker._may_ask("tcp:192.0.2.9:502")
+                assert members(bucket)[0]["state"] == "here"
+            assert members(bucket)[0]["state"] == "ended"
+            assert not worker._may_ask(pumps.key)
+            assert worker.worker.left
+            assert bucket.watches == []
+
+        run(main())
+
+    def test_another_worker_takes_over_at_once(self) -> None:
+        async def main() -> None:
+            bucket = filled(connection("pump"))
+            async with at_work(bucket, name="b") as second:
+                async with at_work(bucket, name="a") as first:
+                    await until(lambda: names(first) or names(second))
+                    assert not (names(first) and names(second))
+                assert await until(lambda: names(second)) < LEASE / 2
+
+        run(main())
+
+    def test_a_zone_is_left_to_its_workers(self) -> None:
+        async def main() -> None:
+            hall = DeviceConfig("pump", "tcp://192.0.2.1", MAP, zone="hall")
+            there = Connection("hall", hall.connection_key, 1.0, devices_to_json([hall]))
+            bucket = filled(there, connection("valve", host=2))
+            async with at_work(bucket) as other:
+                async with at_work(bucket, zones=["hall"]) as worker:
+                    await until(lambda: "pump" in names(worker))
+                    assert "pump" not in names(other)
+                await asyncio.sleep(3 * LEASE)
+                assert names(other) == ["valve"]
+
+        run(main())
+
+    def test_it_leaves_within_seconds_although_the_engine_is_gone(self) -> None:
+        async def main() -> float:
+            bucket = filled(connection("pump"))
+            async with at_work(bucket) as worker:
+                await until(lambda: names(worker))
+                bucket.error = EngineGone("nobody answers there")
+                begun = now()
+            assert not worker.worker.left
+            return now() - begun
+
+        assert run(main()) == pytest.approx(PATIENCE, abs=0.2)
+
+    def test_the_end_of_an_output_ends_it(self) -> None:
+        async def main() -> None:
+            bucket = filled(connection("pump"), commands=True)
+            worker = made(bucket, Settings(LEASE, commands=True))
+            running = asyncio.create_task(worker.run())
+            await until(lambda: names(worker))
+            worker.fleet.error.set_exception(OutputError("nobody reads"))  # type: ignore[attr-defined]
+            with pytest.raises(OutputError, match="nobody reads"):
+                await running
+            assert bucket.watches == []
+
+        run(main())
+
+    def test_being_cancelled_ends_all_of_it(self) -> None:
+        async def main() -> None:
+            bucket = filled(connection("pump"))
+            bucket.holds = asyncio.Event()
+            running = asyncio.create_task(made(bucket).run())
+            await asyncio.sleep(1.0)
+            assert bucket.puts
+            running.cancel()
+            with pytest.raises(asyncio.CancelledError):
+                await running
+            assert bucket.watches == []
+
+        run(main())
+
+    @pytest.mark.parametrize(
+        ("name", "id"), [("hall 2.north", "hall-2-north"), ("x" * 90, "x" * 60), ("Ab_9-", "Ab_9-")]
+    )
+    def test_its_name_becomes_a_key(self, name: str, id: str) -> None:
+        async def main() -> None:
+            first, second = (made(filled(), name=name).worker.lease.id for _ in range(2))
+            assert first.split(".")[0] == id
+            assert first != second
+
+        run(main())
+
+    def test_its_name_is_that_of_the_machine_unless_given(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(socket, "gethostname", lambda: "plant.example")
+
+        async def main() -> None:
+            assert made(filled()).worker.lease.id.startswith("plant-example.")
+
+        run(main())
+
+    def test_a_lease_goes_on_while_the_machine_sleeps(self) -> None:
+        before = time.clock_gettime(time.CLOCK_BOOTTIME)
+        assert before <= clock() <= time.clock_gettime(time.CLOCK_BOOTTIME)
+
+
+class TestBucket:
+    def test_it_watches_again_when_something_was_missed(self) -> None:
+        async def main() -> None:
+            bucket = filled(connection("pump"))
+            async with at_work(bucket) as worker:
+                await until(lambda: names(worker))
+                watched = bucket.watched
+                bucket.watches[0].is_broken = True
+                assert await until(lambda: bucket.watched > watched) < 1.0
+                assert len(bucket.watches) == 1
+                # What is still there goes on to be polled.
+                assert names(worker) == ["pump"]
+
+        run(main())
+
+    def test_it_watches_again_when_the_connection_to_the_engine_changed(self) -> None:
+        async def main() -> None:
+            bucket = filled(connection("pump"))
+            async with at_work(bucket) as worker:
+                await until(lambda: names(worker))
+                watched = bucket.watched
+                worker.engine_changed()
+                assert await until(lambda: bucket.watched > watched) < 1.0
+                await asyncio.sleep(2.0)
+                assert bucket.watched == watched + 1
+
+        run(main())
+
+    def test_it_watches_again_when_the_bucket_is_not_told_whole(self) -> None:
+        async def main() -> None:
+            bucket = filled(connection("pump"))
+            async with at_work(bucket) as worker:
+                await until(lambda: names(worker))
+                bucket.is_mute = True
+                worker.engine_changed()
+                watched = bucket.watched
+                await until(lambda: bucket.watched > watched)
+                # Nothing has come of that watch: the one before still counts.
+                assert not worker.worker.is_reading
+                watch = bucket.watches[0]
+                key, (value, revision) = next(iter(bucket.values.items()))
+                watch.on_change(polling.Change(key, value, revision))
+                assert worker.worker.is_reading
+                assert 2.5 < await until(lambda: bucket.watches[:1] != [watch]) < PATIENCE + 1
+                bucket.is_mute = False
+                await until(lambda: not worker.worker.is_reading)
+                assert names(worker) == ["pump"]
+
+        run(main())
+
+    def test_a_change_is_heeded_before_the_next_look_at_the_clock(self) -> None:
+        async def main() -> None:
+            bucket = filled(connection("pump"))
+            async with at_work(bucket) as worker:
+                await until(lambda: names(worker))
+                bucket.write(connection("pump").bucket_key, None)
+                begun = now()
+                for _ in range(10):
+                    await asyncio.sleep(0)
+                assert names(worker) == []
+                assert now() == begun
+
+        run(main())
+
+    def test_an_engine_that_is_gone_ends_the_lease_and_is_told_once_a_minute(
+        self, caplog: pytest.LogCaptureFixture
+    ) -> None:
+        async def main() -> None:
+            bucket = filled(connection("pump"))
+            async with at_work(bucket, name="a") as worker:
+                await until(lambda: names(worker))
+                assert caplog.messages == []
+                bucket.error = EngineGone("nobody answers there")
+                worker.engine_changed()
+                key = connection("pump").key
+                assert await until(lambda: not worker._may_ask(key)) < LEASE
+                await asyncio.sleep(SAID_AGAIN - 15.0)
+                gone = "the engine: nobody answers there"
+                ended = "a: the lease has ended: the engine is not heard"
+                assert sorted(caplog.messages) == [ended, gone]
+                await asyncio.sleep(25.0)
+                assert caplog.messages.count(gone) == 2
+                bucket.error = None
+                await until(lambda: worker._may_ask(key))
+                await asyncio.sleep(1.0)
+                assert caplog.messages[-1] == "a: the lease stands again"
+
+        run(main())
+
+    def test_nothing_is_written_while_there_is_no_connection(self) -> None:
+        """What is written then comes late: others have heard of its end by then."""
+
+        async def main() -> None:
+            bucket = filled(connection("pump"))
+            async with at_work(bucket) as worker:
+                await until(lambda: names(worker))
+                bucket.client.is_connected = False
+                count = len(bucket.puts)
+                await asyncio.sleep(LEASE)
+                assert len(bucket.puts) == count
+
+        run(main())
+
+    def test_writes_on_their_way_are_bounded(self) -> None:
+        async def main() -> None:
+            many = [connection(f"pump {host}", host=host) for host in range(1, 255)]
+            bucket = filled(*many)
+            worker = made(bucket)
+            running = asyncio.create_task(worker.run())
+            bucket.holds = asyncio.Event()
+            for _ in range(MOST_WRITES + 100):
+                worker._write(polling.Put("worker.a.1", b"{}", 9))
+            await asyncio.sleep(0.01)
+            assert len(bucket.puts) == MOST_WRITES
+            bucket.holds.set()
+            await until(lambda: members(bucket))
+            worker.leave()
+            await running
+
+        run(main())
+
+
+class TestDevices:
+    def test_what_has_not_changed_is_not_read_again(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        async def main() -> None:
+            bucket = filled(connection("pump"))
+            async with at_work(bucket) as worker:
+                await until(lambda: names(worker))
+                pump, replaced = worker.fleet.devices["pump"], worker.fleet.replaced  # type: ignore[attr-defined]
+                await asyncio.sleep(LEASE)
+                assert worker.fleet.replaced == replaced  # type: ignore[attr-defined]
+                valve = connection("valve", host=2)
+                bucket.write(valve.bucket_key, valve.encode())
+                await until(lambda: len(names(worker)) == 2)
+                assert worker.fleet.devices["pump"] is pump
+
+        run(main())
+
+    def test_a_connection_with_other_devices_is_read_again(self) -> None:
+        async def main() -> None:
+            bucket = filled(connection("pump"))
+            async with at_work(bucket) as worker:
+                await until(lambda: names(worker))
+                other = connection("pump", "valve")
+                bucket.write(other.bucket_key, other.encode())
+                await until(lambda: names(worker) == ["pump", "valve"])
+
+        run(main())
+
+    @pytest.mark.parametrize(
+        "devices",
+        [
+            '{"devices": [{"name": "pump"}]}',
+            devices_to_json([DeviceConfig("pump", "tcp://192.0.2.77", MAP)]),
+        ],
+        ids=["no devices", "devices of another connection"],
+    )
+    def test_what_cannot_be_read_is_told_and_polled_by_nobody(
+        self, devices: str, caplog: pytest.LogCaptureFixture
+    ) -> None:
+        async def main() -> None:
+            bad = Connection("", "tcp:192.0.2.1:502", 1.0, devices)
+            bucket = filled(bad, connection("valve", host=2))
+            async with at_work(bucket) as worker:
+                await until(lambda: names(worker))
+                assert names(worker) == ["valve"]
+                told = "tcp:192.0.2.1:502: what the bucket has of it cannot be read: "
+                assert [text for text in caplog.messages if text.startswith(told)]
+
+        run(main())
+
+    def test_devices_that_cannot_be_polled_together_are_told(
+        self, caplog: pytest.LogCaptureFixture
+    ) -> None:
+        async def main() -> None:
+            bucket = filled(connection("pump"), connection("pump", host=2))
+            async with at_work(bucket) as worker:
+                told = "the devices in the bucket cannot be polled together: devices[1].name"
+                await until(lambda: [each for each in caplog.messages if each.startswith(told)])
+                assert names(worker) == []
+                bucket.write(connection("pump", host=2).bucket_key, None)
+                await until(lambda: names(worker))
+
+        run(main())
+
+    def test_what_no_worker_wrote_is_told(self, caplog: pytest.LogCaptureFixture) -> None:
+        async def main() -> None:
+            bucket = filled()
+            bucket.write("connection._.1", b"{}")
+            async with at_work(bucket):
+                await until(lambda: caplog.messages)
+                assert caplog.messages[0].startswith("the bucket: connection._.1: ")
+
+        run(main())
+
+    def test_texts_that_were_told_are_forgotten_when_they_are_many(
+        self, caplog: pytest.LogCaptureFixture
+    ) -> None:
+        async def main() -> None:
+            worker = made(filled())
+            for number in range(102):
+                worker._say(f"trouble {number}")
+            assert len(caplog.messages) == 102
+            worker._say("trouble 101")
+            worker._say("trouble 0")
+            assert caplog.messages[102:] == ["trouble 0"]
+            assert len(worker._told) < 102
+
+        run(main())
+
+
+class TestReport:
+    def test_it_reports_what_its_fleet_does(self) -> None:
+        async def main() -> None:
+            bucket = filled(connection("pump"))
+            async with at_work(bucket) as worker:
+                await until(lambda: names(worker))
+                statistics = worker.fleet.statistics
+                statistics.devices, statistics.up, statistics.down = 3, 2, 1
+                buffer = Buffer(10)
+                statistics.outputs["csv"] = OutputStatistics(buffer)
+                for _ in range(40):
+                    statistics.polls += 5
+                    await asyncio.sleep(0.5)
+                report = members(bucket)[0]["report"]
+                assert report.pop("polls") == pytest.approx(10.0, rel=0.2)
+                assert report == {
+                    "connections": 1,
+                    "devices": 3,
+                    "up": 2,
+                    "down": 1,
+                    "host": socket.gethostname(),
+                    "process": os.getpid(),
+                    "outputs": {"csv": {"waiting": 0, "dropped": 0}},
+                }
+                await asyncio.sleep(3.0)
+                assert members(bucket)[0]["report"]["polls"] == 0.0
+
+        run(main())
+
+
+class TestCommands:
+    @pytest.mark.parametrize("commands", [True, False])
+    def test_devices_are_written_to_if_the_fleet_says_so(self, commands: bool) -> None:
+        async def main() -> None:
+            settings = Settings(LEASE, commands=commands)
+            bucket = filled(connection("pump"), commands=commands)
+            async with at_work(bucket, settings=settings) as worker:
+                await until(lambda: names(worker))
+                await bucket.client.deliver("modbus.write.pump.level", b"7", "reply")
+                await bucket.client.deliver("modbus.write.valve.level", b"7", "reply")
+                await asyncio.sleep(0.01)
+                replies = [
+                    json.loads(data)
+                    for subject, data in bucket.client.published
+                    if subject == "reply"
+                ]
+            wanted = [True, "there is no device 'valve'"] if commands else []
+            assert [each.get("error", each["ok"]) for each in replies] == wanted
+
+        run(main())
+
+
+@pytest.fixture(autouse=True)
+def _logged(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.WARNING, logger="libmodbus_py.services.workers")

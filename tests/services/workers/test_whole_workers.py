@@ -1,0 +1,509 @@
+"""
+Whole workers, with their fleets, on simulated time: none of the devices is asked by two, and gaps
+are as promised, whoever dies, stops, leaves or hears nothing.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+import pytest
+
+from libmodbus_py.services.workers.records import Settings
+from tests.services.workers.trial import INTERVAL, LEASE, UNITS, Trial
+from tests.simulation.workers import push_fleet
+
+# A dead worker's lease is over for others after 1.05 of it; writing, and asking, come then.
+TAKEN_OVER = 1.05 * LEASE + 0.1 + INTERVAL
+
+# A worker uses nine tenths of its lease.
+OWN_LEASE = 0.9 * LEASE
+
+
+async def three(trial: Trial) -> None:
+    await trial.start("a", "b", "c")
+    await trial.settle()
+
+
+def test_three_share_what_is_there() -> None:
+    trial = Trial(6)
+
+    async def main() -> None:
+        await three(trial)
+        shares = trial.asked.hosts().values()
+        assert len(shares) == 3
+        assert min(shares) >= UNITS
+        await asyncio.sleep(8)
+        # Polls are not late, and none is missed.
+        assert trial.asked.gap < INTERVAL + 0.1
+
+    trial.run(main)
+
+
+def test_who_is_killed_is_replaced_when_its_lease_is_over() -> None:
+    trial = Trial(6)
+
+    async def main() -> None:
+        await three(trial)
+        trial.kill("b")
+        assert OWN_LEASE - INTERVAL < await trial.all_asked(60) < TAKEN_OVER
+        await asyncio.sleep(5)
+        assert trial.asked.gap < TAKEN_OVER + INTERVAL
+        await trial.start("b")
+        await trial.settle()
+        assert len(trial.asked.hosts()) == 3
+
+    trial.run(main)
+
+
+def test_who_leaves_is_replaced_at_once() -> None:
+    trial = Trial(6)
+
+    async def main() -> None:
+        await three(trial)
+        await trial.workers.pop("b").leave()
+        assert await trial.all_asked(60) < 2 * INTERVAL
+        await asyncio.sleep(2 * LEASE)
+        # Nobody waited for a lease.
+        assert trial.asked.gap < 2 * INTERVAL
+        assert len(trial.asked.hosts()) == 2
+
+    trial.run(main)
+
+
+@pytest.mark.parametrize("seconds", [0.3, LEASE, 3 * LEASE])
+def test_who_is_stopped_for_a_while_asks_nothing_that_others_have(seconds: float) -> None:
+    trial = Trial(6)
+
+    async def main() -> None:
+        await three(trial)
+        process = trial.workers["b"].process
+        process.stop()
+        await asyncio.sleep(seconds)
+        process.go_on()
+        await trial.settle()
+        assert len(trial.asked.hosts()) == 3
+
+    trial.run(main)
+
+
+@pytest.mark.parametrize("seconds", [0.3, LEASE, 3 * LEASE])
+def test_who_is_cut_off_asks_no_longer_than_its_lease(seconds: float) -> None:
+    trial = Trial(6)
+
+    async def main() -> None:
+        await three(trial)
+        cut = trial.workers["a"]
+        host = cut.process.host
+        since = trial.now
+        trial.engine.cut(cut.client)
+        await asyncio.sleep(seconds)
+        if seconds > 2 * LEASE:
+            its = [at for at, peer in trial.asked.last.values() if peer.startswith(host)]
+            assert max(its, default=0) < since + OWN_LEASE
+            assert await trial.all_asked(60) < 2 * INTERVAL
+        trial.engine.mend(cut.client)
+        await trial.settle()
+        assert len(trial.asked.hosts()) == 3
+
+    trial.run(main)
+
+
+@pytest.mark.parametrize("seconds", [0.3, 5 * LEASE])
+def test_without_the_engine_nobody_asks_beyond_the_lease(seconds: float) -> None:
+    trial = Trial(6)
+
+    async def main() -> None:
+        await three(trial)
+        trial.engine.stop()
+        since = trial.now
+        await asyncio.sleep(seconds)
+        if seconds > LEASE:
+            assert since + 0.5 * LEASE < trial.asked.latest < since + OWN_LEASE
+        trial.engine.start()
+        # A lost connection is tried again each quarter of a second, and so is watching.
+        assert await trial.all_asked(60) < TAKEN_OVER + LEASE
+        await trial.settle()
+        assert len(trial.asked.hosts()) == 3
+
+    trial.run(main)
+
+
+def test_it_goes_on_without_the_engine_if_told_so_and_keeps_what_it_read() -> None:
+    trial = Trial(2, settings=Settings(LEASE, "continue"))
+
+    async def main() -> None:
+        await trial.start("a")
+        await trial.settle()
+        trial.engine.stop()
+        gone = trial.now
+        await asyncio.sleep(10)
+        assert trial.asked.gap < INTERVAL + 0.1
+        back = trial.now
+        trial.engine.start()
+        await asyncio.sleep(20)  # an output is tried again after pauses, each twice as long
+        times = [
+            json.loads(data)["values"]["level"]["time"]
+            for _, subject, data in trial.engine.stream
+            if subject == "modbus.readings.d0-1"
+        ]
+        assert times == sorted(set(times))
+        assert len(times) >= (back - gone) / INTERVAL
+
+    trial.run(main)
+
+
+def test_a_slow_engine_loses_leases_and_no_device() -> None:
+    trial = Trial(6)
+
+    async def main() -> None:
+        await three(trial)
+        for worker in trial.workers.values():
+            worker.client.link.delay = (0.3, 0.6)
+        await asyncio.sleep(10)
+        for worker in trial.workers.values():
+            worker.client.link.delay = None
+        await trial.settle()
+
+    trial.run(main)
+
+
+@pytest.mark.parametrize("losses", [0.02, 0.2])
+def test_an_engine_that_loses_messages_is_watched_anew(losses: float) -> None:
+    trial = Trial(6)
+
+    async def main() -> None:
+        await three(trial)
+        trial.engine.losses = losses
+        await asyncio.sleep(10)
+        trial.engine.losses = 0.0
+        await trial.settle()
+        assert len(trial.asked.hosts()) == 3
+
+    trial.run(main)
+
+
+@pytest.mark.parametrize("seconds", [0.5, LEASE, 3 * LEASE])
+def test_an_engine_that_goes_back_has_none_asked_by_two(seconds: float) -> None:
+    trial = Trial(6)
+
+    async def main() -> None:
+        await three(trial)
+        await trial.start("d")
+        await asyncio.sleep(seconds / 2)
+        trial.engine.forget(seconds)
+        await trial.settle()
+        assert len(trial.asked.hosts()) >= 3
+
+    trial.run(main)
+
+
+def test_clocks_may_go_wrong() -> None:
+    trial = Trial(6)
+
+    async def main() -> None:
+        await trial.start("slow", rate=0.96)
+        await trial.start("fast", rate=1.04)
+        await trial.settle()
+        for name in ("slow", "fast"):
+            trial.engine.cut(trial.workers[name].client)
+            await asyncio.sleep(3 * LEASE)
+            trial.engine.mend(trial.workers[name].client)
+            await trial.settle()
+
+    trial.run(main)
+
+
+def test_workers_of_one_name_are_two() -> None:
+    trial = Trial(6)
+
+    async def main() -> None:
+        await trial.start("a")
+        trial.workers["first"] = trial.workers.pop("a")
+        await trial.start("a")
+        await trial.settle()
+        assert len(trial.asked.hosts()) == 2
+
+    trial.run(main)
+
+
+def test_a_bucket_that_is_deleted_stops_all_until_it_is_pushed_again(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    trial = Trial(6)
+
+    async def main() -> None:
+        await three(trial)
+        trial.engine.delete_bucket()
+        since = trial.now
+        await asyncio.sleep(2 * LEASE)
+        assert trial.asked.latest < since + OWN_LEASE
+        assert "is gone" in caplog.text
+        trial.engine.create_bucket()
+        await push_fleet(trial.engine, trial.devices(), trial.settings)
+        await trial.settle()
+        assert len(trial.asked.hosts()) == 3
+
+    trial.run(main)
+
+
+def test_a_change_reaches_the_workers_within_a_second_and_touches_nothing_else() -> None:
+    trial = Trial(6)
+
+    async def main() -> None:
+        await push_fleet(trial.engine, trial.devices(4), trial.settings)
+        await trial.start("a", "b")
+        await asyncio.sleep(3 * LEASE)
+        before = {device: peer for device, (_, peer) in trial.asked.last.items()}
+        assert len(before) == 4 * UNITS
+        pushed = await push_fleet(trial.engine, trial.devices(), trial.settings)
+        assert pushed == (2, 0, 0)
+        assert await trial.all_asked(60) < 1 + INTERVAL
+        after = {device: peer for device, (_, peer) in trial.asked.last.items()}
+        assert before.items() <= after.items()
+        assert await push_fleet(trial.engine, trial.devices(1), trial.settings) == (0, 0, 5)
+        await asyncio.sleep(0.5)
+        now = trial.now
+        await asyncio.sleep(2)
+        assert trial.asked.since(now) == UNITS
+
+    trial.run(main)
+
+
+def test_a_zone_that_nobody_serves_waits_for_a_worker_of_it() -> None:
+    trial = Trial(4)
+
+    async def main() -> None:
+        await trial.start("a")
+        await trial.settle()
+        await push_fleet(trial.engine, trial.devices(zone="north"), trial.settings)
+        await asyncio.sleep(1)
+        now = trial.now
+        await asyncio.sleep(10)
+        assert trial.asked.since(now) == 0
+        await trial.start("b", zones=["north"])
+        assert await trial.all_asked(60) < TAKEN_OVER + LEASE
+
+    trial.run(main)
+
+
+def test_what_cannot_be_read_is_told_once_and_harms_nobody(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    trial = Trial(3)
+    wrong = ("connection._.abc", "slot._.900", "worker.x.y")
+
+    async def main() -> None:
+        await trial.start("a")
+        await trial.settle()
+        for key in wrong:
+            trial.engine.write(key, b"[" * 5000)
+        await trial.settle()
+        told = [each for each in caplog.messages if each.startswith("the bucket: ")]
+        assert sorted(each.split()[2].rstrip(":") for each in told) == sorted(wrong)
+
+    trial.run(main)
+
+
+# --- commands ------------------------------------------------------------------------------------
+
+Ask = Callable[[str, object], Awaitable[dict[str, Any]]]
+
+
+def asked_to_write(trial: Trial, main: Callable[[Ask], Awaitable[None]]) -> None:
+    """Run a test that is given what sends commands, with two workers that carry them out."""
+
+    async def whole() -> None:
+        await trial.start("a", "b")
+        await trial.settle()
+        client = trial.engine.client()
+
+        async def ask(subject: str, value: object) -> dict[str, Any]:
+            data = json.dumps(value).encode()
+            answer = await client.request(f"modbus.write.{subject}", data, timeout=10)
+            outcome: dict[str, Any] = json.loads(answer.data)
+            del outcome["time"]
+            return outcome
+
+        await main(ask)
+        await client.close()
+
+    trial.run(whole)
+
+
+def commanded(connections: int = 4) -> Trial:
+    return Trial(connections, settings=Settings(LEASE, commands=True))
+
+
+def test_commands_are_carried_out_by_who_has_the_device() -> None:
+    trial = commanded()
+
+    async def main(ask: Ask) -> None:
+        for at in range(4):
+            assert await ask(f"d{at}-1.setpoint", 20 + at) == {"ok": True}
+            assert trial.levels.holding_registers[1] == 20 + at
+        refused = await ask("d0-1.setpoint", {"value": 99, "id": "x"})
+        assert refused.pop("error").endswith("must be in 10..30, not 99")
+        assert refused == {"ok": False, "id": "x"}
+        assert trial.levels.holding_registers[1] == 23
+
+    asked_to_write(trial, main)
+
+
+def test_one_worker_answers_for_a_device_that_nobody_has() -> None:
+    trial = commanded()
+    answers: list[Any] = []
+
+    async def note(message: Any) -> None:
+        answers.append(json.loads(message.data)["error"])
+
+    async def main(ask: Ask) -> None:
+        listener = trial.engine.client()
+        await listener.subscribe("modbus.written.>", cb=note)
+        nobody = await ask("no%2Eone.setpoint", {"value": 1, "id": 7})
+        assert nobody == {"ok": False, "error": "there is no device 'no.one'", "id": 7}
+        await push_fleet(trial.engine, trial.devices(zone="north"), trial.settings)
+        await asyncio.sleep(1)
+        lost = await ask("d0-1.setpoint", 20)
+        assert lost == {"ok": False, "error": "nobody polls 'd0-1' now"}
+        await asyncio.sleep(1)
+        # Two workers heard of both.
+        assert answers == ["there is no device 'no.one'", "nobody polls 'd0-1' now"]
+        await listener.close()
+
+    asked_to_write(trial, main)
+
+
+def test_a_command_for_a_dead_workers_device_is_refused_until_another_one_has_it() -> None:
+    trial = commanded(8)
+
+    async def main(ask: Ask) -> None:
+        host = trial.workers["a"].process.host
+        place = next(at for at, (_, peer) in trial.asked.last.items() if peer.startswith(host))
+        device = f"d{trial.places.index(place[0])}-1"
+        trial.kill("a")
+        # Whoever speaks for all may be the dead one as long as it was heard a moment ago.
+        await asyncio.sleep(0.6 * LEASE)
+        outcome = await ask(f"{device}.setpoint", 20)
+        assert outcome == {"ok": False, "error": f"nobody polls {device!r} now"}
+        await trial.all_asked(60)
+        assert await ask(f"{device}.setpoint", 20) == {"ok": True}
+
+    asked_to_write(trial, main)
+
+
+def test_a_flood_of_commands_does_not_keep_devices_from_being_asked() -> None:
+    trial = commanded()
+
+    async def main(ask: Ask) -> None:
+        client = trial.engine.client()
+        for _ in range(1000):
+            await client.publish("modbus.write.d0-1.setpoint", b"20")
+        await asyncio.sleep(2)
+        assert trial.asked.gap < 2 * INTERVAL
+        assert await ask("d0-1.setpoint", 21) == {"ok": True}
+        await client.close()
+
+    asked_to_write(trial, main)
+
+
+def test_no_commands_unless_the_fleet_has_them() -> None:
+    trial = Trial(1)
+
+    async def main() -> None:
+        await trial.start("a")
+        await trial.settle()
+        client = trial.engine.client()
+        with pytest.raises(Exception, match="timeout"):
+            await client.request("modbus.write.d0-1.setpoint", b"20", timeout=5)
+        await client.close()
+        assert trial.levels.holding_registers[1] == 0
+
+    trial.run(main)
+
+
+# --- whatever happens ------------------------------------------------------------------------
+
+
+def play(seed: int, steps: int = 12) -> Trial:
+    """Have a seed decide what becomes of three workers and of their engine; then nothing does."""
+    trial = Trial(4, seed=seed)
+    random, engine = trial.network.events.random, trial.engine
+
+    async def start(name: str) -> None:
+        await trial.start(name, zones=["north"], rate=random.uniform(0.97, 1.03))
+
+    async def leave(name: str) -> None:
+        await trial.workers.pop(name).leave()
+        await start(name)
+
+    async def replace(name: str) -> None:
+        trial.kill(name)
+        await start(name)
+
+    async def cut(name: str) -> None:
+        engine.cut(trial.workers[name].client)
+
+    async def mend(name: str) -> None:
+        engine.mend(trial.workers[name].client)
+
+    async def stop(name: str) -> None:
+        trial.workers[name].process.stop()
+
+    async def go_on(name: str) -> None:
+        trial.workers[name].process.go_on()
+
+    async def delay(name: str) -> None:
+        slow = random.uniform(0, LEASE)
+        trial.workers[name].client.link.delay = (0.0, slow)
+
+    async def lose(name: str) -> None:
+        engine.losses = random.uniform(0, 0.3)
+
+    async def restart(name: str) -> None:
+        engine.stop()
+        await asyncio.sleep(random.uniform(0, 2 * LEASE))
+        engine.start()
+
+    async def forget(name: str) -> None:
+        engine.forget(random.uniform(0, 1))
+
+    async def move(name: str) -> None:
+        zone = random.choice(["", "north"])
+        await push_fleet(engine, trial.devices(zone=zone), trial.settings)
+
+    faults = [leave, replace, cut, mend, stop, go_on, delay, lose, restart, forget, move]
+
+    def calm() -> None:
+        engine.losses = 0.0
+        for worker in trial.workers.values():
+            worker.client.link.delay = None
+            if worker.process.is_stopped:
+                worker.process.go_on()
+            engine.mend(worker.client)
+
+    async def main() -> None:
+        for name in ("a", "b", "c"):
+            await start(name)
+        await trial.settle()
+        for _ in range(steps):
+            fault = random.choice(faults)
+            if fault in (leave, replace, move):
+                calm()
+                await asyncio.sleep(random.uniform(0, LEASE))
+            await fault(random.choice("abc"))
+            await asyncio.sleep(random.uniform(0, 1.5 * LEASE))
+        calm()
+        await asyncio.sleep(4 * LEASE)
+        await trial.all_asked(2 * LEASE)
+
+    trial.run(main)
+    return trial
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_whatever_happens_none_is_asked_by_two_and_all_are_asked_in_the_end(seed: int) -> None:
+    assert play(seed).asked.polls > 100

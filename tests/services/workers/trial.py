@@ -1,0 +1,188 @@
+"""
+A fleet on a simulated network: devices that note who asks them, an engine, and whole workers.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
+from typing import Any
+
+from libmodbus_py import Device, DeviceConfig, Mapping, Point, RegisterMap, Server
+from libmodbus_py.ports.trace import Traced
+from libmodbus_py.services.workers.records import Settings
+from tests.simulation.engine import Engine
+from tests.simulation.network import Network
+from tests.simulation.workers import SimulatedWorker, push_fleet
+
+__all__ = ["INTERVAL", "LEASE", "UNITS", "Asked", "Trial"]
+
+LEASE = 2.0
+INTERVAL = 0.5
+UNITS = 2
+"""Behind each connection."""
+
+MAP = RegisterMap(
+    [
+        Point("level", "holding_registers", 0),
+        Point("setpoint", "holding_registers", 1, minimum=10, maximum=30),
+    ]
+)
+
+
+class Asked:
+    """
+    Who asked which device when.
+
+    A worker has one connection to a place, and another one when it gets that place again; unless
+    the engine forgot that it ever lost it, and then its lease was over meanwhile. So two have a
+    device if one asks it over a connection, after somebody else did so within a lease.
+
+    Attributes:
+        polls: how often devices were asked.
+        doubles: of each device that two had, when and by whom it was asked.
+        gap: the longest time, in seconds, in which a device was not asked, since `forget`.
+        last: when each device was asked the last time, and from where.
+    """
+
+    def __init__(self, now: Callable[[], float]) -> None:
+        self.polls: int = 0
+        self.doubles: list[tuple[str, float, str]] = []
+        self.gap: float = 0.0
+        self.last: dict[tuple[str, int], tuple[float, str]] = {}
+        self._now = now
+        self._followed: dict[tuple[str, int], set[str]] = {}
+
+    def note(self, traced: Traced) -> None:
+        if traced.direction != "received":
+            return
+        now, device, asking = self._now(), (traced.endpoint, traced.unit or 0), traced.peer or ""
+        self.polls += 1
+        before, peer = self.last.get(device, (now, asking))
+        self.gap = max(self.gap, now - before)
+        followed = self._followed.setdefault(device, set())
+        if peer != asking:
+            followed.add(peer)
+        if asking in followed and peer != asking and now - before < LEASE:
+            self.doubles.append((device[0], now, asking))
+        self.last[device] = now, asking
+
+    def forget(self) -> None:
+        self.gap = 0.0
+
+    def since(self, at: float) -> int:
+        """Return how many devices were asked since a time."""
+        return sum(last >= at for last, _ in self.last.values())
+
+    @property
+    def latest(self) -> float:
+        """When any device was asked the last time."""
+        return max(last for last, _ in self.last.values())
+
+    def hosts(self) -> dict[str, int]:
+        """Return how many devices each worker asked last, by its host."""
+        found: dict[str, int] = {}
+        for _, peer in self.last.values():
+            host = peer.rpartition(":")[0]
+            found[host] = found.get(host, 0) + 1
+        return found
+
+
+class Trial:
+    """
+    All of it.
+
+    Args:
+        connections: how many places there are, with two units each.
+        settings: of the fleet.
+        seed: of all that happens.
+
+    Attributes:
+        workers: those that were started, by name.
+    """
+
+    def __init__(self, connections: int, *, settings: Settings | None = None, seed: int = 1):
+        self.network = Network(seed)
+        self.engine = Engine(self.network)
+        self.asked = Asked(lambda: self.now)
+        self.settings = settings or Settings(LEASE)
+        self.places = [f"tcp://10.0.0.{at + 1}:502" for at in range(connections)]
+        self.workers: dict[str, SimulatedWorker] = {}
+        self._killed: list[SimulatedWorker] = []
+        self.levels = Mapping(holding_registers=2)
+
+    @property
+    def now(self) -> float:
+        return self.network.events.now
+
+    @property
+    def count(self) -> int:
+        """How many devices there are."""
+        return len(self.places) * UNITS
+
+    def devices(self, places: int | None = None, zone: str = "") -> list[DeviceConfig]:
+        return [
+            DeviceConfig(
+                name=f"d{at}-{unit}",
+                url=url,
+                unit=unit,
+                map=MAP,
+                interval=INTERVAL,
+                timeout=0.2,
+                zone=zone,
+            )
+            for at, url in enumerate(self.places[:places])
+            for unit in range(1, UNITS + 1)
+        ]
+
+    def run(self, main: Callable[[], Awaitable[None]]) -> None:
+        """Run a test; no device may have been asked by two."""
+
+        async def whole() -> None:
+            async with self._served():
+                await main()
+                for name in list(self.workers):
+                    self.kill(name)
+                await asyncio.gather(*(each.ended() for each in self._killed))
+
+        self.network.run(whole)
+        assert not self.asked.doubles
+
+    @asynccontextmanager
+    async def _served(self) -> AsyncIterator[None]:
+        units = {unit: Device(self.levels) for unit in range(1, UNITS + 1)}
+        async with Server(units, trace=self.asked.note).serving(*self.places):
+            await push_fleet(self.engine, self.devices(), self.settings)
+            yield
+
+    def kill(self, name: str) -> None:
+        """Kill a worker, as SIGKILL does."""
+        worker = self.workers.pop(name)
+        worker.kill()
+        self._killed.append(worker)
+
+    async def start(self, *names: str, **options: Any) -> None:
+        for name in names:
+            worker = SimulatedWorker(self.network, self.engine, name, **options)
+            self.workers[name] = worker
+            await worker.start()
+
+    async def until(self, is_so: Callable[[], object], patience: float) -> float:
+        """Wait for something; return how long that took, in simulated seconds."""
+        since = self.now
+        while not is_so():
+            assert self.now < since + patience, "it does not come true"
+            await asyncio.sleep(0.05)
+        return self.now - since
+
+    async def all_asked(self, patience: float) -> float:
+        """Wait until all devices were, from now on; return how long that took."""
+        now = self.now
+        return await self.until(lambda: self.asked.since(now) == self.count, patience)
+
+    async def settle(self) -> None:
+        """Wait until the workers that are there share the devices, and measure anew."""
+        await asyncio.sleep(1.5 * LEASE)
+        await self.all_asked(LEASE + INTERVAL)
+        self.asked.forget()

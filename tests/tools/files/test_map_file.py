@@ -1,0 +1,315 @@
+"""
+Register maps from files: as people write them in TOML, as vendors give them in CSV, and as neither.
+"""
+
+from __future__ import annotations
+
+import re
+import time
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, example, given, settings
+from hypothesis import strategies as st
+
+from libmodbus_py import MapError, Point, RegisterMap, load_map
+from libmodbus_py.tools.files.maps.checking import remarks
+from libmodbus_py.tools.files.maps.map_file import contents_of
+from libmodbus_py.tools.files.maps.texts import csv_text, toml_text
+from tests.support.cases import each_case
+
+H, I = "holding_registers", "input_registers"  # noqa: E741
+
+
+def loaded(path: Path, content: str | bytes, name: str = "meter.csv") -> RegisterMap:
+    data = content if isinstance(content, bytes) else content.encode()
+    (path / name).write_bytes(data)
+    return load_map(path / name)
+
+
+# A table, and its points.
+TABLES = [
+    (  # the plain words, in any order
+        "unit,address,name,table,type,scale,offset,order,access,description,count\n"
+        "V,0x10,volts,input_registers,int16,0.1,-5,CDAB,read,of phase 1,3\n"
+        ",7,run,coils,,,,,,,\n",
+        [
+            Point("volts", I, 16, 3, "int16", "CDAB", scale=0.1, offset=-5, unit="V",
+                  description="of phase 1"),
+            Point("run", "coils", 7),
+        ],
+    ),
+    (  # Excel in Germany: a mark of order, semicolons, carriage returns, a quoted heading
+        "\ufeff\"Register\nAddress\";Parameter;Data Type;R/W;Factor;Units;Comment\r\n"
+        "40001;Spannung L1;U16;R;0.1;V;\"a;b \"\"c\"\"\"\r\n"
+        "\r\n"
+        "30012;Leistung;S32;RO;;W;\r\n",
+        [
+            Point("Spannung L1", H, 0, scale=0.1, unit="V", access="read", description='a;b "c"'),
+            Point("Leistung", I, 11, type="int32", unit="W"),
+        ],
+    ),
+    (  # tabs, a comment, function codes, IEC types, a divisor, spaces that do not break
+        "# meter, revision 2\n"
+        "Tag\tFC\tAddr\tFormat\tDivisor\tMin\tMax\n"
+        "energy\u00a0total\t03\t1F40h\tUDINT\t1000\t\t\n"
+        "limit\t3/6/16\t100\tREAL\t\t-5\t5.5\n"
+        "door\tFC02\t9\tBOOL\t\t\t\n"
+        "lamp\t1, 5, 15\t9\tbit\t\t\t\n",
+        [
+            Point("energy total", H, 8000, type="uint32", scale=0.001),
+            Point("limit", H, 100, type="float32", minimum=-5, maximum=5.5),
+            Point("door", "discrete_inputs", 9),
+            Point("lamp", "coils", 9),
+        ],
+    ),
+    (  # references of all tables; text; bars; more than one column of remarks, and other columns
+        "label|Register|type|Comment|Remarks|Since\n"
+        "a|00001||x|y|1999\n"
+        "b|100002|bool|||\n"
+        "c|300003|STR10|||\n"
+        "d|465536|string[4]|||\n".replace("465536", "465535"),
+        [
+            Point("a", "coils", 0, description="x"),
+            Point("b", "discrete_inputs", 1),
+            Point("c", I, 2, type="string:10"),
+            Point("d", H, 65534, type="string:4"),
+        ],
+    ),
+    (  # the word that is the key itself wins; words of SunSpec
+        "Register;Name;Label;Address;Table;Type;R W\n"
+        "40001;a;Alpha;0;holding register;enum16;R/W\n"
+        "40002;b;Beta;1;4x;bitfield32;w\n"
+        "30001;c;Gamma;0;IR;acc32;\n",
+        [
+            Point("a", H, 0),
+            Point("b", H, 1, type="bits32", access="write"),
+            Point("c", I, 0, type="uint32"),
+        ],
+    ),
+]  # fmt: skip
+
+
+@each_case(("text", "points"), TABLES)
+def test_tables_of_vendors(tmp_path: Path, text: str, points: list[Point]) -> None:
+    assert list(loaded(tmp_path, text).values()) == points
+
+
+def test_toml(tmp_path: Path) -> None:
+    text = """
+    # a boiler
+    [[point]]
+    name = "setpoint"
+    table = "holding_registers"
+    address = 0x10
+    scale = 0.1
+    minimum = 5
+    unit = "°C"
+
+    [[point]]
+    name = "serial"
+    table = "input_registers"
+    address = 7
+    type = "string:8"
+    encoding = "latin-1"
+    padding = " "
+    """
+    assert list(loaded(tmp_path, text, "BOILER.TOML").values()) == [
+        Point("setpoint", H, 16, scale=0.1, minimum=5, unit="°C"),
+        Point("serial", I, 7, type="string:8", encoding="latin-1", padding=" "),
+    ]
+
+
+HEAD = "name,table,address,type,scale,access\n"
+HOLDING = "name;address;table\n"
+
+# A file, and what is wrong with it; {} is the file.
+REFUSED = [
+    ("", "{}, line 1: no column name; it may be called name, parameter, "),
+    ("\n\n", "{}, line 1: no column name; "),
+    ("\n# x\nname,adress\n", "{}, line 3: no column address; it may be called address, register, "),
+    (HEAD, "{}: it has no points"),
+    (HEAD + "a,coils", "{}, line 2: address is missing"),
+    (HEAD + ",coils,7", "{}, line 2: name is missing"),
+    (HEAD + "\n\na,coils,x", "{}, line 4, column address: address must be a whole number"),
+    (HEAD + "a,holding,65536", "{}, line 2, column address: address must be in 0..65535, not "),
+    (HEAD + "a,holding," + "9" * 5000, "{}, line 2, column address: address must be a whole"),
+    (HEAD + "a,=A1+1,7", "{}, line 2, column table: table must be one of coils, discrete_inputs, "),
+    (HEAD + "a,holding,7,flaot32", "{}, line 2, column type: type must be one of int16, "),
+    (HEAD + "a,holding,7,STR300", "{}, line 2, column type: type string:N: N must be in 1..250"),
+    (HEAD + "a,holding,7,bool", "{}, line 2, column type: type of registers must not be bool; "),
+    (HEAD + "a,coils,7,uint16", "{}, line 2, column type: type must be None for coils"),
+    (HEAD + 'a,holding,7,,"0,1"', "{}, line 2, column scale: scale must be a number such as 0.1,"
+     " with a point, not a comma, not '0,1'"),
+    (HEAD + "a,holding,7,,0", "{}, line 2, column scale: scale must not be nearer to 0 than"),
+    (HEAD + "a,holding,7,,1/0", "{}, line 2, column scale: scale must not divide by 0: '1/0'"),
+    (HEAD + "a,holding,7,,1e400", "{}, line 2, column scale: scale must be in -1e+30..1e+30"),
+    (HEAD + "a,input,7,,,RW", "{}, line 2, column access: access must be read for input_registers"),
+    (HEAD + "a,input,7,,,maybe", "{}, line 2, column access: access must be one of read, write, "),
+    (HEAD + "a,coils,7\nb,coils,8\na,coils,9", "{}, line 4, column name: name 'a' stands in"),
+    (HEAD + "a,coils,7,,,,,x", "{}, line 2: 8 cells below 6 headings: quote what has a ',' in it"),
+    (HEAD + 'a,coils,"7', "{}, line 2: no CSV: unexpected end of data"),
+    (HEAD + "\x1b[2J,coils,7", "{}, line 2: no text: it has a character 0x1b"),
+    (HEAD + "a\u202eb,coils,7", "{}, line 2, column name: name must be printable characters"),
+    (HEAD + "a" * 101 + ",coils,7", "{}, line 2, column name: name must have 1..100 characters"),
+    ("name;address\na;7", "{}, line 2, column address: address must be a reference such as 40123"),
+    ("name;address\na;1", "{}, line 2, column address: address must be a reference such as 40123"),
+    ("name;address\na;600007", "{}, line 2: table must be one of coils, "),
+    ("name;addr;register\n", "{}, line 1: columns addr and register both hold the address"),
+    ("name;addr;Gain\n", "{}, line 1: column Gain means this or that: call it scale (raw values"),
+    ("name;addr;FC\na;7;3/4", "{}, line 2, column FC: function must be of 1, 5, 15, 2, 3, "),
+    ("name;addr;FC;table\na;7;3;ir", "{}, line 2, column FC: function 3 is none of input_"),
+    ("name;addr;FC;scale;divide by\na;7;3;2;2", "{}, line 2, column divide by: divisor must not"),
+    ("name;addr;FC;divide by\na;7;3;0", "{}, line 2, column divide by: divisor must not be 0"),
+    (b"\xff\xfen\0a\0m\0e\0", "{}: byte 0 is no UTF-8"),
+    (b"PK\x03\x04\x14\0\0\0\x08\0", "{}, line 1: no text: it has a character 0x03"),
+    (b"name,address\n" + b"a" * (1 << 19), "{}: more than 524288 bytes"),
+    ("name;address\n" + "".join(f"p{at};40001\n" for at in range(10_001)),
+     "{}, line 10002: more than 10000 points"),
+]  # fmt: skip
+
+
+@each_case(("content", "message"), REFUSED, ids=range(len(REFUSED)))
+def test_csv_that_is_wrong(tmp_path: Path, content: str | bytes, message: str) -> None:
+    wanted = message.format(tmp_path / "meter.csv")
+    with pytest.raises(MapError, match=f"^{re.escape(wanted)}") as caught:
+        loaded(tmp_path, content)
+    assert "\n" not in str(caught.value)
+    assert str(caught.value).isprintable()
+    assert len(str(caught.value)) < 600
+
+
+POINT = '[[point]]\nname = "a"\ntable = "holding_registers"\naddress = 7\n'
+
+REFUSED_TOML = [
+    ("", "{}: it has no points"),
+    ("[[point]]\nname = 'a", "{}: "),
+    ("[point]\nname = 'a'", "{}, line 1: point must be an array of tables: [[point]]"),
+    ("point = [7]", "{}, line 1: point must be a table, not 7"),
+    (POINT + "[device]\n", "{}, line 5: device means nothing here; points are tables [[point]]"),
+    (POINT + "adress = 8", "{}, line 5: adress means nothing here; allowed are name, table, "),
+    (POINT + "\nscale = '0.1'", "{}, line 6: scale must be a number, not str"),
+    (POINT + "count = 1.5", "{}, line 5: count must be an integer in 1..65536, not float"),
+    (POINT + "type = ['int16']", "{}, line 5: type must be a string, such as float32, not list"),
+    (POINT + "encoding = 7", "{}, line 5: encoding must be "),
+    (POINT + POINT, "{}, line 6: name 'a' stands in line 1 already"),
+    (POINT + "[[point]]\nname = 'b'", "{}, line 5: table is missing"),
+    (POINT + f"unit = '{'x' * 2001}'", "{}, line 5: point[0].unit must have 0..2000 characters"),
+]
+
+
+@each_case(("content", "message"), REFUSED_TOML, ids=range(len(REFUSED_TOML)))
+def test_toml_that_is_wrong(tmp_path: Path, content: str, message: str) -> None:
+    wanted = message.format(tmp_path / "meter.toml")
+    with pytest.raises(MapError, match=f"^{re.escape(wanted)}") as caught:
+        loaded(tmp_path, content, "meter.toml")
+    assert "\n" not in str(caught.value)
+
+
+def test_files_that_cannot_be_read(tmp_path: Path) -> None:
+    with pytest.raises(MapError, match=r"^cannot read .*meter\.csv: No such file or directory$"):
+        load_map(tmp_path / "meter.csv")
+    with pytest.raises(MapError, match=r"meter\.xlsx: a register map must end with one of \.toml"):
+        load_map(str(tmp_path / "meter.xlsx"))
+    (tmp_path / "dir.csv").mkdir()
+    with pytest.raises(MapError, match=r"^cannot read .*dir\.csv: Is a directory$"):
+        load_map(tmp_path / "dir.csv")
+
+
+def test_all_mistakes_are_found_up_to_a_number(tmp_path: Path) -> None:
+    (tmp_path / "meter.csv").write_text(HEAD + "a,coils,x\nb,coils,1\nc,coil,70000\n" * 9)
+    found = contents_of(tmp_path / "meter.csv", most=5)
+    assert [mistake.place for mistake in found.mistakes] == [
+        "line 2, column address",
+        "line 4, column address",
+        "line 5, column address",
+        "line 6, column name",
+        "line 7, column address",
+    ]
+
+
+def test_what_may_not_be_meant(tmp_path: Path) -> None:
+    (tmp_path / "meter.csv").write_text(
+        "name,address,table,type,scale,Vendor's own,More\n"
+        "whole,40001,holding,uint32,-2,,\n"
+        "low,40002,holding,,,,\n"
+        "other,40001,input,,,,\n"
+    )
+    found = list(remarks(contents_of(tmp_path / "meter.csv", most=1)))
+    assert found[0] == "columns that mean nothing here: Vendor's own, More"
+    assert found[1].startswith("all addresses of holding_registers are in 40001..49999: if these")
+    assert found[2:] == [
+        "line 3: low overlaps whole at holding_registers 40002",
+        "line 2: whole is multiplied by -2: no power of ten is meant?",
+    ]
+
+
+# --- anything ------------------------------------------------------------------------------
+
+PRINTABLE = st.characters(exclude_categories=("C", "Z"))
+WORDS = st.text(PRINTABLE, min_size=1, max_size=20).filter(lambda word: not word.startswith("#"))
+NUMBERS = st.floats(-1e6, 1e6).filter(lambda each: abs(each) > 1e-6) | st.integers(1, 1000)
+POINTS = st.builds(
+    Point,
+    name=WORDS,
+    table=st.sampled_from([H, I]),
+    address=st.integers(0, 60000),
+    count=st.integers(1, 100),
+    type=st.sampled_from([None, "int16", "uint64", "float32", "bcd32"]),
+    order=st.sampled_from(["ABCD", "CDAB", "BADC", "DCBA"]),
+    scale=NUMBERS,
+    offset=NUMBERS,
+    unit=st.just("") | WORDS,
+    access=st.just("read"),
+    minimum=st.none() | st.floats(-1e6, 0),
+    maximum=st.none() | st.integers(0, 10**6),
+    description=st.just("") | WORDS,
+)
+
+
+@settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.lists(POINTS, min_size=1, max_size=5, unique_by=lambda point: point.name))
+def test_what_is_written_is_read(tmp_path: Path, points: list[Point]) -> None:
+    assert list(loaded(tmp_path, csv_text(points)).values()) == points
+    assert list(loaded(tmp_path, toml_text(points), "meter.toml").values()) == points
+
+
+JUNK = st.sampled_from(
+    [
+        *(b"name", b"address", b"table", b"type", b"scale", b"40001", b"holding", b"float32"),
+        *(b"0x10", b'"', b",", b";", b"\t", b"\r", b"\n", b"=", b"1/3", b"\xef\xbb\xbf", b"\0"),
+        *(b"\xff", b"[["),
+    ]
+)
+
+
+@settings(max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.binary(max_size=300) | st.lists(JUNK, max_size=60).map(b"".join))
+@example(b"name,address\n" + b'"' * 5000)
+@example(b"name,address\n" + b"," * 200_000)
+@example(b";" * 400_000)
+@example(b"name" + b" " * 400_000 + b",address\n")
+@example(b"name,address\n" + b"\n".join([b"x,y"] * 100_000))
+@example(b"name,address\na," + b"4" * 400_000)
+@example(b"name,address,fc\na,1," + b"fc0x " * 80_000)
+@example(b"name,address,type\na,1," + b"string " * 60_000)
+@example(b'name,address\n"' + b"a" * 400_000)
+def test_anything_else_is_a_mistake(tmp_path: Path, content: bytes) -> None:
+    told: list[str] = []
+    began = time.monotonic()
+    for name in ("meter.csv", "meter.toml"):
+        try:
+            loaded(tmp_path, content, name)
+        except MapError as error:
+            told.append(str(error))
+    assert all(len(each) < 1000 for each in told)
+    assert time.monotonic() - began < 10
+
+
+def test_a_large_file_takes_no_time(tmp_path: Path) -> None:
+    began = time.monotonic()
+    points = [Point(f"p{at}", H, at) for at in range(9_000)]
+    assert len(loaded(tmp_path, csv_text(points))) == 9_000
+    assert len(loaded(tmp_path, toml_text(points[:4_000]), "meter.toml")) == 4_000
+    # A second and a half on a quiet machine; not the square of their number.
+    assert time.monotonic() - began < 20

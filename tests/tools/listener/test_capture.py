@@ -1,0 +1,211 @@
+"""
+Captures: bytes that tshark was seen to decode without options, read again, and hostile files.
+
+`decoded.pcapng` is what a listener wrote of all worked examples and three damaged pieces; tshark
+4.0.17 decodes 94 of 94 queries and responses as Modbus/TCP, none
+of them malformed. What is damaged it hands to Modbus RTU, which shows these three as bytes, for
+they do not even look like frames.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import random
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from libmodbus_py import CaptureError, Transaction, listening
+from libmodbus_py.tools.listener.capture import CaptureReader, CaptureWriter
+from libmodbus_py.tools.listener.transaction import Heard
+from tests.support.cases import each_case
+from tests.support.vectors import EXCEPTIONS, FRAMES, REQUESTS, RESPONSES
+
+DECODED = Path(__file__).with_name("decoded.pcapng")
+
+DAMAGED = [b"\x01\x03\x00", b"\xff", bytes(range(200))]
+
+
+def conversation() -> Iterator[Heard]:
+    """All worked examples, each answer 4 ms behind its question, and damaged bytes between."""
+    asked = {vector.id: vector for vector in REQUESTS}
+    at = 1_700_000_000.0
+    for number, answer in enumerate([*RESPONSES, *EXCEPTIONS]):
+        if answer.request in asked:
+            yield Heard(at, at, "request", asked[answer.request].frame)
+            yield Heard(at + 0.004, at + 0.004, "response", answer.frame)
+        at += 0.5
+        if number < len(DAMAGED):
+            yield Heard(at, at, "damage", None, DAMAGED[number])
+        at += 0.5
+
+
+def write(path: Path, *links: int) -> Path:
+    writer = CaptureWriter(path, "rtu:///dev/ttyUSB0?baudrate=19200")
+    for heard in conversation():
+        for link in links or (0,):
+            writer.write(heard, 0, link)
+    writer.close()
+    return path
+
+
+def read(path: Path) -> list[Transaction]:
+    with listening(str(path)) as line:
+        return list(line)
+
+
+class TestWriter:
+    def test_the_bytes_are_those_that_tshark_decodes(self, tmp_path: Path) -> None:
+        assert write(tmp_path / "x.pcapng").read_bytes() == DECODED.read_bytes()
+
+    def test_each_port_is_an_interface(self, tmp_path: Path) -> None:
+        writer = CaptureWriter(tmp_path / "x.pcapng", "rtu:///dev/a", "rtu:///dev/b")
+        heard = Heard(0.0, 0.0, "request", FRAMES[0].frame)
+        writer.write(heard, 0)
+        writer.write(heard, 1)
+        writer.close()
+        data = (tmp_path / "x.pcapng").read_bytes()
+        kinds, interfaces, at = [], [], 0
+        while at < len(data):
+            kind, size = struct.unpack_from("<II", data, at)
+            kinds.append(kind)
+            interfaces += struct.unpack_from("<I", data, at + 8) if kind == 6 else []
+            at += size
+        assert kinds == [0x0A0D0D0A, 1, 1, 6, 6]
+        assert interfaces == [0, 1]
+        assert b"rtu:///dev/b" in data
+
+    def test_a_full_disk_is_named(self) -> None:
+        with pytest.raises(OSError, match="No space") as caught:
+            CaptureWriter("/dev/full", "x")
+        assert caught.value.filename == "/dev/full"
+
+
+class TestReader:
+    def test_what_was_written(self, tmp_path: Path) -> None:
+        done = read(write(tmp_path / "x.pcapng"))
+        good = [each for each in done if each.kind in ("answered", "exception", "broadcast")]
+        asked = {vector.id: vector for vector in REQUESTS}
+        pairs = [each for each in (*RESPONSES, *EXCEPTIONS) if each.request in asked]
+        assert len(good) == len(pairs)
+        assert {each.kind for each in done} - {"damaged"} == {"answered", "exception"}
+        assert [each.error.received for each in done if each.kind == "damaged" and each.error] == (
+            DAMAGED
+        )
+        for each in good:
+            assert each.duration == pytest.approx(0.004, abs=1e-5)
+
+    def test_connections_are_told_apart(self, tmp_path: Path) -> None:
+        alone = read(write(tmp_path / "1.pcapng"))
+        three = read(write(tmp_path / "3.pcapng", 1, 2, 300))
+        assert len(three) == 3 * len(alone)
+        assert {each.kind for each in three} == {each.kind for each in alone}
+
+    def test_what_wireshark_saves_again(self, tmp_path: Path) -> None:
+        """With the other byte order, nanoseconds, and blocks of its own."""
+        options = struct.pack(">HHB3xHH", 9, 1, 9, 0, 0)
+        blocks = [
+            (0x0A0D0D0A, struct.pack(">IHHq", 0x1A2B3C4D, 1, 0, -1)),
+            (1, struct.pack(">HHI", 252, 0, 0) + options),
+            (5, bytes(20)),
+        ]
+        for at, part, pdu in ((1, 0, "03 00 00 00 01"), (2, 1, "03 02 00 07")):
+            ports = (50000, 502) if part == 0 else (502, 50000)
+            tags = struct.pack(">HH8s", 12, 8, b"mbtcp")
+            for kind, value in ((24, 2), (25, ports[0]), (26, ports[1])):
+                tags += struct.pack(">HHI", kind, 4, value)
+            body = bytes.fromhex(pdu)
+            data = tags + bytes(4) + struct.pack(">HHHB", 1, 0, len(body) + 1, 5) + body
+            head = struct.pack(">IIIII", 0, *divmod(at * 10**9, 1 << 32), len(data), len(data))
+            blocks.append((6, head + data + bytes(-len(data) % 4)))
+        file = tmp_path / "x.pcapng"
+        with file.open("wb") as out:
+            for kind, body in blocks:
+                size = struct.pack(">I", 12 + len(body))
+                out.write(struct.pack(">I", kind) + size + body + size)
+        (done,) = read(file)
+        assert (done.time, done.unit, done.response, done.duration) == (1.0, 5, [7], 1.0)
+
+    @each_case(
+        ("change", "what"),
+        [
+            (lambda data: b"", "no pcapng file"),
+            (lambda data: b"not a capture at all", "no pcapng file|a block of|ends inside"),
+            (lambda data: data[:-1], "it ends inside a block"),
+            (lambda data: data[:50], "it ends inside a block"),
+            (lambda data: data[:4] + b"\xff\xff\xff\x7f" + data[8:], "a block of 2147483647"),
+            (lambda data: data[:4] + b"\x1d" + data[5:24] + b"\x1d" + data[25:], "a block of 29"),
+            (lambda data: data[:24] + b"\0\0\0\0" + data[28:], "two lengths differ"),
+            (lambda data: data[:36] + b"\x93\0" + data[38:], "link type 147, not 252"),
+            (lambda data: data.replace(b"mbtcp", b"mbxxx"), "neither mbtcp nor mbrtu"),
+        ],
+    )
+    def test_other_files(self, tmp_path: Path, change: object, what: str) -> None:
+        file = tmp_path / "x.pcapng"
+        assert callable(change)
+        file.write_bytes(change(DECODED.read_bytes()))
+        with pytest.raises(CaptureError, match=what) as caught:
+            read(file)
+        assert str(caught.value).startswith(str(file))
+
+    @each_case("seed", range(40))
+    def test_damaged_files(self, tmp_path: Path, seed: int) -> None:
+        """They are read or refused, and nothing else."""
+        choose = random.Random(seed)
+        file = tmp_path / "x.pcapng"
+        for _ in range(25):
+            data = bytearray(DECODED.read_bytes())
+            for _ in range(choose.randint(1, 30)):
+                data[choose.randrange(len(data))] = choose.choice(
+                    [0, 1, 255, choose.randrange(256)]
+                )
+            file.write_bytes(data)
+            try:
+                for each in read(file):
+                    str(each)
+            except CaptureError as error:
+                assert "\n" not in str(error)  # noqa: PT017  # either is right
+
+    def test_a_file_that_is_refused_is_closed(self, tmp_path: Path) -> None:
+        file = tmp_path / "x.pcapng"
+        file.write_bytes(b"nothing")
+        with pytest.raises(CaptureError):
+            CaptureReader(file)
+
+    def test_others_have_their_turn_in_a_loop(self) -> None:
+        async def read_all() -> tuple[int, int]:
+            turns = count = 0
+
+            async def take_turns() -> None:
+                nonlocal turns
+                while True:
+                    turns += 1
+                    await asyncio.sleep(0)
+
+            other = asyncio.create_task(take_turns())
+            async with listening(str(DECODED)) as line:
+                async for _ in line:
+                    count += 1
+            other.cancel()
+            return turns, count
+
+        turns, count = asyncio.run(read_all())
+        assert turns >= count > 40
+
+    def test_a_file_is_not_written_over_itself(self, tmp_path: Path) -> None:
+        file = write(tmp_path / "x.pcapng")
+        with pytest.raises(ValueError, match="over itself"):
+            listening(str(file), capture=file)
+        assert file.read_bytes() == DECODED.read_bytes()
+
+    def test_a_capture_of_a_capture_is_the_same(self, tmp_path: Path) -> None:
+        copy = tmp_path / "copy.pcapng"
+        with listening(str(DECODED), capture=copy) as line:
+            first = list(line)
+        assert [str(each) for each in read(copy)] == [str(each) for each in first]
+
+    def test_a_file_that_is_not_there(self) -> None:
+        with pytest.raises(FileNotFoundError):
+            listening("nowhere.pcapng")

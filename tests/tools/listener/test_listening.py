@@ -1,0 +1,518 @@
+"""
+Listening for real: a line of pseudo-terminals, others' programs on it, and a tap between.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import importlib
+import logging
+import os
+import resource
+import signal
+import socket
+import stat
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import pytest
+from pymodbus.client import ModbusSerialClient
+from pymodbus.framer import FramerType
+
+from libmodbus_py import (
+    Context,
+    Device,
+    IllegalDataAddress,
+    Listener,
+    Mapping,
+    ModbusConnectionError,
+    ModbusTimeoutError,
+    Server,
+    Transaction,
+    listening,
+    pdu,
+)
+from libmodbus_py.ports.endpoint import parse
+from libmodbus_py.tools.listener.tap import Tap
+from tests.support.cases import each_case
+from tests.support.talk import rtu
+from tests.tools.listener.shared_line import SharedLine
+
+UNIT = 17
+
+
+class Gathering:
+    """A thread that listens, until closed."""
+
+    def __init__(self, line: Listener) -> None:
+        self.line = line
+        self.done: list[Transaction] = []
+        self._thread = threading.Thread(target=self._gather)
+        self._thread.start()
+
+    def _gather(self) -> None:
+        for each in self.line:
+            self.done.append(each)
+
+    def wait_for(self, count: int) -> list[Transaction]:
+        end = time.monotonic() + 20
+        while len(self.done) < count and time.monotonic() < end:
+            time.sleep(0.01)
+        assert len(self.done) >= count, self.done
+        return self.done
+
+    def close(self) -> None:
+        self.line.close()
+        self._thread.join(10)
+        assert not self._thread.is_alive()
+
+
+@contextmanager
+def heard(url: str, **options: str) -> Iterator[Gathering]:
+    gathering = Gathering(listening(url, **options))  # type: ignore[arg-type]
+    try:
+        yield gathering
+    finally:
+        gathering.close()
+
+
+@pytest.fixture(params=["rtu", "ascii"])
+def framing(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
+@pytest.fixture
+def bus() -> Iterator[SharedLine]:
+    with SharedLine("client", "server", "listener") as made:
+        yield made
+
+
+@pytest.fixture
+def served(bus: SharedLine, framing: str, device: Device) -> Iterator[SharedLine]:
+    with Server({UNIT: device}).background(f"{framing}://{bus.paths['server']}?baudrate=115200"):
+        yield bus
+
+
+def url_of(bus: SharedLine, framing: str, name: str) -> str:
+    return f"{framing}://{bus.paths[name]}?baudrate=115200"
+
+
+class TestOnALine:
+    def test_our_client_and_server(self, served: SharedLine, framing: str) -> None:
+        with (
+            heard(url_of(served, framing, "listener")) as hearing,
+            Context.from_url(url_of(served, framing, "client"), unit=UNIT) as client,
+        ):
+            client.read_holding_registers(100, 3)
+            client.write_register(100, 5)
+            client.write_register(100, 5)
+            client.read_file_records([(4, 7, 3)])
+            with pytest.raises(IllegalDataAddress):
+                client.read_coils(0, 1)
+            client.for_unit(0).write_register(101, 6)
+            done = hearing.wait_for(6)
+        assert [each.kind for each in done] == [
+            *(["answered"] * 4),
+            "exception",
+            "broadcast",
+        ]
+        assert done[0].request == pdu.ReadHoldingRegisters(100, 3)
+        assert done[0].response == [1000, 1001, 1002]
+        assert all((each.duration or 0) >= 0 for each in done)
+        assert abs(done[0].time - time.time()) < 60
+        assert hearing.line.summary.units[UNIT].functions[6] == 2
+        assert hearing.line.summary.units[UNIT].errors == {"exception 2": 1}
+
+    def test_the_client_of_pymodbus(self, served: SharedLine, framing: str) -> None:
+        client = ModbusSerialClient(
+            served.paths["client"],
+            framer=FramerType(framing),
+            baudrate=115200,
+            timeout=3,
+            retries=0,
+        )
+        with heard(url_of(served, framing, "listener")) as hearing:
+            assert client.connect()
+            try:
+                client.read_holding_registers(100, count=3, device_id=UNIT)
+                client.write_register(100, 7, device_id=UNIT)
+                client.write_coils(10, [True] * 20, device_id=UNIT)
+                client.read_coils(10, count=20, device_id=UNIT)
+                client.read_device_information(device_id=UNIT)
+            finally:
+                client.close()
+            done = hearing.wait_for(5)
+        assert [each.kind for each in done] == ["answered"] * 5
+        assert [each.function for each in done] == [3, 6, 15, 1, 43]
+        assert done[3].response == [True] * 20
+
+    def test_a_unit_that_is_not_there(self, served: SharedLine, framing: str) -> None:
+        with (
+            heard(url_of(served, framing, "listener")) as hearing,
+            Context.from_url(
+                url_of(served, framing, "client"), unit=9, timeout=0.3, retries=1
+            ) as client,
+        ):
+            with pytest.raises(ModbusTimeoutError):
+                client.read_holding_registers(0, 1)
+            client.for_unit(UNIT).read_holding_registers(100, 1)
+            done = hearing.wait_for(3)
+        assert [(each.unit, each.kind, each.repeats) for each in done] == [
+            (9, "unanswered", 0),
+            (9, "unanswered", 1),
+            (UNIT, "answered", 0),
+        ]
+
+    def test_asyncio(self, served: SharedLine, framing: str) -> None:
+        async def listen() -> list[Transaction]:
+            done = []
+            async with listening(url_of(served, framing, "listener")) as line:
+                asking = asyncio.create_task(asyncio.to_thread(ask))
+                async for each in line:
+                    done.append(each)
+                    if len(done) == 3:
+                        break
+                await asking
+            return done
+
+        def ask() -> None:
+            with Context.from_url(url_of(served, framing, "client"), unit=UNIT) as client:
+                for address in (100, 101, 102):
+                    client.read_holding_registers(address, 1)
+
+        done = asyncio.run(listen())
+        assert [each.response for each in done] == [[1000], [1001], [1002]]
+
+    def test_capture_and_back(self, served: SharedLine, framing: str, tmp_path: Path) -> None:
+        file = tmp_path / "x.pcapng"
+        with (
+            heard(url_of(served, framing, "listener"), capture=str(file)) as hearing,
+            Context.from_url(url_of(served, framing, "client"), unit=UNIT) as client,
+        ):
+            client.read_holding_registers(100, 3)
+            with pytest.raises(IllegalDataAddress):
+                client.read_coils(0, 1)
+            first = hearing.wait_for(2)
+        with listening(str(file)) as line:
+            again = list(line)
+        assert [(e.kind, e.unit, e.request, e.response) for e in again] == [
+            (e.kind, e.unit, e.request, e.response) for e in first
+        ]
+        assert again[0].duration == pytest.approx(first[0].duration, abs=1e-5)
+
+
+class TestPort:
+    def test_nothing_is_written_and_nothing_locked(self, bus: SharedLine) -> None:
+        with listening(f"rtu://{bus.paths['listener']}"):
+            port = bus.paths["listener"]
+            descriptors = [
+                int(link.name)
+                for link in Path("/proc/self/fd").iterdir()
+                if link.exists() and os.readlink(link) == port
+            ]
+            modes = {
+                int(line.split()[1], 8) & os.O_ACCMODE
+                for each in descriptors
+                for line in Path(f"/proc/self/fdinfo/{each}").read_text().splitlines()
+                if line.startswith("flags:")
+            }
+            assert os.O_RDONLY in modes
+            with Context.from_url(f"rtu://{port}", unit=1):
+                pass  # takes the lock
+
+    def test_a_port_that_is_locked(self, bus: SharedLine, caplog: pytest.LogCaptureFixture) -> None:
+        port = bus.paths["listener"]
+        with (
+            Server(Device(Mapping(1, 1, 1, 1))).background(f"rtu://{port}"),
+            caplog.at_level(logging.WARNING),
+            listening(f"rtu://{port}?baudrate=9600"),
+        ):
+            assert "is open in this program, too" in caplog.text
+
+    def test_a_port_that_goes_and_comes_back(self, bus: SharedLine, tmp_path: Path) -> None:
+        link = tmp_path / "port"
+        link.symlink_to(bus.paths["listener"])
+        ask, answer = rtu("01 03 00 00 00 01"), rtu("01 03 02 00 07")
+        with heard(f"rtu://{link}") as hearing:
+            bus.say(ask)
+            time.sleep(0.05)
+            bus.say(answer)
+            hearing.wait_for(1)
+            bus.say(ask)
+            time.sleep(0.1)
+            bus.unplug("listener")
+            assert hearing.wait_for(2)[1].kind == "unanswered"
+            bus.plug("listener", str(link))
+            end = time.monotonic() + 20
+            while len(hearing.done) < 3 and time.monotonic() < end:
+                bus.say(ask)
+                time.sleep(0.05)
+                bus.say(answer)
+                time.sleep(0.3)
+            assert hearing.wait_for(3)[2].kind == "answered"
+
+    @pytest.mark.parametrize(
+        ("path", "what"),
+        [("/dev/nowhere", "No such file"), ("/dev/null", "not a serial port")],
+    )
+    def test_no_port(self, path: str, what: str) -> None:
+        count = len(os.listdir("/proc/self/fd"))
+        with pytest.raises(ModbusConnectionError, match=what):
+            listening(f"rtu://{path}")
+        assert len(os.listdir("/proc/self/fd")) == count
+
+
+class TestEnding:
+    @pytest.fixture(autouse=True)
+    def _sleeps_long(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        """Else it would wake by itself, soon, and see that it was closed."""
+        monkeypatch.setattr(
+            importlib.import_module("libmodbus_py.tools.listener.listening"), "IDLE", 99.0
+        )
+
+    def test_close_from_another_thread(self, bus: SharedLine) -> None:
+        gathering = Gathering(listening(f"rtu://{bus.paths['listener']}"))
+        time.sleep(0.1)
+        gathering.close()
+        gathering.close()
+        assert list(gathering.line) == []
+
+    def test_close_from_a_signal_handler(self, bus: SharedLine) -> None:
+        line = listening(f"rtu://{bus.paths['listener']}")
+        before = signal.signal(signal.SIGALRM, lambda *_: line.close())
+        try:
+            signal.setitimer(signal.ITIMER_REAL, 0.2)
+            assert list(line) == []
+        finally:
+            signal.signal(signal.SIGALRM, before)
+
+    def test_close_in_asyncio(self, bus: SharedLine) -> None:
+        async def listen() -> None:
+            line = listening(f"rtu://{bus.paths['listener']}")
+            asyncio.get_running_loop().call_later(0.1, line.close)
+            assert [each async for each in line] == []
+
+        asyncio.run(listen())
+
+    def test_cancelling_loses_nothing(self, bus: SharedLine) -> None:
+        async def listen() -> Transaction:
+            async with listening(f"rtu://{bus.paths['listener']}") as line:
+                for _ in range(5):
+                    with pytest.raises(TimeoutError):
+                        async with asyncio.timeout(0.02):
+                            await anext(line)
+                bus.say(rtu("01 03 00 00 00 01"))
+                with pytest.raises(TimeoutError):
+                    async with asyncio.timeout(0.1):
+                        await anext(line)
+                bus.say(rtu("01 03 02 00 07"))
+                return await anext(line)
+
+        assert asyncio.run(listen()).response == [7]
+
+    def test_nothing_leaks(self, bus: SharedLine, tmp_path: Path) -> None:
+        count = len(os.listdir("/proc/self/fd"))
+        for number in range(5):
+            capture = tmp_path / f"{number}.pcapng"
+            with listening(f"rtu://{bus.paths['listener']}", capture=capture):
+                pass
+            with listening(str(capture)) as line:
+                assert list(line) == []
+            with listening("rtu+tcp://127.0.0.1:0", between="rtu+tcp://127.0.0.1:1"):
+                pass
+        end = time.monotonic() + 10
+        while len(os.listdir("/proc/self/fd")) > count and time.monotonic() < end:
+            time.sleep(0.05)
+        assert len(os.listdir("/proc/self/fd")) == count
+
+    def test_who_forgets_to_close_leaks_nothing(self, bus: SharedLine) -> None:
+        count = len(os.listdir("/proc/self/fd"))
+        for _ in range(3):
+            listening(f"rtu://{bus.paths['listener']}")
+        gc.collect()
+        assert len(os.listdir("/proc/self/fd")) == count
+
+    def test_a_forked_child_leaves_the_port_alone(self) -> None:
+        master, slave = os.openpty()
+        path = os.ttyname(slave)
+        os.close(slave)
+        with listening(f"rtu://{path}?parity=N") as line:
+            child = os.fork()
+            if child == 0:
+                line.close()
+                os._exit(0)
+            assert os.waitpid(child, 0)[1] == 0
+            os.write(master, rtu("01 03 00 00 00 01") + rtu("01 03 02 00 07"))
+            assert next(line).response == [7]
+        os.close(master)
+
+    def test_a_disk_that_is_full_is_told(self, bus: SharedLine, tmp_path: Path) -> None:
+        file = tmp_path / "x.pcapng"
+        with listening(f"rtu://{bus.paths['listener']}", capture=file) as line:
+            before = resource.getrlimit(resource.RLIMIT_FSIZE)
+            ignored = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+            resource.setrlimit(resource.RLIMIT_FSIZE, (200, before[1]))
+            try:
+                bus.say(rtu("01 03 00 00 00 01") + rtu("01 03 02 00 07"))
+                with pytest.raises(OSError, match="File too large") as caught:
+                    next(line)
+                assert caught.value.filename == str(file)
+            finally:
+                resource.setrlimit(resource.RLIMIT_FSIZE, before)
+                signal.signal(signal.SIGXFSZ, ignored)
+
+    def test_two_at_once(self, bus: SharedLine) -> None:
+        gathering = Gathering(listening(f"rtu://{bus.paths['listener']}"))
+        try:
+            time.sleep(0.1)
+            with pytest.raises(RuntimeError, match="listening already"):
+                next(gathering.line)
+        finally:
+            gathering.close()
+
+    def test_rest_gives_what_is_open(self, bus: SharedLine) -> None:
+        with listening(f"rtu://{bus.paths['listener']}") as line:
+            bus.say(rtu("01 03 00 00 00 01") + rtu("01 03 02 00 07") + rtu("01 03 00 00 00 01"))
+            assert next(line).kind == "answered"
+            assert [each.kind for each in line.rest()] == ["unanswered"]
+
+
+@pytest.fixture(params=["rtu+tcp", "ascii+tcp"])
+def tapped(request: pytest.FixtureRequest, device: Device) -> Iterator[Gathering]:
+    with ExitStack() as stack:
+        server = Server({UNIT: device}).background(f"{request.param}://127.0.0.1:0")
+        (target,) = stack.enter_context(server).urls
+        yield stack.enter_context(heard(f"{request.param}://127.0.0.1:0", between=target))
+
+
+class TestBetween:
+    def test_both_directions(self, tapped: Gathering) -> None:
+        with Context.from_url(tapped.line.url, unit=UNIT) as client:
+            assert client.read_holding_registers(100, 2) == [1000, 1001]
+            client.write_register(100, 3)
+            with pytest.raises(IllegalDataAddress):
+                client.read_coils(0, 1)
+        done = tapped.wait_for(3)
+        assert [each.kind for each in done] == ["answered", "answered", "exception"]
+
+    def test_many_clients(self, tapped: Gathering) -> None:
+        def ask(address: int) -> None:
+            with Context.from_url(tapped.line.url, unit=UNIT) as client:
+                for _ in range(20):
+                    assert client.read_holding_registers(address, 1) == [900 + address]
+
+        threads = [threading.Thread(target=ask, args=(at,)) for at in range(100, 108)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        done = tapped.wait_for(160)
+        assert {each.kind for each in done} == {"answered"}
+        assert len(done) == 160
+
+    def test_bytes_pass_unchanged_though_nobody_looks(self) -> None:
+        """More than is kept to be shown; the iterator is never asked."""
+        device = socket.create_server(("127.0.0.1", 0))
+        data = os.urandom(3_000_000)
+        port = device.getsockname()[1]
+        with listening("rtu+tcp://127.0.0.1:0", between=f"rtu+tcp://127.0.0.1:{port}") as line:
+            client = socket.create_connection(("127.0.0.1", int(line.url.rpartition(":")[2])))
+            end, _ = device.accept()
+            sending = threading.Thread(target=lambda: (client.sendall(data), client.shutdown(1)))
+            sending.start()
+            received = b"".join(iter(lambda: end.recv(65536), b""))
+            sending.join()
+            assert received == data
+            end.sendall(b"and back")
+            end.close()
+            assert b"".join(iter(lambda: client.recv(100), b"")) == b"and back"
+            client.close()
+            assert next(line).kind == "damaged"
+        device.close()
+
+    def test_what_nobody_takes_is_bounded(self) -> None:
+        device = socket.create_server(("127.0.0.1", 0))
+        target = parse(f"rtu+tcp://127.0.0.1:{device.getsockname()[1]}")
+        tap = Tap(parse("rtu+tcp://127.0.0.1:0"), target, time.monotonic)
+        client = socket.create_connection(("127.0.0.1", tap.endpoint.port))
+        end, _ = device.accept()
+        sending = threading.Thread(target=lambda: client.sendall(bytes(5_000_000)))
+        sending.start()
+        left = 5_000_000
+        while left:
+            left -= len(end.recv(65536))
+        sending.join()
+        assert 500_000 < sum(len(piece.data) for piece in tap.receive()) <= 1 << 20
+        client.sendall(b"again")
+        assert end.recv(100) == b"again"
+        stop = time.monotonic() + 20
+        seen = b""  # the last of the others may come first: passed on before they are noted
+        while not seen.endswith(b"again") and time.monotonic() < stop:
+            seen += b"".join(piece.data for piece in tap.receive())
+            time.sleep(0.01)
+        assert seen.lstrip(b"\0") == b"again"
+        tap.close()
+        for each in (client, end, device):
+            each.close()
+
+    def test_nobody_at_the_other_end(self) -> None:
+        with (
+            heard("rtu+tcp://127.0.0.1:0", between="rtu+tcp://127.0.0.1:1") as hearing,
+            socket.create_connection(
+                ("127.0.0.1", int(hearing.line.url.rpartition(":")[2]))
+            ) as client,
+        ):
+            client.settimeout(10)
+            assert client.recv(1) == b""
+
+    def test_closing_ends_connections(self, device: Device) -> None:
+        with Server({UNIT: device}).background("rtu+tcp://127.0.0.1:0") as running:
+            line = listening("rtu+tcp://127.0.0.1:0", between=running.urls[0])
+            client = socket.create_connection(("127.0.0.1", int(line.url.rpartition(":")[2])))
+            client.settimeout(10)
+            time.sleep(0.1)
+            line.close()
+            assert client.recv(1) == b""
+            client.close()
+            with pytest.raises(ConnectionError):
+                socket.create_connection(("127.0.0.1", int(line.url.rpartition(":")[2])))
+
+    def test_a_taken_port(self) -> None:
+        with socket.create_server(("127.0.0.1", 0)) as taken:
+            url = f"rtu+tcp://127.0.0.1:{taken.getsockname()[1]}"
+            with pytest.raises(ModbusConnectionError, match="cannot listen on rtu"):
+                listening(url, between="rtu+tcp://127.0.0.1:1")
+
+
+class TestArguments:
+    @each_case(
+        ("url", "between", "what"),
+        [
+            ("tcp://127.0.0.1:1502", None, "the scheme must be rtu, ascii"),
+            ("tcp://127.0.0.1:1502", "tcp://127.0.0.1:1503", "the scheme must be rtu, ascii"),
+            ("rtu+tcp://127.0.0.1:0", None, "the device is missing"),
+            ("rtu+tcp://127.0.0.1:0", "ascii+tcp://127.0.0.1:1", "the scheme must be rtu.tcp"),
+            ("rtu+tcp://127.0.0.1:0", "rtu+tcp://127.0.0.1:0", "the port of the device"),
+            ("rtu:///dev/ttyUSB0", "rtu+tcp://127.0.0.1:1", "a serial port is only read"),
+            ("rtu:///dev/ttyUSB0?timeout=1", None, "timeout is for clients"),
+            ("rtu:///dev/ttyUSB0?baudrate=0", None, "baudrate must be in 1..4000000"),
+            ("x.pcapng", "rtu+tcp://127.0.0.1:1", "nothing to be between"),
+            ("x.pcap", None, "the scheme must be one of"),
+        ],
+    )
+    def test_what_cannot_be(self, url: str, between: str | None, what: str) -> None:
+        with pytest.raises(ValueError, match=what):
+            listening(url, between=between)
+
+    def test_no_string(self) -> None:
+        with pytest.raises(TypeError, match="url must be a string"):
+            listening(5)  # type: ignore[arg-type]
+
+    def test_a_capture_that_cannot_be_written(self, bus: SharedLine, tmp_path: Path) -> None:
+        with pytest.raises(OSError, match="Is a directory"):
+            listening(f"rtu://{bus.paths['listener']}", capture=tmp_path)
+        assert stat.S_ISDIR(tmp_path.stat().st_mode)

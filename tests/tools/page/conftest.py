@@ -1,0 +1,17 @@
+"""
+Pages whose streams and sweeps are not waited for.
+"""
+
+from __future__ import annotations
+
+import pytest
+
+SHORT = 0.01
+
+
+@pytest.fixture(autouse=True)
+def short_periods(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Shorten the seconds between two looks at what changed, but not below a browser."""
+    if request.path.name != "test_page_in_browser.py":
+        monkeypatch.setattr("libmodbus_py.tools.page.streams.PERIOD", SHORT)
+        monkeypatch.setattr("libmodbus_py.tools.page.web.SWEEP", SHORT)

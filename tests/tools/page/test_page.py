@@ -1,0 +1,393 @@
+"""
+The live page of a server: what it shows, sets and switches, asked as a browser asks.
+"""
+
+from __future__ import annotations
+
+import socket
+import threading
+from typing import Any
+
+import pytest
+
+from libmodbus_py import (
+    Access,
+    Context,
+    Device,
+    Fault,
+    IllegalDataAddress,
+    Mapping,
+    ModbusTimeoutError,
+    Server,
+    ServerDeviceBusy,
+    page_of,
+)
+from tests.support.cases import each_case
+from tests.tools.page.watching import Visitor, made_server, shown, until
+
+POINTS = ["temperature", "level", "label", "limits", "pump", "flow"]
+
+
+def test_everything_there_is_comes_first() -> None:
+    with shown() as (_, _, visitor), visitor.watching():
+        first, second = visitor.seen["units"]
+    assert (first["number"], second["number"]) == (1, 2)
+    assert first["name"] == "tank <script>alert(1)</script>"
+    assert first["description"] == "a & b"
+    assert first["tables"] == {
+        "coils": [[0, 16]],
+        "discrete_inputs": [[0, 4]],
+        "holding_registers": [[0, 20], [100, 110]],
+        "input_registers": [[0, 8]],
+    }
+    assert [each[0] for each in first["points"]] == POINTS
+    assert first["points"][0][1:5] == ["holding_registers", 0, "float32 CDAB", "°C"]
+    assert second["points"] == []
+    assert visitor.seen["counters"]["requests"] == 0
+
+
+def test_points_are_shown_with_their_values_and_change() -> None:
+    with shown() as (_, url, visitor), visitor.watching():
+        visitor.look(1, "points", 0, 100)
+        texts = visitor.receive(lambda: len(visitor.seen["points"]) == 6 and visitor.seen["points"])
+        assert texts == {"0": "21.5", "1": "0.0", "2": "abc", "3": "0, 0", "4": "off", "5": "0"}
+        with Context.from_url(url, unit=1) as plc:
+            plc.write_registers(2, [123])
+            plc.write_coil(0, True)
+            visitor.receive(lambda: (texts["1"], texts["4"]) == ("12.3", "on"))
+
+
+def test_cells_are_shown_as_far_as_they_are_looked_at() -> None:
+    with shown() as (_, url, visitor), visitor.watching():
+        visitor.look(1, "holding_registers", 100, 110)
+        cells = visitor.receive(lambda: visitor.seen["cells"])
+        assert cells == dict.fromkeys(range(100, 110), 0)
+        with Context.from_url(url, unit=1) as plc:
+            plc.write_registers(2, [123])
+            plc.write_registers(104, [7])
+        visitor.receive(lambda: cells[104] == 7)
+        assert sorted(cells) == list(range(100, 110))
+        visitor.look(1, "coils", 0, 4)
+        visitor.receive(lambda: visitor.seen["what"] == "coils")
+        assert visitor.seen["unit"] == 1
+
+
+def test_what_moves_is_computed_when_it_is_looked_at() -> None:
+    mapping = Mapping(holding_registers=8, input_registers=8)
+    seen: list[Access] = []
+
+    def compute(access: Access) -> None:
+        if access.address <= 3 < access.address + access.count:
+            raise IllegalDataAddress("clients may not read it")
+        seen.append(access)
+        if access.address == 4:
+            mapping.input_registers[4] += 1
+
+    with page_of(server := Server(Device(mapping, before_read=compute))) as page:
+        visitor = Visitor(page.url)
+        with visitor.watching():
+            assert not seen
+            visitor.look(None, "input_registers", 0, 8)
+            visitor.receive(lambda: visitor.seen["cells"].get(4, 0) >= 3)
+        count = len(seen)
+        assert {each.table for each in seen} == {"input_registers"}
+        assert server.statistics.requests == 0
+    assert len(seen) <= count + 8  # nothing is computed when nobody looks
+
+
+@pytest.mark.parametrize("error", [ZeroDivisionError, SystemExit])
+def test_a_hook_that_fails_is_logged_once_and_the_page_goes_on(
+    error: type[BaseException],
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    def broken(access: Access) -> None:
+        raise error
+
+    mapping = Mapping(coils=8)
+    with page_of(Server(Device(mapping, before_read=broken))) as page:
+        visitor = Visitor(page.url)
+        with visitor.watching():
+            visitor.look(None, "coils", 0, 8)
+            visitor.receive(lambda: visitor.seen["cells"])
+            mapping.coils[3] = True
+            visitor.receive(lambda: visitor.seen["cells"][3] == 1)
+            assert len(caplog.records) == 1
+            body = {"unit": None, "table": "coils", "address": 5, "text": "on"}
+            assert visitor.post("/value", **body, type="", order="ABCD") == {}
+            visitor.receive(lambda: visitor.seen["cells"][5] == 1)
+    assert [each.getMessage() for each in caplog.records] == [
+        "coils range(0, 8): before_read failed",
+        "coils range(5, 6): before_read failed",
+    ]
+
+
+def test_what_was_busy_is_computed_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("libmodbus_py.tools.page.refreshing.RETRY", 0.3)
+    mapping, is_busy = Mapping(input_registers=8), True
+
+    def compute(access: Access) -> None:
+        if is_busy:
+            raise ServerDeviceBusy
+        mapping.input_registers[4] = 42
+
+    with page_of(Server(Device(mapping, before_read=compute))) as page:
+        visitor = Visitor(page.url)
+        with visitor.watching():
+            visitor.look(None, "input_registers", 0, 8)
+            visitor.receive(lambda: visitor.seen["cells"])
+            is_busy = False
+            visitor.receive(lambda: visitor.seen["cells"][4] == 42)
+
+
+def test_who_wrote_what_last() -> None:
+    with shown() as (_, url, visitor), visitor.watching():
+        with Context.from_url(url, unit=1) as plc:
+            plc.write_registers(100, [1, 2, 3])
+            plc.write_coil(5, True)
+            plc.mask_write_register(101, 0xFFFF, 0)
+            plc.read_write_registers(0, 1, 8, [4, 5])
+            with pytest.raises(IllegalDataAddress):
+                plc.write_register(50, 1)
+        visitor.receive(lambda: len(visitor.seen["written"]) == 4)
+        visitor.post("/value", unit=2, table="holding_registers", address=3, text="9", type="int16",
+                     order="ABCD")  # fmt: skip
+        visitor.receive(lambda: len(visitor.seen["written"]) == 5)
+    found = [(each[1], each[2], each[3], each[4]) for each in visitor.seen["written"]]
+    assert found == [
+        (1, "holding_registers", 100, 103),
+        (1, "coils", 5, 6),
+        (1, "holding_registers", 101, 102),
+        (1, "holding_registers", 8, 10),
+        (2, "holding_registers", 3, 4),
+    ]
+    assert visitor.seen["written"][0][6].startswith("127.0.0.1:")
+    assert visitor.seen["written"][4][6] == "this page"
+
+
+def test_the_server_itself_is_its_only_device() -> None:
+    server = Server({7: Device(Mapping(holding_registers=8))})
+    with page_of(server) as page, server.background("tcp://127.0.0.1:0") as running:
+        visitor = Visitor(page.url)
+        with visitor.watching(), Context.from_url(running.urls[0], unit=255) as plc:
+            plc.write_register(1, 1)
+            visitor.receive(lambda: visitor.seen["written"])
+    assert visitor.seen["written"][0][1:3] == [7, "holding_registers"]
+
+
+def test_the_log_is_text() -> None:
+    with shown() as (_, url, visitor), visitor.watching():
+        with Context.from_url(url, unit=1) as plc:
+            plc.read_holding_registers(100, 3)
+            plc.write_coils(3, [True, False])
+            plc.report_server_id()
+            with pytest.raises(IllegalDataAddress):
+                plc.read_coils(60, 10)
+        with socket.create_connection(("127.0.0.1", int(url.rpartition(":")[2]))) as noisy:
+            noisy.sendall(bytes.fromhex("000100000300"))
+            visitor.receive(lambda: len(visitor.seen["log"]) == 5)
+        counters = visitor.receive(
+            lambda: visitor.seen["counters"]["requests"] and visitor.seen["counters"]
+        )
+    texts = [(each[3], each[5], each[7]) for each in visitor.seen["log"]]
+    assert texts == [
+        (1, "read holding registers 100..102", "answered"),
+        (1, "write coils 3..4: 1, 0", "answered"),
+        (1, "report server id", "answered"),
+        (1, "read coils 60..69", "exception"),
+        (None, "", "damaged"),
+    ]
+    assert visitor.seen["log"][0][6] == "0, 0, 0"
+    assert "illegal data address" in visitor.seen["log"][3][6].lower()
+    assert (counters["requests"], counters["refused"]) == (4, 1)
+
+
+VALUES: list[tuple[str, str, str]] = [
+    ("temperature", "-3.25", "-3.25"),
+    ("temperature", "nan", "nan"),
+    ("level", "12.34", "12.3"),
+    ("label", "Kessel", "Kessel"),
+    ("limits", "-5, 7", "-5, 7"),
+    ("pump", "on", "on"),
+    ("flow", "0x10000", "65536"),
+]
+
+
+@each_case(("name", "typed", "text"), VALUES)
+def test_a_value_that_is_typed_is_set(name: str, typed: str, text: str) -> None:
+    point = POINTS.index(name)
+    with shown() as (_, _, visitor), visitor.watching():
+        assert visitor.post("/value", unit=1, point=point, name=name, text=typed) == {}
+        visitor.look(1, "points", 0, 100)
+        visitor.receive(lambda: visitor.seen["points"].get(str(point)) == text)
+
+
+def test_what_is_set_is_what_clients_read() -> None:
+    with shown() as (_, url, visitor), Context.from_url(url, unit=1) as plc:
+        visitor.post("/value", unit=1, point=0, name="temperature", text="3.5")
+        assert plc.read_values("holding_registers", 0, "float32", order="CDAB") == [3.5]
+        place = {"unit": 1, "table": "holding_registers", "order": "ABCD"}
+        visitor.post("/value", **place, address=100, type="int32", text="-2")
+        assert plc.read_holding_registers(100, 2) == [0xFFFF, 0xFFFE]
+        visitor.post("/value", **place, address=100, type="uint16", text="-3")
+        assert plc.read_holding_registers(100, 1) == [0xFFFD]
+        visitor.post(
+            "/value", unit=1, table="discrete_inputs", order="ABCD", address=2, type="", text="on"
+        )
+        assert plc.read_discrete_inputs(0, 4) == [False, False, True, False]
+
+
+def value(**given: Any) -> dict[str, Any]:
+    return {"unit": 1, "point": 1, "name": "level", "text": "1", **given}
+
+
+def cell(**given: Any) -> dict[str, Any]:
+    place = {"unit": 1, "table": "holding_registers", "address": 0, "text": "1"}
+    return {**place, "type": "uint16", "order": "ABCD", **given}
+
+
+REFUSED: list[tuple[dict[str, Any], str]] = [
+    (value(text="hot"), "value must be a number, not 'hot'"),
+    (value(text="100.1"), "value must be in 0..100, not 100.1"),
+    (value(text=""), "value must be a number, not ''"),
+    (value(point=0, name="temperature", text="1e99"), "value must be"),
+    (value(point=2, name="label", text="x" * 9), "value must have 0..8 bytes"),
+    (value(point=2, name="label", text="x" * 5000), "at most 2000"),
+    (value(point=3, name="limits", text="1"), "value must be a list of 2, not of 1"),
+    (value(point=4, name="pump", text="maybe"), "value must be one of 0, 1, off, on"),
+    (value(point=99), "point must be in 0..5, not 99"),
+    (value(point=True), "point must be an integer"),
+    (value(name="other"), "there is no such point any more"),
+    (value(unit=9), "there is no unit 9"),
+    (value(unit="1"), "there is no unit 1"),
+    (value(text=5), "text must be a string"),
+    ({"unit": 1}, "'text' is missing"),
+    (cell(text="65536"), "value must be in 0..65535, not 65536"),
+    (cell(text="-40000"), "value must be"),
+    (cell(address=19, type="float32"), "the device lacks holding_registers 19..20"),
+    (cell(address=-1), "address must be in 0..65536"),
+    (cell(type="float31"), "type must be one of"),
+    (cell(order="XYZW"), "order must be one of"),
+    (cell(table="files"), "table must be one of coils"),
+    (cell(table=["coils"]), "table must be one of coils"),
+]
+
+
+@each_case(("body", "text"), REFUSED, ids=[str(each[0])[:60] for each in REFUSED])
+def test_a_value_that_cannot_be_is_told(body: dict[str, Any], text: str) -> None:
+    with shown() as (_, _, visitor):
+        found = visitor.post("/value", **body)
+    assert isinstance(found, str)
+    assert text in found
+    assert "\n" not in found
+
+
+def test_a_value_that_the_device_computes_is_told() -> None:
+    mapping = Mapping(input_registers=4)
+
+    def compute(access: Access) -> None:
+        mapping.input_registers[1] = 42
+
+    with page_of(Server({1: Device(mapping, before_read=compute)})) as page:
+        visitor = Visitor(page.url)
+        body = cell(table="input_registers", address=1, text="7")
+        assert visitor.post("/value", **body) == "the device computes it itself: it moves"
+        assert visitor.post("/value", **{**body, "address": 2}) == {}
+    assert mapping.input_registers[:] == [0, 42, 7, 0]
+
+
+def test_what_registers_may_mean() -> None:
+    with shown() as (_, _, visitor):
+        found = visitor.post("/readings", unit=1, table="holding_registers", address=0)
+        assert ["float32", "CDAB", "21.5"] in found
+        assert visitor.post("/readings", unit=1, table="coils", address=0) == {}
+        assert visitor.post("/readings", unit=1, table="holding_registers", address=60) == {}
+
+
+# --- faults -------------------------------------------------------------------------------------
+
+
+def test_faults_are_switched_off_and_on() -> None:
+    faults = {1: [Fault("exception", code=6, function=3)], None: [Fault("no_answer", function=1)]}
+    with (
+        shown(faults=faults) as (server, url, visitor),
+        visitor.watching(),
+        Context.from_url(url, unit=1, timeout=5) as plc,
+    ):
+        assert visitor.seen["faults"] == [
+            [0, 1, "exception", "function 3, code 6", True],
+            [1, None, "no_answer", "function 1", True],
+        ]
+        with pytest.raises(ServerDeviceBusy):
+            plc.read_holding_registers(0, 1)
+        assert visitor.post("/fault", number=0, kind="exception", on=False) == {}
+        visitor.receive(lambda: not visitor.seen["faults"][0][4])
+        until(lambda: 1 not in server.faults)
+        until(lambda: _reads(plc))
+        visitor.post("/fault", number=0, kind="exception", on=True)
+        until(lambda: not _reads(plc))
+        found = visitor.post("/fault", number=0, kind="delay", on=True)
+        assert found == "there is no such fault any more"
+
+
+def _reads(plc: Context) -> bool:
+    try:
+        plc.read_holding_registers(0, 1)
+    except ServerDeviceBusy:
+        return False
+    return True
+
+
+def test_a_fault_is_added() -> None:
+    with shown() as (server, url, visitor), visitor.watching():
+        body = {"unit": 2, "kind": "no_answer", "function": 3, "every": None, "seconds": None}
+        assert visitor.post("/faults", **body) == {}
+        visitor.receive(lambda: visitor.seen["faults"])
+        assert server.faults == {2: [Fault("no_answer", function=3)]}
+        with Context.from_url(url, unit=2, timeout=0.3) as plc, pytest.raises(ModbusTimeoutError):
+            until(lambda: plc.read_holding_registers(0, 1) is None)
+    for wrong, text in (
+        ({"unit": 2, "kind": "delay"}, "seconds is missing"),
+        ({"unit": None, "kind": "explode"}, "kind must be one of delay"),
+        ({"unit": 3, "kind": "no_answer"}, "there is no unit 3"),
+        ({"unit": 2, "kind": "delay", "seconds": "soon"}, "seconds must be"),
+        ({"unit": 2, "kind": ["delay"]}, "kind must be one of"),
+    ):
+        with shown() as (_, _, visitor):
+            assert text in visitor.post("/faults", **wrong)
+
+
+def test_others_may_change_devices_and_faults() -> None:
+    with shown() as (server, _, visitor), visitor.watching():
+        visitor.look(1, "holding_registers", 0, 8)
+        visitor.receive(lambda: visitor.seen["cells"])
+        mapping = Mapping(holding_registers={0: [77] * 8})
+        server.replace({1: Device(mapping)}, {1: [Fault("no_answer")]})
+        visitor.receive(lambda: visitor.seen["cells"][0] == 77 and visitor.seen["faults"])
+        assert [each["number"] for each in visitor.seen["units"]] == [1]
+        assert visitor.seen["units"][0]["tables"] == {"holding_registers": [[0, 8]]}
+        server.replace({3: Device(mapping)})
+        visitor.receive(lambda: visitor.seen["units"][0]["number"] == 3)
+        visitor.look(3, "holding_registers", 0, 8)
+        visitor.receive(lambda: visitor.seen["unit"] == 3)
+
+
+# --- the life of a page -------------------------------------------------------------------------
+
+
+def test_nothing_is_left_behind() -> None:
+    before = threading.active_count()
+    with shown() as (_, _, visitor), visitor.watching():
+        pass
+    with page_of(made_server()):
+        pass
+    until(lambda: threading.active_count() == before)
+
+
+def test_an_address_that_is_taken() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        page = page_of(made_server(), port=taken.getsockname()[1])
+        with pytest.raises(OSError, match="in use"):
+            page.__enter__()
+    server = made_server()
+    with page_of(server) as one, page_of(server) as other:  # two of one server
+        assert one.url != other.url

@@ -1,0 +1,345 @@
+"""
+Attacks on the page: who may not ask, requests that are none, and visitors who never end.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import socket
+import threading
+import time
+from contextlib import ExitStack, suppress
+from typing import Any
+from urllib.parse import urlsplit
+
+import pytest
+
+from libmodbus_py.tools.page.web import FILES
+from tests.support.cases import each_case
+from tests.support.commands import Started, run
+from tests.tools.page.watching import Visitor, shown, until
+
+PATHS = ["/", "/scripts/page.js", "/events", "/value"]
+
+
+def raw(visitor: Visitor, data: bytes, *, ends: bool = False) -> bytes:
+    """Send bytes, give all that comes back."""
+    received = b""
+    with socket.create_connection(visitor.address, 20) as connection:
+        with suppress(OSError):  # it may have had enough before
+            connection.sendall(data)
+            if ends:
+                connection.shutdown(socket.SHUT_WR)
+        with suppress(ConnectionResetError):  # it did not read all of it
+            while piece := connection.recv(65536):
+                received += piece
+    return received
+
+
+def descriptors() -> int:
+    return len(os.listdir("/proc/self/fd"))
+
+
+# --- who may ask ----------------------------------------------------------------------------------
+
+STRANGERS: dict[str, dict[str, str | None]] = {
+    "no token": {"Cookie": None},
+    "wrong token": {"Cookie": "libmodbus_page_{port}=AAAA"},
+    "token of another port": {"Cookie": "libmodbus_page_1={token}"},
+    "token that is no ASCII": {"Cookie": "libmodbus_page_{port}=\u00fc"},
+    "broken cookie": {"Cookie": "libmodbus_page_{port}[]={token};;;=="},
+    "foreign host": {"Host": "evil.example:{port}", "Origin": "http://evil.example:{port}"},
+    "host that begins as ours": {"Host": "127.0.0.1.evil.example:{port}"},
+    "another port": {"Host": "127.0.0.1:1", "Origin": "http://127.0.0.1:1"},
+    "no port": {"Host": "127.0.0.1", "Origin": "http://127.0.0.1"},
+    "no host": {"Host": "", "Origin": "http://"},
+    "foreign origin": {"Origin": "http://evil.example"},
+    "another page of this machine": {"Origin": "http://127.0.0.1:1"},
+    "no origin that it says": {"Origin": "null"},
+    "https": {"Origin": "https://127.0.0.1:{port}"},
+}
+
+
+@each_case("stranger", STRANGERS)
+def test_strangers_get_nothing(stranger: str) -> None:
+    with shown() as (server, _, visitor):
+        given = {
+            name: each and each.format(port=visitor.address[1], token=visitor.token)
+            for name, each in STRANGERS[stranger].items()
+        }
+        before = server.devices[1].mapping.holding_registers[2]
+        for path in PATHS:
+            method = "POST" if path == "/value" else "GET"
+            body = {"unit": 1, "point": 1, "name": "level", "text": "9"}
+            status, headers, data = visitor.ask(method, path, body, **given)
+            assert (status, "Set-Cookie" in headers) == (403, False), (path, data)
+            assert visitor.token.encode() not in data
+        assert server.devices[1].mapping.holding_registers[2] == before
+
+
+def test_two_hosts_are_none() -> None:
+    with shown() as (_, _, visitor):
+        cookie = visitor.headers["Cookie"]
+        hosts = f"Host: {visitor.host}\r\nHost: evil"
+        answer = raw(visitor, f"GET / HTTP/1.1\r\n{hosts}\r\nCookie: {cookie}\r\n\r\n".encode())
+    assert answer.startswith(b"HTTP/1.0 403")
+
+
+def test_a_change_needs_an_origin() -> None:
+    with shown() as (_, _, visitor):
+        body = {"unit": 1, "point": 1, "name": "level", "text": "9"}
+        assert visitor.ask("POST", "/value", body, Origin=None)[0] == 403
+        assert visitor.ask("GET", "/scripts/page.js", Origin=None)[0] == 200
+
+
+def test_the_printed_address_gives_a_cookie_that_scripts_do_not_see() -> None:
+    with shown() as (_, _, visitor):
+        path = f"/?token={visitor.token}"
+        status, headers, data = visitor.ask("GET", path, Cookie=None, Origin=None)
+        assert status == 200
+        assert b"<title>" in data
+        cookie = headers["Set-Cookie"]
+        assert cookie == f"{visitor.headers['Cookie']}; Path=/; HttpOnly; SameSite=Strict"
+        for wrong in ("/?token=", "/?token=a&token=b", "/?token=" + "a" * 5000, "/?token=%FF"):
+            assert visitor.ask("GET", wrong, Cookie=None, Origin=None)[0] == 403
+        localhost = f"localhost:{visitor.address[1]}"
+        assert visitor.ask("GET", path, Cookie=None, Origin=None, Host=localhost)[0] == 200
+
+
+def test_every_script_is_there_and_wanted() -> None:
+    with shown() as (_, _, visitor):
+        wanted, seen = ["/scripts/page.js"], set()
+        while wanted:
+            path = wanted.pop()
+            status, headers, data = visitor.ask("GET", path)
+            assert (status, headers["Content-Type"]) == (200, "text/javascript; charset=utf-8")
+            seen.add(path)
+            found = re.findall(r'^import .* from "\./(.*)";$', data.decode(), re.MULTILINE)
+            wanted += {f"/scripts/{name}" for name in found} - seen
+    assert seen == {path for path in FILES if path.startswith("/scripts/")}
+
+
+# Pages on all ports of a machine share them.
+ODD_COOKIES = ['prefs={"a":1}', "path=x", "a=b c", '"', "a", "\u00fc=1", "{own}=wrong"]
+
+
+def test_odd_cookies_of_others_lock_nobody_out() -> None:
+    with shown() as (_, _, visitor):
+        own = visitor.headers["Cookie"]
+        for other in ODD_COOKIES:
+            odd = other.format_map({"own": own.partition("=")[0]}) if "own" in other else other
+            for cookies in (f"{odd}; {own}", f"{own}; {odd}"):
+                assert visitor.ask("GET", "/scripts/page.js", Cookie=cookies)[0] == 200, cookies
+
+
+def test_too_many_fields_are_refused_and_answered() -> None:
+    with shown() as (_, _, visitor):
+        path = "/?" + "&".join(f"a={at}" for at in range(20))
+        assert visitor.ask("GET", path, Cookie=None)[0] == 403
+
+
+def test_what_a_browser_may_do_with_it() -> None:
+    with shown() as (_, _, visitor):
+        for path in ("/", "/scripts/page.js", "/page.css", "/icon.svg", "/nothing"):
+            _, headers, _ = visitor.ask("GET", path)
+            policy = headers["Content-Security-Policy"]
+            assert policy.startswith("default-src 'none'; script-src 'self'; style-src 'self';")
+            assert "unsafe" not in policy
+            assert "frame-ancestors 'none'" in policy
+            assert headers["X-Content-Type-Options"] == "nosniff"
+            assert headers["Referrer-Policy"] == "no-referrer"
+            assert headers["Cache-Control"] == "no-store"
+            assert "Access-Control-Allow-Origin" not in headers
+        html = visitor.ask("GET", "/")[2].decode()
+    assert "style=" not in html
+    assert "onclick" not in html
+    assert "://" not in html  # nothing from elsewhere
+
+
+# --- requests that are none -----------------------------------------------------------------------
+
+REQUESTS: list[tuple[str, str, Any, dict[str, str | None], int]] = [
+    ("GET", "/../page.py", None, {}, 404),
+    ("GET", "/page.py", None, {}, 404),
+    ("GET", "/%2e%2e/streams.py", None, {}, 404),
+    ("GET", "//etc/passwd", None, {}, 404),
+    ("GET", "http://evil.example/page.css", None, {}, 403),
+    ("GET", "/value", None, {}, 404),
+    ("POST", "/", {}, {}, 404),
+    ("POST", "/events", {}, {}, 404),
+    ("PUT", "/value", {}, {}, 501),
+    ("DELETE", "/value", None, {}, 501),
+    ("OPTIONS", "/value", None, {}, 501),
+    ("<script>", "/", None, {}, 501),
+    ("POST", "/value", b"{", {}, 400),
+    ("POST", "/value", b"[]", {}, 400),
+    ("POST", "/value", b"\xff\xfe", {}, 400),
+    ("POST", "/value", b"[" * 60_000, {}, 400),
+    ("POST", "/value", b"1" * 5000, {}, 400),
+    ("POST", "/value", {}, {"Content-Type": "text/plain"}, 415),
+    ("POST", "/value", {}, {"Content-Type": "application/x-www-form-urlencoded"}, 415),
+    ("POST", "/value", None, {}, 411),
+    ("POST", "/value", b"", {"Content-Length": "many"}, 411),
+    ("POST", "/value", b"", {"Content-Length": "-1"}, 411),
+    ("POST", "/value", b"", {"Content-Length": "65537"}, 413),
+    ("POST", "/value", b"", {"Content-Length": "9" * 30}, 413),
+    ("POST", "/value", b"", {"Content-Length": "0", "Transfer-Encoding": "chunked"}, 411),
+    ("POST", "/view", {"stream": "x", "unit": 1, "what": "coils", "first": 0, "stop": 1}, {}, 400),
+    ("POST", "/view", {"stream": [], "unit": 1, "what": {}, "first": 0, "stop": 1}, {}, 400),
+    ("POST", "/fault", {"number": 0, "kind": None, "on": True}, {}, 400),
+    ("POST", "/fault", {"number": 1e9, "kind": None, "on": True}, {}, 400),
+    ("POST", "/faults", {"unit": 1, "kind": {}}, {}, 400),
+]
+
+
+def test_requests_that_cannot_be() -> None:
+    with shown() as (_, _, visitor):
+        found = [
+            visitor.ask(method, path, body, **headers)[0]
+            for method, path, body, headers, _ in REQUESTS
+        ]
+        assert visitor.ask("GET", "/")[0] == 200
+    assert found == [each[-1] for each in REQUESTS]
+
+
+BYTES = [
+    b"\r\n\r\n",
+    b"\0" * 1000,
+    b"GET\r\n\r\n",
+    b"GET / HTTP/9.9\r\n\r\n",
+    b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03" + bytes(500),  # TLS
+    b"GET / HTTP/1.1\r\nHost: x\r\n" + b"A: b\r\n" * 50_000,
+    b"GET / HTTP/1.1\r\nA: " + b"x" * 300_000,
+    b"GET /" + b"x" * 300_000,
+    b"GET http://[/ HTTP/1.1\r\n\r\n",
+]
+
+
+def test_a_head_is_not_longer_than_it_may_be() -> None:
+    with shown() as (_, _, visitor):
+        assert visitor.ask("GET", "/", A="x" * 15_000)[0] == 200
+        assert visitor.ask("GET", "/", A="x" * 17_000)[0] == 431
+
+
+def test_bytes_that_are_no_request() -> None:
+    with shown() as (_, _, visitor):
+        for data in BYTES:
+            answer = raw(visitor, data, ends=True)
+            assert b" 200 " not in answer[:20]
+            assert b"Traceback" not in answer
+        assert visitor.ask("GET", "/")[0] == 200
+
+
+# --- visitors who never end -----------------------------------------------------------------------
+
+
+def test_who_says_nothing_keeps_nobody_out() -> None:
+    """More of them than connections, and each trickles."""
+    with shown() as (_, _, visitor), ExitStack() as stack:
+        before = threading.active_count()
+        lorises = []
+        for _ in range(100):
+            loris = stack.enter_context(socket.create_connection(visitor.address, 20))
+            loris.sendall(b"GET / HTTP/1.1\r\nA:")
+            lorises.append(loris)
+        assert visitor.ask("GET", "/")[0] == 200
+        assert threading.active_count() - before <= 70
+    until(lambda: threading.active_count() <= before)
+
+
+def test_who_trickles_has_gone_in_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("libmodbus_py.tools.page.web.PATIENCE", 0.5)
+    with shown() as (_, _, visitor), socket.create_connection(visitor.address, 20) as loris:
+        until(lambda: not _trickles(loris))
+
+
+def _trickles(loris: socket.socket) -> bool:
+    time.sleep(0.05)
+    try:
+        loris.sendall(b"A")
+    except OSError:
+        return False
+    return True
+
+
+def test_no_more_than_so_many_pages() -> None:
+    with shown() as (_, _, visitor), ExitStack() as stack:
+        for _ in range(16):
+            stack.enter_context(Visitor(f"http://{visitor.host}/?token={visitor.token}").watching())
+        status, _, data = visitor.ask("GET", "/events")
+        assert status == 503
+        assert json.loads(data)["error"] == "16 pages are open, as many as may be"
+        assert visitor.ask("GET", "/")[0] == 200
+
+
+def test_a_hundred_pages_that_go_leave_nothing() -> None:
+    with shown() as (_, _, visitor):
+        url = f"http://{visitor.host}/?token={visitor.token}"
+        with Visitor(url).watching():
+            pass
+        until(lambda: not [each for each in threading.enumerate() if "process_req" in each.name])
+        before = descriptors()
+        for _ in range(100):
+            until(lambda: _visited(url))
+        until(lambda: not [each for each in threading.enumerate() if "process_req" in each.name])
+        until(lambda: descriptors() <= before)
+
+
+def _visited(url: str) -> bool:
+    """Whether there was room; who has just gone is noticed soon."""
+    try:
+        with Visitor(url).watching():
+            return True
+    except AssertionError:
+        return False
+
+
+def test_who_does_not_read_is_left_behind_and_told_everything_when_it_does() -> None:
+    with shown() as (server, _, visitor), socket.socket() as slow:
+        slow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        slow.settimeout(20)
+        slow.connect(visitor.address)
+        head = (
+            f"GET /events HTTP/1.1\r\nHost: {visitor.host}\r\nCookie: {visitor.headers['Cookie']}"
+        )
+        slow.sendall(f"{head}\r\n\r\n".encode())
+        with visitor.watching():  # somebody else, who reads
+            visitor.look(1, "holding_registers", 0, 20)
+            registers = server.devices[1].mapping.holding_registers
+            for number in range(1, 20):
+                registers[10] = number
+                visitor.receive(lambda number=number: visitor.seen["cells"].get(10) == number)
+        received = b""
+        while b"\n\n" not in received:
+            received += slow.recv(65536)
+
+
+def test_an_end_ends_everybody() -> None:
+    """SIGTERM with open streams, from the command line."""
+    with Started("serve", "tcp://127.0.0.1:0", "--page", "127.0.0.1:0") as program:
+        assert program.stdout.readline().startswith("listening on tcp://127.0.0.1:")
+        line = program.stdout.readline().rstrip()
+        assert line.startswith("page on http://127.0.0.1:")
+        visitor = Visitor(line.removeprefix("page on "))
+        assert urlsplit(line.removeprefix("page on ")).path == "/"
+        with ExitStack() as stack:
+            for _ in range(5):
+                stack.enter_context(Visitor(line.removeprefix("page on ")).watching())
+            stack.enter_context(socket.create_connection(visitor.address))
+            program.terminate()
+            assert program.wait() == 0
+
+
+def test_a_page_that_cannot_be_gets_one_line() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        for place, code, text in (
+            (f"127.0.0.1:{port}", 1, f"cannot show a page on 127.0.0.1:{port}: Address already"),
+            ("127.0.0.1", 2, "argument --page: must be HOST:PORT, such as 127.0.0.1:8080, not"),
+        ):
+            done = run("serve", "tcp://127.0.0.1:0", "--page", place)
+            assert (done.code, done.out) == (code, "")
+            assert text in done.err
+            assert done.err.count("\n") == 1

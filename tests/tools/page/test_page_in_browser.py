@@ -1,0 +1,198 @@
+"""
+The page as people use it: in Chromium, with a mouse, with a keyboard alone, in a narrow window,
+while a client talks to the server.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from libmodbus_py import Context, Device, Fault, Mapping, Server, ServerDeviceBusy, page_of
+from tests.tools.page.browsers import browser, console, missing, resize
+from tests.tools.page.watching import made_server, until
+
+pytestmark = [
+    pytest.mark.skipif(bool(missing()), reason=missing()),
+    pytest.mark.timeout(300),  # Chromium on a busy machine
+]
+
+
+class Person:
+    """Looks, clicks and types."""
+
+    def __init__(self, driver: Any) -> None:
+        self.driver = driver
+
+    def all(self, selector: str) -> list[Any]:
+        return self.driver.find_elements("css selector", selector)
+
+    def one(self, selector: str) -> Any:
+        return until(lambda: self.all(selector), 30)[0]
+
+    def text(self, selector: str) -> str:
+        """As it stands there, also where it is scrolled out of sight."""
+        return self.driver.execute_script(
+            "return [...document.querySelectorAll(arguments[0])].map(e => e.textContent).join('|')",
+            selector,
+        )
+
+    def attribute(self, selector: str, name: str) -> Any:
+        """In one step, for the element may be drawn again between finding and asking it."""
+        return self.driver.execute_script(
+            "return document.querySelector(arguments[0])?.getAttribute(arguments[1])",
+            selector,
+            name,
+        )
+
+    def sees(self, selector: str, text: str) -> None:
+        until(lambda: text in self.text(selector), 30)
+
+    def click(self, selector: str, text: str = "") -> None:
+        def found() -> list[Any]:
+            return [each for each in self.all(selector) if text in each.text]
+
+        self._retried(lambda: until(found, 30)[0].click())
+
+    def types(self, *keys: str) -> None:
+        """To whatever has the focus."""
+        from selenium.webdriver import ActionChains
+
+        ActionChains(self.driver).send_keys(*keys).perform()
+
+    def _retried(self, act: Callable[[], None]) -> None:
+        """What is clicked may be drawn again in that moment."""
+        from selenium.common.exceptions import StaleElementReferenceException
+
+        def is_done() -> bool:
+            try:
+                act()
+            except StaleElementReferenceException:
+                return False
+            return True
+
+        until(is_done, 30)
+
+
+def test_a_person_uses_the_page() -> None:
+    from selenium.webdriver.common.keys import Keys
+
+    server = made_server(faults={1: [Fault("exception", code=6, function=4)]})
+    with (
+        page_of(server) as page,
+        server.background("tcp://127.0.0.1:0") as running,
+        Context.from_url(running.urls[0], unit=1, timeout=5) as plc,
+        browser() as driver,
+    ):
+        person = Person(driver)
+        driver.get(page.url)
+        person.sees("#state", "live")
+        assert "token" not in driver.current_url
+        assert driver.execute_script("return document.cookie") == ""
+
+        # Names are text, whatever stands in them.
+        person.sees("#unit-name", "tank <script>alert(1)</script>")
+        person.sees('[data-point="0"]', "21.5")
+
+        # A client writes, and the page shows what, and who it was.
+        plc.write_values("holding_registers", 0, [-7.25], "float32", order="CDAB")
+        person.sees('[data-point="0"]', "-7.25")
+        person.sees(".point .written", "127.0.0.1")
+        person.sees("#log", "write holding registers 0..1: ")
+
+        # Somebody types a value, and the client reads it.
+        person.click('[data-point="1"]')
+        person.one("#text").clear()
+        person.one("#text").send_keys("12.5")
+        person.click("#set")
+        until(lambda: plc.read_holding_registers(2, 1) == [125])
+        person.sees("#answer", "set")
+
+        # What cannot be is told beside the field.
+        person.one("#text").clear()
+        person.one("#text").send_keys("hot")
+        person.click("#set")
+        person.sees("#answer", "value must be a number, not 'hot'")
+        assert person.one("#text").get_attribute("aria-invalid") == "true"
+        assert plc.read_holding_registers(2, 1) == [125]
+        person.click("#close")
+
+        # A fault is switched, and the client sees it.
+        with pytest.raises(ServerDeviceBusy):
+            plc.read_input_registers(0, 1)
+        person.click("#faults button")
+        until(lambda: person.attribute("#faults button", "aria-checked") == "false")
+        until(lambda: _reads(plc))
+
+        # With the keyboard alone: to the tab of the coils, along them, and one is on.
+        driver.execute_script("document.querySelector('#tables button').focus()")
+        person.types(Keys.TAB, Keys.ENTER)
+        until(lambda: driver.execute_script("return location.hash") == "#1/coils")
+        person.sees('[data-cell="3"]', "0")
+        driver.execute_script("document.querySelector('#list').focus()")
+        person.types(Keys.TAB, Keys.ARROW_RIGHT, Keys.ARROW_RIGHT, Keys.ARROW_RIGHT, Keys.SPACE)
+        until(lambda: plc.read_coils(3, 1) == [True])
+        person.sees('[data-cell="3"]', "1")
+        width = driver.execute_script(
+            "return getComputedStyle(document.activeElement).outlineWidth"
+        )
+        assert width == "2px"
+
+        # Registers with a type, from the keyboard, and away with Escape.
+        person.click("#tables button", "Holding")
+        until(lambda: person.all('[data-cell="100"]'))
+        driver.execute_script("document.querySelector('[data-cell=\"100\"]').focus()")
+        person.types(Keys.ENTER)
+        until(lambda: driver.switch_to.active_element.get_attribute("id") == "text")
+        driver.execute_script("document.querySelector('#type').value = 'float32'")
+        person.types("1.5", Keys.ENTER)
+        until(lambda: plc.read_values("holding_registers", 100, "float32") == [1.5])
+        person.types(Keys.ESCAPE)
+        until(lambda: driver.switch_to.active_element.get_attribute("data-cell") == "100")
+
+        # The log is paused, cleared, and goes on.
+        person.click("#pause")
+        person.click("#clear")
+        until(lambda: not person.text("#log"))
+        plc.read_holding_registers(7, 1)
+        person.click("#pause")
+        person.sees("#log", "read holding registers 7")
+
+        # A narrow window: nothing sticks out, and all is there.
+        resize(driver, 360, 740)
+        person.click("#tables button", "Points")
+        person.sees('[data-point="0"]', "-7.25")
+        assert driver.execute_script("return document.documentElement.scrollWidth") <= 360
+        person.click("#tables button", "Holding")
+        person.sees('[data-cell="0"]', "0")
+        assert driver.execute_script("return document.documentElement.scrollWidth") <= 360
+
+        # Nothing was blocked, and nothing was missing but the value that was refused.
+        told = [each["message"] for each in console(driver)]
+        assert [each for each in told if "/value - " not in each] == []
+
+
+def _reads(plc: Context) -> bool:
+    try:
+        plc.read_input_registers(0, 1)
+    except ServerDeviceBusy:
+        return False
+    return True
+
+
+def test_large_tables_and_a_server_that_goes() -> None:
+    mapping = Mapping(coils=65536, holding_registers=65536)
+    mapping.holding_registers[65535] = 4711
+    with browser() as driver:
+        person = Person(driver)
+        with page_of(Server(Device(mapping))) as page:
+            driver.get(f"{page.url}#every/holding_registers")
+            person.sees("#state", "live")
+            person.sees('[data-cell="0"]', "0")
+            assert len(person.all("[data-cell]")) < 1000  # only what is seen is there
+            person.one("#address").send_keys("65535\n")
+            person.sees('[data-cell="65535"]', "4711")
+            assert driver.switch_to.active_element.get_attribute("data-cell") == "65535"
+        person.sees("#state", "no connection")

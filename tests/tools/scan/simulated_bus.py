@@ -1,0 +1,110 @@
+"""
+What a scan meets, in simulated time: a serial bus whose devices hear only what is sent at their
+own settings, and peers on a network that answer what they are told.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from libmodbus_py import Device, framing
+from libmodbus_py.device.device import Caller
+from libmodbus_py.ports.endpoint import parse
+from tests.simulation.lines import MemorySerialPort, Party
+from tests.simulation.network import Network
+from tests.simulation.scripted import Scripted, Write
+from tests.tools.scan.serial_bus import Member
+
+__all__ = ["SimulatedBus", "answering", "served", "simulated"]
+
+
+@contextmanager
+def simulated(seed: int = 1) -> Iterator[Network]:
+    """Have clients that are made meanwhile use a network in memory, on simulated time."""
+    network = Network(seed)
+    with network.installed():
+        yield network
+
+
+class SimulatedBus(Party):
+    """
+    Units on a line in memory, as `serial_bus.Bus` has them on a pseudo-terminal.
+
+    Attributes:
+        url: of the line.
+        asked: every request, as (baudrate, unit, PDU).
+    """
+
+    is_unit = True
+
+    def __init__(self, network: Network, units: dict[int, Member], scheme: str = "rtu") -> None:
+        self.url: str = f"{scheme}:///dev/line"
+        self.asked: list[tuple[int, int, bytes]] = []
+        self._units = units
+        self._events = network.events
+        self._line = network.line("/dev/line")
+        self._line.join(self)
+        self._framing: Any = scheme
+
+    def flood(self, data: bytes, every: float) -> None:
+        """Send without having been asked, from now on."""
+        self._line.write(self, data)
+        self._events.after(every, self.flood, data, every)
+
+    def hear(self, data: bytes) -> None:
+        (port,) = (each for each in self._line.parties if isinstance(each, MemorySerialPort))
+        self._line.character = port.character
+        framer = framing.make_framer(self._framing, "server")
+        for frame in framer.scan(data):
+            if isinstance(frame, framing.Frame):
+                self.asked.append((port.baudrate, frame.unit, frame.pdu))
+                self._answer(framer, frame, (port.baudrate, port.stop_bits))
+
+    def _answer(
+        self, framer: framing.Framer, frame: framing.Frame, settings: tuple[int, int]
+    ) -> None:
+        member = self._units.get(frame.unit)
+        pdu = member.answer(frame.pdu) if member is not None else None
+        if member is None or pdu is None:
+            return
+        adu = framer.encode(framing.Frame(frame.unit, pdu))
+        if (member.baudrate, member.stop_bits) != settings:
+            if not member.garbles:
+                return
+            adu = bytes(byte ^ 0xA5 for byte in adu[:5])
+        self._events.after(member.after, self._line.write, self, adu)
+
+
+def served(network: Network, url: str, *answers: Callable[[bytes], list[bytes] | None]) -> Scripted:
+    """
+    Serve answers, as `FakeServer` does.
+
+    Args:
+        answers: one for each request, in order; the last one goes on.
+    """
+    left = list(answers)
+
+    def answer(request: bytes, write: Write) -> None:
+        given = left[0](request)
+        if len(left) > 1:
+            del left[0]
+        for piece in given or []:
+            write(piece)
+
+    return Scripted(network, url, answer)
+
+
+def answering(network: Network, url: str, units: dict[int, Device]) -> Scripted:
+    """Serve devices, and have all other units be silent."""
+    framer = framing.make_framer(parse(url).framing, "server")
+
+    def answer(data: bytes, write: Write) -> None:
+        for frame in framer.scan(data):
+            if isinstance(frame, framing.Frame) and frame.unit in units:
+                pdu = units[frame.unit].answer(frame.pdu, Caller(frame.unit, "test"))
+                assert pdu is not None
+                write(framer.encode(frame._replace(pdu=pdu)))
+
+    return Scripted(network, url, answer)

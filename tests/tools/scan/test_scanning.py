@@ -1,0 +1,591 @@
+"""
+Who answers where: real pseudo-terminals and sockets, and peers of every kind.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import socket
+import subprocess
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from libmodbus_py import (
+    Context,
+    Device,
+    Found,
+    Mapping,
+    ModbusConnectionError,
+    Scan,
+    Server,
+    pdu,
+    scanning,
+)
+from libmodbus_py.tools.testing.wires import SerialWire, TcpWire
+from tests.interop.test_interop_pymodbus import pymodbus_server
+from tests.support import certificates
+from tests.support.certificates import Papers
+from tests.support.interop import UNIT, program
+from tests.support.peers import FakeServer, dead, mbap, refusing, until, url_of
+from tests.tools.scan.serial_bus import Bus, Member, of
+from tests.tools.scan.simulated_bus import SimulatedBus, answering, served, simulated
+
+QUICK = 0.05  # seconds for the answer of somebody who is not there
+PATIENT = 1.0  # for one who is, on a busy machine
+
+READING = {1, 2, 3, 4, 17, 43}
+
+OBJECTS = {"VendorName": "ACME", "ProductCode": "M1", "MajorMinorRevision": "1.2"}
+
+
+def meter(**tables: Any) -> Device:
+    return Device(Mapping(**tables), identification=OBJECTS)
+
+
+def at(found: Found) -> tuple[int, int | None, str | None, int | None]:
+    return found.unit, found.baudrate, found.parity, found.stop_bits
+
+
+def all_of(scan: Scan) -> list[Found]:
+    with scan:
+        return list(scan)
+
+
+def only_read(pdus: list[bytes]) -> bool:
+    """No function that writes, and of 8 and 43 none that changes anything."""
+    return all(each[0] in READING and (each[0] != 43 or each[1] == 14) for each in pdus)
+
+
+@contextlib.contextmanager
+def descriptors(*, sockets: bool = False) -> Iterator[None]:
+    """None is left over; a device that answers in the thread of a bus has sockets of its own."""
+
+    def count() -> int:
+        links = []
+        for each in os.listdir("/proc/self/fd"):
+            with contextlib.suppress(OSError):
+                links.append(os.readlink(f"/proc/self/fd/{each}"))
+        return sum(sockets or not link.startswith("socket:") for link in links)
+
+    before = count()
+    yield
+    until(lambda: count() <= before)
+
+
+# --- a line ------------------------------------------------------------------------------
+
+
+def three_units() -> dict[int, Member]:
+    return {
+        5: Member(of(meter(holding_registers=10)), 9600, 2),
+        17: Member(of(meter(coils=8)), 19200, 1),
+        42: Member(of(meter(holding_registers=1)), 9600, 2),
+    }
+
+
+def test_units_are_found_on_a_real_line() -> None:
+    with Bus(three_units()) as bus, descriptors():
+        url = f"{bus.url}?parity=N"
+        found = all_of(scanning(url, baudrates=[9600], units=[5, 6], timeout=0.3))
+        assert [at(each) for each in found] == [(5, 9600, "N", 2)]
+        assert bus.is_restored
+        with Context.from_url(found[0].url) as client:  # the URL is one of a client
+            assert client.read_holding_registers(0, 10) == [0] * 10
+
+
+@pytest.mark.parametrize("scheme", ["rtu", "ascii"])
+def test_three_units_are_found_at_their_two_rates(scheme: str) -> None:
+    with simulated() as network:
+        bus = SimulatedBus(network, three_units(), scheme)
+        scan = scanning(bus.url, baudrates=[9600, 19200], parities="EN", units=[5, 6, 17, 42])
+        assert bus.asked == []
+        assert scan.total == 16
+        found = all_of(scan)
+        assert [at(each) for each in found] == [
+            (5, 9600, "N", 2),
+            (42, 9600, "N", 2),
+            (17, 19200, "E", 1),
+        ]
+        assert [each.exception for each in found] == [None, None, 2]
+        for each in found:
+            assert each.data_bits == (7 if scheme == "ascii" else 8)
+            assert each.server_id is not None
+            assert each.server_id.running
+            assert each.identification is not None
+            assert each.identification.names == OBJECTS
+            assert (each.is_late, each.is_any) == (False, False)
+            assert each.took < 0.1
+        assert only_read([asked[2] for asked in bus.asked])
+        assert scan.requests == len(bus.asked)
+        with Context.from_url(found[0].url) as client:  # the URL is one of a client
+            assert client.read_holding_registers(0, 10) == [0] * 10
+
+
+def test_a_device_with_one_stop_bit_is_found_without_parity() -> None:
+    """Its receiver looks at the first one only: what is sent has two (serial line, 2.5.1)."""
+    with simulated() as network:
+        bus = SimulatedBus(network, {1: Member(of(meter()), 9600, 2)})
+        made = scanning(bus.url, baudrates=[9600], parities=["N"], units=[1], timeout=PATIENT)
+        assert [each.stop_bits for each in made] == [2]
+    with simulated() as network:
+        bus = SimulatedBus(network, {1: Member(of(meter()), 9600, 1)})
+        url = f"{bus.url}?stop_bits=1&baudrate=9600&parity=N&unit=1&timeout={PATIENT}"
+        assert [at(each) for each in scanning(url)] == [(1, 9600, "N", 1)]
+
+
+def test_damaged_bytes_are_a_hint_and_no_unit() -> None:
+    with simulated() as network:
+        bus = SimulatedBus(network, {9: Member(of(meter()), 9600, 2, garbles=True)})
+        scan = scanning(bus.url, baudrates=[19200, 9600], parities=["N"], units=[8, 9], timeout=0.2)
+        assert [at(each) for each in all_of(scan)] == [(9, 9600, "N", 2)]
+    (note,) = scan.notes
+    assert note.startswith("19200 8N2: 1 of the probes brought bytes that are no answer")
+    assert "unit 9" in note
+
+
+def test_a_late_answer_is_its_own_units_and_not_the_next_ones() -> None:
+    members = {7: Member(of(meter(holding_registers=1)), 9600, 2, after=0.3)}
+    with simulated() as network:
+        bus = SimulatedBus(network, members)
+        scan = scanning(bus.url, baudrates=[9600], parities=["N"], units=[7, 8, 9, 10], timeout=0.2)
+        (found,) = all_of(scan)
+        assert (found.unit, found.is_late, found.exception) == (7, True, None)
+        # And the frames of eight and seven characters, of eleven bits each.
+        assert found.took == pytest.approx(0.3 + 15 * 11 / 9600, abs=0.001)
+    assert any("came late" in note for note in scan.notes)
+
+
+def test_a_late_answer_is_its_own_units_on_tcp_too() -> None:
+    """Through a gateway that works off what it was asked, one after the other."""
+    answers: list[bytes] = []
+
+    def slow(request: bytes) -> list[bytes]:
+        answers.append(mbap(request, b"\x03\x02\0\1" if request[6] == 2 else b"\x83\x0b"))
+        return [answers.pop(0)] if len(answers) > 2 else []  # each comes two requests later
+
+    with simulated() as network:
+        server = served(network, "tcp://10.0.0.1", slow)
+        scan = scanning(server.url, units=[1, 2, 3, 4, 5], timeout=0.1)
+        assert [(each.unit, each.is_late) for each in all_of(scan)] == [(2, True)]
+        assert server.connections == 1
+
+
+def test_noise_does_not_make_a_unit() -> None:
+    noise = [b"\x00\xff\x13", b"", b"\x83", b"\x07" * 9]
+    answers: list[Any] = [lambda request, each=each: [each] for each in noise]
+    with simulated() as network:
+        unit = served(network, "rtu:///dev/line", *answers)
+        url = f"{unit.url}?baudrate=115200&parity=N"
+        scan = scanning(url, units=range(1, 7), timeout=QUICK)
+        assert all_of(scan) == []
+        assert len(unit.requests) == 6
+    assert len(scan.notes) == 1
+
+
+def test_an_echo_is_nobody() -> None:
+    with simulated() as network:
+        unit = served(network, "rtu:///dev/line", lambda request: [request])
+        scan = scanning(f"{unit.url}?baudrate=9600&parity=N", units=[1, 2], timeout=QUICK)
+        assert all_of(scan) == []
+    assert "echo=True?" in scan.notes[0]
+
+
+def test_a_line_that_never_falls_silent_is_left_soon() -> None:
+    with simulated() as network:
+        bus = SimulatedBus(network, {})
+        bus.flood(b"\x55", 0.0012)
+        scan = scanning(bus.url, baudrates=[9600], parities=["N"], timeout=0.1)
+        started = network.events.now
+        assert all_of(scan) == []
+        assert len(bus.asked) < 2  # of 247
+        assert network.events.now - started < 0.02 * scan.longest
+    assert any("does not fall silent" in note for note in scan.notes)
+
+
+def test_a_port_that_vanishes_ends_it_with_what_was_found() -> None:
+    def unplug(pdu: bytes) -> None:
+        raise EOFError
+
+    members = {1: Member(of(meter()), 9600, 2), 3: Member(unplug, 9600, 2)}
+    with Bus(members) as bus, descriptors():
+        scan = scanning(bus.url, baudrates=[9600], parities=["N"], timeout=0.2)
+        assert next(scan).unit == 1
+        with pytest.raises(ModbusConnectionError):
+            next(scan)
+        with pytest.raises(StopIteration):
+            next(scan)
+    assert scan.requests < 10
+
+
+def test_a_port_that_is_not_there_is_an_error() -> None:
+    with pytest.raises(ModbusConnectionError, match="cannot open"):
+        next(scanning("rtu:///dev/nowhere"))
+
+
+def test_a_rate_that_the_port_cannot_do_is_passed_over(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pseudo-terminals take any rate: the answer of the kernel is made up."""
+    from libmodbus_py.ports import serial
+
+    def refuse(descriptor: int, baudrate: int) -> None:
+        raise OSError(22, f"baudrate {baudrate} refused")
+
+    monkeypatch.setattr(serial, "set_odd_baudrate", refuse)
+    with Bus({1: Member(of(meter()), 9600, 2)}) as bus, descriptors():
+        scan = scanning(bus.url, baudrates=[12345, 9600], parities="N", units=[1], timeout=0.2)
+        assert [at(each) for each in all_of(scan)] == [(1, 9600, "N", 2)]
+        assert "12345" in scan.notes[0]
+        with pytest.raises(ModbusConnectionError, match="refused"):
+            next(scanning(bus.url, baudrates=[12345], units=[1]))
+
+
+# --- networks ----------------------------------------------------------------------------
+
+
+SCHEMES = ["tcp", "udp", "rtu+tcp", "ascii+tcp"]
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_units_are_found_over_networks(scheme: str) -> None:
+    with simulated() as network:
+        units = {1: meter(holding_registers=1), 17: meter()}
+        peer = answering(network, f"{scheme}://10.0.0.1", units)
+        found = all_of(scanning(peer.url, units=[1, 2, 17, 18]))
+        assert [(each.unit, each.exception, each.baudrate) for each in found] == [
+            (1, None, None),
+            (17, 2, None),
+        ]
+        assert all(each.identification is not None for each in found)
+
+
+def test_a_unit_is_found_over_a_real_network() -> None:
+    server = Server({1: meter(), 17: meter()}, unknown_unit="silent")
+    with server.background("tcp://127.0.0.1:0") as running, descriptors(sockets=True):
+        found = all_of(scanning(running.urls[0], units=[17, 18], timeout=0.3))
+        assert [each.unit for each in found] == [17]
+
+
+def test_what_a_gateway_says_of_nobody_is_nobody() -> None:
+    """Our server does: exception 11."""
+    with Server({1: meter(), 9: meter()}).background("tcp://127.0.0.1:0") as running:
+        scan = scanning(running.urls[0])
+        assert [each.unit for each in all_of(scan)] == [1, 9]
+    (note,) = scan.notes
+    assert "a gateway says of 246 units that nobody is there" in note
+
+
+@pytest.mark.parametrize("tables", [{"holding_registers": 1}, {"coils": 1}], ids=["3", "83"])
+@pytest.mark.parametrize("scheme", ["tcp", "udp", "rtu+tcp"])
+def test_a_server_that_ignores_the_unit_is_one_device(scheme: str, tables: Any) -> None:
+    with Server(meter(**tables)).background(f"{scheme}://127.0.0.1:0") as running:
+        scan = scanning(running.urls[0], timeout=PATIENT)
+        (found,) = all_of(scan)
+        assert found.is_any
+        assert found.identification is not None
+    assert ["ignores the unit" in note for note in scan.notes] == [True]
+
+
+def test_a_device_that_is_255_to_everybody_is_one_device() -> None:
+    with FakeServer(lambda request: [mbap(request, b"\x03\x02\0\1", unit=255)]) as server:
+        (found,) = all_of(scanning(server.url, timeout=PATIENT))
+        assert found.is_any
+
+
+def test_units_answered_as_nobody_can_be_are_not_counted() -> None:
+    """A gateway that answers exception 4 for whoever is not there, as mbusd does for some."""
+
+    def answer(request: bytes) -> list[bytes]:
+        return [mbap(request, b"\x03\x02\0\1" if request[6] == 17 else b"\x83\x04")]
+
+    with FakeServer(answer) as server:
+        scan = scanning(server.url, timeout=PATIENT)
+        assert [each.unit for each in all_of(scan)] == [17]
+    assert any("247 units are answered as those that nobody can be" in n for n in scan.notes)
+
+
+def test_a_server_that_hangs_up_on_unknown_units_is_asked_on() -> None:
+    """It ends each connection with the first question to anybody else."""
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        thread = threading.Thread(target=_hang_up, args=(listener, 4))
+        thread.start()
+        port = listener.getsockname()[1]
+        found = all_of(scanning(f"tcp://127.0.0.1:{port}", units=[3, 4, 5], timeout=PATIENT))
+        assert [each.unit for each in found] == [4]
+        listener.shutdown(socket.SHUT_RDWR)
+        thread.join()
+
+
+def _hang_up(listener: socket.socket, unit: int) -> None:
+    while True:
+        try:
+            peer, _ = listener.accept()
+        except OSError:
+            return
+        with peer:
+            while (request := peer.recv(260)) and request[6] == unit:
+                refusal = bytes([request[7] | 0x80, 1])
+                peer.sendall(mbap(request, b"\x03\x02\0\1" if request[7] == 3 else refusal))
+
+
+@pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp"])
+def test_silence_does_not_cost_the_connection(scheme: str) -> None:
+    """Some devices take one at a time, and late answers come over the one that was asked."""
+    with simulated() as network:
+        server = served(network, f"{scheme}://10.0.0.1", lambda request: [])
+        scan = scanning(server.url, units=range(1, 9), timeout=QUICK)
+        assert all_of(scan) == []
+        assert server.connections == 1
+
+
+def test_a_dead_host_is_an_error_soon() -> None:
+    with dead() as port, pytest.raises(ModbusConnectionError):
+        next(scanning(f"tcp://127.0.0.1:{port}", timeout=0.1))
+    with refusing() as bound, pytest.raises(ModbusConnectionError):
+        next(scanning(url_of(bound)))
+    with refusing() as bound, pytest.raises(ModbusConnectionError):
+        next(scanning(url_of(bound).replace("tcp", "udp")))
+
+
+def test_a_server_that_is_gone_in_the_middle_is_an_error() -> None:
+    with contextlib.ExitStack() as stack:
+        running = stack.enter_context(Server({1: meter()}).background("tcp://127.0.0.1:0"))
+        scan = scanning(running.urls[0], timeout=PATIENT)
+        assert next(scan).unit == 1
+        stack.close()
+        with pytest.raises(ModbusConnectionError):
+            next(scan)
+
+
+def test_a_flood_of_answers_does_not_make_units() -> None:
+    def flood(request: bytes) -> list[bytes]:
+        number = int.from_bytes(request[:2], "big")
+        return [mbap(request, b"\x03\x02\0\1", transaction=number + 7 & 0xFFFF)] * 50
+
+    with simulated() as network:
+        server = served(network, "tcp://10.0.0.1", flood)
+        assert all_of(scanning(server.url, units=range(1, 9), timeout=QUICK)) == []
+
+
+# --- peers ---------------------------------------------------------------------------------
+
+
+def test_libmodbus_is_one_device_over_tcp(compiled: Callable[[str], Path]) -> None:
+    """Its server does not look at the unit."""
+    with program(compiled("server"), "tcp", 0) as process:
+        (found,) = all_of(scanning(f"tcp://127.0.0.1:{_port(process)}", timeout=PATIENT))
+        assert (found.unit, found.is_any, found.exception) == (1, True, 2)
+        assert found.server_id is not None
+        assert found.server_id.identifier == b"\xb4"
+        assert found.identification is None
+
+
+def test_pymodbus_is_found_over_tcp() -> None:
+    """Its server says 11 of units that it does not have."""
+    with pymodbus_server("tcp") as context:
+        scan = scanning(context.for_unit(1).url, units=range(1, 30), timeout=PATIENT)
+        (found,) = all_of(scan)
+    assert (found.unit, found.is_any) == (UNIT, False)
+    assert "28 units" in scan.notes[0]
+
+
+@pytest.mark.parametrize("scheme", ["rtu", "ascii"])
+def test_pymodbus_is_found_on_a_line(scheme: str) -> None:
+    with pymodbus_server(scheme) as context:
+        url = context.url
+        context.close()
+        found = all_of(scanning(url, parities="E", units=[UNIT - 1, UNIT], timeout=0.3))
+    assert [each.unit for each in found] == [UNIT]
+
+
+def test_libmodbus_is_found_on_a_line(compiled: Callable[[str], Path]) -> None:
+    with (
+        SerialWire() as wire,
+        program(compiled("server"), "rtu", wire.server, 19200, 17) as process,
+    ):
+        assert _port(process) == 0
+        url = f"rtu://{wire.client}?baudrate=19200"
+        found = all_of(scanning(url, parities="E", units=[17]))
+        assert [(each.unit, each.exception) for each in found] == [(17, 2)]
+
+
+def _port(process: subprocess.Popen[str]) -> int:
+    assert process.stdout is not None
+    word, port = process.stdout.readline().split()
+    assert word == "ready"
+    return int(port)
+
+
+# --- only reading ---------------------------------------------------------------------------
+
+
+def test_nothing_that_writes_ever_leaves() -> None:
+    """Every request that passed a tap, decoded."""
+    with (
+        Server({1: meter(holding_registers=9), 3: meter()}).background("tcp://127.0.0.1:0") as to,
+        TcpWire(int(to.urls[0].rpartition(":")[2])) as wire,
+    ):
+        assert len(all_of(scanning(f"tcp://127.0.0.1:{wire.port}", timeout=PATIENT))) == 2
+        sent = wire.sent_by("client")
+    pdus = []
+    while sent:
+        size = 6 + int.from_bytes(sent[4:6], "big")
+        pdus.append(sent[7:size])
+        sent = sent[size:]
+    assert len(pdus) == 248 + 2 + 2 * 2
+    assert only_read(pdus)
+    for each in pdus:
+        assert isinstance(
+            pdu.decode_request(each),
+            pdu.ReadHoldingRegisters | pdu.ReportServerId | pdu.ReadDeviceIdentification,
+        )
+
+
+# --- leaving it -----------------------------------------------------------------------------
+
+
+def test_it_can_be_left_at_any_time() -> None:
+    members = {each: Member(of(meter()), 9600, 2) for each in (1, 2, 3)}
+    with Bus(members) as bus, descriptors():
+        for found in scanning(bus.url, baudrates=[9600], parities="N", timeout=0.2):
+            assert found.unit == 1
+            break
+        del found
+        until(lambda: bus.is_restored)
+        scan = scanning(bus.url, baudrates=[9600], parities="N", timeout=0.2)
+        next(scan)
+        scan.close()
+        scan.close()
+        assert bus.is_restored
+        assert list(scan) == []
+
+
+def test_it_can_be_closed_from_another_thread() -> None:
+    with Bus({}) as bus, descriptors():
+        scan = scanning(bus.url, baudrates=[9600], parities="N", timeout=60)
+        timer = threading.Timer(0.2, scan.close)
+        timer.start()
+        assert list(scan) == []
+        timer.join()
+        assert bus.is_restored
+
+
+def test_it_can_be_closed_from_a_signal_handler() -> None:
+    with Bus({}) as bus, descriptors():
+        scan = scanning(bus.url, baudrates=[9600], parities="N", timeout=60)
+        before = signal.signal(signal.SIGALRM, lambda *_: scan.close())
+        try:
+            signal.setitimer(signal.ITIMER_REAL, 0.2)
+            assert list(scan) == []
+        finally:
+            signal.setitimer(signal.ITIMER_REAL, 0)
+            signal.signal(signal.SIGALRM, before)
+        assert bus.is_restored
+
+
+def test_what_is_told_of_progress() -> None:
+    told = []
+    with Server({2: meter()}).background("tcp://127.0.0.1:0") as running:
+        scan = scanning(running.urls[0], units=[1, 2, 3], timeout=0.5, on_progress=told.append)
+        all_of(scan)
+    assert [(each.unit, each.done, each.total) for each in told] == [
+        (1, 0, 3),
+        (2, 1, 3),
+        (3, 2, 3),
+    ]
+    assert [each.left for each in told] == sorted((each.left for each in told), reverse=True)
+    assert told[0].left <= scan.longest <= 5 * 0.6 + 0.5
+
+
+@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, SystemExit])
+def test_what_the_callback_raises_ends_it_well(error: type[BaseException]) -> None:
+    def fail(progress: object) -> None:
+        raise error
+
+    with Bus({}) as bus, descriptors():
+        scan = scanning(bus.url, on_progress=fail)
+        with pytest.raises(error):
+            next(scan)
+        assert bus.is_restored
+        assert bus.asked == []
+
+
+def test_it_takes_no_longer_than_it_says() -> None:
+    with simulated() as network:
+        bus = SimulatedBus(network, {})
+        scan = scanning(bus.url, baudrates=[9600, 19200], units=range(1, 6), timeout=0.1)
+        started = network.events.now
+        all_of(scan)
+        # Two units less at each place than it may have to ask.
+        assert 0.6 * scan.longest < network.events.now - started < scan.longest
+        assert 30 * 0.1 < scan.longest < 60 * 0.2
+        assert len(bus.asked) == 30
+
+
+# --- what is told wrong --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("url", "options", "message"),
+    [
+        ("tcp://127.0.0.1:1", {"units": [256]}, "units must be in 0..255, not 256"),
+        ("tcp://127.0.0.1:1", {"units": [True]}, "units must be an integer"),
+        ("tcp://127.0.0.1:1", {"units": []}, "units must hold at least one"),
+        ("tcp://127.0.0.1:1", {"units": 7}, "units must be a list, not int"),
+        ("rtu:///dev/nowhere", {"units": [0]}, "units must be in 1..255, not 0"),
+        ("tcp://127.0.0.1:1", {"baudrates": [9600]}, "baudrates are for serial ports"),
+        ("udp://127.0.0.1:1", {"parities": "E"}, "parities are for serial ports"),
+        ("rtu:///dev/nowhere", {"baudrates": [0]}, "baudrate must be in 1..4000000, not 0"),
+        ("rtu:///dev/nowhere", {"baudrates": ["x"]}, "baudrate must be an integer"),
+        ("rtu:///dev/nowhere", {"parities": "X"}, "parity must be one of E, N, O, not 'X'"),
+        ("rtu:///dev/nowhere", {"timeout": 0}, "timeout must be in"),
+        ("rtu:///dev/nowhere?silence=7", {}, "silence must be in"),
+        ("tcp://127.0.0.1:1?turnaround=-1", {}, "turnaround must be in"),
+        ("tcp://127.0.0.1:1", {"on_progress": 7}, "on_progress must be callable"),
+        ("http://127.0.0.1:1", {}, "the scheme must be one of"),
+    ],
+)
+def test_what_is_wrong_is_told_before_anything_is_sent(
+    url: str, options: Any, message: str
+) -> None:
+    with pytest.raises((TypeError, ValueError), match=message.replace(".", r"\.")):
+        scanning(url, **options)
+
+
+# --- tls -------------------------------------------------------------------------------------
+
+
+def test_units_are_found_over_tls(tmp_path: Path) -> None:
+    papers = Papers(tmp_path)
+    server = Server({1: meter(), 9: meter()}, security=papers.server())
+    stranger = papers.security(certificates.self_signed())
+    with server.background("tls://127.0.0.1:0") as running:
+        url = running.urls[0]
+        assert [each.unit for each in all_of(scanning(url, security=papers.client()))] == [1, 9]
+        with pytest.raises(ModbusConnectionError):  # at once, not 248 times
+            next(scanning(url, security=stranger, timeout=PATIENT))
+        assert server.statistics.accepted < 9
+
+
+def test_identification_in_many_pages_is_cut() -> None:
+    """A device that would never come to an end costs four requests."""
+    asked: list[int] = []
+
+    def answer(request: bytes) -> list[bytes]:
+        if request[7] != 43:
+            return [mbap(request, bytes([request[7] | 0x80, 11 if request[6] > 200 else 1]))]
+        number = request[10]
+        asked.append(number)
+        page = bytes([43, 14, 2, 2, 0xFF, number + 1, 1, number, 1, 0x41])
+        return [mbap(request, page)]
+
+    with FakeServer(answer) as server:
+        (found,) = all_of(scanning(server.url, units=[5], timeout=PATIENT))
+        assert asked == [0, 1, 2, 3]
+        assert found.identification is not None
+        assert found.identification.objects == dict.fromkeys(range(4), b"A")
+        assert not found.identification.complete

@@ -1,0 +1,1252 @@
+"""
+Device files: what a client finds in a simulated device, and what a wrong file is told.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import resource
+import socket
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from libmodbus_py import (
+    Context,
+    Device,
+    ExceptionResponse,
+    FrameError,
+    IllegalDataAddress,
+    InvalidResponse,
+    ModbusConnectionError,
+    ModbusTimeoutError,
+    Server,
+    ServerDeviceBusy,
+    ServerDeviceFailure,
+    pdu,
+    values,
+)
+from libmodbus_py.server.faults.fault import KINDS, PLACES, Fault
+from libmodbus_py.tools.simulator import example_files
+from libmodbus_py.tools.simulator.behaviour import BEHAVIOURS, Counter, RandomWalk
+from libmodbus_py.tools.simulator.device_file import DeviceFileError, load, parse
+from libmodbus_py.tools.simulator.keys import DEFAULTS, FIFO, FILE, RANGES, SERVER_ID, UNIT
+from libmodbus_py.tools.testing.wires import SerialWire
+from tests.support.cases import each_case
+from tests.support.commands import Started, run
+
+PLANT = Path(__file__).parents[3] / "examples" / "plant.toml"
+
+
+class Clock:
+    """Goes when it is told."""
+
+    def __init__(self) -> None:
+        self.now = 1000.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def unit(text: str, clock: Callable[[], float] = time.monotonic) -> Device:
+    """The device of a file with one unit, whose keys are given."""
+    devices, _ = parse(f"[[unit]]\n{text}", clock=clock)
+    assert isinstance(devices, Device)
+    return devices
+
+
+def answer(device: Device, request: pdu.Request[Any]) -> Any:
+    """What a client gets, decoded; its exceptions are raised."""
+    return request.decode_response(device.answer(request.encode()))
+
+
+def holding(device: Device, address: int, count: int = 1) -> Any:
+    return answer(device, pdu.ReadHoldingRegisters(address, count))
+
+
+def inputs(device: Device, address: int, count: int = 1) -> Any:
+    return answer(device, pdu.ReadInputRegisters(address, count))
+
+
+# --- ranges ------------------------------------------------------------------------------
+
+
+def test_values_lie_where_the_file_says() -> None:
+    device = unit("""
+        [[unit.holding_registers]]
+        address = 65535
+        value = 7
+        [[unit.holding_registers]]
+        address = 0
+        values = [1, 2]
+        [[unit.input_registers]]
+        address = 10
+        count = 3
+        value = 9
+        [[unit.coils]]
+        address = 5
+        values = [true, 0, 1, false]
+        [[unit.discrete_inputs]]
+        address = 5
+        count = 2
+        value = true
+    """)
+    assert holding(device, 65535) == [7]
+    assert holding(device, 0, 2) == [1, 2]
+    assert inputs(device, 10, 3) == [9, 9, 9]
+    assert answer(device, pdu.ReadCoils(5, 4)) == [True, False, True, False]
+    assert answer(device, pdu.ReadDiscreteInputs(5, 2)) == [True, True]
+
+
+@each_case(
+    ("content", "registers"),
+    [
+        ("count = 3", [0, 0, 0]),
+        ('type = "int16"\nvalue = -2', [0xFFFE]),
+        ('type = "float32"\nvalue = 3', [0x4040, 0]),
+        ('type = "float32"\norder = "CDAB"\nvalues = [-1.5]', [0, 0xBFC0]),
+        ('type = "uint32"\norder = "DCBA"\nvalue = 0x12345678', [0x7856, 0x3412]),
+        ('type = "bcd16"\ncount = 2\nvalue = 1234', [0x1234, 0x1234]),
+        ('type = "uint64"\nvalue = 0x0102030405060708', [0x0102, 0x0304, 0x0506, 0x0708]),
+        ('type = "string:5"\nvalue = "abc"\npadding = " "', [0x6162, 0x6320, 0x2000]),
+        ('type = "string:4"\nvalue = "°C"\nencoding = "latin-1"', [0xB043, 0]),
+        ('type = "string:4"\npadding = " "', [0x2020, 0x2020]),
+        ('type = "float16"', [0]),
+        ('type = "bits16"', [0]),
+        (f'type = "bits16"\nvalue = {[1, *[0] * 14, 1]}', [0x8001]),
+    ],
+)
+def test_types_are_those_of_values(content: str, registers: list[int]) -> None:
+    device = unit(f"[[unit.holding_registers]]\naddress = 3\n{content}")
+    assert holding(device, 3, len(registers)) == registers
+    with pytest.raises(IllegalDataAddress):
+        holding(device, 3, len(registers) + 1)
+
+
+ACCESS = """
+    [[unit.holding_registers]]
+    address = 0
+    count = 2
+    [[unit.holding_registers]]
+    address = 2
+    count = 2
+    access = "read"
+    [[unit.holding_registers]]
+    address = 4
+    count = 2
+    access = "write"
+    [[unit.holding_registers]]
+    address = 8
+    count = 2
+    access = "read_write"
+    [[unit.coils]]
+    address = 0
+    count = 2
+    [[unit.coils]]
+    address = 2
+    access = "read"
+    [[unit.coils]]
+    address = 3
+    access = "write"
+    [[unit.file]]
+    number = 1
+    record = 0
+    count = 2
+    [[unit.file]]
+    number = 1
+    record = 2
+    access = "read"
+    [[unit.file]]
+    number = 1
+    record = 3
+    access = "write"
+    [[unit.file]]
+    number = 1
+    record = 6
+    [[unit.file]]
+    number = 2
+    record = 3
+"""
+
+# Request -> whether it is executed; neighbours that allow the same are one range.
+REQUESTS = [
+    (pdu.ReadHoldingRegisters(0, 4), True),
+    (pdu.ReadHoldingRegisters(0, 5), False),
+    (pdu.ReadHoldingRegisters(3, 2), False),
+    (pdu.ReadHoldingRegisters(4, 1), False),
+    (pdu.ReadHoldingRegisters(6, 1), False),
+    (pdu.ReadHoldingRegisters(6, 2), False),
+    (pdu.ReadHoldingRegisters(7, 2), False),
+    (pdu.ReadHoldingRegisters(8, 2), True),
+    (pdu.ReadHoldingRegisters(9, 2), False),
+    (pdu.WriteRegister(1, 9), True),
+    (pdu.WriteRegister(2, 9), False),
+    (pdu.WriteRegister(4, 9), True),
+    (pdu.WriteRegister(6, 9), False),
+    (pdu.WriteRegisters(0, (9, 9)), True),
+    (pdu.WriteRegisters(1, (9, 9)), False),
+    (pdu.WriteRegisters(4, (9, 9)), True),
+    (pdu.WriteRegisters(5, (9, 9)), False),
+    (pdu.MaskWriteRegister(0, 0, 0), True),
+    (pdu.MaskWriteRegister(3, 0, 0), False),
+    (pdu.ReadWriteRegisters(0, 4, 4, (9, 9)), True),
+    (pdu.ReadWriteRegisters(4, 1, 0, (9, 9)), False),
+    (pdu.ReadWriteRegisters(0, 1, 2, (9,)), False),
+    (pdu.ReadCoils(0, 3), True),
+    (pdu.ReadCoils(2, 2), False),
+    (pdu.WriteCoil(3, True), True),
+    (pdu.WriteCoil(2, True), False),
+    (pdu.WriteCoils(0, (True, True)), True),
+    (pdu.WriteCoils(1, (True, True)), False),
+    (pdu.ReadFileRecords(((1, 0, 3),)), True),
+    (pdu.ReadFileRecords(((1, 2, 2),)), False),
+    (pdu.ReadFileRecords(((1, 4, 1),)), False),
+    (pdu.ReadFileRecords(((1, 6, 1), (2, 3, 1))), True),
+    (pdu.ReadFileRecords(((2, 0, 1),)), False),
+    (pdu.ReadFileRecords(((3, 0, 1),)), False),
+    (pdu.WriteFileRecords(((1, 0, (9, 9)),)), True),
+    (pdu.WriteFileRecords(((1, 3, (9,)),)), True),
+    (pdu.WriteFileRecords(((1, 0, (9,)), (1, 2, (9,)))), False),
+]
+
+
+@each_case(("request_", "is_executed"), REQUESTS, ids=str)
+def test_what_a_range_does_not_allow_is_exception_2(
+    request_: pdu.Request[Any], is_executed: bool
+) -> None:
+    device = unit(ACCESS)
+    tables = device.mapping.holding_registers, device.mapping.coils, *device.files.values()
+    before = [list(table) for table in tables]
+    if is_executed:
+        answer(device, request_)
+    else:
+        with pytest.raises(IllegalDataAddress):
+            answer(device, request_)
+    # A mask write of 0 and 0 leaves the 0 that is there.
+    writes = hasattr(request_, "values") or hasattr(request_, "value") or bool(_pieces(request_))
+    assert ([list(table) for table in tables] != before) is (is_executed and writes)
+
+
+def _pieces(request: pdu.Request[Any]) -> list[Any]:
+    return list(request.records) if isinstance(request, pdu.WriteFileRecords) else []
+
+
+def test_a_table_without_ranges_does_not_exist() -> None:
+    device = unit("exception_status = 3")
+    for request in (
+        pdu.ReadCoils(0, 1),
+        pdu.ReadInputRegisters(0, 1),
+        pdu.WriteRegister(0, 1),
+        pdu.ReadFileRecords(((1, 0, 1),)),
+        pdu.ReadFifoQueue(0),
+    ):
+        with pytest.raises(IllegalDataAddress):
+            answer(device, request)
+    assert answer(device, pdu.ReadExceptionStatus()) == 3
+
+
+def test_units_are_told_apart_and_faults_are_collected() -> None:
+    devices, faults = parse("""
+        [[fault]]
+        kind = "no_answer"
+        every = 9
+        [[unit]]
+        id = 247
+        exception_status = 1
+        [[unit.fault]]
+        kind = "delay"
+        seconds = 2
+        [[unit]]
+        id = 0
+        exception_status = 2
+    """)
+    assert isinstance(devices, dict)
+    assert {number: device.exception_status for number, device in devices.items()} == {247: 1, 0: 2}
+    assert faults == {None: [Fault("no_answer", every=9)], 247: [Fault("delay", seconds=2)]}
+
+
+def test_the_faults_of_a_unit_without_id_are_for_every_unit() -> None:
+    _, faults = parse("""
+        [[unit]]
+        [[unit.fault]]
+        kind = "no_answer"
+        [[fault]]
+        kind = "wrong_unit"
+    """)
+    assert faults == {None: [Fault("wrong_unit"), Fault("no_answer")]}
+
+
+# --- values that move ------------------------------------------------------------------------
+
+
+@each_case(
+    ("behaviour", "expected"),
+    [
+        ("counter = {}", [0, 0, 1, 1, 2, 2]),
+        ("counter = { interval = 0.5 }", [0, 1, 2, 3, 4, 5]),
+        ("counter = { step = 3, interval = 0.5, wrap = 7 }", [0, 3, 6, 2, 5, 1]),
+        ("counter = { start = 5, interval = 0.5, wrap = 7 }", [5, 6, 5, 6, 5, 6]),
+        ("counter = { start = 65534, interval = 0.5 }", [65534, 65535, 65534, 65535, 65534, 65535]),
+        ("counter = { start = 2, step = -1, interval = 0.5 }", [2, 1, 0, 2, 1, 0]),
+        ("counter = { start = 9, step = -2, interval = 0.5, wrap = 4 }", [9, 7, 5, 8, 6, 9]),
+        ('type = "int16"\ncounter = { start = -1, interval = 0.5 }', [0xFFFF, 0, 1, 2, 3, 4]),
+        ("counter = { step = 0.5, interval = 0.5 }", [0, 0, 1, 2, 2, 2]),
+        ("sine = { low = 100, high = 200, period = 2 }", [150, 200, 150, 100, 150, 200]),
+    ],
+)
+def test_values_at_each_half_second(behaviour: str, expected: list[int]) -> None:
+    clock = Clock()
+    device = unit(f"[[unit.input_registers]]\naddress = 5\n{behaviour}", clock)
+    found = []
+    for _ in expected:
+        found += inputs(device, 5)
+        clock.now += 0.5
+    assert found == expected
+
+
+def test_only_what_is_read_is_computed_and_all_of_it() -> None:
+    clock = Clock()
+    device = unit(
+        """
+        [[unit.input_registers]]
+        address = 10
+        count = 4
+        type = "uint32"
+        counter = {}
+        [[unit.input_registers]]
+        address = 20
+        value = 3
+        [[unit.input_registers]]
+        address = 18
+        count = 2
+        counter = {}
+    """,
+        clock,
+    )
+    clock.now += 5
+    table = device.mapping.input_registers
+    assert inputs(device, 13, 2) == [5, 0]
+    assert table[10:18] == [0, 0, 0, 5, 0, 5, 0, 0]
+    assert table[18:21] == [0, 0, 3]
+    assert inputs(device, 17, 3) == [5, 5, 5]
+    assert inputs(device, 10, 11) == [0, 5, 0, 5, 0, 5, 0, 5, 5, 5, 3]
+
+
+@pytest.mark.parametrize("kind", ["float16", "float32", "float64"])
+def test_floats_move_in_fractions(kind: str) -> None:
+    clock = Clock()
+    device = unit(
+        f'[[unit.input_registers]]\naddress = 0\ntype = "{kind}"\ncounter = {{ step = 0.25 }}',
+        clock,
+    )
+    clock.now += 3
+    count = values.value_type(kind).registers
+    assert values.value_type(kind).decode(inputs(device, 0, count)) == 0.75
+
+
+def test_a_random_walk_with_a_seed_is_the_same_after_every_start() -> None:
+    text = """
+        [[unit.input_registers]]
+        address = 0
+        count = 3
+        random_walk = { low = 0, high = 1000, step = 50, interval = 0.1, seed = 1 }
+    """
+    walks = []
+    for _ in range(2):
+        clock = Clock()
+        device = unit(text, clock)
+        walk = []
+        for _ in range(50):
+            walk.append(inputs(device, 0, 3))
+            assert inputs(device, 0, 3) == walk[-1]
+            clock.now += 0.1
+        walks.append(walk)
+    assert walks[0] == walks[1]
+    assert walks[0][0] == [500, 500, 500]
+    columns = list(zip(*walks[0], strict=True))
+    assert len(set(columns)) == 3
+    assert all(len(set(column)) > 20 for column in columns)
+
+
+def test_a_random_walk_with_a_seed_is_the_same_whenever_it_is_read() -> None:
+    text = """
+        [[unit.input_registers]]
+        address = 0
+        random_walk = { low = 0, high = 1000, step = 50, interval = 0.001, seed = 1 }
+    """
+    clocks = [Clock(), Clock()]
+    often, seldom = (unit(text, clock) for clock in clocks)
+    for _ in range(3):
+        for _ in range(5000):
+            clocks[0].now += 0.0025
+            inputs(often, 0)
+        clocks[1].now = clocks[0].now
+        assert inputs(often, 0) == inputs(seldom, 0)
+
+
+@given(step=st.floats(0.01, 500), start=st.integers(0, 10**12), seed=st.integers(0, 1 << 63))
+def test_no_move_of_a_random_walk_is_longer_than_its_step(
+    step: float, start: int, seed: int
+) -> None:
+    clock = Clock()
+    behaviour = f"random_walk = {{ low = -250, high = 250, step = {step!r}, seed = {seed} }}"
+    device = unit(f'[[unit.input_registers]]\naddress = 0\ntype = "float64"\n{behaviour}', clock)
+    clock.now += start + 0.5
+    before = None
+    for _ in range(20):
+        (value,) = values.value_type("float64").decode_many(inputs(device, 0, 4))
+        assert before is None or abs(value - before) <= step * 1.000001
+        before = value
+        clock.now += 1
+
+
+def test_random_walks_get_about() -> None:
+    """To both sides of where they begin, each its own way, further in a longer time."""
+    clock = Clock()
+    text = "random_walk = { low = 0, high = 60000, step = 10, seed = 3 }"
+    device = unit(f"[[unit.input_registers]]\naddress = 0\ncount = 100\n{text}", clock)
+    spread = {}
+    for moves in (16, 256, 4096, 65536):
+        clock.now = 1000.0 + moves
+        ways = [value - 30000 for value in inputs(device, 0, 100)]
+        assert min(ways) < 0 < max(ways)
+        assert len(set(ways)) > 20
+        spread[moves] = math.sqrt(sum(way * way for way in ways) / 100)
+    # Four times as far in 16 times as many moves; a third of that or three times is chance.
+    for before, after in pairwise(spread.values()):
+        assert 4 / 3 < after / before < 12
+
+
+def test_2000_random_walks_at_once_do_not_stop_the_server() -> None:
+    """Not after an hour in which nobody looked, nor at each later read."""
+    clock = Clock()
+    walk = "random_walk = { low = 0, high = 1, step = 1, interval = 0.001 }"
+    device = unit(f"[[unit.coils]]\naddress = 0\ncount = 65536\n{walk}", clock)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    start = time.process_time()
+    for at in range(0, 65536 - 2000, 2000):
+        clock.now += 3600
+        assert len(answer(device, pdu.ReadCoils(at, 2000))) == 2000
+    # 32 reads; a move for each millisecond would take one second for each read.
+    assert time.process_time() - start < 8
+    # A random generator for each would take 2.5 KB.
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 50_000
+
+
+def test_copies_of_2000_copies_are_made_at_once() -> None:
+    """Each finds its sources run by run, and copies them together."""
+    tables = ["coils", "discrete_inputs", "holding_registers", "input_registers"]
+    text = "".join(
+        f"[[unit.{table}]]\naddress = 0\ncount = 2000\n"
+        f"copy = {{ table = '{other}', address = 0 }}\n"
+        for table, other in pairwise(tables)
+    )
+    device = unit(text + "[[unit.input_registers]]\naddress = 0\ncount = 2000")
+    device.mapping.input_registers[0:2000] = [at % 3 == 0 for at in range(2000)]
+    assert answer(device, pdu.ReadCoils(0, 2000)) == [at % 3 == 0 for at in range(2000)]
+
+
+def test_copies_go_on_from_run_to_run() -> None:
+    """In the rhythm of the first; a longer value behind it is not hit in its middle."""
+    device = unit("""
+        [[unit.holding_registers]]
+        address = 0
+        count = 6
+        copy = { table = "input_registers", address = 10 }
+        [[unit.coils]]
+        address = 0
+        count = 3
+        copy = { table = "holding_registers", address = 1 }
+        [[unit.input_registers]]
+        address = 10
+        type = "uint32"
+        values = [1, 70000]
+        [[unit.input_registers]]
+        address = 14
+        values = [3, 99, 4, 99]
+        [[unit.input_registers]]
+        address = 18
+        type = "uint32"
+        values = [5, 6]
+    """)
+    assert holding(device, 0, 6) == [1, 65535, 3, 4, 5, 6]
+    assert holding(device, 3, 2) == [4, 5]
+    assert answer(device, pdu.ReadCoils(0, 3)) == [True, True, True]
+
+
+def test_a_random_walk_after_a_year_is_quick() -> None:
+    clock = Clock()
+    device = unit(
+        """
+        [[unit.input_registers]]
+        address = 0
+        count = 100
+        random_walk = { low = 0, high = 9, step = 1, interval = 0.001 }
+    """,
+        clock,
+    )
+    inputs(device, 0, 100)
+    clock.now += 365 * 86400
+    start = time.monotonic()
+    assert all(0 <= value <= 9 for value in inputs(device, 0, 100))
+    assert time.monotonic() - start < 5
+
+
+def test_a_random_walk_turns_round_at_its_limits() -> None:
+    clock = Clock()
+    text = "random_walk = { low = 100, high = 110, step = 10 }"
+    device = unit(f'[[unit.input_registers]]\naddress = 0\ntype = "float64"\n{text}', clock)
+    for _ in range(300):
+        clock.now += 1
+        assert 100 < values.value_type("float64").decode(inputs(device, 0, 4)) < 110
+
+
+def test_a_coil_blinks_and_a_bit_is_a_number() -> None:
+    clock = Clock()
+    device = unit(
+        """
+        [[unit.coils]]
+        address = 0
+        counter = { interval = 1 }
+        [[unit.coils]]
+        address = 1
+        copy = { table = "input_registers", address = 0 }
+        [[unit.input_registers]]
+        address = 0
+        counter = { interval = 3, wrap = 3 }
+        [[unit.input_registers]]
+        address = 1
+        copy = { table = "coils", address = 0, scale = 50 }
+    """,
+        clock,
+    )
+    found = []
+    for _ in range(8):
+        found.append((*answer(device, pdu.ReadCoils(0, 2)), *inputs(device, 1)))
+        clock.now += 1
+    assert found == [
+        (False, False, 0),
+        (True, False, 50),
+        (False, False, 0),
+        (True, True, 50),
+        (False, True, 0),
+        (True, True, 50),
+        (False, True, 0),
+        (True, True, 50),
+    ]
+
+
+COPIES = """
+    [[unit.holding_registers]]
+    address = 0
+    type = "{source}"
+    count = 2
+    value = {value}
+    [[unit.input_registers]]
+    address = 7
+    type = "{target}"
+    count = 2
+    copy = {{ table = "holding_registers", address = 0, scale = {scale} }}
+"""
+
+
+@each_case(
+    ("source", "value", "target", "scale", "expected"),
+    [
+        ("uint16", 555, "uint16", 1, 555),
+        ("float32", 21.56, "int16", 10, 216),
+        ("float32", 21.5, "float64", -2, -43.0),
+        ("int16", -5, "uint16", 1, 0),
+        ("uint32", 70000, "uint16", 1, 65535),
+        ("uint16", 70, "bcd16", 1000, 9999),
+        ("float64", 1e300, "float32", 1, values.value_type("float32").decode([0x7F7F, 0xFFFF])),
+        ("float64", 1e300, "float16", -1, -65504.0),
+        ("float64", "nan", "int16", 1, 0),
+        ("float64", "inf", "int16", -1, -32768),
+        ("uint64", (1 << 64) - 1, "uint64", 1, (1 << 64) - 1),
+        ("string:4", '"abc"', "string:4", 1, "abc"),
+        ("bits16", [1] + [0] * 15, "bits16", 1, [True] + [False] * 15),
+    ],
+)
+def test_copies(source: str, value: object, target: str, scale: float, expected: object) -> None:
+    device = unit(COPIES.format(source=source, value=value, target=target, scale=scale))
+    count = 2 * values.value_type(target).registers
+    assert values.value_type(target).decode_many(inputs(device, 7, count)) == [expected, expected]
+
+
+def test_a_copy_follows_what_clients_write() -> None:
+    device = unit(COPIES.format(source="uint16", value=0, target="uint16", scale=2))
+    answer(device, pdu.WriteRegisters(0, (5, 6)))
+    assert inputs(device, 7, 2) == [10, 12]
+    assert inputs(device, 8) == [12]
+
+
+def test_a_copy_of_what_is_no_value_is_exception_4() -> None:
+    device = unit(COPIES.format(source="bcd16", value=1, target="uint16", scale=1))
+    answer(device, pdu.WriteRegister(0, 0xABCD))
+    with pytest.raises(ServerDeviceFailure):
+        inputs(device, 7)
+    assert inputs(device, 8) == [1]
+
+
+def test_a_copy_of_a_copy_is_of_now() -> None:
+    clock = Clock()
+    device = unit(
+        """
+        [[unit.holding_registers]]
+        address = 9
+        counter = {}
+        [[unit.holding_registers]]
+        address = 1
+        count = 8
+        copy = { table = "holding_registers", address = 2, scale = 2 }
+    """,
+        clock,
+    )
+    clock.now += 3
+    assert holding(device, 1) == [3 << 8]
+    assert holding(device, 8, 2) == [6, 3]
+
+
+def test_what_moves_cannot_be_written() -> None:
+    device = unit("[[unit.holding_registers]]\naddress = 0\ncounter = {}")
+    with pytest.raises(IllegalDataAddress):
+        answer(device, pdu.WriteRegister(0, 1))
+
+
+LIMITS = {name: kind.limits for name, kind in values.TYPES.items() if kind.limits is not None}
+
+numbers = st.integers(-100_000, 100_000) | st.floats(-1e5, 1e5)
+
+
+@given(
+    kind=st.sampled_from(sorted(LIMITS)),
+    start=numbers,
+    step=numbers,
+    moment=st.floats(0, 1e9),
+)
+def test_counters_stay_in_their_type(kind: str, start: float, step: float, moment: float) -> None:
+    clock = Clock()
+    low, high = LIMITS[kind]
+    assume(low <= start <= high and step != 0)
+    text = f"""
+        [[unit.input_registers]]
+        address = 0
+        type = "{kind}"
+        counter = {{ start = {start!r}, step = {step!r} }}
+    """
+    device = unit(text, clock)
+    first = values.value_type(kind).decode(inputs(device, 0, values.value_type(kind).registers))
+    assert math.isclose(first, start, rel_tol=1e-3, abs_tol=0.5)
+    clock.now += moment
+    value = values.value_type(kind).decode(inputs(device, 0, values.value_type(kind).registers))
+    assert low <= value <= high
+
+
+@given(low=numbers, span=st.floats(1, 1e5), moments=st.lists(st.floats(0, 100), max_size=20))
+def test_waves_and_walks_stay_between_their_limits(
+    low: float, span: float, moments: list[float]
+) -> None:
+    clock = Clock()
+    high = low + span
+    limits = f"low = {low!r}, high = {high!r}"
+    device = unit(
+        f"""
+        [[unit.input_registers]]
+        address = 0
+        type = "float64"
+        sine = {{ {limits}, period = 7 }}
+        [[unit.input_registers]]
+        address = 4
+        type = "float64"
+        random_walk = {{ {limits}, step = {high - low!r} }}
+    """,
+        clock,
+    )
+    for moment in moments:
+        clock.now += moment
+        for value in values.value_type("float64").decode_many(inputs(device, 0, 8)):
+            assert low - span * 1e-9 <= value <= high + span * 1e-9
+
+
+def test_behaviours_check_themselves() -> None:
+    assert Counter() == Counter(1, 1.0, 0, None)
+    with pytest.raises(ValueError, match="step must not be 0"):
+        Counter(step=0)
+    with pytest.raises(ValueError, match="high must be above low"):
+        RandomWalk(5, 5, 1)
+
+
+# --- files that are wrong --------------------------------------------------------------------
+
+HOLDING = "[[unit]]\n[[unit.holding_registers]]\naddress = 0\n"
+FAULT = "[[unit]]\n[[unit.fault]]\n"
+AT = "unit[0].holding_registers[0]"
+FLOAT = "-3.4028234663852886e+38..3.4028234663852886e+38"
+
+BROKEN = [
+    ("[[unit]", "Expected ']]' at the end of an array declaration (at line 1, column 7)"),
+    ("[[unit]]\nid = 1\nid = 2\n", "Cannot overwrite a value (at line 3, column 7)"),
+    ("", "unit is missing"),
+    ("unit = []", "unit must hold at least one"),
+    ("[unit]", "unit must be a list of tables: [[unit]]"),
+    ("unit = [1]", "unit[0] must be a table, not 1"),
+    ("units = []", "units: no such key; allowed are unit, fault, roles, defaults"),
+    ("'my unit' = []", "'my unit': no such key; allowed are unit, fault, roles, defaults"),
+    ("[[unit]]\nid = 248", "unit[0].id must be in 0..247, or 255, not 248"),
+    ("[[unit]]\nid = -1", "unit[0].id must be in 0..255, not -1"),
+    ("[[unit]]\nid = '1'", "unit[0].id must be an integer in 0..255, not str"),
+    ("[[unit]]\nid = true", "unit[0].id must be an integer in 0..255, not True"),
+    ("[[unit]]\nid = 1\n[[unit]]\nid = 1", "unit[1].id: there is a unit 1 before this"),
+    (
+        "[[unit]]\nid = 1\n[[unit]]",
+        "unit[1].id is missing; only a single unit can be without",
+    ),
+    ("[[unit]]\n[[unit]]", "unit[0].id is missing; only a single unit can be without"),
+    (
+        "[[unit]]\nnames = 'x'",
+        "unit[0].names: no such key; allowed are id, name, description, exception_status,"
+        " server_id, identification, defaults, map, values, moves, coils, discrete_inputs,"
+        " holding_registers, input_registers, file, fifo, fault, roles",
+    ),
+    ("[[unit]]\nexception_status = 256", "unit[0].exception_status must be in 0..255, not 256"),
+    ("[[unit]]\nserver_id = 1", "unit[0].server_id must be a table, not 1"),
+    (
+        "[[unit]]\nserver_id = { name = 1 }",
+        "unit[0].server_id.name: no such key; allowed are identifier, running, additional",
+    ),
+    (
+        "[[unit]]\nserver_id = { running = 1 }",
+        "unit[0].server_id.running must be true or false, not 1",
+    ),
+    (
+        "[[unit]]\nserver_id = { identifier = '' }",
+        "unit[0].server_id.identifier must have 1..125 bytes, not 0",
+    ),
+    (
+        "[[unit]]\nserver_id = { identifier = [1, 256] }",
+        "unit[0].server_id.identifier[1] must be in 0..255, not 256",
+    ),
+    (
+        "[[unit]]\nidentification = { Vendor = 'x' }",
+        "unit[0].identification.Vendor: no such key; allowed are VendorName, ProductCode,"
+        " MajorMinorRevision, VendorUrl, ProductName, ModelName, UserApplicationName, and the"
+        " numbers 0..6, 128..255",
+    ),
+    (
+        "[[unit]]\nidentification = { 7 = 'x' }",
+        "unit[0].identification.7: no such key; allowed are VendorName, ProductCode,"
+        " MajorMinorRevision, VendorUrl, ProductName, ModelName, UserApplicationName, and the"
+        " numbers 0..6, 128..255",
+    ),
+    (
+        "[[unit]]\nidentification = { VendorName = 'ü' }",
+        "unit[0].identification.VendorName must be ASCII text or a list of bytes, not 'ü'",
+    ),
+    (
+        "[[unit]]\nidentification = { VendorName = 'a', 0 = 'b' }",
+        "unit[0].identification.0: there is an object 0 before this",
+    ),
+    (
+        f"[[unit]]\nidentification = {{ 128 = '{'x' * 245}' }}",
+        "unit[0].identification.128 must have 0..244 bytes, not 245",
+    ),
+    ("[[unit]]\ncoils = 8", "unit[0].coils must be a list of tables: [[unit.coils]]"),
+    ("[[unit]]\n[[unit.coils]]", "unit[0].coils[0].address is missing"),
+    (
+        "[[unit]]\n[[unit.coils]]\naddress = 0\ntype = 'int16'",
+        "unit[0].coils[0].type: no such key; allowed are address, count, value, values, access,"
+        " counter, sine, random_walk, copy, name, description",
+    ),
+    (
+        "[[unit]]\n[[unit.coils]]\naddress = 0\nvalues = [true, 2]",
+        "unit[0].coils[0].values[1] must be true or false, not 2",
+    ),
+    (
+        "[[unit]]\n[[unit.discrete_inputs]]\naddress = 0\naccess = 'read'",
+        "unit[0].discrete_inputs[0].access: no such key; allowed are address, count, value,"
+        " values, counter, sine, random_walk, copy, name, description",
+    ),
+    (
+        "[[unit]]\n[[unit.holding_registers]]\naddress = 65536",
+        f"{AT}.address must be in 0..65535, not 65536",
+    ),
+    (HOLDING + "count = 0", f"{AT}.count must be in 1..65536, not 0"),
+    (
+        HOLDING.replace("0\n", "65534\n") + "values = [1, 2, 3]",
+        f"{AT} ends at 65536, after 65535",
+    ),
+    (HOLDING + "value = 1\nvalues = [1]", f"{AT}.values means nothing beside value"),
+    (HOLDING + "value = 1\ncounter = {}", f"{AT}.counter means nothing beside value"),
+    (HOLDING + "values = [1]\ncount = 1", f"{AT}.count means nothing beside values"),
+    (HOLDING + "values = []", f"{AT}.values must hold at least one"),
+    (HOLDING + "values = 1", f"{AT}.values must be a list, not 1"),
+    (HOLDING + "values = [1, -1]", f"{AT}.values[1] must be in 0..65535, not -1"),
+    (HOLDING + "value = 1.5", f"{AT}.value must be an integer in 0..65535, not float"),
+    (
+        HOLDING + "type = 'float'",
+        f"{AT}.type must be one of int16, int32, int64, uint16, uint32, uint64, float16, float32,"
+        " float64, bcd16, bcd32, bcd64, bits16, bits32, bits64, string:N, not 'float'",
+    ),
+    (HOLDING + "type = 1", f"{AT}.type must be a string, such as float32, not int"),
+    (
+        HOLDING + "type = 'int32'\norder = 'ABDC'",
+        f"{AT}.order must be one of ABCD, CDAB, BADC, DCBA, not 'ABDC'",
+    ),
+    (HOLDING + "order = 'ABCD'", f"{AT}.order means nothing without type"),
+    (
+        HOLDING + "type = 'string:4'\nencoding = 'klingon'",
+        f"{AT}.encoding must be ascii, latin-1, utf-8, cp1252 or another of values.ENCODINGS, not"
+        " 'klingon'",
+    ),
+    (
+        HOLDING + "type = 'string:4'\nvalue = 'abcde'",
+        f"{AT}.value must have 0..4 bytes in ascii, not 'abcde' with 5",
+    ),
+    (
+        HOLDING + "type = 'bits16'\nvalue = [2]",
+        f"{AT}.value must hold 16 bits, lowest first, not 1",
+    ),
+    (
+        HOLDING + "access = 'readonly'",
+        f"{AT}.access must be one of read_write, read, write, not 'readonly'",
+    ),
+    (
+        HOLDING + "access = 'read_write'\ncounter = {}",
+        f"{AT}.access must be read for what moves by itself",
+    ),
+    (
+        HOLDING + "count = 5\n[[unit.holding_registers]]\naddress = 4",
+        "unit[0].holding_registers[1] begins at 4, within unit[0].holding_registers[0] (0..4)",
+    ),
+    (HOLDING + "counter = 1", f"{AT}.counter must be a table, not 1"),
+    (
+        HOLDING + "counter = { stop = 1 }",
+        f"{AT}.counter.stop: no such key; allowed are step, interval, start, wrap",
+    ),
+    (HOLDING + "counter = { step = 0 }", f"{AT}.counter.step must not be 0"),
+    (
+        HOLDING + "counter = { step = inf }",
+        f"{AT}.counter.step must be in -1e+100..1e+100, not inf",
+    ),
+    (HOLDING + "counter = { step = '1' }", f"{AT}.counter.step must be a number, not str"),
+    (
+        HOLDING + "counter = { interval = 0 }",
+        f"{AT}.counter.interval must be in 0.001..86400 seconds, not 0",
+    ),
+    (
+        HOLDING + "counter = { start = 5, wrap = 5 }",
+        f"{AT}.counter.wrap must be above start, which is 5",
+    ),
+    (
+        HOLDING + "counter = { step = -1, start = 5, wrap = 6 }",
+        f"{AT}.counter.wrap must be below start, which is 5",
+    ),
+    (
+        HOLDING + "counter = { wrap = 65537 }",
+        f"{AT}.counter: wrap must be in -1..65536 for uint16, not 65537",
+    ),
+    (
+        HOLDING + "counter = { start = -1 }",
+        f"{AT}.counter: start must be in 0..65535 for uint16, not -1",
+    ),
+    (
+        HOLDING + "type = 'string:2'\ncounter = {}",
+        f"{AT}.counter: only numbers can move by themselves, not string:2",
+    ),
+    (HOLDING + "sine = { low = 1 }", f"{AT}.sine.high is missing"),
+    (
+        HOLDING + "sine = { low = 1, high = 1, period = 1 }",
+        f"{AT}.sine.high must be above low, which is 1, not 1",
+    ),
+    (
+        HOLDING + "sine = { low = nan, high = 1, period = 1 }",
+        f"{AT}.sine.low must be in -1e+100..1e+100, not nan",
+    ),
+    (
+        HOLDING + "sine = { low = 0, high = 65536, period = 1 }",
+        f"{AT}.sine: high must be in 0..65535 for uint16, not 65536",
+    ),
+    (
+        HOLDING + "type = 'float32'\nsine = { low = 0, high = 1e39, period = 1 }",
+        f"{AT}.sine: high must be in {FLOAT} for float32, not 1e+39",
+    ),
+    (
+        HOLDING + "random_walk = { low = 0, high = 9, step = 10 }",
+        f"{AT}.random_walk.step must be more than 0 and up to 9, not 10",
+    ),
+    (
+        HOLDING + "random_walk = { low = 0, high = 9, step = 1, seed = 'x' }",
+        f"{AT}.random_walk.seed must be an integer in 0..18446744073709551615, not str",
+    ),
+    (HOLDING + "copy = { address = 0 }", f"{AT}.copy.table is missing"),
+    (
+        HOLDING + "copy = { table = 'holding', address = 0 }",
+        f"{AT}.copy.table must be one of coils, discrete_inputs, holding_registers,"
+        " input_registers, not 'holding'",
+    ),
+    (
+        HOLDING + "copy = { table = 'coils', address = 0 }",
+        f"{AT}.copy: in coils no value begins at 0",
+    ),
+    (
+        HOLDING
+        + "copy = { table = 'input_registers', address = 1 }\n"
+        + "[[unit.input_registers]]\naddress = 0\ntype = 'int32'",
+        f"{AT}.copy: in input_registers no value begins at 1",
+    ),
+    (
+        HOLDING
+        + "count = 2\ncopy = { table = 'input_registers', address = 0 }\n"
+        + "[[unit.input_registers]]\naddress = 0",
+        f"{AT}.copy: in input_registers no value begins at 1",
+    ),
+    (
+        HOLDING
+        + "copy = { table = 'input_registers', address = 0 }\n"
+        + "[[unit.input_registers]]\naddress = 0\ntype = 'string:2'",
+        f"{AT}.copy: string:2 cannot become uint16; what is no number is copied to its own type,"
+        " without scale",
+    ),
+    (
+        HOLDING
+        + "type = 'bits16'\ncopy = { table = 'input_registers', address = 0, scale = 2 }\n"
+        + "[[unit.input_registers]]\naddress = 0\ntype = 'bits16'",
+        f"{AT}.copy: bits16 cannot become bits16; what is no number is copied to its own type,"
+        " without scale",
+    ),
+    (
+        HOLDING + "copy = { table = 'holding_registers', address = 0 }",
+        f"{AT}.copy: more than 8 copies in a row, or a circle of them",
+    ),
+    (
+        HOLDING
+        + "count = 9\ncopy = { table = 'holding_registers', address = 1 }\n"
+        + "[[unit.holding_registers]]\naddress = 9",
+        f"{AT}.copy: more than 8 copies in a row, or a circle of them",
+    ),
+    ("[[unit]]\n[[unit.file]]\nnumber = 0", "unit[0].file[0].record is missing"),
+    (
+        "[[unit]]\n[[unit.file]]\nnumber = 0\nrecord = 0",
+        "unit[0].file[0].number must be in 1..65535, not 0",
+    ),
+    (
+        "[[unit]]\n[[unit.file]]\nnumber = 1\nrecord = 9999\ncount = 2",
+        "unit[0].file[0] ends at 10000, after 9999",
+    ),
+    (
+        "[[unit]]\n[[unit.file]]\nnumber = 1\nrecord = 0\ncounter = {}",
+        "unit[0].file[0].counter: no such key; allowed are number, record, count, value, values,"
+        " type, order, encoding, padding, access",
+    ),
+    (
+        "[[unit]]\n[[unit.file]]\nnumber = 1\nrecord = 0\n[[unit.file]]\nnumber = 2\nrecord = 0\n"
+        "[[unit.file]]\nnumber = 1\nrecord = 0",
+        "unit[0].file[2] begins at 0, within unit[0].file[0] (0..0)",
+    ),
+    ("[[unit]]\n[[unit.fifo]]\naddress = 0", "unit[0].fifo[0].values is missing"),
+    (
+        "[[unit]]\n[[unit.fifo]]\naddress = 0\nvalues = [65536]",
+        "unit[0].fifo[0].values[0] must be in 0..65535, not 65536",
+    ),
+    (
+        f"[[unit]]\n[[unit.fifo]]\naddress = 0\nvalues = {[0] * 32}",
+        "unit[0].fifo[0].values must be 0..31, not 32",
+    ),
+    (
+        "[[unit]]\n" + "[[unit.fifo]]\naddress = 0\nvalues = []\n" * 2,
+        "unit[0].fifo[1].address: there is a queue at 0 before this",
+    ),
+    (FAULT, "unit[0].fault[0].kind is missing"),
+    (
+        FAULT + "kind = 'slow'",
+        "unit[0].fault[0].kind must be one of delay, no_answer, exception, wrong_check,"
+        " wrong_transaction, wrong_unit, trickle, truncate, disconnect, garbage, not 'slow'",
+    ),
+    (FAULT + "kind = 'delay'", "unit[0].fault[0].seconds is missing, which delay needs"),
+    (
+        FAULT + "kind = 'delay'\ndelay = 1",
+        "unit[0].fault[0].delay: no such key; allowed are kind, function, every, probability,"
+        " seed, seconds, code, length, table, address, count, data, place",
+    ),
+    (
+        "[[unit]]\n[[fault]]\nkind = 'no_answer'\nevery = 0",
+        "fault[0].every must be in 1..1000000000, not 0",
+    ),
+]
+
+
+@each_case(("text", "message"), BROKEN, ids=range(len(BROKEN)))
+def test_a_wrong_file_is_told_what_is_wrong(text: str, message: str, tmp_path: Path) -> None:
+    path = tmp_path / "broken.toml"
+    path.write_text(text)
+    with pytest.raises(
+        DeviceFileError, match=f"^{re.escape(str(path))}(, line \\d+)?: {re.escape(message)}$"
+    ):
+        load(path)
+
+
+def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
+    with pytest.raises(DeviceFileError, match=r"^cannot read .*/none.toml: No such file or dir"):
+        load(tmp_path / "none.toml")
+    with pytest.raises(DeviceFileError, match=r"^cannot read .*: Is a directory$"):
+        load(tmp_path)
+    (tmp_path / "latin.toml").write_bytes(b"# \xfc")
+    with pytest.raises(DeviceFileError, match=r"latin.toml: byte 2 is no UTF-8$"):
+        load(tmp_path / "latin.toml")
+
+
+scalars = st.none() | st.booleans() | st.integers(-70000, 70000) | st.floats() | st.text(max_size=3)
+KEYS = ["id", "address", "count", "value", "values", "type", "order", "counter", "sine", "copy"]
+KEYS += ["low", "high", "period", "table", "scale", "kind", "every", "number", "record", "x y"]
+tables = st.recursive(
+    scalars,
+    lambda inner: (
+        st.lists(inner, max_size=3) | st.dictionaries(st.sampled_from(KEYS), inner, max_size=4)
+    ),
+    max_leaves=8,
+)
+
+
+@given(key=st.sampled_from(["id", "coils", "holding_registers", "file", "fault"]), content=tables)
+def test_whatever_a_file_says_nothing_but_its_error_is_raised(key: str, content: object) -> None:
+    text = f"[[unit]]\n{key} = {_toml(content)}"
+    message = ""
+    try:
+        parse(text)
+    except DeviceFileError as error:
+        message = str(error)
+    assert "\n" not in message
+
+
+def _toml(value: object) -> str:
+    if isinstance(value, dict):
+        pairs = ", ".join(f"{json.dumps(key)} = {_toml(item)}" for key, item in value.items())
+        return f"{{ {pairs} }}"
+    if isinstance(value, list):
+        return f"[{', '.join(map(_toml, value))}]"
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)
+    return '"-"' if value is None else json.dumps(value)
+
+
+# --- the example ---------------------------------------------------------------------------
+
+
+@contextmanager
+def served(*arguments: str) -> Iterator[str]:
+    """Serve with the command, and yield its first URL."""
+    with Started("serve", *arguments) as process:
+        yield process.stdout.readline().removeprefix("listening on ").rstrip("\n")
+        process.terminate()
+        assert process.wait() == 0
+
+
+@pytest.fixture(scope="module")
+def plant() -> Iterator[str]:
+    with served("tcp://127.0.0.1:0", "--device", str(PLANT)) as url:
+        yield url
+
+
+def test_the_example_keeps_what_its_comments_promise(plant: str) -> None:
+    with Context.from_url(plant, unit=1, timeout=5) as boiler:
+        assert boiler.read_exception_status() == 0x55
+        assert boiler.report_server_id() == pdu.ServerId(b"\x2a", True, b"boiler 1")
+        assert boiler.read_device_identification("extended").objects == {
+            0: b"Example Ltd",
+            1: b"BOILER",
+            2: b"1.2",
+            128: b"commissioned 2024",
+        }
+        assert boiler.read_coils(0, 4) == [True, False, True, True]
+        assert boiler.read_coils(10, 16) == [True] * 16
+        boiler.write_coil(30, True)
+        assert boiler.read_holding_registers(100, 3) == [555, 0, 100]
+        assert boiler.read_holding_registers(200, 100) == [0] * 100
+        assert boiler.read_values("holding_registers", 300, "int16") == [-40]
+        read = boiler.read_values("holding_registers", 310, "float32", 2, order="CDAB")
+        assert read == [21.5, -3.25]
+        text = {"encoding": "latin-1", "padding": " "}
+        assert boiler.read_values("holding_registers", 320, "string:12", **text) == ["Kessel Süd"]
+        assert boiler.read_input_registers(7, 1) == [215]
+        assert boiler.read_file_records([(4, 0, 100)]) == [[0xFFFF] * 100]
+        assert boiler.read_file_records([(3, 9, 2), (3, 12, 1)]) == [[0x33CD, 0x0040], [7]]
+        assert boiler.read_fifo_queue(1246) == [440, 4740]
+
+
+def test_the_example_refuses_what_its_comments_say(plant: str) -> None:
+    with Context.from_url(plant, unit=1, timeout=5) as boiler:
+        refused: list[Callable[[], object]] = [
+            lambda: boiler.read_coils(4, 1),
+            lambda: boiler.read_coils(0, 5),
+            lambda: boiler.read_coils(30, 1),
+            lambda: boiler.write_register(300, 0),
+            lambda: boiler.read_holding_registers(103, 1),
+            lambda: boiler.read_file_records([(3, 11, 1)]),
+            lambda: boiler.write_file_records([(3, 12, [1])]),
+        ]
+        for ask in refused:
+            with pytest.raises(IllegalDataAddress):
+                ask()
+
+
+def test_the_values_of_the_example_move(plant: str) -> None:
+    with Context.from_url(plant, unit=1, timeout=5) as boiler:
+        boiler.write_coils(0, [False, True])
+        assert boiler.read_discrete_inputs(1, 2) == [False, True]
+        boiler.write_coils(0, [True, False])
+        assert boiler.read_discrete_inputs(1, 2) == [True, False]
+        deadline = time.monotonic() + 10
+        seen: tuple[set[Any], ...] = (set(), set(), set(), set())
+        while time.monotonic() < deadline and any(len(each) < 2 for each in seen):
+            seen[0].update(boiler.read_discrete_inputs(0, 1))
+            seen[1].update(boiler.read_values("input_registers", 0, "uint32"))
+            seen[2].update(boiler.read_values("input_registers", 2, "float32"))
+            seen[3].add(tuple(boiler.read_input_registers(4, 3)))
+            time.sleep(0.05)
+        assert seen[0] == {False, True}
+        assert len(seen[1] & set(range(10, 30))) >= 2
+        assert len(seen[2]) >= 2
+        assert all(60 <= value <= 80 for value in seen[2])
+        assert len(seen[3]) >= 2
+        assert all(900 <= value <= 1100 for values in seen[3] for value in values)
+
+
+def test_the_counter_of_the_example_counts_as_its_comment_says() -> None:
+    clock = Clock()
+    devices, _ = load(PLANT, clock=clock)
+    assert isinstance(devices, dict)
+    found = []
+    for _ in range(8):
+        found += values.value_type("uint32").decode_many(inputs(devices[1], 0, 2))
+        clock.now += 0.5
+    assert found == [10, 13, 16, 19, 22, 25, 28, 11]
+
+
+FAULTS: list[tuple[Callable[[Context], object], type[Exception]]] = [
+    (lambda client: client.read_discrete_inputs(0, 1), ModbusTimeoutError),
+    (lambda client: client.read_input_registers(0, 1), FrameError),
+    (lambda client: client.write_coil(0, True), ModbusTimeoutError),
+    (lambda client: client.write_register(0, 1), InvalidResponse),
+    (lambda client: client.write_coils(0, [True]), ModbusTimeoutError),
+    (lambda client: client.write_registers(0, [1, 2]), ModbusTimeoutError),
+]
+
+
+@pytest.mark.parametrize(("ask", "error"), FAULTS, ids=range(len(FAULTS)))
+def test_the_faults_of_the_example(
+    plant: str, ask: Callable[[Context], object], error: type[Exception]
+) -> None:
+    with Context.from_url(plant, unit=2, timeout=0.3, native=False) as client:
+        with pytest.raises(error):
+            ask(client)
+        # A trickle is not over yet on that connection; the next request waits for it.
+        client.timeout = 5
+        assert client.for_unit(1).read_holding_registers(100, 3) == [555, 0, 100]
+
+
+def test_the_rarer_faults_of_the_example(plant: str) -> None:
+    with Context.from_url(plant, unit=2, timeout=0.3, native=False) as client:
+        assert client.read_coils(7, 1) == [False]
+        with pytest.raises(ModbusTimeoutError):
+            client.read_coils(7, 1)
+    with Context.from_url(plant, unit=2, timeout=5, native=False) as client:
+        refused = 0
+        for _ in range(100):
+            try:
+                client.read_holding_registers(0, 1)
+            except ServerDeviceBusy:
+                refused += 1
+        assert 5 < refused < 60
+    with Context.from_url(plant, unit=2, timeout=5, native=False) as client:
+        assert client.read_write_registers(0, 1, 0, [1]) == [1]
+        with pytest.raises(ModbusConnectionError):
+            client.read_write_registers(0, 1, 0, [1])
+        client.connect()
+        assert client.read_write_registers(2, 1, 1, [1]) == [0]
+    host, _, port = plant.removeprefix("tcp://").partition(":")
+    mask = bytes.fromhex("0000 0000 0008 02 16 0003 000F 0000")
+    with socket.create_connection((host, int(port)), 30) as connection:
+        connection.sendall(2 * mask)
+        with connection.makefile("rb") as answers:
+            assert answers.read(2 * len(mask) + 2) == 2 * mask + b"\0\xff"
+
+
+def test_the_examples_have_every_key() -> None:
+    text = PLANT.read_text() + Path(example_files.path_of("meter")).read_text()
+    keys = set(re.findall(r"^(\w+) =|[{,] (\w+) =", text, re.MULTILINE))
+    present = {one or other for one, other in keys}
+    present |= set(re.findall(r"^\[+(?:unit\.)?(\w+)[].]", text, re.MULTILINE))
+    for expected in (UNIT, SERVER_ID, FIFO, *RANGES.values(), Fault.__dataclass_fields__):
+        assert set(expected) <= present
+    for behaviour in BEHAVIOURS.values():
+        assert set(behaviour.__dataclass_fields__) <= present  # type: ignore[attr-defined]
+    for kind in KINDS:
+        assert f'kind = "{kind}"' in text
+
+
+def test_the_page_about_the_simulator_explains_every_key() -> None:
+    text = (PLANT.parents[1] / "docs" / "how-to" / "simulator.md").read_text()
+    text = text[text.index("## All keys") :]
+    explained = set(re.findall(r"\w+", " ".join(re.findall(r"`([^`]+)`", text))))
+    expected = [FILE, UNIT, SERVER_ID, FIFO, DEFAULTS, *RANGES.values(), KINDS, PLACES]
+    expected += [each.__dataclass_fields__ for each in (Fault, *BEHAVIOURS.values())]  # type: ignore[attr-defined]
+    for keys in expected:
+        assert set(keys) <= explained
+
+
+def test_the_example_is_served_on_a_serial_line() -> None:
+    with SerialWire() as wire:
+        options = "?baudrate=115200"
+        with served(f"rtu://{wire.server}{options}", "--device", str(PLANT)):
+            address = f"rtu://{wire.client}{options}"
+            with Context.from_url(address, unit=1, timeout=2, native=False) as boiler:
+                assert boiler.read_holding_registers(100, 3) == [555, 0, 100]
+                client = boiler.for_unit(2)
+                client.write_coil(0, True)  # no wrong transaction where there is none
+                with pytest.raises(FrameError):
+                    client.read_input_registers(0, 1)
+
+
+# --- the command line ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (None, "cannot read {}: No such file or directory"),
+        ("[[unit]]\nid = 999", "{}, line 2: unit[0].id must be in 0..255, not 999"),
+        ("[[unit]", "{}: Expected ']]' at the end of an array declaration (at line 1, column 7)"),
+    ],
+)
+def test_a_wrong_file_is_one_line_and_exit_code_2(
+    content: str | None, message: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "device.toml"
+    if content is not None:
+        path.write_text(content)
+    done = run("serve", "tcp://127.0.0.1:0", "--device", path)
+    assert done.code == 2
+    assert done.out == ""
+    assert done.err.startswith(f"libmodbus-py: {message.format(path)}")
+    assert done.err.count("\n") == 1
+
+
+def test_every_unit_of_a_file_without_id_is_served(tmp_path: Path) -> None:
+    path = tmp_path / "device.toml"
+    path.write_text(HOLDING + "value = 42\n[[unit.fault]]\nkind='exception'\ncode=3\nfunction=1\n")
+    with Server(*load(path)).background("tcp://127.0.0.1:0") as running:
+        for number in (0, 1, 255):
+            with Context.from_url(running.urls[0], unit=number) as client:
+                assert client.read_holding_registers(0, 1) == [42]
+                with pytest.raises(ExceptionResponse, match="exception 3"):
+                    client.read_coils(0, 1)

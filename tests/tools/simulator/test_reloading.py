@@ -1,0 +1,356 @@
+"""
+A device file that is read again while its devices are served: what stays, and what is told.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from libmodbus_py import Context, Device, Server, pdu
+from libmodbus_py.tools.simulator.device_file import SimulatedDevice, load, parse
+from libmodbus_py.tools.simulator.reloading import Reloader
+from tests.support.cases import each_case
+from tests.support.commands import Started, run
+
+PLAIN = """
+[[unit]]
+id = 1
+[[unit.holding_registers]]
+address = 0
+values = [1, 2]
+[[unit.holding_registers]]
+address = 10
+type = "int32"
+value = 5
+[[unit.coils]]
+address = 0
+[[unit.file]]
+number = 4
+record = 0
+values = [7, 8]
+[[unit.fifo]]
+address = 3
+values = [1, 2]
+[[unit.input_registers]]
+address = 0
+counter = { interval = 1 }
+[[unit.input_registers]]
+address = 1
+random_walk = { low = 0, high = 60000, step = 500 }
+[[unit]]
+id = 2
+[[unit.holding_registers]]
+address = 0
+value = 3
+"""
+
+
+class Clock:
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def until(is_so: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 30
+    while not is_so():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+# --- what stays ------------------------------------------------------------------------------
+
+
+def after(before: str, change: Callable[[SimulatedDevice], object], text: str) -> SimulatedDevice:
+    """Unit 1, served from one text, changed, and read again from another."""
+    clock = Clock()
+    old = parse(before, clock=clock)
+    assert isinstance(old.devices, dict)
+    change(old.devices[1])
+    clock.now += 10
+    made = parse(text, clock=clock).going_on_from(old)
+    assert isinstance(made.devices, dict)
+    return made.devices[1]
+
+
+def write_all(device: SimulatedDevice) -> None:
+    for request in (
+        pdu.WriteRegisters(0, [11, 12]),
+        pdu.WriteRegisters(10, [0, 55]),
+        pdu.WriteCoil(0, True),
+        pdu.WriteFileRecords([(4, 0, [77, 88])]),
+    ):
+        device.answer(request.encode())
+    device.fifos[3].append(9)
+
+
+@each_case("text", [PLAIN, "# a comment\n" + PLAIN, PLAIN.replace("id = 2", "id = 9")])
+def test_a_unit_of_which_the_file_says_the_same_stays_the_same(text: str) -> None:
+    seen: list[Device] = []
+    assert after(PLAIN, seen.append, text) is seen[0]
+
+
+def test_values_that_clients_wrote_stay_in_ranges_that_stay() -> None:
+    text = PLAIN.replace("id = 1", "id = 1\nname = 'other'")
+    device = after(PLAIN, write_all, text)
+    assert device.name == "other"
+    assert device.mapping.holding_registers[0:2] == [11, 12]
+    assert device.mapping.holding_registers[10:12] == [0, 55]
+    assert device.mapping.coils[0] is True
+    assert list(device.files[4]) == [77, 88]
+    assert device.fifos[3] == [1, 2, 9]
+
+
+@each_case(
+    ("old", "new", "found"),
+    [
+        ("values = [1, 2]", "values = [1, 3]", [1, 3, 0, 55]),
+        ("values = [1, 2]", "values = [1, 2, 3]", [1, 2, 0, 55]),
+        ('"int32"\nvalue = 5', '"int32"\nvalue = 6', [11, 12, 0, 6]),
+        ('"int32"\nvalue = 5', '"uint32"\nvalue = 5', [11, 12, 0, 5]),
+        ('"int32"\nvalue = 5', '"int32"\nscale = 0.5\nvalue = 2.5', [11, 12, 0, 5]),
+    ],
+)
+def test_what_the_file_says_otherwise_is_as_it_says(old: str, new: str, found: list[int]) -> None:
+    registers = after(PLAIN, write_all, PLAIN.replace(old, new)).mapping.holding_registers
+    assert [*registers[0:2], *registers[10:12]] == found
+
+
+def test_records_and_queues_that_the_file_changes_are_as_it_says() -> None:
+    text = PLAIN.replace("values = [7, 8]", "values = [7, 9]").replace(
+        "address = 3\nvalues = [1, 2]", "address = 3\nvalues = [2]"
+    )
+    device = after(PLAIN, write_all, text)
+    assert list(device.files[4]) == [7, 9]
+    assert device.fifos[3] == [2]
+
+
+def test_what_moves_goes_on() -> None:
+    text = PLAIN.replace("id = 1", "id = 1\nname = 'other'")
+    walked: list[int] = []
+
+    def look(device: SimulatedDevice) -> None:
+        device._clockwork._clock.now += 10  # type: ignore[attr-defined]
+        request = pdu.ReadInputRegisters(1, 1)
+        walked.extend(request.decode_response(device.answer(request.encode())))
+        device._clockwork._clock.now -= 10  # type: ignore[attr-defined]
+
+    device = after(PLAIN, look, text)
+    request = pdu.ReadInputRegisters(0, 2)
+    assert request.decode_response(device.answer(request.encode())) == [10, *walked]
+
+
+# --- reading again ---------------------------------------------------------------------------
+
+
+@contextmanager
+def reloading(
+    path: Path, *, is_watching: bool = False
+) -> Iterator[tuple[Reloader, Context, list[str]]]:
+    told: list[str] = []
+    simulation = load(path)
+    server = Server(*simulation)
+    reloader = Reloader(server, str(path), simulation, is_watching=is_watching, tell=told.append)
+    ready = threading.Event()
+    urls: list[str] = []
+    ends: list[Callable[[], object]] = []
+
+    async def run() -> None:
+        stopped = asyncio.Event()
+        loop = asyncio.get_running_loop()
+        ends.append(lambda: loop.call_soon_threadsafe(stopped.set))
+        async with server.serving("tcp://127.0.0.1:0") as running:
+            urls.extend(running.urls)
+            reloader.start()
+            ready.set()
+            await stopped.wait()
+
+    thread = threading.Thread(target=lambda: asyncio.run(run()))
+    thread.start()
+    try:
+        assert ready.wait(20)
+        with Context.from_url(urls[0], unit=1, timeout=5) as client:
+            yield reloader, client, told
+    finally:
+        reloader.close()
+        ends[0]()
+        thread.join()
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    made = tmp_path / "device.toml"
+    made.write_text(PLAIN)
+    return made
+
+
+def test_a_mistake_keeps_the_old_devices_and_is_told(path: Path) -> None:
+    with reloading(path) as (reloader, client, told):
+        client.write_register(0, 42)
+        for text, message in (
+            (
+                PLAIN.replace("id = 1", "id = 999"),
+                "nothing is changed: {}, line 3: unit[0].id must",
+            ),
+            (PLAIN[:40], "nothing is changed: {}"),
+            (None, "nothing is changed: cannot read {}: No such file"),
+        ):
+            told.clear()
+            if text is None:
+                path.unlink()
+            else:
+                path.write_text(text)
+            reloader.ask()
+            until(lambda: len(told) == 1)
+            assert told[0].startswith(message.format(path))
+            assert "\n" not in told[0]
+            assert client.read_holding_registers(0, 2) == [42, 2]
+        path.write_text(PLAIN.replace("values = [1, 2]", "values = [3, 4]"))
+        told.clear()
+        reloader.ask()
+        until(lambda: client.read_holding_registers(0, 2) == [3, 4])
+        until(lambda: told == [f"{path}: read again, 2 units"])
+        assert client.read_holding_registers(10, 2) == [0, 5]
+
+
+def test_changes_are_seen_also_of_maps_and_of_maps_that_come(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    looks = 0
+
+    def signatures(reloader: Reloader) -> object:
+        nonlocal looks
+        looks += 1
+        return look(reloader)
+
+    look = Reloader._signatures
+    monkeypatch.setattr(Reloader, "_signatures", signatures)
+    monkeypatch.setattr("libmodbus_py.tools.simulator.reloading.LOOK_EVERY", 0.02)
+    with reloading(path, is_watching=True) as (_, client, told):
+        path.write_text("[[unit]]\nid = 1\nmap = 'meter.csv'\nvalues = { a = 5 }")
+        until(lambda: len(told) == 1)
+        assert "meter.csv: No such file" in told[0]
+        path.with_name("meter.csv").write_text("name,table,address\na,holding,7\n")
+        until(lambda: len(told) == 2)
+        assert client.read_holding_registers(7, 1) == [5]
+        path.with_name("meter.csv").write_text("name,table,address\na,holding,17\n")
+        until(lambda: len(told) == 3)
+        assert client.read_holding_registers(17, 1) == [5]
+        before = looks
+        until(lambda: looks > before + 5)
+        assert len(told) == 3
+
+
+def test_clients_lose_nothing_that_they_write_while_it_is_read_again(path: Path) -> None:
+    stopped = threading.Event()
+
+    def storm(reloader: Reloader) -> None:
+        number = 0
+        while not stopped.is_set():
+            number += 1
+            path.write_text(PLAIN.replace("id = 1", f"id = 1\nname = 'number {number}'"))
+            reloader.ask()
+            time.sleep(0.002)
+
+    with reloading(path) as (reloader, client, told):
+        thread = threading.Thread(target=storm, args=(reloader,))
+        thread.start()
+        try:
+            number = 0
+            while sum("read again" in each for each in told) < 50:
+                number += 1
+                client.write_register(0, number % 65536)
+                assert client.read_holding_registers(0, 1) == [number % 65536]
+        finally:
+            stopped.set()
+            thread.join()
+
+
+def test_reading_again_leaks_nothing(path: Path) -> None:
+    with reloading(path) as (reloader, client, told):
+        # The server has accepted the connection when it has answered.
+        assert client.read_holding_registers(0, 2) == [1, 2]
+        gc.collect()
+        descriptors = len(os.listdir("/proc/self/fd"))
+        for number in range(25):
+            path.write_text(PLAIN.replace("id = 1", f"id = 1\nname = 'number {number}'"))
+            told.clear()
+            reloader.ask()
+            until(lambda: bool(told))
+        assert client.read_holding_registers(0, 2) == [1, 2]
+        assert len(os.listdir("/proc/self/fd")) <= descriptors
+        gc.collect()
+        until(lambda: sum(isinstance(each, SimulatedDevice) for each in gc.get_objects()) < 10)
+
+
+# --- the command line ------------------------------------------------------------------------
+
+
+@contextmanager
+def command(*arguments: str) -> Iterator[tuple[Started, str]]:
+    with Started("serve", "tcp://127.0.0.1:0", *arguments) as process:
+        yield process, process.stdout.readline().strip().removeprefix("listening on ")
+
+
+def test_hangups_read_the_file_again_and_connections_stay(path: Path) -> None:
+    with command("--device", str(path)) as (process, url), Context.from_url(url, unit=1) as client:
+        assert client.read_holding_registers(0, 1) == [1]
+        path.write_text("[[unit]")
+        process.send_signal(signal.SIGHUP)
+        assert process.stderr.readline().startswith(f"libmodbus-py: nothing is changed: {path}: ")
+        path.write_text(PLAIN.replace("[1, 2]", "[8, 9]"))
+        for _ in range(200):
+            process.send_signal(signal.SIGHUP)
+            client.read_holding_registers(0, 1)
+        until(lambda: client.read_holding_registers(0, 1) == [8])
+        assert process.stderr.readline() == f"libmodbus-py: {path}: read again, 2 units\n"
+        process.send_signal(signal.SIGHUP)
+        process.send_signal(signal.SIGTERM)
+        assert process.wait() == 0
+
+
+def test_a_file_that_changes_is_read_again_with_reload(path: Path) -> None:
+    arguments = ("--device", str(path), "--reload")
+    with command(*arguments) as (_, url), Context.from_url(url, unit=1, timeout=5) as client:
+        other = path.with_name("other.toml")
+        other.write_text(PLAIN.replace("[1, 2]", "[8, 9]"))
+        other.rename(path)
+        until(lambda: client.read_holding_registers(0, 1) == [8])
+
+
+def test_an_example_is_served() -> None:
+    with (
+        command("--example", "plant") as (process, url),
+        Context.from_url(url, unit=1) as client,
+    ):
+        assert client.read_holding_registers(100, 3) == [555, 0, 100]
+        process.send_signal(signal.SIGTERM)
+        assert process.wait() == 0
+
+
+@each_case(
+    ("arguments", "code", "told"),
+    [
+        (["--example"], 0, " An electricity meter, "),
+        (["--example", "plants"], 2, "there is no example 'plants'; there are "),
+        (["--example", "plant", "--device", "x"], 2, "not allowed with argument"),
+        (["tcp://127.0.0.1:0", "--reload"], 2, "--reload means nothing without --device"),
+    ],
+)
+def test_what_serve_says_without_serving(arguments: list[str], code: int, told: str) -> None:
+    done = run("serve", *arguments)
+    assert done.code == code
+    assert told in (done.err if code else done.out)
+    assert done.err.count("\n") == (1 if code else 0)

@@ -1,0 +1,137 @@
+"""
+What passed at a server, as transactions: frames from the specification in, lines out.
+"""
+
+from __future__ import annotations
+
+import pytest
+
+from libmodbus_py import FrameError, IllegalDataAddress, InvalidResponse
+from libmodbus_py.ports.trace import Traced
+from libmodbus_py.tools.testing.exchanges import MOST, Exchanges
+from tests.support.cases import each_case
+
+TCP = "tcp://127.0.0.1:502"
+LINE = "rtu:///dev/ttyUSB0"
+
+ASKED, ANSWERED = "received", "sent"
+
+# Messaging on TCP/IP: transaction, protocol, length, unit; then the application protocol, 6.3.
+READ = "0001 0000 0006 11 03 006B 0003"
+VALUES = "0001 0000 0009 11 03 06 022B 0000 0064"
+REFUSED = "0001 0000 0003 11 83 02"
+READ_2 = "0002 0000 0006 11 03 006B 0003"
+VALUES_2 = "0002 0000 0009 11 03 06 0001 0002 0003"
+OF_UNIT_18 = "0001 0000 0009 12 03 06 022B 0000 0064"
+COIL = "0003 0000 0006 00 05 00AC FF00"
+
+# Section 6.5 for unit 17 and for all, with the CRC behind (serial line, 2.5.1.2).
+LINE_COIL = "11 05 00AC FF00 4E8B"
+LINE_COIL_FOR_ALL = "00 05 00AC FF00 4DCA"
+
+READ_TEXT = "ReadHoldingRegisters(address=107, count=3)"
+COIL_TEXT = "WriteCoil(address=172, value=True)"
+
+
+def noted(*passed: tuple[str, str], endpoint: str = TCP, peer: str = "127.0.0.1:5") -> Exchanges:
+    made = Exchanges()
+    for at, (direction, adu) in enumerate(passed):
+        made.note(traced(direction, adu, endpoint, peer, at))
+    return made
+
+
+def traced(direction: str, adu: str, endpoint: str, peer: str, at: int = 0) -> Traced:
+    data = bytes.fromhex(adu)
+    unit_at = 0 if endpoint == LINE else 6
+    is_frame = len(data) > 7
+    unit = data[unit_at] if is_frame else None
+    function = data[unit_at + 1] if is_frame else None
+    return Traced(at, endpoint, direction, data, unit, function, peer)  # type: ignore[arg-type]
+
+
+CASES: dict[str, tuple[list[tuple[str, str]], list[str]]] = {
+    "answered": ([(ASKED, READ), (ANSWERED, VALUES)], [f"unit 17: {READ_TEXT} -> [555, 0, 100]"]),
+    "refused": (
+        [(ASKED, READ), (ANSWERED, REFUSED)],
+        [f"unit 17: {READ_TEXT} -> illegal data address (exception 2)"],
+    ),
+    "no answer": ([(ASKED, READ)], [f"unit 17: {READ_TEXT} -> no answer"]),
+    "several at once": (
+        [(ASKED, READ), (ASKED, READ_2), (ANSWERED, VALUES), (ANSWERED, VALUES_2)],
+        [f"unit 17: {READ_TEXT} -> [555, 0, 100]", f"unit 17: {READ_TEXT} -> [1, 2, 3]"],
+    ),
+    "the first of two unanswered": (
+        [(ASKED, READ), (ASKED, READ_2), (ANSWERED, VALUES_2)],
+        [f"unit 17: {READ_TEXT} -> no answer", f"unit 17: {READ_TEXT} -> [1, 2, 3]"],
+    ),
+    "what follows the answer of a later one": (
+        [(ASKED, READ), (ASKED, READ_2), (ANSWERED, VALUES_2), (ANSWERED, VALUES[:14])],
+        [f"unit 17: {READ_TEXT} -> no answer", f"unit 17: {READ_TEXT} -> [1, 2, 3]"],
+    ),
+    "another transaction": (
+        [(ASKED, READ), (ANSWERED, VALUES_2)],
+        [f"unit 17: {READ_TEXT} -> invalid: sent as unit 17, function 3, transaction 2"],
+    ),
+    "another unit": (
+        [(ASKED, READ), (ANSWERED, OF_UNIT_18)],
+        [f"unit 17: {READ_TEXT} -> invalid: sent as unit 18, function 3, transaction 1"],
+    ),
+    "only the beginning": (
+        [(ASKED, READ), (ANSWERED, VALUES[:14])],
+        [f"unit 17: {READ_TEXT} -> damaged: 6 bytes that are no frame"],
+    ),
+    "no request": ([(ASKED, "00 01 00")], ["-> damaged: 3 bytes that are no frame"]),
+    "no function": (
+        [(ASKED, "0001 0000 0006 11 83 006B 0003")],
+        ["unit 17: -> damaged: 12 bytes that are no frame"],
+    ),
+    "an answer that nobody asked for": ([(ANSWERED, VALUES)], []),
+    "unit 0 is one of TCP": ([(ASKED, COIL), (ANSWERED, COIL)], [f"unit 0: {COIL_TEXT} -> done"]),
+}
+
+LINES: dict[str, tuple[list[tuple[str, str]], list[str]]] = {
+    "answered": (
+        [(ASKED, LINE_COIL), (ANSWERED, LINE_COIL)],
+        [f"unit 17: {COIL_TEXT} -> done"],
+    ),
+    "broadcast": ([(ASKED, LINE_COIL_FOR_ALL)], [f"unit 0: {COIL_TEXT} -> broadcast"]),
+}
+
+
+@each_case(("passed", "told"), CASES.values(), ids=CASES)
+def test_on_tcp(passed: list[tuple[str, str]], told: list[str]) -> None:
+    assert [str(each) for each in noted(*passed).transactions()] == told
+
+
+@pytest.mark.parametrize(("passed", "told"), LINES.values(), ids=LINES)
+def test_on_serial_lines(passed: list[tuple[str, str]], told: list[str]) -> None:
+    made = noted(*passed, endpoint=LINE, peer="/dev/ttyUSB0")
+    assert [str(each) for each in made.transactions()] == told
+
+
+def test_each_client_has_its_own_answers() -> None:
+    made = Exchanges()
+    for direction, adu, peer in [
+        (ASKED, READ, "one"),
+        (ASKED, READ, "other"),
+        (ANSWERED, REFUSED, "other"),
+        (ANSWERED, VALUES, "one"),
+    ]:
+        made.note(traced(direction, adu, TCP, peer))
+    assert [each.kind for each in made.transactions()] == ["answered", "exception"]
+
+
+def test_a_transaction_says_when_and_what() -> None:
+    (made,) = noted((ASKED, READ), (ANSWERED, VALUES)).transactions()
+    assert (made.time, made.duration, made.unit, made.function) == (0, 1.0, 17, 3)
+    assert made.response == [555, 0, 100]
+    errors = [
+        noted((ASKED, READ), (ANSWERED, adu)).transactions()[0].error
+        for adu in (REFUSED, OF_UNIT_18, VALUES[:14])
+    ]
+    assert list(map(type, errors)) == [IllegalDataAddress, InvalidResponse, FrameError]
+
+
+def test_the_oldest_are_forgotten() -> None:
+    made = noted(*[(ASKED, READ), (ANSWERED, VALUES)] * (MOST // 2 + 10))
+    assert len(made.transactions()) == MOST // 2

@@ -1,0 +1,360 @@
+"""
+The pytest plugin in suites of others: what reports show, and what it leaves behind.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from libmodbus_py import pdu
+from libmodbus_py.tools.testing import plugin
+
+pytest_plugins = ["pytester"]
+
+HEAD = """
+    import os, signal, threading, time
+    import pytest
+    from libmodbus_py import Fault, TcpContext
+
+    def read(server, count=1):
+        with TcpContext.from_url(server.url) as plc:
+            plc.read_holding_registers(0, count)
+"""
+
+READ_TEXT = "unit 1: ReadHoldingRegisters(address=0, count=1) -> [[]0[]]"
+
+
+@pytest.fixture
+def suite(pytester: pytest.Pytester) -> pytest.Pytester:
+    """A suite for which every warning is an error; without a plugin that takes a second to load."""
+    # An editable installation says that the package has the tests, too, which are imported here.
+    ignored = "ignore:Module already imported:pytest.PytestAssertRewriteWarning"
+    pytester.makeini(
+        f"[pytest]\nfilterwarnings =\n    error\n    {ignored}\naddopts = -p no:hypothesispytest"
+    )
+    return pytester
+
+
+def written(suite: pytest.Pytester, tests: str) -> None:
+    suite.makepyfile(HEAD + tests)
+
+
+class TestReports:
+    @pytest.mark.parametrize("options", [[], ["-n2"]], ids=["here", "in workers"])
+    def test_a_failing_test_shows_what_passed_at_its_servers(
+        self, suite: pytest.Pytester, options: list[str]
+    ) -> None:
+        written(
+            suite,
+            """
+    def test_other(modbus_server):
+        read(modbus_server, 3)
+
+    def test_failing(modbus_server, make_modbus_server, modbus_faults):
+        make_modbus_server("rtu+tcp://127.0.0.1:0")
+        read(modbus_server)
+        with modbus_faults.switch_on(Fault("exception", code=2)):
+            read(modbus_server)
+            """,
+        )
+        result = suite.runpytest(*options)
+        result.assert_outcomes(passed=1, failed=1)
+        result.stdout.fnmatch_lines(
+            [
+                "*- modbus transactions -*",
+                "tcp://127.0.0.1:*",
+                READ_TEXT,
+                "unit 1: ReadHoldingRegisters(address=0, count=1)"
+                " -> illegal data address (exception 2)",
+                "rtu+tcp://127.0.0.1:* none",
+            ],
+            consecutive=True,
+        )
+        result.stdout.no_fnmatch_line("*count=3*")
+
+    def test_so_does_one_that_fails_before_or_after(self, suite: pytest.Pytester) -> None:
+        written(
+            suite,
+            """
+    @pytest.fixture
+    def early(modbus_server):
+        read(modbus_server)
+        assert False
+
+    @pytest.fixture
+    def late(modbus_server):
+        yield
+        read(modbus_server)
+        assert False
+
+    def test_early(early): pass
+    def test_late(late): pass
+            """,
+        )
+        result = suite.runpytest()
+        result.assert_outcomes(passed=1, errors=2)
+        assert len(re.findall("- modbus transactions -", result.stdout.str())) == 2
+        result.stdout.fnmatch_lines(["*test_early*", READ_TEXT, "*test_late*", READ_TEXT])
+
+    def test_nobody_else_shows_them(self, suite: pytest.Pytester) -> None:
+        written(
+            suite,
+            """
+    def test_good(modbus_server): read(modbus_server)
+    def test_without(): assert False
+    def test_skipped(modbus_server): pytest.skip()
+
+    @pytest.mark.xfail(reason="known", strict=True)
+    def test_known(modbus_server): assert False
+            """,
+        )
+        result = suite.runpytest("-rA")
+        result.assert_outcomes(passed=1, failed=1, skipped=1, xfailed=1)
+        result.stdout.no_fnmatch_line("*modbus transactions*")
+
+    def test_the_last_fifty_and_the_beginning_of_long_ones(self, suite: pytest.Pytester) -> None:
+        written(
+            suite,
+            """
+    def test_many(modbus_server):
+        with TcpContext.from_url(modbus_server.url) as plc:
+            for address in range(60):
+                plc.read_holding_registers(address, 125)
+        assert False
+            """,
+        )
+        lines = suite.runpytest().outlines
+        found = [line for line in lines if line.startswith("unit 1: ReadHoldingRegisters(")]
+        assert len(found) == 50
+        assert "address=10," in found[0]
+        assert "... 10 before these" in lines
+        assert all(len(line) < 170 and line.endswith("...") for line in found)
+
+    def test_an_answer_that_came_late_says_so(self, suite: pytest.Pytester) -> None:
+        written(
+            suite,
+            """
+    def test_late(modbus_server, modbus_faults):
+        modbus_faults.switch_on(Fault("delay", seconds=0.2))
+        read(modbus_server)
+        assert False
+            """,
+        )
+        suite.runpytest().stdout.fnmatch_lines([f"{READ_TEXT} after 0.[2-9]?? s"])
+
+    def test_a_class_of_the_user_that_cannot_be_shown_ends_no_run(
+        self, suite: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setitem(pdu.REQUESTS, 1, pdu.REQUESTS[1])
+        written(
+            suite,
+            """
+    from libmodbus_py import pdu
+
+    class Unshown(pdu.ReadCoils):
+        def __str__(self): raise RuntimeError("no text")
+
+    def test_mine(modbus_server):
+        pdu.REQUESTS[1] = Unshown
+        with TcpContext.from_url(modbus_server.url) as plc:
+            plc.read_coils(0, 1)
+        assert False
+
+    def test_next(): pass
+            """,
+        )
+        result = suite.runpytest()
+        result.assert_outcomes(passed=1, failed=1)
+        result.stdout.fnmatch_lines(["cannot be shown: RuntimeError('no text')"])
+
+
+class TestLeftBehind:
+    def test_nothing_by_many_tests(self, suite: pytest.Pytester) -> None:
+        written(
+            suite,
+            """
+    import gc
+    from libmodbus_py.tools.testing.recording import RecordingServer
+
+    FOUND = []
+
+    def there_is():
+        return threading.active_count(), len(os.listdir("/proc/self/fd"))
+
+    @pytest.mark.parametrize("number", range(60))
+    def test_it(number, request):
+        if number > 1:
+            FOUND.append(there_is())
+        server = request.getfixturevalue("modbus_server")
+        if number % 10 == 7:
+            request.getfixturevalue("modbus_serial_line")
+        read(server)
+
+    def test_nothing_is_left():
+        assert len(set(FOUND)) == 1, FOUND
+        gc.collect()
+        assert not [each for each in gc.get_objects() if isinstance(each, RecordingServer)]
+            """,
+        )
+        suite.runpytest("-q").assert_outcomes(passed=61)
+
+    def test_nothing_by_tests_that_leave_clients_and_children(self, suite: pytest.Pytester) -> None:
+        written(
+            suite,
+            """
+    LEFT = []
+
+    def test_clients(modbus_server, modbus_faults):
+        for _ in range(5):
+            LEFT.append(TcpContext.from_url(modbus_server.url))
+            LEFT[-1].read_coils(0, 1)
+        modbus_faults.switch_on(Fault("delay", seconds=60))
+        def ask():
+            with pytest.raises(Exception):
+                LEFT[0].read_coils(0, 1)
+        LEFT.append(threading.Thread(target=ask))
+        LEFT[-1].start()
+
+    def test_children(modbus_server):
+        read(modbus_server)
+        reader, writer = os.pipe()
+        child = os.fork()
+        if child == 0:
+            os.close(writer)
+            os.read(reader, 1)  # lives on until the end of the run
+            os._exit(0)
+        LEFT.append((child, reader, writer))
+        modbus_server.close()
+        with pytest.raises(ConnectionError):
+            read(modbus_server)
+
+    def test_nothing_is_left():
+        child, reader, writer = LEFT.pop()
+        LEFT.pop().join()
+        for client in LEFT:
+            client.close()
+        os.close(writer)
+        os.waitpid(child, 0)
+        os.close(reader)
+        assert [each.name for each in threading.enumerate() if "modbus" in each.name] == []
+            """,
+        )
+        # Python 3.12 warns of any fork beside threads.
+        suite.runpytest_subprocess("-W", "ignore::DeprecationWarning").assert_outcomes(passed=3)
+
+    def test_nothing_when_the_run_is_interrupted(self, suite: pytest.Pytester) -> None:
+        written(
+            suite,
+            """
+    def test_it(modbus_server, modbus_serial_line):
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        read(modbus_server)
+        signal.raise_signal(signal.SIGINT)
+            """,
+        )
+        suite.makeconftest(
+            """
+            import threading
+            def pytest_unconfigure():
+                left = [each.name for each in threading.enumerate() if "modbus" in each.name]
+                print("left:", left)
+            """
+        )
+        result = suite.runpytest_inprocess("-s", no_reraise_ctrlc=True)
+        assert result.ret == pytest.ExitCode.INTERRUPTED
+        result.stdout.fnmatch_lines_random(["*KeyboardInterrupt*", "left: [[][]]"])
+
+    def test_a_test_that_hangs_is_ended_and_shows_what_passed(self, suite: pytest.Pytester) -> None:
+        written(
+            suite,
+            """
+    @pytest.mark.timeout(60)
+    def test_hanging(modbus_server, modbus_faults):
+        modbus_faults.switch_on(Fault("no_answer"))
+        # The signal by which pytest-timeout ends a test, once the request has come.
+        def alarm():
+            while not modbus_server.transactions:
+                time.sleep(0.001)
+            signal.pthread_kill(threading.main_thread().ident, signal.SIGALRM)
+        threading.Thread(target=alarm).start()
+        with TcpContext.from_url(modbus_server.url, timeout=600) as plc:
+            plc.read_coils(0, 1)
+
+    def test_next(modbus_server): read(modbus_server)
+            """,
+        )
+        result = suite.runpytest_subprocess()
+        result.assert_outcomes(passed=1, failed=1)
+        result.stdout.fnmatch_lines(["*Timeout (>60*"])
+        result.stdout.fnmatch_lines(["unit 1: ReadCoils(address=0, count=1) -> no answer"])
+
+
+class TestOthers:
+    def test_it_can_be_switched_off(self, suite: pytest.Pytester) -> None:
+        written(suite, "\n    def test_it(modbus_server): pass\n")
+        result = suite.runpytest("-p", "no:libmodbus_py")
+        result.assert_outcomes(errors=1)
+        result.stdout.fnmatch_lines(["*fixture 'modbus_server' not found*"])
+
+    def test_its_fixtures_can_be_overridden(self, suite: pytest.Pytester) -> None:
+        written(
+            suite,
+            """
+    from libmodbus_py import Device, Mapping
+
+    @pytest.fixture
+    def modbus_server(make_modbus_server):
+        return make_modbus_server(devices={3: Device(Mapping(holding_registers={100: [7]}))})
+
+    def test_it(modbus_server, modbus_faults):
+        assert modbus_server.mapping.holding_registers[100] == 7
+        with TcpContext.from_url(modbus_server.url, unit=3) as plc:
+            with modbus_faults.switch_on(Fault("exception", code=2)), pytest.raises(Exception):
+                plc.read_holding_registers(100, 1)
+            """,
+        )
+        suite.runpytest().assert_outcomes(passed=1)
+
+    def test_each_fixture_says_what_it_is_for(self, suite: pytest.Pytester) -> None:
+        lines = suite.runpytest("--fixtures").outlines
+        for name in ("make_modbus_server", "modbus_server", "modbus_faults", "modbus_serial_line"):
+            (at,) = (at for at, line in enumerate(lines) if re.match(rf"{name}( |$)", line))
+            assert len(lines[at + 1].strip()) > 20
+
+    def test_one_hook_and_no_name_of_others(self) -> None:
+        names = [name for name in vars(plugin) if name.startswith("pytest_")]
+        assert names == ["pytest_runtest_makereport"]
+        # Of the plugin of the package modbus-connection.
+        assert not {"mock_modbus_connection", "mock_modbus_unit"} & set(vars(plugin))
+
+
+class TestImports:
+    def test_the_file_itself_imports_pytest_alone(self) -> None:
+        tree = ast.parse(Path(plugin.__file__).read_text())
+        imported = {
+            getattr(node, "module", None) or ast.unparse(node)
+            for node in tree.body
+            if isinstance(node, ast.Import | ast.ImportFrom)
+        }
+        assert imported == {"__future__", "collections.abc", "typing", "import pytest"}
+
+    def test_a_run_that_uses_none_loads_nothing_of_the_package(self) -> None:
+        code = (
+            "import pytest, sys; before = set(sys.modules);"
+            "import libmodbus_py.tools.testing.plugin;"
+            "print(*sorted(set(sys.modules) - before))"
+        )
+        run = subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, check=True
+        )
+        loaded = run.stdout.split()
+        assert "libmodbus_py.tools.testing.plugin" in loaded
+        ours = {name.split(".")[1] for name in loaded if name.startswith("libmodbus_py.")}
+        assert not ours & {"binding", "client", "server", "device", "listener", "ports"}
+        assert not {"asyncio", "ssl", "_cffi_backend"} & set(loaded)

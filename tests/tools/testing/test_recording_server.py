@@ -1,0 +1,260 @@
+"""
+The fixtures of the pytest plugin, as tests get them: these are tests that do.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import os
+from collections.abc import Iterator
+
+import pytest
+
+from libmodbus_py import (
+    AsyncClient,
+    Context,
+    Device,
+    Fault,
+    IllegalDataAddress,
+    IllegalDataValue,
+    Mapping,
+    ModbusConnectionError,
+    ModbusTimeoutError,
+    ServerDeviceBusy,
+    TcpContext,
+)
+from libmodbus_py.tools.testing.fault_switch import FaultSwitch
+from libmodbus_py.tools.testing.recording import RecordingServer, ServerMaker
+from libmodbus_py.tools.testing.wires import SerialWire
+
+SILENT = Fault("no_answer")
+BUSY = Fault("exception", code=6)
+
+READ_TEXT = "ReadCoils(address=0, count=1)"
+
+
+@pytest.fixture
+def plc(modbus_server: RecordingServer) -> Iterator[Context]:
+    with TcpContext.from_url(modbus_server.url, timeout=0.3) as made:
+        made.read_coils(0, 1)  # the connection is older than what the tests do
+        yield made
+
+
+@pytest.fixture
+def quiet(caplog: pytest.LogCaptureFixture) -> Iterator[None]:
+    """Nobody may warn, to the end."""
+    with caplog.at_level(logging.WARNING):
+        yield
+    assert caplog.get_records("call") + caplog.get_records("teardown") == []
+
+
+class TestServer:
+    @pytest.mark.parametrize("time", [1, 2])
+    def test_each_test_gets_a_new_one_with_all_tables(
+        self, modbus_server: RecordingServer, time: int
+    ) -> None:
+        assert modbus_server.transactions == []
+        with TcpContext(modbus_server.host, modbus_server.port, unit=247) as client:
+            for unit in (1, 247):
+                handle = client.for_unit(unit)
+                assert handle.read_coils(65535, 1) == handle.read_discrete_inputs(65535, 1)
+                assert handle.read_input_registers(65535, 1) == [0]
+            assert client.read_holding_registers(65535, 1) == [0]
+            client.write_register(65535, 99)
+        assert modbus_server.mapping.holding_registers[65535] == 99
+
+    def test_it_is_one_object_for_all_fixtures_of_a_test(
+        self, modbus_server: RecordingServer, modbus_faults: FaultSwitch
+    ) -> None:
+        assert modbus_server.faults is modbus_faults
+        assert modbus_server.device is not None
+        assert modbus_server.device.mapping is modbus_server.mapping
+        assert modbus_server.url == f"tcp://127.0.0.1:{modbus_server.port}"
+
+    def test_who_has_an_answer_finds_it_among_the_transactions(
+        self, modbus_server: RecordingServer, plc: Context
+    ) -> None:
+        for count in range(2, 200):
+            plc.read_coils(0, 1)
+            found = modbus_server.transactions
+            assert len(found) == count
+            assert str(found[-1]) == f"unit 1: {READ_TEXT} -> [False]"
+        assert modbus_server.statistics.accepted == 1
+
+    def test_a_running_event_loop_does_not_mind(self, modbus_server: RecordingServer) -> None:
+        async def ask() -> list[int]:
+            async with AsyncClient(modbus_server.url) as client:
+                return await client.read_holding_registers(0, 2)
+
+        assert asyncio.run(ask()) == [0, 0]
+
+
+class TestMaker:
+    @pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp", "ascii+tcp", "udp", "rtu+udp"])
+    def test_any_endpoint(self, make_modbus_server: ServerMaker, scheme: str) -> None:
+        server = make_modbus_server(f"{scheme}://127.0.0.1:0")
+        with Context.from_url(server.url, unit=3) as client:
+            client.write_coils(8, [True, False, True])
+        (made,) = server.transactions
+        assert str(made) == "unit 3: WriteCoils(address=8, values=(True, False, True)) -> done"
+
+    def test_several_devices_and_endpoints(self, make_modbus_server: ServerMaker) -> None:
+        devices = {1: Device(Mapping(8)), 2: Device(Mapping(16))}
+        server = make_modbus_server(
+            "tcp://127.0.0.1:0",
+            "rtu+tcp://127.0.0.1:0",
+            devices=devices,
+            faults={2: [BUSY]},
+            unknown_unit="silent",
+        )
+        assert server.url == server.urls[0]
+        assert server.device is None
+        with pytest.raises(AttributeError, match="several devices"):
+            _ = server.mapping
+        for url in server.urls:
+            with Context.from_url(url, timeout=0.2) as client:
+                assert client.read_coils(7, 1) == [False]
+                with pytest.raises(ServerDeviceBusy):
+                    client.for_unit(2).read_coils(15, 1)
+                with pytest.raises(ModbusTimeoutError):
+                    client.for_unit(3).read_coils(0, 1)
+        assert [each.kind for each in server.transactions] == [
+            *("answered", "exception", "unanswered"),
+            *("answered", "exception", "unanswered"),
+        ]
+
+    def test_servers_know_nothing_of_each_other(self, make_modbus_server: ServerMaker) -> None:
+        first, other = make_modbus_server(), make_modbus_server()
+        assert make_modbus_server.servers == [first, other]
+        with TcpContext.from_url(first.url) as client:
+            client.write_register(5, 5)
+        assert other.mapping.holding_registers[5] == 0
+        assert other.transactions == []
+
+    def test_one_can_be_closed_before_the_end(self, make_modbus_server: ServerMaker) -> None:
+        server = make_modbus_server()
+        with TcpContext.from_url(server.url) as client:
+            client.read_coils(0, 1)
+            server.close()
+            server.close()
+            with pytest.raises(ModbusConnectionError):
+                client.read_coils(0, 1)
+        assert len(server.transactions) == 1
+        server.faults.switch_on(SILENT).switch_off()
+
+    def test_one_device_by_its_unit(self, make_modbus_server: ServerMaker) -> None:
+        device = Device(Mapping(8))
+        assert make_modbus_server(devices={7: device}).device is device
+
+    @pytest.mark.parametrize(
+        ("urls", "options", "error"),
+        [
+            (["http://127.0.0.1:0"], {}, ValueError),
+            ([], {"devices": 7}, TypeError),
+            ([], {"unknown": 7}, TypeError),
+            ([], {"faults": [SILENT]}, TypeError),
+            (["rtu:///nowhere"], {}, ModbusConnectionError),
+        ],
+    )
+    def test_what_cannot_be_is_refused_as_the_server_does(
+        self,
+        make_modbus_server: ServerMaker,
+        urls: list[str],
+        options: dict[str, object],
+        error: type[Exception],
+    ) -> None:
+        with pytest.raises(error):
+            make_modbus_server(*urls, **options)  # type: ignore[arg-type]
+        assert make_modbus_server.servers == []
+
+
+class TestFaults:
+    def test_they_come_and_go_on_an_open_connection(
+        self, modbus_faults: FaultSwitch, plc: Context
+    ) -> None:
+        with modbus_faults.switch_on(BUSY), pytest.raises(ServerDeviceBusy):
+            plc.read_coils(0, 1)
+        silent = modbus_faults.switch_on(SILENT, unit=1)
+        assert plc.for_unit(2).read_coils(0, 1) == [False]
+        with pytest.raises(ModbusTimeoutError):
+            plc.read_coils(0, 1)
+        silent.switch_off()
+        silent.switch_off()
+        assert plc.read_coils(0, 1) == [False]
+
+    def test_the_last_ones_come_first_beside_those_that_the_server_was_made_with(
+        self, make_modbus_server: ServerMaker
+    ) -> None:
+        server = make_modbus_server(faults={None: iter([BUSY])})
+        with TcpContext.from_url(server.url) as client:
+            with server.faults.switch_on(Fault("exception", code=3, every=2)):
+                with pytest.raises(ServerDeviceBusy):
+                    client.read_coils(0, 1)
+                with pytest.raises(IllegalDataValue):
+                    client.read_coils(0, 1)
+                with server.faults.switch_on(Fault("exception", code=2)):
+                    for _ in range(2):
+                        with pytest.raises(IllegalDataAddress):
+                            client.read_coils(0, 1)
+            with pytest.raises(ServerDeviceBusy):
+                client.read_coils(0, 1)
+
+    def test_two_that_are_equal_are_switched_each_for_itself(
+        self, modbus_faults: FaultSwitch, plc: Context
+    ) -> None:
+        first, other = modbus_faults.switch_on(BUSY), modbus_faults.switch_on(BUSY)
+        first.switch_off()
+        with pytest.raises(ServerDeviceBusy):
+            plc.read_coils(0, 1)
+        other.switch_off()
+        plc.read_coils(0, 1)
+
+    @pytest.mark.parametrize(
+        ("fault", "unit", "error"),
+        [(SILENT, 256, ValueError), (SILENT, "1", TypeError), ("no_answer", None, TypeError)],
+    )
+    def test_what_cannot_be_is_refused_and_changes_nothing(
+        self,
+        modbus_faults: FaultSwitch,
+        plc: Context,
+        fault: Fault,
+        unit: int,
+        error: type[Exception],
+    ) -> None:
+        with pytest.raises(error):
+            modbus_faults.switch_on(fault, unit=unit)
+        plc.read_coils(0, 1)
+        with modbus_faults.switch_on(BUSY), pytest.raises(ServerDeviceBusy):
+            plc.read_coils(0, 1)
+
+
+class TestSerialLine:
+    @pytest.mark.parametrize("framing", ["rtu", "ascii"])
+    def test_a_server_sits_on_one_end_and_goes_before_it(
+        self,
+        quiet: None,
+        make_modbus_server: ServerMaker,
+        modbus_serial_line: SerialWire,
+        framing: str,
+    ) -> None:
+        server = make_modbus_server(f"{framing}://{modbus_serial_line.server}")
+        assert (server.host, server.port) == ("", 0)
+        with Context.from_url(f"{framing}://{modbus_serial_line.client}", unit=9) as client:
+            assert client.read_coils(0, 1) == [False]
+            client.for_unit(0).write_coil(0, True)
+        assert len(modbus_serial_line.sent_by("client")) > 8
+        assert [each.kind for each in server.transactions] == ["answered", "broadcast"]
+
+    def test_without_a_server_it_is_a_cable(self, modbus_serial_line: SerialWire) -> None:
+        ends = [
+            os.open(path, os.O_RDWR | os.O_NOCTTY)
+            for path in (modbus_serial_line.client, modbus_serial_line.server)
+        ]
+        try:
+            for end, other in (ends, ends[::-1]):
+                os.write(end, b"\x00\n\xff\x11")
+                assert os.read(other, 10) == b"\x00\n\xff\x11"
+        finally:
+            for end in ends:
+                os.close(end)
