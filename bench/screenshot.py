@@ -13,7 +13,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from libmodbus_py import Context, Fault, ModbusError, Server, device_file, page_of
+from libmodbus_py import Context, Fault, ModbusError, Server, device_file
+from libmodbus_py.page import page_of
 from tests.tools.page.browsers import browser, missing
 from tests.tools.page.watching import until
 

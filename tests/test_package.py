@@ -18,6 +18,7 @@ import shutil
 import subprocess
 import sys
 import tomllib
+import warnings
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -40,12 +41,14 @@ PACKAGE = Path(libmodbus_py.__file__).parent
 MODULES = {
     ".".join(path.relative_to(PACKAGE).with_suffix("").parts).removesuffix(".__init__"): path
     for path in sorted(PACKAGE.rglob("*.py"))
+    if path.stem.isidentifier()  # PyInstaller gives its hooks names that nothing can import
 }
 
 # Older Pythons than 3.13 have no modbus-connection, which one folder is about.
 LACKING = [
-    f"services.integrations.{name}"
+    path
     for name in ("modbus_connection",)
+    for path in (name, f"services.integrations.{name}")
     if importlib.util.find_spec(name) is None
 ]
 IMPORTABLE = [
@@ -141,15 +144,25 @@ class TestMap:
 # --- public names --------------------------------------------------------------------------
 
 
-def told_to_checkers(path: Path) -> dict[str, str]:
-    """Where the names are that a package imports for type checkers."""
-    told: dict[str, str] = {}
-    for node in ast.parse(path.read_text()).body:
-        if isinstance(node, ast.If) and isinstance(node.test, ast.Name):
-            for each in node.body:
-                assert isinstance(each, ast.ImportFrom)
-                told |= {alias.name: each.module or "" for alias in each.names}
-    return told
+# What programs imported from the package before its names were sorted into modules.
+FORMER = [
+    *("Asked", "Caller", "CaptureError", "Extent", "Found", "Listener", "Page", "Reading"),
+    *("RecordFile", "Running", "Scan", "Search", "Separator", "Summary", "Transaction"),
+    *("listening", "page_of", "scanning", "searching"),
+]
+
+# Modules that programs imported by the paths that the documentation gave.
+FORMER_MODULES = [
+    *("fleet.readings", "fleet.statistics", "listener.transaction", "page.page", "scan.scanning"),
+    *("simulator.device_file", "testing.fault_switch", "testing.line_ends", "testing.plugin"),
+    *("testing.recording", "testing.wires", "toml.roles", "workers.status", "security.making"),
+]
+
+SHORT_PATHS = {
+    **{name: f"protocol.{name}" for name in ("errors", "framing", "pdu", "values")},
+    "device_file": "tools.simulator.device_file",
+    "low_level": "binding.low_level",
+}
 
 
 class TestPublicNames:
@@ -158,14 +171,37 @@ class TestPublicNames:
         missing = [name for name in libmodbus_py.__all__ if not hasattr(libmodbus_py, name)]
         assert missing == []
 
-    def test_where_names_come_from_is_told_checkers_and_python_alike(self) -> None:
-        """Twice, for checkers follow imports only, and these would import all."""
-        for package, modules in ((libmodbus_py, libmodbus_py._MODULES), (pdu, {})):
-            told = told_to_checkers(Path(package.__file__))
-            assert sorted(told) == sorted(package.__all__)
-            homes = {name: home for home, names in package._HOMES.items() for name in names}
-            assert {name: home for name, home in told.items() if name not in modules} == homes
-            assert {name: f"{told[name]}.{name}" for name in modules} == modules
+    def test_there_are_few_at_the_top(self) -> None:
+        assert len(set(libmodbus_py.__all__) - set(errors.__all__)) <= 40
+
+    @pytest.mark.parametrize("name", FORMER)
+    def test_a_former_name_is_kept_with_a_warning(self, name: str) -> None:
+        says = rf"^libmodbus_py\.{name} is now (\S+)$"
+        with pytest.warns(DeprecationWarning, match=says) as said:
+            value = getattr(libmodbus_py, name)
+        module, _, present = str(said[0].message).rpartition(" ")[2].rpartition(".")
+        assert getattr(importlib.import_module(module), present) is value
+        assert name not in libmodbus_py.__all__
+
+    @pytest.mark.parametrize("name", FORMER_MODULES)
+    def test_a_module_is_found_by_its_former_path(self, name: str) -> None:
+        former = f"libmodbus_py.{name}"
+        sys.modules.pop(former, None)
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            module = importlib.import_module(former)
+        (message,) = (str(each.message) for each in said if f"{former} " in str(each.message))
+        assert message.startswith(f"{former} has moved to ")
+        present = message.rpartition(" ")[2]
+        assert importlib.import_module(present) is module
+        assert module.__spec__ is not None
+        assert (module.__name__, module.__spec__.name) == (present, present)
+
+    @pytest.mark.filterwarnings("ignore:libmodbus_py")
+    def test_a_module_that_never_was_is_not_found(self) -> None:
+        for name in ("testing.none", "toml.none", "none"):
+            with pytest.raises(ModuleNotFoundError, match="none"):
+                importlib.import_module(f"libmodbus_py.{name}")
 
     @pytest.mark.parametrize("package", [libmodbus_py, pdu])
     def test_everything_is_there_for_whoever_asks_in_any_way(self, package: Any) -> None:
@@ -178,9 +214,9 @@ class TestPublicNames:
         with pytest.raises(ImportError, match="cannot import name 'TcpContex'"):
             exec(f"from {package.__name__} import TcpContex")
 
-    @pytest.mark.parametrize("name", libmodbus_py._MODULES)
+    @pytest.mark.parametrize("name", SHORT_PATHS)
     def test_short_paths_lead_to_the_modules_themselves(self, name: str) -> None:
-        home = importlib.import_module(f"libmodbus_py.{libmodbus_py._MODULES[name]}")
+        home = importlib.import_module(f"libmodbus_py.{SHORT_PATHS[name]}")
         assert importlib.import_module(f"libmodbus_py.{name}") is home
         assert getattr(libmodbus_py, name) is home
 
@@ -198,6 +234,11 @@ class TestPublicNames:
         }
         for path in MODULES.values():
             assert (path.parent / "__init__.py").exists()
+        known = tomllib.loads(text)["tool"]["setuptools"]["package-data"]["libmodbus_py"]
+        data = {path for pattern in known for path in PACKAGE.glob(pattern)}
+        ignored = {".c", ".h", ".o", ".py", ".pyc", ".so"}
+        others = {path for path in PACKAGE.rglob("*.*") if path.is_file()}
+        assert {path for path in others if path.suffix not in ignored} == data
 
     def test_every_error_is_public(self) -> None:
         assert set(errors.__all__) <= set(libmodbus_py.__all__)

@@ -14,18 +14,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fuzz.checks import REQUEST_OBJECTS, examples
-from libmodbus_py import (
-    Access,
-    Asked,
-    Caller,
-    Device,
-    IllegalDataAddress,
-    Mapping,
-    ServerDeviceBusy,
-    pdu,
-)
+from libmodbus_py import Access, Device, IllegalDataAddress, Mapping, ServerDeviceBusy, pdu
 from libmodbus_py.device.authorization import MOST_LINES, Guard, UnauthorizedError
 from libmodbus_py.device.event_log import EventLog
+from libmodbus_py.serve import Asked, Caller
 from tests.support.cases import each_case
 
 CLASSES = {*pdu.REQUESTS.values(), pdu.ReadDeviceIdentification}

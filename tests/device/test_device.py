@@ -17,13 +17,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from libmodbus_py import Access, Caller, Device, Mapping, RecordFile, pdu
+from libmodbus_py import Access, Device, Mapping, pdu
 from libmodbus_py.device import device as device_module
 from libmodbus_py.device.event_log import EventLog
 from libmodbus_py.device.reply import replier
 from libmodbus_py.protocol import errors
 from libmodbus_py.protocol.pdu import SubFunction
 from libmodbus_py.protocol.pdu.interface import identify
+from libmodbus_py.serve import Caller, RecordFile
 from tests.support.cases import each_case
 from tests.support.vectors import EXCEPTIONS, REQUESTS, RESPONSES, FrameVector, rows
 

@@ -11,8 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fuzz.checks import REQUEST_OBJECTS
-from libmodbus_py import Access, Allow, Caller, Device, Mapping, Rules, pdu
+from libmodbus_py import Access, Allow, Device, Mapping, Rules, pdu
 from libmodbus_py.device.access import ACCESSES
+from libmodbus_py.serve import Caller
 from tests.support.cases import each_case
 
 # Rules look at addresses only: what the tests write there may stay.

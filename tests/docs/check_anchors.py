@@ -15,15 +15,21 @@ PUBLIC = [
     "libmodbus_py",
     "libmodbus_py.device_file",
     "libmodbus_py.errors",
+    "libmodbus_py.fleet",
     "libmodbus_py.framing",
-    "libmodbus_py.services.integrations.prometheus",
+    "libmodbus_py.listen",
     "libmodbus_py.low_level",
+    "libmodbus_py.page",
+    "libmodbus_py.prometheus",
     "libmodbus_py.protocol.pdu",  # where griffe finds what `libmodbus_py.pdu` stands for
+    "libmodbus_py.scan",
+    "libmodbus_py.serve",
+    "libmodbus_py.testing",
     "libmodbus_py.values",
 ]
 
 if importlib.util.find_spec("modbus_connection"):  # older Pythons than 3.13 have none
-    PUBLIC.append("libmodbus_py.services.integrations.modbus_connection")
+    PUBLIC.append("libmodbus_py.modbus_connection")
 
 
 def anchors(site: Path) -> set[str]:
@@ -32,8 +38,12 @@ def anchors(site: Path) -> set[str]:
 
 
 def public() -> list[str]:
-    return [
-        f"{module}.{name}" for module in PUBLIC for name in importlib.import_module(module).__all__
+    top = importlib.import_module("libmodbus_py").__all__
+    return [f"libmodbus_py.{name}" for name in top] + [
+        f"{module}.{name}"
+        for module in PUBLIC[1:]
+        for name in importlib.import_module(module).__all__
+        if name not in top  # elsewhere, it is the same one again
     ]
 
 

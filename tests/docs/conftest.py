@@ -5,6 +5,7 @@ What a document has when it runs.
 from __future__ import annotations
 
 import asyncio
+import importlib
 import logging
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -66,7 +67,11 @@ def examples(home: Home) -> Iterator[Examples]:
 def names(home: Home) -> dict[str, Any]:
     """What the reader of a block has already."""
     plc = home.at_end.enter_context(Context.from_url(home.url))
-    return {name: getattr(libmodbus_py, name) for name in libmodbus_py.__all__} | {
+    known: dict[str, Any] = {}
+    for module in ("libmodbus_py.listen", "libmodbus_py.page", "libmodbus_py.scan"):
+        known |= vars(importlib.import_module(module))
+    known |= {name: getattr(libmodbus_py, name) for name in libmodbus_py.__all__}
+    return known | {
         "asyncio": asyncio,
         "at_end": home.at_end,
         "dataclass": dataclass,

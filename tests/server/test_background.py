@@ -21,8 +21,9 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import Access, Device, Mapping, Running, Server, framing
+from libmodbus_py import Access, Device, Mapping, Server, framing
 from libmodbus_py.device.reply import replier
+from libmodbus_py.serve import Running
 from tests.support.attacks import PATIENCE, READ_ONE, adu, connect, receive
 
 URLS = ("tcp://127.0.0.1:0", "udp://127.0.0.1:0")

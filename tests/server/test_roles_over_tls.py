@@ -11,17 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from libmodbus_py import (
-    Allow,
-    Asked,
-    Context,
-    Device,
-    IllegalFunction,
-    Mapping,
-    Rules,
-    Server,
-    pdu,
-)
+from libmodbus_py import Allow, Context, Device, IllegalFunction, Mapping, Rules, Server, pdu
+from libmodbus_py.serve import Asked
 from tests.support.attacks import PATIENCE, adu
 from tests.support.certificates import Papers, client
 from tests.support.tls import TlsClient, context, serving

@@ -17,8 +17,9 @@ from contextlib import contextmanager
 
 import pytest
 
-from libmodbus_py import Device, Mapping, ModbusConnectionError, Running, Server, TcpContext
+from libmodbus_py import Device, Mapping, ModbusConnectionError, Server, TcpContext
 from libmodbus_py.ports.endpoint import parse
+from libmodbus_py.serve import Running
 
 HEAD = """
 import logging, signal, sys, threading

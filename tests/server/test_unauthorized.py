@@ -13,18 +13,8 @@ from typing import Any
 import pytest
 
 from fuzz.checks import REQUEST_OBJECTS, examples
-from libmodbus_py import (
-    Allow,
-    Asked,
-    Context,
-    Device,
-    Fault,
-    IllegalFunction,
-    Mapping,
-    Rules,
-    Server,
-    pdu,
-)
+from libmodbus_py import Allow, Context, Device, Fault, IllegalFunction, Mapping, Rules, Server, pdu
+from libmodbus_py.serve import Asked
 from libmodbus_py.tools.testing.wires import SerialWire
 
 

@@ -26,18 +26,16 @@ from libmodbus_py import (
     Route,
     RtuContext,
     Security,
-    Separator,
     Server,
     State,
     TcpContext,
     TlsContext,
     Traced,
-    Transaction,
     UdpContext,
-    listening,
     load_map,
     pdu,
 )
+from libmodbus_py.listen import Separator, Transaction, listening
 
 ALL = [
     TcpContext("192.0.2.10", unit=17, timeout=1.0, framing="rtu", native=False),

@@ -20,14 +20,13 @@ from libmodbus_py import (
     Route,
     RtuContext,
     Security,
-    Separator,
     Server,
     TcpContext,
     TlsContext,
-    listening,
     load_map,
     pdu,
 )
+from libmodbus_py.listen import Separator, listening
 
 TcpContext("192.0.2.10", timout=1.0)  # wrong
 TcpContext("192.0.2.10", framing="tpc")  # wrong

@@ -10,7 +10,8 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import Fleet, Reading, Server
+from libmodbus_py import Fleet, Server
+from libmodbus_py.fleet import Reading
 from libmodbus_py.services.fleet import fleet as fleets
 from libmodbus_py.services.fleet.trial import overloads, trying
 from tests.services.fleet.fleets import (

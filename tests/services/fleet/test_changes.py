@@ -17,8 +17,8 @@ from libmodbus_py import (
     InvalidResponse,
     ModbusConnectionError,
     ModbusTimeoutError,
-    Reading,
 )
+from libmodbus_py.fleet import Reading
 from libmodbus_py.services.fleet.buffer import Buffer
 from libmodbus_py.services.fleet.outputs.forms import as_csv, as_json
 from libmodbus_py.services.fleet.readings import Changes, is_down, time_text

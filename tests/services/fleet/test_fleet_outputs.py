@@ -17,7 +17,8 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import Fleet, Reading
+from libmodbus_py import Fleet
+from libmodbus_py.fleet import Reading
 from libmodbus_py.services.fleet.outputs import pump as pumps
 from libmodbus_py.services.fleet.outputs import text_file
 from libmodbus_py.services.fleet.outputs.csv_rows import CsvRows

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import pytest
 
-from libmodbus_py import CaptureError, Transaction, listening
+from libmodbus_py.listen import CaptureError, Transaction, listening
 from libmodbus_py.tools.listener.capture import CaptureReader, CaptureWriter
 from libmodbus_py.tools.listener.transaction import Heard
 from tests.support.cases import each_case

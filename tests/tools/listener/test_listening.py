@@ -27,15 +27,13 @@ from libmodbus_py import (
     Context,
     Device,
     IllegalDataAddress,
-    Listener,
     Mapping,
     ModbusConnectionError,
     ModbusTimeoutError,
     Server,
-    Transaction,
-    listening,
     pdu,
 )
+from libmodbus_py.listen import Listener, Transaction, listening
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.tools.listener.tap import Tap
 from tests.support.cases import each_case

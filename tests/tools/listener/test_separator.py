@@ -13,7 +13,8 @@ from collections.abc import Iterable, Sequence
 
 import pytest
 
-from libmodbus_py import Separator, Transaction, pdu
+from libmodbus_py import pdu
+from libmodbus_py.listen import Separator, Transaction
 from libmodbus_py.tools.listener.transaction import KINDS, Heard
 from tests.support.cases import each_case
 from tests.support.talk import ascii_frame, rtu

@@ -20,8 +20,8 @@ from libmodbus_py import (
     ModbusTimeoutError,
     Server,
     ServerDeviceBusy,
-    page_of,
 )
+from libmodbus_py.page import page_of
 from tests.support.cases import each_case
 from tests.tools.page.watching import Visitor, made_server, shown, until
 

@@ -10,7 +10,8 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import Context, Device, Fault, Mapping, Server, ServerDeviceBusy, page_of
+from libmodbus_py import Context, Device, Fault, Mapping, Server, ServerDeviceBusy
+from libmodbus_py.page import page_of
 from tests.tools.page.browsers import browser, console, missing, resize
 from tests.tools.page.watching import made_server, until
 

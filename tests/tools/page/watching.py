@@ -12,8 +12,9 @@ from collections.abc import Callable, Iterator
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
-from libmodbus_py import Device, Mapping, Server, page_of
+from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.maps.point import Point
+from libmodbus_py.page import page_of
 
 __all__ = ["Visitor", "made_server", "shown", "until"]
 

@@ -16,17 +16,8 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import (
-    Context,
-    Device,
-    Found,
-    Mapping,
-    ModbusConnectionError,
-    Scan,
-    Server,
-    pdu,
-    scanning,
-)
+from libmodbus_py import Context, Device, Mapping, ModbusConnectionError, Server, pdu
+from libmodbus_py.scan import Found, Scan, scanning
 from libmodbus_py.tools.testing.wires import SerialWire, TcpWire
 from tests.interop.test_interop_pymodbus import pymodbus_server
 from tests.support import certificates

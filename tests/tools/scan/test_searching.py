@@ -12,16 +12,9 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import (
-    Device,
-    Extent,
-    Mapping,
-    ModbusConnectionError,
-    Search,
-    Server,
-    searching,
-)
+from libmodbus_py import Device, Mapping, ModbusConnectionError, Server
 from libmodbus_py.protocol.tables import TABLES
+from libmodbus_py.scan import Extent, Search, searching
 from tests.simulation.scripted import Scripted
 from tests.support.interop import program
 from tests.support.peers import FakeServer, mbap, refusing, url_of

@@ -9,7 +9,8 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import Caller, Device, pdu
+from libmodbus_py import Device, pdu
+from libmodbus_py.serve import Caller
 from libmodbus_py.tools.simulator.device_file import DeviceFileError, load, parse
 from tests.support.cases import each_case
 

@@ -1,0 +1,25 @@
+"""
+Many devices, polled: a short path to `services.fleet`.
+"""
+
+from .services.fleet.config import DeviceConfig as DeviceConfig
+from .services.fleet.files import FleetFile as FleetFile
+from .services.fleet.files import FleetFileError as FleetFileError
+from .services.fleet.files import load as load
+from .services.fleet.fleet import Fleet as Fleet
+from .services.fleet.readings import Reading as Reading
+from .services.fleet.statistics import FleetStatistics as FleetStatistics
+from .services.fleet.statistics import OutputStatistics as OutputStatistics
+
+__all__ = [
+    "DeviceConfig",
+    "Fleet",
+    "FleetFile",
+    "FleetFileError",
+    "FleetStatistics",
+    "OutputStatistics",
+    "Reading",
+    "load",
+]
+# Modules of the former folder `fleet` are found in `services.fleet`.
+__path__: list[str] = []

@@ -1,0 +1,36 @@
+"""
+Servers, their devices, and what their hooks and rules are told: a short path to `server` and
+`device`.
+"""
+
+from .device.access import Access as Access
+from .device.authorization import Asked as Asked
+from .device.device import Caller as Caller
+from .device.device import Device as Device
+from .device.hooks import Hook as Hook
+from .device.mapping import Mapping as Mapping
+from .device.record_file import RecordFile as RecordFile
+from .device.rules import Allow as Allow
+from .device.rules import Rules as Rules
+from .server.faults.fault import Fault as Fault
+from .server.limits import Limits as Limits
+from .server.limits import ServerStatistics as ServerStatistics
+from .server.server import Running as Running
+from .server.server import Server as Server
+
+__all__ = [
+    "Access",
+    "Allow",
+    "Asked",
+    "Caller",
+    "Device",
+    "Fault",
+    "Hook",
+    "Limits",
+    "Mapping",
+    "RecordFile",
+    "Rules",
+    "Running",
+    "Server",
+    "ServerStatistics",
+]

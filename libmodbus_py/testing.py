@@ -1,0 +1,13 @@
+"""
+Lines with a tap, servers that record, and faults, for tests: a short path to `tools.testing`.
+"""
+
+from .tools.testing.fault_switch import FaultSwitch as FaultSwitch
+from .tools.testing.recording import RecordingServer as RecordingServer
+from .tools.testing.recording import ServerMaker as ServerMaker
+from .tools.testing.wires import SerialWire as SerialWire
+from .tools.testing.wires import TcpWire as TcpWire
+
+__all__ = ["FaultSwitch", "RecordingServer", "SerialWire", "ServerMaker", "TcpWire"]
+# Modules of the former folder `testing` are found in `tools.testing`.
+__path__: list[str] = []
