@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 # fmt: off
 __all__ = [
     "CLIENT_OPTIONS", "DEFAULT_PORT", "SCHEMES", "SECURE_PORT", "SECURITY_OPTIONS",
-    "SERIAL_OPTIONS", "Option", "Scheme", "Transport",
+    "SERIAL_OPTIONS", "Option", "Scheme", "Transport", "framing_of",
 ]
 # fmt: on
 
@@ -37,6 +37,17 @@ SCHEMES: dict[Scheme, tuple[Framing, Transport]] = {
     "ascii": ("ascii", "serial"),
 }
 """Scheme -> framing, and what carries the bytes."""
+
+
+def framing_of(url: str) -> Framing:
+    """
+    Return the framing of an endpoint's URL, of which only the scheme is read.
+
+    Raises:
+        KeyError: the scheme is not one of `SCHEMES`.
+    """
+    return SCHEMES[url.partition("://")[0]][0]  # type: ignore[index]
+
 
 Option = tuple[Callable[[str], Any], str]
 """Converts a text; and what the text must be."""

@@ -9,6 +9,9 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
+from ..protocol.framing import pdu_of, transaction_of
+from .schemes import framing_of
+
 __all__ = ["OnTraced", "Trace", "Traced", "is_traced"]
 
 if TYPE_CHECKING:
@@ -22,15 +25,17 @@ _wire: Logger | None = None
 
 class Traced(NamedTuple):
     """
-    One ADU that passed.
+    One ADU that was sent or received, or bytes that are no frame.
 
     Attributes:
         time: seconds since the epoch (time.time).
-        endpoint: URL of the connection; of a server, where it listens.
+        endpoint: URL of the connection; for a server, of the endpoint that listens.
         direction: "sent" or "received".
-        adu: all its bytes, or those that are no frame.
-        unit, function: what it says; None for bytes that are no frame.
-        peer: of a server, who asks: "192.0.2.7:51234", or the serial port; None for clients.
+        adu: all bytes of the ADU, or the bytes that are no frame.
+        unit: 0..255, the unit of the ADU; None for bytes that are no frame.
+        function: 1..255, the function code of the ADU, with bit 7 set in an exception response;
+            None for bytes that are no frame.
+        peer: for a server, the client: "192.0.2.7:51234", or the serial port; None for clients.
     """
 
     time: float
@@ -40,6 +45,22 @@ class Traced(NamedTuple):
     unit: int | None
     function: int | None
     peer: str | None = None
+
+    @property
+    def pdu(self) -> bytes:
+        """The PDU of the ADU: function code and data; empty for bytes that are no frame."""
+        return b"" if self.unit is None else pdu_of(framing_of(self.endpoint), self.adu)
+
+    @property
+    def transaction(self) -> int | None:
+        """
+        The transaction id, 0..65535, of an ADU with an MBAP header (tcp, tls, udp).
+
+        None for other framings, and for bytes that are no frame.
+        """
+        if self.unit is None:
+            return None
+        return transaction_of(framing_of(self.endpoint), self.adu)
 
     def __str__(self) -> str:
         arrow = ">" if self.direction == "sent" else "<"

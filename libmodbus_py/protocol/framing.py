@@ -30,7 +30,7 @@ from .scan import Scan, crc16, lib
 # fmt: off
 __all__ = [
     "AsciiFramer", "Frame", "Framer", "Framing", "RtuFramer", "TcpFramer", "UdpFramer", "crc16",
-    "is_delimiter", "lrc", "make_framer", "scanner",
+    "is_delimiter", "lrc", "make_framer", "pdu_of", "scanner", "transaction_of",
 ]
 # fmt: on
 
@@ -444,3 +444,26 @@ def make_framer(framing: Framing, role: Role) -> Framer:
     if framing not in _FRAMERS:
         raise ValueError(f'framing must be "tcp", "rtu", "ascii" or "udp", not {framing!r}')
     return _FRAMERS[framing]()
+
+
+_PDUS: dict[str, Callable[[bytes], bytes]] = {
+    "tcp": lambda adu: adu[7:],
+    "udp": lambda adu: adu[7:],
+    "rtu": lambda adu: adu[1:-2],
+    "ascii": lambda adu: bytes.fromhex(adu[3:-4].decode()),
+}
+
+
+def pdu_of(framing: Framing, adu: bytes) -> bytes:
+    """
+    Return the PDU of one whole frame that a framer has found or made; nothing is checked.
+
+    Args:
+        framing: "tcp", "rtu", "ascii" or "udp".
+    """
+    return _PDUS[framing](adu)
+
+
+def transaction_of(framing: Framing, adu: bytes) -> int | None:
+    """Return the transaction id of such a frame, 0..65535; None where frames have none."""
+    return int.from_bytes(adu[:2]) if framing in ("tcp", "udp") else None
