@@ -20,6 +20,7 @@ from ..security.security import Security
 from .devices import Devices
 from .faults.due import Faults
 from .faults.fault import Fault
+from .faults.switch import FaultsByUnit, FaultSwitch
 from .limits import Limits
 from .service import Service
 from .serving import Running, Serving
@@ -55,6 +56,7 @@ class Server(Serving):
     Attributes:
         statistics: what happened at all endpoints, kept up to date.
         devices, faults: as given, or as put in their place by `replace`.
+        fault_switch: switches more faults on and off while the server runs; all who do share it.
 
     Raises:
         TypeError, ValueError: an argument is something else.
@@ -74,7 +76,9 @@ class Server(Serving):
         self._unknown_unit: UnknownUnit = unknown_unit
         self._own_unit = own_unit
         self._answering_now: list[tuple[asyncio.AbstractEventLoop, Devices]] = []
-        self._take(devices, faults, None)
+        self._counted: Faults | None = None
+        self.fault_switch: FaultSwitch = FaultSwitch(self._change_faults)
+        self._put(devices, faults)
 
     def replace(
         self,
@@ -87,8 +91,9 @@ class Server(Serving):
         Connections stay. In the server's own loop this holds from the next request on; from
         elsewhere it does as soon as the requests are answered that were read already. Answers
         that a fault keeps back still come. `own_unit` and all other arguments are as when the
-        server was made. Faults that are equal to those before go on counting, and notes about
-        a serial line (functions 8, 11 and 12) stay with their unit.
+        server was made. Faults that are equal to those before go on counting, notes about a
+        serial line (functions 8, 11 and 12) stay with their unit, and what `fault_switch` has
+        switched on stays on.
 
         Args:
             devices, faults: as for `Server`; None is no faults.
@@ -96,26 +101,32 @@ class Server(Serving):
         Raises:
             TypeError, ValueError: as when it was made. Then nothing changes.
         """
-        self._take(devices, faults, self._counted)
+        self._put(devices, faults)
+
+    def _put(
+        self,
+        devices: Device | Mapping[int, Device],
+        faults: Mapping[int | None, Iterable[Fault]] | None,
+    ) -> None:
+        given = {unit: list(each) for unit, each in _listed(faults).items()}
+        with self.fault_switch.giving(given) as switched_on:
+            self._take(devices, switched_on)
+        self.faults: Mapping[int | None, list[Fault]] = given
+
+    def _change_faults(self, faults: FaultsByUnit) -> None:
+        self._take(self.devices, faults)
+
+    def _take(self, devices: Device | Mapping[int, Device], faults: FaultsByUnit) -> None:
+        counted = Faults(faults, self._counted)
+        units = Units(devices, counted, self._unknown_unit, self._own_unit, self._note_unauthorized)
+        self._counted, self._units = counted, units
+        self.devices: Device | Mapping[int, Device] = devices
         for loop, answering in list(self._answering_now):
             if loop is _running_loop():
                 answering.change(self._units)
             else:
                 with contextlib.suppress(RuntimeError):  # it has just ended
                     loop.call_soon_threadsafe(self._renew, answering)
-
-    def _take(
-        self,
-        devices: Device | Mapping[int, Device],
-        faults: Mapping[int | None, Iterable[Fault]] | None,
-        before: Faults | None,
-    ) -> None:
-        given = {unit: list(each) for unit, each in _listed(faults).items()}
-        counted = Faults(given, before)
-        units = Units(devices, counted, self._unknown_unit, self._own_unit, self._note_unauthorized)
-        self._counted, self._units = counted, units
-        self.devices: Device | Mapping[int, Device] = devices
-        self.faults: Mapping[int | None, list[Fault]] = given
 
     def _renew(self, answering: Devices) -> None:
         answering.change(self._units)

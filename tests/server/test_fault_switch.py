@@ -1,0 +1,158 @@
+"""
+The fault switch of a server: several users, none of whom undoes what another one did.
+"""
+
+from __future__ import annotations
+
+import threading
+from typing import Any
+
+import pytest
+
+from libmodbus_py import Context, Device, Fault, Mapping, ModbusError, Server
+from tests.support.cases import each_case
+
+GIVEN = Fault("exception", code=4)
+MINE = Fault("exception", code=5)
+YOURS = Fault("exception", code=6)
+
+
+def made_server(*given: Fault) -> Server:
+    return Server({1: Device(Mapping(holding_registers={0: [7]}))}, {1: given})
+
+
+def happening(server: Server) -> list[tuple[int | None, int | None]]:
+    """The unit and exception code of each fault that is on."""
+    return [(each.unit, each.fault.code) for each in server.fault_switch.states() if each.is_on]
+
+
+def code_of(client: Context) -> int | None:
+    try:
+        client.read_holding_registers(0, 1)
+    except ModbusError as error:
+        return getattr(error, "code", None)
+    return None
+
+
+def test_two_users_do_not_undo_each_other() -> None:
+    server = made_server(GIVEN)
+    with (
+        server.background("tcp://127.0.0.1:0") as running,
+        Context.from_url(running.urls[0], unit=1) as client,
+    ):
+        assert code_of(client) == 4
+        mine = server.fault_switch.switch_on(MINE)
+        with server.fault_switch.switch_on(YOURS, unit=1):
+            assert code_of(client) == 6
+            mine.switch_off()
+            assert code_of(client) == 6
+        assert code_of(client) == 4
+
+
+def test_the_latest_comes_first_and_the_given_last() -> None:
+    server = made_server(GIVEN)
+    mine = server.fault_switch.switch_on(MINE, MINE)
+    server.fault_switch.switch_on(YOURS, unit=1)
+    assert happening(server) == [(1, 6), (None, 5), (None, 5), (1, 4)]
+    mine.switch_off()
+    mine.switch_off()
+    assert happening(server) == [(1, 6), (1, 4)]
+
+
+def test_one_fault_is_turned_off_and_on_in_its_place() -> None:
+    server = made_server(GIVEN, MINE)
+    yours = server.fault_switch.switch_on(YOURS)
+    first = server.fault_switch.states()[0]
+    given = server.fault_switch.states()[1]
+    with server.background("tcp://127.0.0.1:0") as running:
+        client = Context.from_url(running.urls[0], unit=1)
+        with client:
+            server.fault_switch.turn(given, is_on=False)
+            assert code_of(client) == 5
+            server.fault_switch.turn(first, is_on=False)
+            server.fault_switch.turn(given, is_on=True)
+            assert code_of(client) == 4
+    assert [each.fault for each in server.fault_switch.states()] == [YOURS, GIVEN, MINE]
+    yours.switch_off()
+    with pytest.raises(ValueError, match="the server does not have the fault Fault"):
+        server.fault_switch.turn(first, is_on=True)
+
+
+def test_replace_changes_what_was_given_and_nothing_else() -> None:
+    server = made_server(GIVEN)
+    mine = server.fault_switch.switch_on(MINE, unit=1)
+    server.replace(server.devices, {1: [YOURS]})
+    assert happening(server) == [(1, 5), (1, 6)]
+    assert server.faults == {1: [YOURS]}
+    server.replace(server.devices, server.faults)
+    assert happening(server) == [(1, 5), (1, 6)]
+    mine.switch_off()
+    assert happening(server) == [(1, 6)]
+
+
+def test_switched_faults_go_on_counting() -> None:
+    server = made_server()
+    second = Fault("exception", code=6, every=2)
+    codes = []
+    with (
+        server.fault_switch.switch_on(second, unit=1),
+        server.background("tcp://127.0.0.1:0") as running,
+        Context.from_url(running.urls[0], unit=1) as client,
+    ):
+        for _ in range(4):
+            codes.append(code_of(client))
+            server.fault_switch.switch_on(MINE, unit=2).switch_off()
+    assert codes == [None, 6, None, 6]
+
+
+@each_case(
+    ("faults", "unit", "message"),
+    [
+        ((5,), 1, "faults must be"),
+        ((MINE,), 256, r"unit must be in 0..255, not 256"),
+        ((MINE,), "1", "unit must be an integer"),
+    ],
+)
+def test_a_wrong_argument_changes_nothing(faults: Any, unit: Any, message: str) -> None:
+    server = made_server(GIVEN)
+    version = server.fault_switch.version
+    with pytest.raises((TypeError, ValueError), match=message):
+        server.fault_switch.switch_on(*faults, unit=unit)
+    assert happening(server) == [(1, 4)]
+    assert server.fault_switch.version == version
+
+
+def test_devices_that_are_refused_change_no_fault() -> None:
+    server = made_server(GIVEN)
+    with pytest.raises(TypeError, match="must be a Device"):
+        server.replace({1: 5}, {1: [YOURS]})  # type: ignore[dict-item]
+    assert happening(server) == [(1, 4)]
+    assert server.faults == {1: [GIVEN]}
+
+
+def test_the_version_grows_with_every_change() -> None:
+    switch = made_server(GIVEN).fault_switch
+    versions = [switch.version]
+    mine = switch.switch_on(MINE)
+    versions.append(switch.version)
+    switch.turn(switch.states()[0], is_on=False)
+    versions.append(switch.version)
+    mine.switch_off()
+    versions.append(switch.version)
+    assert versions == sorted(set(versions))
+
+
+def test_many_threads_leave_what_was_given() -> None:
+    server = made_server(GIVEN)
+
+    def switching() -> None:
+        for _ in range(50):
+            with server.fault_switch.switch_on(MINE), server.fault_switch.switch_on(YOURS, unit=1):
+                pass
+
+    threads = [threading.Thread(target=switching) for _ in range(4)]
+    for each in threads:
+        each.start()
+    for each in threads:
+        each.join()
+    assert happening(server) == [(1, 4)]
