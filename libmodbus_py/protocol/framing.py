@@ -16,10 +16,11 @@ Serial Line V1.02, sections 2.5.1 and 2.5.2.
 
 from __future__ import annotations
 
+import contextlib
 import re
 import struct
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, ClassVar, Literal, NamedTuple
 
 from . import pdu
@@ -30,7 +31,8 @@ from .scan import Scan, crc16, lib
 # fmt: off
 __all__ = [
     "AsciiFramer", "Frame", "Framer", "Framing", "RtuFramer", "TcpFramer", "UdpFramer", "crc16",
-    "is_delimiter", "lrc", "make_framer", "pdu_of", "scanner", "transaction_of",
+    "cut", "is_delimiter", "is_one_frame", "lrc", "make_framer", "pdu_of", "scanner", "split",
+    "transaction_of",
 ]
 # fmt: on
 
@@ -93,8 +95,13 @@ class Framer(ABC):
 
     @property
     def pending(self) -> int:
-        """Bytes that wait for the rest of their frame."""
+        """The number of bytes that wait for the rest of their frame."""
         return len(self._buffer)
+
+    @property
+    def rest(self) -> bytes:
+        """The bytes that wait for the rest of their frame."""
+        return bytes(self._buffer)
 
     def feed(self, data: bytes) -> list[Frame]:
         """
@@ -141,13 +148,9 @@ class Framer(ABC):
     def _scan_silence(self) -> None: ...
 
     def _report(self, why: str, received: bytes | bytearray, *, overrun: bool = False) -> None:
-        """Of many errors in a row the first few say enough."""
-        last = self._found[-MOST_ERRORS:]
-        if len(last) == MOST_ERRORS and set(map(type, last)) == {FrameError}:
-            return
         error = FrameError(why, received=bytes(received[:MAX_RECEIVED]))
         error.overrun = overrun
-        self._found.append(error)
+        _note(self._found, error)
 
     def _reject(self, why: str, count: int, *, overrun: bool = False) -> None:
         """Drop the first bytes."""
@@ -168,6 +171,13 @@ class Framer(ABC):
         return frames
 
 
+def _note(found: list[Frame | FrameError], error: FrameError) -> None:
+    """Keep an error, unless it is one of many in a row: the first few are enough."""
+    last = found[-MOST_ERRORS:]
+    if len(last) < MOST_ERRORS or set(map(type, last)) != {FrameError}:
+        found.append(error)
+
+
 _HEADER = struct.Struct(">HHH")
 _PREFIX = struct.Struct(">HHHB")
 
@@ -177,13 +187,68 @@ def mbap(transaction: int, unit: int, pdu: bytes) -> bytes:
     return _PREFIX.pack(transaction, 0, 1 + len(pdu), unit) + pdu
 
 
+def cut(data: bytes | bytearray, start: int, found: list[Frame | FrameError], most: int) -> int:
+    """
+    Cut out up to `most` frames with MBAP headers, of which the first begins at `start`.
+
+    Args:
+        found: takes the frames, and a FrameError for one with a protocol other than 0.
+
+    Returns:
+        Where the next frame begins; `start` if not even the first one is complete.
+
+    Raises:
+        FrameError: a length is not in 2..254, so that nobody can know where the next frame
+            begins. What `found` has taken before is good.
+
+    Source: MODBUS Messaging on TCP/IP V1.0b, 3.1.3.
+    """
+    size = len(data)
+    while most and size - start >= 6:
+        transaction, protocol, length = _HEADER.unpack_from(data, start)
+        end = start + 6 + length
+        if not 2 <= length <= 1 + MAX_PDU:
+            received = bytes(data[start : start + MAX_RECEIVED])
+            raise FrameError(f"header with length {length}, not 2..254", received=received)
+        if size < end:
+            break
+        if protocol != 0:
+            received = bytes(data[start:end])
+            _note(found, FrameError(f"header with protocol {protocol}, not 0", received=received))
+        else:
+            unit, pdu = data[start + 6], bytes(data[start + 7 : end])
+            # As Frame(unit, pdu, transaction), in half the time: bulk reads do little else.
+            found.append(tuple.__new__(Frame, (unit, pdu, transaction)))
+        start = end
+        most -= 1
+    return start
+
+
+def is_one_frame(data: bytes) -> bool:
+    """True if `data` is one whole frame with an MBAP header, as `cut` says, and nothing else."""
+    size = len(data)
+    return (
+        8 <= size <= _PREFIX.size + MAX_PDU
+        and size == _HEADER.size + (data[4] << 8 | data[5])
+        and not (data[2] or data[3])
+    )
+
+
+def split(data: bytes) -> Iterator[bytes]:
+    """Yield the frames of a chunk in which whole frames with MBAP headers follow each other."""
+    start, size = 0, len(data)
+    while start < size:
+        end = start + _HEADER.size + (data[start + 4] << 8 | data[start + 5])
+        yield data[start:end]
+        start = end
+
+
 class TcpFramer(Framer):
     """
     MBAP: transaction, protocol, length, unit in front of the PDU.
 
-    A protocol other than 0 makes that one frame an error; a length outside
-    2..254 ends the stream, for nobody can know where the next frame begins:
-    every later call raises.
+    A protocol other than 0 makes that one frame an error; a length outside 2..254 ends the
+    stream: every later call raises.
     """
 
     has_broadcast = False
@@ -193,26 +258,15 @@ class TcpFramer(Framer):
         return mbap(transaction, unit, pdu)
 
     def _scan(self) -> None:
-        buffer, start, found = self._buffer, 0, self._found
-        while self.in_step and len(buffer) - start >= 6:
-            transaction, protocol, length = _HEADER.unpack_from(buffer, start)
-            end = start + 6 + length
-            if not 2 <= length <= 1 + MAX_PDU:
-                self.in_step = False
-                end = len(buffer)
-                self._report(f"header with length {length}, not 2..254", buffer[start:])
-            elif len(buffer) < end:
-                break
-            elif protocol != 0:
-                self._report(f"header with protocol {protocol}, not 0", buffer[start:end])
-            else:
-                unit, pdu = buffer[start + 6], bytes(buffer[start + 7 : end])
-                # As Frame(unit, pdu, transaction), in half the time: bulk reads do little else.
-                found.append(tuple.__new__(Frame, (unit, pdu, transaction)))
-            start = end
-        del buffer[:start]
-        if not self.in_step and not found:
-            self._reject("stream out of step", len(buffer))
+        if not self.in_step:
+            self._reject("stream out of step", len(self._buffer))
+            return
+        try:
+            del self._buffer[: cut(self._buffer, 0, self._found, len(self._buffer))]
+        except FrameError as error:
+            self.in_step = False
+            _note(self._found, error)
+            self._buffer.clear()
 
     def _scan_silence(self) -> None:
         """Silence means nothing on TCP."""
@@ -222,21 +276,21 @@ class UdpFramer(TcpFramer):
     """
     The same frames, one in each datagram: every call of ``feed`` or ``scan`` takes one.
 
-    A datagram with anything but one whole frame is an error, and leaves no trace
-    in what comes after.
+    A datagram with anything but one whole frame is an error, and does not affect those that
+    follow.
     """
 
     max_size = MAX_PDU + 7
 
     def _scan(self) -> None:
         datagram = bytes(self._buffer)
-        if len(datagram) <= self.max_size:
-            super()._scan()
-        whole = len(self._found) == 1 and not self._buffer
         self._buffer.clear()
-        self.in_step = True
-        if datagram and not whole:
-            self._found[:] = [FrameError("a datagram that is not one frame", received=datagram)]
+        found: list[Frame | FrameError] = []
+        with contextlib.suppress(FrameError):
+            if cut(datagram, 0, found, 1) == len(datagram):
+                self._found += found
+                return
+        self._found.append(FrameError("a datagram that is not one frame", received=datagram))
 
 
 class RtuFramer(Framer):
