@@ -12,7 +12,7 @@ from typing import Any
 
 from .values import ValueType
 
-__all__ = ["bit_of", "decimal_of", "number_of", "shown", "value_of"]
+__all__ = ["bit_of", "decimal_of", "number_of", "shown", "units_of", "value_of"]
 
 BITS = {"0": False, "1": True, "off": False, "on": True, "false": False, "true": True}
 
@@ -125,3 +125,30 @@ def value_of(text: str, kind: ValueType) -> Any:
         ValueError: it is none; the message begins with "value".
     """
     return PARSERS.get(_family(kind), _integer)(text)
+
+
+# --- lists ---------------------------------------------------------------------------
+
+_UNITS = re.compile(r"\s*([0-9]{1,3})\s*(?:-\s*([0-9]{1,3})\s*)?", re.ASCII)
+
+
+def units_of(text: str) -> list[int]:
+    """
+    Read a list of units 0..255: numbers and ranges with commas between them, such as "1-10,17".
+
+    Returns:
+        The units in the order of the text; a unit that is listed twice is there twice.
+
+    Raises:
+        ValueError: a part of the list is neither a unit nor a range that goes up.
+    """
+    units: list[int] = []
+    for part in text.split(","):
+        found = _UNITS.fullmatch(part)
+        if found is None:
+            raise ValueError(f"{reprlib.repr(part)} must be a unit, or a range such as 1-247")
+        first, last = int(found[1]), int(found[2] or found[1])
+        if not first <= last <= 255:
+            raise ValueError(f"{part!r} must go up, within 0..255")
+        units += range(first, last + 1)
+    return units

@@ -101,7 +101,7 @@ def test_no_connection_is_one_line_and_exit_code_1() -> None:
     [
         (["--units", "0-300"], "'0-300' must go up, within 0..255"),
         (["--units", "9-5"], "'9-5' must go up, within 0..255"),
-        (["--units", "1,,3"], "'' must be a unit, or two such as 1-247"),
+        (["--units", "1,,3"], "'' must be a unit, or a range such as 1-247"),
         (["--units", "-3"], "'-3' must be a unit"),
         (["--units", "x"], "'x' must be a unit"),
         (["--units", "٣"], "must be a unit"),

@@ -12,6 +12,7 @@ from typing import Any
 
 from ...protocol.pdu import DeviceIdentification, ServerId
 from ...protocol.pdu.interface import OBJECT_NAMES
+from ...protocol.spelling import units_of
 from ...tools.scan.places import BAUDRATES, PARITIES
 from ...tools.scan.scanning import Found, Progress, Scan, scanning
 from ...tools.scan.searching import MOST_REQUESTS, Extent, Search, Searching, searching
@@ -85,16 +86,10 @@ def add_command(commands: Any) -> None:
 
 
 def _units(text: str) -> list[int]:
-    units: list[int] = []
-    for part in text.split(","):
-        match = re.fullmatch(r"\s*([0-9]{1,3})\s*(?:-\s*([0-9]{1,3})\s*)?", part, re.ASCII)
-        if match is None:
-            raise argparse.ArgumentTypeError(f"{part!r} must be a unit, or two such as 1-247")
-        first, last = int(match[1]), int(match[2] or match[1])
-        if not first <= last <= 255:
-            raise argparse.ArgumentTypeError(f"{part!r} must go up, within 0..255")
-        units += range(first, last + 1)
-    return units
+    try:
+        return units_of(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
 
 
 def _baudrates(text: str) -> list[int]:

@@ -4,8 +4,6 @@ Routes: which unit is reached over which line, and what may be done there.
 
 from __future__ import annotations
 
-import re
-import reprlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
@@ -15,6 +13,7 @@ from ...device.access import Access
 from ...device.rules import Allow
 from ...ports.endpoint import Endpoint, parse
 from ...protocol.checks import integer, seconds
+from ...protocol.spelling import units_of as units_in
 
 __all__ = ["Route", "by_unit", "parse_route", "units_of"]
 
@@ -29,9 +28,6 @@ HARMLESS: tuple[int | str, ...] = (
     "8/2",
     *(f"8/{number}" for number in range(11, 19)),
 )
-
-# One, a range, or several of both.
-_UNITS = re.compile(r"[0-9]{1,3}(-[0-9]{1,3})?(,[0-9]{1,3}(-[0-9]{1,3})?)*")
 
 
 @dataclass(frozen=True)
@@ -131,13 +127,10 @@ def units_of(name: str, given: object, *, distinct: bool = True) -> list[int]:
         TypeError, ValueError: by name.
     """
     if isinstance(given, str):
-        if not _UNITS.fullmatch(given):
-            raise ValueError(f'{name} must be such as "1-10,17", not {reprlib.repr(given)}')
-        found: list[int] = []
-        for part in given.split(","):
-            first, _, last = part.partition("-")
-            integer(name, int(last or first), 0, 255)
-            found += range(int(first), int(last or first) + 1)
+        try:
+            found = units_in(given)
+        except ValueError as error:
+            raise ValueError(f"{name}: {error}") from None
     elif isinstance(given, Iterable):
         found = [integer(f"{name}[{at}]", unit, 0, 255) for at, unit in enumerate(given)]
     else:

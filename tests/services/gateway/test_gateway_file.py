@@ -45,7 +45,8 @@ WRONG: dict[str, tuple[str, int, str]] = {
     "bad option": ('[[route]]\nto = "tcp://192.0.2.1?timeout=0"\n', 2, "timeout must be in"),
     "unit of a client": ('[[route]]\nto = "tcp://192.0.2.1?unit=3"\n', 2, "device_units does"),
     "unknown port": ('[[route]]\nto = "rtu:///dev/nowhere"\n', 2, "there is no port /dev/nowhere"),
-    "units": (f'[[route]]\n{TO}units = "1-300"\n', 3, "route[0].units must be in 0..255, not 300"),
+    "units": (f'[[route]]\n{TO}units = "1-300"\n', 3, "route[0].units: '1-300' must go up, within"),
+    "units, downwards": (f"[[route]]\n{TO}units = '10-1,5'\n", 3, "units: '10-1' must go up"),
     "units, twice": (f"[[route]]\n{TO}units = [4, 4]\n", 3, "units: 4 is given twice"),
     "two routes": (
         f"[[route]]\n{TO}units = [4]\n[[route]]\n{TO}units = [5, 4]\n",
@@ -139,7 +140,15 @@ def test_routes_of_a_command_line(text: str, ways: dict[int, int]) -> None:
 
 @pytest.mark.parametrize(
     "text",
-    ["", "x=tcp://192.0.2.1", "1-=tcp://192.0.2.1", "1:=tcp://192.0.2.1", "1", "2-1=tcp://b"],
+    [
+        "",
+        "x=tcp://192.0.2.1",
+        "1-=tcp://192.0.2.1",
+        "1:=tcp://192.0.2.1",
+        "1",
+        "2-1=tcp://b",
+        "9-1,5=tcp://b",
+    ],
 )
 def test_what_is_no_route(text: str) -> None:
     with pytest.raises(ValueError, match=r"must|missing"):
