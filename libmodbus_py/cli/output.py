@@ -9,7 +9,7 @@ import io
 import os
 import sys
 
-__all__ = ["abandon", "prepare"]
+__all__ = ["abandon", "counted", "prepare"]
 
 
 def prepare() -> None:
@@ -29,3 +29,8 @@ def abandon() -> None:
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, printed)
         os.close(nowhere)
+
+
+def counted(number: int, what: str) -> str:
+    """Return a number and a noun, in the plural where it must be."""
+    return f"{number} {what}{'' if number == 1 else 's'}"

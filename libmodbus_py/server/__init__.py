@@ -6,6 +6,7 @@ In the order in which a request goes through::
     server       Server: devices, served
     serving      what serves: endpoints from URLs, in a loop, in a thread, or for ever
     background   the thread
+    signals      handlers in the loop; afterwards the previous ones are restored
     listening    makes their sockets; forked children close them (forking)
     tcp          takes connections and hands them to `peers`; udp answers datagrams,
                  serial a port

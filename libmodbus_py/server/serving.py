@@ -11,9 +11,8 @@ import contextlib
 import gc
 import logging
 import signal
-import threading
 from abc import ABC, abstractmethod
-from collections.abc import AsyncIterator, Callable, Iterator, Mapping
+from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import AbstractAsyncContextManager, AbstractContextManager
 from dataclasses import dataclass
 
@@ -28,6 +27,7 @@ from .listening import reason
 from .peers import Peers
 from .serial import SerialServer
 from .service import Service
+from .signals import Handler, signal_handlers
 from .sources import Sources
 from .tcp import TcpServer
 from .tracing import TracedService, Traces
@@ -36,8 +36,6 @@ from .udp import UdpServer
 __all__ = ["Running", "Serving"]
 
 logger: logging.Logger = logging.getLogger(__name__)
-
-Handler = Callable[[], object]
 
 
 @dataclass(frozen=True)
@@ -169,7 +167,7 @@ class Serving(ABC):
             }
             if on_hangup is not None:
                 handlers[signal.SIGHUP] = on_hangup
-            with _signals_call(handlers):
+            with signal_handlers(handlers):
                 async with self.serving(*urls) as running:
                     # Else every full search for garbage looks through all that was
                     # imported: 5 ms in which nobody is answered.
@@ -240,21 +238,3 @@ def _endpoint(url: str) -> Endpoint:
         names = ", ".join(endpoint.client_options)
         raise ValueError(f"{url!r}: {names} is for clients, and means nothing to a server")
     return endpoint
-
-
-@contextlib.contextmanager
-def _signals_call(handlers: Mapping[signal.Signals, Handler]) -> Iterator[None]:
-    """Have signals do this, in the main thread of a running loop."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    loop = asyncio.get_running_loop()
-    before = {number: signal.getsignal(number) for number in handlers}
-    for number, handle in handlers.items():
-        loop.add_signal_handler(number, handle)
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            loop.remove_signal_handler(number)
-            signal.signal(number, handler)

@@ -27,6 +27,7 @@ from ..connecting import url_of
 from ..failing import CommandError
 from ..find import scan
 from ..main import INTERRUPTED
+from ..output import counted
 from ..status import Status
 
 __all__ = ["add_command"]
@@ -93,7 +94,7 @@ def _check_file(file: str) -> int:
     if contents.mistakes:
         more = ["and perhaps more"] * (len(contents.mistakes) == MOST_MISTAKES)
         return _wrong([*(each.of(file) for each in contents.mistakes), *more])
-    print(f"{file}: {_counted(len(contents.points), 'point')}")
+    print(f"{file}: {counted(len(contents.points), 'point')}")
     for line in [*_tables(contents), *remarks(contents)]:
         print(f"  {line}")
     return 0
@@ -114,15 +115,11 @@ def _tables(contents: Contents) -> list[str]:
         if points:
             written = sum(point.is_writable for point in points)
             what = f", {written} of them can be written" if written else ""
-            lines.append(f"{table}: {_counted(len(points), 'point')}{what}")
+            lines.append(f"{table}: {counted(len(points), 'point')}{what}")
         function = rules.read(0, 1).function
         asked: list[Any] = [each for each in plan.requests if each.function == function]
         lines += [f"  read {each.address} {each.count}" for each in asked]
     return lines
-
-
-def _counted(number: int, what: str) -> str:
-    return f"{number} {what}{'' if number == 1 else 's'}"
 
 
 # --- from-device -----------------------------------------------------------------------
@@ -152,7 +149,7 @@ def _from_device(options: argparse.Namespace) -> int:
     _write(options.output, "\n".join([*_heading(_url(options), search.extents), text_of(points)]))
     if options.output is not None:
         told = (
-            f"{options.output}: {_counted(len(points), 'point')}; names, types and units are yours"
+            f"{options.output}: {counted(len(points), 'point')}; names, types and units are yours"
         )
         print(told, file=sys.stderr)
     return code

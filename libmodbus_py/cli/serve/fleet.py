@@ -13,9 +13,10 @@ import math
 import signal
 import sys
 import time
-from collections.abc import Callable, Coroutine, Iterator, Sequence
+from collections.abc import Callable, Coroutine, Sequence
 from typing import Any, TypeVar
 
+from ...server.signals import Handler, signal_handlers
 from ...services.engine.buckets import Bucket, make_bucket, open_bucket
 from ...services.engine.connection import connected, disconnect, parse_servers
 from ...services.engine.troubles import EngineError, EngineGone, NothingThere
@@ -223,7 +224,7 @@ async def _work(
         changed.append(polling.engine_changed)
         screen = asyncio.create_task(show(polling.fleet)) if show else None
         try:
-            with _signals(polling), exposed(polling.fleet):
+            with signal_handlers(_handlers(polling)), exposed(polling.fleet):
                 await polling.run()
         finally:
             if screen is not None:
@@ -233,17 +234,12 @@ async def _work(
     return 0
 
 
-@contextlib.contextmanager
-def _signals(polling: Polling) -> Iterator[None]:
-    loop = asyncio.get_running_loop()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        loop.add_signal_handler(number, polling.leave)
-    loop.add_signal_handler(signal.SIGHUP, unless_closed(_tell_of_push))
-    try:
-        yield
-    finally:
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            loop.remove_signal_handler(number)
+def _handlers(polling: Polling) -> dict[signal.Signals, Handler]:
+    return {
+        signal.SIGINT: polling.leave,
+        signal.SIGTERM: polling.leave,
+        signal.SIGHUP: unless_closed(_tell_of_push),
+    }
 
 
 def _tell_of_push() -> None:

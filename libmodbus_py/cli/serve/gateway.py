@@ -12,8 +12,10 @@ from ...ports.schemes import SCHEMES
 from ...services.gateway import config
 from ...services.gateway.gateway import Gateway
 from ...services.gateway.routes import parse_route
+from ...tools.files.rereading import reread
 from .. import security
 from ..help import VerbatimHelp
+from ..output import counted
 from . import limits, metrics
 from .announcing import announcing
 from .hangup import unless_closed
@@ -90,13 +92,14 @@ def _gateway(options: argparse.Namespace) -> int:
 
 
 def _read_again(gateway: Gateway, path: str, before: config.GatewayFile) -> None:
-    """What was good before goes on, if this is not."""
-    try:
-        file = config.load(path, known=before.routes)
+    def use(file: config.GatewayFile) -> list[str]:
         gateway.change_routes(file.routes)
-    except (TypeError, ValueError) as error:
-        logger.error("nothing is changed: %s", error)
-        return
-    logger.warning("%s: %d routes", path, len(file.routes))
-    if (file.listen, repr(file.options)) != (before.listen, repr(before.options)):
-        logger.warning("%s: what is no route changes when the gateway is started again", path)
+        lines = [f"{path}: {counted(len(file.routes), 'route')}"]
+        if (file.listen, repr(file.options)) != (before.listen, repr(before.options)):
+            lines.append(
+                f"{path}: only routes can change while the gateway runs; restart it"
+                " for the other changes"
+            )
+        return lines
+
+    reread(lambda: config.load(path, known=before.routes), use, logger.warning)

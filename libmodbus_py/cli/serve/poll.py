@@ -13,9 +13,9 @@ import resource
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator
 from typing import Any
 
+from ...server.signals import Handler, signal_handlers
 from ...services.fleet.config import DeviceConfig
 from ...services.fleet.files import FleetFile, load
 from ...services.fleet.fleet import Fleet
@@ -24,7 +24,9 @@ from ...services.fleet.outputs.json_lines import JsonLines
 from ...services.fleet.outputs.last_values import LastValues
 from ...services.fleet.outputs.output import Output, OutputError
 from ...services.fleet.trial import Tried, overloads, trying
+from ...tools.files.rereading import reread
 from ..failing import CommandError
+from ..output import counted
 from ..status import Status
 from . import fleet as workers
 from . import metrics
@@ -143,7 +145,7 @@ async def _run(fleet: Fleet, options: argparse.Namespace, has_screen: bool) -> N
     stopped = asyncio.Event()
     polling = asyncio.create_task(fleet.run(once=options.once))
     screen = asyncio.create_task(_show(fleet)) if has_screen else None
-    with _signals(stopped, lambda: _read_again(fleet, options.file)):
+    with signal_handlers(_handlers(stopped, lambda: _read_again(fleet, options.file))):
         await asyncio.sleep(0)
         # Else every full search for garbage looks through all devices: a tenth of a second.
         gc.collect()
@@ -162,32 +164,20 @@ async def _run(fleet: Fleet, options: argparse.Namespace, has_screen: bool) -> N
         polling.result()
 
 
-@contextlib.contextmanager
-def _signals(stopped: asyncio.Event, read_again: Any) -> Iterator[None]:
-    loop = asyncio.get_running_loop()
-    calls: dict[signal.Signals, Callable[[], object]] = {
+def _handlers(stopped: asyncio.Event, read_again: Handler) -> dict[signal.Signals, Handler]:
+    return {
         signal.SIGINT: stopped.set,
         signal.SIGTERM: stopped.set,
         signal.SIGHUP: unless_closed(read_again),
     }
-    for number, call in calls.items():
-        loop.add_signal_handler(number, call)
-    try:
-        yield
-    finally:
-        for number in calls:
-            loop.remove_signal_handler(number)
 
 
 def _read_again(fleet: Fleet, path: str) -> None:
-    """What was good before goes on, if this is not."""
-    try:
-        devices = load(path).devices
-        fleet.replace(devices)
-    except (TypeError, ValueError) as error:
-        logger.error("nothing is changed: %s", error)
-        return
-    logger.warning("%s: %d devices", path, len(devices))
+    def use(file: FleetFile) -> list[str]:
+        fleet.replace(file.devices)
+        return [f"{path}: {counted(len(file.devices), 'device')}"]
+
+    reread(lambda: load(path), use, logger.warning)
 
 
 async def _show(fleet: Fleet) -> None:

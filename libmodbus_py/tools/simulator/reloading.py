@@ -12,6 +12,7 @@ import threading
 from collections.abc import Callable
 
 from ...server.server import Server
+from ..files.rereading import reread
 from .device_file import load
 from .simulated import Simulation
 
@@ -96,17 +97,17 @@ class Reloader:
 
     def _read_again(self) -> None:
         self._read_signatures = self._signatures()
+        reread(self._load, self._exchanged, self._tell)
+        gc.collect()  # old devices are circles, and their tables larger than they look
+
+    def _load(self) -> Simulation:
         try:
             simulation = load(self._path)
         except ValueError as error:
             self._follow(getattr(error, "files", ()))
-            self._tell(f"nothing is changed: {error}")
-            return
+            raise
         self._follow(simulation.files)
-        if (outcome := self._exchanged(simulation)) is not None:
-            self._tell(outcome)
-        del simulation
-        gc.collect()  # old devices are circles, and their tables larger than they look
+        return simulation
 
     def _follow(self, maps: tuple[str, ...]) -> None:
         """Look at these maps from now on; those that are new are as they were just read."""
@@ -116,15 +117,15 @@ class Reloader:
             path: known[path] if path in known else _signature(path) for path in self._files
         }
 
-    def _exchanged(self, simulation: Simulation) -> str | None:
-        """Have it served, in the loop: nobody writes meanwhile; None if the loop has ended."""
+    def _exchanged(self, simulation: Simulation) -> list[str]:
+        """Serve the new devices, in the loop, where no client writes meanwhile."""
         done = threading.Event()
-        outcome = ""
+        outcome: list[str] = []
 
         def exchange() -> None:
             nonlocal outcome
             try:
-                outcome = self._exchange(simulation)
+                outcome = [self._exchange(simulation)]
             finally:
                 done.set()
 
@@ -133,9 +134,8 @@ class Reloader:
             self._loop.call_soon_threadsafe(exchange)
             while not done.wait(0.1):
                 if self._is_closed:
-                    return None
-            return outcome
-        return None
+                    return []
+        return outcome
 
     # --- in the loop ---------------------------------------------------------------------------
 

@@ -1,0 +1,51 @@
+"""
+Files that are read again: what is told, and that a mistake changes nothing.
+"""
+
+from __future__ import annotations
+
+import pytest
+
+from libmodbus_py.tools.files.rereading import reread
+
+
+def test_the_content_is_used_and_each_line_told() -> None:
+    used: list[str] = []
+    told: list[str] = []
+
+    def use(content: str) -> list[str]:
+        used.append(content)
+        return ["first", "second"]
+
+    reread(lambda: "content", use, told.append)
+    assert (used, told) == (["content"], ["first", "second"])
+
+
+@pytest.mark.parametrize("kind", [TypeError, ValueError])
+def test_a_mistake_is_told_and_nothing_used(kind: type[Exception]) -> None:
+    used: list[str] = []
+    told: list[str] = []
+
+    def load() -> str:
+        raise kind("line 4: unit must be in 0..255")
+
+    reread(load, lambda content: used.append(content) or [], told.append)  # type: ignore[func-returns-value]
+    assert (used, told) == ([], ["nothing is changed: line 4: unit must be in 0..255"])
+
+
+def test_content_that_cannot_be_used_is_told() -> None:
+    told: list[str] = []
+
+    def use(content: str) -> list[str]:
+        raise ValueError("two routes for unit 1")
+
+    reread(lambda: "content", use, told.append)
+    assert told == ["nothing is changed: two routes for unit 1"]
+
+
+def test_other_errors_are_raised() -> None:
+    def load() -> str:
+        raise RuntimeError("a bug")
+
+    with pytest.raises(RuntimeError, match="a bug"):
+        reread(load, lambda content: [], print)
