@@ -9,8 +9,6 @@ The command line, on top of everything: what is typed becomes requests and serve
     output         standard output and error, whatever they are
     failing        what went wrong: a line, and an exit code
     connecting     whom clients ask: URLs, hosts, serial ports
-    addresses      HOST:PORT, as typed
-    items          tables, references and names, as they are typed
     security       the options for tls:// of all commands
     tracing        -v: frames in columns
     status         how far long work has come

@@ -5,7 +5,6 @@ The command completion, and what is completed when the shell asks.
 from __future__ import annotations
 
 import argparse
-import contextlib
 import os
 from typing import Any
 
@@ -51,11 +50,7 @@ def complete() -> None:
     """
     words = os.environ.get("COMP_LINE", "").split()
     asked = [word for word in words[1:2] if word in COMMANDS]
-    parser = whole_parser(asked)
-    for action in _actions(parser):
-        if action.dest == "what":
-            action.completer = _whats
-    _argcomplete().autocomplete(parser, always_complete_options="long")
+    _argcomplete().autocomplete(whole_parser(asked), always_complete_options="long")
 
 
 def _argcomplete() -> Any:
@@ -66,18 +61,3 @@ def _argcomplete() -> Any:
             "completion needs argcomplete: pip install 'libmodbus-py[completion]'"
         ) from None
     return argcomplete
-
-
-def _actions(parser: argparse.ArgumentParser) -> list[Any]:
-    commands = [each.choices for each in parser._actions if isinstance(each.choices, dict)]
-    return [action for each in commands for sub in each.values() for action in sub._actions]
-
-
-def _whats(parsed_args: argparse.Namespace, **_: Any) -> list[str]:
-    """Tables, and the names of the map that was given."""
-    from .items import TABLE_WORDS, map_of
-
-    names: list[str] = []
-    with contextlib.suppress(OSError, ValueError):
-        names = list(map_of(parsed_args.map)) if parsed_args.map else []
-    return [*TABLE_WORDS, *names]

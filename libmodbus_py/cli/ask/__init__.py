@@ -12,6 +12,7 @@ Commands that ask one device: read, write, identify, diagnose, raw and map.
     writing       a request for each item
     identify      identify; diagnose and raw likewise
     telling       what a device says of itself, and to any function
+    items         tables, references and names, as they are typed
     asking        the requests for items
     views         what was read, as rows and fields of JSON
     map           register maps, checked, or made of what a device has

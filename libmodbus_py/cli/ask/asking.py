@@ -10,7 +10,7 @@ from typing import Any
 from ...maps.plan import Plan
 from ...protocol import pdu
 from ...protocol.errors import ModbusError
-from ..items import REGISTERS, Item
+from .items import REGISTERS, Item
 
 __all__ = ["Question"]
 

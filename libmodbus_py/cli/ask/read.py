@@ -5,13 +5,14 @@ The command read: what it takes.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import math
 from typing import Any, get_args
 
 from ...protocol.type_names import BitsType, NumberType, Order
 from .. import connecting
 
-__all__ = ["WHAT", "add_command", "add_item_arguments"]
+__all__ = ["WHAT", "add_command", "add_completer", "add_item_arguments"]
 
 WHAT = """\
 WHAT: TABLE ADDRESS (coils, discrete, holding, input, file:N, fifo; from 0), a reference (40123:
@@ -34,7 +35,8 @@ def add_command(commands: Any) -> None:
         epilog=f"{EXAMPLES}\n\n{connecting.URLS}",
     )
     connecting.add_arguments(command)
-    command.add_argument("what", metavar="WHAT", nargs="*", help="what, and how many")
+    what = command.add_argument("what", metavar="WHAT", nargs="*", help="what, and how many")
+    add_completer(what)
     add_item_arguments(command, ", or all: every reading of COUNT registers", can_show_all=True)
     group = command.add_argument_group("what is printed")
     form = group.add_mutually_exclusive_group()
@@ -72,6 +74,20 @@ def add_item_arguments(
         "--count-from-1", action="store_true", help="addresses are from 1, typed and shown"
     )
     command.set_defaults(can_show_all=can_show_all)
+
+
+def add_completer(what: argparse.Action) -> None:
+    """Let shells complete the tables, and the names of the map that was given."""
+    what.completer = _names  # type: ignore[attr-defined]
+
+
+def _names(parsed_args: argparse.Namespace, **_: Any) -> list[str]:
+    from .items import TABLE_WORDS, map_of
+
+    names: list[str] = []
+    with contextlib.suppress(OSError, ValueError):
+        names = list(map_of(parsed_args.map)) if parsed_args.map else []
+    return [*TABLE_WORDS, *names]
 
 
 def _seconds(text: str) -> float:

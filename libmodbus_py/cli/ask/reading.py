@@ -16,9 +16,9 @@ from ...protocol.errors import ExceptionResponse, IllegalDataAddress, ModbusErro
 from ..commands import PROGRAM
 from ..connecting import connected, endpoint_of
 from ..failing import CommandError
-from ..items import ALL, Item, Words
 from ..status import Status
 from .asking import Cells, Question
+from .items import ALL, Item, Words
 from .views import Outcome, View, aligned, view_of
 
 __all__ = ["Reader", "object_of", "read"]

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from ...protocol.spelling import shown
 from ...protocol.values import Reading, ValueType, readings, value_type
 from ..failing import CommandError
-from ..items import REGISTERS, Item
+from .items import REGISTERS, Item
 
 __all__ = ["Outcome", "Row", "View", "aligned", "view_of"]
 

@@ -8,7 +8,7 @@ import argparse
 from typing import Any
 
 from .. import connecting
-from .read import WHAT, add_item_arguments
+from .read import WHAT, add_completer, add_item_arguments
 
 __all__ = ["add_command"]
 
@@ -31,7 +31,10 @@ def add_command(commands: Any) -> None:
         epilog=f"{EXAMPLES}\n\n{connecting.URLS}",
     )
     connecting.add_arguments(command)
-    command.add_argument("what", metavar="WHAT VALUE", nargs="+", help="what, and the values")
+    what = command.add_argument(
+        "what", metavar="WHAT VALUE", nargs="+", help="what, and the values"
+    )
+    add_completer(what)
     add_item_arguments(command)
     group = command.add_argument_group("how")
     group.add_argument(

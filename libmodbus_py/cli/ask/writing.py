@@ -15,7 +15,7 @@ from ...protocol.framing import Frame, make_framer
 from ...protocol.spelling import bit_of, decimal_of, number_of, value_of
 from ..connecting import connected, endpoint_of
 from ..failing import CommandError
-from ..items import REGISTERS, Item, Words
+from .items import REGISTERS, Item, Words
 from .views import View, aligned
 
 if TYPE_CHECKING:

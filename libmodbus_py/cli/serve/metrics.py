@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from typing import Any, TextIO
 
 from ...protocol.errors import ModbusConnectionError
-from ..addresses import Address, address_like
+from .addresses import Address, address_like
 
 __all__ = ["add_argument", "exposed"]
 

@@ -12,7 +12,7 @@ from ipaddress import ip_address
 
 from ...protocol.errors import ModbusConnectionError
 from ...server.server import Running, Server
-from ..addresses import Address, address_like
+from .addresses import Address, address_like
 
 __all__ = ["add_argument", "shown"]
 

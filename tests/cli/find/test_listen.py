@@ -29,7 +29,7 @@ from tests.support.commands import Done, Started, on_terminal, run
 from tests.support.golden import Golden
 from tests.support.peers import until
 
-DECODED = Path(__file__).parents[1] / "tools" / "listener" / "decoded.pcapng"
+DECODED = Path(__file__).parents[2] / "tools" / "listener" / "decoded.pcapng"
 
 
 def listen(*arguments: object) -> Done:

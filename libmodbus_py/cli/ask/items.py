@@ -11,14 +11,14 @@ from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from ..maps.plan import Read
-from ..protocol.spelling import number_of
-from ..protocol.tables import TABLE_SIZE, TABLES
-from ..protocol.values import ValueType, parse_reference, value_type
+from ...maps.plan import Read
+from ...protocol.spelling import number_of
+from ...protocol.tables import TABLE_SIZE, TABLES
+from ...protocol.values import ValueType, parse_reference, value_type
 
 if TYPE_CHECKING:
-    from ..maps.point import Point
-    from ..maps.register_map import RegisterMap
+    from ...maps.point import Point
+    from ...maps.register_map import RegisterMap
 
 __all__ = ["ALL", "REGISTERS", "TABLE_WORDS", "Item", "Words", "map_of"]
 
@@ -228,10 +228,10 @@ def map_of(file: str) -> RegisterMap:
     Raises:
         ValueError: it cannot be read, the first mistake in it, or there is no such example.
     """
-    from ..tools.files.maps.map_file import load_map
+    from ...tools.files.maps.map_file import load_map
 
     if os.path.basename(file) == file and not os.path.splitext(file)[1]:
-        from ..tools.simulator import example_files
+        from ...tools.simulator import example_files
 
         file = example_files.map_of(file)
     return load_map(file)
