@@ -7,5 +7,6 @@ What registers a device has, by name, and what to ask for all of them. No I/O.
     point          one named value: Point
     scaling        raw numbers and what they stand for
     plan           few requests of many reads: Plan, Read
+    typed          values of points and registers from typed text
     writing        few requests of many writes
 """

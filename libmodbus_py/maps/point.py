@@ -14,7 +14,7 @@ from ..protocol.pdu.fields import checked_bit, checked_sequence, store
 from ..protocol.tables import TABLES, Table
 from ..protocol.values import Order, TypeName, ValueType
 from .plan import Read
-from .scaling import Scaling, number
+from .scaling import Scaling, exact, number
 
 __all__ = ["ACCESSES", "MAX_DESCRIPTION", "Point", "Rights"]
 
@@ -175,7 +175,7 @@ class Point:
         raw = value if self._scaling is None else self._raw(kind, self._scaling, value)
         cells = kind.encode(raw)
         low, high = self.minimum, self.maximum
-        if (low is not None and not value >= low) or (high is not None and not value <= high):
+        if not _is_within(value, low, high):
             raise ValueError(f"value must be in {_span(low, high)}, not {shown(value)}")
         return cells
 
@@ -245,6 +245,13 @@ def _check_text(name: str, value: Any, least: int, most: int) -> None:
         raise ValueError(
             f"{name} must be printable characters, without spaces around: {reprlib.repr(value)}"
         )
+
+
+def _is_within(value: Any, low: Any, high: Any) -> bool:
+    """Return True if the bounds hold as they are written: Decimal("0.3") is not above 0.3."""
+    if not isinstance(value, int | float):
+        value, low, high = (each if each is None else exact(each) for each in (value, low, high))
+    return (low is None or value >= low) and (high is None or value <= high)
 
 
 def _span(low: float | None, high: float | None) -> str:

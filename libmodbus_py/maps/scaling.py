@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     # Imported where needed: it takes as long as a read, and most programs scale nothing.
     from fractions import Fraction
 
-__all__ = ["Scaling", "number"]
+__all__ = ["Scaling", "exact", "number"]
 
 # Far beyond what anything is measured in, and small enough to compute with exactly.
 LARGEST = 1e30
@@ -55,7 +55,7 @@ class Scaling:
     def __init__(self, scale: float, offset: float) -> None:
         if abs(number("scale", scale)) < SMALLEST:
             raise ValueError(f"scale must not be nearer to 0 than {SMALLEST:g}: {shown(scale)}")
-        times, plus = _exact(scale), _exact(number("offset", offset))
+        times, plus = exact(scale), exact(number("offset", offset))
         self._divisor = math.lcm(times.denominator, plus.denominator)
         self._factor = int(times * self._divisor)
         self._shift = int(plus * self._divisor)
@@ -99,11 +99,16 @@ class Scaling:
             raise ValueError(f"value is too large: {shown(value)}") from None
 
     def _to_raw(self, value: object) -> Fraction:
-        return (_exact(value) * self._divisor - self._shift) / self._factor
+        return (exact(value) * self._divisor - self._shift) / self._factor
 
 
-def _exact(value: Any) -> Fraction:
-    """A number as it is written; floats as Python writes them."""
+def exact(value: Any) -> Fraction:
+    """
+    Return a number as it is written; of a float, the shortest text that Python reads as that float.
+
+    Raises:
+        TypeError, ValueError: no number, or not a finite one.
+    """
     from fractions import Fraction
 
     if isinstance(value, bool) or not isinstance(value, SupportsFloat | SupportsIndex):

@@ -15,7 +15,7 @@ def shown(number: object) -> str:
     """A number for a message; Python writes none of more than 4300 digits."""
     if isinstance(number, int) and number.bit_length() > 128:
         return f"one of {number.bit_length()} bits"
-    return reprlib.repr(number)
+    return str(number) if hasattr(number, "as_tuple") else reprlib.repr(number)
 
 
 def integer(name: str, value: object, low: int, high: int) -> int:

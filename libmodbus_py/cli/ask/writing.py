@@ -5,14 +5,14 @@ Writing: a request for each item, all of which are checked before the first is s
 from __future__ import annotations
 
 import argparse
-import re
 from contextlib import closing
 from typing import TYPE_CHECKING, Any
 
+from ...maps.typed import typed_register, typed_value
 from ...protocol import pdu
 from ...protocol.errors import IllegalDataAddress
 from ...protocol.framing import Frame, make_framer
-from ...protocol.spelling import bit_of, decimal_of, number_of, value_of
+from ...protocol.spelling import bit_of, number_of, value_of
 from ..connecting import connected, endpoint_of
 from ..failing import CommandError
 from .items import REGISTERS, Item, Words
@@ -93,28 +93,17 @@ def _point_requests(
 
 
 def _point_value(item: Item, texts: list[str]) -> Any:
-    """As the point takes it: scaled numbers are typed as people write them."""
+    """Return the value of the item's point, as the point takes it."""
     point = item.point
     assert point is not None
     if len(texts) != item.count:
         many = "a value" if item.count == 1 else f"{item.count} values"
         raise ValueError(f"{point.name} takes {many} behind its name, and {len(texts)} are there")
-    values = [
-        _parsed(item, text, is_scaled=point.scale != 1 or point.offset != 0) for text in texts
-    ]
-    return values[0] if item.count == 1 else values
-
-
-def _parsed(item: Item, text: str, *, is_scaled: bool) -> Any:
     try:
-        if item.kind is None:
-            return bit_of(text)
-        if not is_scaled:
-            return value_of(text, item.kind)
-        return int(text) if re.fullmatch("[+-]?[0-9]+", text) else decimal_of(text)
+        values = [typed_value(point, text) for text in texts]
     except ValueError as error:
-        name = item.point.name if item.point else item.word
-        raise ValueError(f"{name}: {error}") from None
+        raise ValueError(f"{point.name}: {error}") from None
+    return values[0] if item.count == 1 else values
 
 
 def _request(options: argparse.Namespace, item: Item, texts: list[str]) -> Request:
@@ -158,7 +147,7 @@ def _and_read(options: argparse.Namespace, item: Item, values: tuple[int, ...]) 
 
 def _registers(item: Item, texts: list[str]) -> tuple[int, ...]:
     if item.kind is None:
-        return tuple(_register(text) for text in texts)
+        return tuple(typed_register(text) for text in texts)
     kind, limit = item.kind, REGISTERS[item.table][1]
     most = limit // kind.registers
     if not most:
@@ -169,11 +158,3 @@ def _registers(item: Item, texts: list[str]) -> tuple[int, ...]:
             f"the number of values of {kind.name} must be in 1..{most}, not {len(texts)}"
         )
     return tuple(kind.encode_many([value_of(text, kind) for text in texts]))
-
-
-def _register(text: str) -> int:
-    """Signed and unsigned are the same 16 bits."""
-    value = number_of("value", text)
-    if not -0x8000 <= value <= 0xFFFF:
-        raise ValueError(f"value must be in -32768..65535, not {value}")
-    return value & 0xFFFF

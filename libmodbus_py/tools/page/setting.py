@@ -10,7 +10,8 @@ from __future__ import annotations
 from typing import Any
 
 from ...maps.point import Point
-from ...protocol.spelling import bit_of, decimal_of, number_of, shown, value_of
+from ...maps.typed import typed_register, typed_value
+from ...protocol.spelling import shown
 from ...protocol.tables import TABLES
 from ...protocol.values import readings, value_type
 from .refreshing import Refreshing
@@ -23,27 +24,27 @@ MOST_TEXT = 2000
 
 def set_point(unit: Unit, point: Point, text: str) -> None:
     """
+    Set a point to the value that a text says; several values are separated by commas.
+
     Raises:
-        ValueError: it cannot be that, or the device computes it.
+        ValueError: the text is no such value, or the device computes the value itself.
     """
-    words = text.split(",") if point.count > 1 else [text]
-    values = [_value(point, word if point.count == 1 else word.strip()) for word in words]
-    try:
-        cells = point.encode(values if point.count > 1 else values[0])
-    except (TypeError, ValueError) as error:
-        raise ValueError(str(error).removeprefix(f"{point.name}: ")) from None
-    _set(unit, point.table, point.address, cells)
+    _check_length(text)
+    words = [each.strip() for each in text.split(",")] if point.count > 1 else [text]
+    values = [typed_value(point, word) for word in words]
+    _set_value(unit, point, values if point.count > 1 else values[0])
 
 
 def set_cells(unit: Unit, table: str, address: int, text: str, type: str, order: str) -> range:
     """
-    Set one value of a type from an address on; in tables of bits the type means nothing.
+    Set one value of a type from an address on; in tables of bits the type is ignored.
 
     Returns:
-        The cells it took.
+        The addresses of the cells that were set.
 
     Raises:
-        ValueError: it cannot be that, or the device computes it, or lacks the cells.
+        ValueError: the text is no such value, the device lacks the cells, or it computes the
+            value itself.
     """
     is_bits = TABLES[table].is_bits
     try:
@@ -56,9 +57,9 @@ def set_cells(unit: Unit, table: str, address: int, text: str, type: str, order:
         )
     except TypeError as error:
         raise ValueError(str(error)) from None
-    if type == "uint16" and text.strip().startswith("-"):
-        text = str(_register(text))
-    set_point(unit, point, text)
+    _check_length(text)
+    is_register = point.type == "uint16"
+    _set_value(unit, point, typed_register(text) if is_register else typed_value(point, text))
     return point.cells
 
 
@@ -76,23 +77,17 @@ def readings_at(unit: Unit, table: str, address: int) -> list[list[str]]:
     return found
 
 
-def _register(text: str) -> int:
-    """Signed and unsigned are the same 16 bits."""
-    value = number_of("value", text)
-    return value & 0xFFFF if value >= -0x8000 else value
-
-
-def _value(point: Point, text: str) -> Any:
+def _check_length(text: str) -> None:
     if len(text) > MOST_TEXT:
         raise ValueError(f"value must have at most {MOST_TEXT} characters")
-    kind = point.read.kind
-    if kind is None:
-        return bit_of(text.strip())
-    if kind.limits is None:
-        return value_of(text if kind.is_text else text.strip(), kind)
-    if (point.scale, point.offset) == (1, 0):
-        return value_of(text.strip(), kind)
-    return decimal_of(text)
+
+
+def _set_value(unit: Unit, point: Point, value: Any) -> None:
+    try:
+        cells = point.encode(value)
+    except (TypeError, ValueError) as error:
+        raise ValueError(str(error).removeprefix(f"{point.name}: ")) from None
+    _set(unit, point.table, point.address, cells)
 
 
 def _set(unit: Unit, table: str, address: int, cells: list[Any]) -> None:

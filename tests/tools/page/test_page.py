@@ -18,12 +18,13 @@ from libmodbus_py import (
     IllegalDataAddress,
     Mapping,
     ModbusTimeoutError,
+    Point,
     Server,
     ServerDeviceBusy,
 )
 from libmodbus_py.page import page_of
 from tests.support.cases import each_case
-from tests.tools.page.watching import Visitor, made_server, shown, until
+from tests.tools.page.watching import NamedDevice, Visitor, made_server, shown, until
 
 POINTS = ["temperature", "level", "label", "limits", "pump", "flow"]
 
@@ -236,6 +237,17 @@ def test_what_is_set_is_what_clients_read() -> None:
         assert plc.read_discrete_inputs(0, 4) == [False, False, True, False]
 
 
+def test_a_scaled_value_is_as_exact_as_it_is_typed() -> None:
+    energy = Point("energy", "holding_registers", 0, type="uint64", offset=1)
+    device = NamedDevice(Mapping(holding_registers=4))
+    device.points = {"energy": energy}  # type: ignore[misc]
+    with page_of(Server(device)) as page:
+        visitor = Visitor(page.url)
+        given = {"unit": None, "point": 0, "name": "energy", "text": "9007199254740993"}
+        assert visitor.post("/value", **given) == {}
+    assert device.mapping.holding_registers[:] == [0x20, 0, 0, 0]
+
+
 def value(**given: Any) -> dict[str, Any]:
     return {"unit": 1, "point": 1, "name": "level", "text": "1", **given}
 
@@ -261,7 +273,7 @@ REFUSED: list[tuple[dict[str, Any], str]] = [
     (value(unit="1"), "there is no unit 1"),
     (value(text=5), "text must be a string"),
     ({"unit": 1}, "'text' is missing"),
-    (cell(text="65536"), "value must be in 0..65535, not 65536"),
+    (cell(text="65536"), "value must be in -32768..65535, not 65536"),
     (cell(text="-40000"), "value must be"),
     (cell(address=19, type="float32"), "the device lacks holding_registers 19..20"),
     (cell(address=-1), "address must be in 0..65536"),

@@ -1,0 +1,89 @@
+"""
+Values as people type them: exact, whatever floats make of them.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+
+from libmodbus_py import Point
+from libmodbus_py.maps.typed import typed_register, typed_value
+from tests.support.cases import each_case
+
+H = "holding_registers"
+
+
+def point(**keys: Any) -> Point:
+    return Point(**{"name": "it", "table": H, "address": 0, **keys})
+
+
+# What a point has, what is typed, and its cells, computed by hand.
+TYPED: list[tuple[dict[str, Any], str, list[Any]]] = [
+    ({"table": "coils"}, " on ", [True]),
+    ({}, "0x1F", [31]),
+    ({"type": "int16"}, " -2", [0xFFFE]),
+    ({"type": "string:4"}, " ab ", [0x2061, 0x6220]),
+    ({"type": "bits16"}, "1000000000000001", [0x8001]),
+    ({"scale": 0.1}, "21.57", [216]),
+    ({"scale": 0.1}, " 21.5 ", [215]),
+    ({"scale": 10}, "70", [7]),
+    ({"scale": 10}, "7e1", [7]),
+    ({"type": "uint64", "scale": 1, "offset": 1}, "9007199254740993", [0x20, 0, 0, 0]),
+    ({"type": "uint64", "scale": 0.1}, "900719925474099.3", [0x20, 0, 0, 1]),
+    ({"type": "uint64", "scale": 0.1}, "1844674407370955161.5", [0xFFFF] * 4),
+    ({"type": "float32", "scale": 0.1}, "230.5", [0x4510, 0x1000]),
+    ({"type": "float32", "scale": 0.1}, "inf", [0x7F80, 0]),
+    ({"scale": 0.1}, "1e-999999999", [0]),
+    ({"scale": 0.1, "maximum": 0.3}, "0.29999999999999999", [3]),
+]
+
+
+@each_case(("keys", "text", "cells"), TYPED)
+def test_a_text_is_the_value_that_it_says(
+    keys: dict[str, Any], text: str, cells: list[Any]
+) -> None:
+    made = point(**keys)
+    assert made.encode(typed_value(made, text)) == cells
+
+
+REFUSED: list[tuple[dict[str, Any], str, str]] = [
+    ({"table": "coils"}, "2", "value must be one of 0, 1, off, on"),
+    ({}, "1.5", "value must be a number, not '1.5'"),
+    ({"scale": 0.1}, "", "value must be a number, not ''"),
+    ({"scale": 0.1}, "hot", "value must be a number, not 'hot'"),
+    ({"scale": 0.1}, "1e999999999", "value is too large: '1e999999999'"),
+    ({"scale": 0.1}, "nan", "value must be a finite number"),
+    ({"scale": 0.1, "maximum": 0.3}, "0.30000000000000001", "not 0.30000000000000001"),
+    ({"scale": 0.1, "minimum": 0.3}, "0.29999999999999999", "not 0.29999999999999999"),
+]
+
+
+@each_case(("keys", "text", "message"), REFUSED)
+def test_a_text_that_is_no_value_is_refused(keys: dict[str, Any], text: str, message: str) -> None:
+    made = point(**keys)
+    with pytest.raises(ValueError, match="value") as caught:
+        made.encode(typed_value(made, text))
+    assert message in str(caught.value)
+
+
+def test_a_number_that_a_float_holds_is_one() -> None:
+    made = point(scale=0.1)
+    assert repr(typed_value(made, "100.1")) == "100.1"
+    assert repr(typed_value(made, "-7")) == "-7"
+    assert math.isinf(typed_value(made, "-inf"))
+
+
+@each_case(
+    ("text", "register"), [("-1", 0xFFFF), ("-32768", 0x8000), ("65535", 0xFFFF), ("0x7f", 127)]
+)
+def test_a_register_is_typed_with_or_without_a_sign(text: str, register: int) -> None:
+    assert typed_register(text) == register
+
+
+@each_case("text", ["-32769", "65536"])
+def test_more_than_16_bits_are_refused(text: str) -> None:
+    with pytest.raises(ValueError, match=rf"value must be in -32768\.\.65535, not {text}"):
+        typed_register(text)
