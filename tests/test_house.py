@@ -8,6 +8,10 @@ whoever mends one lowers the number.
 from __future__ import annotations
 
 import ast
+import io
+import re
+import tokenize
+from collections import Counter, defaultdict
 from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
@@ -26,6 +30,71 @@ REAL_SLEEPS = 132
 
 MERELY_RUN = 2
 """Tests that fail only if something is raised, which their names say."""
+
+FIRST_WORDS = {
+    "Give": 135,
+    "Have": 40,
+    "How": 40,
+    "It": 18,
+    "Nobody": 7,
+    "Somebody": 5,
+    "Tell": 33,
+    "What": 187,
+    "Whether": 66,
+    "Where": 23,
+    "Who": 23,
+    "Whoever": 6,
+    "Whom": 1,
+    "Whose": 3,
+}
+"""How often docstrings of the package begin with words after which no plain sentence comes."""
+
+WORDS = {
+    "anybody": 19,
+    "circles": 3,
+    "everybody": 4,
+    "heed": 1,
+    "heeded": 6,
+    "manner": 3,
+    "nobody": 130,
+    "patience": 10,
+    "somebody": 38,
+    "standing": 6,
+    "troubles": 1,
+    "whereabouts": 2,
+    "whoever": 67,
+    "whom": 18,
+}
+"""How often docstrings, comments and messages of the package use words that have plainer ones."""
+
+SAME_NAME = {
+    "Asked",
+    "Asker",
+    "Guard",
+    "JsonLines",
+    "Kind",
+    "Line",
+    "Link",
+    "Listener",
+    "Outcome",
+    "Passed",
+    "Piece",
+    "Reading",
+    "Row",
+    "Scan",
+    "Settings",
+    "Shown",
+    "Standing",
+    "Stream",
+    "Switch",
+    "Table",
+    "Times",
+    "Turns",
+    "Unit",
+    "View",
+    "_Places",
+}
+"""Classes whose name another class of the package has, too."""
 
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 
@@ -273,3 +342,55 @@ def _sleeps(tree: ast.AST) -> Iterator[int]:
                 args=[ast.Constant(value=int() | float() as seconds)],
             ) if seconds:
                 yield node.lineno
+
+
+def test_docstrings_begin_with_a_subject_or_a_plain_verb() -> None:
+    first = Counter(text.split()[0] for path in PACKAGE.rglob("*.py") for text in _docstrings(path))
+    assert more_than(FIRST_WORDS, first) == {}
+
+
+def test_few_sentences_use_banned_words() -> None:
+    words = Counter(
+        word
+        for path in PACKAGE.rglob("*.py")
+        for sentence in _prose(path)
+        for word in re.findall("[a-z]+", sentence.lower())
+    )
+    assert more_than(WORDS, words) == {}
+
+
+def test_a_class_name_exists_once_in_the_package() -> None:
+    places = defaultdict(list)
+    for module in modules("libmodbus_py").values():
+        for node in ast.walk(module.tree):
+            if isinstance(node, ast.ClassDef):
+                places[node.name].append(str(module.path))
+    twice = {name: found for name, found in places.items() if len(found) > 1}
+    assert {name: found for name, found in twice.items() if name not in SAME_NAME} == {}
+
+
+def more_than(allowed: dict[str, int], found: Counter[str]) -> dict[str, str]:
+    return {
+        word: f"{found[word]} times, {most} are allowed"
+        for word, most in allowed.items()
+        if found[word] > most
+    }
+
+
+def _docstrings(path: Path) -> Iterator[str]:
+    """Yield the docstrings of a file, those of attributes included."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        match node:
+            case ast.Expr(value=ast.Constant(value=str(text))) if text.strip():
+                yield text
+
+
+def _prose(path: Path) -> Iterator[str]:
+    """Yield the docstrings, comments, messages and other strings of a file."""
+    source = path.read_text()
+    for token in tokenize.generate_tokens(io.StringIO(source).readline):
+        if token.type == tokenize.COMMENT:
+            yield token.string
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str):
+            yield node.value
