@@ -70,6 +70,7 @@ WORDS = {
 SAME_NAME = {
     "Asked",
     "Asker",
+    "FaultSwitch",
     "Guard",
     "JsonLines",
     "Kind",
@@ -87,6 +88,7 @@ SAME_NAME = {
     "Standing",
     "Stream",
     "Switch",
+    "Switched",
     "Table",
     "Times",
     "Turns",

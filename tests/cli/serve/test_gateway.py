@@ -72,7 +72,8 @@ def test_hangup_has_the_file_read_again_and_nobody_notices(behind: str, tmp_path
         assert process.stderr.readline() == f"{path}: 1 route\n"
         said = process.stderr.readline()
         assert said == (
-            f"nothing is changed: {path}, line 4: route[0].units must be in 0..255, not 300\n"
+            f"nothing is changed: {path}, line 4: "
+            "route[0].units: '1-300' must go up, within 0..255\n"
         )
         assert has(2)
         write("3")
