@@ -11,8 +11,9 @@ Endpoints as URLs, alike for clients, servers and the command line.
 
 HOST is a name, an IPv4 address or an IPv6 address in brackets; the default port
 is 502, with tls 802. udp has one frame of Modbus/TCP in each datagram, rtu+udp one of RTU. tls
-takes `cert`, `key`, `ca`, `pin` and `server_name`, which are those of `Security`, and
-`password_env`, the environment variable that holds the key's password. Serial ports also take
+takes `cert` (or `certificate`), `key`, `ca` (or `trust`), `pin` and `server_name`, which are the
+arguments of `Security`, and `password_env`, the environment variable that contains the key's
+password. Serial ports also take
 rs485 (kernel, rts-up, rts-down), rts_delay and silence (seconds), echo (0, 1).
 
 Clients take their own options from every URL: ``tcp://192.0.2.10?unit=7&timeout=0.5``.
@@ -28,6 +29,7 @@ from typing import TYPE_CHECKING, Any
 from .schemes import (
     CLIENT_OPTIONS,
     DEFAULT_PORT,
+    OTHER_NAMES,
     SCHEMES,
     SECURE_PORT,
     SECURITY_OPTIONS,
@@ -163,15 +165,16 @@ def _options(
 
     allowed = {**own, **CLIENT_OPTIONS}
     options: dict[str, Any] = {}
-    for name, text in parse_qsl(query, keep_blank_values=True):
+    for given, text in parse_qsl(query, keep_blank_values=True):
+        name = OTHER_NAMES.get(given, given)
         if name not in allowed:
-            raise ValueError(f"{url!r}: {name!r} must be one of {', '.join(allowed)}")
+            raise ValueError(f"{url!r}: {given!r} must be one of {', '.join(allowed)}")
         if name in options:
             raise ValueError(f"{url!r}: {name} is given twice")
-        convert, wanted = allowed[name]
         try:
-            options[name] = convert(text)
+            options[name] = allowed[name].convert(text)
         except ValueError:
+            wanted = allowed[name].wanted
             raise ValueError(f"{url!r}: {name} must be {wanted}, not {text!r}") from None
     return (
         {name: value for name, value in options.items() if name in own},

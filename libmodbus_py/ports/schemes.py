@@ -5,14 +5,14 @@ What URLs of endpoints may say: schemes, and options with their types.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 if TYPE_CHECKING:
     from ..protocol.framing import Framing
 
 # fmt: off
 __all__ = [
-    "CLIENT_OPTIONS", "DEFAULT_PORT", "SCHEMES", "SECURE_PORT", "SECURITY_OPTIONS",
+    "CLIENT_OPTIONS", "DEFAULT_PORT", "OTHER_NAMES", "SCHEMES", "SECURE_PORT", "SECURITY_OPTIONS",
     "SERIAL_OPTIONS", "Option", "Scheme", "Transport", "framing_of",
 ]
 # fmt: on
@@ -49,42 +49,92 @@ def framing_of(url: str) -> Framing:
     return SCHEMES[url.partition("://")[0]][0]  # type: ignore[index]
 
 
-Option = tuple[Callable[[str], Any], str]
-"""Converts a text; and what the text must be."""
+class Option(NamedTuple):
+    """
+    An option of URLs; the command line takes it as --NAME, with hyphens.
 
-INTEGER: Option = (int, "a number")
-SECONDS: Option = (float, "a number")
-TEXT: Option = (str, "text")
-SWITCH: Option = (lambda text: ("0", "1", "false", "true").index(text.lower()) % 2 == 1, "0 or 1")
+    Attributes:
+        convert: returns the value of a text, or raises ValueError.
+        wanted: what the text must be, for errors.
+        text: what the option sets, for --help; without the default value.
+        placeholder: stands for the value in --help; empty for a switch.
+    """
+
+    convert: Callable[[str], Any]
+    wanted: str
+    text: str
+    placeholder: str = "N"
+
+
+def _switch(text: str) -> bool:
+    return ("0", "1", "false", "true").index(text.lower()) % 2 == 1
+
+
+PARITIES = {"none": "N", "even": "E", "odd": "O", "n": "N", "e": "E", "o": "O"}
+"""Word -> parity, as serial ports take it."""
+
+
+def _parity(text: str) -> str:
+    return PARITIES.get(text.lower()) or text  # the serial port refuses any other
+
+
+def _number(text: str) -> Option:
+    return Option(int, "a number", text)
+
+
+def _seconds(text: str) -> Option:
+    return Option(float, "a number", text, "S")
+
+
+def _text(text: str, placeholder: str) -> Option:
+    return Option(str, "text", text, placeholder)
+
 
 SERIAL_OPTIONS: dict[str, Option] = {
-    "baudrate": INTEGER,
-    "parity": TEXT,
-    "data_bits": INTEGER,
-    "stop_bits": INTEGER,
-    "rs485": TEXT,
-    "rts_delay": SECONDS,
-    "echo": SWITCH,
-    "silence": SECONDS,
+    "baudrate": _number("bits per second"),
+    "parity": Option(_parity, "text", "none, even or odd", "P"),
+    "data_bits": _number("7 or 8 data bits in a character"),
+    "stop_bits": _number("1 or 2 stop bits"),
+    "rs485": _text("how an RS-485 transceiver is switched: kernel, rts-up or rts-down", "MODE"),
+    "rts_delay": _seconds("seconds between RTS and the data; unless given, one character"),
+    "echo": Option(_switch, "0 or 1", "the line returns everything that is sent", ""),
+    "silence": _seconds("seconds of silence between frames; unless given, 3.5 characters"),
 }
 
-SECURITY_OPTIONS: dict[str, Option] = dict.fromkeys(
-    ("cert", "key", "ca", "pin", "server_name", "password_env"), TEXT
-)
+SECURITY_OPTIONS: dict[str, Option] = {
+    "cert": _text("own certificate, a PEM file", "FILE"),
+    "key": _text("private key of the certificate; unless given, in the same file", "FILE"),
+    "ca": _text("certificates of the trusted authorities, a PEM file", "FILE"),
+    "pin": _text("trust only this certificate: a PEM file, or its SHA-256", "FILE"),
+    "server_name": _text("name in the server's certificate; unless given, the host", "NAME"),
+    "password_env": _text("environment variable that contains the key's password", "NAME"),
+}
 
 CLIENT_OPTIONS: dict[str, Option] = {
-    "unit": INTEGER,
-    "timeout": SECONDS,
-    "retries": INTEGER,
-    "busy_retries": INTEGER,
-    "max_in_flight": INTEGER,
-    "turnaround": SECONDS,
-    "request_spacing": SECONDS,
-    "connect_delay": SECONDS,
-    "timeouts_before_reconnect": INTEGER,
-    "keepalive": (lambda text: None if text == "none" else float(text), "a number or none"),
-    "max_pause": SECONDS,
-    "native": SWITCH,
-    "accept_unit": TEXT,
-    "delimiter": (lambda text: int(text, 0), "a number such as 10 or 0x0A"),
+    "unit": _number("unit that is addressed, 0..255"),
+    "timeout": _seconds("seconds for a request, connecting included"),
+    "retries": _number("times to repeat a request that gets no answer or a damaged one"),
+    "busy_retries": _number("times to repeat a request that a busy device refuses"),
+    "max_in_flight": _number("requests that wait for their answers at the same time"),
+    "turnaround": _seconds("seconds of rest after a broadcast"),
+    "request_spacing": _seconds("seconds between the starts of two requests, at least"),
+    "connect_delay": _seconds("seconds between connecting and the first request"),
+    "timeouts_before_reconnect": _number("timeouts in a row after which to connect again"),
+    "keepalive": Option(
+        lambda text: None if text == "none" else float(text),
+        "a number or none",
+        "seconds of silence after which TCP probes the connection, or none",
+        "S",
+    ),
+    "max_pause": _seconds("seconds between two attempts to connect, at most"),
+    "native": Option(_switch, "0 or 1", "let the C library carry requests where it can", ""),
+    "accept_unit": _text("same; or any, to accept answers from another unit", "WHICH"),
+    "delimiter": Option(
+        lambda text: int(text, 0),
+        "a number such as 10 or 0x0A",
+        "byte that ends ASCII frames, behind CR",
+    ),
 }
+
+OTHER_NAMES = {"certificate": "cert", "trust": "ca"}
+"""Names of arguments of `Security` -> the options of URLs that set them."""

@@ -66,6 +66,7 @@ class Security:
         server_name: the name or address that a server's certificate must have (`trust`);
             None for the host that a client connects to. Servers take no notice.
         password: of an encrypted key.
+        cert, ca: `certificate` and `trust` under the names that they have in URLs.
 
     Raises:
         TypeError, ValueError: a file that cannot be read or is none, a key that is not the
@@ -74,14 +75,20 @@ class Security:
 
     def __init__(
         self,
-        certificate: File,
+        certificate: File | None = None,
         key: File | None = None,
         *,
         trust: File | None = None,
         pin: File | Iterable[File] | None = None,
         server_name: str | None = None,
         password: str | None = None,
+        cert: File | None = None,
+        ca: File | None = None,
     ) -> None:
+        own = _either("certificate", certificate, "cert", cert)
+        if own is None:
+            raise TypeError("security needs certificate, a PEM file with one's own certificate")
+        trust = _either("trust", trust, "ca", ca)
         if (trust is None) == (pin is None):
             raise ValueError("security needs either trust, the authorities, or pin, certificates")
         for name, text in (("server_name", server_name), ("password", password)):
@@ -89,13 +96,13 @@ class Security:
                 raise TypeError(f"{name} must be a string, not {type(text).__name__}")
         if password is not None and len(password.encode()) > MAX_PASSWORD:
             raise ValueError(f"password must have {MAX_PASSWORD} bytes of UTF-8 at most")
-        self._certificate = certificate
+        self._certificate = own
         self._key = key
         self._password = password
         self._trust = trust
         self._pins = None if pin is None else _pins(pin)
         self._server_name = server_name
-        self.own: bytes = _certificates("certificate", certificate)[0]
+        self.own: bytes = _certificates("certificate", own)[0]
         self._check_key()
         self._client = self._make_client()
         self._server: ssl.SSLContext | None = None
@@ -222,6 +229,13 @@ class Security:
         assert self._trust is not None
         for certificate in _certificates("trust", self._trust):
             context.load_verify_locations(cadata=certificate)
+
+
+def _either(name: str, value: File | None, other_name: str, other: File | None) -> File | None:
+    """Return the value of an argument that has two names."""
+    if value is not None and other is not None:
+        raise TypeError(f"{name} and {other_name} are the same argument, and both are given")
+    return other if value is None else value
 
 
 def _certificates(name: str, file: File) -> list[bytes]:

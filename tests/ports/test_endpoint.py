@@ -135,8 +135,13 @@ ALL = ", ".join([*SERIAL_OPTIONS, *CLIENT_OPTIONS])
         ("udp://h:x", "the port must be in 0..65535"),
         ("rtu://ttyS0", "a device is missing, as in rtu:///dev/ttyUSB0"),
         ("ascii:///", "a device is missing"),
-        ("tls://h?trust=x", "'trust' must be one of cert, key, ca, pin, server_name, password_env"),
+        (
+            "tls://h?anchor=x",
+            "'anchor' must be one of cert, key, ca, pin, server_name, password_env",
+        ),
         ("tls://h?cert=x&cert=y", "cert is given twice"),
+        ("tls://h?cert=x&certificate=y", "cert is given twice"),
+        ("tcp://h?trust=x", "'trust' must be one of unit, timeout, retries"),
         ("tcp://h?cert=x", "'cert' must be one of unit, timeout, retries"),
         ("tcp://h?baudrate=9600", "'baudrate' must be one of unit, timeout, retries"),
         ("rtu:///dev/x?speed=1", f"'speed' must be one of {ALL}"),
@@ -154,6 +159,16 @@ ALL = ", ".join([*SERIAL_OPTIONS, *CLIENT_OPTIONS])
 def test_what_is_wrong_is_named_and_what_is_allowed(url: str, text: str) -> None:
     with pytest.raises(ValueError, match=f"^{re.escape(f'{url!r}: {text}')}"):
         parse(url)
+
+
+def test_tls_takes_the_words_of_security_too() -> None:
+    endpoint = parse("tls://h?certificate=own.pem&trust=authority.pem")
+    assert endpoint.options == {"cert": "own.pem", "ca": "authority.pem"}
+
+
+@each_case(("text", "parity"), [("none", "N"), ("Even", "E"), ("odd", "O"), ("e", "E")])
+def test_parity_is_a_letter_or_a_word(text: str, parity: str) -> None:
+    assert parse(f"rtu:///dev/ttyS0?parity={text}").options == {"parity": parity}
 
 
 def test_files_are_no_part_of_where_it_leads() -> None:

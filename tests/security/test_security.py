@@ -81,6 +81,17 @@ def test_a_file_without_a_certificate_is_named(
         Security(**options)
 
 
+def test_the_words_of_urls_are_taken_too(papers: Papers, files: Files) -> None:
+    made = Security(cert=files.cert, key=files.key, ca=papers.ca)
+    assert repr(made) == repr(Security(files.cert, files.key, trust=papers.ca))
+    with pytest.raises(TypeError, match="certificate and cert are the same"):
+        Security(files.cert, files.key, cert=files.cert, ca=papers.ca)
+    with pytest.raises(TypeError, match="trust and ca are the same argument"):
+        Security(files.cert, files.key, trust=papers.ca, ca=papers.ca)
+    with pytest.raises(TypeError, match="security needs certificate, a PEM file"):
+        Security(key=files.key, ca=papers.ca)
+
+
 def short_key() -> bytes:
     return make("short", key=rsa.generate_private_key(65537, 1024)).key_pem()
 

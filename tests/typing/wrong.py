@@ -46,7 +46,7 @@ AsyncClient("tcp://192.0.2.10", native=False)  # wrong
 AsyncClient("tcp://192.0.2.10", statistics={})  # wrong
 Security("own.pem", trust=5)  # wrong
 Security("own.pem", trust="ca.pem", password=b"x")  # wrong
-Security("own.pem", ca="ca.pem")  # wrong
+Security("own.pem", ca=5)  # wrong
 TlsContext("192.0.2.10", security="own.pem")  # wrong
 TlsContext("192.0.2.10", framing="rtu")  # wrong
 Read("coil", 0)  # wrong
