@@ -98,10 +98,9 @@ def main() -> int:
         table, count = read(report)
     print(markdown(table))
     print()
-    print(f"{count} cases. Columns: function codes. refused: the server has no such function and")
-    print(
-        "says so. *: the peer errs, and a test says how and what becomes of it. Empty: not tried."
-    )
+    print(f"The columns are function codes, in {count} cases. refused: the server does not")
+    print("implement the function and says so. *: the peer errs; a test shows how, and how")
+    print("libmodbus-py handles it. Empty: not tested.")
     return status
 
 
