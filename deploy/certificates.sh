@@ -1,7 +1,7 @@
 #!/bin/sh
-# Makes an authority, and a certificate for each machine: ./certificates.sh DIR HOST...
-# DIR/HOST/ gets ca.pem, server.pem and server.key, to be copied there. DIR/ca.key stays here.
-# They have all that RFC 5280 wants, for Python takes nothing less from 3.13 on.
+# Make a certificate authority, and a certificate for each machine: ./certificates.sh DIR HOST...
+# Copy DIR/HOST/ (ca.pem, server.pem, server.key) to the machine. Keep DIR/ca.key here.
+# The certificates conform to RFC 5280, because Python requires that from 3.13 on.
 set -eu
 [ $# -ge 2 ] || { echo "usage: $0 DIR HOST..." >&2; exit 2; }
 directory=$1
