@@ -1,13 +1,15 @@
 """
-Who only listens: what others say on a line, as transactions.
+Listens to what others say on a line, and pairs it into transactions.
 
 ::
 
-    transaction    what is given: a question, its answer, and how it ended
+    transaction    the result: a request, its response, and how it ended
+    outcome        what a frame says, once it is known to be a request or a response
+    pairing        which response belongs to which request; for all that shows or records traffic
+    traces         ... from the trace of a server or a client
     hearing        bytes and times in; frames that may be either, and bytes that are none, out
-    outcome        what a frame says, once it is known whether it asks or answers
-    pairing        which of them are requests, and whose answers the others are; learnt times
-    separator      both, for a line or for a connection; no clock, no port
+    naming         which of these frames are requests and which are responses; learnt times
+    separator      all of this for a line or a connection; no clock, no port
     summary        counts: units, functions, answer times, errors
     source         where bytes come from: what all have in common, and a serial port
     tap            between: passes bytes on, both ways, and shows them

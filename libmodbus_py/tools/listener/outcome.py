@@ -1,5 +1,5 @@
 """
-What a frame says, once it is known whether it asks or answers.
+What a frame says, once it is known to be a request or a response.
 """
 
 from __future__ import annotations
@@ -7,14 +7,15 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from ...protocol.errors import ExceptionResponse, FrameError, InvalidResponse, ModbusError
+from ...protocol.framing import Frame
 from ...protocol.pdu import RawRequest, Request, decode_request
-from .transaction import Kind
+from .transaction import Kind, Transaction
 
-__all__ = ["Outcome", "answered", "damaged", "decoded"]
+__all__ = ["Outcome", "answered", "damage_alone", "damaged", "decoded", "request_of", "unasked"]
 
 
 class Outcome(NamedTuple):
-    """How an answer decodes; as in `Transaction`."""
+    """How a request ended; the attributes are those of `Transaction`."""
 
     kind: Kind
     response: Any = None
@@ -22,7 +23,11 @@ class Outcome(NamedTuple):
 
 
 def decoded(pdu: bytes) -> Request[Any] | None:
-    """As a server does; what has no class is taken as it is, and what a server refuses is None."""
+    """
+    Decode a request as a server does.
+
+    Function codes without a class become a `RawRequest`; None for what a server refuses.
+    """
     try:
         return decode_request(pdu)
     except ExceptionResponse as refusal:
@@ -31,8 +36,13 @@ def decoded(pdu: bytes) -> Request[Any] | None:
         return None
 
 
+def request_of(pdu: bytes) -> Request[Any]:
+    """Decode any request with a function code in 1..127; `RawRequest` if a server refuses it."""
+    return decoded(pdu) or RawRequest.decode(pdu)
+
+
 def answered(request: Request[Any], pdu: bytes) -> Outcome:
-    """As a client does."""
+    """Decode the response to a request as a client does."""
     try:
         return Outcome("answered", request.decode_response(pdu))
     except ExceptionResponse as refusal:
@@ -43,7 +53,23 @@ def answered(request: Request[Any], pdu: bytes) -> Outcome:
 
 
 def damaged(data: bytes) -> Outcome:
-    """Bytes that came instead of an answer, or without a question."""
+    """Return the outcome for bytes that came instead of a response."""
     size = len(data)
     why = f"{size} bytes that are no frame" if size > 1 else "a byte that is no frame"
     return Outcome("damaged", None, FrameError(why, received=data))
+
+
+def damage_alone(began: float, data: bytes) -> Transaction:
+    """Return the transaction for bytes that belong to no request."""
+    return Transaction(began, "damaged", error=damaged(data).error)
+
+
+def unasked(began: float, frame: Frame) -> Transaction:
+    """Return the transaction for a response that belongs to no request."""
+    unit, pdu, _ = frame
+    function, response, error = pdu[0] & 0x7F, None, None
+    if pdu[0] & 0x80 and len(pdu) == 2:
+        error = ExceptionResponse.of(pdu[1], unit=unit, function=function)
+    else:
+        response = pdu[1:]
+    return Transaction(began, "unasked", unit, function, response=response, error=error)

@@ -1,291 +1,275 @@
 """
-Which frames are requests, and whose answers the others are.
+Which response belongs to which request of one connection or line, and how each request ended.
 
-Most frames tell by their length, and the rest by a trial: an answer decodes as one to the
-question that is open. What repeats the question byte for byte (5, 6, 8, 21, 22) fits both ways;
-there the time tells, for nobody asks again before an answer can have come.
+Everything that shows or records traffic uses these rules: the page and the pytest plugin for the
+trace of a server, scans for that of a client, listeners for what they hear (`naming` decides
+first which frames are requests).
+
+* A response belongs to the first open request with the same unit, function code and transaction
+  id (0 on lines) that it decodes for.
+* A request ends earlier ones with the same transaction id: on a line all of them, because its
+  client has stopped waiting. A response that still comes is late.
+* Bytes that are no frame belong to the request that is due, unless its response follows.
 """
 
 from __future__ import annotations
 
-from collections import deque
 from dataclasses import dataclass
-from math import sqrt
-from typing import Any
+from typing import Any, NamedTuple
 
-from ...protocol.errors import ExceptionResponse
+from ...protocol.errors import InvalidResponse
 from ...protocol.framing import Frame
-from ...protocol.pdu import RawRequest, Request
-from .hearing import Candidate, Damage
-from .outcome import Outcome, answered, damaged, decoded
-from .transaction import Heard, Kind, OnHeard, Transaction
+from ...protocol.pdu import Request
+from .outcome import Outcome, answered, damage_alone, damaged, request_of, unasked
+from .transaction import Transaction
 
-__all__ = ["Pairing", "Times"]
+__all__ = ["PATIENCE", "OpenRequest", "Pairing"]
 
-# After so many seconds a question counts as unanswered, though no other has been asked.
+# After so many seconds a request counts as unanswered, even if no other one was sent.
 PATIENCE = 5.0
 
-# An answer that comes more seconds behind its question is nobody's.
+# A response that comes more seconds after its request belongs to none.
 LATEST = 60.0
 
-# What comes so soon behind bytes that are no frame was sent together with them; in seconds.
-GLUED = 0.001
+# A server gets requests that a client sent without waiting within so many seconds.
+TOGETHER = 0.001
+
+# What a server sends after a spoiled response follows within so many seconds.
+SETTLED = 0.5
+
+# Open requests, and requests whose response may come late, that are remembered.
+MOST = 256
 
 
-class Times:
+class Spoiled(NamedTuple):
     """
-    What is learnt of the times on a line: how long units take, and how soon clients ask again.
+    What came instead of a response.
 
-    The last few of each; until there are some, what is usual: clients wait for half a second
-    (libmodbus) and longer, and adapters keep answers back for up to 20 ms.
+    Attributes:
+        ended: when, in seconds.
+        outcome: how the request ends if its response does not follow.
+        alone: the transaction that it is by itself if the response does follow.
     """
 
-    USUAL_PATIENCE = 0.5
-    SHORTEST_ANSWER = 0.02
-
-    def __init__(self) -> None:
-        self._answers: dict[int, deque[float]] = {}
-        self._patience: deque[float] = deque(maxlen=16)
-
-    def note_answer(self, unit: int, seconds: float) -> None:
-        self._answers.setdefault(unit, deque(maxlen=32)).append(seconds)
-
-    def note_next_question(self, seconds: float) -> None:
-        """A question that had no answer was followed by the next one so much later."""
-        self._patience.append(seconds)
-
-    def limit(self, unit: int) -> float:
-        """Give the seconds behind a question up to which its like is its answer."""
-        slowest = max(self._answers.get(unit, ()), default=0.0)
-        # One of the shortest: clients think before the next question. Not the very shortest,
-        # for a frame of others that is merged into a damaged one looks like a question.
-        known = sorted(self._patience)
-        patience = known[len(known) // 4] if len(known) >= 4 else self.USUAL_PATIENCE
-        return sqrt(max(slowest, min(self.SHORTEST_ANSWER, patience / 4)) * patience)
+    ended: float
+    outcome: Outcome
+    alone: Transaction
 
 
-@dataclass
-class _Asked:
-    """A question that may still be answered."""
+@dataclass(eq=False)
+class OpenRequest:
+    """
+    A request that may still be answered.
+
+    Attributes:
+        began, ended: when its first and its last byte came, in seconds.
+        burst: equal for requests that a client sent without waiting for responses.
+        repeats: how often it had been sent before without a response.
+    """
 
     began: float
     ended: float
     frame: Frame
     request: Request[Any]
+    burst: int
     repeats: int
-    is_certain: bool  # whether it can be nothing else
-    damage: Damage | None = None
+    spoiled: Spoiled | None = None
+
+    def is_for(self, frame: Frame) -> bool:
+        """Return True if unit, function code and transaction id are those of a response."""
+        mine = self.frame
+        is_same = mine.unit == frame.unit and mine.transaction == frame.transaction
+        return is_same and mine.pdu[0] == frame.pdu[0] & 0x7F
+
+    def outcome(self, frame: Frame) -> Outcome | None:
+        """Decode the response to this request; None if it belongs to another one."""
+        return answered(self.request, frame.pdu) if self.is_for(frame) else None
 
 
 class Pairing:
     """
+    The open requests of one connection or line.
+
     Args:
-        on_heard: called with each frame as soon as it is named, and with damaged bytes.
-        is_line: whether a silence may tell a question from its answer, and unit 0 is everybody.
+        is_line: True if unit 0 is a broadcast, as with RTU and ASCII frames.
+        is_server: True for what one server received and sent. Nothing was missed then: requests
+            may have come together, and every frame that was sent answers one of them.
+        patience: seconds after which a request counts as unanswered.
 
     Attributes:
-        done: transactions that have ended; whoever takes them empties it.
+        done: transactions that have ended, in order; its user empties it.
     """
 
-    def __init__(self, on_heard: OnHeard = lambda heard: None) -> None:
+    def __init__(
+        self, *, is_line: bool = True, is_server: bool = False, patience: float = PATIENCE
+    ) -> None:
         self.done: list[Transaction] = []
-        self._on_heard = on_heard
-        self._times = Times()
-        self._current: _Asked | None = None
-        self._unanswered: dict[int, _Asked] = {}  # by unit; their answers may come late
-        self._held: Heard | None = None  # a question that may turn out to be an answer
+        self._is_line = is_line
+        self._is_server = is_server
+        self._patience = patience
+        self._open: list[OpenRequest] = []
+        self._late: dict[tuple[int, int], OpenRequest] = {}  # by unit and transaction id
+        self._burst = 0
+        self._asked_at = 0.0
 
-    def is_awaited(self, unit: int, function: int) -> bool:
-        """Whether an answer of this unit to this function is likely now."""
-        asked = self._current
-        return asked is not None and asked.frame.unit == unit and asked.frame.pdu[0] == function
+    @property
+    def due(self) -> OpenRequest | None:
+        """The request that is answered next: the first of those that came together last."""
+        latest = self._open[-1].burst if self._open else 0
+        return next((each for each in self._open if each.burst == latest), None)
 
-    def take(self, found: Candidate | Damage) -> None:
-        """Take what was heard next."""
-        self.tick(found.began)
-        if isinstance(found, Candidate) and not _has_function(found):
-            found = Damage(found.began, found.ended, bytes([found.frame.unit]) + found.frame.pdu)
-        if isinstance(found, Damage):
-            self._note(Heard(found.began, found.ended, "damage", None, found.data))
-            self._take_damage(found)
-        elif self._is_question(found):
-            self._take_question(found)
+    def given_up(self, unit: int) -> OpenRequest | None:
+        """Return the last request to a unit of a line whose response may come late."""
+        return self._late.get((unit, 0))
+
+    # --- what passed ----------------------------------------------------------------------
+
+    def ask(self, began: float, ended: float, frame: Frame) -> None:
+        """Take a request; its function code is in 1..127."""
+        if not (self._is_server and began - self._asked_at <= TOGETHER):
+            self._burst += 1
+        self._asked_at = ended
+        repeats = self._end_earlier(frame) if self._open else 0
+        request = request_of(frame.pdu)
+        asked = OpenRequest(began, ended, frame, request, self._burst, repeats)
+        if (self._is_line and frame.unit == 0) or not request.expects_response:
+            self._end(asked, Outcome("broadcast"))
+            return
+        if len(self._open) >= MOST:
+            self._give_up(self._open[0])
+        self._open.append(asked)
+
+    def answer(self, began: float, ended: float, frame: Frame) -> Outcome | None:
+        """Take a response; return how it ended an open request, or None if it ended none."""
+        asked, outcome = self._answered(frame)
+        if (asked is None or outcome.kind == "invalid") and self._end_late(began, ended, frame):
+            return None
+        if asked is None:
+            self._put_aside(began, ended, frame)
+            return None
+        for each in self._open[: self._open.index(asked)]:
+            if each.frame.transaction == frame.transaction:  # a later one was answered
+                self._give_up(each)
+        self._open.remove(asked)
+        if asked.spoiled is not None:
+            self.done.append(asked.spoiled.alone)
+        if outcome.kind != "invalid":
+            self._late.pop(_key(frame), None)
+        self._end(asked, outcome, ended)
+        return outcome
+
+    def damage(self, began: float, ended: float, data: bytes) -> None:
+        """Take bytes that are no frame, instead of a response or beside it."""
+        alone = damage_alone(began, data)
+        if (asked := self.due) is None:
+            self.done.append(alone)
         else:
-            self._note(Heard(found.began, found.ended, "response", found.frame))
-            self._take_answer(found)
+            self._spoil(asked, Spoiled(ended, damaged(data), alone))
 
-    def _note(self, heard: Heard | None) -> None:
-        """Tell what was held, too; in the order of the line."""
-        held, self._held = self._held, None
-        for each in (held, heard):
-            if each is not None:
-                self._on_heard(each)
+    def withdraw(self, asked: OpenRequest) -> None:
+        """Take an open request as a response that belongs to no request."""
+        self._open.remove(asked)
+        self.done.append(unasked(asked.began, asked.frame))
 
     def tick(self, at: float) -> None:
-        """Let time pass."""
-        if self._current is not None and at - self._current.ended > PATIENCE:
-            self._give_up()
+        """Give up the requests that have been open for too long at this time."""
+        if self._open:
+            for each in [each for each in self._open if self._is_over(each, at)]:
+                self._give_up(each)
 
     def end(self) -> None:
-        """Nothing more will come."""
-        if self._current is not None:
-            self._give_up()
+        """Give up all open requests, because nothing more will come."""
+        for each in self._open.copy():
+            self._give_up(each)
 
-    # --- question or answer ---------------------------------------------------------------
+    def is_idle(self, at: float) -> bool:
+        """Return True if nothing that came before can be answered any more."""
+        return not self._open and all(at - each.ended > LATEST for each in self._late.values())
 
-    def _is_question(self, found: Candidate) -> bool:
-        if found.may_ask != found.may_answer:
-            return found.may_ask
-        asks = found.may_ask and decoded(found.frame.pdu) is not None
-        answers = found.may_answer and self._fits(self._current, found)
-        if asks and answers:
-            return self._is_repeated(found)
-        if asks:
-            return not self._is_late_echo(found)
-        return not answers and not self.is_awaited(found.frame.unit, found.frame.pdu[0] & 0x7F)
+    # --- how it is found ------------------------------------------------------------------
 
-    def _fits(self, asked: _Asked | None, found: Candidate) -> bool:
-        if asked is None or asked.frame.unit != found.frame.unit:
+    def _answered(self, frame: Frame) -> tuple[OpenRequest | None, Outcome]:
+        """Return the request that a response answers, and how; preferably not as invalid."""
+        found: tuple[OpenRequest | None, Outcome] = None, Outcome("unasked")
+        for each in self._open:
+            outcome = each.outcome(frame)
+            if outcome is not None and outcome.kind != "invalid":
+                return each, outcome
+            if outcome is not None and found[0] is None:
+                found = each, outcome
+        return found
+
+    def _end_late(self, began: float, ended: float, frame: Frame) -> bool:
+        """Return True if a response belongs to a request that was given up."""
+        late = self._late.get(_key(frame))
+        if late is None or began - late.ended >= LATEST:
             return False
-        return answered(asked.request, found.frame.pdu).kind != "invalid"
-
-    def _is_repeated(self, found: Candidate) -> bool:
-        """What fits both ways is a question if it comes too late for an answer."""
-        asked = self._current
-        assert asked is not None
-        damage = asked.damage
-        if damage is not None and found.began - damage.ended > GLUED:
-            return True  # the damaged bytes were the answer
-        return found.began - asked.ended > self._times.limit(asked.frame.unit)
-
-    def _is_late_echo(self, found: Candidate) -> bool:
-        """Whether it answers an earlier question, while the client waits for another answer."""
-        asked, late = self._current, self._unanswered.get(found.frame.unit)
-        if asked is None or asked.damage is not None or not self._fits(late, found):
+        outcome = late.outcome(frame)
+        if outcome is None or outcome.kind == "invalid":
             return False
-        return found.began - asked.ended <= self._times.limit(asked.frame.unit)
+        del self._late[_key(frame)]
+        self._end(late, outcome._replace(kind="late"), ended)
+        return True
 
-    def _was_an_answer(self, asked: _Asked, at: float) -> bool:
-        """
-        Whether a question was none, now that the next one comes at this time.
-
-        It may be an answer, and nobody answered it: it came for the second time, or its question
-        was damaged. For clients wait for their answers.
-        """
-        is_open = asked.damage is None and not asked.is_certain
-        return is_open and at - asked.ended <= self._times.limit(asked.frame.unit)
-
-    # --- transactions ---------------------------------------------------------------------
-
-    def _take_question(self, found: Candidate) -> None:
-        before = self._current
-        if before is not None and self._was_an_answer(before, found.began):
-            self._held = self._held and self._held._replace(part="response")
-            self._end_unasked(before.began, before.frame)
-            before = self._current = None
-        if before is not None:
-            # A guess must not teach what the next one is judged by.
-            if before.damage is None and before.is_certain and not found.may_answer:
-                self._times.note_next_question(found.began - before.ended)
-            self._give_up()
-        heard = Heard(found.began, found.ended, "request", found.frame)
-        self._note(None if found.may_answer else heard)
-        self._held = heard if found.may_answer else None
-        request = decoded(found.frame.pdu) or RawRequest.decode(found.frame.pdu)
-        is_again = before is not None and before.frame == found.frame
-        repeats = before.repeats + 1 if before is not None and is_again else 0
-        asked = _Asked(
-            found.began, found.ended, found.frame, request, repeats, not found.may_answer
-        )
-        if found.frame.unit == 0 or not request.expects_response:
-            self._note(None)
-            self._end(asked, "broadcast")
-        else:
-            self._current = asked
-
-    def _take_answer(self, found: Candidate) -> None:
-        asked = self._current
-        if asked is not None and not self._fits(asked, found):
-            asked = None
-        late = self._unanswered.get(found.frame.unit)
-        if asked is not None:
-            self._answer(asked, found)
-        elif late is not None and found.began - late.ended < LATEST and self._fits(late, found):
-            del self._unanswered[found.frame.unit]
-            outcome = answered(late.request, found.frame.pdu)
-            self._end(late, "late", outcome, found.ended)
-        elif self.is_awaited(found.frame.unit, found.frame.pdu[0] & 0x7F):
-            assert self._current is not None
-            self._answer(self._current, found)
-        else:
-            self._end_unasked(found.began, found.frame)
-
-    def _answer(self, asked: _Asked, found: Candidate) -> None:
-        damage, asked.damage = asked.damage, None
-        if damage is not None:
-            self._end_damage(damage)
-        outcome = answered(asked.request, found.frame.pdu)
-        if outcome.kind != "invalid":
-            self._times.note_answer(found.frame.unit, max(found.began - asked.ended, 0.0))
-            self._unanswered.pop(found.frame.unit, None)
-        self._current = None
-        self._end(asked, outcome.kind, outcome, found.ended)
-
-    def _take_damage(self, damage: Damage) -> None:
-        asked = self._current
-        if asked is None:
-            self._end_damage(damage)
+    def _put_aside(self, began: float, ended: float, frame: Frame) -> None:
+        """Take a response that no request has: of a server it spoils the one that is due."""
+        alone = unasked(began, frame)
+        if not self._is_server or (asked := self.due) is None:
+            self.done.append(alone)
             return
-        if asked.damage is not None:
-            self._end_damage(asked.damage)
-        asked.damage = damage
+        which = "" if self._is_line else f", transaction {frame.transaction}"
+        text = f"sent as unit {frame.unit}, function {frame.pdu[0] & 0x7F}{which}"
+        error = InvalidResponse(text, received=frame.pdu)
+        self._spoil(asked, Spoiled(ended, Outcome("invalid", None, error), alone))
 
-    def _give_up(self) -> None:
-        asked, self._current = self._current, None
-        assert asked is not None
-        self._note(None)
-        self._unanswered[asked.frame.unit] = asked
-        if asked.damage is None:
-            self._end(asked, "unanswered")
+    def _spoil(self, asked: OpenRequest, spoiled: Spoiled) -> None:
+        if asked.spoiled is not None:
+            self.done.append(asked.spoiled.alone)
+        asked.spoiled = spoiled
+
+    # --- how it ends ----------------------------------------------------------------------
+
+    def _end_earlier(self, frame: Frame) -> int:
+        """End what a new request ends; return how often the same request was sent before."""
+        repeats = 0
+        for each in self._open.copy():
+            is_same = each.frame.transaction == frame.transaction or each.spoiled is not None
+            if each.burst != self._burst and is_same:
+                repeats = each.repeats + 1 if each.frame == frame else repeats
+                self._give_up(each)
+        return repeats
+
+    def _is_over(self, asked: OpenRequest, at: float) -> bool:
+        if self._is_server and asked.spoiled is not None and at - asked.spoiled.ended > SETTLED:
+            return True
+        return at - asked.ended > self._patience
+
+    def _give_up(self, asked: OpenRequest) -> None:
+        self._open.remove(asked)
+        self._late.pop(_key(asked.frame), None)
+        if len(self._late) >= MOST:
+            del self._late[next(iter(self._late))]
+        self._late[_key(asked.frame)] = asked
+        if asked.spoiled is None:
+            self._end(asked, Outcome("unanswered"))
         else:
-            damage, asked.damage = asked.damage, None
-            self._end(asked, "damaged", damaged(damage.data), damage.ended)
+            self._end(asked, asked.spoiled.outcome, asked.spoiled.ended)
 
-    # --- what is given --------------------------------------------------------------------
-
-    def _end(
-        self, asked: _Asked, kind: Kind, outcome: Outcome | None = None, ended: float | None = None
-    ) -> None:
+    def _end(self, asked: OpenRequest, outcome: Outcome, ended: float | None = None) -> None:
         self.done.append(
             Transaction(
                 asked.began,
-                kind,
+                outcome.kind,
                 asked.frame.unit,
                 asked.frame.pdu[0],
                 asked.request,
-                outcome and outcome.response,
-                outcome and outcome.error,
+                outcome.response,
+                outcome.error,
                 None if ended is None else max(ended - asked.ended, 0.0),
                 asked.repeats,
             )
         )
 
-    def _end_unasked(self, began: float, frame: Frame) -> None:
-        unit, pdu, _ = frame
-        function, response, error = pdu[0] & 0x7F, None, None
-        if pdu[0] & 0x80 and len(pdu) == 2:
-            error = ExceptionResponse.of(pdu[1], unit=unit, function=function)
-        else:
-            response = pdu[1:]
-        self.done.append(
-            Transaction(began, "unasked", unit, function, response=response, error=error)
-        )
 
-    def _end_damage(self, damage: Damage) -> None:
-        self.done.append(Transaction(damage.began, "damaged", error=damaged(damage.data).error))
-
-
-def _has_function(found: Candidate) -> bool:
-    """0 is none, and from 128 on only answers have one (application protocol, 4.1)."""
-    code = found.frame.pdu[0]
-    return 0 < code < 0x80 or (code > 0x80 and found.may_answer)
+def _key(frame: Frame) -> tuple[int, int]:
+    return frame.unit, frame.transaction

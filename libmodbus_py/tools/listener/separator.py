@@ -12,7 +12,7 @@ from typing import Literal
 from ...protocol.framing import AsciiFramer, RtuFramer, is_delimiter
 from ...protocol.pdu import Diagnostics, SubFunction
 from .hearing import Candidate, Damage, FramerHearing, Hearing, RtuHearing
-from .pairing import Pairing
+from .naming import Naming
 from .transaction import OnHeard, Transaction
 
 __all__ = ["Direction", "LineFraming", "Separator"]
@@ -47,7 +47,7 @@ class Separator:
         if framing not in ("rtu", "ascii"):
             raise ValueError(f'framing must be "rtu" or "ascii", not {framing!r}')
         self._framing = framing
-        self._pairing = Pairing(on_heard)
+        self._naming = Naming(on_heard)
         self._hearings: dict[Direction | None, Hearing] = {}
         self._ascii: list[AsciiFramer] = []
         self._last: dict[Direction | None, float] = {}
@@ -67,27 +67,27 @@ class Separator:
         if data:
             self._last[direction] = at
             self._is_quiet.discard(direction)
-            found = self._hearing(direction).hear(data, at, self._pairing.is_awaited)
+            found = self._hearing(direction).hear(data, at, self._naming.is_awaited)
             self._take(found)
         return self._given()
 
     def tick(self, at: float) -> list[Transaction]:
         """Take it that nothing more came until then; as `feed`."""
         self._wait(at)
-        self._pairing.tick(at)
+        self._naming.tick(at)
         return self._given()
 
     def end(self) -> list[Transaction]:
         """Take it that nothing more will ever come; as `feed`."""
         for hearing in self._hearings.values():
-            self._take(hearing.silence(self._pairing.is_awaited, is_long=True))
+            self._take(hearing.silence(self._naming.is_awaited, is_long=True))
         self._last.clear()
-        self._pairing.end()
+        self._naming.end()
         return self._given()
 
     def take(self, found: Candidate | Damage) -> list[Transaction]:
         """Take what others have cut out, as from a capture; as `feed`."""
-        self._pairing.take(found)
+        self._naming.take(found)
         return self._given()
 
     def _wait(self, at: float) -> None:
@@ -96,16 +96,16 @@ class Separator:
             is_long = at - last >= LONGEST_GAP
             if is_long or (at - last >= hearing.quiet and direction not in self._is_quiet):
                 self._is_quiet.add(direction)
-                self._take(hearing.silence(self._pairing.is_awaited, is_long=is_long))
+                self._take(hearing.silence(self._naming.is_awaited, is_long=is_long))
             if is_long:
                 del self._last[direction]
 
     def _take(self, found: Iterator[Candidate | Damage]) -> None:
         for each in found:
-            self._pairing.take(each)
+            self._naming.take(each)
 
     def _given(self) -> list[Transaction]:
-        done, self._pairing.done = self._pairing.done, []
+        done, self._naming.pairing.done = self._naming.pairing.done, []
         for each in done:
             self._follow_delimiter(each)
         return done

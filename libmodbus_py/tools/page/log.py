@@ -1,5 +1,5 @@
 """
-What passed, as text, and who wrote what last: both from the ADUs that a trace is told of.
+The log of a page: transactions as rows of text, and which client wrote which addresses last.
 """
 
 from __future__ import annotations
@@ -9,30 +9,27 @@ import reprlib
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, fields
-from functools import lru_cache
+from dataclasses import fields
 from itertools import count
 from typing import Any, NamedTuple
 
 from ...device.access import ACCESSES
-from ...ports.endpoint import parse
+from ...ports.schemes import framing_of
 from ...ports.trace import Traced
 from ...protocol import pdu
-from ...protocol.framing import Framing
-from ...protocol.pdu import RawRequest, Request
-from ..listener.outcome import Outcome, answered, damaged, decoded
+from ...protocol.pdu import Request
+from ..listener.traces import Exchange, TracePairing
 from ..listener.transaction import Transaction
 from .shown import Shown
 
-__all__ = ["Log", "Passed", "Written"]
+__all__ = ["Log", "LogRow", "Written"]
 
-# How many ADUs wait to be looked at, and how many transactions are remembered.
+# ADUs that wait until a page looks, and rows that are remembered.
 MOST_ADUS = 2000
-MOST_PASSED = 300
+MOST_ROWS = 300
 
-# How many ranges that somebody wrote are remembered, and how many writes without their answers.
+# Ranges of addresses whose last write is remembered.
 MOST_RANGES = 1000
-MOST_ASKED = 1000
 
 MOST_VALUES = 10
 
@@ -40,19 +37,14 @@ _short = reprlib.Repr()
 _short.maxlist = _short.maxtuple = _short.maxdict = 8
 _short.maxstring = _short.maxother = 80
 
-# Framing -> the PDU of an ADU.
-PDUS: dict[Framing, Callable[[bytes], bytes]] = {
-    "tcp": lambda adu: adu[7:],
-    "udp": lambda adu: adu[7:],
-    "rtu": lambda adu: adu[1:-2],
-    "ascii": lambda adu: bytes.fromhex(adu[3:-4].decode()),
-}
-
 WRITES = frozenset(request.function for request, kind in ACCESSES.items() if kind.writes)
 
+# Kinds of transactions after which the device holds what was written.
+DONE = ("answered", "broadcast", "late", "invalid")
 
-class Passed(NamedTuple):
-    """A transaction as a row of the log; `number` counts all there ever were."""
+
+class LogRow(NamedTuple):
+    """A transaction as a row of the log; `number` counts all rows since the page began."""
 
     number: int
     time: float
@@ -66,7 +58,7 @@ class Passed(NamedTuple):
 
 
 class Written(NamedTuple):
-    """Who wrote some addresses last; `number` counts all writes there ever were."""
+    """The last write to some addresses; `number` counts all writes since the page began."""
 
     number: int
     unit: int | None
@@ -77,83 +69,72 @@ class Written(NamedTuple):
     who: str
 
 
-@dataclass
-class Asked:
-    """A request that waits for its answer."""
-
-    traced: Traced
-    request: Request[Any] | None
-
-
 class Log:
     """
-    Notes what passes, from the server's loop, and tells it, from any thread.
+    Takes the trace of a server, in the server's loop, and returns rows, in any thread.
 
     Args:
-        shown: gives what there is now.
+        shown: returns the units that the server has now.
     """
 
     def __init__(self, shown: Callable[[], Shown]) -> None:
         self._shown = shown
         self._adus: deque[Traced] = deque(maxlen=MOST_ADUS)
-        self._waiting: dict[tuple[Any, ...], Asked] = {}
-        self._passed: deque[Passed] = deque(maxlen=MOST_PASSED)
-        self._passed_before = count(1)
+        self._pairing = TracePairing()
+        self._rows: deque[LogRow] = deque(maxlen=MOST_ROWS)
+        self._row_numbers = count(1)
+        # Writes are paired at once, because a page that is opened later shows them, too.
+        self._writes = TracePairing()
         self._written: dict[tuple[int | None, str, int, int], Written] = {}
-        self._written_before = count(1)
-        self._asked: dict[tuple[Any, ...], bytes] = {}
+        self._write_numbers = count(1)
 
-    # --- noting ----------------------------------------------------------------------------------
+    # --- what passed --------------------------------------------------------------------------
 
     def note(self, traced: Traced) -> None:
-        """Take what a trace was told, quickly."""
+        """Take what a trace is called with; quickly, because the server waits."""
         self._adus.append(traced)
-        if traced.function in WRITES:
+        if traced.function is not None and traced.function & 0x7F in WRITES:
             self._note_write(traced)
 
     def wrote(self, unit: int | None, table: str, start: int, stop: int, who: str) -> None:
-        """Somebody wrote these addresses."""
+        """Remember that a client, or the page itself, wrote these addresses."""
         key = unit, table, start, stop
         self._written.pop(key, None)  # the latest is the last
         while len(self._written) >= MOST_RANGES:
             self._written.pop(next(iter(self._written)), None)
-        number = next(self._written_before)
+        number = next(self._write_numbers)
         self._written[key] = Written(number, *key, time.time(), who)
 
     def _note_write(self, traced: Traced) -> None:
-        key = _key(traced)
-        body = _pdu(traced)
-        if traced.direction == "sent":
-            body = self._asked.pop(key, b"")
-        elif traced.unit == 0 and _framing(traced.endpoint) in ("rtu", "ascii"):
-            pass  # nobody answers a broadcast
-        else:
-            while len(self._asked) >= MOST_ASKED:
-                self._asked.pop(next(iter(self._asked)), None)
-            self._asked[key] = body
-            return
-        if body and (request := decoded(body)) is not None:
-            self._note_written(traced, request)
+        self._writes.take(traced)
+        done, self._writes.done = self._writes.done, []
+        for peer, each in done:
+            if each.kind in DONE and each.request is not None and each.unit is not None:
+                is_line = framing_of(traced.endpoint) in ("rtu", "ascii")
+                self._note_written(each.unit, each.request, peer or "", is_line=is_line)
 
-    def _note_written(self, traced: Traced, request: Request[Any]) -> None:
+    def _note_written(self, unit: int, request: Request[Any], peer: str, *, is_line: bool) -> None:
         shown, kind = self._shown(), ACCESSES.get(type(request))
-        for number in shown.units_of(traced.unit or 0, is_line=_is_line(traced)):
+        for number in shown.units_of(unit, is_line=is_line):
             mapping = shown.units[number].device.mapping
             for access in kind.find(request, mapping, (0, "", None)).writes if kind else ():
                 start = access.address
-                self.wrote(number, access.table, start, start + access.count, traced.peer or "")
+                self.wrote(number, access.table, start, start + access.count, peer)
 
-    # --- telling ---------------------------------------------------------------------------------
+    # --- what pages are sent ------------------------------------------------------------------
 
-    def passed(self, after: int = 0) -> list[Passed]:
-        """Give the transactions after this number, of those that are remembered."""
-        # Those that come meanwhile wait: under load there would be no end of them.
+    def rows(self, after: int = 0) -> list[LogRow]:
+        """Return the remembered rows after this number."""
+        # ADUs that come meanwhile wait: under load this would never return.
         for _ in range(len(self._adus)):
-            self._pair(self._adus.popleft())
-        return [each for each in self._passed if each.number > after]
+            self._pairing.take(self._adus.popleft())
+        self._pairing.tick(time.time())
+        done, self._pairing.done = self._pairing.done, []
+        self._rows += [_row(next(self._row_numbers), each) for each in done]
+        return [each for each in self._rows if each.number > after]
 
     def written(self, after: int = 0) -> list[Written]:
-        """Give the writes after this number, the oldest first."""
+        """Return the writes after this number, the oldest first."""
         newest = []
         for each in reversed(list(self._written.copy().values())):
             if each.number <= after:
@@ -161,85 +142,26 @@ class Log:
             newest.append(each)
         return newest[::-1]
 
-    def _pair(self, traced: Traced) -> None:
-        key = _key(traced)
-        if traced.direction == "sent":
-            asked = self._waiting.pop(key, None)
-            self._add(asked, traced)
-            return
-        body = _pdu(traced)
-        asked = Asked(traced, (decoded(body) or _raw(body)) if body else None)
-        if asked.request is None or not asked.request.expects_response or _is_broadcast(traced):
-            self._add(asked, None)
-            return
-        if key in self._waiting:  # asked again: the first one got no answer
-            self._add(self._waiting.pop(key), None)
-        while len(self._waiting) >= MOST_ASKED:
-            self._add(self._waiting.pop(next(iter(self._waiting))), None)
-        self._waiting[key] = asked
 
-    def _add(self, asked: Asked | None, answer: Traced | None) -> None:
-        first = asked.traced if asked is not None else answer
-        if first is None:
-            return
-        request = None if asked is None else asked.request
-        kind, response, error = _outcome(first, request, answer)
-        told = Transaction(first.time, kind, first.unit, first.function, request, response, error)
-        self._passed.append(
-            Passed(
-                next(self._passed_before),
-                first.time,
-                first.peer or "",
-                first.unit,
-                None if first.function is None else first.function & 0x7F,
-                "" if request is None else _words(request),
-                _cut(told.outcome()) if response is None else _listed(response),
-                kind,
-                None if asked is None or answer is None else answer.time - first.time,
-            )
-        )
+def _row(number: int, exchange: Exchange) -> LogRow:
+    peer, each = exchange
+    return LogRow(
+        number,
+        each.time,
+        peer or "",
+        each.unit,
+        each.function,
+        "" if each.request is None else _words(each.request),
+        _outcome(each),
+        each.kind,
+        each.duration,
+    )
 
 
-def _outcome(first: Traced, request: Request[Any] | None, answer: Traced | None) -> Outcome:
-    if answer is None:
-        if request is None:
-            return damaged(first.adu)
-        silent = _is_broadcast(first) or not request.expects_response
-        return Outcome("broadcast" if silent else "unanswered")
-    body = _pdu(answer)
-    if request is None or not body:
-        return Outcome("unasked") if body else damaged(answer.adu)
-    return answered(request, body)
-
-
-def _key(traced: Traced) -> tuple[Any, ...]:
-    """What a request and its answer have in common."""
-    is_line = _is_line(traced)
-    number = b"" if is_line else traced.adu[:2]
-    function = None if traced.function is None else traced.function & 0x7F
-    return traced.endpoint, traced.peer, traced.unit, function, number
-
-
-def _is_line(traced: Traced) -> bool:
-    return _framing(traced.endpoint) in ("rtu", "ascii")
-
-
-def _is_broadcast(traced: Traced) -> bool:
-    return traced.unit == 0 and _is_line(traced)
-
-
-@lru_cache(64)
-def _framing(url: str) -> Framing:
-    return parse(url).framing
-
-
-def _pdu(traced: Traced) -> bytes:
-    """Nothing for bytes that are no frame."""
-    return b"" if traced.unit is None else PDUS[_framing(traced.endpoint)](traced.adu)
-
-
-def _raw(body: bytes) -> Request[Any] | None:
-    return RawRequest.decode(body) if 0 < body[0] < 0x80 else None
+def _outcome(transaction: Transaction) -> str:
+    if transaction.response is None:
+        return _cut(transaction.outcome())
+    return _listed(transaction.response)
 
 
 def _words(request: Request[Any]) -> str:

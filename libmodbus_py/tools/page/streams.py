@@ -264,7 +264,7 @@ class Streams:
     def _common_changes(self) -> dict[str, Any]:
         passed, written, version = self._told
         found: dict[str, Any] = {
-            "log": self.log.passed(passed),
+            "log": self.log.rows(passed),
             "written": self.log.written(written),
         }
         counters: dict[str, int] = asdict(self._server.statistics)
@@ -285,7 +285,7 @@ class Streams:
         found: dict[str, Any] = {
             "all": True,
             "stream": stream.name,
-            "log": self.log.passed(),
+            "log": self.log.rows(),
             "written": self.log.written(),
             "counters": self._counters,
             "faults": self.switches.as_json(),

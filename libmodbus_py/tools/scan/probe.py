@@ -25,6 +25,8 @@ from ...protocol.errors import (
 )
 from ...protocol.pdu import DeviceIdentification, ServerId
 from ...protocol.pdu.interface import identify
+from ..listener.traces import TracePairing
+from ..listener.transaction import Transaction
 from .places import Place
 
 # fmt: off
@@ -120,9 +122,8 @@ class Asker:
         self.requests: int = 0
         self._place = place
         self._unit = 0
-        self._is_probing = False
-        # Key of a probe without an answer so far -> its unit, and when it was sent.
-        self._owed: dict[int, tuple[int, float]] = {}
+        self._silent: set[int] = set()  # units whose probe has had no response so far
+        self._pairing = TracePairing(is_server=False)
         self._late: list[Late] = []
         self._has_ids = place.endpoint.framing in ("tcp", "udp")
         self.context: Context = place.context(timeout=place.wait(PROBE_SIZE), trace=self._traced)
@@ -139,7 +140,7 @@ class Asker:
         """
         self._unit = unit
         started = self.waker.now()
-        self._is_probing = True
+        self._silent.add(unit)
         try:
             self._carefully(unit, PROBE)
             code = None
@@ -151,9 +152,7 @@ class Asker:
             raise
         except ModbusError as error:
             return Nothing(error)
-        finally:
-            self._is_probing = False
-        self._owed = {key: owed for key, owed in self._owed.items() if owed[0] != unit}
+        self._silent.discard(unit)
         return Answer(self.waker.now() - started, code)
 
     def server_id(self, unit: int) -> ServerId | None:
@@ -225,32 +224,20 @@ class Asker:
         return late
 
     def _traced(self, traced: Traced) -> None:
-        if traced.direction == "sent":
-            self.requests += 1
-            if self._is_probing:
-                self._owed[self._key(traced)] = self._unit, self.waker.now()
-        elif traced.unit is not None:
-            self._note_late(traced)
+        self.requests += traced.direction == "sent"
+        self._pairing.take(traced, self.waker.now())
+        done, self._pairing.done = self._pairing.done, []
+        for _, each in done:
+            if each.unit != self._unit and each.unit in self._silent:
+                self._note_late(each.unit, each)
 
-    def _key(self, traced: Traced) -> int:
-        """What tells whose answer it is: the transaction id, on lines the unit."""
-        return int.from_bytes(traced.adu[:2], "big") if self._has_ids else traced.unit or 0
-
-    def _note_late(self, traced: Traced) -> None:
-        key = self._key(traced)
-        unit, asked_at = self._owed.get(key, (self._unit, 0.0))
-        if unit == self._unit:
+    def _note_late(self, unit: int, probe: Transaction) -> None:
+        if probe.kind not in ("answered", "exception", "late"):
             return
-        code = None
-        try:
-            PROBE.decode_response(_pdu(traced, self._place))
-        except ExceptionResponse as error:
-            code = error.code
-        except ModbusError:
-            return  # what others say on the line
-        del self._owed[key]
+        code = probe.error.code if isinstance(probe.error, ExceptionResponse) else None
+        self._silent.discard(unit)
         if code not in NOBODY_CODES:
-            self._late.append(Late(unit, Answer(self.waker.now() - asked_at, code)))
+            self._late.append(Late(unit, Answer(probe.duration or 0.0, code)))
 
 
 class _Ended(ModbusError):
@@ -259,12 +246,3 @@ class _Ended(ModbusError):
     def __init__(self, reason: str = "", *, errno: int | None = None) -> None:
         super().__init__(reason)
         self.errno = errno
-
-
-def _pdu(traced: Traced, place: Place) -> bytes:
-    """Take the PDU out of a frame that was found good."""
-    if place.endpoint.framing in ("tcp", "udp"):
-        return traced.adu[7:]
-    if place.endpoint.framing == "ascii":
-        return bytes.fromhex(traced.adu[1:-2].decode())[1:-1]
-    return traced.adu[1:-2]

@@ -64,9 +64,12 @@ CASES: dict[str, tuple[list[tuple[str, str]], list[str]]] = {
         [(ASKED, READ), (ASKED, READ_2), (ANSWERED, VALUES_2)],
         [f"unit 17: {READ_TEXT} -> no answer", f"unit 17: {READ_TEXT} -> [1, 2, 3]"],
     ),
-    "what follows the answer of a later one": (
+    "only the beginning, after the answer of a later one": (
         [(ASKED, READ), (ASKED, READ_2), (ANSWERED, VALUES_2), (ANSWERED, VALUES[:14])],
-        [f"unit 17: {READ_TEXT} -> no answer", f"unit 17: {READ_TEXT} -> [1, 2, 3]"],
+        [
+            f"unit 17: {READ_TEXT} -> damaged: 6 bytes that are no frame",
+            f"unit 17: {READ_TEXT} -> [1, 2, 3]",
+        ],
     ),
     "another transaction": (
         [(ASKED, READ), (ANSWERED, VALUES_2)],
@@ -83,9 +86,12 @@ CASES: dict[str, tuple[list[tuple[str, str]], list[str]]] = {
     "no request": ([(ASKED, "00 01 00")], ["-> damaged: 3 bytes that are no frame"]),
     "no function": (
         [(ASKED, "0001 0000 0006 11 83 006B 0003")],
-        ["unit 17: -> damaged: 12 bytes that are no frame"],
+        ["-> damaged: 12 bytes that are no frame"],
     ),
-    "an answer that nobody asked for": ([(ANSWERED, VALUES)], []),
+    "an answer that nobody asked for": (
+        [(ANSWERED, VALUES)],
+        [r"unit 17: -> unasked: b'\x06\x02+\x00\x00\x00d'"],
+    ),
     "unit 0 is one of TCP": ([(ASKED, COIL), (ANSWERED, COIL)], [f"unit 0: {COIL_TEXT} -> done"]),
 }
 
@@ -111,13 +117,14 @@ def test_on_serial_lines(passed: list[tuple[str, str]], told: list[str]) -> None
 
 def test_each_client_has_its_own_answers() -> None:
     made = Exchanges()
-    for direction, adu, peer in [
+    passed = [
         (ASKED, READ, "one"),
         (ASKED, READ, "other"),
         (ANSWERED, REFUSED, "other"),
         (ANSWERED, VALUES, "one"),
-    ]:
-        made.note(traced(direction, adu, TCP, peer))
+    ]
+    for at, (direction, adu, peer) in enumerate(passed):
+        made.note(traced(direction, adu, TCP, peer, at))
     assert [each.kind for each in made.transactions()] == ["answered", "exception"]
 
 
@@ -130,6 +137,13 @@ def test_a_transaction_says_when_and_what() -> None:
         for adu in (REFUSED, OF_UNIT_18, VALUES[:14])
     ]
     assert list(map(type, errors)) == [IllegalDataAddress, InvalidResponse, FrameError]
+
+
+def test_an_answer_may_take_as_long_as_it_likes() -> None:
+    made = Exchanges()
+    made.note(traced(ASKED, READ, TCP, "one"))
+    made.note(traced(ANSWERED, VALUES, TCP, "one", 60))
+    assert [(each.kind, each.duration) for each in made.transactions()] == [("answered", 60.0)]
 
 
 def test_the_oldest_are_forgotten() -> None:
