@@ -13,6 +13,6 @@ A live page of a server: what its devices hold, who wrote it, what passed, and w
     refreshing     values that are computed when they are looked at
     shown          what there is: units, tables, points
     setting        a value that was typed, into its cells
-    switches       faults on and off
+    fault_list     faults on and off
     log            what passed, as text, and who wrote what last
 """

@@ -67,13 +67,13 @@ class Actions:
         return readings_at(unit, _table(given["table"]), _address("address", given["address"]))
 
     def _switch(self, given: Given) -> None:
-        number = integer("number", given["number"], 0, 10_000)
-        self._streams.switches.switch(number, given["kind"], is_on=given["on"] is True)
+        number = integer("number", given["number"], 0, 1_000_000_000)
+        self._streams.faults.turn(number, is_on=given["on"] is True)
 
     def _add(self, given: Given) -> None:
         unit = None if given["unit"] is None else self._streams.unit(given["unit"]).number
         fault = Fault(**{name: given[name] for name in SETTINGS if given.get(name) is not None})
-        self._streams.switches.add(unit, fault)
+        self._streams.faults.add(unit, fault)
 
 
 def _table(name: object) -> str:

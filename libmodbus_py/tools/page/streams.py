@@ -19,9 +19,9 @@ from ...protocol.tables import TABLES
 from ...protocol.values import ORDERS, TYPES
 from ...server.faults.fault import KINDS, OPTIONAL
 from ...server.server import Server
+from .fault_list import FaultList
 from .log import Log
 from .shown import Shown, Unit, shown_of
-from .switches import Switches
 from .views import CellsView, PointsView, View
 
 __all__ = ["MOST_STREAMS", "FullError", "Stream", "Streams"]
@@ -106,14 +106,14 @@ class Streams:
     All open pages of a server.
 
     Attributes:
-        log, switches: what they show.
+        log, faults: what they show.
     """
 
     def __init__(self, server: Server) -> None:
         self._server = server
         self._shown = shown_of(server)
         self.log: Log = Log(lambda: self._shown)
-        self.switches: Switches = Switches(server)
+        self.faults: FaultList = FaultList(server.fault_switch)
         self._streams: dict[str, Stream] = {}
         self._views: dict[Key, View] = {}
         self._counters: dict[str, int] = {}
@@ -272,8 +272,8 @@ class Streams:
             name: value for name, value in counters.items() if value != self._counters.get(name)
         }
         self._counters = counters
-        if version != self.switches.follow():
-            version, found["faults"] = self.switches.version, self.switches.as_json()
+        if version != (latest := self.faults.version):
+            version, found["faults"] = latest, self.faults.as_json()
         if found["log"]:
             passed = found["log"][-1].number
         if found["written"]:
@@ -288,7 +288,7 @@ class Streams:
             "log": self.log.rows(),
             "written": self.log.written(),
             "counters": self._counters,
-            "faults": self.switches.as_json(),
+            "faults": self.faults.as_json(),
             "words": WORDS,
         }
         if stream.shown is not self._shown:

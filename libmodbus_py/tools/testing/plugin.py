@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 if TYPE_CHECKING:
+    from ...server.faults.switch import FaultSwitch
     from ..listener.transaction import Transaction
-    from .fault_switch import FaultSwitch
     from .recording import RecordingServer, ServerMaker
     from .wires import SerialWire
 

@@ -14,12 +14,12 @@ from ...ports.endpoint import Endpoint, parse
 from ...protocol.tables import TABLE_SIZE
 from ...security.security import Security
 from ...server.faults.fault import Fault
+from ...server.faults.switch import FaultSwitch
 from ...server.limits import Limits, ServerStatistics
 from ...server.server import Server
 from ...server.units import UnknownUnit
 from ..listener.transaction import Transaction
 from .exchanges import Exchanges
-from .fault_switch import FaultSwitch
 
 __all__ = ["RecordingServer", "ServerMaker", "ServerOptions"]
 
@@ -61,7 +61,7 @@ class RecordingServer:
         self._exchanges = Exchanges()
         server = Server(devices, faults, trace=self._exchanges.note, **options)
         self.device: Device | None = _only(devices)
-        self.faults: FaultSwitch = FaultSwitch(server)
+        self.faults: FaultSwitch = server.fault_switch
         self.statistics: ServerStatistics = server.statistics
         self._stack = contextlib.ExitStack()
         self.urls: list[str] = self._stack.enter_context(server.background(*urls)).urls

@@ -321,7 +321,7 @@ def test_what_registers_may_mean() -> None:
 def test_faults_are_switched_off_and_on() -> None:
     faults = {1: [Fault("exception", code=6, function=3)], None: [Fault("no_answer", function=1)]}
     with (
-        shown(faults=faults) as (server, url, visitor),
+        shown(faults=faults) as (_, url, visitor),
         visitor.watching(),
         Context.from_url(url, unit=1, timeout=5) as plc,
     ):
@@ -331,13 +331,12 @@ def test_faults_are_switched_off_and_on() -> None:
         ]
         with pytest.raises(ServerDeviceBusy):
             plc.read_holding_registers(0, 1)
-        assert visitor.post("/fault", number=0, kind="exception", on=False) == {}
+        assert visitor.post("/fault", number=0, on=False) == {}
         visitor.receive(lambda: not visitor.seen["faults"][0][4])
-        until(lambda: 1 not in server.faults)
         until(lambda: _reads(plc))
-        visitor.post("/fault", number=0, kind="exception", on=True)
+        visitor.post("/fault", number=0, on=True)
         until(lambda: not _reads(plc))
-        found = visitor.post("/fault", number=0, kind="delay", on=True)
+        found = visitor.post("/fault", number=9, on=True)
         assert found == "there is no such fault any more"
 
 
@@ -354,7 +353,8 @@ def test_a_fault_is_added() -> None:
         body = {"unit": 2, "kind": "no_answer", "function": 3, "every": None, "seconds": None}
         assert visitor.post("/faults", **body) == {}
         visitor.receive(lambda: visitor.seen["faults"])
-        assert server.faults == {2: [Fault("no_answer", function=3)]}
+        (state,) = server.fault_switch.states()
+        assert (state.unit, state.fault) == (2, Fault("no_answer", function=3))
         with Context.from_url(url, unit=2, timeout=0.3) as plc, pytest.raises(ModbusTimeoutError):
             until(lambda: plc.read_holding_registers(0, 1) is None)
     for wrong, text in (

@@ -188,8 +188,8 @@ REQUESTS: list[tuple[str, str, Any, dict[str, str | None], int]] = [
     ("POST", "/value", b"", {"Content-Length": "0", "Transfer-Encoding": "chunked"}, 411),
     ("POST", "/view", {"stream": "x", "unit": 1, "what": "coils", "first": 0, "stop": 1}, {}, 400),
     ("POST", "/view", {"stream": [], "unit": 1, "what": {}, "first": 0, "stop": 1}, {}, 400),
-    ("POST", "/fault", {"number": 0, "kind": None, "on": True}, {}, 400),
-    ("POST", "/fault", {"number": 1e9, "kind": None, "on": True}, {}, 400),
+    ("POST", "/fault", {"number": 7, "on": True}, {}, 400),
+    ("POST", "/fault", {"number": 1e9, "on": True}, {}, 400),
     ("POST", "/faults", {"unit": 1, "kind": {}}, {}, 400),
 ]
 

@@ -15,7 +15,7 @@ export function showFaults() {
     button.setAttribute("aria-checked", String(isOn));
     button.setAttribute("aria-label", `${kind} ${words}, unit ${unitName(where)}`);
     button.addEventListener("click", () => {
-      post("/fault", { number, kind, on: !isOn }).then(() => sayFault(""), (error) => sayFault(error.message));
+      post("/fault", { number, on: !isOn }).then(() => sayFault(""), (error) => sayFault(error.message));
     });
     row.append(made("span", where === null ? "every" : `unit ${where}`, "where"), what, button);
     return row;
