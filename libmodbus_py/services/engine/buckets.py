@@ -85,16 +85,28 @@ class Bucket:
                     raise
         return 0
 
-    async def watch(self, on_change: Callable[[Change | None], None]) -> Watch:
+    async def watch(
+        self,
+        on_change: Callable[[Change | None], None],
+        on_gap: Callable[[], None] = lambda: None,
+    ) -> Watch:
         """
         Tell of all keys, then None, then of each change.
+
+        Args:
+            on_change: called with each change, and with None.
+            on_gap: called when a change was missed. The watch tells nothing more then.
 
         Raises:
             EngineError
         """
-        watch = Watch(self.name, on_change)
-        with explained(self.name):
-            await watch.begin(self.js)
+        watch = Watch(self.name, on_change, on_gap)
+        try:
+            with explained(self.name):
+                await watch.begin(self.js)
+        except BaseException:
+            await watch.end()
+            raise
         return watch
 
 
@@ -105,16 +117,23 @@ class Watch:
     Args:
         name: of the bucket.
         on_change: called with each; with None when all that was there has been told.
+        on_gap: called when something is missing.
 
     Attributes:
         is_broken: whether something is missing: begin another one.
     """
 
-    def __init__(self, name: str, on_change: Callable[[Change | None], None]) -> None:
+    def __init__(
+        self,
+        name: str,
+        on_change: Callable[[Change | None], None],
+        on_gap: Callable[[], None] = lambda: None,
+    ) -> None:
         self.is_broken: bool = False
         self._prefix = f"$KV.{name}."
         self._stream = f"KV_{name}"
         self._on_change = on_change
+        self._on_gap = on_gap
         self._last = 0
         self._is_synced = False
         self._subscription: Js.PushSubscription | None = None
@@ -143,6 +162,7 @@ class Watch:
         at = message.metadata
         if at.sequence.consumer != self._last + 1:
             self.is_broken = True
+            self._on_gap()
             return
         self._last = at.sequence.consumer
         operation = (message.headers or {}).get("KV-Operation")
