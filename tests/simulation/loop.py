@@ -59,6 +59,7 @@ class Selector(selectors._BaseSelectorImpl):
     Attributes:
         interrupt: asked before the clock moves; it waits no longer if that returns True.
         turns: how often it was asked who is ready; `on_turn` is called then.
+        is_woken: whether another thread has woken the loop.
     """
 
     def __init__(self, events: Events, descriptors: Descriptors) -> None:
@@ -71,6 +72,7 @@ class Selector(selectors._BaseSelectorImpl):
         self._system = selectors.DefaultSelector()
         self.interrupt: Callable[[], bool] = lambda: False
         self.turns: int = 0
+        self.is_woken: bool = False
         self.on_turn: Callable[[], object] = lambda: None
 
     def _fileobj_lookup(self, fileobj: Any) -> int:
@@ -113,23 +115,32 @@ class Selector(selectors._BaseSelectorImpl):
         until = math.inf if timeout is None else self._events.now + max(0.0, timeout)
         self.turns += 1
         self.on_turn()
-        self._events.advance(self._events.now)
+        events = self._events
+        if events.next_at <= events.now:
+            events.advance(events.now)
         while not (ready := self._ready()):
-            if self._events.now >= until or self.interrupt():
+            if events.now >= until or self.interrupt():
                 return []
-            # Other threads may have woken the loop; for them alone the system is asked.
-            if ready := self._system.select(0):
+            if ready := self._awoken():
                 return ready
-            if min(self._events.next_at, until) == math.inf:
+            if min(events.next_at, until) == math.inf:
                 raise Stuck("everybody waits, and nothing will ever happen")
-            self._events.advance(until)
+            events.advance(until)
         return ready
 
+    def _awoken(self) -> list[tuple[selectors.SelectorKey, int]]:
+        """Return the system's descriptors that are ready: one by which other threads wake us."""
+        if self.is_woken or len(self._system.get_map()) > 1:
+            self.is_woken = False
+            return self._system.select(0)
+        return []
+
     def _ready(self) -> list[tuple[selectors.SelectorKey, int]]:
-        read = self._readers & self._descriptors.readable
-        write = self._writers & self._descriptors.writable
-        if not (read or write):
+        readable, writable = self._descriptors.readable, self._descriptors.writable
+        if self._readers.isdisjoint(readable) and self._writers.isdisjoint(writable):
             return []
+        read = self._readers & readable
+        write = self._writers & writable
         ready = [
             (
                 self._keys[descriptor],
@@ -152,6 +163,10 @@ class VirtualLoop(asyncio.SelectorEventLoop):
 
     def time(self) -> float:
         return self._events.now
+
+    def _write_to_self(self) -> None:
+        super()._write_to_self()  # type: ignore[misc]
+        self._waiting.is_woken = True
 
     def before_cancelling(self) -> None:
         """Called before what is left is cancelled."""
