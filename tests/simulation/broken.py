@@ -128,6 +128,11 @@ BREAKS: tuple[Break, ...] = (
         lambda: patch.object(Worker, "may_ask", lambda self, key, now: key in self.active),
     ),
     Break(
+        "who waits for the end of another worker's lease looks at it then",
+        ("workers",),
+        lambda: patch.object(Worker, "_is_before", lambda self, at, now: now < at),
+    ),
+    Break(
         "a resting unit is not asked",
         ("silent unit",),
         lambda: patch.object(SilentUnits, "standing", lambda *_: Standing.GOOD),

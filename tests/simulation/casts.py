@@ -203,6 +203,9 @@ def _workers(world: World) -> None:
         if workers.doubles:
             world.witness.fail("no device is asked by two", workers.doubles[0])
             return
+        if workers.overslept:
+            world.witness.fail("a worker knows when to decide", workers.overslept[0])
+            return
     world.events.now += world.options.seconds
 
 

@@ -52,13 +52,19 @@ class Lease:
             lease: seconds.
             hurry: whether others wait for what it says.
         """
-        part = SOON if hurry else AGAIN if self._sent else BEAT
-        if now < self._last + lease * part:
+        if now < self.next_at(lease, hurry):
             return None
         self._last = now
         self._beat += 1
         self._sent[self._beat] = now, lease
         return self._beat
+
+    def next_at(self, lease: float, hurry: bool) -> float:
+        """Return the time from which `next_beat` returns a number, as things are now."""
+        return self._last + lease * self._part(hurry)
+
+    def _part(self, hurry: bool) -> float:
+        return SOON if hurry else AGAIN if self._sent else BEAT
 
     def came_back(self, member: Member) -> None:
         """This value stands in the bucket."""

@@ -5,8 +5,8 @@ A worker with its clock, its bucket and its fleet: what `worker` decides is done
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import logging
+import math
 import os
 import re
 import secrets
@@ -37,8 +37,11 @@ logger: logging.Logger = logging.getLogger(__name__)
 
 BUCKET = "modbus-fleet"
 
-# Of a lease, and in seconds: how often a worker looks at its clock.
-TURN, LONGEST_TURN = 0.01, 0.1
+# Of a lease, and in seconds: how exactly a worker looks at its clock when something is due.
+EXACTNESS, COARSEST = 0.01, 0.1
+
+# Seconds; no timer is set for longer.
+LONGEST_PAUSE = 60.0
 
 # Writes that are on their way; what is beyond them waits for the next turn.
 MOST_WRITES = 512
@@ -93,10 +96,14 @@ class Polling:
         self._service: CommandService | None = None
         if settings.commands:
             self._service = CommandService(client, Commands(self.fleet), self._refusal)
-        self._turn = asyncio.Event()
+        # Set when a turn is due before it was planned; and when the watch may be of no use.
+        self._woken = asyncio.Event()
+        self._planned = math.inf
+        self._doubted = asyncio.Event()
         self._is_unsettled = False
         self._has_ended = False
         self._late: asyncio.TimerHandle | None = None
+        self._active: dict[str, Connection] = {}
         self._connections: dict[str, Connection] = {}
         self._devices: dict[str, list[DeviceConfig]] = {}
         self._writes: set[asyncio.Task[None]] = set()
@@ -145,61 +152,89 @@ class Polling:
     def leave(self) -> None:
         """Ask nobody any more, tell the others, and end; within seconds, whatever they say."""
         self.worker.leave()
-        self._turn.set()
+        self._woken.set()
         self._late = asyncio.get_running_loop().call_later(PATIENCE, self._end)
 
     def _end(self) -> None:
         self._has_ended = True
-        self._turn.set()
+        self._woken.set()
 
     def engine_changed(self) -> None:
         """The connection to the engine was lost, or stands again: what was missed is unknown."""
         self._is_unsettled = True
-        self._turn.set()
+        self._doubted.set()
 
     # --- the bucket ----------------------------------------------------------------------------
 
     async def _keep_watching(self) -> None:
         while True:
-            watch: Watch | None = None
             self._is_unsettled = False
             try:
-                watch = await self._bucket.watch(_Told(self))
-                since = self.now()
-                while not self._must_watch_again(watch, since):
-                    await asyncio.sleep(LONGEST_TURN)
+                watch = await self._bucket.watch(_Told(self), self._doubted.set)
+                await self._until_useless(watch)
             except EngineError as error:
                 self._say(f"the engine: {error}")
-            finally:
-                if watch is not None:
-                    await watch.end()
             await asyncio.sleep(PAUSE)
 
-    def _must_watch_again(self, watch: Watch, since: float) -> bool:
-        now = self.now()
-        is_late = self.worker.is_reading and now > since + PATIENCE
-        return watch.is_broken or self._is_unsettled or is_late or self.worker.is_blind(now)
+    async def _until_useless(self, watch: Watch) -> None:
+        """Wait until a watch must be replaced, and end it."""
+        timer = asyncio.get_running_loop().call_later(PATIENCE, self._demand_all)
+        try:
+            while not (watch.is_broken or self._is_unsettled or self.worker.is_blind(self.now())):
+                self._doubted.clear()
+                await self._doubted.wait()
+        finally:
+            timer.cancel()
+            await watch.end()
+
+    def _demand_all(self) -> None:
+        if self.worker.is_reading:
+            self.engine_changed()
 
     def heed(self, entry: Entry) -> None:
         """A change of the bucket."""
         self.worker.saw(entry, self.now())
-        self._turn.set()
+        self._look()
+
+    def synced(self) -> None:
+        """All of the bucket was told."""
+        self.worker.is_synced(self.now())
+        self._look()
+
+    def _look(self) -> None:
+        """Wake the turns if one is due before it was planned."""
+        if self.worker.due < self._planned:
+            self._woken.set()
 
     async def _keep_turning(self) -> None:
         while not (self.worker.left or self._has_ended):
-            puts = self.worker.step(self.now(), self._report())
+            now = self.now()
+            puts = self.worker.step(now, self._report)
             # Before anything is written: others may ask as soon as that is.
             self._poll()
             for put in puts:
                 self._write(put)
             self._tell_of_lease()
-            settings = self.worker.view.settings
-            turn = min(LONGEST_TURN, TURN * settings.lease if settings else LONGEST_TURN)
-            # Python 3.11's wait_for makes a task for each turn.
-            with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(turn):
-                    await self._turn.wait()
-            self._turn.clear()
+            if self.worker.is_blind(now):
+                self._doubted.set()
+            await self._until_due()
+
+    async def _until_due(self) -> None:
+        """Wait until the worker may have something to decide: once at least."""
+        loop, settings = asyncio.get_running_loop(), self.worker.view.settings
+        shortest = min(COARSEST, EXACTNESS * settings.lease if settings else COARSEST)
+        while True:
+            now = self.now()
+            pause = min(LONGEST_PAUSE, max(shortest, self.worker.due - now))
+            self._planned = now + pause
+            timer = loop.call_later(pause, self._woken.set)
+            try:
+                await self._woken.wait()
+            finally:
+                timer.cancel()
+            self._woken.clear()
+            if self.worker.due <= self.now() or self._has_ended:
+                return
 
     def _write(self, put: Put) -> None:
         if len(self._writes) < MOST_WRITES and self._client.is_connected:
@@ -212,6 +247,7 @@ class Polling:
             revision = await self._bucket.put(put.key, put.value, put.last)
             if revision:
                 self.worker.was_written(put, revision)
+                self._look()
         except EngineError as error:
             self._say(f"the engine: {error}")
 
@@ -220,8 +256,9 @@ class Polling:
     def _poll(self) -> None:
         """Have the fleet poll what is active."""
         active = self.worker.active
-        if active == self._connections:
+        if active is self._active:
             return
+        self._active = active
         devices: dict[str, list[DeviceConfig]] = {}
         for key, connection in active.items():
             known = self._connections.get(key)
@@ -314,6 +351,6 @@ class _Told:
             self._has_begun = True
             worker.begins()
         if change is None:
-            worker.is_synced(self._polling.now())
+            self._polling.synced()
         else:
             self._polling.heed(Entry(*change))

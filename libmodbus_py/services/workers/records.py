@@ -152,6 +152,10 @@ class Member:
     def name(self) -> str:
         return self.id.partition(".")[0]
 
+    def is_as(self, other: Member) -> bool:
+        """Return True if others have to treat this worker as before."""
+        return (self.state, self.zones, self.lease) == (other.state, other.zones, other.lease)
+
     def encode(self) -> bytes:
         return _encode(
             state=self.state,

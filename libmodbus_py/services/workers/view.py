@@ -53,7 +53,8 @@ class View:
             to have given them up; and when, as a revision.
         unreadable: the keys whose values nobody can read, with the reason; those that told
             of others before are forgotten.
-        moves: counts the changes of `holders` and `used_slots`.
+        changes: counts all changes but those by which a known worker merely tells that it is
+            still there.
     """
 
     def __init__(self) -> None:
@@ -70,7 +71,7 @@ class View:
         self._touched: dict[str, int] = {}
         self.last_touched: int = 0
         self._in_slot: Counter[Slot] = Counter()
-        self.moves: int = 0
+        self.changes: int = 0
 
     def add(self, entry: Entry, at: float) -> bool:
         """
@@ -83,10 +84,12 @@ class View:
             return False
         self.seen[entry.key] = Seen(entry.revision, at)
         self.revision = max(self.revision, entry.revision)
-        self.moves += not entry.key.startswith("worker.")
+        known = self.members.get(entry.key.removeprefix("worker."))
         before = self._forget(entry, at)
         if entry.value is not None:
             self._learn(entry.key, entry.value, entry.revision, before)
+        member = self.members.get(entry.key.removeprefix("worker."))
+        self.changes += known is None or member is None or not member.is_as(known)
         return True
 
     def keep_times(self, before: View, at: float) -> None:

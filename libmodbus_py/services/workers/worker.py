@@ -81,11 +81,14 @@ class Worker:
         active: the connections that it asks, by their keys, as of the last step.
         waiting: those that wait until all others have heeded that they are here.
         left: whether it has ended after `leave`.
+        due: when the next `step` may decide something, unless the worker is told of something
+            before: that may make it due at once.
     """
 
     def __init__(self, new_id: Callable[[], str], zones: Collection[str]) -> None:
         self.view: View = View()
         self.left: bool = False
+        self.due: float = -math.inf
         self._new_id = new_id
         self._zones = tuple(sorted(zones))
         self._snapshot: View | None = None
@@ -96,8 +99,9 @@ class Worker:
         self._longest_lease = 0.0
         self._leaving = False
         self._goes_on = False
-        # Who should have each slot, and what that rests on.
+        # Who should have each slot whose holder is another one, and what that rests on.
         self._shared_before: tuple[tuple[Any, ...], dict[Slot, str]] | None = None
+        self._silent: set[str] = set()
         self.active: dict[str, Connection] = {}
         self.waiting: set[str] = set()
         self._join()
@@ -112,11 +116,16 @@ class Worker:
         """A key has this value now."""
         if self._snapshot is not None:
             self._snapshot.add(entry, now)
-        elif self.view.add(entry, now):
+            return
+        changes = self.view.changes
+        if self.view.add(entry, now):
             self._is_old |= not entry.key.startswith("worker.")
             self._heed()
             if entry.key == self.lease.key:
                 self._hear(now)
+                self._was_heard()
+            if self.view.changes != changes or self._awaits(entry.key):
+                self._due_at(-math.inf)
 
     def is_synced(self, now: float) -> None:
         """That was all; changes come from now on."""
@@ -134,6 +143,7 @@ class Worker:
         self._tries = 0
         self._asked.clear()
         self._heed()
+        self._due_at(-math.inf)
 
     def was_written(self, put: Put, revision: int) -> None:
         """
@@ -142,11 +152,13 @@ class Worker:
         """
         if put.beat and put.key == self.lease.key and not self._leaving:
             self.lease.is_confirmed(put.beat, revision)
+            self._was_heard()
 
     def leave(self) -> None:
         """Ask nobody any more, and say that it has ended: others take its slots at once."""
         self._leaving = True
         self.active = {}
+        self._due_at(-math.inf)
 
     # What it says
 
@@ -162,20 +174,14 @@ class Worker:
 
     def is_heard(self, member: Member, now: float) -> bool:
         """Whether a worker, perhaps this one, told of itself a short while ago."""
-        at = self.view.seen_at(member.bucket_key).at
-        return member.state != "ended" and now < at + member.lease * FRESH
+        return member.state != "ended" and now < self._heard_until(member)
 
     def is_blind(self, now: float) -> bool:
         """Whether all of the bucket should be read again: it is not what it seems to be."""
         settings = self.view.settings
         if self._snapshot is not None or settings is None:
             return False
-        heard = max(self.heard_at, self._since)
-        return (
-            now > heard + settings.lease * BLIND
-            or now > self._since + settings.lease * READ_AGAIN
-            or self._tries >= MOST_TRIES
-        )
+        return now >= self._blind_at(settings.lease) or self._tries >= MOST_TRIES
 
     def may_ask(self, connection: str, now: float) -> bool:
         """Whether bytes may go there right now."""
@@ -184,14 +190,15 @@ class Worker:
             return False
         return self._goes_on or now + known.timeout < self.lease.until
 
-    def step(self, now: float, report: Mapping[str, Any] | None = None) -> list[Put]:
+    def step(self, now: float, report: Callable[[], Mapping[str, Any]] = dict) -> list[Put]:
         """
         Decide what to write. `active` is up to date then; what is not in it any more must not
         be asked before any of this is written.
 
         Args:
-            report: what it says of its devices, for people.
+            report: returns what it says of its devices, for people.
         """
+        self.due = math.inf
         settings = self.view.settings
         if settings is None or self._snapshot is not None or self.left:
             return []
@@ -201,14 +208,47 @@ class Worker:
             *(member.lease for member in self.view.members.values()),
         )
         puts: list[Put] = []
-        if now < self.lease.until and not self._leaving:
+        self._is_valid = self._is_before(self.lease.until, now)
+        if self._is_valid and not self._leaving:
             puts += self._ends(now)
             puts += self._slots(self._shared(now), now)
             puts += self._forgotten(now)
         self._choose(now)
         # Last: it says up to where everything is heeded.
-        puts += self._beats(now, settings.lease, report or {})
+        puts += self._beats(now, settings.lease, report)
+        self._is_before(self._blind_at(settings.lease), now)
         return puts
+
+    # When it decides
+
+    def _due_at(self, at: float) -> None:
+        self.due = min(self.due, at)
+
+    def _is_before(self, at: float, now: float) -> bool:
+        """Tell whether a time is still to come; if so, a step is due then."""
+        if now < at:
+            self._due_at(at)
+            return True
+        return False
+
+    def _was_heard(self) -> None:
+        """A value of this worker's own has come back: the next one is due sooner."""
+        settings = self.view.settings
+        if settings is not None:
+            self._due_at(self.lease.next_at(settings.lease, hurry=False))
+        if not self._is_valid:
+            self._due_at(-math.inf)
+
+    def _awaits(self, key: str) -> bool:
+        """Tell whether even a sign of life of a known worker may change what is decided."""
+        return bool(self.waiting) or not self._is_valid or key in self._silent
+
+    def _heard_until(self, member: Member) -> float:
+        return self.view.seen_at(member.bucket_key).at + member.lease * FRESH
+
+    def _blind_at(self, lease: float) -> float:
+        heard = max(self.heard_at, self._since)
+        return min(heard + lease * BLIND, self._since + lease * READ_AGAIN)
 
     # Its lease
 
@@ -221,6 +261,8 @@ class Worker:
         self._asked: dict[str, tuple[int, float, int]] = {}
         self._tries = 0
         self._is_old = True
+        self._is_valid = False
+        self._due_at(-math.inf)
 
     def _heed(self) -> None:
         settings = self.view.settings
@@ -237,14 +279,18 @@ class Worker:
             self._hears_since = now
         self._heard_at = now
 
-    def _beats(self, now: float, lease: float, report: Mapping[str, Any]) -> Iterator[Put]:
+    def _beats(
+        self, now: float, lease: float, report: Callable[[], Mapping[str, Any]]
+    ) -> Iterator[Put]:
         me = self.view.members.get(self.lease.id)
         news = me is not None and me.seen < self.view.last_touched
-        beat = self.lease.next_beat(now, lease, news or self._leaving)
+        hurry = news or self._leaving
+        beat = self.lease.next_beat(now, lease, hurry)
+        self._is_before(self.lease.next_at(lease, hurry), now)
         if beat is not None:
             state: State = "ended" if self._leaving else "here"
             told = Member(
-                self.lease.id, state, self._zones, lease, beat, self.view.revision, report
+                self.lease.id, state, self._zones, lease, beat, self.view.revision, report()
             )
             last = max(self.lease.revision, self.view.seen_at(told.bucket_key).revision)
             yield Put(told.bucket_key, told.encode(), last, beat)
@@ -261,20 +307,18 @@ class Worker:
         """Say of those whose lease is over that they have ended."""
         for member in self._others:
             at = max(self._hears_since, self.view.seen_at(member.bucket_key).at)
-            if now > at + member.lease * OTHERS_PART:
+            if not self._is_before(at + member.lease * OTHERS_PART, now):
                 yield from self._put(
                     member.bucket_key, replace(member, state="ended").encode(), now
                 )
 
     def _forgotten(self, now: float) -> Iterator[Put]:
         """Delete what tells of those who ended long ago; the first worker does it for all."""
-        if any(each.id < self.lease.id for each in self._others):
+        ended = [each for each in self.view.members.values() if self._is_forgotten(each, now)]
+        if not ended or any(each.id < self.lease.id for each in self._others):
             return
         used = set(self.view.used_slots)
-        for member in list(self.view.members.values()):
-            at = self.view.seen_at(member.bucket_key).at
-            if member.state != "ended" or now < at + REMEMBERED:
-                continue
+        for member in ended:
             slots = [slot for slot, id in self.view.holders.items() if id == member.id]
             if not slots:
                 yield from self._put(member.bucket_key, None, now)
@@ -282,20 +326,38 @@ class Worker:
                 if slot not in used:
                     yield from self._put(slot.key, None, now)
 
+    def _is_forgotten(self, member: Member, now: float) -> bool:
+        at = self.view.seen_at(member.bucket_key).at
+        return member.state == "ended" and not self._is_before(at + REMEMBERED, now)
+
     # Slots
 
     def _shared(self, now: float) -> dict[Slot, str]:
-        """Who should have each slot; those of workers who fell silent wait for their end."""
-        eligible = {each.id: each.zones for each in self._others if self.is_heard(each, now)}
+        """
+        Give who should have each slot that this worker has and should not have, or should have
+        and has not; and each that it has closed. Those of workers who fell silent wait for
+        their end.
+        """
+        view, me = self.view, self.lease.id
+        eligible = {
+            each.id: each.zones
+            for each in self._others
+            if self._is_before(self._heard_until(each), now)
+        }
         silent = {each.id for each in self._others} - set(eligible)
-        eligible[self.lease.id] = self._zones
-        view = self.view
-        # It is asked for many times a second, and hardly ever changes.
-        rests_on = (view, view.moves, eligible, silent)
+        eligible[me] = self._zones
+        # It is asked for several times a second, and hardly ever changes.
+        rests_on = (view, view.changes, eligible, silent, len(self._closed))
         if self._shared_before is None or self._shared_before[0] != rests_on:
             holders = view.holders
             slots = [slot for slot in view.used_slots if holders.get(slot) not in silent]
-            self._shared_before = rests_on, share(slots, holders, eligible)
+            shared = {
+                slot: heir
+                for slot, heir in share(slots, holders, eligible).items()
+                if slot in self._closed or (heir == me) != (holders.get(slot) == me)
+            }
+            self._shared_before = rests_on, shared
+            self._silent = {f"worker.{each}" for each in silent}
         return self._shared_before[1]
 
     def _slots(self, shared: Mapping[Slot, str], now: float) -> Iterator[Put]:
@@ -324,7 +386,7 @@ class Worker:
             return holder.state == "ended"
         key = f"worker.{view.holders.get(slot)}"
         nobody_since = max(self._since, view.seen_at(slot.key).at, view.seen_at(key).at)
-        return now > nobody_since + self._longest_lease * OTHERS_PART
+        return not self._is_before(nobody_since + self._longest_lease * OTHERS_PART, now)
 
     def _put(self, key: str, value: bytes | None, now: float) -> Iterator[Put]:
         """Write it; again only after a while, or when the key has changed."""
@@ -333,10 +395,11 @@ class Worker:
         last, at, tries = self._asked.get(key, (-1, 0.0, 0))
         if last != revision:
             tries = 0
-        elif settings is None or now < at + settings.lease * AGAIN:
+        elif settings is None or self._is_before(at + settings.lease * AGAIN, now):
             return
         self._asked[key] = (revision, now, tries + 1)
         self._tries = max(self._tries, tries + 1)
+        self._is_before(now + (settings.lease * AGAIN if settings else 0.0), now)
         yield Put(key, value, revision)
 
     # Connections
@@ -367,6 +430,6 @@ class Worker:
     def _heeded_by_all(self, now: float) -> float:
         """The revision up to which nobody does anything else any more."""
         wait = self._longest_lease * OTHERS_PART
-        if any(now < at + wait for at in self.view.vanished.values()):
+        if any(self._is_before(at + wait, now) for at in self.view.vanished.values()):
             return 0
         return min((each.seen for each in self._others), default=math.inf)

@@ -98,10 +98,21 @@ class MemoryClient:
 class MemoryWatch:
     """See `libmodbus_py.services.engine.buckets.Watch`."""
 
-    def __init__(self, bucket: MemoryBucket, on_change: Callable[[Change | None], None]) -> None:
+    def __init__(
+        self,
+        bucket: MemoryBucket,
+        on_change: Callable[[Change | None], None],
+        on_gap: Callable[[], None],
+    ) -> None:
         self.is_broken = False
         self.on_change = on_change
+        self._on_gap = on_gap
         self._bucket = bucket
+
+    def miss(self) -> None:
+        """Have something been missed."""
+        self.is_broken = True
+        self._on_gap()
 
     async def end(self) -> None:
         self.is_broken = True
@@ -154,12 +165,14 @@ class MemoryBucket:
             watch.on_change(Change(key, value, revision))
         return revision
 
-    async def watch(self, on_change: Callable[[Change | None], None]) -> MemoryWatch:
+    async def watch(
+        self, on_change: Callable[[Change | None], None], on_gap: Callable[[], None] = lambda: None
+    ) -> MemoryWatch:
         await asyncio.sleep(0)
         if self.error is not None:
             raise self.error
         self.watched += 1
-        watch = MemoryWatch(self, on_change)
+        watch = MemoryWatch(self, on_change, on_gap)
         self.watches.append(watch)
         if not self.is_mute:
             for key, (value, revision) in sorted(self.values.items(), key=lambda each: each[1][1]):

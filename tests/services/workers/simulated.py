@@ -109,7 +109,11 @@ class Process:
                 self.worker.is_synced(self.now)
             else:
                 self.worker.saw(entry, self.now)
+        is_due = self.worker.due <= self.now
+        active, waiting = self.worker.active, self.worker.waiting
         puts = self.worker.step(self.now)
+        if not is_due and (puts or (self.worker.active, self.worker.waiting) != (active, waiting)):
+            self.world.overslept.append(f"{self.now}: {puts}")
         self.world.cut_off(self, self.open - set(self.worker.active))
         self.open = set(self.worker.active)
         for put in puts:
@@ -145,6 +149,8 @@ class World:
         self.polls = 0
         self.last_asked: dict[str, float] = {}
         self.doubles: list[str] = []
+        # Steps that decided something although none was due.
+        self.overslept: list[str] = []
         self.connections: dict[str, Connection] = {}
 
     def start(self, *zones: str) -> Process:

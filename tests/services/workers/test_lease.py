@@ -104,7 +104,7 @@ class TestBlindness:
         worker.is_synced(0.0)
         for at in range(1, 700):
             worker.saw(Entry("worker.a.1", member(at).encode(), 1 + at), float(at))
-            assert worker.is_blind(float(at)) == (at > 60 * LEASE)
+            assert worker.is_blind(float(at)) == (at >= 60 * LEASE)
 
 
 class TestView:

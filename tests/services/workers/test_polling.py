@@ -234,7 +234,7 @@ class TestBucket:
             async with at_work(bucket) as worker:
                 await until(lambda: names(worker))
                 watched = bucket.watched
-                bucket.watches[0].is_broken = True
+                bucket.watches[0].miss()
                 assert await until(lambda: bucket.watched > watched) < 1.0
                 assert len(bucket.watches) == 1
                 # What is still there goes on to be polled.
@@ -288,6 +288,28 @@ class TestBucket:
                     await asyncio.sleep(0)
                 assert names(worker) == []
                 assert now() == begun
+
+        run(main())
+
+    def test_a_worker_alone_looks_at_its_clock_twice_for_each_sign_of_life(self) -> None:
+        async def main() -> None:
+            bucket = filled(connection("pump"))
+            async with at_work(bucket) as worker:
+                await until(lambda: names(worker))
+                before = len(bucket.puts)
+                steps = 0
+                step = worker.worker.step
+
+                def counted(*args: Any) -> list[polling.Put]:
+                    nonlocal steps
+                    steps += 1
+                    return step(*args)
+
+                worker.worker.step = counted  # type: ignore[method-assign]
+                await asyncio.sleep(10 * LEASE)
+                told = len(bucket.puts) - before
+                assert told == pytest.approx(100, abs=2)
+                assert steps < 2 * told
 
         run(main())
 

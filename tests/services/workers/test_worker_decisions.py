@@ -96,6 +96,10 @@ class Fleet(RuleBasedStateMachine):
     def none_is_asked_by_two(self):
         assert self.world.doubles == []
 
+    @invariant()
+    def nothing_is_decided_before_it_is_due(self):
+        assert self.world.overslept == []
+
     def teardown(self):
         world = self.world
         for process in world.processes:

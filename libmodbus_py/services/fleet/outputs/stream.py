@@ -50,6 +50,8 @@ class Stream:
         self._js = self._client.jetstream(timeout=PATIENCE)
 
     async def write(self, readings: Sequence[Reading]) -> None:
+        if not readings:
+            return
         try:
             with explained(STREAM):
                 async with asyncio.timeout(PATIENCE):
