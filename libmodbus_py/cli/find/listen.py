@@ -18,7 +18,7 @@ from typing import Any
 
 from ...protocol.errors import ExceptionResponse
 from ...protocol.pdu import Request
-from ...tools.listener.listening import Listener, listening
+from ...tools.listener.listener import Listener, listen
 from ...tools.listener.transaction import Transaction
 from ..connecting import url_of
 from ..help import VerbatimHelp
@@ -69,9 +69,7 @@ def _listen(options: argparse.Namespace) -> int:
     write = _print_json if options.json else _print_line
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        with listening(
-            _place(options.url), between=options.between, capture=options.capture
-        ) as line:
+        with listen(_place(options.url), between=options.between, capture=options.capture) as line:
             _write_all(line, write, is_live=not options.url.endswith(".pcapng"))
             if options.json:
                 print(json.dumps({"summary": line.summary.as_dict()}), flush=True)

@@ -14,10 +14,10 @@ from email.message import Message
 from ipaddress import ip_address
 from urllib.parse import parse_qs
 
-__all__ = ["Guard"]
+__all__ = ["PageGuard"]
 
 
-class Guard:
+class PageGuard:
     """
     Args:
         host: where it listens, as it was given.

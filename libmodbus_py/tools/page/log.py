@@ -20,7 +20,7 @@ from ...protocol import pdu
 from ...protocol.pdu import Request
 from ..listener.traces import Exchange, TracePairing
 from ..listener.transaction import Transaction
-from .shown import Shown
+from .shown import ShownServer
 
 __all__ = ["Log", "LogRow", "Written"]
 
@@ -77,7 +77,7 @@ class Log:
         shown: returns the units that the server has now.
     """
 
-    def __init__(self, shown: Callable[[], Shown]) -> None:
+    def __init__(self, shown: Callable[[], ShownServer]) -> None:
         self._shown = shown
         self._adus: deque[Traced] = deque(maxlen=MOST_ADUS)
         self._pairing = TracePairing()

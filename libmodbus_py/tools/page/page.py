@@ -13,7 +13,7 @@ from ...server.server import Server
 from .streams import Streams
 from .web import WebServer
 
-__all__ = ["Page", "page_of"]
+__all__ = ["Page", "live_page"]
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Page:
 
 
 @contextlib.contextmanager
-def page_of(server: Server, host: str = "127.0.0.1", port: int = 0) -> Iterator[Page]:
+def live_page(server: Server, host: str = "127.0.0.1", port: int = 0) -> Iterator[Page]:
     """
     Show a server on a live page, over HTTP, while the ``with`` block runs.
 

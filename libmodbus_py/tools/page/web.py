@@ -19,8 +19,8 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from .actions import Actions
-from .guard import Guard
-from .streams import FullError, Stream, Streams
+from .guard import PageGuard
+from .streams import FullError, PageStream, Streams
 
 __all__ = ["WebServer"]
 
@@ -86,7 +86,9 @@ class WebServer(socketserver.ThreadingMixIn, socketserver.TCPServer):
         self._open: dict[socket.socket, float | None] = {}
         self._lock = threading.Lock()
         super().__init__((str(address[0]), port), Handler)
-        self.guard: Guard = Guard(host, (str(self.server_address[0]), int(self.server_address[1])))
+        self.guard: PageGuard = PageGuard(
+            host, (str(self.server_address[0]), int(self.server_address[1]))
+        )
         shown = f"[{host}]" if ":" in host else host
         self.url: str = f"http://{shown}:{self.server_address[1]}/?token={self.guard.token}"
         self._thread = threading.Thread(
@@ -284,7 +286,7 @@ class Handler(BaseHTTPRequestHandler):
         except FullError as error:
             raise Refused(503, str(error)) from None
 
-    def _feed(self, stream: Stream) -> None:
+    def _feed(self, stream: PageStream) -> None:
         """Until it goes away, or does not take what it is sent."""
         poll = select.poll()
         poll.register(self.connection, select.POLLIN | select.POLLHUP)
