@@ -18,7 +18,7 @@ from collections import deque
 from collections.abc import Callable
 
 from ...ports.endpoint import Endpoint
-from ...ports.waiting import Waker, no_thread
+from ...ports.waiting import Waker, start_thread
 from ...protocol.errors import ModbusConnectionError
 from .separator import Direction
 from .source import TimedBytes
@@ -71,7 +71,7 @@ class Tap:
         try:
             self._waker = Waker()
             self.descriptor: int = self._waker.descriptor
-            _start(threading.Thread(target=self._accept, name="tap", daemon=True))
+            start_thread(threading.Thread(target=self._accept, name="tap", daemon=True))
         except OSError as error:
             self._listener.close()
             raise ModbusConnectionError(
@@ -183,13 +183,6 @@ class Tap:
             self._unseen += cost
             self._pieces.append(piece)
             self._waker.wake()
-
-
-def _start(thread: threading.Thread) -> None:
-    try:
-        thread.start()
-    except RuntimeError as error:  # there are too many
-        raise no_thread(error) from error
 
 
 def _listening(endpoint: Endpoint) -> socket.socket:

@@ -8,7 +8,6 @@ import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from ...ports.waiting import no_thread
 from ...server.server import Server
 from .streams import Streams
 from .web import WebServer
@@ -51,10 +50,6 @@ def live_page(server: Server, host: str = "127.0.0.1", port: int = 0) -> Iterato
     with contextlib.ExitStack() as stack:
         stack.callback(web.server_close)
         stack.enter_context(server.tracing(streams.log.note))
-        for part in (streams, web):
-            try:
-                part.start()
-            except RuntimeError as error:  # there are too many threads
-                raise no_thread(error) from error
-            stack.callback(part.end)
+        stack.enter_context(streams.sending())
+        stack.enter_context(web.serving("page web"))
         yield Page(web.url)

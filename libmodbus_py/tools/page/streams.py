@@ -15,6 +15,7 @@ from collections.abc import Iterator
 from dataclasses import asdict
 from typing import Any
 
+from ...ports.waiting import start_thread
 from ...protocol.tables import TABLES
 from ...protocol.values import ORDERS, TYPES
 from ...server.faults.fault import KINDS, OPTIONAL
@@ -143,14 +144,22 @@ class Streams:
 
     # --- pages that come and go ------------------------------------------------------------------
 
-    def start(self) -> None:
-        self._thread.start()
+    @contextlib.contextmanager
+    def sending(self) -> Iterator[None]:
+        """
+        Send open pages what has changed, from a thread, while the ``with`` block runs.
 
-    def end(self) -> None:
-        with self._changed:
-            self._is_wanted = False
-            self._changed.notify_all()
-        self._thread.join(5)
+        Raises:
+            OSError: there are too many threads.
+        """
+        start_thread(self._thread)
+        try:
+            yield
+        finally:
+            with self._changed:
+                self._is_wanted = False
+                self._changed.notify_all()
+            self._thread.join(5)
 
     @contextlib.contextmanager
     def opened(self) -> Iterator[PageStream]:
