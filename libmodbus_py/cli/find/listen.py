@@ -124,17 +124,10 @@ def _question(transaction: Transaction) -> str:
 
 
 def _answer(transaction: Transaction) -> str:
-    error, kind = transaction.error, transaction.kind
-    if isinstance(error, ExceptionResponse):
-        text = str(error.args[0])
-    elif error is not None:
-        return f"{kind}: {error.args[0]}: {_hex(error.received)}"
-    elif kind in ("answered", "late", "unasked"):
-        response = transaction.response
-        text = "done" if response is None else _shown.repr(response)
-    else:
-        return {"unanswered": "no answer"}.get(kind, kind)
-    return text if kind in ("answered", "exception") else f"{kind}: {text}"
+    text, error = transaction.outcome(_shown.repr), transaction.error
+    if error is None or isinstance(error, ExceptionResponse):
+        return text
+    return f"{text}: {_hex(error.received)}"
 
 
 def _hex(data: bytes) -> str:

@@ -19,7 +19,6 @@ from ...ports.trace import Traced
 from ...protocol import pdu
 from ...protocol.pdu import Request
 from ..listener.traces import Exchange, TracePairing
-from ..listener.transaction import Transaction
 from .shown import ShownServer
 
 __all__ = ["Log", "LogRow", "Written"]
@@ -152,16 +151,10 @@ def _row(number: int, exchange: Exchange) -> LogRow:
         each.unit,
         each.function,
         "" if each.request is None else _words(each.request),
-        _outcome(each),
+        _cut(each.outcome(_listed)),
         each.kind,
         each.duration,
     )
-
-
-def _outcome(transaction: Transaction) -> str:
-    if transaction.response is None:
-        return _cut(transaction.outcome())
-    return _listed(transaction.response)
 
 
 def _words(request: Request[Any]) -> str:
