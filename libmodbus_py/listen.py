@@ -3,8 +3,8 @@ Transactions of other devices on a line or in a capture file: a short path to `t
 """
 
 from .tools.listener.capture import CaptureError as CaptureError
-from .tools.listener.listening import Listener as Listener
-from .tools.listener.listening import listening as listen
+from .tools.listener.listener import Listener as Listener
+from .tools.listener.listener import listen as listen
 from .tools.listener.separator import Separator as Separator
 from .tools.listener.summary import Summary as Summary
 from .tools.listener.transaction import Transaction as Transaction

@@ -3,7 +3,7 @@ A live page of a running server: a short path to `tools.page`.
 """
 
 from .tools.page.page import Page as Page
-from .tools.page.page import page_of as live_page
+from .tools.page.page import live_page as live_page
 
 page_of = live_page  # its former name
 

@@ -2,12 +2,12 @@
 Units that answer, and the registers that they have: a short path to `tools.scan`.
 """
 
-from .tools.scan.scanning import Found as Found
-from .tools.scan.scanning import Scan as Scan
-from .tools.scan.scanning import scanning as scan
-from .tools.scan.searching import Extent as Extent
-from .tools.scan.searching import Search as Search
-from .tools.scan.searching import searching as search
+from .tools.scan.scan import Found as Found
+from .tools.scan.scan import Scan as Scan
+from .tools.scan.scan import scan as scan
+from .tools.scan.search import Extent as Extent
+from .tools.scan.search import Search as Search
+from .tools.scan.search import search as search
 
 scanning = scan  # the former names
 searching = search

@@ -69,32 +69,19 @@ WORDS = {
 
 SAME_NAME = {
     "Asked",
-    "Asker",
-    "FaultSwitch",
-    "Guard",
     "JsonLines",
     "Kind",
     "Line",
     "Link",
     "Listener",
-    "Outcome",
-    "Passed",
-    "Piece",
     "Reading",
     "Row",
     "Scan",
     "Settings",
-    "Shown",
     "Standing",
-    "Stream",
-    "Switch",
-    "Switched",
     "Table",
-    "Times",
     "Turns",
-    "Unit",
     "View",
-    "_Places",
 }
 """Classes whose name another class of the package has, too."""
 

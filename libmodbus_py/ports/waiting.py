@@ -20,7 +20,7 @@ from typing import Any, NamedTuple, TypeVar
 # fmt: off
 __all__ = [
     "LONGEST", "READ", "WRITE", "Ready", "Resolve", "Steps", "Waker", "Woken", "as_os_error",
-    "milliseconds", "no_thread", "numeric", "run",
+    "milliseconds", "no_thread", "numeric", "run", "start_thread",
 ]
 # fmt: on
 
@@ -194,11 +194,9 @@ def _look_up(wanted: Resolve, waker: Waker) -> list[Any]:
         done.wake()
 
     try:
-        threading.Thread(target=look_up, name="look-up", daemon=True).start()
+        start_thread(threading.Thread(target=look_up, name="look-up", daemon=True))
         if not waker.wait(done.descriptor, READ, wanted.deadline):
             raise TimeoutError
-    except RuntimeError as error:  # there are too many threads
-        raise no_thread(error) from error
     finally:
         done.close()  # an error that the caller keeps would keep it open
     if isinstance(found[0], Exception):
@@ -210,6 +208,19 @@ def _look_up(wanted: Resolve, waker: Waker) -> list[Any]:
 def no_thread(error: RuntimeError) -> OSError:
     """Say that the system has no thread left, with the number that it gives for that."""
     return OSError(errno.EAGAIN, str(error))
+
+
+def start_thread(thread: threading.Thread) -> None:
+    """
+    Start a thread.
+
+    Raises:
+        OSError: the system has no thread left.
+    """
+    try:
+        thread.start()
+    except RuntimeError as error:
+        raise no_thread(error) from error
 
 
 def as_os_error(error: Exception) -> OSError:

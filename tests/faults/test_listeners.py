@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import pytest
 
-from libmodbus_py.tools.listener.listening import listening
+from libmodbus_py.tools.listener.listener import listen
 from tests.faults.injecting import Scenario, Trial, eventually, tried
 from tests.faults.test_clients import on_line
 from tests.faults.test_servers import LINE_ANSWER, LINE_REQUEST, line, port_of
@@ -29,7 +29,7 @@ def hearing(url: str, between: str | None, say: Callable[[str], None]) -> Scenar
         with contextlib.ExitStack() as stack:
             heard = None
             with trial.faults():
-                heard = stack.enter_context(listening(url, between=between))
+                heard = stack.enter_context(listen(url, between=between))
                 say(heard.url)
             if heard is not None:
                 say(heard.url)
@@ -43,7 +43,7 @@ def hearing(url: str, between: str | None, say: Callable[[str], None]) -> Scenar
 @pytest.fixture(autouse=True)
 def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nobody waits for the next attempt."""
-    monkeypatch.setattr("libmodbus_py.tools.listener.listening.REOPEN_AFTER", 0.001)
+    monkeypatch.setattr("libmodbus_py.tools.listener.listener.REOPEN_AFTER", 0.001)
 
 
 def test_a_listener_on_a_line(line: tuple[int, str]) -> None:

@@ -9,7 +9,7 @@ import socket
 
 import pytest
 
-from libmodbus_py.tools.page.page import page_of
+from libmodbus_py.tools.page.page import live_page
 from tests.faults.injecting import Scenario, Trial, eventually, tried
 from tests.faults.test_servers import server
 
@@ -44,7 +44,7 @@ def shown() -> Scenario:
         with shown.background("tcp://127.0.0.1:0"), contextlib.ExitStack() as stack:
             page = None
             with trial.faults(OSError):
-                page = stack.enter_context(page_of(shown))
+                page = stack.enter_context(live_page(shown))
                 is_shown(page.url)
             if page is not None:
                 assert eventually(lambda: is_shown(page.url))
@@ -55,6 +55,6 @@ def shown() -> Scenario:
 
 
 def test_a_page_with_its_stream(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("libmodbus_py.tools.page.web.SWEEP", 0.005)
+    monkeypatch.setattr("libmodbus_py.tools.timed_server.SWEEP", 0.005)
     monkeypatch.setattr("libmodbus_py.tools.page.streams.PERIOD", 0.005)
     assert not (found := tried(shown(), "tools.page")), "\n".join(found)

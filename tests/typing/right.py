@@ -35,7 +35,7 @@ from libmodbus_py import (
     load_map,
     pdu,
 )
-from libmodbus_py.listen import Separator, Transaction, listening
+from libmodbus_py.listen import Separator, Transaction, listen
 
 ALL = [
     TcpContext("192.0.2.10", unit=17, timeout=1.0, framing="rtu", native=False),
@@ -176,13 +176,13 @@ def passing_on() -> None:
 
 
 def hearing() -> None:
-    with listening("rtu:///dev/ttyUSB0", capture="line.pcapng") as line:
+    with listen("rtu:///dev/ttyUSB0", capture="line.pcapng") as line:
         for each in line:
             assert_type(each, Transaction)
     assert_type(Separator("ascii").feed(b"", 0.0, "client"), list[Transaction])
 
 
 async def hearing_in_a_loop() -> None:
-    async with listening("rtu+tcp://:1502", between="rtu+tcp://192.0.2.10") as line:
+    async with listen("rtu+tcp://:1502", between="rtu+tcp://192.0.2.10") as line:
         async for each in line:
             assert_type(each, Transaction)

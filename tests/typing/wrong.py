@@ -26,7 +26,7 @@ from libmodbus_py import (
     load_map,
     pdu,
 )
-from libmodbus_py.listen import Separator, listening
+from libmodbus_py.listen import Separator, listen
 
 TcpContext("192.0.2.10", timout=1.0)  # wrong
 TcpContext("192.0.2.10", framing="tpc")  # wrong
@@ -110,6 +110,6 @@ def passing_on(route: Route) -> None:
 
 
 def hearing(separator: Separator) -> None:
-    listening("rtu:///dev/ttyUSB0", betwen="rtu+tcp://192.0.2.10")  # wrong
+    listen("rtu:///dev/ttyUSB0", betwen="rtu+tcp://192.0.2.10")  # wrong
     Separator("tcp")  # wrong
     separator.feed(b"", 0.0, "master")  # wrong

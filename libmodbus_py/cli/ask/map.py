@@ -20,7 +20,7 @@ from ...tools.files.maps.checking import remarks
 from ...tools.files.maps.drafts import Contents, MapError
 from ...tools.files.maps.map_file import contents_of
 from ...tools.files.maps.texts import csv_text, toml_text
-from ...tools.scan.searching import Extent, searching
+from ...tools.scan.search import Extent, search
 from .. import security
 from ..commands import PROGRAM
 from ..connecting import url_of
@@ -128,7 +128,7 @@ def _tables(contents: Contents) -> list[str]:
 def _from_device(options: argparse.Namespace) -> int:
     text_of = _form(options.output)
     status = Status()
-    search = searching(
+    searched = search(
         _url(options),
         timeout=options.timeout,
         security=security.told(options),
@@ -136,17 +136,17 @@ def _from_device(options: argparse.Namespace) -> int:
     )
     code = 0
     try:
-        with search:
-            for _ in search:
+        with searched:
+            for _ in searched:
                 pass
     except KeyboardInterrupt:
         code = INTERRUPTED
     finally:
         status.clear()
-    points = _points(search.extents)
+    points = _points(searched.extents)
     if not points:
-        raise CommandError(f"no table can be read: {_ended(search.extents)}")
-    _write(options.output, "\n".join([*_heading(_url(options), search.extents), text_of(points)]))
+        raise CommandError(f"no table can be read: {_ended(searched.extents)}")
+    _write(options.output, "\n".join([*_heading(_url(options), searched.extents), text_of(points)]))
     if options.output is not None:
         told = (
             f"{options.output}: {counted(len(points), 'point')}; names, types and units are yours"

@@ -18,7 +18,7 @@ from typing import Any
 
 from ...protocol.errors import ExceptionResponse
 from ...protocol.pdu import Request
-from ...tools.listener.listening import Listener, listening
+from ...tools.listener.listener import Listener, listen
 from ...tools.listener.transaction import Transaction
 from ..connecting import url_of
 from ..help import VerbatimHelp
@@ -69,9 +69,7 @@ def _listen(options: argparse.Namespace) -> int:
     write = _print_json if options.json else _print_line
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        with listening(
-            _place(options.url), between=options.between, capture=options.capture
-        ) as line:
+        with listen(_place(options.url), between=options.between, capture=options.capture) as line:
             _write_all(line, write, is_live=not options.url.endswith(".pcapng"))
             if options.json:
                 print(json.dumps({"summary": line.summary.as_dict()}), flush=True)
@@ -126,17 +124,10 @@ def _question(transaction: Transaction) -> str:
 
 
 def _answer(transaction: Transaction) -> str:
-    error, kind = transaction.error, transaction.kind
-    if isinstance(error, ExceptionResponse):
-        text = str(error.args[0])
-    elif error is not None:
-        return f"{kind}: {error.args[0]}: {_hex(error.received)}"
-    elif kind in ("answered", "late", "unasked"):
-        response = transaction.response
-        text = "done" if response is None else _shown.repr(response)
-    else:
-        return {"unanswered": "no answer"}.get(kind, kind)
-    return text if kind in ("answered", "exception") else f"{kind}: {text}"
+    text, error = transaction.outcome(_shown.repr), transaction.error
+    if error is None or isinstance(error, ExceptionResponse):
+        return text
+    return f"{text}: {_hex(error.received)}"
 
 
 def _hex(data: bytes) -> str:

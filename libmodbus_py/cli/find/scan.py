@@ -14,8 +14,8 @@ from ...protocol.pdu import DeviceIdentification, ServerId
 from ...protocol.pdu.interface import OBJECT_NAMES
 from ...protocol.spelling import units_of
 from ...tools.scan.places import BAUDRATES, PARITIES
-from ...tools.scan.scanning import Found, Progress, Scan, scanning
-from ...tools.scan.searching import MOST_REQUESTS, Extent, Search, Searching, searching
+from ...tools.scan.scan import Found, Progress, Scan, scan
+from ...tools.scan.search import MOST_REQUESTS, Extent, Search, Searching, search
 from .. import connecting, security
 from ..help import VerbatimHelp
 from ..main import INTERRUPTED
@@ -167,7 +167,7 @@ def progress(told: Progress | Searching, found: int = 0) -> str:
 def _scan(options: argparse.Namespace) -> int:
     report = _Report(options.json)
     secured = security.told(options)
-    scan = scanning(
+    scanned = scan(
         connecting.url_of(options.url),
         baudrates=options.baudrates,
         parities=options.parities,
@@ -176,15 +176,15 @@ def _scan(options: argparse.Namespace) -> int:
         security=secured,
         on_progress=report.progress,
     )
-    report.say(_estimate(scan, options.deep))
+    report.say(_estimate(scanned, options.deep))
     stopped = True
     try:
-        with scan:
+        with scanned:
             try:
-                for found in scan:
+                for found in scanned:
                     report.add(found)
             finally:
-                report.notes += scan.notes
+                report.notes += scanned.notes
         if options.deep:
             _search(report, options.timeout, secured)
         stopped = False
@@ -204,16 +204,16 @@ def _search(report: _Report, timeout: float | None, secured: Any) -> None:
                 "behind it without a search"
             )
             return
-        search: Search = searching(
+        searched: Search = search(
             found.url, timeout=timeout, security=secured, on_progress=report.progress
         )
         try:
-            with search:
-                for _ in search:
+            with searched:
+                for _ in searched:
                     pass
         finally:
-            left -= search.requests
-            report.deepen(found, search.extents, search.requests)
+            left -= searched.requests
+            report.deepen(found, searched.extents, searched.requests)
 
 
 def _estimate(scan: Scan, deep: bool) -> str:

@@ -50,11 +50,11 @@ def shown(
     if address is None:
         yield announce
         return
-    from ...tools.page.page import page_of
+    from ...tools.page.page import live_page
 
     with contextlib.ExitStack() as stack:
         try:
-            page = stack.enter_context(page_of(server, *address))
+            page = stack.enter_context(live_page(server, *address))
         except OSError as error:
             place = ":".join(map(str, address))
             raise ModbusConnectionError(

@@ -14,5 +14,5 @@ Listens to what others say on a line, and pairs it into transactions.
     source         where bytes come from: what all have in common, and a serial port
     tap            between: passes bytes on, both ways, and shows them
     capture        pcapng, written so that Wireshark decodes it, and read again
-    listening      listening(url): an iterator, blocking and asyncio
+    listener       listen(url): an iterator, blocking and asyncio
 """

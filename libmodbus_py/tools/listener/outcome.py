@@ -11,11 +11,11 @@ from ...protocol.framing import Frame
 from ...protocol.pdu import RawRequest, Request, decode_request
 from .transaction import Kind, Transaction
 
-__all__ = ["Outcome", "answered", "damage_alone", "damaged", "decoded", "request_of", "unasked"]
+__all__ = ["Ending", "answered", "damage_alone", "damaged", "decoded", "request_of", "unasked"]
 
 
-class Outcome(NamedTuple):
-    """How a request ended; the attributes are those of `Transaction`."""
+class Ending(NamedTuple):
+    """The end of a request; the attributes are those of `Transaction`."""
 
     kind: Kind
     response: Any = None
@@ -41,22 +41,22 @@ def request_of(pdu: bytes) -> Request[Any]:
     return decoded(pdu) or RawRequest.decode(pdu)
 
 
-def answered(request: Request[Any], pdu: bytes) -> Outcome:
+def answered(request: Request[Any], pdu: bytes) -> Ending:
     """Decode the response to a request as a client does."""
     try:
-        return Outcome("answered", request.decode_response(pdu))
+        return Ending("answered", request.decode_response(pdu))
     except ExceptionResponse as refusal:
-        return Outcome("exception", None, refusal)
+        return Ending("exception", None, refusal)
     except InvalidResponse as error:
         error.received = pdu
-        return Outcome("invalid", None, error)
+        return Ending("invalid", None, error)
 
 
-def damaged(data: bytes) -> Outcome:
+def damaged(data: bytes) -> Ending:
     """Return the outcome for bytes that came instead of a response."""
     size = len(data)
     why = f"{size} bytes that are no frame" if size > 1 else "a byte that is no frame"
-    return Outcome("damaged", None, FrameError(why, received=data))
+    return Ending("damaged", None, FrameError(why, received=data))
 
 
 def damage_alone(began: float, data: bytes) -> Transaction:

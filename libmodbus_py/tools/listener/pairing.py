@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 from ...protocol.errors import InvalidResponse
 from ...protocol.framing import Frame
 from ...protocol.pdu import Request
-from .outcome import Outcome, answered, damage_alone, damaged, request_of, unasked
+from .outcome import Ending, answered, damage_alone, damaged, request_of, unasked
 from .transaction import Transaction
 
 __all__ = ["PATIENCE", "OpenRequest", "Pairing"]
@@ -52,7 +52,7 @@ class Spoiled(NamedTuple):
     """
 
     ended: float
-    outcome: Outcome
+    outcome: Ending
     alone: Transaction
 
 
@@ -81,7 +81,7 @@ class OpenRequest:
         is_same = mine.unit == frame.unit and mine.transaction == frame.transaction
         return is_same and mine.pdu[0] == frame.pdu[0] & 0x7F
 
-    def outcome(self, frame: Frame) -> Outcome | None:
+    def outcome(self, frame: Frame) -> Ending | None:
         """Decode the response to this request; None if it belongs to another one."""
         return answered(self.request, frame.pdu) if self.is_for(frame) else None
 
@@ -133,13 +133,13 @@ class Pairing:
         request = request_of(frame.pdu)
         asked = OpenRequest(began, ended, frame, request, self._burst, repeats)
         if (self._is_line and frame.unit == 0) or not request.expects_response:
-            self._end(asked, Outcome("broadcast"))
+            self._end(asked, Ending("broadcast"))
             return
         if len(self._open) >= MOST:
             self._give_up(self._open[0])
         self._open.append(asked)
 
-    def answer(self, began: float, ended: float, frame: Frame) -> Outcome | None:
+    def answer(self, began: float, ended: float, frame: Frame) -> Ending | None:
         """Take a response; return how it ended an open request, or None if it ended none."""
         asked, outcome = self._answered(frame)
         if (asked is None or outcome.kind == "invalid") and self._end_late(began, ended, frame):
@@ -188,9 +188,9 @@ class Pairing:
 
     # --- how it is found ------------------------------------------------------------------
 
-    def _answered(self, frame: Frame) -> tuple[OpenRequest | None, Outcome]:
+    def _answered(self, frame: Frame) -> tuple[OpenRequest | None, Ending]:
         """Return the request that a response answers, and how; preferably not as invalid."""
-        found: tuple[OpenRequest | None, Outcome] = None, Outcome("unasked")
+        found: tuple[OpenRequest | None, Ending] = None, Ending("unasked")
         for each in self._open:
             outcome = each.outcome(frame)
             if outcome is not None and outcome.kind != "invalid":
@@ -220,7 +220,7 @@ class Pairing:
         which = "" if self._is_line else f", transaction {frame.transaction}"
         text = f"sent as unit {frame.unit}, function {frame.pdu[0] & 0x7F}{which}"
         error = InvalidResponse(text, received=frame.pdu)
-        self._spoil(asked, Spoiled(ended, Outcome("invalid", None, error), alone))
+        self._spoil(asked, Spoiled(ended, Ending("invalid", None, error), alone))
 
     def _spoil(self, asked: OpenRequest, spoiled: Spoiled) -> None:
         if asked.spoiled is not None:
@@ -251,11 +251,11 @@ class Pairing:
             del self._late[next(iter(self._late))]
         self._late[_key(asked.frame)] = asked
         if asked.spoiled is None:
-            self._end(asked, Outcome("unanswered"))
+            self._end(asked, Ending("unanswered"))
         else:
             self._end(asked, asked.spoiled.outcome, asked.spoiled.ended)
 
-    def _end(self, asked: OpenRequest, outcome: Outcome, ended: float | None = None) -> None:
+    def _end(self, asked: OpenRequest, outcome: Ending, ended: float | None = None) -> None:
         self.done.append(
             Transaction(
                 asked.began,

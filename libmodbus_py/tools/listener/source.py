@@ -11,10 +11,10 @@ from ...ports.endpoint import Endpoint
 from ...ports.read_only import ReadOnlySerialPort
 from .separator import Direction
 
-__all__ = ["Piece", "SerialSource", "Source"]
+__all__ = ["SerialSource", "Source", "TimedBytes"]
 
 
-class Piece(NamedTuple):
+class TimedBytes(NamedTuple):
     """
     Bytes that came together.
 
@@ -48,7 +48,7 @@ class Source(Protocol):
         """
         ...
 
-    def receive(self) -> list[Piece]:
+    def receive(self) -> list[TimedBytes]:
         """
         Give what has come, oldest first.
 
@@ -81,8 +81,8 @@ class SerialSource:
     def open(self) -> None:
         self._port.open()
 
-    def receive(self) -> list[Piece]:
-        return [Piece(0, None, self._clock(), data) for data in self._port.receive()]
+    def receive(self) -> list[TimedBytes]:
+        return [TimedBytes(0, None, self._clock(), data) for data in self._port.receive()]
 
     def close(self) -> None:
         self._port.close()

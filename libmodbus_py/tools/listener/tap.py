@@ -18,10 +18,10 @@ from collections import deque
 from collections.abc import Callable
 
 from ...ports.endpoint import Endpoint
-from ...ports.waiting import Waker, no_thread
+from ...ports.waiting import Waker, start_thread
 from ...protocol.errors import ModbusConnectionError
 from .separator import Direction
-from .source import Piece
+from .source import TimedBytes
 
 __all__ = ["MAX_LINKS", "Tap"]
 
@@ -60,7 +60,7 @@ class Tap:
         self._target = target
         self._clock = clock
         self._lock = threading.RLock()
-        self._pieces: deque[Piece] = deque()
+        self._pieces: deque[TimedBytes] = deque()
         self._unseen = 0
         self._links: dict[int, tuple[socket.socket, ...]] = {}
         self._count = 0
@@ -71,7 +71,7 @@ class Tap:
         try:
             self._waker = Waker()
             self.descriptor: int = self._waker.descriptor
-            _start(threading.Thread(target=self._accept, name="tap", daemon=True))
+            start_thread(threading.Thread(target=self._accept, name="tap", daemon=True))
         except OSError as error:
             self._listener.close()
             raise ModbusConnectionError(
@@ -81,7 +81,7 @@ class Tap:
     def open(self) -> None:
         """It is open, and stays so."""
 
-    def receive(self) -> list[Piece]:
+    def receive(self) -> list[TimedBytes]:
         """Give what has passed, oldest first; a piece without bytes ends a connection."""
         with self._lock:
             self._waker.clear()
@@ -166,16 +166,16 @@ class Tap:
                     _shut_down(sink, socket.SHUT_WR)
                     continue
                 sink.sendall(data)
-                self._show(Piece(number, sender, at, data))
+                self._show(TimedBytes(number, sender, at, data))
 
     def _end(self, number: int, *ends: socket.socket) -> None:
         with self._lock:
             self._links.pop(number, None)
             for end in ends:
                 end.close()
-        self._show(Piece(number, "client", self._clock(), b""))
+        self._show(TimedBytes(number, "client", self._clock(), b""))
 
-    def _show(self, piece: Piece) -> None:
+    def _show(self, piece: TimedBytes) -> None:
         with self._lock:
             cost = len(piece.data) + PIECE_COST
             if self._is_closed or self._unseen + cost > MAX_UNSEEN:
@@ -183,13 +183,6 @@ class Tap:
             self._unseen += cost
             self._pieces.append(piece)
             self._waker.wake()
-
-
-def _start(thread: threading.Thread) -> None:
-    try:
-        thread.start()
-    except RuntimeError as error:  # there are too many
-        raise no_thread(error) from error
 
 
 def _listening(endpoint: Endpoint) -> socket.socket:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
-from ...protocol.errors import ExceptionResponse, ModbusError
+from ...protocol.errors import ModbusError
 from ...protocol.framing import Frame
 from ...protocol.pdu import Request
 
@@ -100,13 +100,19 @@ class Transaction:
         again = f" (repeat {self.repeats})" if self.repeats else ""
         return f"{where}{asked}-> {self.outcome()}{again}"
 
-    def outcome(self) -> str:
-        """Say in words how it ended."""
-        if isinstance(self.error, ExceptionResponse):
-            return str(self.error.args[0])
+    def outcome(self, show: Callable[[Any], str] = repr) -> str:
+        """
+        Return in words how it ended.
+
+        Args:
+            show: makes the text of a response.
+        """
+        if self.kind == "unanswered":
+            return "no answer"
         if self.error is not None:
-            return f"{self.kind}: {self.error.args[0]}"
-        if self.kind in ("answered", "late", "unasked"):
-            text = "done" if self.response is None else repr(self.response)
-            return text if self.kind == "answered" else f"{self.kind}: {text}"
-        return {"unanswered": "no answer"}.get(self.kind, self.kind)
+            text = str(self.error.args[0])
+        elif self.kind in ("answered", "late", "unasked"):
+            text = "done" if self.response is None else show(self.response)
+        else:
+            return self.kind
+        return text if self.kind in ("answered", "exception") else f"{self.kind}: {text}"

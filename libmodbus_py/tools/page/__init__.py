@@ -3,7 +3,7 @@ A live page of a server: what its devices hold, who wrote it, what passed, and w
 
 ::
 
-    page           page_of: a page while a block runs
+    page           live_page: a page while a block runs
     web            HTTP: who may ask, what, and how much of it
       guard        ... the token, the Host and the Origin
       page.html, page.css, scripts/

@@ -11,7 +11,7 @@ from ...protocol.checks import integer
 from ...protocol.tables import TABLE_SIZE, TABLES
 from ...server.faults.fault import Fault
 from .setting import readings_at, set_cells, set_point
-from .shown import Unit
+from .shown import ShownUnit
 from .streams import Streams
 
 __all__ = ["Actions"]
@@ -59,7 +59,7 @@ class Actions:
             cells = set_cells(unit, table, address, text, given["type"], given["order"])
             self._note(unit, table, cells)
 
-    def _note(self, unit: Unit, table: str, cells: range) -> None:
+    def _note(self, unit: ShownUnit, table: str, cells: range) -> None:
         self._streams.log.wrote(unit.number, table, cells.start, cells.stop, "this page")
 
     def _read(self, given: Given) -> object:

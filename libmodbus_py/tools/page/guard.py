@@ -14,22 +14,24 @@ from email.message import Message
 from ipaddress import ip_address
 from urllib.parse import parse_qs
 
-__all__ = ["Guard"]
+__all__ = ["PageGuard"]
 
 
-class Guard:
+class PageGuard:
     """
     Args:
-        host: where it listens, as it was given.
-        address: the same as the system has it, with the port.
+        host: where the page listens, as it was given: a name or an address.
+        address: the same as an address.
+        port: where it listens.
     """
 
-    def __init__(self, host: str, address: tuple[str, int]) -> None:
+    def __init__(self, host: str, address: str, port: int) -> None:
         self.token: str = secrets.token_urlsafe(24)
-        self._port = address[1]
-        self._is_any = ip_address(address[0].partition("%")[0]).is_unspecified
-        is_here = self._is_any or ip_address(address[0].partition("%")[0]).is_loopback
-        self._names = {host.lower(), address[0].lower()} | ({"localhost"} if is_here else set())
+        self._port = port
+        found = ip_address(address.partition("%")[0])
+        self._is_any = found.is_unspecified
+        is_here = self._is_any or found.is_loopback
+        self._names = {host.lower(), address.lower()} | ({"localhost"} if is_here else set())
         self._cookie = f"libmodbus_page_{self._port}"
 
     @property

@@ -19,8 +19,7 @@ from ...ports.trace import Traced
 from ...protocol import pdu
 from ...protocol.pdu import Request
 from ..listener.traces import Exchange, TracePairing
-from ..listener.transaction import Transaction
-from .shown import Shown
+from .shown import ShownServer
 
 __all__ = ["Log", "LogRow", "Written"]
 
@@ -77,7 +76,7 @@ class Log:
         shown: returns the units that the server has now.
     """
 
-    def __init__(self, shown: Callable[[], Shown]) -> None:
+    def __init__(self, shown: Callable[[], ShownServer]) -> None:
         self._shown = shown
         self._adus: deque[Traced] = deque(maxlen=MOST_ADUS)
         self._pairing = TracePairing()
@@ -152,16 +151,10 @@ def _row(number: int, exchange: Exchange) -> LogRow:
         each.unit,
         each.function,
         "" if each.request is None else _words(each.request),
-        _outcome(each),
+        _cut(each.outcome(_listed)),
         each.kind,
         each.duration,
     )
-
-
-def _outcome(transaction: Transaction) -> str:
-    if transaction.response is None:
-        return _cut(transaction.outcome())
-    return _listed(transaction.response)
 
 
 def _words(request: Request[Any]) -> str:

@@ -8,12 +8,11 @@ import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from ...ports.waiting import no_thread
 from ...server.server import Server
 from .streams import Streams
 from .web import WebServer
 
-__all__ = ["Page", "page_of"]
+__all__ = ["Page", "live_page"]
 
 
 @dataclass(frozen=True)
@@ -29,7 +28,7 @@ class Page:
 
 
 @contextlib.contextmanager
-def page_of(server: Server, host: str = "127.0.0.1", port: int = 0) -> Iterator[Page]:
+def live_page(server: Server, host: str = "127.0.0.1", port: int = 0) -> Iterator[Page]:
     """
     Show a server on a live page, over HTTP, while the ``with`` block runs.
 
@@ -51,10 +50,6 @@ def page_of(server: Server, host: str = "127.0.0.1", port: int = 0) -> Iterator[
     with contextlib.ExitStack() as stack:
         stack.callback(web.server_close)
         stack.enter_context(server.tracing(streams.log.note))
-        for part in (streams, web):
-            try:
-                part.start()
-            except RuntimeError as error:  # there are too many threads
-                raise no_thread(error) from error
-            stack.callback(part.end)
+        stack.enter_context(streams.sending())
+        stack.enter_context(web.serving("page web"))
         yield Page(web.url)

@@ -15,14 +15,14 @@ from ...protocol.spelling import shown
 from ...protocol.tables import TABLES
 from ...protocol.values import readings, value_type
 from .refreshing import Refreshing
-from .shown import Unit
+from .shown import ShownUnit
 
 __all__ = ["readings_at", "set_cells", "set_point"]
 
 MOST_TEXT = 2000
 
 
-def set_point(unit: Unit, point: Point, text: str) -> None:
+def set_point(unit: ShownUnit, point: Point, text: str) -> None:
     """
     Set a point to the value that a text says; several values are separated by commas.
 
@@ -35,7 +35,7 @@ def set_point(unit: Unit, point: Point, text: str) -> None:
     _set_value(unit, point, values if point.count > 1 else values[0])
 
 
-def set_cells(unit: Unit, table: str, address: int, text: str, type: str, order: str) -> range:
+def set_cells(unit: ShownUnit, table: str, address: int, text: str, type: str, order: str) -> range:
     """
     Set one value of a type from an address on; in tables of bits the type is ignored.
 
@@ -63,7 +63,7 @@ def set_cells(unit: Unit, table: str, address: int, text: str, type: str, order:
     return point.cells
 
 
-def readings_at(unit: Unit, table: str, address: int) -> list[list[str]]:
+def readings_at(unit: ShownUnit, table: str, address: int) -> list[list[str]]:
     """Say what the cells from an address on may mean: type, order and value."""
     if TABLES[table].is_bits:
         return []
@@ -82,7 +82,7 @@ def _check_length(text: str) -> None:
         raise ValueError(f"value must have at most {MOST_TEXT} characters")
 
 
-def _set_value(unit: Unit, point: Point, value: Any) -> None:
+def _set_value(unit: ShownUnit, point: Point, value: Any) -> None:
     try:
         cells = point.encode(value)
     except (TypeError, ValueError) as error:
@@ -90,7 +90,7 @@ def _set_value(unit: Unit, point: Point, value: Any) -> None:
     _set(unit, point.table, point.address, cells)
 
 
-def _set(unit: Unit, table: str, address: int, cells: list[Any]) -> None:
+def _set(unit: ShownUnit, table: str, address: int, cells: list[Any]) -> None:
     stop = address + len(cells)
     with unit.device.mapping as mapping:
         place = getattr(mapping, table)

@@ -14,11 +14,11 @@ from ...protocol.tables import TABLES
 from ...server.server import Server
 from ...server.units import SERVER_ITSELF
 
-__all__ = ["Shown", "Unit", "shown_of"]
+__all__ = ["ShownServer", "ShownUnit", "shown_of"]
 
 
 @dataclass(frozen=True)
-class Unit:
+class ShownUnit:
     """
     One device.
 
@@ -66,7 +66,7 @@ def _point_as_json(point: Point) -> list[Any]:
 
 
 @dataclass(frozen=True)
-class Shown:
+class ShownServer:
     """
     All devices of a server.
 
@@ -75,7 +75,7 @@ class Shown:
     """
 
     given: Device | Mapping[int, Device]
-    units: dict[int | None, Unit]
+    units: dict[int | None, ShownUnit]
 
     def as_json(self) -> list[dict[str, Any]]:
         return [unit.as_json() for unit in self.units.values()]
@@ -92,15 +92,15 @@ class Shown:
         return [number] if number in self.units else []
 
 
-def shown_of(server: Server) -> Shown:
+def shown_of(server: Server) -> ShownServer:
     """See what a server has now."""
     given = server.devices
     devices = {None: given} if isinstance(given, Device) else dict(sorted(given.items()))
-    return Shown(given, {number: _unit(number, device) for number, device in devices.items()})
+    return ShownServer(given, {number: _unit(number, device) for number, device in devices.items()})
 
 
-def _unit(number: int | None, device: Device) -> Unit:
+def _unit(number: int | None, device: Device) -> ShownUnit:
     """Only some devices have names, such as those of device files."""
     points = getattr(device, "points", {})
     name, description = (str(getattr(device, key, "")) for key in ("name", "description"))
-    return Unit(number, device, name, description, tuple(points.values()))
+    return ShownUnit(number, device, name, description, tuple(points.values()))

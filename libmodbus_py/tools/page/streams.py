@@ -15,16 +15,17 @@ from collections.abc import Iterator
 from dataclasses import asdict
 from typing import Any
 
+from ...ports.waiting import start_thread
 from ...protocol.tables import TABLES
 from ...protocol.values import ORDERS, TYPES
 from ...server.faults.fault import KINDS, OPTIONAL
 from ...server.server import Server
 from .fault_list import FaultList
 from .log import Log
-from .shown import Shown, Unit, shown_of
-from .views import CellsView, PointsView, View
+from .shown import ShownServer, ShownUnit, shown_of
+from .views import CellsView, PageView, PointsView
 
-__all__ = ["MOST_STREAMS", "FullError", "Stream", "Streams"]
+__all__ = ["MOST_STREAMS", "FullError", "PageStream", "Streams"]
 
 logger: logging.Logger = logging.getLogger(__name__)
 
@@ -57,7 +58,7 @@ class FullError(Exception):
     """There are as many open pages as may be."""
 
 
-class Stream:
+class PageStream:
     """
     One open page. It has one message at a time: what it is too slow to take is not kept.
 
@@ -73,7 +74,7 @@ class Stream:
         self.key: Key | None = None
         # What it has been sent: everything, of which devices, and all that it looks at.
         self.is_behind = True
-        self.shown: Shown | None = None
+        self.shown: ShownServer | None = None
         self.told: Key | None = None
         self._lock = threading.Lock()
         self._message = ""
@@ -114,8 +115,8 @@ class Streams:
         self._shown = shown_of(server)
         self.log: Log = Log(lambda: self._shown)
         self.faults: FaultList = FaultList(server.fault_switch)
-        self._streams: dict[str, Stream] = {}
-        self._views: dict[Key, View] = {}
+        self._streams: dict[str, PageStream] = {}
+        self._views: dict[Key, PageView] = {}
         self._counters: dict[str, int] = {}
         self._told = (0, 0, -1)  # the last transaction, write and version of the faults
         self._changed = threading.Condition()
@@ -125,13 +126,13 @@ class Streams:
         self._thread = threading.Thread(target=self._run, name="page", daemon=True)
 
     @property
-    def shown(self) -> Shown:
+    def shown(self) -> ShownServer:
         """What the server has now."""
         if self._server.devices is not self._shown.given:
             self._shown = shown_of(self._server)
         return self._shown
 
-    def unit(self, number: object) -> Unit:
+    def unit(self, number: object) -> ShownUnit:
         """
         Raises:
             ValueError: there is none of that number.
@@ -143,17 +144,25 @@ class Streams:
 
     # --- pages that come and go ------------------------------------------------------------------
 
-    def start(self) -> None:
-        self._thread.start()
+    @contextlib.contextmanager
+    def sending(self) -> Iterator[None]:
+        """
+        Send open pages what has changed, from a thread, while the ``with`` block runs.
 
-    def end(self) -> None:
-        with self._changed:
-            self._is_wanted = False
-            self._changed.notify_all()
-        self._thread.join(5)
+        Raises:
+            OSError: there are too many threads.
+        """
+        start_thread(self._thread)
+        try:
+            yield
+        finally:
+            with self._changed:
+                self._is_wanted = False
+                self._changed.notify_all()
+            self._thread.join(5)
 
     @contextlib.contextmanager
-    def opened(self) -> Iterator[Stream]:
+    def opened(self) -> Iterator[PageStream]:
         """
         One more, while the block runs.
 
@@ -163,7 +172,7 @@ class Streams:
         with self._changed:
             if len(self._streams) >= MOST_STREAMS:
                 raise FullError(f"{MOST_STREAMS} pages are open, as many as may be")
-            stream = Stream()
+            stream = PageStream()
             self._streams[stream.name] = stream
             self._is_asked = True
             self._changed.notify_all()
@@ -230,7 +239,7 @@ class Streams:
         for stream, key in zip(streams, keys, strict=True):
             self._tell(stream, key, common, changes)
 
-    def _tell(self, stream: Stream, key: Key | None, common: str, changes: Texts) -> None:
+    def _tell(self, stream: PageStream, key: Key | None, common: str, changes: Texts) -> None:
         if stream.is_behind or stream.shown is not self._shown:
             message = _message(_encoded(self._everything(stream)), self._all(key))
         elif stream.told != key:
@@ -246,7 +255,7 @@ class Streams:
         found = ((key, view.look()) for key, view in self._views.items())
         return {key: _encoded(_named(key, changes)) for key, changes in found if changes}
 
-    def _made(self, key: Key) -> View | None:
+    def _made(self, key: Key) -> PageView | None:
         if key in self._views:
             return self._views[key]
         number, what, first, stop = key
@@ -281,7 +290,7 @@ class Streams:
         self._told = passed, written, version
         return {name: value for name, value in found.items() if value or name == "faults"}
 
-    def _everything(self, stream: Stream) -> dict[str, Any]:
+    def _everything(self, stream: PageStream) -> dict[str, Any]:
         found: dict[str, Any] = {
             "all": True,
             "stream": stream.name,

@@ -15,9 +15,9 @@ from ...device.mapping import Table
 from ...maps.point import Point
 from ...protocol.spelling import shown
 from .refreshing import Refreshing
-from .shown import Unit
+from .shown import ShownUnit
 
-__all__ = ["MOST_CELLS", "MOST_POINTS", "CellsView", "PointsView", "View"]
+__all__ = ["MOST_CELLS", "MOST_POINTS", "CellsView", "PageView", "PointsView"]
 
 MOST_POINTS = 500
 MOST_CELLS = 16_384
@@ -31,10 +31,10 @@ MOST_TEXT = 200
 Changes = dict[str, Any]
 
 
-class View(Protocol):
+class PageView(Protocol):
     """What one or more pages look at."""
 
-    unit: Unit
+    unit: ShownUnit
 
     def look(self) -> Changes:
         """Give what has changed since the last call; everything the first time."""
@@ -53,7 +53,7 @@ class PointsView:
         first, stop: which of them.
     """
 
-    def __init__(self, unit: Unit, first: int, stop: int) -> None:
+    def __init__(self, unit: ShownUnit, first: int, stop: int) -> None:
         self.unit = unit
         self._points = dict(enumerate(unit.points[first : min(stop, first + MOST_POINTS)], first))
         self._cells: dict[int, list[Any]] = {}
@@ -113,7 +113,7 @@ class CellsView:
         first, stop: their addresses.
     """
 
-    def __init__(self, unit: Unit, table: str, first: int, stop: int) -> None:
+    def __init__(self, unit: ShownUnit, table: str, first: int, stop: int) -> None:
         self.unit = unit
         self._table: Table[Any] = getattr(unit.device.mapping, table)
         addresses = self._table.addresses

@@ -4,36 +4,28 @@ The page over HTTP: a few paths, each request checked first and bounded in size 
 
 from __future__ import annotations
 
-import contextlib
 import http.client
 import json
 import select
-import socket
-import socketserver
-import threading
-import time
 from collections.abc import Callable
 from http.server import BaseHTTPRequestHandler
 from importlib import resources
 from typing import Any
 from urllib.parse import urlsplit
 
+from ..timed_server import TimedServer
 from .actions import Actions
-from .guard import Guard
-from .streams import FullError, Stream, Streams
+from .guard import PageGuard
+from .streams import FullError, PageStream, Streams
 
 __all__ = ["WebServer"]
 
-# Whoever is slower than that, in all, has gone.
-PATIENCE = 10.0
+# Seconds that a request and its answer may take.
+LIMIT = 10.0
 
-# How often those are looked for, which is how long the end waits, too.
-SWEEP = 0.2
-
-# How long nothing is sent before a sign of life is.
+# Seconds after which an idle stream sends a comment, which shows whether the browser is there.
 HEARTBEAT = 5.0
 
-MOST_CONNECTIONS = 64
 MOST_HEAD = 16_384
 MOST_BODY = 65_536
 
@@ -64,89 +56,23 @@ HEADERS = {
 }
 
 
-class WebServer(socketserver.ThreadingMixIn, socketserver.TCPServer):
+class WebServer(TimedServer):
     """
-    A thread for each connection, of which there are not many.
+    The page on one address.
+
+    Attributes:
+        url: with the token that a browser must send.
 
     Raises:
-        OSError: the address cannot be had.
+        OSError: the address cannot be used.
     """
 
-    allow_reuse_address = True
-    request_queue_size = 64
-
     def __init__(self, host: str, port: int, streams: Streams) -> None:
-        (family, *_, address), *_ = socket.getaddrinfo(
-            host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
-        )
-        self.address_family: int = family
+        super().__init__(host, port, Handler, LIMIT)
         self.streams = streams
         self.actions: Actions = Actions(streams)
-        # Socket -> when its request must have come and been answered; None for streams.
-        self._open: dict[socket.socket, float | None] = {}
-        self._lock = threading.Lock()
-        super().__init__((str(address[0]), port), Handler)
-        self.guard: Guard = Guard(host, (str(self.server_address[0]), int(self.server_address[1])))
-        shown = f"[{host}]" if ":" in host else host
-        self.url: str = f"http://{shown}:{self.server_address[1]}/?token={self.guard.token}"
-        self._thread = threading.Thread(
-            target=self.serve_forever, args=(SWEEP,), name="page web", daemon=True
-        )
-
-    def start(self) -> None:
-        self._thread.start()
-
-    def end(self) -> None:
-        """Close everything, whatever anybody waits for."""
-        self.shutdown()
-        self._thread.join()
-        with self._lock:
-            left = list(self._open)
-        for each in left:
-            _cut(each)
-        self.server_close()
-
-    # --- connections -------------------------------------------------------------------------
-
-    def process_request(self, request: Any, client_address: Any) -> None:
-        with self._lock:
-            if len(self._open) >= MOST_CONNECTIONS:
-                self._make_room()
-            self._open[request] = time.monotonic() + PATIENCE
-        super().process_request(request, client_address)
-
-    def shutdown_request(self, request: Any) -> None:
-        with self._lock:
-            self._open.pop(request, None)
-        super().shutdown_request(request)
-
-    def service_actions(self) -> None:
-        """Whoever trickles has as long as who says nothing."""
-        now = time.monotonic()
-        with self._lock:
-            late = [each for each, until in self._open.items() if until and until < now]
-        for each in late:
-            _cut(each)
-
-    def keep(self, request: socket.socket) -> None:
-        """It is a stream now."""
-        with self._lock:
-            self._open[request] = None
-
-    def handle_error(self, request: object, client_address: object) -> None:
-        """Whoever asked has gone, or never meant it."""
-
-    def _make_room(self) -> None:
-        """The oldest that has not got anywhere goes; its thread ends, and forgets it."""
-        oldest = next((each for each, until in self._open.items() if until), None)
-        if oldest is not None:
-            self._open.pop(oldest)
-            _cut(oldest)
-
-
-def _cut(request: socket.socket) -> None:
-    with contextlib.suppress(OSError):  # it is over already
-        request.shutdown(socket.SHUT_RDWR)
+        self.guard: PageGuard = PageGuard(host, str(self.server_address[0]), self.server_address[1])
+        self.url: str = f"{self.place}/?token={self.guard.token}"
 
 
 class Head:
@@ -186,7 +112,7 @@ class Handler(BaseHTTPRequestHandler):
     server: WebServer
     server_version = "libmodbus-py"
     sys_version = ""
-    timeout = PATIENCE
+    timeout = LIMIT
 
     def setup(self) -> None:
         super().setup()
@@ -284,7 +210,7 @@ class Handler(BaseHTTPRequestHandler):
         except FullError as error:
             raise Refused(503, str(error)) from None
 
-    def _feed(self, stream: Stream) -> None:
+    def _feed(self, stream: PageStream) -> None:
         """Until it goes away, or does not take what it is sent."""
         poll = select.poll()
         poll.register(self.connection, select.POLLIN | select.POLLHUP)

@@ -31,8 +31,8 @@ from .places import Place
 
 # fmt: off
 __all__ = [
-    "LONGEST_SIZE", "MOST_PAGES", "NOBODY", "PROBE", "PROBE_SIZE", "Answer", "Asker", "Late",
-    "Nothing", "Reading",
+    "LONGEST_SIZE", "MOST_PAGES", "NOBODY", "PROBE", "PROBE_SIZE", "Answer", "Late",
+    "Nothing", "Prober", "Reading",
 ]
 # fmt: on
 
@@ -108,7 +108,7 @@ class Late(NamedTuple):
     answer: Answer
 
 
-class Asker:
+class Prober:
     """
     Asks the units of a place, one at a time.
 

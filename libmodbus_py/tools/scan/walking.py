@@ -10,7 +10,7 @@ from collections.abc import Generator, Iterator
 from typing import Generic, Self, TypeVar
 
 from .places import Place
-from .probe import Asker
+from .probe import Prober
 
 __all__ = ["Walk", "Walker"]
 
@@ -22,42 +22,42 @@ class Walk(ABC, Generic[Item]):
 
     def __init__(self) -> None:
         self.is_closed: bool = False
-        self._asker: Asker | None = None
+        self._prober: Prober | None = None
         self._asked_before = 0
 
     @property
     def requests(self) -> int:
         """How many were sent."""
-        return self._asked_before + (self._asker.requests if self._asker else 0)
+        return self._asked_before + (self._prober.requests if self._prober else 0)
 
     @abstractmethod
     def steps(self) -> Generator[Item, None, None]:
         """Ask, and give what was found."""
 
     @contextlib.contextmanager
-    def _asking(self, place: Place) -> Iterator[Asker]:
+    def _asking(self, place: Place) -> Iterator[Prober]:
         """
         Connect; the port is closed, and its settings restored, however this ends.
 
         Raises:
             ModbusConnectionError: there is no connection.
         """
-        asker = self._asker = Asker(place)
+        prober = self._prober = Prober(place)
         try:
             if self.is_closed:  # before anybody could close this one
-                asker.context.close()
-            asker.context.connect()
-            yield asker
+                prober.context.close()
+            prober.context.connect()
+            yield prober
         finally:
-            asker.context.close()
-            self._asked_before += asker.requests
-            self._asker = None
+            prober.context.close()
+            self._asked_before += prober.requests
+            self._prober = None
 
     def close(self) -> None:
         """Have whoever asks fail at once."""
         self.is_closed = True
-        if (asker := self._asker) is not None:
-            asker.context.close()
+        if (prober := self._prober) is not None:
+            prober.context.close()
 
 
 class Walker(Generic[Item]):

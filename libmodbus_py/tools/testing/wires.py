@@ -17,10 +17,10 @@ from typing import Literal, NamedTuple, Self
 
 from .line_ends import open_line, read_what_is_there, write_all
 
-__all__ = ["Passed", "SerialWire", "TcpWire"]
+__all__ = ["SerialWire", "TcpWire", "WireBytes"]
 
 
-class Passed(NamedTuple):
+class WireBytes(NamedTuple):
     """Some bytes that passed, as they were read from the wire."""
 
     sender: Literal["client", "server"]
@@ -31,7 +31,7 @@ class _Wire:
     """Carries bytes both ways in a thread, until closed."""
 
     def __init__(self) -> None:
-        self.passed: list[Passed] = []
+        self.passed: list[WireBytes] = []
         self._selector = selectors.DefaultSelector()
         self._wake, self._sleep = socket.socketpair()
         self._selector.register(self._sleep, selectors.EVENT_READ, None)
@@ -108,7 +108,7 @@ class SerialWire(_Wire):
     def _join(self, source: _RawPort, sink: _RawPort, sender: Literal["client", "server"]) -> None:
         def carry() -> None:
             if data := read_what_is_there(source.master):
-                self.passed.append(Passed(sender, data))
+                self.passed.append(WireBytes(sender, data))
                 write_all(sink.master, data)
 
         self._selector.register(source.master, selectors.EVENT_READ, carry)
@@ -174,7 +174,7 @@ class TcpWire(_Wire):
             except OSError:
                 data = b""
             if data:
-                self.passed.append(Passed(sender, data))
+                self.passed.append(WireBytes(sender, data))
                 sink.sendall(data)
                 return
             self._selector.unregister(source)

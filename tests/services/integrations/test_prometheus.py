@@ -455,7 +455,7 @@ def test_metrics_are_exposed_while_the_block_runs(registry: CollectorRegistry, h
 @pytest.fixture
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     """Who asks for metrics has less time for it."""
-    monkeypatch.setattr(exposition, "PATIENCE", 0.5)
+    monkeypatch.setattr(exposition, "LIMIT", 0.5)
 
 
 @pytest.mark.usefixtures("impatient")

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import pytest
 
-from libmodbus_py.listen import CaptureError, Transaction, listening
+from libmodbus_py.listen import CaptureError, Transaction, listen
 from libmodbus_py.tools.listener.capture import CaptureReader, CaptureWriter
 from libmodbus_py.tools.listener.transaction import Heard
 from tests.support.cases import each_case
@@ -52,7 +52,7 @@ def write(path: Path, *links: int) -> Path:
 
 
 def read(path: Path) -> list[Transaction]:
-    with listening(str(path)) as line:
+    with listen(str(path)) as line:
         return list(line)
 
 
@@ -185,7 +185,7 @@ class TestReader:
                     await asyncio.sleep(0)
 
             other = asyncio.create_task(take_turns())
-            async with listening(str(DECODED)) as line:
+            async with listen(str(DECODED)) as line:
                 async for _ in line:
                     count += 1
             other.cancel()
@@ -197,15 +197,15 @@ class TestReader:
     def test_a_file_is_not_written_over_itself(self, tmp_path: Path) -> None:
         file = write(tmp_path / "x.pcapng")
         with pytest.raises(ValueError, match="over itself"):
-            listening(str(file), capture=file)
+            listen(str(file), capture=file)
         assert file.read_bytes() == DECODED.read_bytes()
 
     def test_a_capture_of_a_capture_is_the_same(self, tmp_path: Path) -> None:
         copy = tmp_path / "copy.pcapng"
-        with listening(str(DECODED), capture=copy) as line:
+        with listen(str(DECODED), capture=copy) as line:
             first = list(line)
         assert [str(each) for each in read(copy)] == [str(each) for each in first]
 
     def test_a_file_that_is_not_there(self) -> None:
         with pytest.raises(FileNotFoundError):
-            listening("nowhere.pcapng")
+            listen("nowhere.pcapng")

@@ -11,12 +11,12 @@ import math
 import tracemalloc
 from typing import NamedTuple
 
-from libmodbus_py import Separator
+from libmodbus_py.listen import Separator
 from libmodbus_py.ports.trace import Traced
 from libmodbus_py.tools.listener.pairing import MOST, PATIENCE
 from libmodbus_py.tools.listener.traces import MOST_CONNECTIONS, TracePairing
 from libmodbus_py.tools.page.log import Log
-from libmodbus_py.tools.page.shown import Shown
+from libmodbus_py.tools.page.shown import ShownServer
 from libmodbus_py.tools.testing.exchanges import Exchanges
 from tests.support.cases import each_case
 from tests.support.talk import rtu
@@ -187,7 +187,7 @@ def traced(event: Event, endpoint: str) -> Traced:
 
 
 def on_page(passed: list[Traced]) -> list[str]:
-    log = Log(lambda: Shown({}, {}))
+    log = Log(lambda: ShownServer({}, {}))
     for each in passed:
         log.note(each)
     rows = sorted(log.rows(), key=lambda row: row.time)

@@ -22,7 +22,7 @@ from libmodbus_py import (
     Server,
     ServerDeviceBusy,
 )
-from libmodbus_py.page import page_of
+from libmodbus_py.page import live_page
 from tests.support.cases import each_case
 from tests.tools.page.watching import NamedDevice, Visitor, made_server, shown, until
 
@@ -84,7 +84,7 @@ def test_what_moves_is_computed_when_it_is_looked_at() -> None:
         if access.address == 4:
             mapping.input_registers[4] += 1
 
-    with page_of(server := Server(Device(mapping, before_read=compute))) as page:
+    with live_page(server := Server(Device(mapping, before_read=compute))) as page:
         visitor = Visitor(page.url)
         with visitor.watching():
             assert not seen
@@ -105,7 +105,7 @@ def test_a_hook_that_fails_is_logged_once_and_the_page_goes_on(
         raise error
 
     mapping = Mapping(coils=8)
-    with page_of(Server(Device(mapping, before_read=broken))) as page:
+    with live_page(Server(Device(mapping, before_read=broken))) as page:
         visitor = Visitor(page.url)
         with visitor.watching():
             visitor.look(None, "coils", 0, 8)
@@ -131,7 +131,7 @@ def test_what_was_busy_is_computed_again(monkeypatch: pytest.MonkeyPatch) -> Non
             raise ServerDeviceBusy
         mapping.input_registers[4] = 42
 
-    with page_of(Server(Device(mapping, before_read=compute))) as page:
+    with live_page(Server(Device(mapping, before_read=compute))) as page:
         visitor = Visitor(page.url)
         with visitor.watching():
             visitor.look(None, "input_registers", 0, 8)
@@ -167,7 +167,7 @@ def test_who_wrote_what_last() -> None:
 
 def test_the_server_itself_is_its_only_device() -> None:
     server = Server({7: Device(Mapping(holding_registers=8))})
-    with page_of(server) as page, server.background("tcp://127.0.0.1:0") as running:
+    with live_page(server) as page, server.background("tcp://127.0.0.1:0") as running:
         visitor = Visitor(page.url)
         with visitor.watching(), Context.from_url(running.urls[0], unit=255) as plc:
             plc.write_register(1, 1)
@@ -241,7 +241,7 @@ def test_a_scaled_value_is_as_exact_as_it_is_typed() -> None:
     energy = Point("energy", "holding_registers", 0, type="uint64", offset=1)
     device = NamedDevice(Mapping(holding_registers=4))
     device.points = {"energy": energy}  # type: ignore[misc]
-    with page_of(Server(device)) as page:
+    with live_page(Server(device)) as page:
         visitor = Visitor(page.url)
         given = {"unit": None, "point": 0, "name": "energy", "text": "9007199254740993"}
         assert visitor.post("/value", **given) == {}
@@ -299,7 +299,7 @@ def test_a_value_that_the_device_computes_is_told() -> None:
     def compute(access: Access) -> None:
         mapping.input_registers[1] = 42
 
-    with page_of(Server({1: Device(mapping, before_read=compute)})) as page:
+    with live_page(Server({1: Device(mapping, before_read=compute)})) as page:
         visitor = Visitor(page.url)
         body = cell(table="input_registers", address=1, text="7")
         assert visitor.post("/value", **body) == "the device computes it itself: it moves"
@@ -390,16 +390,16 @@ def test_nothing_is_left_behind() -> None:
     before = threading.active_count()
     with shown() as (_, _, visitor), visitor.watching():
         pass
-    with page_of(made_server()):
+    with live_page(made_server()):
         pass
     until(lambda: threading.active_count() == before)
 
 
 def test_an_address_that_is_taken() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
-        page = page_of(made_server(), port=taken.getsockname()[1])
+        page = live_page(made_server(), port=taken.getsockname()[1])
         with pytest.raises(OSError, match="in use"):
             page.__enter__()
     server = made_server()
-    with page_of(server) as one, page_of(server) as other:  # two of one server
+    with live_page(server) as one, live_page(server) as other:  # two of one server
         assert one.url != other.url

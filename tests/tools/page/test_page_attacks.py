@@ -250,7 +250,7 @@ def test_who_says_nothing_keeps_nobody_out() -> None:
 
 
 def test_who_trickles_has_gone_in_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("libmodbus_py.tools.page.web.PATIENCE", 0.5)
+    monkeypatch.setattr("libmodbus_py.tools.page.web.LIMIT", 0.5)
     with shown() as (_, _, visitor), socket.create_connection(visitor.address, 20) as loris:
         until(lambda: not _trickles(loris))
 

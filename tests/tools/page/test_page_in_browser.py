@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from libmodbus_py import Context, Device, Fault, Mapping, Server, ServerDeviceBusy
-from libmodbus_py.page import page_of
+from libmodbus_py.page import live_page
 from tests.tools.page.browsers import browser, console, missing, resize
 from tests.tools.page.watching import made_server, until
 
@@ -82,7 +82,7 @@ def test_a_person_uses_the_page() -> None:
 
     server = made_server(faults={1: [Fault("exception", code=6, function=4)]})
     with (
-        page_of(server) as page,
+        live_page(server) as page,
         server.background("tcp://127.0.0.1:0") as running,
         Context.from_url(running.urls[0], unit=1, timeout=5) as plc,
         browser() as driver,
@@ -188,7 +188,7 @@ def test_large_tables_and_a_server_that_goes() -> None:
     mapping.holding_registers[65535] = 4711
     with browser() as driver:
         person = Person(driver)
-        with page_of(Server(Device(mapping))) as page:
+        with live_page(Server(Device(mapping))) as page:
             driver.get(f"{page.url}#every/holding_registers")
             person.sees("#state", "live")
             person.sees('[data-cell="0"]', "0")

@@ -14,7 +14,7 @@ from urllib.parse import parse_qs, urlsplit
 
 from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.maps.point import Point
-from libmodbus_py.page import page_of
+from libmodbus_py.page import live_page
 
 __all__ = ["Visitor", "made_server", "shown", "until"]
 
@@ -152,5 +152,5 @@ class Visitor:
 def shown(**options: Any) -> Iterator[tuple[Server, str, Visitor]]:
     """A server that serves, its Modbus URL, and who visits its page."""
     server = made_server(**options)
-    with page_of(server) as page, server.background("tcp://127.0.0.1:0") as running:
+    with live_page(server) as page, server.background("tcp://127.0.0.1:0") as running:
         yield server, running.urls[0], Visitor(page.url)

@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 
 from libmodbus_py import Context, Device, Mapping, ModbusConnectionError, Server, pdu
-from libmodbus_py.scan import Found, Scan, scanning
+from libmodbus_py.scan import Found, Scan, scan
 from libmodbus_py.tools.testing.wires import SerialWire, TcpWire
 from tests.interop.test_interop_pymodbus import pymodbus_server
 from tests.support import certificates
@@ -43,9 +43,9 @@ def at(found: Found) -> tuple[int, int | None, str | None, int | None]:
     return found.unit, found.baudrate, found.parity, found.stop_bits
 
 
-def all_of(scan: Scan) -> list[Found]:
-    with scan:
-        return list(scan)
+def all_of(scanned: Scan) -> list[Found]:
+    with scanned:
+        return list(scanned)
 
 
 def only_read(pdus: list[bytes]) -> bool:
@@ -83,7 +83,7 @@ def three_units() -> dict[int, Member]:
 def test_units_are_found_on_a_real_line() -> None:
     with Bus(three_units()) as bus, descriptors():
         url = f"{bus.url}?parity=N"
-        found = all_of(scanning(url, baudrates=[9600], units=[5, 6], timeout=0.3))
+        found = all_of(scan(url, baudrates=[9600], units=[5, 6], timeout=0.3))
         assert [at(each) for each in found] == [(5, 9600, "N", 2)]
         assert bus.is_restored
         with Context.from_url(found[0].url) as client:  # the URL is one of a client
@@ -94,10 +94,10 @@ def test_units_are_found_on_a_real_line() -> None:
 def test_three_units_are_found_at_their_two_rates(scheme: str) -> None:
     with simulated() as network:
         bus = SimulatedBus(network, three_units(), scheme)
-        scan = scanning(bus.url, baudrates=[9600, 19200], parities="EN", units=[5, 6, 17, 42])
+        scanned = scan(bus.url, baudrates=[9600, 19200], parities="EN", units=[5, 6, 17, 42])
         assert bus.asked == []
-        assert scan.total == 16
-        found = all_of(scan)
+        assert scanned.total == 16
+        found = all_of(scanned)
         assert [at(each) for each in found] == [
             (5, 9600, "N", 2),
             (42, 9600, "N", 2),
@@ -113,7 +113,7 @@ def test_three_units_are_found_at_their_two_rates(scheme: str) -> None:
             assert (each.is_late, each.is_any) == (False, False)
             assert each.took < 0.1
         assert only_read([asked[2] for asked in bus.asked])
-        assert scan.requests == len(bus.asked)
+        assert scanned.requests == len(bus.asked)
         with Context.from_url(found[0].url) as client:  # the URL is one of a client
             assert client.read_holding_registers(0, 10) == [0] * 10
 
@@ -122,20 +122,20 @@ def test_a_device_with_one_stop_bit_is_found_without_parity() -> None:
     """Its receiver looks at the first one only: what is sent has two (serial line, 2.5.1)."""
     with simulated() as network:
         bus = SimulatedBus(network, {1: Member(of(meter()), 9600, 2)})
-        made = scanning(bus.url, baudrates=[9600], parities=["N"], units=[1], timeout=PATIENT)
+        made = scan(bus.url, baudrates=[9600], parities=["N"], units=[1], timeout=PATIENT)
         assert [each.stop_bits for each in made] == [2]
     with simulated() as network:
         bus = SimulatedBus(network, {1: Member(of(meter()), 9600, 1)})
         url = f"{bus.url}?stop_bits=1&baudrate=9600&parity=N&unit=1&timeout={PATIENT}"
-        assert [at(each) for each in scanning(url)] == [(1, 9600, "N", 1)]
+        assert [at(each) for each in scan(url)] == [(1, 9600, "N", 1)]
 
 
 def test_damaged_bytes_are_a_hint_and_no_unit() -> None:
     with simulated() as network:
         bus = SimulatedBus(network, {9: Member(of(meter()), 9600, 2, garbles=True)})
-        scan = scanning(bus.url, baudrates=[19200, 9600], parities=["N"], units=[8, 9], timeout=0.2)
-        assert [at(each) for each in all_of(scan)] == [(9, 9600, "N", 2)]
-    (note,) = scan.notes
+        scanned = scan(bus.url, baudrates=[19200, 9600], parities=["N"], units=[8, 9], timeout=0.2)
+        assert [at(each) for each in all_of(scanned)] == [(9, 9600, "N", 2)]
+    (note,) = scanned.notes
     assert note.startswith("19200 8N2: 1 of the probes brought bytes that are no answer")
     assert "unit 9" in note
 
@@ -144,12 +144,12 @@ def test_a_late_answer_is_its_own_units_and_not_the_next_ones() -> None:
     members = {7: Member(of(meter(holding_registers=1)), 9600, 2, after=0.3)}
     with simulated() as network:
         bus = SimulatedBus(network, members)
-        scan = scanning(bus.url, baudrates=[9600], parities=["N"], units=[7, 8, 9, 10], timeout=0.2)
-        (found,) = all_of(scan)
+        scanned = scan(bus.url, baudrates=[9600], parities=["N"], units=[7, 8, 9, 10], timeout=0.2)
+        (found,) = all_of(scanned)
         assert (found.unit, found.is_late, found.exception) == (7, True, None)
         # And the frames of eight and seven characters, of eleven bits each.
         assert found.took == pytest.approx(0.3 + 15 * 11 / 9600, abs=0.001)
-    assert any("came late" in note for note in scan.notes)
+    assert any("came late" in note for note in scanned.notes)
 
 
 def test_a_late_answer_is_its_own_units_on_tcp_too() -> None:
@@ -162,8 +162,8 @@ def test_a_late_answer_is_its_own_units_on_tcp_too() -> None:
 
     with simulated() as network:
         server = served(network, "tcp://10.0.0.1", slow)
-        scan = scanning(server.url, units=[1, 2, 3, 4, 5], timeout=0.1)
-        assert [(each.unit, each.is_late) for each in all_of(scan)] == [(2, True)]
+        scanned = scan(server.url, units=[1, 2, 3, 4, 5], timeout=0.1)
+        assert [(each.unit, each.is_late) for each in all_of(scanned)] == [(2, True)]
         assert server.connections == 1
 
 
@@ -173,30 +173,30 @@ def test_noise_does_not_make_a_unit() -> None:
     with simulated() as network:
         unit = served(network, "rtu:///dev/line", *answers)
         url = f"{unit.url}?baudrate=115200&parity=N"
-        scan = scanning(url, units=range(1, 7), timeout=QUICK)
-        assert all_of(scan) == []
+        scanned = scan(url, units=range(1, 7), timeout=QUICK)
+        assert all_of(scanned) == []
         assert len(unit.requests) == 6
-    assert len(scan.notes) == 1
+    assert len(scanned.notes) == 1
 
 
 def test_an_echo_is_nobody() -> None:
     with simulated() as network:
         unit = served(network, "rtu:///dev/line", lambda request: [request])
-        scan = scanning(f"{unit.url}?baudrate=9600&parity=N", units=[1, 2], timeout=QUICK)
-        assert all_of(scan) == []
-    assert "echo=True?" in scan.notes[0]
+        scanned = scan(f"{unit.url}?baudrate=9600&parity=N", units=[1, 2], timeout=QUICK)
+        assert all_of(scanned) == []
+    assert "echo=True?" in scanned.notes[0]
 
 
 def test_a_line_that_never_falls_silent_is_left_soon() -> None:
     with simulated() as network:
         bus = SimulatedBus(network, {})
         bus.flood(b"\x55", 0.0012)
-        scan = scanning(bus.url, baudrates=[9600], parities=["N"], timeout=0.1)
+        scanned = scan(bus.url, baudrates=[9600], parities=["N"], timeout=0.1)
         started = network.events.now
-        assert all_of(scan) == []
+        assert all_of(scanned) == []
         assert len(bus.asked) < 2  # of 247
-        assert network.events.now - started < 0.02 * scan.longest
-    assert any("does not fall silent" in note for note in scan.notes)
+        assert network.events.now - started < 0.02 * scanned.longest
+    assert any("does not fall silent" in note for note in scanned.notes)
 
 
 def test_a_port_that_vanishes_ends_it_with_what_was_found() -> None:
@@ -205,18 +205,18 @@ def test_a_port_that_vanishes_ends_it_with_what_was_found() -> None:
 
     members = {1: Member(of(meter()), 9600, 2), 3: Member(unplug, 9600, 2)}
     with Bus(members) as bus, descriptors():
-        scan = scanning(bus.url, baudrates=[9600], parities=["N"], timeout=0.2)
-        assert next(scan).unit == 1
+        scanned = scan(bus.url, baudrates=[9600], parities=["N"], timeout=0.2)
+        assert next(scanned).unit == 1
         with pytest.raises(ModbusConnectionError):
-            next(scan)
+            next(scanned)
         with pytest.raises(StopIteration):
-            next(scan)
-    assert scan.requests < 10
+            next(scanned)
+    assert scanned.requests < 10
 
 
 def test_a_port_that_is_not_there_is_an_error() -> None:
     with pytest.raises(ModbusConnectionError, match="cannot open"):
-        next(scanning("rtu:///dev/nowhere"))
+        next(scan("rtu:///dev/nowhere"))
 
 
 def test_a_rate_that_the_port_cannot_do_is_passed_over(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -228,11 +228,11 @@ def test_a_rate_that_the_port_cannot_do_is_passed_over(monkeypatch: pytest.Monke
 
     monkeypatch.setattr(serial, "set_odd_baudrate", refuse)
     with Bus({1: Member(of(meter()), 9600, 2)}) as bus, descriptors():
-        scan = scanning(bus.url, baudrates=[12345, 9600], parities="N", units=[1], timeout=0.2)
-        assert [at(each) for each in all_of(scan)] == [(1, 9600, "N", 2)]
-        assert "12345" in scan.notes[0]
+        scanned = scan(bus.url, baudrates=[12345, 9600], parities="N", units=[1], timeout=0.2)
+        assert [at(each) for each in all_of(scanned)] == [(1, 9600, "N", 2)]
+        assert "12345" in scanned.notes[0]
         with pytest.raises(ModbusConnectionError, match="refused"):
-            next(scanning(bus.url, baudrates=[12345], units=[1]))
+            next(scan(bus.url, baudrates=[12345], units=[1]))
 
 
 # --- networks ----------------------------------------------------------------------------
@@ -246,7 +246,7 @@ def test_units_are_found_over_networks(scheme: str) -> None:
     with simulated() as network:
         units = {1: meter(holding_registers=1), 17: meter()}
         peer = answering(network, f"{scheme}://10.0.0.1", units)
-        found = all_of(scanning(peer.url, units=[1, 2, 17, 18]))
+        found = all_of(scan(peer.url, units=[1, 2, 17, 18]))
         assert [(each.unit, each.exception, each.baudrate) for each in found] == [
             (1, None, None),
             (17, 2, None),
@@ -257,16 +257,16 @@ def test_units_are_found_over_networks(scheme: str) -> None:
 def test_a_unit_is_found_over_a_real_network() -> None:
     server = Server({1: meter(), 17: meter()}, unknown_unit="silent")
     with server.background("tcp://127.0.0.1:0") as running, descriptors(sockets=True):
-        found = all_of(scanning(running.urls[0], units=[17, 18], timeout=0.3))
+        found = all_of(scan(running.urls[0], units=[17, 18], timeout=0.3))
         assert [each.unit for each in found] == [17]
 
 
 def test_what_a_gateway_says_of_nobody_is_nobody() -> None:
     """Our server does: exception 11."""
     with Server({1: meter(), 9: meter()}).background("tcp://127.0.0.1:0") as running:
-        scan = scanning(running.urls[0])
-        assert [each.unit for each in all_of(scan)] == [1, 9]
-    (note,) = scan.notes
+        scanned = scan(running.urls[0])
+        assert [each.unit for each in all_of(scanned)] == [1, 9]
+    (note,) = scanned.notes
     assert "a gateway says of 246 units that nobody is there" in note
 
 
@@ -274,16 +274,16 @@ def test_what_a_gateway_says_of_nobody_is_nobody() -> None:
 @pytest.mark.parametrize("scheme", ["tcp", "udp", "rtu+tcp"])
 def test_a_server_that_ignores_the_unit_is_one_device(scheme: str, tables: Any) -> None:
     with Server(meter(**tables)).background(f"{scheme}://127.0.0.1:0") as running:
-        scan = scanning(running.urls[0], timeout=PATIENT)
-        (found,) = all_of(scan)
+        scanned = scan(running.urls[0], timeout=PATIENT)
+        (found,) = all_of(scanned)
         assert found.is_any
         assert found.identification is not None
-    assert ["ignores the unit" in note for note in scan.notes] == [True]
+    assert ["ignores the unit" in note for note in scanned.notes] == [True]
 
 
 def test_a_device_that_is_255_to_everybody_is_one_device() -> None:
     with FakeServer(lambda request: [mbap(request, b"\x03\x02\0\1", unit=255)]) as server:
-        (found,) = all_of(scanning(server.url, timeout=PATIENT))
+        (found,) = all_of(scan(server.url, timeout=PATIENT))
         assert found.is_any
 
 
@@ -294,9 +294,9 @@ def test_units_answered_as_nobody_can_be_are_not_counted() -> None:
         return [mbap(request, b"\x03\x02\0\1" if request[6] == 17 else b"\x83\x04")]
 
     with FakeServer(answer) as server:
-        scan = scanning(server.url, timeout=PATIENT)
-        assert [each.unit for each in all_of(scan)] == [17]
-    assert any("247 units are answered as those that nobody can be" in n for n in scan.notes)
+        scanned = scan(server.url, timeout=PATIENT)
+        assert [each.unit for each in all_of(scanned)] == [17]
+    assert any("247 units are answered as those that nobody can be" in n for n in scanned.notes)
 
 
 def test_a_server_that_hangs_up_on_unknown_units_is_asked_on() -> None:
@@ -305,7 +305,7 @@ def test_a_server_that_hangs_up_on_unknown_units_is_asked_on() -> None:
         thread = threading.Thread(target=_hang_up, args=(listener, 4))
         thread.start()
         port = listener.getsockname()[1]
-        found = all_of(scanning(f"tcp://127.0.0.1:{port}", units=[3, 4, 5], timeout=PATIENT))
+        found = all_of(scan(f"tcp://127.0.0.1:{port}", units=[3, 4, 5], timeout=PATIENT))
         assert [each.unit for each in found] == [4]
         listener.shutdown(socket.SHUT_RDWR)
         thread.join()
@@ -328,28 +328,28 @@ def test_silence_does_not_cost_the_connection(scheme: str) -> None:
     """Some devices take one at a time, and late answers come over the one that was asked."""
     with simulated() as network:
         server = served(network, f"{scheme}://10.0.0.1", lambda request: [])
-        scan = scanning(server.url, units=range(1, 9), timeout=QUICK)
-        assert all_of(scan) == []
+        scanned = scan(server.url, units=range(1, 9), timeout=QUICK)
+        assert all_of(scanned) == []
         assert server.connections == 1
 
 
 def test_a_dead_host_is_an_error_soon() -> None:
     with dead() as port, pytest.raises(ModbusConnectionError):
-        next(scanning(f"tcp://127.0.0.1:{port}", timeout=0.1))
+        next(scan(f"tcp://127.0.0.1:{port}", timeout=0.1))
     with refusing() as bound, pytest.raises(ModbusConnectionError):
-        next(scanning(url_of(bound)))
+        next(scan(url_of(bound)))
     with refusing() as bound, pytest.raises(ModbusConnectionError):
-        next(scanning(url_of(bound).replace("tcp", "udp")))
+        next(scan(url_of(bound).replace("tcp", "udp")))
 
 
 def test_a_server_that_is_gone_in_the_middle_is_an_error() -> None:
     with contextlib.ExitStack() as stack:
         running = stack.enter_context(Server({1: meter()}).background("tcp://127.0.0.1:0"))
-        scan = scanning(running.urls[0], timeout=PATIENT)
-        assert next(scan).unit == 1
+        scanned = scan(running.urls[0], timeout=PATIENT)
+        assert next(scanned).unit == 1
         stack.close()
         with pytest.raises(ModbusConnectionError):
-            next(scan)
+            next(scanned)
 
 
 def test_a_flood_of_answers_does_not_make_units() -> None:
@@ -359,7 +359,7 @@ def test_a_flood_of_answers_does_not_make_units() -> None:
 
     with simulated() as network:
         server = served(network, "tcp://10.0.0.1", flood)
-        assert all_of(scanning(server.url, units=range(1, 9), timeout=QUICK)) == []
+        assert all_of(scan(server.url, units=range(1, 9), timeout=QUICK)) == []
 
 
 # --- peers ---------------------------------------------------------------------------------
@@ -368,7 +368,7 @@ def test_a_flood_of_answers_does_not_make_units() -> None:
 def test_libmodbus_is_one_device_over_tcp(compiled: Callable[[str], Path]) -> None:
     """Its server does not look at the unit."""
     with program(compiled("server"), "tcp", 0) as process:
-        (found,) = all_of(scanning(f"tcp://127.0.0.1:{_port(process)}", timeout=PATIENT))
+        (found,) = all_of(scan(f"tcp://127.0.0.1:{_port(process)}", timeout=PATIENT))
         assert (found.unit, found.is_any, found.exception) == (1, True, 2)
         assert found.server_id is not None
         assert found.server_id.identifier == b"\xb4"
@@ -378,10 +378,10 @@ def test_libmodbus_is_one_device_over_tcp(compiled: Callable[[str], Path]) -> No
 def test_pymodbus_is_found_over_tcp() -> None:
     """Its server says 11 of units that it does not have."""
     with pymodbus_server("tcp") as context:
-        scan = scanning(context.for_unit(1).url, units=range(1, 30), timeout=PATIENT)
-        (found,) = all_of(scan)
+        scanned = scan(context.for_unit(1).url, units=range(1, 30), timeout=PATIENT)
+        (found,) = all_of(scanned)
     assert (found.unit, found.is_any) == (UNIT, False)
-    assert "28 units" in scan.notes[0]
+    assert "28 units" in scanned.notes[0]
 
 
 @pytest.mark.parametrize("scheme", ["rtu", "ascii"])
@@ -389,7 +389,7 @@ def test_pymodbus_is_found_on_a_line(scheme: str) -> None:
     with pymodbus_server(scheme) as context:
         url = context.url
         context.close()
-        found = all_of(scanning(url, parities="E", units=[UNIT - 1, UNIT], timeout=0.3))
+        found = all_of(scan(url, parities="E", units=[UNIT - 1, UNIT], timeout=0.3))
     assert [each.unit for each in found] == [UNIT]
 
 
@@ -400,7 +400,7 @@ def test_libmodbus_is_found_on_a_line(compiled: Callable[[str], Path]) -> None:
     ):
         assert _port(process) == 0
         url = f"rtu://{wire.client}?baudrate=19200"
-        found = all_of(scanning(url, parities="E", units=[17]))
+        found = all_of(scan(url, parities="E", units=[17]))
         assert [(each.unit, each.exception) for each in found] == [(17, 2)]
 
 
@@ -420,7 +420,7 @@ def test_nothing_that_writes_ever_leaves() -> None:
         Server({1: meter(holding_registers=9), 3: meter()}).background("tcp://127.0.0.1:0") as to,
         TcpWire(int(to.urls[0].rpartition(":")[2])) as wire,
     ):
-        assert len(all_of(scanning(f"tcp://127.0.0.1:{wire.port}", timeout=PATIENT))) == 2
+        assert len(all_of(scan(f"tcp://127.0.0.1:{wire.port}", timeout=PATIENT))) == 2
         sent = wire.sent_by("client")
     pdus = []
     while sent:
@@ -442,36 +442,36 @@ def test_nothing_that_writes_ever_leaves() -> None:
 def test_it_can_be_left_at_any_time() -> None:
     members = {each: Member(of(meter()), 9600, 2) for each in (1, 2, 3)}
     with Bus(members) as bus, descriptors():
-        for found in scanning(bus.url, baudrates=[9600], parities="N", timeout=0.2):
+        for found in scan(bus.url, baudrates=[9600], parities="N", timeout=0.2):
             assert found.unit == 1
             break
         del found
         until(lambda: bus.is_restored)
-        scan = scanning(bus.url, baudrates=[9600], parities="N", timeout=0.2)
-        next(scan)
-        scan.close()
-        scan.close()
+        scanned = scan(bus.url, baudrates=[9600], parities="N", timeout=0.2)
+        next(scanned)
+        scanned.close()
+        scanned.close()
         assert bus.is_restored
-        assert list(scan) == []
+        assert list(scanned) == []
 
 
 def test_it_can_be_closed_from_another_thread() -> None:
     with Bus({}) as bus, descriptors():
-        scan = scanning(bus.url, baudrates=[9600], parities="N", timeout=60)
-        timer = threading.Timer(0.2, scan.close)
+        scanned = scan(bus.url, baudrates=[9600], parities="N", timeout=60)
+        timer = threading.Timer(0.2, scanned.close)
         timer.start()
-        assert list(scan) == []
+        assert list(scanned) == []
         timer.join()
         assert bus.is_restored
 
 
 def test_it_can_be_closed_from_a_signal_handler() -> None:
     with Bus({}) as bus, descriptors():
-        scan = scanning(bus.url, baudrates=[9600], parities="N", timeout=60)
-        before = signal.signal(signal.SIGALRM, lambda *_: scan.close())
+        scanned = scan(bus.url, baudrates=[9600], parities="N", timeout=60)
+        before = signal.signal(signal.SIGALRM, lambda *_: scanned.close())
         try:
             signal.setitimer(signal.ITIMER_REAL, 0.2)
-            assert list(scan) == []
+            assert list(scanned) == []
         finally:
             signal.setitimer(signal.ITIMER_REAL, 0)
             signal.signal(signal.SIGALRM, before)
@@ -481,15 +481,15 @@ def test_it_can_be_closed_from_a_signal_handler() -> None:
 def test_what_is_told_of_progress() -> None:
     told = []
     with Server({2: meter()}).background("tcp://127.0.0.1:0") as running:
-        scan = scanning(running.urls[0], units=[1, 2, 3], timeout=0.5, on_progress=told.append)
-        all_of(scan)
+        scanned = scan(running.urls[0], units=[1, 2, 3], timeout=0.5, on_progress=told.append)
+        all_of(scanned)
     assert [(each.unit, each.done, each.total) for each in told] == [
         (1, 0, 3),
         (2, 1, 3),
         (3, 2, 3),
     ]
     assert [each.left for each in told] == sorted((each.left for each in told), reverse=True)
-    assert told[0].left <= scan.longest <= 5 * 0.6 + 0.5
+    assert told[0].left <= scanned.longest <= 5 * 0.6 + 0.5
 
 
 @pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, SystemExit])
@@ -498,9 +498,9 @@ def test_what_the_callback_raises_ends_it_well(error: type[BaseException]) -> No
         raise error
 
     with Bus({}) as bus, descriptors():
-        scan = scanning(bus.url, on_progress=fail)
+        scanned = scan(bus.url, on_progress=fail)
         with pytest.raises(error):
-            next(scan)
+            next(scanned)
         assert bus.is_restored
         assert bus.asked == []
 
@@ -508,12 +508,12 @@ def test_what_the_callback_raises_ends_it_well(error: type[BaseException]) -> No
 def test_it_takes_no_longer_than_it_says() -> None:
     with simulated() as network:
         bus = SimulatedBus(network, {})
-        scan = scanning(bus.url, baudrates=[9600, 19200], units=range(1, 6), timeout=0.1)
+        scanned = scan(bus.url, baudrates=[9600, 19200], units=range(1, 6), timeout=0.1)
         started = network.events.now
-        all_of(scan)
+        all_of(scanned)
         # Two units less at each place than it may have to ask.
-        assert 0.6 * scan.longest < network.events.now - started < scan.longest
-        assert 30 * 0.1 < scan.longest < 60 * 0.2
+        assert 0.6 * scanned.longest < network.events.now - started < scanned.longest
+        assert 30 * 0.1 < scanned.longest < 60 * 0.2
         assert len(bus.asked) == 30
 
 
@@ -544,7 +544,7 @@ def test_what_is_wrong_is_told_before_anything_is_sent(
     url: str, options: Any, message: str
 ) -> None:
     with pytest.raises((TypeError, ValueError), match=message.replace(".", r"\.")):
-        scanning(url, **options)
+        scan(url, **options)
 
 
 # --- tls -------------------------------------------------------------------------------------
@@ -556,9 +556,9 @@ def test_units_are_found_over_tls(tmp_path: Path) -> None:
     stranger = papers.security(certificates.self_signed())
     with server.background("tls://127.0.0.1:0") as running:
         url = running.urls[0]
-        assert [each.unit for each in all_of(scanning(url, security=papers.client()))] == [1, 9]
+        assert [each.unit for each in all_of(scan(url, security=papers.client()))] == [1, 9]
         with pytest.raises(ModbusConnectionError):  # at once, not 248 times
-            next(scanning(url, security=stranger, timeout=PATIENT))
+            next(scan(url, security=stranger, timeout=PATIENT))
         assert server.statistics.accepted < 9
 
 
@@ -575,7 +575,7 @@ def test_identification_in_many_pages_is_cut() -> None:
         return [mbap(request, page)]
 
     with FakeServer(answer) as server:
-        (found,) = all_of(scanning(server.url, units=[5], timeout=PATIENT))
+        (found,) = all_of(scan(server.url, units=[5], timeout=PATIENT))
         assert asked == [0, 1, 2, 3]
         assert found.identification is not None
         assert found.identification.objects == dict.fromkeys(range(4), b"A")

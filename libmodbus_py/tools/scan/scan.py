@@ -15,10 +15,10 @@ from ...protocol.errors import ModbusConnectionError
 from ...protocol.pdu import DeviceIdentification, ServerId
 from ...security.security import Security
 from .places import Place, listed, places
-from .probe import LONGEST_SIZE, MOST_PAGES, PROBE_SIZE, Answer, Asker, Nothing
+from .probe import LONGEST_SIZE, MOST_PAGES, PROBE_SIZE, Answer, Nothing, Prober
 from .walking import Walk, Walker
 
-__all__ = ["Found", "Progress", "Scan", "scanning"]
+__all__ = ["Found", "Progress", "Scan", "scan"]
 
 UNITS = range(1, 248)
 
@@ -85,7 +85,7 @@ class Found:
 
 class Scan(Walker[Found]):
     """
-    An iterator over `Found`, made by `scanning`, which can be left at any time.
+    An iterator over `Found`, made by `scan`, which can be left at any time.
 
     It asks while it is iterated, by one thread, and only reads. `close` may be called from
     anywhere; it, the end, an exception, Ctrl-C, and dropping it all close the port and restore
@@ -102,7 +102,7 @@ class Scan(Walker[Found]):
         requests: how many were sent.
     """
 
-    def __init__(self, scanned: _Places) -> None:
+    def __init__(self, scanned: _PlacesScan) -> None:
         super().__init__(scanned)
         self.total: int = scanned.total
         self.longest: float = scanned.longest
@@ -110,7 +110,7 @@ class Scan(Walker[Found]):
         self.notes: list[str] = scanned.notes
 
 
-class _Places(Walk[Found]):
+class _PlacesScan(Walk[Found]):
     """All places."""
 
     def __init__(
@@ -134,8 +134,8 @@ class _Places(Walk[Found]):
         refused: list[ModbusConnectionError] = []
         for place in self._places:
             try:
-                with self._asking(place) as asker:
-                    units = _Units(place, asker, self._units, self._tell, self._skip)
+                with self._asking(place) as prober:
+                    units = _UnitsScan(place, prober, self._units, self._tell, self._skip)
                     yield from units.steps(self.notes)
             except ModbusConnectionError as error:
                 if self.is_closed:
@@ -160,19 +160,19 @@ class _Places(Walk[Found]):
         self._left -= count * _each(place)
 
 
-class _Units:
+class _UnitsScan:
     """All units at one place."""
 
     def __init__(
         self,
         place: Place,
-        asker: Asker,
+        prober: Prober,
         units: list[int],
         tell: Callable[[Place, int], None],
         skip: Callable[[Place, int], None],
     ) -> None:
         self._place = place
-        self._asker = asker
+        self._prober = prober
         self._units = units
         self._tell = tell
         self._skip = skip
@@ -193,7 +193,7 @@ class _Units:
     def _walk(self, notes: list[str]) -> Generator[Found, None, None]:
         for index, unit in enumerate(self._units):
             self._tell(self._place, unit)
-            answer = self._asker.probe(unit)
+            answer = self._prober.probe(unit)
             if isinstance(answer, Nothing):
                 self._nothing.append((unit, answer))
                 if answer.is_never_silent:
@@ -228,7 +228,7 @@ class _Units:
         """Ask two units that nobody may be: a server that ignores the unit answers as them, too."""
         self._is_known = True
         chosen = [unit for unit in RESERVED if unit not in self._units][:2]
-        answers = [self._asker.probe(unit) for unit in chosen]
+        answers = [self._prober.probe(unit) for unit in chosen]
         if len(answers) < 2:
             return
         first, second = answers
@@ -238,7 +238,7 @@ class _Units:
             self._usual = first
 
     def _late(self) -> Generator[Found, None, None]:
-        for unit, answer in self._asker.late():
+        for unit, answer in self._prober.late():
             self._latest = max(self._latest, answer.took)
             if unit in self._units:
                 self._nothing = [each for each in self._nothing if each[0] != unit]
@@ -246,8 +246,8 @@ class _Units:
                 yield replace(self._made(unit, answer), is_late=True)
 
     def _found(self, unit: int, answer: Answer, is_any: bool = False) -> Found:
-        server_id = self._asker.server_id(unit)
-        identification = self._asker.identification(unit)
+        server_id = self._prober.server_id(unit)
+        identification = self._prober.identification(unit)
         made = self._made(unit, answer)
         return replace(made, is_any=is_any, server_id=server_id, identification=identification)
 
@@ -296,7 +296,7 @@ def _longest(place: Place, units: int) -> float:
     return (units + 2) * _each(place) + place.timeout + delay
 
 
-def scanning(
+def scan(
     url: str,
     *,
     baudrates: Iterable[int] | None = None,
@@ -336,7 +336,7 @@ def scanning(
     usual = _usual_units(asked_at[0])
     lowest = int(asked_at[0].has_broadcast)
     chosen = [integer("units", unit, lowest, 255) for unit in listed("units", units, usual)]
-    return Scan(_Places(asked_at, chosen, on_progress))
+    return Scan(_PlacesScan(asked_at, chosen, on_progress))
 
 
 def _usual_units(place: Place) -> list[int]:

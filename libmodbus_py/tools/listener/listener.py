@@ -1,5 +1,5 @@
 """
-listening(url): transactions as they pass, for a ``for`` loop or an ``async for`` loop.
+listen(url): transactions as they pass, for a ``for`` loop or an ``async for`` loop.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from ...ports.waiting_async import run_async
 from ...protocol.errors import ModbusConnectionError
 from .capture import CaptureReader, CaptureWriter
 from .separator import LineFraming, Separator
-from .source import Piece, SerialSource, Source
+from .source import SerialSource, Source, TimedBytes
 from .summary import Summary
 from .tap import Tap
 from .transaction import Heard, OnHeard, Transaction
 
-__all__ = ["Listener", "listening"]
+__all__ = ["Listener", "listen"]
 
 logger: logging.Logger = logging.getLogger(__name__)
 
@@ -42,7 +42,7 @@ MAX_SEPARATORS = 256
 
 class Listener:
     """
-    What passes on a line, as an iterator of `Transaction`; made by `listening`.
+    What passes on a line, as an iterator of `Transaction`; made by `listen`.
 
     Use it in a ``with`` or ``async with`` block, which closes it. Iteration ends at the end of a
     capture, and once it was closed; a port that is unplugged is waited for and opened again.
@@ -216,7 +216,7 @@ class Listener:
 
     # --- what is heard --------------------------------------------------------------------
 
-    def _feed(self, piece: Piece) -> list[Transaction]:
+    def _feed(self, piece: TimedBytes) -> list[Transaction]:
         if not piece.data:
             gone = self._separators.pop(piece.link, None)
             return gone.end() if gone is not None else []
@@ -278,7 +278,7 @@ class Clock:
         return now + self._offset
 
 
-def listening(
+def listen(
     url: str,
     *,
     between: str | None = None,

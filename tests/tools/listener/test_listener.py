@@ -33,7 +33,7 @@ from libmodbus_py import (
     Server,
     pdu,
 )
-from libmodbus_py.listen import Listener, Transaction, listening
+from libmodbus_py.listen import Listener, Transaction, listen
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.tools.listener.tap import Tap
 from tests.support.cases import each_case
@@ -71,7 +71,7 @@ class Gathering:
 
 @contextmanager
 def heard(url: str, **options: str) -> Iterator[Gathering]:
-    gathering = Gathering(listening(url, **options))  # type: ignore[arg-type]
+    gathering = Gathering(listen(url, **options))  # type: ignore[arg-type]
     try:
         yield gathering
     finally:
@@ -166,9 +166,9 @@ class TestOnALine:
         ]
 
     def test_asyncio(self, served: SharedLine, framing: str) -> None:
-        async def listen() -> list[Transaction]:
+        async def heard() -> list[Transaction]:
             done = []
-            async with listening(url_of(served, framing, "listener")) as line:
+            async with listen(url_of(served, framing, "listener")) as line:
                 asking = asyncio.create_task(asyncio.to_thread(ask))
                 async for each in line:
                     done.append(each)
@@ -182,7 +182,7 @@ class TestOnALine:
                 for address in (100, 101, 102):
                     client.read_holding_registers(address, 1)
 
-        done = asyncio.run(listen())
+        done = asyncio.run(heard())
         assert [each.response for each in done] == [[1000], [1001], [1002]]
 
     def test_capture_and_back(self, served: SharedLine, framing: str, tmp_path: Path) -> None:
@@ -195,7 +195,7 @@ class TestOnALine:
             with pytest.raises(IllegalDataAddress):
                 client.read_coils(0, 1)
             first = hearing.wait_for(2)
-        with listening(str(file)) as line:
+        with listen(str(file)) as line:
             again = list(line)
         assert [(e.kind, e.unit, e.request, e.response) for e in again] == [
             (e.kind, e.unit, e.request, e.response) for e in first
@@ -205,7 +205,7 @@ class TestOnALine:
 
 class TestPort:
     def test_nothing_is_written_and_nothing_locked(self, bus: SharedLine) -> None:
-        with listening(f"rtu://{bus.paths['listener']}"):
+        with listen(f"rtu://{bus.paths['listener']}"):
             port = bus.paths["listener"]
             descriptors = [
                 int(link.name)
@@ -227,7 +227,7 @@ class TestPort:
         with (
             Server(Device(Mapping(1, 1, 1, 1))).background(f"rtu://{port}"),
             caplog.at_level(logging.WARNING),
-            listening(f"rtu://{port}?baudrate=9600"),
+            listen(f"rtu://{port}?baudrate=9600"),
         ):
             assert "is open in this program, too" in caplog.text
 
@@ -260,7 +260,7 @@ class TestPort:
     def test_no_port(self, path: str, what: str) -> None:
         count = len(os.listdir("/proc/self/fd"))
         with pytest.raises(ModbusConnectionError, match=what):
-            listening(f"rtu://{path}")
+            listen(f"rtu://{path}")
         assert len(os.listdir("/proc/self/fd")) == count
 
 
@@ -269,18 +269,18 @@ class TestEnding:
     def _sleeps_long(self, monkeypatch: pytest.MonkeyPatch) -> None:
         """Else it would wake by itself, soon, and see that it was closed."""
         monkeypatch.setattr(
-            importlib.import_module("libmodbus_py.tools.listener.listening"), "IDLE", 99.0
+            importlib.import_module("libmodbus_py.tools.listener.listener"), "IDLE", 99.0
         )
 
     def test_close_from_another_thread(self, bus: SharedLine) -> None:
-        gathering = Gathering(listening(f"rtu://{bus.paths['listener']}"))
+        gathering = Gathering(listen(f"rtu://{bus.paths['listener']}"))
         time.sleep(0.1)
         gathering.close()
         gathering.close()
         assert list(gathering.line) == []
 
     def test_close_from_a_signal_handler(self, bus: SharedLine) -> None:
-        line = listening(f"rtu://{bus.paths['listener']}")
+        line = listen(f"rtu://{bus.paths['listener']}")
         before = signal.signal(signal.SIGALRM, lambda *_: line.close())
         try:
             signal.setitimer(signal.ITIMER_REAL, 0.2)
@@ -289,16 +289,16 @@ class TestEnding:
             signal.signal(signal.SIGALRM, before)
 
     def test_close_in_asyncio(self, bus: SharedLine) -> None:
-        async def listen() -> None:
-            line = listening(f"rtu://{bus.paths['listener']}")
+        async def heard() -> None:
+            line = listen(f"rtu://{bus.paths['listener']}")
             asyncio.get_running_loop().call_later(0.1, line.close)
             assert [each async for each in line] == []
 
-        asyncio.run(listen())
+        asyncio.run(heard())
 
     def test_cancelling_loses_nothing(self, bus: SharedLine) -> None:
-        async def listen() -> Transaction:
-            async with listening(f"rtu://{bus.paths['listener']}") as line:
+        async def heard() -> Transaction:
+            async with listen(f"rtu://{bus.paths['listener']}") as line:
                 for _ in range(5):
                     with pytest.raises(TimeoutError):
                         async with asyncio.timeout(0.02):
@@ -310,17 +310,17 @@ class TestEnding:
                 bus.say(rtu("01 03 02 00 07"))
                 return await anext(line)
 
-        assert asyncio.run(listen()).response == [7]
+        assert asyncio.run(heard()).response == [7]
 
     def test_nothing_leaks(self, bus: SharedLine, tmp_path: Path) -> None:
         count = len(os.listdir("/proc/self/fd"))
         for number in range(5):
             capture = tmp_path / f"{number}.pcapng"
-            with listening(f"rtu://{bus.paths['listener']}", capture=capture):
+            with listen(f"rtu://{bus.paths['listener']}", capture=capture):
                 pass
-            with listening(str(capture)) as line:
+            with listen(str(capture)) as line:
                 assert list(line) == []
-            with listening("rtu+tcp://127.0.0.1:0", between="rtu+tcp://127.0.0.1:1"):
+            with listen("rtu+tcp://127.0.0.1:0", between="rtu+tcp://127.0.0.1:1"):
                 pass
         end = time.monotonic() + 10
         while len(os.listdir("/proc/self/fd")) > count and time.monotonic() < end:
@@ -330,7 +330,7 @@ class TestEnding:
     def test_who_forgets_to_close_leaks_nothing(self, bus: SharedLine) -> None:
         count = len(os.listdir("/proc/self/fd"))
         for _ in range(3):
-            listening(f"rtu://{bus.paths['listener']}")
+            listen(f"rtu://{bus.paths['listener']}")
         gc.collect()
         assert len(os.listdir("/proc/self/fd")) == count
 
@@ -338,7 +338,7 @@ class TestEnding:
         master, slave = os.openpty()
         path = os.ttyname(slave)
         os.close(slave)
-        with listening(f"rtu://{path}?parity=N") as line:
+        with listen(f"rtu://{path}?parity=N") as line:
             child = os.fork()
             if child == 0:
                 line.close()
@@ -350,7 +350,7 @@ class TestEnding:
 
     def test_a_disk_that_is_full_is_told(self, bus: SharedLine, tmp_path: Path) -> None:
         file = tmp_path / "x.pcapng"
-        with listening(f"rtu://{bus.paths['listener']}", capture=file) as line:
+        with listen(f"rtu://{bus.paths['listener']}", capture=file) as line:
             before = resource.getrlimit(resource.RLIMIT_FSIZE)
             ignored = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
             resource.setrlimit(resource.RLIMIT_FSIZE, (200, before[1]))
@@ -364,7 +364,7 @@ class TestEnding:
                 signal.signal(signal.SIGXFSZ, ignored)
 
     def test_two_at_once(self, bus: SharedLine) -> None:
-        gathering = Gathering(listening(f"rtu://{bus.paths['listener']}"))
+        gathering = Gathering(listen(f"rtu://{bus.paths['listener']}"))
         try:
             time.sleep(0.1)
             with pytest.raises(RuntimeError, match="listening already"):
@@ -373,7 +373,7 @@ class TestEnding:
             gathering.close()
 
     def test_rest_gives_what_is_open(self, bus: SharedLine) -> None:
-        with listening(f"rtu://{bus.paths['listener']}") as line:
+        with listen(f"rtu://{bus.paths['listener']}") as line:
             bus.say(rtu("01 03 00 00 00 01") + rtu("01 03 02 00 07") + rtu("01 03 00 00 00 01"))
             assert next(line).kind == "answered"
             assert [each.kind for each in line.rest()] == ["unanswered"]
@@ -417,7 +417,7 @@ class TestBetween:
         device = socket.create_server(("127.0.0.1", 0))
         data = os.urandom(3_000_000)
         port = device.getsockname()[1]
-        with listening("rtu+tcp://127.0.0.1:0", between=f"rtu+tcp://127.0.0.1:{port}") as line:
+        with listen("rtu+tcp://127.0.0.1:0", between=f"rtu+tcp://127.0.0.1:{port}") as line:
             client = socket.create_connection(("127.0.0.1", int(line.url.rpartition(":")[2])))
             end, _ = device.accept()
             sending = threading.Thread(target=lambda: (client.sendall(data), client.shutdown(1)))
@@ -469,7 +469,7 @@ class TestBetween:
 
     def test_closing_ends_connections(self, device: Device) -> None:
         with Server({UNIT: device}).background("rtu+tcp://127.0.0.1:0") as running:
-            line = listening("rtu+tcp://127.0.0.1:0", between=running.urls[0])
+            line = listen("rtu+tcp://127.0.0.1:0", between=running.urls[0])
             client = socket.create_connection(("127.0.0.1", int(line.url.rpartition(":")[2])))
             client.settimeout(10)
             time.sleep(0.1)
@@ -483,7 +483,7 @@ class TestBetween:
         with socket.create_server(("127.0.0.1", 0)) as taken:
             url = f"rtu+tcp://127.0.0.1:{taken.getsockname()[1]}"
             with pytest.raises(ModbusConnectionError, match="cannot listen on rtu"):
-                listening(url, between="rtu+tcp://127.0.0.1:1")
+                listen(url, between="rtu+tcp://127.0.0.1:1")
 
 
 class TestArguments:
@@ -504,13 +504,13 @@ class TestArguments:
     )
     def test_what_cannot_be(self, url: str, between: str | None, what: str) -> None:
         with pytest.raises(ValueError, match=what):
-            listening(url, between=between)
+            listen(url, between=between)
 
     def test_no_string(self) -> None:
         with pytest.raises(TypeError, match="url must be a string"):
-            listening(5)  # type: ignore[arg-type]
+            listen(5)  # type: ignore[arg-type]
 
     def test_a_capture_that_cannot_be_written(self, bus: SharedLine, tmp_path: Path) -> None:
         with pytest.raises(OSError, match="Is a directory"):
-            listening(f"rtu://{bus.paths['listener']}", capture=tmp_path)
+            listen(f"rtu://{bus.paths['listener']}", capture=tmp_path)
         assert stat.S_ISDIR(tmp_path.stat().st_mode)

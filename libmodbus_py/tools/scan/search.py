@@ -22,10 +22,10 @@ from ...protocol.tables import TABLES
 from ...security.security import Security
 from .halving import Cells, halving
 from .places import Place, places
-from .probe import LONGEST_SIZE, NOBODY, Asker, Nothing
+from .probe import LONGEST_SIZE, NOBODY, Nothing, Prober
 from .walking import Walk, Walker
 
-__all__ = ["MOST_REQUESTS", "Extent", "Search", "Searching", "searching"]
+__all__ = ["MOST_REQUESTS", "Extent", "Search", "Searching", "search"]
 
 MOST_REQUESTS = 2000
 
@@ -78,7 +78,7 @@ class Extent:
 
 class Search(Walker[Extent]):
     """
-    An iterator over the `Extent` of each table, made by `searching`; can be left at any time.
+    An iterator over the `Extent` of each table, made by `search`; can be left at any time.
 
     It asks while it is iterated, by one thread, and only reads. `close` may be called from
     anywhere; it, the end, an exception, Ctrl-C, and dropping it all close the connection.
@@ -120,10 +120,10 @@ class _Tables(Walk[Extent]):
 
     def steps(self) -> Generator[Extent, None, None]:
         try:
-            with self._asking(self._place) as asker:
+            with self._asking(self._place) as prober:
                 for index, table in enumerate(TABLES):
-                    left = self._most_requests - asker.requests
-                    ended = self._table(asker, table, left // (len(TABLES) - index))
+                    left = self._most_requests - prober.requests
+                    ended = self._table(prober, table, left // (len(TABLES) - index))
                     yield self.extents[-1]
                     if ended in (_GONE, _BUSY):
                         return
@@ -131,13 +131,13 @@ class _Tables(Walk[Extent]):
             if not self.is_closed:
                 raise
 
-    def _table(self, asker: Asker, table: str, most: int) -> str:
+    def _table(self, prober: Prober, table: str, most: int) -> str:
         """Search a table with so many requests; says why it ended early."""
         cells = Cells(TABLES[table].most_read)
-        begun = asker.requests
+        begun = prober.requests
         ended = _EARLY
         try:
-            ended = self._halve(asker, table, cells, begun + most)
+            ended = self._halve(prober, table, cells, begun + most)
         finally:
             self.extents.append(
                 Extent(
@@ -146,20 +146,20 @@ class _Tables(Walk[Extent]):
                     0 if ended == _NO_FUNCTION else cells.unseen,
                     ended,
                     cells.most,
-                    asker.requests - begun,
+                    prober.requests - begun,
                 )
             )
         return ended
 
-    def _halve(self, asker: Asker, table: str, cells: Cells, until: int) -> str:
+    def _halve(self, prober: Prober, table: str, cells: Cells, until: int) -> str:
         steps = halving(cells)
         read = next(steps)
         while True:
-            if asker.requests >= until:
+            if prober.requests >= until:
                 return _BOUND
-            self._tell(asker, table)
+            self._tell(prober, table)
             try:
-                answered = self._is_answered(asker, TABLES[table].read(read.start, len(read)))
+                answered = self._is_answered(prober, TABLES[table].read(read.start, len(read)))
             except _EndedError as error:
                 return error.args[0] if error.args[0] != _NO_FUNCTION or not cells.ranges else ""
             try:
@@ -167,20 +167,20 @@ class _Tables(Walk[Extent]):
             except StopIteration:
                 return ""
 
-    def _tell(self, asker: Asker, table: str) -> None:
+    def _tell(self, prober: Prober, table: str) -> None:
         if self._on_progress is not None:
-            self._on_progress(Searching(self._unit, table, asker.requests, self._most_requests))
+            self._on_progress(Searching(self._unit, table, prober.requests, self._most_requests))
 
     # --- one read -------------------------------------------------------------------------
 
-    def _is_answered(self, asker: Asker, request: Any) -> bool:
+    def _is_answered(self, prober: Prober, request: Any) -> bool:
         for pause in (*BUSY_PAUSES, None):
             try:
-                self._twice(asker, request)
+                self._twice(prober, request)
             except (Acknowledge, ServerDeviceBusy):
                 if pause is None:
                     raise _EndedError(_BUSY) from None
-                asker.waker.sleep(pause)
+                prober.waker.sleep(pause)
             except IllegalFunction:
                 raise _EndedError(_NO_FUNCTION) from None
             except NOBODY:
@@ -193,23 +193,23 @@ class _Tables(Walk[Extent]):
                 return True
         raise AssertionError
 
-    def _twice(self, asker: Asker, request: Any) -> None:
+    def _twice(self, prober: Prober, request: Any) -> None:
         """Ask again what was lost or damaged, and whether anybody is there after many such."""
         try:
-            asker.read(self._unit, request)
+            prober.read(self._unit, request)
         except (ExceptionResponse, ModbusConnectionError):
             self._silent = 0
             raise
         except ModbusError:
             self._silent += 1
-            self._check_there(asker)
-            asker.read(self._unit, request)
+            self._check_there(prober)
+            prober.read(self._unit, request)
         self._silent = 0
 
-    def _check_there(self, asker: Asker) -> None:
+    def _check_there(self, prober: Prober) -> None:
         if self._silent >= SILENT:
             self._silent = 0
-            if isinstance(asker.probe(self._unit), Nothing):
+            if isinstance(prober.probe(self._unit), Nothing):
                 raise _EndedError(_GONE)
 
 
@@ -224,7 +224,7 @@ class _EndedError(Exception):
     """Why a table is left."""
 
 
-def searching(
+def search(
     url: str,
     *,
     timeout: float | None = None,

@@ -14,7 +14,7 @@ import pytest
 
 from libmodbus_py import Device, Mapping, ModbusConnectionError, Server
 from libmodbus_py.protocol.tables import TABLES
-from libmodbus_py.scan import Extent, Search, searching
+from libmodbus_py.scan import Extent, Search, search
 from tests.simulation.scripted import Scripted
 from tests.support.interop import program
 from tests.support.peers import FakeServer, mbap, refusing, url_of
@@ -27,9 +27,9 @@ PATIENT = 1.0
 BOUND = "the bound on requests"
 
 
-def ranges(search: Search) -> dict[str, list[range]]:
-    with search:
-        return {each.table: each.ranges for each in search}
+def ranges(searched: Search) -> dict[str, list[range]]:
+    with searched:
+        return {each.table: each.ranges for each in searched}
 
 
 Answers = Callable[[int, int, int], int | None]
@@ -66,12 +66,12 @@ def simulated_device(answer: Answers) -> Iterator[Scripted]:
 def test_all_that_there_is_is_found_with_few_requests() -> None:
     """Of two tables of registers 525 reads each are the fewest, and 33 of bits."""
     with Server(Device(Mapping(65536, 65536, 65536, 65536))).background("tcp://127.0.0.1:0") as to:
-        search = searching(to.urls[0], timeout=PATIENT)
-        extents = {each.table: each for each in search}
+        searched = search(to.urls[0], timeout=PATIENT)
+        extents = {each.table: each for each in searched}
     for each in extents.values():
         assert (each.ranges, each.unseen, each.ended) == ([range(65536)], 0, "")
-    assert search.requests == sum(each.requests for each in extents.values())
-    assert 2 * (525 + 33) <= search.requests <= 2 * (525 + 33) + 20
+    assert searched.requests == sum(each.requests for each in extents.values())
+    assert 2 * (525 + 33) <= searched.requests <= 2 * (525 + 33) + 20
     assert extents["holding_registers"].most == 125
     assert extents["coils"].most == 2000
 
@@ -90,8 +90,8 @@ def test_ranges_with_holes_are_found(scheme: str) -> None:
         input_registers=range(7),
     )
     with Server({17: Device(mapping)}).background(f"{scheme}://127.0.0.1:0") as to:
-        search = searching(f"{to.urls[0]}?unit=17&timeout={PATIENT}")
-        assert ranges(search) == {
+        searched = search(f"{to.urls[0]}?unit=17&timeout={PATIENT}")
+        assert ranges(searched) == {
             "coils": [range(8), range(10, 26)],
             "discrete_inputs": [],
             "holding_registers": [
@@ -102,20 +102,20 @@ def test_ranges_with_holes_are_found(scheme: str) -> None:
             ],
             "input_registers": [range(7)],
         }
-        assert search.requests <= 2000
-        assert {each.ended for each in search.extents} == {BOUND}
-        assert all(each.unseen < 300 for each in search.extents)
+        assert searched.requests <= 2000
+        assert {each.ended for each in searched.extents} == {BOUND}
+        assert all(each.unseen < 300 for each in searched.extents)
 
 
 def test_ranges_are_found_on_a_line() -> None:
     device = Device(Mapping(holding_registers=range(100, 300)))
     with Bus({17: Member(of(device), 115200, 1)}) as bus:
         url = f"{bus.url}?baudrate=115200&unit=17&timeout=0.5"
-        search = searching(url, most_requests=400)
-        assert ranges(search)["holding_registers"] == [range(100, 300)]
+        searched = search(url, most_requests=400)
+        assert ranges(searched)["holding_registers"] == [range(100, 300)]
         assert bus.is_restored
         assert {asked[2][0] for asked in bus.asked} == {1, 2, 3, 4}
-        assert len(bus.asked) == search.requests <= 400
+        assert len(bus.asked) == searched.requests <= 400
 
 
 @pytest.mark.parametrize("code", [2, 3, 4])
@@ -129,20 +129,20 @@ def test_devices_that_read_few_at_a_time_are_understood(most: int, code: int) ->
         return 0 if address in range(100, 221 - count) else 2
 
     with simulated_device(answer) as server:
-        search = searching(server.url, timeout=PATIENT)
-        assert ranges(search)["holding_registers"] == [range(100, 220)]
-        (extent,) = (each for each in search.extents if each.table == "holding_registers")
+        searched = search(server.url, timeout=PATIENT)
+        assert ranges(searched)["holding_registers"] == [range(100, 220)]
+        (extent,) = (each for each in searched.extents if each.table == "holding_registers")
         assert extent.most <= most
         assert 2 * extent.most >= most
 
 
 def test_a_table_without_its_function_takes_one_request() -> None:
     with simulated_device(lambda function, address, count: 1) as server:
-        search = searching(server.url, timeout=PATIENT)
-        assert ranges(search) == {table: [] for table in TABLES}
-        assert search.requests == 4
-        assert {each.ended for each in search.extents} == {"the device lacks the function"}
-        assert {each.unseen for each in search.extents} == {0}
+        searched = search(server.url, timeout=PATIENT)
+        assert ranges(searched) == {table: [] for table in TABLES}
+        assert searched.requests == 4
+        assert {each.ended for each in searched.extents} == {"the device lacks the function"}
+        assert {each.unseen for each in searched.extents} == {0}
 
 
 def test_a_busy_device_is_asked_again() -> None:
@@ -157,16 +157,16 @@ def test_a_busy_device_is_asked_again() -> None:
         return 0 if sum(where) <= 30 else 2
 
     with simulated_device(answer) as server:
-        search = searching(server.url, timeout=PATIENT, most_requests=300)
-        assert ranges(search)["holding_registers"] == [range(30)]
+        searched = search(server.url, timeout=PATIENT, most_requests=300)
+        assert ranges(searched)["holding_registers"] == [range(30)]
 
 
 def test_a_device_that_stays_busy_is_left() -> None:
     with simulated_device(lambda *asked: 6) as server:
-        search = searching(server.url, timeout=PATIENT)
-        (extent,) = search
+        searched = search(server.url, timeout=PATIENT)
+        (extent,) = searched
         assert extent.ended == "the device stays busy"
-        assert search.requests == 5
+        assert searched.requests == 5
 
 
 def test_a_device_that_is_silent_where_nothing_is_is_searched_on() -> None:
@@ -176,9 +176,9 @@ def test_a_device_that_is_silent_where_nothing_is_is_searched_on() -> None:
         return 0 if address + count <= 10 else None
 
     with simulated_device(answer) as server:
-        search = searching(server.url, timeout=0.03, most_requests=150)
-        assert ranges(search)["holding_registers"] == [range(10)]
-        assert search.extents[2].ended == BOUND
+        searched = search(server.url, timeout=0.03, most_requests=150)
+        assert ranges(searched)["holding_registers"] == [range(10)]
+        assert searched.extents[2].ended == BOUND
 
 
 def test_a_unit_that_answers_no_more_is_left_with_what_was_found() -> None:
@@ -191,26 +191,26 @@ def test_a_unit_that_answers_no_more_is_left_with_what_was_found() -> None:
         return 0 if len(answered) < 5 else None
 
     with simulated_device(answer) as server:
-        search = searching(server.url, timeout=0.03)
-        found = ranges(search)
+        searched = search(server.url, timeout=0.03)
+        found = ranges(searched)
         assert found["holding_registers"] == [range(1 + 125 * 3)]
-        assert search.extents[-1].ended == "the unit answers no more"
-        assert search.requests < 30
+        assert searched.extents[-1].ended == "the unit answers no more"
+        assert searched.requests < 30
 
 
 def test_a_gateway_that_says_nobody_is_there_ends_it() -> None:
     with served(lambda *asked: 11) as server:
-        (extent,) = searching(server.url, timeout=PATIENT)
+        (extent,) = search(server.url, timeout=PATIENT)
         assert (extent.ended, extent.requests) == ("the unit answers no more", 1)
 
 
 @pytest.mark.parametrize("bound", [4, 5, 100, 1000])
 def test_the_bound_holds(bound: int) -> None:
     with simulated_device(lambda function, address, count: 0 if count == 1 else 3) as server:
-        search = searching(server.url, timeout=PATIENT, most_requests=bound)
-        with search:
-            extents = list(search)
-        assert search.requests == len(server.requests) == bound
+        searched = search(server.url, timeout=PATIENT, most_requests=bound)
+        with searched:
+            extents = list(searched)
+        assert searched.requests == len(server.requests) == bound
         assert {each.ended for each in extents} == {BOUND}
         assert all(each.unseen for each in extents)
 
@@ -219,7 +219,7 @@ def test_libmodbus_own_server_is_searched(compiled: Callable[[str], Path]) -> No
     with program(compiled("server"), "tcp", 0) as process:
         assert process.stdout is not None
         port = process.stdout.readline().split()[1]
-        found = ranges(searching(f"tcp://127.0.0.1:{port}", timeout=PATIENT))
+        found = ranges(search(f"tcp://127.0.0.1:{port}", timeout=PATIENT))
     assert found == {
         "coils": [range(10, 2110)],
         "discrete_inputs": [range(20, 2120)],
@@ -230,32 +230,32 @@ def test_libmodbus_own_server_is_searched(compiled: Callable[[str], Path]) -> No
 
 def test_it_can_be_left_and_tells_what_was_found() -> None:
     with served(lambda *asked: 0) as server:
-        search = searching(server.url, timeout=PATIENT)
-        first = next(search)
+        searched = search(server.url, timeout=PATIENT)
+        first = next(searched)
         assert isinstance(first, Extent)
-        search.close()
-        assert list(search) == []
-        assert search.extents == [first]
+        searched.close()
+        assert list(searched) == []
+        assert searched.extents == [first]
 
     def fail(told: Any) -> None:
         if told.requests == 4:
             raise KeyboardInterrupt
 
     with served(lambda *asked: 0) as server:
-        search = searching(server.url, timeout=PATIENT, on_progress=fail)
+        searched = search(server.url, timeout=PATIENT, on_progress=fail)
         with pytest.raises(KeyboardInterrupt):
-            next(search)
-        (extent,) = search.extents
+            next(searched)
+        (extent,) = searched.extents
         assert extent.ended == "whoever searched, or a lost connection"
         assert extent.ranges == [range(6001)]
 
 
 def test_it_can_be_closed_from_another_thread() -> None:
     with served(lambda *asked: None) as server:
-        search = searching(server.url, timeout=60)
-        timer = threading.Timer(0.2, search.close)
+        searched = search(server.url, timeout=60)
+        timer = threading.Timer(0.2, searched.close)
         timer.start()
-        assert list(search) == []
+        assert list(searched) == []
         timer.join()
 
 
@@ -268,6 +268,6 @@ def test_what_is_wrong_is_told_before_anything_is_sent() -> None:
         ("tcp://127.0.0.1:1", {"on_progress": 1}, "on_progress must be callable"),
     ):
         with pytest.raises((TypeError, ValueError), match=message):
-            searching(url, **options)  # type: ignore[arg-type]
+            search(url, **options)  # type: ignore[arg-type]
     with refusing() as bound, pytest.raises(ModbusConnectionError):
-        next(searching(url_of(bound)))
+        next(search(url_of(bound)))

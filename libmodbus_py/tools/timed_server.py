@@ -1,0 +1,123 @@
+"""
+A TCP server with a thread and a limited time for each connection: for the page, and for metrics.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import socketserver
+import threading
+import time
+from collections.abc import Iterator
+from typing import Any, Self
+
+from ..ports.waiting import start_thread
+
+__all__ = ["TimedServer"]
+
+# Seconds between two looks for connections whose time is over; the server ends as soon.
+SWEEP = 0.2
+
+MOST_CONNECTIONS = 64
+
+
+class TimedServer(socketserver.ThreadingMixIn, socketserver.TCPServer):
+    """
+    A TCP server that closes each connection after a time, however slowly its client sends.
+
+    When there are `MOST_CONNECTIONS`, the oldest makes room for a new one.
+
+    Args:
+        host: a name or an address to listen on; of a name, its first address.
+        port: 0 for a free one.
+        handler: answers one connection, as in `socketserver`.
+        limit: seconds that a connection may take.
+
+    Attributes:
+        place: "http://HOST:PORT", with the port it got.
+
+    Raises:
+        OSError: the address cannot be used.
+    """
+
+    allow_reuse_address = True
+    request_queue_size = 64
+
+    def __init__(self, host: str, port: int, handler: Any, limit: float) -> None:
+        (family, *_, address), *_ = socket.getaddrinfo(
+            host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
+        )
+        self.address_family: int = family
+        self._limit = limit
+        # Socket -> when it is closed; None for connections without a limit.
+        self._open: dict[socket.socket, float | None] = {}
+        self._lock = threading.Lock()
+        super().__init__((str(address[0]), port), handler)
+        shown = f"[{host}]" if ":" in host else host
+        self.place: str = f"http://{shown}:{self.server_address[1]}"
+
+    @contextlib.contextmanager
+    def serving(self, name: str) -> Iterator[Self]:
+        """
+        Serve in a thread of this name while the ``with`` block runs, and close everything.
+
+        Raises:
+            OSError: there are too many threads.
+        """
+        thread = threading.Thread(target=self.serve_forever, args=(SWEEP,), name=name, daemon=True)
+        try:
+            start_thread(thread)
+            try:
+                yield self
+            finally:
+                self.shutdown()
+                thread.join()
+        finally:
+            self._cut_all()
+            self.server_close()
+
+    def keep(self, request: socket.socket) -> None:
+        """Take the limit from a connection, which is closed at the end."""
+        with self._lock:
+            self._open[request] = None
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        with self._lock:
+            if len(self._open) >= MOST_CONNECTIONS:
+                self._make_room()
+            self._open[request] = time.monotonic() + self._limit
+        super().process_request(request, client_address)
+
+    def shutdown_request(self, request: Any) -> None:
+        with self._lock:
+            self._open.pop(request, None)
+        super().shutdown_request(request)
+
+    def service_actions(self) -> None:
+        now = time.monotonic()
+        with self._lock:
+            late = [each for each, until in self._open.items() if until and until < now]
+        for each in late:
+            _cut(each)
+
+    def handle_error(self, request: object, client_address: object) -> None:
+        """Ignore it: the client has gone, or has sent no request."""
+
+    def _make_room(self) -> None:
+        """Close the oldest connection that has a limit; its thread ends, and removes it."""
+        oldest = next((each for each, until in self._open.items() if until), None)
+        if oldest is not None:
+            self._open.pop(oldest)
+            _cut(oldest)
+
+    def _cut_all(self) -> None:
+        with self._lock:
+            left = list(self._open)
+        for each in left:
+            _cut(each)
+
+
+def _cut(request: socket.socket) -> None:
+    with contextlib.suppress(OSError):  # it is over already
+        request.shutdown(socket.SHUT_RDWR)
