@@ -13,9 +13,9 @@ from typing import Any
 
 from ...client.blocking import Context
 from ...protocol.errors import ExceptionResponse, IllegalDataAddress, ModbusError
-from ..commands import PROGRAM
 from ..connecting import connected, endpoint_of
 from ..failing import CommandError
+from ..output import PROGRAM
 from ..status import Status
 from .asking import Cells, Question
 from .items import ALL, Item, Words

@@ -198,7 +198,7 @@ def test_addresses_that_look_like_no_reference_are_not(url: str) -> None:
         ("holding 0 --csv --json", "not allowed with"),
         ("holding 0 --watch nan", "seconds"),
         ("holding 0 --watch 0", "0.01..86400"),
-        ("--watch holding 0", "goes to the end"),
+        ("--watch holding 0", "must be the last argument"),
         ("holding 0 --map /dev/null/none", "/dev/null/none"),
         ("holding 0 --map none", "'none' is no file of a register map, which ends with .csv or "),
         ("holding 0 --map plant", "and no example, which are iem3155, meter, "),
@@ -327,8 +327,8 @@ def test_what_is_read_behind_a_write_is_shown_as_it_was_typed(url: str) -> None:
         (["127.0.0.1:1?unit=9", "-u", "8"], "unit 8: cannot connect"),
         (["/dev/no-such", "-b", "9600", "-p", "none", "-s", "2"], "cannot open /dev/no-such"),
         (["./no-such"], "no-such: No such file"),
-        (["127.0.0.1:1", "-b", "9600"], "--baudrate is for serial ports"),
-        (["tcp://127.0.0.1:1", "-s", "2"], "--stop-bits is for serial ports"),
+        (["127.0.0.1:1", "-b", "9600"], "--baudrate applies to serial ports only"),
+        (["tcp://127.0.0.1:1", "-s", "2"], "--stop-bits applies to serial ports only"),
         (["/dev/no-such", "-p", "mark"], "must be none, even or odd"),
         (["http://127.0.0.1"], "scheme must be one of"),
         (["a b:c:d"], "'a b:c:d'"),
@@ -346,7 +346,10 @@ def test_endpoints_without_a_scheme(
     assert done.err.count("\n") == 1
 
 
-@each_case("name", ["certificates", "completion", "gateway", "listen", "scan"])
+@each_case(
+    "name",
+    ["certificates", "completion", "fleet", "gateway", "listen", "map", "poll", "scan", "serve"],
+)
 def test_help_of_others_has_four_examples(name: str) -> None:
     text = run(name, "--help").out
     examples = text.partition("examples:\n")[2].partition("\n\n")[0].splitlines()
