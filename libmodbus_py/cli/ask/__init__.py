@@ -11,8 +11,8 @@ Commands that ask one device: read, write, identify, diagnose, raw and map.
     write            the arguments of write
     writing          the requests of write
     items            the words that say what is read or written: tables, references, names
-    asking           the requests that read items
-    views            values as lines, cells of CSV and fields of JSON
+    item_plan        the requests that read items
+    formatters       values as lines, cells of CSV and fields of JSON
     identify         identify
     diagnose         diagnose
     report           answers to several functions, as identify and diagnose print them

@@ -217,7 +217,7 @@ def test_names_that_a_map_lacks_are_guessed(url: str, meter: str) -> None:
     assert (done.code, done.out) == (2, "")
     assert "no point 'setpont'; close to it are setpoint" in done.err
     done = run("read", url, "--map", meter, "pump", "--type", "int16")
-    assert "pump has its type from the map" in done.err
+    assert "pump has the type that the map gives" in done.err
 
 
 # --- write -------------------------------------------------------------------------------
@@ -279,12 +279,12 @@ def test_names_are_written_scaled_and_checked(url: str, meter: str, mapping: Map
         ("voltage 3", "voltage cannot be written"),
         ("pump 2", "pump: value must be one of 0, 1"),
         ("setpoint 0x1F", "setpoint: value must be a number, not '0x1F'"),
-        ("setpoint", "setpoint takes a value behind its name, and 0 are there"),
-        ("setpoint 1 2", "setpoint takes a value behind its name, and 2 are there"),
-        ("setpoint 1 --mask 1 2", "no name"),
+        ("setpoint", "setpoint needs 1 value after its name, not 0"),
+        ("setpoint 1 2", "setpoint needs 1 value after its name, not 2"),
+        ("setpoint 1 --mask 1 2", "not a name"),
         ("holding 0 1 holding 2", "no value to write to holding 2"),
         ("input 0 1", "can only be read"),
-        ("holding 0 1 --mask 1 2", "in place of values"),
+        ("holding 0 1 --mask 1 2", "exclude each other"),
         ("coils 0 --mask 1 2", "for holding registers"),
         ("holding 1 1 holding 2 3 --and-read 0 1", "one item"),
     ):
