@@ -1,21 +1,22 @@
 """
-The command line, on top of everything: what is typed becomes requests and servers.
+The command line, on top of everything: arguments become requests and servers.
 
 ::
 
-    main           the entry: with which exit code it ends
-    commands       every command, and the parser of what was typed
-    help           how --help is set
-    output         standard output and error, whatever they are
-    failing        what went wrong: a line, and an exit code
-    connecting     whom clients ask: URLs, hosts, serial ports
-    security       the options for tls:// of all commands
-    tracing        -v: frames in columns
-    status         how far long work has come
+    main           the entry point, and the exit codes
+    commands       every command, and the parser of the arguments
+    help           the layout of --help
+    arguments      the arguments that several commands take, each declared once
+    connecting     endpoints and clients, made of URLs and options
+    output         standard output and error: messages, JSON, styles
+    failing        errors: a line on stderr, and an exit code
+    tracing        --verbose: frames in columns
+    status         a status line for long work
+    progress       progress and results of scans and searches, in words
     ask            read, write, identify, diagnose, raw, map
     find           scan, listen
     serve          serve, gateway, poll, fleet
-    certificates   certificates: an authority, a server and clients with roles
-    completion     completion: for shells, and what they are told
-    demo           demo: worked examples on three lines, with the bytes that a tap saw
+    certificates   certificates: of an authority, a server and clients with roles
+    completion     completion: scripts for shells, and the answers to their questions
+    demo           demo: worked examples on three kinds of lines, with the bytes sent
 """

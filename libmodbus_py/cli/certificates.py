@@ -1,5 +1,5 @@
 """
-The command certificates: an authority, a server and clients, to try Modbus Security with.
+The command certificates: certificates for trying Modbus Security.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ HOSTS = ("localhost", "127.0.0.1", "::1")
 ROLES = ("Viewer", "Operator", "Engineer")
 
 ENDPOINT = "tls://127.0.0.1:1802"
-"""In the commands that are shown: port 802 is root's alone."""
+"""The endpoint of the example commands: only root can listen on port 802."""
 
 
 EXAMPLES = """\
@@ -33,32 +33,37 @@ examples:
 
 
 def add_command(commands: Any) -> None:
-    """Tell argparse of it."""
+    """Add the command to argparse."""
     command = commands.add_parser(
         "certificates",
-        description="Makes an authority, a server, clients with roles and one without. They are "
-        "for trying\nthings out: the authority's key lies beside the others.",
+        description="Make certificates of an authority, a server, clients with roles and a client"
+        " without one.\nThey are for trials only: the key of the authority is in the same folder.",
         epilog=EXAMPLES,
         formatter_class=VerbatimHelp,
     )
-    command.add_argument("directory", metavar="DIR", type=Path, help="nothing in it is overwritten")
+    command.add_argument(
+        "directory",
+        metavar="DIR",
+        type=Path,
+        help="folder for the files; existing files are not overwritten",
+    )
     command.add_argument(
         "--host",
         dest="hosts",
         action="append",
         default=[],
         metavar="NAME",
-        help=f"a name or address of the server, besides {', '.join(HOSTS)}; may be repeated",
+        help=f"name or address of the server, besides {', '.join(HOSTS)}; may be repeated",
     )
     command.add_argument(
         "--role",
         dest="roles",
         action="append",
         metavar="NAME",
-        help=f"of a client; may be repeated ({', '.join(ROLES)})",
+        help=f"role of a client; may be repeated ({', '.join(ROLES)})",
     )
     command.add_argument(
-        "--days", type=int, default=365, metavar="N", help="that they are valid (365)"
+        "--days", type=int, default=365, metavar="N", help="days of validity (365)"
     )
     command.set_defaults(run=_make)
 

@@ -1,8 +1,8 @@
 """
-Every command: its name, its file and what it is for; and the parser of what is typed.
+Every command, with its file and its purpose; and the parser of what is typed.
 
-A command costs nothing until it is asked for: its file is imported then, and tells argparse of
-it with ``add_command``.
+The file of a command is imported when the command is typed. Its ``add_command`` adds the
+arguments to argparse.
 """
 
 from __future__ import annotations
@@ -12,7 +12,8 @@ import re
 from importlib import import_module
 
 from ..version import __version__
-from .help import Help
+from .help import Help, tell_defaults
+from .output import PROGRAM
 
 TYPE_CHECKING = False  # typing alone takes a twentieth of what --version may
 if TYPE_CHECKING:
@@ -21,46 +22,41 @@ if TYPE_CHECKING:
 
 __all__ = ["COMMANDS", "PROGRAM", "parsed", "parser_of", "whole_parser"]
 
-PROGRAM = "libmodbus-py"
-
 COMMANDS = {
-    "read": ("ask.read", "read tables, values and names, once or again and again"),
-    "write": ("ask.write", "write tables, values and names, or show what would be sent"),
-    "identify": ("ask.identify", "ask what a device is"),
-    "diagnose": ("ask.diagnose", "ask how a device and its line are: counters, events, status"),
-    "raw": ("ask.raw", "send any function, and show what comes back"),
-    "scan": ("find.scan", "find the units that answer, and at which settings of a serial port"),
-    "map": ("ask.map", "check register maps; or make one of what a device has"),
-    "listen": ("find.listen", "show what others say on a line"),
-    "serve": (
-        "serve.serve",
-        "serve a device file; or all tables and ten files, all zero, to every unit",
-    ),
-    "gateway": ("serve.gateway", "pass requests on from any endpoint to the devices of any line"),
+    "read": ("ask.read", "read registers, coils, records and named points, once or repeatedly"),
+    "write": ("ask.write", "write registers, coils, records and named points"),
+    "identify": ("ask.identify", "print the identification of a device"),
+    "diagnose": ("ask.diagnose", "print the counters, event log and status of a device"),
+    "raw": ("ask.raw", "send any function code, and print the response"),
+    "scan": ("find.scan", "find the units on a line or behind an address, and their settings"),
+    "map": ("ask.map", "check register maps, or make one by reading a device"),
+    "listen": ("find.listen", "print the traffic between other devices on a line"),
+    "serve": ("serve.serve", "simulate devices that a device file describes"),
+    "gateway": ("serve.gateway", "forward requests from clients to devices on other lines"),
     "poll": (
         "serve.poll",
-        "poll a fleet of devices, and give what is read to files, MQTT, Prometheus",
+        "poll many devices, and write the readings to files, MQTT or Prometheus",
     ),
-    "fleet": ("serve.fleet", "say what the workers do that poll a fleet on several machines"),
-    "certificates": ("certificates", "make certificates to try Modbus Security (tls://) with"),
-    "completion": ("completion", "print what bash, zsh or fish need to complete all this"),
-    "demo": ("demo", "watch a client and a server talk on three lines"),
+    "fleet": ("serve.fleet", "print the status of the workers that poll a fleet together"),
+    "certificates": ("certificates", "make certificates for trying Modbus Security (tls://)"),
+    "completion": ("completion", "print the completion script for bash, zsh or fish"),
+    "demo": ("demo", "show a client and a server talking over three kinds of lines"),
 }
-"""Name -> the file here that has it, and what it is for."""
+"""Name -> module in this package, and the purpose."""
 
 
 def parsed(arguments: Sequence[str]) -> argparse.Namespace:
     """
-    Read what was typed.
+    Parse the arguments of the program.
 
     Returns:
-        What the command takes; ``run``, which runs it with that; and ``parser``, whose
-        ``error`` says what was wrong, and ends.
+        The arguments of the command; ``run``, which runs the command with them; and
+        ``parser``, whose ``error`` prints a message and exits.
 
     Raises:
         SystemExit: --help or --version was asked for, with 0; wrong usage, with 2.
     """
-    # Only what comes first can be a command: what is before it has no values.
+    # Options before the command have no values, so the first word must be the command.
     if not arguments or arguments[0] not in COMMANDS:
         names = whole_parser(())
         names.parse_args(arguments)
@@ -68,12 +64,12 @@ def parsed(arguments: Sequence[str]) -> argparse.Namespace:
     name, *others = arguments
     parser = parser_of(name)
     if any(action.nargs == argparse.PARSER for action in parser._actions):
-        return parser.parse_args(others)  # its actions have parsers of their own
-    return parser.parse_intermixed_args(others)  # options may stand anywhere between the words
+        return parser.parse_args(others)  # its actions have their own parsers
+    return parser.parse_intermixed_args(others)  # options may be anywhere between the words
 
 
 def parser_of(name: str) -> argparse.ArgumentParser:
-    """Make the parser of a command, whose file is imported for it."""
+    """Import the file of a command, and return the parser."""
     about = COMMANDS[name][1]
     parser = _Parser(prog=f"{PROGRAM} {name}", description=f"{about[0].upper()}{about[1:]}.")
     _fill(parser, name)
@@ -86,7 +82,7 @@ def _fill(parser: argparse.ArgumentParser, name: str) -> None:
 
 
 class _Wanted:
-    """What `add_command` of each file is given: as argparse has it for several commands."""
+    """Argument of `add_command`: looks like the subparsers of argparse, and fills one parser."""
 
     def __init__(self, parser: argparse.ArgumentParser) -> None:
         self._parser = parser
@@ -99,18 +95,18 @@ class _Wanted:
 
 def whole_parser(filled: Collection[str] = COMMANDS) -> argparse.ArgumentParser:
     """
-    Make one that knows the names of all commands.
+    Return a parser that knows the names of all commands.
 
     Args:
-        filled: those whose options it knows, too; their files are imported.
+        filled: commands whose arguments it knows too; their files are imported.
     """
     parser = _Parser(
         prog=PROGRAM,
-        description="Modbus on libmodbus: try, serve, read, write, listen.",
-        epilog=f"{PROGRAM} COMMAND --help says what a command takes",
+        description="Modbus clients, servers and tools, based on libmodbus.",
+        epilog=f"{PROGRAM} COMMAND --help shows the arguments of a command",
     )
-    if len(filled) > 1:  # for a manual, where the ends of the single commands are missing
-        from .connecting import URLS
+    if len(filled) > 1:  # the manual page, which lacks the epilogs of the single commands
+        from .arguments import URLS
 
         parser.epilog = URLS
     parser.add_argument("--version", action="version", version=f"{PROGRAM} {__version__}")
@@ -119,17 +115,23 @@ def whole_parser(filled: Collection[str] = COMMANDS) -> argparse.ArgumentParser:
         command = commands.add_parser(name, help=about)
         if name in filled:
             _fill(command, name)
+    if len(filled) > 1:
+        tell_defaults(parser)
     return parser
 
 
 class _Parser(argparse.ArgumentParser):
     def __init__(self, **options: Any) -> None:
         super().__init__(**{"formatter_class": Help, **options})
-        # argparse's own takes -1e5 and -inf for options.
+        # argparse would take -1e5 and -inf for options.
         self._negative_number_matcher = re.compile(r"-(\.?[0-9]|inf|nan)", re.IGNORECASE)
 
+    def format_help(self) -> str:
+        tell_defaults(self)
+        return super().format_help()
+
     def _print_message(self, message: str, file: Any = None) -> None:
-        # argparse's own says nothing of a full disk.
+        # argparse would ignore a full disk.
         file.write(message)
 
     def error(self, message: str) -> NoReturn:

@@ -1,5 +1,5 @@
 """
-The command completion, and what is completed when the shell asks.
+The command completion, and the answers to shells that complete.
 """
 
 from __future__ import annotations
@@ -8,8 +8,9 @@ import argparse
 import os
 from typing import Any
 
-from .commands import COMMANDS, PROGRAM, whole_parser
+from .commands import COMMANDS, whole_parser
 from .help import VerbatimHelp
+from .output import PROGRAM
 
 __all__ = ["add_command", "complete"]
 
@@ -24,14 +25,16 @@ examples:
 
 
 def add_command(commands: Any) -> None:
-    """Tell argparse of it."""
+    """Add the command to argparse."""
     command = commands.add_parser(
         "completion",
-        description="Prints what a shell must know to complete commands, options and names.",
+        description="Print a script that makes a shell complete commands, options and names.",
         epilog=EXAMPLES,
         formatter_class=VerbatimHelp,
     )
-    command.add_argument("shell", choices=SHELLS, metavar="SHELL", help=", ".join(SHELLS))
+    command.add_argument(
+        "shell", choices=SHELLS, metavar="SHELL", help=f"one of {', '.join(SHELLS)}"
+    )
     command.set_defaults(run=_print)
 
 
@@ -43,7 +46,7 @@ def _print(options: argparse.Namespace) -> int:
 
 def complete() -> None:
     """
-    Answer the shell that asks by the environment, and end.
+    Answer a shell that asks for completions through the environment, and exit.
 
     Raises:
         ImportError: argcomplete is not installed.

@@ -1,5 +1,5 @@
 """
-Whom to ask: the options of every command that is a client, and the client they make.
+Endpoints and clients, made of URLs and of the options that override them.
 """
 
 from __future__ import annotations
@@ -8,79 +8,36 @@ import argparse
 import re
 from typing import TYPE_CHECKING, Any
 
-from . import security
-from .help import VerbatimHelp
+from ..ports.schemes import CLIENT_OPTIONS, SECURITY_OPTIONS, SERIAL_OPTIONS
+from .arguments import REPEATED, checked, flag, given
 
 if TYPE_CHECKING:
+    from collections.abc import Collection, Iterable, Mapping
+
     from ..client.blocking import Context
     from ..ports.endpoint import Endpoint
 
-__all__ = ["URLS", "add_arguments", "connected", "endpoint_of", "url_of"]
+__all__ = ["OF_SERVERS", "connected", "endpoint_of", "url_of", "with_options"]
 
-URLS = """\
-URL: tcp://HOST[:502], tls://HOST[:802], udp://HOST[:502], rtu+tcp://HOST:PORT, ascii+tcp://...,
-     rtu:///dev/ttyUSB0, ascii:///dev/ttyUSB0; or just HOST, HOST:PORT or /dev/ttyUSB0.
-     Options follow a question mark, in quotes, for & has a meaning in a shell,
-     such as "rtu:///dev/ttyUSB0?baudrate=9600&parity=N" or "tcp://192.0.2.10?unit=7&timeout=2"
-     any: unit timeout retries busy_retries request_spacing connect_delay accept_unit native ...
-     serial: baudrate parity data_bits stop_bits rs485 rts_delay echo silence
-     tls: cert key ca pin server_name password_env"""
-"""The end of each --help."""
+OF_SERVERS = (*SERIAL_OPTIONS, *SECURITY_OPTIONS)
+"""The options of URLs that mean something to a server."""
 
-PARITIES = {"none": "N", "even": "E", "odd": "O", "n": "N", "e": "E", "o": "O"}
+ALL = (*CLIENT_OPTIONS, *OF_SERVERS)
 
-SERIAL = ("baudrate", "parity", "data_bits", "stop_bits")
+OF_TRANSPORTS = {"serial": SERIAL_OPTIONS, "tls": SECURITY_OPTIONS}
+"""Transport -> the options that it alone has."""
 
-
-def add_arguments(command: argparse.ArgumentParser) -> None:
-    """Tell argparse of them."""
-    command.formatter_class = VerbatimHelp
-    command.add_argument(
-        "url", metavar="URL", help="such as 192.0.2.10, tcp://192.0.2.10:1502 or /dev/ttyUSB0"
-    )
-    command.add_argument(
-        "-u", "--unit", type=int, metavar="N", help="0..255 (that of the URL, or 1)"
-    )
-    command.add_argument("--timeout", type=float, metavar="S", help="seconds (of the URL, or 1)")
-    command.add_argument(
-        "-v", "--verbose", action="store_true", help="show every frame on stderr, both ways"
-    )
-    group = command.add_argument_group("of a serial port, unless the URL says it")
-    group.add_argument("-b", "--baudrate", type=int, metavar="N", help="bits per second (19200)")
-    group.add_argument("-p", "--parity", type=_parity, metavar="P", help="none, even or odd (even)")
-    group.add_argument("-d", "--data-bits", type=int, metavar="N", help="7 or 8 (8; ascii: 7)")
-    group.add_argument("-s", "--stop-bits", type=int, metavar="N", help="1 or 2 (1)")
-    security.add_arguments(command)
-
-
-def _parity(text: str) -> str:
-    try:
-        return PARITIES[text.lower()]
-    except KeyError:
-        raise argparse.ArgumentTypeError(f"must be none, even or odd, not {text!r}") from None
+PLACES = {"serial": "serial ports", "tls": "tls:// URLs"}
 
 
 def endpoint_of(options: argparse.Namespace) -> Endpoint:
     """
-    Give where to connect: the URL, and what options say instead.
+    Return where to connect: the URL, with the options that were typed.
 
     Raises:
-        ValueError: which part is wrong, and what is allowed.
+        ValueError: the URL or an option is wrong.
     """
-    from dataclasses import replace
-
-    from ..ports.endpoint import parse
-
-    endpoint = parse(url_of(options.url))
-    serial = _given(options, SERIAL)
-    if serial and endpoint.transport != "serial":
-        name = next(iter(serial)).replace("_", "-")
-        raise ValueError(f"--{name} is for serial ports, and means nothing on {endpoint}")
-    return replace(
-        endpoint,
-        options={**endpoint.options, **serial},
-        client_options={**endpoint.client_options, **_given(options, ("unit", "timeout"))},
-    )
+    return with_options([url_of(options.url)], options)[0]
 
 
 def connected(options: argparse.Namespace) -> Context:
@@ -88,30 +45,78 @@ def connected(options: argparse.Namespace) -> Context:
     Make the client; it connects when it is used.
 
     Raises:
-        TypeError, ValueError: an option is wrong.
+        TypeError, ValueError: the URL or an option is wrong.
     """
     from ..client.blocking import Context
+    from ..ports.endpoint import parse
 
-    given: dict[str, Any] = {}
-    if (secured := security.told(options)) is not None:
-        given["security"] = secured
+    endpoint_of(options)  # refuses options that do not apply
+    hooks: dict[str, Any] = {}
     if options.verbose:
         from .tracing import Tracing
 
-        given["trace"] = Tracing()
-    return Context.from_url(endpoint_of(options).url, **given)
+        hooks["trace"] = Tracing()
+    plain = parse(url_of(options.url))
+
+    def make(typed: Mapping[str, Any]) -> Context:
+        return Context.from_url(_overridden(plain, typed).url, **hooks)
+
+    return checked(make, _typed(options, ALL))
 
 
-def _given(options: argparse.Namespace, names: tuple[str, ...]) -> dict[str, Any]:
-    return {name: value for name in names if (value := getattr(options, name)) is not None}
+def with_options(
+    urls: Iterable[str], options: argparse.Namespace, names: Collection[str] = ALL
+) -> list[Endpoint]:
+    """
+    Return the endpoints of URLs, each with the options that apply to it.
+
+    Args:
+        names: the options that are looked at.
+
+    Raises:
+        ValueError: a URL is wrong, or an option applies to none of the URLs.
+    """
+    from ..ports.endpoint import parse
+
+    endpoints = [parse(url) for url in urls]
+    typed = _typed(options, names)
+    for transport, own in OF_TRANSPORTS.items():
+        useless = [name for name in typed if name in own]
+        if useless and not any(each.transport == transport for each in endpoints):
+            places = ", ".join(map(str, endpoints))
+            raise ValueError(
+                f"{flag(useless[0])} applies to {PLACES[transport]} only, not to {places}"
+            )
+    return [_overridden(each, typed) for each in endpoints]
+
+
+def _typed(options: argparse.Namespace, names: Collection[str]) -> dict[str, Any]:
+    """Return the options that were typed, with lists as URLs have them."""
+    return {
+        name: ",".join(value) if name in REPEATED else value
+        for name, value in given(options, names).items()
+    }
+
+
+def _overridden(endpoint: Endpoint, typed: Mapping[str, Any]) -> Endpoint:
+    from dataclasses import replace
+
+    own = OF_TRANSPORTS.get(endpoint.transport, {})
+    settings = {name: value for name, value in typed.items() if name in own}
+    client = {name: value for name, value in typed.items() if name in CLIENT_OPTIONS}
+    return replace(
+        endpoint,
+        options={**endpoint.options, **settings},
+        client_options={**endpoint.client_options, **client},
+    )
 
 
 def url_of(text: str) -> str:
     """
-    Give a URL for what was typed: without a scheme a path is a serial port, all else a host.
+    Return the URL of what was typed: without a scheme a path is a serial port, all else a host.
 
     Raises:
-        ValueError: it can be neither.
+        ValueError: the text is neither a URL, a path nor a host.
     """
     if "://" in text:
         return text

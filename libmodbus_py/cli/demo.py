@@ -1,15 +1,13 @@
 """
-The demonstration: a client and a server of this package on three lines.
+The command demo: a client and a server of this package, on three kinds of lines.
 
-The requests are the worked examples that manuals and the specification print; the
-bytes shown are those that a tap on the wire saw.
+The requests are worked examples of manuals and of the specification. The bytes that are printed
+were recorded on the line.
 """
 
 from __future__ import annotations
 
 import argparse
-import os
-import sys
 import textwrap
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -26,18 +24,21 @@ from ..protocol.errors import ExceptionResponse
 from ..protocol.values import parse_reference
 from ..server.server import Server
 from ..tools.testing.wires import SerialWire, TcpWire
+from .output import styled
 
 __all__ = ["add_command"]
 
+BOLD, RED, GREEN = "1", "31", "32"
+
 
 def add_command(commands: Any) -> None:
-    """Tell argparse of it."""
+    """Add the command to argparse."""
     commands.add_parser("demo").set_defaults(run=_demo)
 
 
 @dataclass(frozen=True)
 class Example:
-    """A request, and how its answer is shown."""
+    """A request, how its answer is printed, and what must be printed."""
 
     title: str
     unit: int
@@ -130,16 +131,17 @@ LINES: dict[str, Callable[[], Any]] = {
 
 
 def _demo(_: argparse.Namespace) -> int:
-    """Show every example on every line; 0 if all answers were what the examples say, else 1."""
+    """Run every example on every line; return 0 if all answers are those of the examples,"
+    " else 1."""
     version = ".".join(map(str, loaded_version()))
     print(f"libmodbus {version}: a client and a server with a register mapping, on three lines")
     right = True
     for name, line in LINES.items():
         with line() as (url, context, wire):
-            print(f"\n{_bold(f'{name:<6}')} {url}")
+            print(f"\n{styled(f'{name:<6}', BOLD)} {url}")
             for example in EXAMPLES:
                 right &= _show(name, example, context.for_unit(example.unit), wire)
-    print(f"\n{'all answers as they should be' if right else 'WRONG ANSWERS: see above'}")
+    print(f"\n{'all answers are right' if right else 'WRONG ANSWERS: see above'}")
     return 0 if right else 1
 
 
@@ -151,12 +153,12 @@ def _show(line: str, example: Example, context: Context, wire: Any) -> bool:
         answer = f"refused: {refusal.args[0]}"
     is_known = bytes([example.request.function]) in KNOWN
     carrier = "C" if line != "ASCII" and is_known else "Python"
-    print(f"\n  {_bold(example.title)}")
+    print(f"\n  {styled(example.title, BOLD)}")
     _row("function", f"{example.request.function}, carried by {carrier}")
     _row("request", _wire_text(line, wire.sent_by("client")))
     _row("response", _wire_text(line, wire.sent_by("server")))
     right = answer == example.shown
-    _row("answer", _coloured(answer, right) if right else _coloured(f"{answer} (WRONG)", right))
+    _row("answer", styled(answer, GREEN) if right else styled(f"{answer} (WRONG)", RED))
     return right
 
 
@@ -169,17 +171,3 @@ def _row(name: str, text: str) -> None:
     print(f"    {name:<9} {first}")
     for more in rest:
         print(f"{'':14}{more}")
-
-
-def _bold(text: str) -> str:
-    return _escape("1", text)
-
-
-def _coloured(text: str, right: bool) -> str:
-    return _escape("32" if right else "31", text)
-
-
-def _escape(code: str, text: str) -> str:
-    """Colour, on a terminal whose user wants it (https://no-color.org)."""
-    wanted = sys.stdout.isatty() and not os.environ.get("NO_COLOR")
-    return f"\x1b[{code}m{text}\x1b[0m" if wanted else text

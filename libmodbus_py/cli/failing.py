@@ -1,32 +1,30 @@
 """
-What went wrong: one line, and an exit code.
+Errors: one line on stderr, and an exit code.
 """
 
 from __future__ import annotations
 
 import contextlib
 import os
-import sys
 
 from ..protocol.errors import ModbusError
 from . import output
-from .commands import PROGRAM
 
 __all__ = ["CommandError", "failed"]
 
 
 class CommandError(Exception):
-    """What a command cannot do, and nobody's usage was wrong."""
+    """A command failed, and not because of wrong usage."""
 
 
 def failed(error: Exception) -> int:
-    """Say it, and give the exit code."""
+    """Print an error, and return the exit code."""
     if isinstance(error, OSError) and not isinstance(error, ModbusError):
         output.abandon()
     if not isinstance(error, BrokenPipeError):
-        # Else the reader of our output has gone, as `head` does; nothing is left to say.
+        # After a broken pipe nothing reads the output any more, as with `head`.
         with contextlib.suppress(OSError):
-            print(f"{PROGRAM}: {_line(error)}", file=sys.stderr, flush=True)
+            output.complain(_line(error))
     return 1
 
 

@@ -1,5 +1,5 @@
 """
-How --help is set: as wide as the terminal.
+The layout of --help: as wide as the terminal, and the same in all versions of Python.
 
 argparse asks shutil for that width, which imports three compressors at each start.
 """
@@ -11,20 +11,62 @@ import os
 
 TYPE_CHECKING = False  # see commands
 if TYPE_CHECKING:
+    from collections.abc import Iterable
     from typing import Any
 
-__all__ = ["Help", "VerbatimHelp"]
+__all__ = ["Help", "VerbatimHelp", "tell_defaults"]
 
 
 class Help(argparse.HelpFormatter):
-    """Help in which all texts are filled anew."""
+    """Help in which all texts are filled anew, below a usage line without the single options."""
 
     def __init__(self, prog: str, **options: Any) -> None:
         super().__init__(prog, **{"width": _columns() - 2, **options})
 
+    def _format_usage(
+        self, usage: Any, actions: Iterable[argparse.Action], groups: Any, prefix: str | None
+    ) -> str:
+        if usage is not None:  # argparse made it before it hides positional arguments
+            return f"usage: {usage.strip()}\n\n"
+        start = "usage: " if prefix is None else prefix
+        actions = list(actions)
+        needed = [action for action in actions if action.required or not action.option_strings]
+        has_options = any(not action.required and action.option_strings for action in actions)
+        words = [self._prog, *["[OPTIONS]"] * has_options, *map(self._usage_of, needed)]
+        return f"{start}{' '.join(words)}\n\n"
+
+    def _usage_of(self, action: argparse.Action) -> str:
+        if not action.option_strings:
+            return self._format_args(action, self._get_default_metavar_for_positional(action))
+        return f"{action.option_strings[-1]} {action.metavar}"
+
+    def _format_action_invocation(self, action: argparse.Action) -> str:
+        """As newer versions of Python: -u, --unit N."""
+        if not action.option_strings or action.nargs == 0:
+            return super()._format_action_invocation(action)
+        default = self._get_default_metavar_for_optional(action)
+        return f"{', '.join(action.option_strings)} {self._format_args(action, default)}"
+
 
 class VerbatimHelp(Help, argparse.RawDescriptionHelpFormatter):
     """Help whose description and epilog stay as they are."""
+
+
+def tell_defaults(parser: argparse.ArgumentParser) -> None:
+    """Add the default values to the texts of a parser and those of its commands."""
+    for action in parser._actions:
+        usual = action.__dict__.pop("usual", None)
+        if usual is not None and (text := _shown(usual(action.dest))):
+            action.help = f"{action.help} ({text})"
+        if action.nargs == argparse.PARSER:
+            for each in dict(action.choices or {}).values():
+                tell_defaults(each)
+
+
+def _shown(value: Any) -> str:
+    if value is None or isinstance(value, bool):
+        return ""
+    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def _columns() -> int:

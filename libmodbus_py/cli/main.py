@@ -1,8 +1,8 @@
 """
-The command line: what was typed, and with which exit code it ends.
+The entry point of the command line, and its exit codes.
 
-Exit code 0; 1 when the device or the line failed; 2 for wrong usage; 130 on Ctrl-C. Errors
-are one line on stderr.
+The exit code is 0, 1 if the device or the line failed, 2 for wrong usage, 130 after Ctrl-C. An
+error is one line on stderr.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 __all__ = ["INTERRUPTED", "main"]
 
 INTERRUPTED = 130
-"""As shells have it for Ctrl-C."""
+"""Exit code after Ctrl-C, as in shells."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -26,7 +26,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Run the command line.
 
     Args:
-        arguments: without the program's name; None for those of the process.
+        arguments: without the name of the program; None for those of the process.
 
     Returns:
         The exit code.
@@ -34,7 +34,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Raises:
         SystemExit: after --help and --version, with 0; for wrong usage, with 2.
     """
-    # All imports are in here, where Ctrl-C is caught.
+    # Everything is imported within the try, where Ctrl-C is caught.
     try:
         from . import output
 
@@ -42,7 +42,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         try:
             return _run(arguments)
         finally:
-            sys.stdout.flush()  # here, where a full disk is caught
+            sys.stdout.flush()  # within the try, where a full disk is caught
     except KeyboardInterrupt:
         return INTERRUPTED
     except Exception as error:
@@ -69,8 +69,9 @@ def _run(arguments: Sequence[str] | None) -> int:
 
 
 def _is_interrupt(error: BaseException | None) -> bool:
-    """Whether Ctrl-C is behind it: where Python makes a class, another error takes its place."""
-    seen: set[int] = set()  # errors that are raised again can have each other for a cause
+    """Return True if Ctrl-C caused an error: while a class is made Python replaces it by"
+    " another."""
+    seen: set[int] = set()  # errors that are raised again may cause each other
     while error is not None and id(error) not in seen:
         if isinstance(error, KeyboardInterrupt):
             return True

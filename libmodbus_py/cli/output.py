@@ -1,5 +1,5 @@
 """
-Standard output and standard error, whatever they are.
+Standard output and standard error: messages, JSON and styles.
 """
 
 from __future__ import annotations
@@ -9,21 +9,27 @@ import io
 import os
 import sys
 
-__all__ = ["abandon", "counted", "prepare"]
+TYPE_CHECKING = False  # see commands
+if TYPE_CHECKING:
+    from typing import Any
+
+__all__ = ["PROGRAM", "abandon", "complain", "counted", "prepare", "print_json", "styled"]
+
+PROGRAM = "libmodbus-py"
 
 
 def prepare() -> None:
-    """Let what is printed be taken, also where a stream is closed or knows ASCII only."""
+    """Make both streams accept everything that is printed, even if closed or limited to ASCII."""
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
-        if stream is None:  # closed by whoever started us
-            setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115 (for as long as we live)
+        if stream is None:  # the descriptor was closed when the program started
+            setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115 (never closed)
         elif isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
 
 
 def abandon() -> None:
-    """Print nowhere from now on, for what is in the buffer would fail again at the end."""
+    """Discard the buffered output and all that follows; writing it at exit would fail again."""
     with contextlib.suppress(OSError, ValueError):
         printed = sys.stdout.fileno()
         nowhere = os.open(os.devnull, os.O_WRONLY)
@@ -31,6 +37,29 @@ def abandon() -> None:
         os.close(nowhere)
 
 
-def counted(number: int, what: str) -> str:
-    """Return a number and a noun, in the plural where it must be."""
-    return f"{number} {what}{'' if number == 1 else 's'}"
+def complain(text: str) -> None:
+    """Print a message to stderr, after the name of the program."""
+    print(f"{PROGRAM}: {text}", file=sys.stderr, flush=True)
+
+
+def print_json(fields: dict[str, Any]) -> None:
+    """Print an object of JSON as one line, at once."""
+    import json
+
+    print(json.dumps(fields), flush=True)
+
+
+def styled(text: str, style: str) -> str:
+    """
+    Return a text with a style, on a terminal whose user wants styles (https://no-color.org).
+
+    Args:
+        style: SGR parameters, such as "1" for bold or "31" for red; empty for none.
+    """
+    wanted = style and sys.stdout.isatty() and not os.environ.get("NO_COLOR")
+    return f"\x1b[{style}m{text}\x1b[0m" if wanted else text
+
+
+def counted(number: int, noun: str) -> str:
+    """Return a number and a noun, such as "1 point" or "2 points"."""
+    return f"{number} {noun}{'' if number == 1 else 's'}"

@@ -1,5 +1,5 @@
 """
-One line on a terminal that says how far long work is; nothing elsewhere.
+A status line for long work, on a terminal only.
 """
 
 from __future__ import annotations
@@ -10,15 +10,15 @@ import time
 __all__ = ["Status"]
 
 REDRAWN = 0.1
-"""Seconds between two states of the progress, at least."""
+"""Seconds between two states of the line, at least."""
 
 
 class Status:
     """
-    The line, on standard error.
+    A line on standard error that is drawn again in place.
 
     Args:
-        after: seconds before it is first shown.
+        after: seconds until the line is first drawn.
     """
 
     def __init__(self, after: float = 0.0) -> None:
@@ -27,19 +27,19 @@ class Status:
         self._next = time.monotonic() + after
 
     def show(self, text: str) -> None:
-        """Show it, unless there was another one just now."""
+        """Draw a text, unless another one was drawn just now."""
         now = time.monotonic()
         if not self._is_wanted or now < self._next:
             return
         self._next = now + REDRAWN
         self._is_shown = True
-        import shutil  # brings three compressors, and nobody sees this in a pipe
+        import shutil  # imports three compressors, which a pipe does not need
 
         fitting = text[: shutil.get_terminal_size().columns - 1]
         print(f"\r{fitting}\x1b[K", end="", file=sys.stderr, flush=True)
 
     def clear(self) -> None:
-        """Take it away, before something else is printed."""
+        """Remove the line, before other output."""
         if self._is_shown:
             self._is_shown = False
             print("\r\x1b[K", end="", file=sys.stderr, flush=True)

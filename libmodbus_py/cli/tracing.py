@@ -1,5 +1,5 @@
 """
-What -v shows: every frame, both ways, in columns.
+Frames in columns, as --verbose prints them.
 """
 
 from __future__ import annotations
@@ -10,11 +10,16 @@ import time
 from ..ports.trace import Traced
 from ..protocol.pdu import REQUESTS
 
-__all__ = ["Tracing", "in_columns"]
+__all__ = ["Tracing", "in_columns", "print_frame"]
 
 
 class Tracing:
-    """A `trace` that prints to stderr: time, direction, unit, function, how long it took, bytes."""
+    """
+    A `trace` of one client that prints each frame to stderr.
+
+    The columns are the time, the direction, the unit, the function, how long the answer took, and
+    the bytes.
+    """
 
     def __init__(self) -> None:
         self._sent = 0.0
@@ -28,9 +33,14 @@ class Tracing:
         print(in_columns(traced, took), file=sys.stderr, flush=True)
 
 
-def in_columns(traced: Traced, took: float | None) -> str:
+def print_frame(traced: Traced) -> None:
+    """Print a frame of a server to stderr, in the same columns."""
+    print(in_columns(traced), file=sys.stderr, flush=True)
+
+
+def in_columns(traced: Traced, took: float | None = None) -> str:
     """
-    Give one line.
+    Return a frame as one line.
 
     Args:
         took: seconds since the request.
@@ -49,6 +59,6 @@ def _function(traced: Traced) -> str:
     if traced.function is None:
         return "no frame"
     request = REQUESTS.get(traced.function & 0x7F)
-    if traced.function & 0x80 and traced.direction == "received":
+    if traced.function & 0x80:
         return "refused" if request is None else f"refused {request.__name__}"
     return f"function {traced.function}" if request is None else request.__name__

@@ -28,7 +28,7 @@ from .handle import Handle
 from .options import AsyncOptions, CheckedOptions, assembled
 from .requests import Awaiting, Several
 
-__all__ = ["IN_FLIGHT", "AsyncClient", "Submitted"]
+__all__ = ["IN_FLIGHT", "MAX_PAUSE", "AsyncClient", "Submitted"]
 
 Result = TypeVar("Result")
 

@@ -27,6 +27,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from .schemes import (
+    ASCII_DEFAULTS,
     CLIENT_OPTIONS,
     DEFAULT_PORT,
     OTHER_NAMES,
@@ -48,9 +49,6 @@ __all__ = ["Endpoint", "parse"]
 
 # Of no use here, but it may be written, and should be in no log.
 PASSWORD = "(?<=password=)[^&#]+|(?<=:)[^/@:]+(?=@)"
-
-USUAL: dict[Framing, dict[str, Any]] = {"ascii": {"data_bits": 7, "silence": 0.0}}
-"""Serial settings unless told otherwise: ASCII frames are text, and have marks of their own."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +84,8 @@ class Endpoint:
     @property
     def serial_settings(self) -> dict[str, Any]:
         """The options, and the usual settings of the framing that they leave open."""
-        return {**USUAL.get(self.framing, {}), **self.options}
+        defaults = ASCII_DEFAULTS if self.framing == "ascii" else {}
+        return {**defaults, **self.options}
 
     @property
     def url(self) -> str:

@@ -12,8 +12,9 @@ if TYPE_CHECKING:
 
 # fmt: off
 __all__ = [
-    "CLIENT_OPTIONS", "DEFAULT_PORT", "OTHER_NAMES", "SCHEMES", "SECURE_PORT", "SECURITY_OPTIONS",
-    "SERIAL_OPTIONS", "Option", "Scheme", "Transport", "framing_of",
+    "ASCII_DEFAULTS", "CLIENT_OPTIONS", "DEFAULT_PORT", "OTHER_NAMES", "PARITIES", "SCHEMES",
+    "SECURE_PORT", "SECURITY_OPTIONS", "SERIAL_DEFAULTS", "SERIAL_OPTIONS", "Option", "Scheme",
+    "Transport", "framing_of",
 ]
 # fmt: on
 
@@ -75,7 +76,9 @@ PARITIES = {"none": "N", "even": "E", "odd": "O", "n": "N", "e": "E", "o": "O"}
 
 
 def _parity(text: str) -> str:
-    return PARITIES.get(text.lower()) or text  # the serial port refuses any other
+    if text.lower() not in PARITIES:
+        raise ValueError(text)
+    return PARITIES[text.lower()]
 
 
 def _number(text: str) -> Option:
@@ -92,14 +95,19 @@ def _text(text: str, placeholder: str) -> Option:
 
 SERIAL_OPTIONS: dict[str, Option] = {
     "baudrate": _number("bits per second"),
-    "parity": Option(_parity, "text", "none, even or odd", "P"),
-    "data_bits": _number("7 or 8 data bits in a character"),
-    "stop_bits": _number("1 or 2 stop bits"),
+    "parity": Option(_parity, "none, even or odd", "parity: none, even or odd", "P"),
+    "data_bits": _number("data bits of a character, 7 or 8"),
+    "stop_bits": _number("stop bits, 1 or 2"),
     "rs485": _text("how an RS-485 transceiver is switched: kernel, rts-up or rts-down", "MODE"),
     "rts_delay": _seconds("seconds between RTS and the data; unless given, one character"),
     "echo": Option(_switch, "0 or 1", "the line returns everything that is sent", ""),
     "silence": _seconds("seconds of silence between frames; unless given, 3.5 characters"),
 }
+
+SERIAL_DEFAULTS: dict[str, Any] = {"baudrate": 19200, "parity": "E", "data_bits": 8, "stop_bits": 1}
+
+# ASCII frames are text, and have marks of their own.
+ASCII_DEFAULTS: dict[str, Any] = {"data_bits": 7, "silence": 0.0}
 
 SECURITY_OPTIONS: dict[str, Option] = {
     "cert": _text("own certificate, a PEM file", "FILE"),

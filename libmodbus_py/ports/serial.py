@@ -12,12 +12,13 @@ import select
 import struct
 import termios
 from collections.abc import Iterator
-from typing import ClassVar, Literal, TypedDict, Unpack
+from typing import Any, ClassVar, Literal, TypedDict, Unpack
 
 from ..binding.library import check, ffi, lib, make
 from ..protocol.checks import integer, seconds
 from ..protocol.errors import ModbusConnectionError
 from .port import Port, Silence, lost
+from .schemes import SERIAL_DEFAULTS
 from .waiting import Steps
 
 __all__ = ["LineSettings", "SerialPort", "SerialSettings", "set_odd_baudrate"]
@@ -121,15 +122,16 @@ class SerialPort(Port):
         check(lib.modbus_set_slave(self.context, 1))
 
     def _take(self, settings: SerialSettings) -> None:
-        self.parity = settings.get("parity", "E")
+        usual: Any = {**SERIAL_DEFAULTS, **settings}
+        self.parity: Parity = usual["parity"]
         if self.parity not in ("N", "E", "O"):
             raise ValueError(f'parity must be "N", "E" or "O", not {self.parity!r}')
         self.rs485 = settings.get("rs485")
         if self.rs485 not in (None, "kernel", *self.rts_modes):
             raise ValueError(f'rs485 must be "kernel", "rts-up" or "rts-down", not {self.rs485!r}')
-        self.baudrate: int = integer("baudrate", settings.get("baudrate", 19200), 1, 4_000_000)
-        self.data_bits: int = integer("data_bits", settings.get("data_bits", 8), 5, 8)
-        self.stop_bits: int = integer("stop_bits", settings.get("stop_bits", 1), 1, 2)
+        self.baudrate: int = integer("baudrate", usual["baudrate"], 1, 4_000_000)
+        self.data_bits: int = integer("data_bits", usual["data_bits"], 5, 8)
+        self.stop_bits: int = integer("stop_bits", usual["stop_bits"], 1, 2)
         self.echo: bool = settings.get("echo", False)
         if not isinstance(self.echo, bool):
             raise TypeError(f"echo must be True or False, not {self.echo!r}")

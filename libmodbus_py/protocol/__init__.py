@@ -13,4 +13,5 @@ Bottom up:
     values     numbers, text and bits in registers; references such as 40123
                (type_names: what type checkers know of them)
     spelling   values as people read and type them
+    plain      values as JSON can contain them
 """

@@ -440,4 +440,4 @@ def test_serve_says_in_one_line_that_anybody_may_write(arguments: list[str], nam
         _, said = process.communicate()
     assert said.count("\n") == (named > 0)
     assert [url for url in listening if url in said] == listening[:named]
-    assert ("anybody" in said) == ("--allow" in said) == (named > 0)
+    assert ("anyone" in said) == ("--allow" in said) == (named > 0)

@@ -122,8 +122,8 @@ def test_nobody_is_asked_for_a_password(papers: Papers) -> None:
     ("arguments", "text"),
     [
         (["tls://h", "holding", "0"], "tls://h:802 needs security"),
-        (["tls://h", "holding", "0", "--ca", "x"], "the command line lacks cert, the file"),
-        (["tls://h", "holding", "0", "--cert", "x"], "the command line needs either ca"),
+        (["tls://h", "holding", "0", "--ca", "x"], "tls://h:802 lacks cert, the file"),
+        (["tls://h", "holding", "0", "--cert", "x"], "tls://h:802 needs either ca"),
         (["tls://h?cert=x", "holding", "0"], "tls://h:802 needs either ca, the authorities, or"),
         (["tls://h?password=sesame", "holding", "0"], "'password' must be one of cert, key, ca"),
         (["tls://me:sesame@h", "holding", "0"], "neither user nor fragment"),
@@ -137,9 +137,14 @@ def test_wrong_usage_is_told_in_one_line(arguments: list[str], text: str) -> Non
 
 def test_what_goes_with_tls_only(own: list[str], url: str, papers: Papers) -> None:
     said = fails(2, "read", "tcp://127.0.0.1:1", "holding", "0", *own)
-    assert "security is for tls://, and means nothing on tcp" in said
-    both = papers.url(url, certificates.client())
-    assert "security is given as such and in the URL" in fails(2, "read", both, "coils", "0", *own)
+    assert "--cert applies to tls:// URLs only, not to tcp://127.0.0.1:1" in said
+
+
+def test_an_option_overrides_the_url(own: list[str], url: str, papers: Papers) -> None:
+    whole = papers.url(url, certificates.client())
+    assert read(f"{whole}&server_name=other.example", "--server-name", "localhost").endswith(GOOD)
+    own[0], own[4] = "--certificate", "--trust"
+    assert read(f"{url}?ca=nowhere.pem", *own).endswith(GOOD)
 
 
 def test_what_fails_is_told_in_one_line(own: list[str], url: str) -> None:

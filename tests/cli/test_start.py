@@ -46,11 +46,20 @@ def test_what_needs_no_client_brings_none(arguments: list[str]) -> None:
     assert not found & {"asyncio", "ssl", "socket", "logging", "dataclasses"}
 
 
-@pytest.mark.parametrize("arguments", [["read"], ["write", "--help"], ["raw", "-b", "x"]])
-def test_wrong_usage_and_help_of_a_client_bring_none(arguments: list[str]) -> None:
+@pytest.mark.parametrize("arguments", [["read"], ["raw", "-b", "x"], ["write", "h", "--retries"]])
+def test_wrong_usage_of_a_client_brings_none(arguments: list[str]) -> None:
     found = modules_after(*arguments)
-    assert not any(name.startswith(("libmodbus_py.client", "libmodbus_py.ports")) for name in found)
+    ports = {name for name in found if name.startswith("libmodbus_py.ports.")}
+    assert ports == {"libmodbus_py.ports.schemes"}
+    assert not any(name.startswith("libmodbus_py.client") for name in found)
     assert not found & {"asyncio", "ssl", "socket", "logging", "dataclasses"}
+
+
+def test_help_brings_the_defaults_and_no_client() -> None:
+    found = modules_after("write", "--help")
+    assert "libmodbus_py.client.options" in found
+    assert "libmodbus_py.client.blocking" not in found
+    assert not found & {"asyncio", "ssl", "logging"}
 
 
 def test_a_read_brings_a_blocking_client() -> None:

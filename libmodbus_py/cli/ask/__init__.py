@@ -3,17 +3,21 @@ Commands that ask one device: read, write, identify, diagnose, raw and map.
 
 ::
 
-    read          the options of read
-    reading       the requests of read, and what they gave
-    watching      reading again and again
-    table         ... on a terminal, in place
-    lines         ... a line for each poll
-    write         the options of write
-    writing       a request for each item
-    identify      identify; diagnose and raw likewise
-    telling       what a device says of itself, and to any function
-    items         tables, references and names, as they are typed
-    asking        the requests for items
-    views         what was read, as rows and fields of JSON
-    map           register maps, checked, or made of what a device has
+    read             the arguments of read
+    reading          the requests of read, and their results
+    watching         read --watch: reading again and again
+    table            ... on a terminal, drawn again in place
+    lines            ... elsewhere, a line for each poll
+    write            the arguments of write
+    writing          the requests of write
+    items            the words that say what is read or written: tables, references, names
+    item_plan        the requests that read items
+    formatters       values as lines, cells of CSV and fields of JSON
+    identify         identify
+    diagnose         diagnose
+    report           answers to several functions, as identify and diagnose print them
+    raw              raw
+    map              the arguments of map
+    map_check        map check
+    map_from_device  map from-device
 """

@@ -1,13 +1,21 @@
 """
-The command diagnose: how a device and its line are (functions 7, 8, 11 and 12).
+The command diagnose: status, counters and events of a device (functions 7, 8, 11 and 12).
 """
 
 from __future__ import annotations
 
 import argparse
-from typing import Any
+from collections.abc import Callable
+from contextlib import closing
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
-from .. import connecting
+from .. import arguments
+from ..output import print_json
+
+if TYPE_CHECKING:
+    from ...client.blocking import Context
+    from .report import Named
 
 __all__ = ["add_command"]
 
@@ -20,27 +28,89 @@ examples:
 
 
 def add_command(commands: Any) -> None:
-    """Tell argparse of it."""
+    """Add the command to argparse."""
     command = commands.add_parser(
         "diagnose",
-        description="Reads the exception status (7), the counters (8), the event counter (11) and"
-        " the event\nlog (12): what the device has of them. Nothing is changed, unless a"
-        " sub-function that\nchanges something is named.",
-        epilog=f"{EXAMPLES}\n\n{connecting.URLS}",
+        description="Print the exception status (function 7), the counters (8), the event counter"
+        " (11) and\nthe event log (12), as far as the device has them. Nothing in the device"
+        " changes, unless\nSUB-FUNCTION is given and changes something.",
+        epilog=f"{EXAMPLES}\n\n{arguments.URLS}",
     )
-    connecting.add_arguments(command)
+    arguments.add_client(command)
     command.add_argument(
         "sub_function",
         metavar="SUB-FUNCTION",
         nargs="?",
-        help="of function 8, by name or number, such as clear-counters or 10",
+        help="sub-function of function 8, by name or number, such as clear-counters or 10",
     )
-    command.add_argument("data", metavar="DATA", nargs="?", default="0", help="0..65535 (0)")
-    command.add_argument("--json", action="store_true", help="print one object")
+    command.add_argument(
+        "data",
+        metavar="DATA",
+        nargs="?",
+        default="0",
+        help="data of the sub-function, 0..65535 (0)",
+    )
+    arguments.add_json(command)
     command.set_defaults(run=_diagnose)
 
 
 def _diagnose(options: argparse.Namespace) -> int:
-    from .telling import diagnose
+    from ...protocol.spelling import number_of
+    from ..connecting import connected
+    from .report import print_report
 
-    return diagnose(options)
+    with closing(connected(options)) as context:
+        if options.sub_function is None:
+            return print_report(context, _questions(context), as_json=options.json)
+        sub = _sub_function(options.sub_function)
+        answer = context.diagnostics(sub, number_of("data", options.data))
+    if options.json:
+        print_json({_name(sub): answer})
+    else:
+        print(answer)
+    return 0
+
+
+def _questions(context: Context) -> dict[str, Callable[[], Named]]:
+    """Return what can be asked without a change in the device."""
+    from ...protocol.pdu import SubFunction
+
+    counters = range(SubFunction.BUS_MESSAGE_COUNT, SubFunction.BUS_CHARACTER_OVERRUN_COUNT + 1)
+    questions: dict[str, Callable[[], Named]] = {
+        "exception status": lambda: [
+            ("exception status", f"{context.read_exception_status():08b}")
+        ],
+        "event counter": lambda: context.read_comm_event_counter()._asdict().items(),
+        "event log": lambda: context.read_comm_event_log()._asdict().items(),
+    }
+    for sub in (SubFunction.RETURN_DIAGNOSTIC_REGISTER, *map(SubFunction, counters)):
+        questions[_name(sub)] = partial(_counter, context, sub)
+    return questions
+
+
+def _counter(context: Context, sub: int) -> Named:
+    return [(_name(sub), context.diagnostics(sub))]
+
+
+def _sub_function(text: str) -> int:
+    from ...protocol.pdu import SubFunction
+    from ...protocol.spelling import number_of
+
+    names = {_name(sub): int(sub) for sub in SubFunction}
+    name = text.lower().replace("-", " ").replace("_", " ")
+    if name in names:
+        return names[name]
+    try:
+        return number_of("sub-function", text)
+    except ValueError:
+        known = ", ".join(each.replace(" ", "-") for each in names)
+        raise ValueError(f"SUB-FUNCTION must be a number or one of {known}, not {text!r}") from None
+
+
+def _name(sub: int) -> str:
+    from ...protocol.pdu import SubFunction
+
+    try:
+        return SubFunction(sub).name.lower().replace("_", " ")
+    except ValueError:
+        return f"sub-function {sub}"

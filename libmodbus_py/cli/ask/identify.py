@@ -1,13 +1,18 @@
 """
-The command identify: what a device says that it is (functions 43/14 and 17).
+The command identify: device identification and server id (functions 43/14 and 17).
 """
 
 from __future__ import annotations
 
 import argparse
-from typing import Any
+from collections.abc import Callable
+from contextlib import closing
+from typing import TYPE_CHECKING, Any
 
-from .. import connecting
+from .. import arguments
+
+if TYPE_CHECKING:
+    from ...protocol.pdu import DeviceIdentification, ServerId
 
 __all__ = ["add_command"]
 
@@ -20,25 +25,48 @@ examples:
 
 
 def add_command(commands: Any) -> None:
-    """Tell argparse of it."""
+    """Add the command to argparse."""
     command = commands.add_parser(
         "identify",
-        description="Asks for the device identification (43/14) and the server id (17); devices"
-        " have one,\nboth or neither. Exit code 1 if it is neither.",
-        epilog=f"{EXAMPLES}\n\n{connecting.URLS}",
+        description="Print the device identification (function 43/14) and the server id"
+        " (function 17).\n"
+        "Devices have one, both or neither; with neither the exit code is 1.",
+        epilog=f"{EXAMPLES}\n\n{arguments.URLS}",
     )
-    connecting.add_arguments(command)
+    arguments.add_client(command)
     command.add_argument(
         "--level",
         default="regular",
         metavar="L",
-        help="basic, regular, extended, or the id of one object (regular)",
+        help="basic, regular, extended, or the number of one object (regular)",
     )
-    command.add_argument("--json", action="store_true", help="print one object")
+    arguments.add_json(command)
     command.set_defaults(run=_identify)
 
 
 def _identify(options: argparse.Namespace) -> int:
-    from .telling import identify
+    from ...protocol.spelling import number_of
+    from ..connecting import connected
+    from .report import Named, print_report
 
-    return identify(options)
+    level = options.level
+    wanted: str | int = number_of("level", level) if level[:1].isdigit() else level
+    with closing(connected(options)) as context:
+        questions: dict[str, Callable[[], Named]] = {
+            "identification": lambda: _objects(context.read_device_identification(wanted)),
+            "server id": lambda: _server_id(context.report_server_id()),
+        }
+        return print_report(context, questions, as_json=options.json)
+
+
+def _objects(identification: DeviceIdentification) -> list[tuple[str, bytes]]:
+    from ...protocol.pdu.interface import OBJECT_NAMES
+
+    return [
+        (OBJECT_NAMES.get(number, f"object {number}"), value)
+        for number, value in sorted(identification.objects.items())
+    ]
+
+
+def _server_id(server_id: ServerId) -> list[tuple[str, Any]]:
+    return [("server id", server_id.data), ("running", server_id.running)]

@@ -1,5 +1,5 @@
 """
-What is typed to say what to read or write: tables and addresses, references, names.
+The words that say what is read or written: tables and addresses, references, names.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ TABLE_WORDS = {
     "file": "file",
     "fifo": "fifo_queue",
 }
-"""What is typed -> the table's name."""
+"""Word on the command line -> name of the table."""
 
 WORD_OF = {table: word for word, table in TABLE_WORDS.items()}
 
@@ -40,30 +40,30 @@ REGISTERS = {
     for name, rules in TABLES.items()
     if not rules.is_bits
 } | {"file": (124, 122)}
-"""Table of registers -> how many of them one request reads, and writes."""
+"""Table of registers -> the most that one request reads, and writes."""
 
 USUAL = {"order": "ABCD", "encoding": "ascii", "padding": "\0"}
-"""Of a type's options."""
+"""Options of a type -> their defaults."""
 
 ALL = "all"
-"""The type that shows every reading."""
+"""Argument of --type that shows every interpretation."""
 
 
 @dataclass(frozen=True)
 class Item:
     """
-    Some values of one table, or a point of a map.
+    Values of one table, or a point of a register map.
 
     Attributes:
         table: a value of `TABLE_WORDS`.
-        address: the first cell, from 0.
-        count: how many values.
-        kind: what they are; None for cells as they are.
-        layout: name, order, encoding and padding of the kind, as a plan takes them.
-        file: of "file".
-        point: of a map, which says all the others.
-        first: the number that its first cell is shown with.
-        typed: the word that said the address, for hints.
+        address: the address of the first cell, from 0.
+        count: the number of values.
+        kind: the type of the values; None for cells without a type.
+        layout: name, order, encoding and padding of the type, as `Read` takes them.
+        file: the number of the file, for the table "file".
+        point: the point of a map, which determines the other attributes; or None.
+        first: the address that is printed for the first cell.
+        typed: the word with the address, for hints.
     """
 
     table: str
@@ -78,46 +78,46 @@ class Item:
 
     @property
     def size(self) -> int:
-        """The cells of one value."""
+        """The number of cells of one value."""
         return 1 if self.kind is None else self.kind.registers
 
     @property
     def cells(self) -> int:
-        """How many there are."""
+        """The number of cells of all values."""
         return self.count * self.size
 
     @property
     def word(self) -> str:
-        """The table as it is typed."""
+        """The table as a word of the command line."""
         return f"file:{self.file}" if self.table == "file" else WORD_OF[self.table]
 
     @property
     def read(self) -> Read:
-        """What a plan takes; of the four tables only."""
+        """The item as a `Plan` takes it; only for the four tables."""
         if self.point is not None:
             return self.point.read
         return Read(self.table, self.address, self.count, *self.layout)  # type: ignore[arg-type]
 
     @property
     def hint(self) -> str:
-        """What may be wrong with the address, if it looks like a reference."""
+        """A remark for errors if the address looks like a reference; or empty."""
         return _hint(self.word, self.table, self.typed)
 
 
 class Words:
     """
-    What was typed, word by word.
+    The words on the command line, taken one after the other.
 
     Args:
-        options: of the command: `type`, `order`, `encoding`, `padding`, `map`,
+        options: those of the command: `type`, `order`, `encoding`, `padding`, `map`,
             `count_from_1`.
-        words: that say what to read or write.
+        words: the words that say what is read or written.
 
     Attributes:
         map: the register map, or None.
 
     Raises:
-        ValueError: options that do not fit together; the map's file.
+        ValueError: options that do not fit together, or a mistake in the map.
     """
 
     def __init__(self, options: argparse.Namespace, words: list[str]) -> None:
@@ -132,7 +132,7 @@ class Words:
         return bool(self._words)
 
     def whole_map(self) -> list[Item]:
-        """Give all that can be read."""
+        """Return all points of the map that can be read."""
         points = self.map.values() if self.map is not None else ()
         return [self._of_point(point) for point in points if point.is_readable]
 
@@ -143,7 +143,7 @@ class Words:
         Take ``TABLE ADDRESS``, a reference, or a name.
 
         Raises:
-            ValueError: what it is instead.
+            ValueError: the word is none of these.
         """
         first = self._words.popleft()
         if (name := first.partition(":")[0]) in TABLE_WORDS:
@@ -153,20 +153,20 @@ class Words:
         if first.isdecimal():
             return self._referred(first)
         if self.map is not None:
-            self.map.plan([first])  # which says what it may have meant
+            self.map.plan([first])  # raises an error with similar names
         raise ValueError(
-            f"{first!r} must be one of {', '.join(TABLE_WORDS)}, or such as 40123;"
-            " or a name, with --map FILE"
+            f"{first!r} must be one of {', '.join(TABLE_WORDS)}, a reference such as 40123,"
+            " or with --map FILE a name"
         )
 
     def take_count(self, item: Item) -> int:
-        """Take the count of an item if there is one, else 1."""
+        """Take the count of an item; 1 if the next word is not a count."""
         if self._words and re.match("[+-]?[0-9]", self._words[0]) and not self._has_next(item):
             return number_of("count", self._words.popleft())
         return 1
 
     def take_values(self) -> list[str]:
-        """Take all up to the next table or name."""
+        """Take all words up to the next table or name."""
         values = []
         while self._words and not self._begins_item(self._words[0]):
             values.append(self._words.popleft())
@@ -177,14 +177,16 @@ class Words:
         return is_table or (self.map is not None and word in self.map)
 
     def _has_next(self, item: Item) -> bool:
-        """Behind a reference five or six digits are the next one, and no count."""
+        """Return True if the next word is a reference, and not the count of a reference."""
         word = self._words[0]
         return not item.typed and word.isdecimal() and len(word) in (5, 6)
 
     def _in_table(self, first: str, name: str) -> Item:
         file = first.partition(":")[2]
         if (name == "file") != bool(file):
-            raise ValueError(f"{first!r}: a file, and only a file, has a number, as in file:4")
+            raise ValueError(
+                f"{first!r}: a file needs a number, as in file:4, and only a file has one"
+            )
         if not self._words:
             raise ValueError(f"{first} lacks an address")
         typed = self._words.popleft()
@@ -202,12 +204,12 @@ class Words:
     def _referred(self, first: str) -> Item:
         table, address = parse_reference(first)
         if table == "file":
-            raise ValueError(f"{first!r} lacks the file's number: write file:N {address}")
+            raise ValueError(f"{first!r} lacks the number of the file: type file:N {address}")
         return self._item(table, address, address + self._base)
 
     def _named(self, name: str, points: RegisterMap) -> Item:
         if self._has_type:
-            raise ValueError(f"{name} has its type from the map, and no --type")
+            raise ValueError(f"{name} has the type that the map gives, and takes no --type")
         return self._of_point(points[name])
 
     def _of_point(self, point: Point) -> Item:
@@ -223,10 +225,10 @@ class Words:
 
 def map_of(file: str) -> RegisterMap:
     """
-    Load a register map: a file, or an example by its name, which has no suffix.
+    Load a register map from a file, or an example by its name, which has no suffix.
 
     Raises:
-        ValueError: it cannot be read, the first mistake in it, or there is no such example.
+        ValueError: the file cannot be read or contains a mistake, or the example does not exist.
     """
     from ...tools.files.maps.map_file import load_map
 
@@ -238,16 +240,16 @@ def map_of(file: str) -> RegisterMap:
 
 
 def _layout(options: argparse.Namespace) -> tuple[Any, ...]:
-    """Name, order, encoding and padding of a type; nothing without one."""
+    """Return name, order, encoding and padding of the type; empty without --type."""
     given = {name: getattr(options, name) for name in USUAL}
     told = [name for name, value in given.items() if value is not None]
     if options.type is None:
         for name in told:
-            raise ValueError(f"--{name} needs --type, for it is of a value's bytes")
+            raise ValueError(f"--{name} needs --type")
         return ()
     if options.type == ALL and options.can_show_all:
         for name in told:
-            raise ValueError(f"--type all shows every reading, and has no --{name}")
+            raise ValueError(f"--type all shows every interpretation, and has no --{name}")
         return ()
     return (options.type, *(given[name] or usual for name, usual in USUAL.items()))
 

@@ -1,65 +1,65 @@
 """
-One line for each poll: text, CSV or JSON, with its time.
+A line for each poll, with the time: text, CSV or JSON.
 """
 
 from __future__ import annotations
 
 import csv
-import json
 import sys
 from collections.abc import Callable, Sequence
 from datetime import datetime
 from typing import Any
 
-from .views import Outcome, View
+from ..output import print_json
+from .formatters import Formatter, ReadResult
 
-__all__ = ["CsvLines", "JsonLines", "TextLines"]
+__all__ = ["CsvPolls", "JsonPolls", "TextPolls"]
 
 
 def _now() -> str:
     return datetime.now().astimezone().isoformat(timespec="milliseconds")
 
 
-class TextLines:
-    """The time, and the values; with their places where there are several items."""
+class TextPolls:
+    """Prints the time and the values; with their addresses if there are several items."""
 
-    def print(self, outcomes: Sequence[Outcome]) -> None:
-        several = len(outcomes) > 1
-        parts = [_text(each, several) for each in outcomes]
+    def print(self, results: Sequence[ReadResult]) -> None:
+        several = len(results) > 1
+        parts = [_text(each, several) for each in results]
         print(f"{_now()}  {'  '.join(parts)}", flush=True)
 
     def fail(self, reason: str) -> None:
         print(f"{_now()}  {reason}", flush=True)
 
 
-def _text(outcome: Outcome, several: bool) -> str:
-    rows, item = outcome.rows, outcome.view.item
+def _text(result: ReadResult, several: bool) -> str:
+    rows, item = result.rows, result.formatter.item
     values = " ".join(row.text + (f" {row.unit}" if row.unit else "") for row in rows)
-    values = values or f"({outcome.failure})"
+    values = values or f"({result.failure})"
     if item.point is not None:
         return f"{item.point.name}={values}"
     return f"{item.word} {item.first}: {values}" if several else values
 
 
-class CsvLines:
+class CsvPolls:
     """
-    A header, then a row for each poll: the time, a column for each value, and why there is none.
+    Prints a header, then a row for each poll: the time, the values and the error.
 
     Args:
-        views: of the items; their columns are known before anything is read.
+        formatters: those of the items, which name the columns.
 
     Raises:
-        ValueError: of a queue or of all readings they are not.
+        ValueError: an item has no fixed number of columns.
     """
 
-    def __init__(self, views: Sequence[View]) -> None:
-        self._titles = [title for view in views for title in view.titles()]
+    def __init__(self, formatters: Sequence[Formatter]) -> None:
+        self._titles = [title for formatter in formatters for title in formatter.titles()]
         self._writer = csv.writer(sys.stdout, lineterminator="\n")
         self._begun = False
 
-    def print(self, outcomes: Sequence[Outcome]) -> None:
-        cells = [cell for each in outcomes for cell in _cells(each)]
-        self._write([*cells, "; ".join(each.failure for each in outcomes if each.failure)])
+    def print(self, results: Sequence[ReadResult]) -> None:
+        cells = [cell for each in results for cell in _cells(each)]
+        self._write([*cells, "; ".join(each.failure for each in results if each.failure)])
 
     def fail(self, reason: str) -> None:
         self._write([*[""] * len(self._titles), reason])
@@ -72,25 +72,27 @@ class CsvLines:
         sys.stdout.flush()
 
 
-def _cells(outcome: Outcome) -> list[str]:
-    return [row.plain for row in outcome.rows] or [""] * len(outcome.view.titles())
+def _cells(result: ReadResult) -> list[str]:
+    return [row.plain for row in result.rows] or [""] * len(result.formatter.titles())
 
 
-class JsonLines:
+class JsonPolls:
     """
-    An object for each poll.
+    Prints an object for each poll.
 
     Args:
-        object_of: gives its fields.
-        unit: who is asked.
+        object_of: returns the fields of results.
+        unit: the unit that is asked.
     """
 
-    def __init__(self, object_of: Callable[[Sequence[Outcome]], dict[str, Any]], unit: int) -> None:
+    def __init__(
+        self, object_of: Callable[[Sequence[ReadResult]], dict[str, Any]], unit: int
+    ) -> None:
         self._object_of = object_of
         self._unit = unit
 
-    def print(self, outcomes: Sequence[Outcome]) -> None:
-        print(json.dumps({"time": _now(), **self._object_of(outcomes)}), flush=True)
+    def print(self, results: Sequence[ReadResult]) -> None:
+        print_json({"time": _now(), **self._object_of(results)})
 
     def fail(self, reason: str) -> None:
-        print(json.dumps({"time": _now(), "unit": self._unit, "error": reason}), flush=True)
+        print_json({"time": _now(), "unit": self._unit, "error": reason})

@@ -1,13 +1,14 @@
 """
-The command raw: any function, its data in hex, and what comes back.
+The command raw: any function code, its data and its response in hexadecimal.
 """
 
 from __future__ import annotations
 
 import argparse
+from contextlib import closing
 from typing import Any
 
-from .. import connecting
+from .. import arguments
 
 __all__ = ["add_command"]
 
@@ -20,20 +21,47 @@ examples:
 
 
 def add_command(commands: Any) -> None:
-    """Tell argparse of it."""
+    """Add the command to argparse."""
     command = commands.add_parser(
         "raw",
-        description="Sends a function and its data as they are. Prints the response, function"
-        " first, and\nwhat it says, where the function is known.",
-        epilog=f"{EXAMPLES}\n\n{connecting.URLS}",
+        description="Send a function code and its data as they are. The response is printed in\n"
+        "hexadecimal, and decoded if the function is known.",
+        epilog=f"{EXAMPLES}\n\n{arguments.URLS}",
     )
-    connecting.add_arguments(command)
-    command.add_argument("function", metavar="FUNCTION", help="1..127")
-    command.add_argument("data", metavar="HEX", nargs="*", help="what follows the function")
+    arguments.add_client(command)
+    command.add_argument("function", metavar="FUNCTION", help="function code, 1..127")
+    command.add_argument(
+        "data", metavar="HEX", nargs="*", help="data after the function code, in hexadecimal"
+    )
     command.set_defaults(run=_raw)
 
 
 def _raw(options: argparse.Namespace) -> int:
-    from .telling import raw
+    from ...protocol.pdu import RawRequest
+    from ...protocol.spelling import number_of
+    from ..connecting import connected
 
-    return raw(options)
+    function = number_of("function", options.function)
+    try:
+        data = bytes.fromhex("".join(options.data))
+    except ValueError:
+        typed = " ".join(options.data)
+        raise ValueError(f"HEX must be pairs of hex digits, not {typed!r}") from None
+    request = RawRequest(function, data)
+    with closing(connected(options)) as context:
+        response = request.encode_response(context.execute(request))
+    print(response.hex(" "))
+    if (text := _decoded(request.encode(), response)) is not None:
+        print(text)
+    return 0
+
+
+def _decoded(request: bytes, response: bytes) -> str | None:
+    from ...protocol.errors import ModbusError
+    from ...protocol.pdu import decode_request
+
+    try:
+        known = decode_request(request)
+        return f"{known}: {known.decode_response(response)!r}"
+    except (ModbusError, ValueError):
+        return None

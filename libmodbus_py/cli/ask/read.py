@@ -1,5 +1,5 @@
 """
-The command read: what it takes.
+The command read: its arguments.
 """
 
 from __future__ import annotations
@@ -10,13 +10,15 @@ import math
 from typing import Any, get_args
 
 from ...protocol.type_names import BitsType, NumberType, Order
-from .. import connecting
+from .. import arguments
 
 __all__ = ["WHAT", "add_command", "add_completer", "add_item_arguments"]
 
 WHAT = """\
-WHAT: TABLE ADDRESS (coils, discrete, holding, input, file:N, fifo; from 0), a reference (40123:
-      holding register 122), or a name of a register map"""
+WHAT is one of
+  TABLE ADDRESS  coils, discrete, holding, input, file:N or fifo, and an address from 0
+  REFERENCE      such as 40123, which is holding register 122
+  NAME           a point of the register map that --map gives"""
 
 EXAMPLES = """\
 examples:
@@ -27,29 +29,33 @@ examples:
 
 
 def add_command(commands: Any) -> None:
-    """Tell argparse of it."""
+    """Add the command to argparse."""
     command = commands.add_parser(
         "read",
-        description=f"Reads as much as you like, in as few requests as it takes.\n\n{WHAT},\n"
-        "      and how many (1); several may follow each other; with --map alone, all of the map",
-        epilog=f"{EXAMPLES}\n\n{connecting.URLS}",
+        description="Read values of a device, in as few requests as possible.\n\n"
+        f"{WHAT}\n"
+        "and may be followed by a number of values (1). Several may follow each other. With --map\n"
+        "and without WHAT, all points of the map are read.",
+        epilog=f"{EXAMPLES}\n\n{arguments.URLS}",
     )
-    connecting.add_arguments(command)
-    what = command.add_argument("what", metavar="WHAT", nargs="*", help="what, and how many")
+    arguments.add_client(command)
+    what = command.add_argument("what", metavar="WHAT", nargs="*", help="the values to read")
     add_completer(what)
-    add_item_arguments(command, ", or all: every reading of COUNT registers", can_show_all=True)
-    group = command.add_argument_group("what is printed")
+    add_item_arguments(command, ", or all, which shows every interpretation", can_show_all=True)
+    group = command.add_argument_group("output")
     form = group.add_mutually_exclusive_group()
-    form.add_argument("--hex", action="store_true", help="registers in hex")
-    form.add_argument("--csv", action="store_true", help="a header, and a row for each poll")
-    form.add_argument("--json", action="store_true", help="an object for each poll")
+    form.add_argument("--hex", action="store_true", help="print registers in hexadecimal")
+    form.add_argument(
+        "--csv", action="store_true", help="print CSV: a header, and a row for each poll"
+    )
+    arguments.add_json(form)
     group.add_argument(
         "--watch",
         nargs="?",
         const=1.0,
         type=_seconds,
         metavar="SECONDS",
-        help="poll until Ctrl-C (every second): a table on a terminal, else a line each",
+        help="poll until Ctrl-C, each second unless given; on a terminal in a table",
     )
     command.set_defaults(run=_read)
 
@@ -57,27 +63,36 @@ def add_command(commands: Any) -> None:
 def add_item_arguments(
     command: argparse.ArgumentParser, more: str = "", *, can_show_all: bool = False
 ) -> None:
-    """Tell argparse of what says how values lie in a device."""
-    group = command.add_argument_group("what it means")
+    """Add the arguments that say how values are stored in a device."""
+    group = command.add_argument_group("values")
     types = ", ".join((*get_args(NumberType), *get_args(BitsType)))
     orders = ", ".join(get_args(Order))
-    group.add_argument("--type", metavar="T", help=f"of values: {types}, string:N{more}")
-    group.add_argument("--order", metavar="O", help=f"of their bytes: {orders} (ABCD)")
-    group.add_argument("--encoding", metavar="E", help="of text (ascii)")
-    group.add_argument("--padding", metavar="C", help="the character that fills text up (NUL)")
+    group.add_argument("--type", metavar="T", help=f"type of the values: {types}, string:N{more}")
+    order = group.add_argument("--order", metavar="O", help=f"byte order of the values: {orders}")
+    encoding = group.add_argument("--encoding", metavar="E", help="encoding of text")
+    padding = group.add_argument("--padding", metavar="C", help="character that fills up text")
+    arguments.add_defaults([order, encoding, padding], _of_reads)
     group.add_argument(
         "--map",
         metavar="FILE",
-        help="a register map, CSV or TOML, for names; or an example's, such as meter",
+        help="a register map in CSV or TOML, or the name of an example, such as meter",
     )
     group.add_argument(
-        "--count-from-1", action="store_true", help="addresses are from 1, typed and shown"
+        "--count-from-1", action="store_true", help="addresses count from 1, both typed and printed"
     )
     command.set_defaults(can_show_all=can_show_all)
 
 
+def _of_reads() -> dict[str, Any]:
+    from dataclasses import fields
+
+    from ...maps.plan import Read
+
+    return {each.name: each.default for each in fields(Read)} | {"padding": "NUL"}
+
+
 def add_completer(what: argparse.Action) -> None:
-    """Let shells complete the tables, and the names of the map that was given."""
+    """Add a function that completes tables and the names of the map, for argcomplete."""
     what.completer = _names  # type: ignore[attr-defined]
 
 
@@ -95,7 +110,7 @@ def _seconds(text: str) -> float:
         seconds = float(text)
     except ValueError:
         raise argparse.ArgumentTypeError(
-            f"{text!r} must be seconds; without a number --watch goes to the end"
+            f"{text!r} must be seconds; --watch without a number must be the last argument"
         ) from None
     if not (math.isfinite(seconds) and 0.01 <= seconds <= 86_400):
         raise argparse.ArgumentTypeError(f"must be in 0.01..86400 seconds, not {text}")

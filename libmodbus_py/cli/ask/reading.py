@@ -1,5 +1,5 @@
 """
-Reading: the requests, one after the other, and what they gave of each item.
+The command read: the requests, and the results of all items.
 """
 
 from __future__ import annotations
@@ -13,62 +13,62 @@ from typing import Any
 
 from ...client.blocking import Context
 from ...protocol.errors import ExceptionResponse, IllegalDataAddress, ModbusError
-from ..commands import PROGRAM
 from ..connecting import connected, endpoint_of
 from ..failing import CommandError
+from ..output import complain, print_json
 from ..status import Status
-from .asking import Cells, Question
+from .formatters import Formatter, ReadResult, aligned, formatter_of
+from .item_plan import Cells, ItemPlan
 from .items import ALL, Item, Words
-from .views import Outcome, View, aligned, view_of
 
 __all__ = ["Reader", "object_of", "read"]
 
-PATIENCE = 1.0
-"""Seconds that need no progress."""
+STATUS_AFTER = 1.0
+"""Seconds until a status line is shown."""
 
 
 class Reader:
     """
-    What was asked for on the command line.
+    Reads the items that were typed.
 
     Attributes:
-        views: how each of the items is shown.
-        unit: who is asked.
+        formatters: one for each item.
+        unit: the unit that is asked.
 
     Raises:
-        ValueError: what was typed is wrong.
+        ValueError: an argument is wrong.
     """
 
     def __init__(self, options: argparse.Namespace) -> None:
         items = _items(Words(options, options.what))
-        self.views: list[View] = [
-            view_of(item, as_all=options.type == ALL, in_hex=options.hex) for item in items
+        self.formatters: list[Formatter] = [
+            formatter_of(item, as_all=options.type == ALL, in_hex=options.hex) for item in items
         ]
-        self._question = Question(items)
-        told = endpoint_of(options).client_options
-        self.unit: int = told.get("unit", 1)
-        # Devices that take several requests at a time are the exception.
-        self._limit: int = told.get("max_in_flight") or 1
+        self._plan = ItemPlan(items)
+        client = endpoint_of(options).client_options
+        self.unit: int = client.get("unit", 1)
+        # Few devices take several requests at the same time.
+        self._limit: int = client.get("max_in_flight") or 1
 
-    def ask(self, context: Context) -> list[Outcome]:
+    def ask(self, context: Context) -> list[ReadResult]:
         """
-        Ask for all items; one that the device refuses does not hinder the others.
+        Ask for all items; if the device refuses one, the others are still read.
 
         Raises:
-            ModbusError: it answers nothing at all, or nothing that makes sense.
-            CommandError: the only item was refused.
+            ModbusError: there is no answer, or one that makes no sense.
+            CommandError: the device refused the only item.
         """
-        found = self._question.cells(self._answers(context))
-        outcomes = [_outcome(*pair) for pair in zip(self.views, found, strict=True)]
-        if len(outcomes) == 1 and outcomes[0].failure:
-            raise CommandError(outcomes[0].failure)
-        return outcomes
+        found = self._plan.cells(self._answers(context))
+        results = [_result(*pair) for pair in zip(self.formatters, found, strict=True)]
+        if len(results) == 1 and results[0].failure:
+            raise CommandError(results[0].failure)
+        return results
 
     def _answers(self, context: Context) -> list[Any]:
         context.connect()
-        requests = self._question.requests
+        requests = self._plan.requests
         answers: list[Any] = []
-        status = Status(after=PATIENCE)
+        status = Status(after=STATUS_AFTER)
         try:
             while len(answers) < len(requests):
                 status.show(f"{len(answers)} of {len(requests)} requests")
@@ -82,12 +82,12 @@ class Reader:
         return answers
 
     def _check(self, answers: list[Any]) -> None:
-        """Who is asked for a thousand things and answers nothing is not asked for the others."""
+        """Raise the error after which the remaining requests are not sent."""
         for answer in answers:
             if isinstance(answer, ModbusError) and not isinstance(answer, ExceptionResponse):
                 raise answer
-            if isinstance(answer, ModbusError) and len(self.views) == 1:
-                raise CommandError(_reason(answer, self.views[0].item))
+            if isinstance(answer, ModbusError) and len(self.formatters) == 1:
+                raise CommandError(_reason(answer, self.formatters[0].item))
 
 
 def read(options: argparse.Namespace) -> int:
@@ -95,33 +95,31 @@ def read(options: argparse.Namespace) -> int:
     reader = Reader(options)
     lines = None
     if options.csv:
-        from .lines import CsvLines
+        from .lines import CsvPolls
 
-        lines = CsvLines(reader.views)
+        lines = CsvPolls(reader.formatters)
     with closing(connected(options)) as context:
-        outcomes = reader.ask(context)
+        results = reader.ask(context)
     if options.json:
-        import json
-
-        print(json.dumps(object_of(reader, outcomes)))
+        print_json(object_of(reader, results))
     elif lines is not None:
-        lines.print(outcomes)
+        lines.print(results)
     else:
-        _print_rows(outcomes)
-    return _say_failures(outcomes)
+        _print_rows(results)
+    return _say_failures(results)
 
 
-def _print_rows(outcomes: Sequence[Outcome]) -> None:
-    lines = aligned([(each.view, each.rows) for each in outcomes])
+def _print_rows(results: Sequence[ReadResult]) -> None:
+    lines = aligned([(each.formatter, each.rows) for each in results])
     if lines:
         print("\n".join(lines))
 
 
-def _say_failures(outcomes: Sequence[Outcome]) -> int:
-    failed = dict.fromkeys(each.failure for each in outcomes if each.failure)
+def _say_failures(results: Sequence[ReadResult]) -> int:
+    failed = dict.fromkeys(each.failure for each in results if each.failure)
     sys.stdout.flush()
     for text in failed:
-        print(f"{PROGRAM}: {text}", file=sys.stderr)
+        complain(text)
     return 1 if failed else 0
 
 
@@ -129,7 +127,7 @@ def _items(words: Words) -> list[Item]:
     if not words and words.map is not None:
         return words.whole_map()
     if not words:
-        raise ValueError("WHAT is missing: there is nothing to read")
+        raise ValueError("WHAT is missing: name a table and an address, or --map FILE")
     items = []
     while words:
         item = words.take_item()
@@ -137,23 +135,25 @@ def _items(words: Words) -> list[Item]:
     return items
 
 
-def _outcome(view: View, cells: Cells) -> Outcome:
+def _result(formatter: Formatter, cells: Cells) -> ReadResult:
     if isinstance(cells, ModbusError):
-        return Outcome(view, [], {**view.whence, "error": str(cells)}, _reason(cells, view.item))
+        return ReadResult(
+            formatter, [], {**formatter.whence, "error": str(cells)}, _reason(cells, formatter.item)
+        )
     try:
-        return Outcome(view, view.rows(cells), view.fields(cells))
+        return ReadResult(formatter, formatter.rows(cells), formatter.fields(cells))
     except CommandError as error:
-        return Outcome(view, [], {**view.whence, "error": str(error)}, str(error))
+        return ReadResult(formatter, [], {**formatter.whence, "error": str(error)}, str(error))
 
 
 def _reason(error: ModbusError, item: Item) -> str:
     return f"{error}{item.hint}" if isinstance(error, IllegalDataAddress) else str(error)
 
 
-def object_of(reader: Reader, outcomes: Sequence[Outcome]) -> dict[str, Any]:
-    """Give the object of JSON: by names, or of one item, or of several."""
-    told = [each.fields for each in outcomes]
-    if all(view.item.point for view in reader.views):
+def object_of(reader: Reader, results: Sequence[ReadResult]) -> dict[str, Any]:
+    """Return the object of JSON: values by name, one item, or a list of items."""
+    told = [each.fields for each in results]
+    if all(formatter.item.point for formatter in reader.formatters):
         values = {each["name"]: each["value"] for each in told if "value" in each}
         errors = {each["name"]: each["error"] for each in told if "error" in each}
         return {"unit": reader.unit, "values": values, **({"errors": errors} if errors else {})}

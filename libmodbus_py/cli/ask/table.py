@@ -1,30 +1,30 @@
 """
-A table on a terminal that is drawn again in its place.
+A table on a terminal, drawn again in place.
 """
 
 from __future__ import annotations
 
-import os
 import shutil
 import sys
 import time
 from collections.abc import Sequence
 
-from .views import Outcome, aligned
+from ..output import styled
+from .formatters import ReadResult, aligned
 
-__all__ = ["Table"]
+__all__ = ["TerminalTable"]
 
 CHANGED = "*"
 
 
-class Table:
+class TerminalTable:
     """
-    A title, a line for each value with a mark where it has changed, and failures in their place.
+    Draws a title, a line for each value with a mark after a change, and failures.
 
-    It takes no more than the terminal has, whatever its size has become meanwhile.
+    The table fits the current size of the terminal.
 
     Args:
-        title: whom is asked.
+        title: the device, unit and interval.
     """
 
     def __init__(self, title: str) -> None:
@@ -32,16 +32,15 @@ class Table:
         self._polls = self._failed = 0
         self._before: list[str] = []
         self._drawn: list[str] = []
-        self._is_coloured = not os.environ.get("NO_COLOR")
 
-    def print(self, outcomes: Sequence[Outcome]) -> None:
+    def print(self, results: Sequence[ReadResult]) -> None:
         self._polls += 1
-        self._failed += any(each.failure for each in outcomes)
-        texts = [row.text for each in outcomes for row in each.rows]
-        lines = aligned([(each.view, each.rows) for each in outcomes])
+        self._failed += any(each.failure for each in results)
+        texts = [row.text for each in results for row in each.rows]
+        lines = aligned([(each.formatter, each.rows) for each in results])
         changed = self._changed(texts)
         marked = [f"{CHANGED if at in changed else ' '} {line}" for at, line in enumerate(lines)]
-        self._draw([*marked, *(each.failure for each in outcomes if each.failure)], changed)
+        self._draw([*marked, *(each.failure for each in results if each.failure)], changed)
 
     def fail(self, reason: str) -> None:
         self._polls += 1
@@ -49,7 +48,7 @@ class Table:
         self._draw([reason], set())
 
     def _changed(self, texts: list[str]) -> set[int]:
-        """Which lines have another value than before; none where there are not as many."""
+        """Return the lines with a new value; none if the number of lines changed."""
         before, self._before = self._before, texts
         if len(before) != len(texts):
             return set()
@@ -66,15 +65,14 @@ class Table:
         title = f"{clock}  {self._title}, {self._polls} polls{failed}"
         drawn = [_fitting(line, columns) for line in (title, *lines)]
         text = "\n".join(
-            f"\x1b[1m{line}\x1b[0m" if self._is_coloured and at - 1 in bold else line
-            for at, line in enumerate(drawn)
+            styled(line, "1" if at - 1 in bold else "") for at, line in enumerate(drawn)
         )
         sys.stdout.write(f"{self._back(columns)}{text}\n")
         sys.stdout.flush()
         self._drawn = drawn
 
     def _back(self, columns: int) -> str:
-        """To where it began, counting what a narrower terminal has wrapped; and clear the rest."""
+        """Return the sequence that moves to the first line and clears all lines."""
         height = sum(max(1, -(-len(line) // columns)) for line in self._drawn)
         return f"\x1b[{height}A\r\x1b[J" if height else ""
 

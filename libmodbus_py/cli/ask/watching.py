@@ -1,5 +1,5 @@
 """
-Reading again and again: at a steady pace, whatever fails, until Ctrl-C.
+read --watch: polls at a steady pace, whatever fails, until Ctrl-C.
 """
 
 from __future__ import annotations
@@ -16,24 +16,24 @@ from typing import Any, Protocol
 from ...protocol.errors import ModbusError
 from ..connecting import connected
 from ..failing import CommandError
-from .lines import CsvLines, JsonLines, TextLines
+from .formatters import ReadResult
+from .lines import CsvPolls, JsonPolls, TextPolls
 from .reading import Reader, object_of
-from .table import Table
-from .views import Outcome
+from .table import TerminalTable
 
 __all__ = ["watch"]
 
 
-class Shown(Protocol):
-    """What takes polls."""
+class PollPrinter(Protocol):
+    """Prints the results of polls."""
 
-    def print(self, outcomes: Sequence[Outcome]) -> None: ...
+    def print(self, results: Sequence[ReadResult]) -> None: ...
 
     def fail(self, reason: str) -> None: ...
 
 
 def watch(options: argparse.Namespace) -> int:
-    """Poll for ever; the connection is made again when it is lost."""
+    """Poll until Ctrl-C; a lost connection is established again."""
     reader = Reader(options)
     interval: float = options.watch
     with closing(connected(options)) as context:
@@ -41,25 +41,25 @@ def watch(options: argparse.Namespace) -> int:
         begun = time.monotonic()
         while True:
             _poll(reader, context, shown)
-            # From start to start; what is late is left out, not made up for.
+            # From start to start; polls that are late are left out.
             passed = time.monotonic() - begun
             time.sleep(interval - passed % interval)
 
 
-def _poll(reader: Reader, context: Any, shown: Shown) -> None:
+def _poll(reader: Reader, context: Any, shown: PollPrinter) -> None:
     try:
-        outcomes = reader.ask(context)
+        results = reader.ask(context)
     except (ModbusError, CommandError) as error:
         shown.fail(str(error))
     else:
-        shown.print(outcomes)
+        shown.print(results)
 
 
-def _shown(options: argparse.Namespace, reader: Reader, title: str) -> Shown:
+def _shown(options: argparse.Namespace, reader: Reader, title: str) -> PollPrinter:
     if options.csv:
-        return CsvLines(reader.views)
+        return CsvPolls(reader.formatters)
     if options.json:
-        return JsonLines(partial(object_of, reader), reader.unit)
+        return JsonPolls(partial(object_of, reader), reader.unit)
     has_cursor = sys.stdout.isatty() and os.environ.get("TERM", "dumb") != "dumb"
-    # Frames on the same terminal would be in the middle of it.
-    return Table(title) if has_cursor and not options.verbose else TextLines()
+    # Frames of --verbose would be printed into the table.
+    return TerminalTable(title) if has_cursor and not options.verbose else TextPolls()

@@ -1,5 +1,5 @@
 """
-The command write: what it takes.
+The command write: its arguments.
 """
 
 from __future__ import annotations
@@ -7,7 +7,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from .. import connecting
+from .. import arguments
 from .read import WHAT, add_completer, add_item_arguments
 
 __all__ = ["add_command"]
@@ -21,38 +21,42 @@ examples:
 
 
 def add_command(commands: Any) -> None:
-    """Tell argparse of it."""
+    """Add the command to argparse."""
     command = commands.add_parser(
         "write",
-        description="Writes one request for each WHAT; all is checked before the first.\n\n"
-        f"{WHAT},\n"
-        "      and its values; several may follow each other. Coils take 0 1 off on false true.\n"
-        "      Text that begins with - goes behind --, and options before that.",
-        epilog=f"{EXAMPLES}\n\n{connecting.URLS}",
+        description="Write values to a device, one request for each WHAT. All values are"
+        " checked before\n"
+        f"the first request.\n\n{WHAT}\n"
+        "followed by its values. Several may follow each other. Values of coils are 0, 1,"
+        " off, on,\n"
+        "false and true. After -- a text may begin with -; options must be before it.",
+        epilog=f"{EXAMPLES}\n\n{arguments.URLS}",
     )
-    connecting.add_arguments(command)
-    what = command.add_argument(
-        "what", metavar="WHAT VALUE", nargs="+", help="what, and the values"
-    )
+    arguments.add_client(command)
+    what = command.add_argument("what", metavar="WHAT VALUE", nargs="+", help="the values to write")
     add_completer(what)
     add_item_arguments(command)
-    group = command.add_argument_group("how")
+    group = command.add_argument_group("writing")
     group.add_argument(
-        "--multiple", action="store_true", help="functions 15 and 16 for one value, too, not 5, 6"
+        "--multiple",
+        action="store_true",
+        help="write single values with functions 15 and 16, not with 5 and 6",
     )
     group.add_argument(
         "--mask",
         nargs=2,
         metavar=("AND", "OR"),
-        help="in place of values: the register AND this, OR what of that AND has not (22)",
+        help="in place of values: keep the bits of AND, take the others from OR (function 22)",
     )
     group.add_argument(
         "--and-read",
         nargs=2,
         metavar=("ADDRESS", "COUNT"),
-        help="holding registers that the same request reads behind the write (23)",
+        help="holding registers that are read after the write, by the same request (23)",
     )
-    group.add_argument("--dry-run", action="store_true", help="show the frames, and send nothing")
+    group.add_argument(
+        "--dry-run", action="store_true", help="print the frames instead of sending them"
+    )
     command.set_defaults(run=_write)
 
 

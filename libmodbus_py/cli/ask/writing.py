@@ -1,5 +1,5 @@
 """
-Writing: a request for each item, all of which are checked before the first is sent.
+The command write: a request for each item, all checked before the first is sent.
 """
 
 from __future__ import annotations
@@ -15,8 +15,9 @@ from ...protocol.framing import Frame, make_framer
 from ...protocol.spelling import bit_of, number_of, value_of
 from ..connecting import connected, endpoint_of
 from ..failing import CommandError
+from ..output import counted
+from .formatters import Formatter, aligned
 from .items import REGISTERS, Item, Words
-from .views import View, aligned
 
 if TYPE_CHECKING:
     from ...maps.register_map import RegisterMap
@@ -27,7 +28,7 @@ Request = pdu.Request[Any]
 
 
 def write(options: argparse.Namespace) -> int:
-    """Send, or show what would be sent."""
+    """Send the requests, or print them for --dry-run."""
     requests = _requests(options)
     if options.dry_run:
         _show(options, [request for request, _ in requests])
@@ -44,9 +45,9 @@ def write(options: argparse.Namespace) -> int:
 
 
 def _show(options: argparse.Namespace, requests: list[Request]) -> None:
-    """As frames of the endpoint, in the order of sending."""
+    """Print the requests as frames of the endpoint, in the order of sending."""
     endpoint = endpoint_of(options)
-    connected(options).close()  # which checks the options
+    connected(options).close()  # checks the options
     framer = make_framer(endpoint.framing, "client")
     unit = endpoint.client_options.get("unit", 1)
     for number, request in enumerate(requests, 1):
@@ -58,15 +59,15 @@ def _show(options: argparse.Namespace, requests: list[Request]) -> None:
 def _print_registers(options: argparse.Namespace, request: Request, values: list[int]) -> None:
     address: int = request.read_address  # type: ignore[attr-defined]
     first = address + (1 if options.count_from_1 else 0)
-    view = View(Item("holding_registers", address, len(values), first=first))
-    print("\n".join(aligned([(view, view.rows(values))])))
+    formatter = Formatter(Item("holding_registers", address, len(values), first=first))
+    print("\n".join(aligned([(formatter, formatter.rows(values))])))
 
 
 # --- requests ------------------------------------------------------------------------
 
 
 def _requests(options: argparse.Namespace) -> list[tuple[Request, Item]]:
-    """In the order in which they were typed, for devices may want one written before another."""
+    """Return the requests in the order typed, which devices may depend on."""
     words = Words(options, options.what)
     found: list[tuple[Request, Item]] = []
     while words:
@@ -78,7 +79,7 @@ def _requests(options: argparse.Namespace) -> list[tuple[Request, Item]]:
             requests = [_request(options, item, values)]
         found += [(request, item) for request in requests]
     if len(found) > 1 and (options.mask or options.and_read):
-        raise ValueError("--mask and --and-read are for one item")
+        raise ValueError("--mask and --and-read allow one item only")
     return found
 
 
@@ -87,7 +88,7 @@ def _point_requests(
 ) -> list[pdu.Request[None]]:
     assert item.point is not None
     if options.mask or options.and_read:
-        raise ValueError("--mask and --and-read take a register, and no name")
+        raise ValueError("--mask and --and-read need a register, not a name")
     values = {item.point.name: _point_value(item, texts)}
     return points.writes(values, multiple=options.multiple)
 
@@ -97,8 +98,8 @@ def _point_value(item: Item, texts: list[str]) -> Any:
     point = item.point
     assert point is not None
     if len(texts) != item.count:
-        many = "a value" if item.count == 1 else f"{item.count} values"
-        raise ValueError(f"{point.name} takes {many} behind its name, and {len(texts)} are there")
+        many = counted(item.count, "value")
+        raise ValueError(f"{point.name} needs {many} after its name, not {len(texts)}")
     try:
         values = [typed_value(point, text) for text in texts]
     except ValueError as error:
@@ -132,7 +133,7 @@ def _mask(options: argparse.Namespace, item: Item, texts: list[str]) -> Request:
     if item.table != "holding_registers":
         raise ValueError(f"--mask is for holding registers, not {item.word}")
     if texts:
-        raise ValueError("--mask is in place of values")
+        raise ValueError("--mask and values exclude each other")
     return pdu.MaskWriteRegister(item.address, *(number_of("mask", text) for text in options.mask))
 
 
@@ -153,7 +154,7 @@ def _registers(item: Item, texts: list[str]) -> tuple[int, ...]:
     if not most:
         raise ValueError(f"{kind.name} takes {kind.registers} registers, and a request {limit}")
     if len(texts) > most:
-        # In values, for a request's own error would say it in registers.
+        # The error of the request itself would count registers.
         raise ValueError(
             f"the number of values of {kind.name} must be in 1..{most}, not {len(texts)}"
         )

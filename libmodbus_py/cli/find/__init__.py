@@ -3,6 +3,6 @@ Commands that find out what is on a line or in a network.
 
 ::
 
-    scan     who answers at which settings, and what they have
-    listen   what others say on a line, until Ctrl-C
+    scan     the units that answer, their settings and tables
+    listen   the traffic between other devices, until Ctrl-C
 """

@@ -1,32 +1,31 @@
 """
-The command listen: what others say on a line, one line for each transaction.
+The command listen: the traffic on a line, one line of output for each transaction.
 """
 
 from __future__ import annotations
 
 import argparse
-import dataclasses
-import enum
-import json
 import logging
-import os
 import reprlib
 import signal
 import sys
 import time
 from typing import Any
 
+from ...ports.schemes import SERIAL_OPTIONS
 from ...protocol.errors import ExceptionResponse
-from ...protocol.pdu import Request
+from ...protocol.plain import plain
 from ...tools.listener.listener import Listener, listen
 from ...tools.listener.transaction import Transaction
-from ..connecting import url_of
+from .. import arguments
+from ..connecting import url_of, with_options
 from ..help import VerbatimHelp
+from ..output import print_json, styled
 
 __all__ = ["add_command"]
 
-COLOURS = {"answered": "", "broadcast": "", "late": "33", "exception": "33"}
-"""Kind -> colour of a terminal; all others are red."""
+STYLES = {"answered": "", "broadcast": "", "late": "33", "exception": "33"}
+"""Kind of a transaction -> style of the answer: none or yellow; other kinds are red."""
 
 REPEATED = "33"
 
@@ -38,29 +37,37 @@ _shown.maxstring = _shown.maxother = 200
 EXAMPLES = """\
 examples:
   libmodbus-py listen /dev/ttyUSB0
-  libmodbus-py listen "rtu:///dev/ttyUSB0?baudrate=9600&parity=N" --capture line.pcapng
+  libmodbus-py listen /dev/ttyUSB0 -b 9600 -p none --capture line.pcapng
   libmodbus-py listen rtu+tcp://127.0.0.1:1502 --between rtu+tcp://192.0.2.10:502 --json
   libmodbus-py listen line.pcapng
 
-URL: rtu:///dev/ttyUSB0?baudrate=19200&parity=E or ascii:///dev/...; or just /dev/ttyUSB0;
-     rtu+tcp://HOST:PORT or ascii+tcp://HOST:PORT with --between; or the path of a capture.
-     In quotes where there is an &, which has a meaning in a shell."""
+URL: rtu:///dev/ttyUSB0 or ascii:///dev/ttyUSB0, or just /dev/ttyUSB0; rtu+tcp://HOST:PORT or
+     ascii+tcp://HOST:PORT with --between; or the path of a capture, FILE.pcapng.
+     Settings follow a question mark, as in "rtu:///dev/ttyUSB0?baudrate=9600&parity=N".
+     Quote such a URL, because shells interpret &. An option overrides the setting in the URL."""
 
 
 def add_command(commands: Any) -> None:
-    """Tell argparse of it."""
+    """Add the command to argparse."""
     command = commands.add_parser(
         "listen",
-        description="Shows every transaction on a line, and a summary after Ctrl-C.",
+        description="Print every transaction on a line, and a summary after Ctrl-C.",
         epilog=EXAMPLES,
         formatter_class=VerbatimHelp,
     )
-    command.add_argument("url", metavar="URL", help="where to listen; FILE.pcapng reads a capture")
     command.add_argument(
-        "--between", metavar="URL", help="the device: pass on what clients send, and its answers"
+        "url", metavar="URL", help="where to listen, or a capture to read: FILE.pcapng"
     )
-    command.add_argument("--capture", metavar="FILE.pcapng", help="write a capture for Wireshark")
-    command.add_argument("--json", action="store_true", help="print one line of JSON for each")
+    command.add_argument(
+        "--between",
+        metavar="URL",
+        help="connect to this device, and forward requests and answers between it and clients",
+    )
+    command.add_argument(
+        "--capture", metavar="FILE.pcapng", help="write what is heard to a file for Wireshark"
+    )
+    arguments.add_json(command)
+    arguments.add_serial_options(command)
     command.set_defaults(run=_listen)
 
 
@@ -69,10 +76,10 @@ def _listen(options: argparse.Namespace) -> int:
     write = _print_json if options.json else _print_line
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        with listen(_place(options.url), between=options.between, capture=options.capture) as line:
+        with listen(_place(options), between=options.between, capture=options.capture) as line:
             _write_all(line, write, is_live=not options.url.endswith(".pcapng"))
             if options.json:
-                print(json.dumps({"summary": line.summary.as_dict()}), flush=True)
+                print_json({"summary": line.summary.as_dict()})
             else:
                 print(line.summary, flush=True)
     finally:
@@ -80,21 +87,27 @@ def _listen(options: argparse.Namespace) -> int:
     return 0
 
 
-def _place(typed: str) -> str:
-    """What has no scheme is a capture, unless it is a device."""
-    return url_of(typed) if typed.startswith("/dev/") else typed
+def _place(options: argparse.Namespace) -> str:
+    """Return the URL or the path of a capture; the path of a device is a URL without a scheme."""
+    typed: str = options.url
+    if "://" not in typed and not typed.startswith("/dev/"):
+        if settings := arguments.given(options, SERIAL_OPTIONS):
+            name = arguments.flag(next(iter(settings)))
+            raise ValueError(f"{name} applies to serial ports only, not to {typed}")
+        return typed
+    return with_options([url_of(typed)], options, SERIAL_OPTIONS)[0].url
 
 
 def _write_all(line: Listener, write: Any, *, is_live: bool) -> None:
-    """Until the end of a capture, or Ctrl-C."""
+    """Print all transactions, until the end of a capture or Ctrl-C."""
     try:
-        if is_live:  # within the block: who reads this line may interrupt at once
+        if is_live:  # within the try: the reader of this line may interrupt at once
             print(f"listening on {line.url}", file=sys.stderr, flush=True)
         for transaction in line:
             write(transaction)
     except KeyboardInterrupt:
         if sys.stdout.isatty():
-            print()  # behind the ^C
+            print()  # after the ^C
         for transaction in line.rest():
             write(transaction)
 
@@ -107,13 +120,14 @@ def _print_line(transaction: Transaction) -> None:
 
 
 def line_of(transaction: Transaction) -> str:
+    """Return a transaction as one line: time, unit, duration, request and answer."""
     seconds, part = divmod(round(transaction.time * 1000), 1000)
     clock = time.strftime("%H:%M:%S", time.localtime(seconds))
     where = "-" if transaction.unit is None else f"{transaction.unit}"
     took = "" if transaction.duration is None else f"{transaction.duration * 1000:.1f} ms"
     again = f", repeat {transaction.repeats}" if transaction.repeats else ""
     answer = f"{_answer(transaction)}{again}"
-    coloured = _coloured(answer, COLOURS.get(transaction.kind, "31") or (again and REPEATED))
+    coloured = styled(answer, STYLES.get(transaction.kind, "31") or (again and REPEATED))
     return f"{clock}.{part:03} {where:>3} {took:>9}  {_question(transaction)} -> {coloured}"
 
 
@@ -134,12 +148,6 @@ def _hex(data: bytes) -> str:
     return data[:32].hex(" ") + (" ..." if len(data) > 32 else "")
 
 
-def _coloured(text: str, colour: str) -> str:
-    """Colour, on a terminal whose user wants it (https://no-color.org)."""
-    wanted = colour and sys.stdout.isatty() and not os.environ.get("NO_COLOR")
-    return f"\x1b[{colour}m{text}\x1b[0m" if wanted else text
-
-
 # --- JSON ----------------------------------------------------------------------------------
 
 
@@ -150,31 +158,12 @@ def _print_json(transaction: Transaction) -> None:
         "kind": transaction.kind,
         "unit": transaction.unit,
         "function": transaction.function,
-        "request": _plain(transaction.request),
-        "response": _plain(transaction.response),
+        "request": plain(transaction.request),
+        "response": plain(transaction.response),
         "exception": error.code if isinstance(error, ExceptionResponse) else None,
         "error": None if error is None else str(error.args[0]),
         "received": error.received.hex() if error is not None and error.received else None,
         "duration": transaction.duration,
         "repeats": transaction.repeats,
     }
-    print(json.dumps(fields), flush=True)
-
-
-def _plain(value: Any) -> Any:
-    """What JSON has: bytes in hex, requests and named tuples by the names of their fields."""
-    if isinstance(value, Request):
-        pairs = ((field.name, getattr(value, field.name)) for field in dataclasses.fields(value))  # type: ignore[arg-type]
-        return {"name": type(value).__name__, **{name: _plain(each) for name, each in pairs}}
-    if isinstance(value, bytes):
-        return value.hex()
-    if isinstance(value, enum.Enum):
-        return value.value
-    named = getattr(value, "_asdict", None)
-    if named is not None:
-        return _plain(named())
-    if isinstance(value, dict):
-        return {str(key): _plain(each) for key, each in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(each) for each in value]
-    return value
+    print_json(fields)

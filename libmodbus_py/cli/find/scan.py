@@ -1,11 +1,10 @@
 """
-The command scan: who answers at which settings, and what they have.
+The command scan: the units that answer, their settings, and the tables that they have.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import re
 import sys
 from typing import Any
@@ -13,21 +12,23 @@ from typing import Any
 from ...protocol.pdu import DeviceIdentification, ServerId
 from ...protocol.pdu.interface import OBJECT_NAMES
 from ...protocol.spelling import units_of
-from ...tools.scan.places import BAUDRATES, PARITIES
+from ...tools.scan.places import BAUDRATES, ON_LINES, ON_NETWORKS, PARITIES
 from ...tools.scan.scan import Found, Progress, Scan, scan
 from ...tools.scan.search import MOST_REQUESTS, Extent, Search, Searching, search
-from .. import connecting, security
-from ..help import VerbatimHelp
+from .. import arguments
+from ..connecting import endpoint_of
 from ..main import INTERRUPTED
+from ..output import print_json
+from ..progress import duration, missing, progress
 from ..status import Status
 
-__all__ = ["add_command", "missing", "progress"]
+__all__ = ["add_command"]
 
 MOST_IN_ALL = 10 * MOST_REQUESTS
-"""Requests of all searches together."""
+"""Requests of all searches together, at most."""
 
 MOST_SHOWN = 60
-"""Characters of what a device says about itself."""
+"""Characters of an identification that are printed, at most."""
 
 
 EXAMPLES = """\
@@ -39,46 +40,51 @@ examples:
 
 
 def add_command(commands: Any) -> None:
-    """Tell argparse of it."""
+    """Add the command to argparse."""
     command = commands.add_parser(
         "scan",
-        description="Asks each unit for one register at each setting, and writes nothing. "
-        "What\nthe URL says of baud rate, parity, unit and timeout holds unless told otherwise.",
-        epilog="exit code 0 if a unit was found, 1 if none was or the line failed, 130 on Ctrl-C"
-        f"\n\n{EXAMPLES}\n\n{connecting.URLS}",
-        formatter_class=VerbatimHelp,
+        description="Ask each unit for one register at each setting of the line, and print"
+        " those that answer.\n"
+        "Nothing is written. A baud rate, parity, unit or timeout in the URL limits the"
+        " search to it.",
+        epilog="The exit code is 0 if a unit was found, 1 if none was found or the line"
+        " failed, 130 on Ctrl-C."
+        f"\n\n{EXAMPLES}\n\n{arguments.URLS}",
     )
-    command.add_argument("url", metavar="URL", help="such as rtu:///dev/ttyUSB0 or tcp://192.0.2.1")
+    arguments.add_url(command)
     command.add_argument(
         "--baudrates",
         type=_baudrates,
         metavar="LIST",
-        help=f"of a serial port ({','.join(map(str, BAUDRATES))})",
+        help=f"baud rates to try ({','.join(map(str, BAUDRATES))})",
     )
     command.add_argument(
         "--parities",
         type=_parities,
         metavar="LIST",
-        help=f"of a serial port ({','.join(PARITIES)}); N goes with 2 stop bits, unless the URL "
-        "says otherwise, and finds devices with 1 as well",
+        help=f"parities to try ({','.join(PARITIES)}); N is tried with 2 stop bits, which finds"
+        " devices with 1 stop bit too",
     )
     command.add_argument(
         "--units",
         type=_units,
         metavar="LIST",
-        help="such as 1,5,9-12 (1-247; on networks 255, too)",
-    )
-    command.add_argument(
-        "--timeout", type=float, metavar="S", help="seconds for an answer (0.6; on networks 1)"
+        help="units to ask, such as 1,5,9-12 (1-247; on networks also 255)",
     )
     command.add_argument(
         "--deep",
         action="store_true",
-        help="find which tables and ranges exist, in at most "
-        f"{MOST_REQUESTS} requests to each unit",
+        help="find the tables and ranges of each unit, in at most "
+        f"{MOST_REQUESTS} requests to each",
     )
-    command.add_argument("--json", action="store_true", help="print one line of JSON")
-    security.add_arguments(command)
+    command.add_argument("--json", action="store_true", help="print JSON, one object in the end")
+    arguments.add_client_options(
+        command,
+        without=("unit",),
+        defaults=lambda: {"timeout": f"{ON_LINES:g}; on networks {ON_NETWORKS:g}"},
+    )
+    arguments.add_serial_options(command)
+    arguments.add_security_options(command)
     command.set_defaults(run=_scan)
 
 
@@ -112,7 +118,7 @@ def _parities(text: str) -> list[str]:
 
 
 class _Report:
-    """What was found so far: printed as it comes, or in the end as JSON."""
+    """The units found so far: printed at once, or in the end as JSON."""
 
     def __init__(self, as_json: bool) -> None:
         self.found: list[Found] = []
@@ -121,11 +127,11 @@ class _Report:
         self._as_json = as_json
         self._status = Status()
 
-    def progress(self, told: Progress | Searching) -> None:
-        self._status.show(progress(told, len(self.found)))
+    def progress(self, state: Progress | Searching) -> None:
+        self._status.show(progress(state, len(self.found)))
 
     def say(self, text: str) -> None:
-        """To whoever started it."""
+        """Print a line to stderr, in place of the status line."""
         self._status.clear()
         print(text, file=sys.stderr, flush=True)
 
@@ -143,9 +149,9 @@ class _Report:
             self.say(note)
         if self._as_json:
             told = [_told(each, self.extents.get(each.url)) for each in self.found]
-            print(json.dumps({"found": told, "notes": self.notes, "stopped": stopped}), flush=True)
+            print_json({"found": told, "notes": self.notes, "stopped": stopped})
         elif not self.found:
-            self.say("nobody was found" + " so far" * stopped)
+            self.say("no unit was found" + " so far" * stopped)
 
     def _print(self, text: str) -> None:
         if not self._as_json:
@@ -153,27 +159,13 @@ class _Report:
             print(text, flush=True)
 
 
-def progress(told: Progress | Searching, found: int = 0) -> str:
-    """How far it is."""
-    if isinstance(told, Searching):
-        table = told.table.replace("_", " ")
-        return f"unit {told.unit}, {table}: request {told.requests} of {told.most_requests}"
-    return (
-        f"{told.setting}: unit {told.unit}; {told.done} of {told.total} asked, {found} found, "
-        f"{_duration(told.left)} left at most"
-    )
-
-
 def _scan(options: argparse.Namespace) -> int:
     report = _Report(options.json)
-    secured = security.told(options)
     scanned = scan(
-        connecting.url_of(options.url),
+        endpoint_of(options).url,
         baudrates=options.baudrates,
         parities=options.parities,
         units=options.units,
-        timeout=options.timeout,
-        security=secured,
         on_progress=report.progress,
     )
     report.say(_estimate(scanned, options.deep))
@@ -186,7 +178,7 @@ def _scan(options: argparse.Namespace) -> int:
             finally:
                 report.notes += scanned.notes
         if options.deep:
-            _search(report, options.timeout, secured)
+            _search(report)
         stopped = False
     except KeyboardInterrupt:
         return INTERRUPTED
@@ -195,18 +187,16 @@ def _scan(options: argparse.Namespace) -> int:
     return 0 if report.found else 1
 
 
-def _search(report: _Report, timeout: float | None, secured: Any) -> None:
+def _search(report: _Report) -> None:
     left = MOST_IN_ALL
     for found in report.found:
         if left < MOST_REQUESTS:
             report.notes.append(
-                f"the bound of {MOST_IN_ALL} requests in all left unit {found.unit} and those "
-                "behind it without a search"
+                f"unit {found.unit} and those after it were not searched, because {MOST_IN_ALL}"
+                " requests in all are the limit"
             )
             return
-        searched: Search = search(
-            found.url, timeout=timeout, security=secured, on_progress=report.progress
-        )
+        searched: Search = search(found.url, on_progress=report.progress)
         try:
             with searched:
                 for _ in searched:
@@ -219,16 +209,9 @@ def _search(report: _Report, timeout: float | None, secured: Any) -> None:
 def _estimate(scan: Scan, deep: bool) -> str:
     more = f"; then up to {MOST_REQUESTS} requests to each unit found" if deep else ""
     return (
-        f"{scan.total} probes, {_duration(scan.longest)} at most, and "
-        f"{_duration(scan.longest_found)} more for each unit found{more}; Ctrl-C ends it"
+        f"{scan.total} probes, {duration(scan.longest)} at most, and "
+        f"{duration(scan.longest_found)} more for each unit found{more}; Ctrl-C stops the scan"
     )
-
-
-def _duration(seconds: float) -> str:
-    if seconds < 10:
-        return f"{seconds:.1f} s"
-    minutes, rest = divmod(round(seconds), 60)
-    return f"{minutes} min {rest} s" if minutes else f"{rest} s"
 
 
 # --- what was found --------------------------------------------------------------------
@@ -256,13 +239,13 @@ def _identification(told: DeviceIdentification) -> str:
 
 
 def _safe(data: bytes) -> str:
-    """Nothing that a terminal would obey, in no more than a line has."""
+    """Return text without control characters, short enough for a line."""
     shown = "".join(chr(byte) if 0x20 <= byte < 0x7F else f"\\x{byte:02x}" for byte in data)
     return shown if len(shown) <= MOST_SHOWN else f"{shown[:MOST_SHOWN]}..."
 
 
 def _toml(found: Found, extents: list[Extent], requests: int) -> str:
-    """As a device file has it."""
+    """Return the tables of a unit, as a device file describes them."""
     where = "" if found.baudrate is None else f" at {_setting(found)}"
     lines = [f"\n# unit {found.unit}{where}: {requests} requests"]
     lines += [f"# {extent.table}: {text}" for extent in extents if (text := missing(extent))]
@@ -272,14 +255,6 @@ def _toml(found: Found, extents: list[Extent], requests: int) -> str:
             lines += [f"\n[[unit.{extent.table}]]", f"address = {each.start}"]
             lines += [f"count = {len(each)}"] * (len(each) > 1)
     return "\n".join(lines)
-
-
-def missing(extent: Extent) -> str:
-    """What a reader must know of what is not there."""
-    told = [f"ended by {extent.ended}"] * bool(extent.ended)
-    if extent.unseen:
-        told.append(f"ranges of up to {extent.unseen} may have been missed")
-    return ", ".join(told)
 
 
 def _told(found: Found, extents: list[Extent] | None) -> dict[str, Any]:
@@ -299,7 +274,7 @@ def _id(server_id: ServerId | None) -> str | None:
 
 
 def _objects(told: DeviceIdentification | None) -> dict[str, str] | None:
-    """Names or numbers -> text."""
+    """Return the objects of an identification: name or number -> text."""
     if told is None:
         return None
     return {

@@ -3,14 +3,14 @@ Commands that run until a signal ends them.
 
 ::
 
-    serve        a device file
-    gateway      routes or a gateway file
-    poll         a fleet file
-    fleet        what the workers do that share a fleet
-    limits       the options that say what clients may cost
-    metrics      the option for Prometheus
+    serve        simulated devices
+    gateway      requests forwarded to other lines
+    poll         a fleet of devices, polled
+    fleet        the workers that poll a fleet together
+    limits       the options that limit what clients may use
+    metrics      the option for metrics
     page         the option for a live page
-    addresses    HOST:PORT, as typed
-    announcing   where a server listens, and who may come
-    hangup       what SIGHUP means: a file to read again, or a terminal that closed
+    addresses    HOST:PORT on the command line
+    announcing   messages: where a server listens, and who can reach it
+    hangup       SIGHUP: a file to read again, or a terminal that was closed
 """

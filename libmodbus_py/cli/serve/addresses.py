@@ -1,5 +1,5 @@
 """
-HOST:PORT, as typed.
+Addresses on the command line: HOST:PORT.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ Address = tuple[str, int]
 
 
 def address_like(example: str) -> Callable[[str], Address]:
-    """Give what reads one; who gives something else is told the example."""
+    """Return a function that reads an address; its error shows the example."""
 
     def read(text: str) -> Address:
         with contextlib.suppress(ValueError):

@@ -1,25 +1,25 @@
 """
-Where a server listens, and who may come, in words.
+Messages of a server: where it listens, and who can reach it.
 """
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from ipaddress import ip_address
 
 from ...ports.endpoint import Endpoint, parse
 from ...server.server import Running
+from ..output import complain
 
 __all__ = ["announcing"]
 
 
 def announcing(allowed: list[str] | None) -> Callable[[Running], None]:
     """
-    Give what tells the user of a server that listens.
+    Return a function that prints where a server listens.
 
     Args:
-        allowed: the networks that it serves; None for all.
+        allowed: the networks that the server serves; None for all.
     """
 
     def announce(running: Running) -> None:
@@ -27,18 +27,16 @@ def announcing(allowed: list[str] | None) -> Callable[[Running], None]:
             print(f"listening on {url}", flush=True)
         unguarded = [] if allowed else [url for url in running.urls if _is_open(parse(url))]
         if unguarded:
-            print(
-                f"libmodbus-py: anybody who reaches {', '.join(unguarded)} may read and write;"
-                " --allow NETWORK, or certificates and tls://, say who may",
-                file=sys.stderr,
-                flush=True,
+            complain(
+                f"anyone who can reach {', '.join(unguarded)} can read and write; --allow NETWORK,"
+                " or tls:// with certificates, restricts access"
             )
 
     return announce
 
 
 def _is_open(endpoint: Endpoint) -> bool:
-    """Whether other machines may reach it, and nothing asks who they are."""
+    """Return True if other machines can reach the endpoint without a certificate."""
     if endpoint.transport in ("serial", "tls"):
         return False
     try:

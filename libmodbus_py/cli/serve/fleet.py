@@ -1,5 +1,5 @@
 """
-What needs an engine: poll --engine, one worker of several; and the command fleet, about all.
+Fleets on several machines: poll --engine, which is one worker, and the command fleet.
 """
 
 from __future__ import annotations
@@ -7,11 +7,9 @@ from __future__ import annotations
 import argparse
 import asyncio
 import contextlib
-import json
 import logging
 import math
 import signal
-import sys
 import time
 from collections.abc import Callable, Coroutine, Sequence
 from typing import Any, TypeVar
@@ -29,7 +27,10 @@ from ...services.workers.records import Connection, Settings, in_key
 from ...services.workers.status import fleet_status, tables
 from ...tools.files.texts import load_file
 from ...tools.files.toml_text import read_toml
+from .. import arguments
 from ..failing import CommandError
+from ..help import VerbatimHelp
+from ..output import complain, print_json
 from .hangup import unless_closed
 
 __all__ = ["add_arguments", "add_command", "poll"]
@@ -38,50 +39,67 @@ logger: logging.Logger = logging.getLogger(__name__)
 
 ENGINE = "nats://HOST[,nats://HOST...]"
 
+EXAMPLES = """\
+examples:
+  libmodbus-py fleet status --engine nats://192.0.2.1
+  libmodbus-py fleet status --engine nats://192.0.2.1,nats://192.0.2.2,nats://192.0.2.3
+  libmodbus-py fleet status --engine nats://192.0.2.1 --json
+  libmodbus-py fleet status --engine tls://192.0.2.1"""
+
 Exposed = Callable[[Fleet], contextlib.AbstractContextManager[Any]]
 
 Show = Callable[[Fleet], Coroutine[Any, Any, None]]
 
 T = TypeVar("T")
 
-# Seconds: between two tries while the engine gives no answer, and for how long push tries:
-# servers that have just started take up to 10 to elect a leader.
+# Seconds between two attempts while the engine does not answer, and for all attempts of --push:
+# servers that have just started take up to 10 seconds to elect a leader.
 PAUSE = 0.5
 ELECTION = 30.0
 
 
 def add_command(commands: Any) -> None:
-    """Tell argparse of the command fleet."""
+    """Add the command fleet to argparse."""
     command = commands.add_parser(
         "fleet",
-        description="Say what the workers do that poll a fleet on several machines.",
-        epilog="exit code 0; 1 if the engine gives no answer, or nobody polls a part of the fleet",
+        description="Print the workers that poll a fleet together, and the devices that each"
+        " polls.",
+        epilog="The exit code is 0, or 1 if the engine does not answer or no worker polls a part of"
+        f" the fleet.\n\n{EXAMPLES}",
+        formatter_class=VerbatimHelp,
     )
-    command.add_argument("what", choices=["status"])
-    command.add_argument("--engine", metavar=ENGINE, required=True, help="where NATS is")
-    command.add_argument("--json", action="store_true", help="as one object of JSON")
+    command.add_argument("what", choices=["status"], help="print the status of the fleet")
+    _add_engine(command, required=True)
+    arguments.add_json(command)
     command.set_defaults(run=_fleet)
 
 
 def add_arguments(command: argparse.ArgumentParser) -> None:
-    """Tell argparse of what poll takes for several machines."""
+    """Add the options of poll for several machines to argparse."""
     group = command.add_argument_group("several machines")
+    _add_engine(group, required=False)
     group.add_argument(
-        "--engine",
-        metavar=ENGINE,
-        help="share the devices with all workers there (NATS with JetStream)",
-    )
-    group.add_argument(
-        "--push", action="store_true", help="give the engine the devices of FILE, and end"
+        "--push", action="store_true", help="write the devices of FILE to the engine, then exit"
     )
     group.add_argument(
         "--zone",
         action="append",
         default=[],
         metavar="NAME",
-        help="take devices of this zone, too, besides those without one; may be repeated",
+        help="poll devices of this zone too, besides those without a zone; may be repeated",
     )
-    group.add_argument("--worker", default="", metavar="NAME", help="instead of the host's name")
+    group.add_argument(
+        "--worker", default="", metavar="NAME", help="name of this worker, in place of the host's"
+    )
+
+
+def _add_engine(command: Any, *, required: bool) -> None:
+    command.add_argument(
+        "--engine",
+        metavar=ENGINE,
+        required=required,
+        help="the NATS servers (with JetStream) through which workers share devices",
+    )
 
 
 def poll(
@@ -92,11 +110,11 @@ def poll(
     show: Show | None,
 ) -> int:
     """
-    Be one worker of a fleet, until a signal; or only give the engine what is in the file.
+    Poll as one worker of a fleet until a signal, or only write the file to the engine.
 
     Args:
-        exposed: what tells others of the fleet, while it is entered.
-        show: draws the status line, until cancelled.
+        exposed: returns a context manager that serves the metrics of the fleet.
+        show: draws the status line until cancelled; None for no status line.
     """
     servers = parse_servers(options.engine)
     settings = load_file(options.file, _settings, FleetFileError)
@@ -142,15 +160,16 @@ async def _push(servers: list[str], settings: Settings, connections: list[Connec
 
 
 async def _answered(
-    ask: Callable[[], Coroutine[Any, Any, T]], told: set[str], patience: float = math.inf
+    ask: Callable[[], Coroutine[Any, Any, T]], told: set[str], limit: float = math.inf
 ) -> T:
     """
-    Ask until the engine answers: one that elects a leader is there, and does not.
+    Ask until the engine answers: while it elects a leader it does not.
 
     Args:
         told: the reasons that were logged. Reasons alternate; each is logged once.
+        limit: seconds after which the last reason is raised.
     """
-    give_up = time.monotonic() + patience
+    give_up = time.monotonic() + limit
     while True:
         try:
             return await ask()
@@ -178,18 +197,20 @@ async def _is_there(client: Any) -> bool:
 async def _opened(
     client: Any, settings: Settings, connections: list[Connection]
 ) -> tuple[Bucket, Settings]:
-    """Give the bucket, with the devices of the file if it was not there."""
+    """Return the bucket; if it does not exist, make it with the devices of the file."""
     told: set[str] = set()
     if not await _answered(lambda: _is_there(client), told):
         await _answered(lambda: _pushed(client, settings, connections), told)
-        logger.warning("the engine had no fleet; it has that of the file now")
+        logger.warning("the engine had no fleet; the devices of the file were written to it")
     bucket = await _answered(lambda: open_bucket(client, BUCKET), told)
     view = await _answered(lambda: seen_now(bucket), told)
     if view.settings is None:
-        why = view.unreadable.get("settings", "has no fleet: put it there with --push")
+        why = view.unreadable.get("settings", "contains no fleet; write one with --push")
         raise EngineError(f"{bucket.name}: {why}")
     if any(changes(view, settings, connections)):
-        logger.warning("the engine has another fleet than the file, and that is polled; see --push")
+        logger.warning(
+            "the fleet in the engine differs from the file and is polled; --push replaces it"
+        )
     return bucket, view.settings
 
 
@@ -243,7 +264,9 @@ def _handlers(polling: Polling) -> dict[signal.Signals, Handler]:
 
 
 def _tell_of_push() -> None:
-    logger.warning("the devices are those of the engine; see --push")
+    logger.warning(
+        "the devices of the engine are polled, not those of the file; --push replaces them"
+    )
 
 
 # --- status --------------------------------------------------------------------------------------
@@ -259,11 +282,14 @@ async def _status(servers: list[str], as_json: bool) -> int:
         status = await fleet_status(await open_bucket(client, BUCKET))
     finally:
         await disconnect(client)
-    print(json.dumps(status) if as_json else tables(status), flush=True)
+    if as_json:
+        print_json(status)
+    else:
+        print(tables(status), flush=True)
     for name, zone in status["zones"].items():
         if not zone["workers"]:
             told = f"zone {name!r}" if name else "devices without a zone"
-            print(f"libmodbus-py: nobody serves {told}", file=sys.stderr)
+            complain(f"no worker polls {told}")
     return (
         1 if any(each["served_slots"] < each["slots"] for each in status["zones"].values()) else 0
     )

@@ -1,21 +1,27 @@
 """
-The command gateway: requests passed on, until a signal; SIGHUP reads the file again.
+The command gateway: forward requests until a signal; SIGHUP reads the gateway file again.
 """
 
 from __future__ import annotations
 
 import argparse
+import inspect
 import logging
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
-from ...ports.schemes import SCHEMES
+from ...client.asynchronous import IN_FLIGHT, MAX_PAUSE
+from ...ports.schemes import CLIENT_OPTIONS, SCHEMES, SECURITY_OPTIONS, SERIAL_OPTIONS
 from ...services.gateway import config
 from ...services.gateway.gateway import Gateway
-from ...services.gateway.routes import parse_route
+from ...services.gateway.routes import Route, parse_route
 from ...tools.files.rereading import reread
-from .. import security
+from .. import arguments
+from ..connecting import with_options
 from ..help import VerbatimHelp
 from ..output import counted
+from ..tracing import print_frame
 from . import limits, metrics
 from .announcing import announcing
 from .hangup import unless_closed
@@ -24,8 +30,11 @@ __all__ = ["add_command"]
 
 logger: logging.Logger = logging.getLogger(__name__)
 
-# What a file says, too.
 OPTIONS = ("own_units", "queue", "longest_wait", "writes_first")
+"""Arguments of `Gateway` that a gateway file contains too."""
+
+OF_DEVICES = tuple(name for name in CLIENT_OPTIONS if name not in ("unit", "native"))
+"""Options of clients that the URLs of --to take."""
 
 ROUTE = "[UNITS[:DEVICE_UNITS]=]URL"
 
@@ -33,62 +42,113 @@ ROUTE = "[UNITS[:DEVICE_UNITS]=]URL"
 EXAMPLES = """\
 examples:
   libmodbus-py gateway tcp://0.0.0.0:502 --to rtu:///dev/ttyUSB0
-  libmodbus-py gateway tcp://127.0.0.1:1502 --to "1-10=rtu:///dev/ttyUSB0?baudrate=9600&parity=N"
+  libmodbus-py gateway tcp://127.0.0.1:1502 --to 1-10=rtu:///dev/ttyUSB0 -b 9600 -p none
   libmodbus-py gateway tcp://0.0.0.0:502 --to 1-10=tcp://192.0.2.10 --to 11:1=tcp://192.0.2.11
   libmodbus-py gateway --config gateway.toml --metrics 127.0.0.1:9400"""
 
 
 def add_command(commands: Any) -> None:
-    """Tell argparse of it."""
+    """Add the command to argparse."""
     command = commands.add_parser(
         "gateway",
-        epilog=f"{EXAMPLES}\n\nURLs: {' '.join(f'{scheme}://...' for scheme in SCHEMES)};\n"
-        "those of --to take options of clients, such as ?timeout=0.5",
+        description="Forward requests of clients to devices on other lines, and the answers back.",
+        epilog=f"{EXAMPLES}\n\nURL: {', '.join(f'{scheme}://' for scheme in SCHEMES)}\n"
+        "     The URL of a route can set the options of its requests, as in\n"
+        '     --to "1-10=tcp://192.0.2.10?timeout=0.5"; an option overrides all URLs.',
         formatter_class=VerbatimHelp,
     )
-    command.add_argument("urls", metavar="URL", nargs="*", help="such as tcp://0.0.0.0:502")
+    command.add_argument(
+        "urls", metavar="URL", nargs="*", help="where to listen, such as tcp://0.0.0.0:502"
+    )
     command.add_argument(
         "--to",
         action="append",
         metavar=ROUTE,
-        help="where the devices are, such as 1-10=rtu:///dev/ttyUSB0; may be repeated",
+        help="forward requests to these units, or to all, to this URL; may be repeated",
     )
-    command.add_argument("--config", metavar="FILE", help="a gateway file, such as gateway.toml")
-    group = command.add_argument_group("how requests are dealt with")
-    group.add_argument("--own-units", metavar="UNITS", help="those of the gateway itself (255)")
-    group.add_argument("--queue", type=int, metavar="N", help="of one client that wait (16)")
-    group.add_argument("--longest-wait", type=float, metavar="S", help="for a turn (5)")
-    group.add_argument("--writes-first", action="store_true", default=None, help="they overtake")
+    command.add_argument("--config", metavar="FILE", help="read routes and options from a file")
     metrics.add_argument(command)
+    arguments.add_verbose(command)
+    _add_options(command)
+    arguments.add_client_options(
+        command, "requests to the devices", without=("unit", "native"), defaults=_of_clients
+    )
     limits.add_arguments(command)
-    security.add_arguments(command)
+    arguments.add_serial_options(command)
+    arguments.add_security_options(command)
     command.set_defaults(run=_gateway)
+
+
+def _add_options(command: argparse.ArgumentParser) -> None:
+    group = command.add_argument_group("waiting requests")
+    added = [
+        group.add_argument(
+            "--own-units", metavar="UNITS", help="units with the statistics of the gateway itself"
+        ),
+        group.add_argument("--queue", type=int, metavar="N", help="waiting requests per client"),
+        group.add_argument(
+            "--longest-wait", type=float, metavar="S", help="seconds that a request may wait"
+        ),
+    ]
+    group.add_argument(
+        "--writes-first",
+        action="store_true",
+        default=None,
+        help="let writes overtake waiting reads",
+    )
+    arguments.add_defaults(added, _defaults)
+
+
+def _defaults() -> dict[str, Any]:
+    found = inspect.signature(Gateway).parameters
+    own_units = ",".join(map(str, found["own_units"].default))
+    return {name: each.default for name, each in found.items()} | {"own_units": own_units}
+
+
+def _of_clients() -> dict[str, str]:
+    return {"max_in_flight": str(IN_FLIGHT), "max_pause": f"{MAX_PAUSE:g}"}
 
 
 def _gateway(options: argparse.Namespace) -> int:
     if (options.config is None) == (options.to is None):
         raise ValueError("either --to or --config must say where the devices are")
-    given = {name: value for name in OPTIONS if (value := getattr(options, name)) is not None}
-    if bounds := limits.told(options):
-        given["limits"] = bounds
-    given["security"] = security.told(options)
-    if options.config is None:
-        gateway = Gateway([parse_route(text) for text in options.to], **given)
-        with metrics.exposed(gateway, options.metrics):
-            gateway.serve_forever(*options.urls, on_listening=announcing(options.allow))
-        return 0
-    file = config.load(options.config)
-    urls = options.urls or file.listen
-    if not urls:
+    file = None if options.config is None else config.load(options.config)
+    urls = options.urls or list(file.listen if file else ())
+    if file is not None and not urls:
         raise ValueError(f"{options.config}: listen is missing, and no URL is given")
-    gateway = Gateway(file.routes, **{**file.options, **given})
+    if file is not None and (typed := arguments.given(options, OF_DEVICES)):
+        name = arguments.flag(next(iter(typed)))
+        raise ValueError(f"{name} needs --to: {options.config} has its own options of requests")
+    routes = [parse_route(text) for text in options.to or ()]
+    urls, routes = _overridden(urls, routes, options)
+    hooks: dict[str, Any] = {"trace": print_frame if options.verbose else None}
+    if bounds := limits.limits_of(options):
+        hooks["limits"] = bounds
+
+    def make(given: Mapping[str, Any]) -> Gateway:
+        usual = file.options if file else {}
+        return Gateway(file.routes if file else routes, **{**usual, **hooks, **given})
+
+    gateway = arguments.checked(make, arguments.given(options, OPTIONS))
+    read_again = None
+    if file is not None:
+        read_again = unless_closed(lambda: _read_again(gateway, options.config, file))
     with metrics.exposed(gateway, options.metrics):
-        gateway.serve_forever(
-            *urls,
-            on_listening=announcing(options.allow),
-            on_hangup=unless_closed(lambda: _read_again(gateway, options.config, file)),
-        )
+        gateway.serve_forever(*urls, on_listening=announcing(options.allow), on_hangup=read_again)
     return 0
+
+
+def _overridden(
+    urls: list[str], routes: list[Route], options: argparse.Namespace
+) -> tuple[list[str], list[Route]]:
+    """Return where to listen and the routes, with the options that were typed."""
+    places = [*urls, *(route.to for route in routes)]
+    places = [each.url for each in with_options(places, options, SERIAL_OPTIONS)]
+    listen = with_options(places[: len(urls)], options, SECURITY_OPTIONS)
+    devices = with_options(places[len(urls) :], options, OF_DEVICES)
+    return [each.url for each in listen], [
+        replace(route, to=each.url) for route, each in zip(routes, devices, strict=True)
+    ]
 
 
 def _read_again(gateway: Gateway, path: str, before: config.GatewayFile) -> None:
@@ -96,10 +156,7 @@ def _read_again(gateway: Gateway, path: str, before: config.GatewayFile) -> None
         gateway.change_routes(file.routes)
         lines = [f"{path}: {counted(len(file.routes), 'route')}"]
         if (file.listen, repr(file.options)) != (before.listen, repr(before.options)):
-            lines.append(
-                f"{path}: only routes can change while the gateway runs; restart it"
-                " for the other changes"
-            )
+            lines.append(f"{path}: changes that are not routes need a restart of the gateway")
         return lines
 
     reread(lambda: config.load(path, known=before.routes), use, logger.warning)

@@ -1,5 +1,5 @@
 """
-SIGHUP: files are read again; but whose terminal was closed ends, as other programs do.
+SIGHUP: read files again, or end when the terminal was closed.
 """
 
 from __future__ import annotations
@@ -13,10 +13,11 @@ __all__ = ["unless_closed"]
 
 def unless_closed(read_again: Callable[[], object]) -> Callable[[], None]:
     """
-    Give what SIGHUP is to call.
+    Return a function for SIGHUP.
 
-    It comes from people who have changed a file, and from a terminal that closes: then the
-    program ends as on SIGTERM. Under nohup, or started without a terminal, it never does.
+    An administrator sends SIGHUP after a change of a file, and the system sends it when a terminal
+    is closed. In the second case the program ends as on SIGTERM; not under nohup, or without
+    a terminal.
     """
     can_close = _has_terminal() and signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN
 

@@ -1,5 +1,5 @@
 """
-What clients may cost, as told by options.
+The options that limit what clients may use of a server.
 """
 
 from __future__ import annotations
@@ -7,46 +7,70 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Callable
+from dataclasses import fields
 from typing import Any
 
 from ...server.limits import FULL_POLICIES, Limits
+from ..arguments import add_defaults, checked, flag, given
 
-__all__ = ["add_arguments", "told"]
+__all__ = ["add_arguments", "limits_of"]
 
-OPTIONS: list[tuple[str, Callable[[str], Any], str, str]] = [
-    ("max-connections", int, "N", "over TCP (what the descriptor limit leaves)"),
-    ("connections-per-address", int, "N", "of them for one address (a tenth, but 8 at least)"),
-    ("frame-timeout", float, "S", "seconds that a frame may take from its first byte (5)"),
-    ("handshake-timeout", float, "S", "seconds to the end of a TLS handshake (5)"),
-    ("idle-timeout", float, "S", "seconds without a request, inf for no limit (3600)"),
-    ("max-unsent", int, "BYTES", "of answers that a client does not take (65536)"),
-    ("requests-per-second", float, "N", "of one address (no limit; UDP: 1000)"),
-]
-"""Those that are one number."""
+# fmt: off
+NUMBERS: dict[str, tuple[Callable[[str], Any], str, str]] = {
+    "max_connections": (
+        int, "N", "TCP connections in all; unless given, what the limit of descriptors allows"
+    ),
+    "connections_per_address": (
+        int, "N", "TCP connections of one address; unless given, a tenth of all"
+    ),
+    "frame_timeout": (float, "S", "seconds from the first byte of a frame to the last"),
+    "handshake_timeout": (float, "S", "seconds for a TLS handshake"),
+    "idle_timeout": (float, "S", "seconds without a request until a connection is closed, or inf"),
+    "max_unsent": (int, "BYTES", "answers that may wait for a client that does not read them"),
+    "requests_per_second": (
+        float, "N", "requests of one address that are answered; unless given, all, over UDP 1000"
+    ),
+}
+"""Field of `Limits` -> type, placeholder and text of the option."""
+# fmt: on
 
-NAMES = [*(name.replace("-", "_") for name, *_ in OPTIONS), "when_full", "allow"]
+NAMES = [*NUMBERS, "when_full", "allow"]
 
 
 def add_arguments(command: argparse.ArgumentParser) -> Any:
-    """Tell argparse of them; gives their group."""
-    group = command.add_argument_group("what clients may cost")
-    for name, convert, metavar, text in OPTIONS:
-        group.add_argument(f"--{name}", type=convert, metavar=metavar, help=text)
-    group.add_argument("--when-full", choices=FULL_POLICIES, help="(close-idle)")
+    """Add the options to argparse, and return their group."""
+    group = command.add_argument_group("limits on clients")
+    added = [
+        group.add_argument(flag(name), type=convert, metavar=placeholder, help=text)
+        for name, (convert, placeholder, text) in NUMBERS.items()
+    ]
+    added.append(
+        group.add_argument(
+            "--when-full",
+            choices=FULL_POLICIES,
+            metavar="POLICY",
+            help="when there is no room for a connection: close-idle closes another one, which is"
+            " idle; refuse closes the new one",
+        )
+    )
+    add_defaults(added, lambda: {each.name: each.default for each in fields(Limits)})
     group.add_argument(
-        "--allow", action="append", metavar="NETWORK", help="serve only these; may be repeated"
+        "--allow",
+        action="append",
+        metavar="NETWORK",
+        help="serve clients of this network or address only; may be repeated",
     )
     return group
 
 
-def told(options: argparse.Namespace) -> Limits | None:
+def limits_of(options: argparse.Namespace) -> Limits | None:
     """
-    Give what the options say, or None if they say nothing.
+    Return the limits that the options set, or None without any.
 
     Raises:
-        ValueError: as of `Limits`.
+        ValueError: an option is wrong; as of `Limits`.
     """
-    given = {name: value for name in NAMES if (value := getattr(options, name)) is not None}
-    if given.get("idle_timeout") == math.inf:
-        given["idle_timeout"] = None
-    return Limits(**given) if given else None
+    typed = given(options, NAMES)
+    if typed.get("idle_timeout") == math.inf:
+        typed["idle_timeout"] = None
+    return checked(lambda limits: Limits(**limits), typed) if typed else None

@@ -1,5 +1,5 @@
 """
-Metrics of a server, over HTTP, as told by an option.
+The option for metrics, which Prometheus asks for over HTTP.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ __all__ = ["add_argument", "exposed"]
 
 
 def add_argument(command: argparse.ArgumentParser) -> None:
-    """Tell argparse of it."""
+    """Add the option to argparse."""
     command.add_argument(
         "--metrics",
         type=address_like("127.0.0.1:9400"),
         metavar="HOST:PORT",
-        help="answer Prometheus here, over HTTP",
+        help="serve metrics for Prometheus at this address, over HTTP",
     )
 
 
@@ -30,14 +30,15 @@ def exposed(
     server: Any, address: Address | None, *others: Any, to: TextIO | None = None
 ) -> Iterator[None]:
     """
-    Expose the statistics of a server, and others, while the block runs, if there is an address.
+    Serve the metrics of a server while the block runs, if there is an address.
 
     Args:
-        to: where that is told; the standard output unless given.
+        others: further objects with statistics.
+        to: the stream on which the URL is printed; None for the standard output.
 
     Raises:
-        ImportError: what this needs is not installed.
-        ModbusConnectionError: the address cannot be had, with errno.
+        ImportError: prometheus_client is not installed.
+        ModbusConnectionError: the address is not available, with errno.
     """
     if address is None:
         yield

@@ -1,17 +1,17 @@
 """
-A live page of a server, as told by an option.
+The option for a live page of a server.
 """
 
 from __future__ import annotations
 
 import argparse
 import contextlib
-import sys
 from collections.abc import Callable, Iterator
 from ipaddress import ip_address
 
 from ...protocol.errors import ModbusConnectionError
 from ...server.server import Running, Server
+from ..output import complain
 from .addresses import Address, address_like
 
 __all__ = ["add_argument", "shown"]
@@ -20,14 +20,14 @@ EXAMPLE = ("127.0.0.1", 8080)
 
 
 def add_argument(command: argparse.ArgumentParser) -> None:
-    """Tell argparse of it."""
+    """Add the option to argparse."""
     command.add_argument(
         "--page",
         type=address_like("{}:{}".format(*EXAMPLE)),
         nargs="?",
         const=EXAMPLE,
         metavar="HOST:PORT",
-        help="show everything on a live page, over HTTP ({}:{})".format(*EXAMPLE),
+        help="serve a live page of the devices at this address, over HTTP ({}:{})".format(*EXAMPLE),
     )
 
 
@@ -36,16 +36,16 @@ def shown(
     server: Server, address: Address | None, announce: Callable[[Running], object]
 ) -> Iterator[Callable[[Running], object]]:
     """
-    Show a server on a page while the block runs, if there is an address.
+    Show a server on a live page while the block runs, if there is an address.
 
     Args:
-        announce: tells where the server listens.
+        announce: prints where the server listens.
 
-    Returns:
-        What tells that, and where the page is.
+    Yields:
+        A function that prints where the server listens, and the URL of the page.
 
     Raises:
-        ModbusConnectionError: the address cannot be had, with errno.
+        ModbusConnectionError: the address is not available, with errno.
     """
     if address is None:
         yield announce
@@ -65,11 +65,9 @@ def shown(
             announce(running)
             print(f"page on {page.url}", flush=True)
             if not _is_here(address[0]):
-                print(
-                    "libmodbus-py: whoever reaches the page and has its URL may change everything,"
-                    " and nothing of it is encrypted",
-                    file=sys.stderr,
-                    flush=True,
+                complain(
+                    "anyone with the URL of the page can change all devices, and the connection is"
+                    " not encrypted"
                 )
 
         yield announce_all

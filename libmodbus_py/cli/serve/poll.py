@@ -1,5 +1,5 @@
 """
-The command poll: a fleet of devices, until a signal; SIGHUP reads the file again.
+The command poll: poll a fleet of devices until a signal; SIGHUP reads the fleet file again.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ from ...services.fleet.outputs.output import Output, OutputError
 from ...services.fleet.trial import Tried, overloads, trying
 from ...tools.files.rereading import reread
 from ..failing import CommandError
-from ..output import counted
+from ..help import VerbatimHelp
+from ..output import complain, counted
 from ..status import Status
 from . import fleet as workers
 from . import metrics
@@ -40,25 +41,37 @@ REDRAWN = 1.0
 """Seconds between two states of the status line."""
 
 ON_TIME = 0.1
-"""Polls that begin no later are on time."""
+"""Seconds that a poll may begin late and still count as on time."""
 
 STANDARD_OUTPUT = "-"
 
+EXAMPLES = """\
+examples:
+  libmodbus-py poll fleet.toml --check
+  libmodbus-py poll fleet.toml --once --csv
+  libmodbus-py poll fleet.toml --json readings.jsonl --metrics 127.0.0.1:9400
+  libmodbus-py poll fleet.toml --engine nats://192.0.2.1 --zone north"""
+
 
 def add_command(commands: Any) -> None:
-    """Tell argparse of it."""
+    """Add the command to argparse."""
     command = commands.add_parser(
         "poll",
-        description="Without an output in the file or an option, readings go to the standard"
-        " output as lines of JSON, unless that is a terminal.",
-        epilog="exit code 0; 1 if a device gave no answer to --once or --check, a line cannot keep"
-        " its intervals, or the standard output is gone",
+        description="Poll the devices of a fleet file, and write the readings to the outputs"
+        " of the file.\n"
+        "Without an output, readings are printed as lines of JSON, except on a terminal.",
+        epilog="The exit code is 0, or 1 if a device did not answer --once or --check, a"
+        " line cannot keep its\n"
+        f"intervals, or the standard output was closed.\n\n{EXAMPLES}",
+        formatter_class=VerbatimHelp,
     )
-    command.add_argument("file", metavar="FILE", help="a fleet file, such as fleet.toml")
+    command.add_argument("file", metavar="FILE", help="fleet file, such as fleet.toml")
     mode = command.add_mutually_exclusive_group()
-    mode.add_argument("--once", action="store_true", help="poll each device once")
+    mode.add_argument("--once", action="store_true", help="poll each device once, then exit")
     mode.add_argument(
-        "--check", action="store_true", help="ask each device once, and print how that went"
+        "--check",
+        action="store_true",
+        help="ask each device once, and print the results as a table",
     )
     for name, form in (("json", "lines of JSON"), ("csv", "CSV")):
         command.add_argument(
@@ -66,7 +79,7 @@ def add_command(commands: Any) -> None:
             nargs="?",
             const=STANDARD_OUTPUT,
             metavar="PATH",
-            help=f"append readings to a file as {form}; without PATH, to the standard output",
+            help=f"append readings to a file as {form}; without PATH, print them",
         )
     metrics.add_argument(command)
     workers.add_arguments(command)
@@ -100,7 +113,8 @@ def _poll(options: argparse.Namespace) -> int:
 
 
 def _allow_descriptors() -> None:
-    """As many as may be: each connection is one, and systems begin with 1024."""
+    """Allow as many descriptors as possible: each connection is one, and the usual limit is"
+    " 1024."""
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     with contextlib.suppress(OSError, ValueError):
         resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
@@ -110,7 +124,7 @@ def _poll_with_others(
     options: argparse.Namespace, file: FleetFile, outputs: list[Output], values: LastValues
 ) -> int:
     if options.once:
-        raise ValueError("--once is for one machine, without --engine")
+        raise ValueError("--once cannot be used with --engine")
     has_screen = sys.stderr.isatty() and not (any(map(_prints, outputs)) and sys.stdout.isatty())
     return workers.poll(
         options,
@@ -147,7 +161,7 @@ async def _run(fleet: Fleet, options: argparse.Namespace, has_screen: bool) -> N
     screen = asyncio.create_task(_show(fleet)) if has_screen else None
     with signal_handlers(_handlers(stopped, lambda: _read_again(fleet, options.file))):
         await asyncio.sleep(0)
-        # Else every full search for garbage looks through all devices: a tenth of a second.
+        # Otherwise every full garbage collection visits all devices: a tenth of a second.
         gc.collect()
         gc.freeze()
         waiting = asyncio.create_task(stopped.wait())
@@ -181,7 +195,7 @@ def _read_again(fleet: Fleet, path: str) -> None:
 
 
 async def _show(fleet: Fleet) -> None:
-    """Draw the status line anew, until cancelled."""
+    """Draw the status line again and again, until cancelled."""
     status = Status()
     polls, at = 0, time.monotonic()
     try:
@@ -191,19 +205,19 @@ async def _show(fleet: Fleet) -> None:
             rate = (statistics.polls - polls) / (now - at)
             polls, at = statistics.polls, now
             status.show(
-                f"{_standing(fleet)}; {rate:.0f} polls a second,"
-                f" at most {statistics.take_worst() * 1000:.0f} ms late{_troubles(fleet)}"
+                f"{_state(fleet)}; {rate:.0f} polls a second,"
+                f" at most {statistics.take_worst() * 1000:.0f} ms late{_errors(fleet)}"
             )
     finally:
         status.clear()
 
 
-def _standing(fleet: Fleet) -> str:
+def _state(fleet: Fleet) -> str:
     statistics = fleet.statistics
     return f"{statistics.devices} devices: {statistics.up} up, {statistics.down} down"
 
 
-def _troubles(fleet: Fleet) -> str:
+def _errors(fleet: Fleet) -> str:
     statistics = fleet.statistics
     told = f"; {statistics.skipped} skipped" if statistics.skipped else ""
     for name, output in statistics.outputs.items():
@@ -240,9 +254,9 @@ async def _check(devices: list[DeviceConfig]) -> int:
             failed += bool(each.problem)
     too_much = overloads(devices)
     for line in too_much:
-        print(f"libmodbus-py: {line}", file=sys.stderr)
+        complain(str(line))
     if failed:
-        print(f"libmodbus-py: {failed} of {len(devices)} devices failed", file=sys.stderr)
+        complain(f"{failed} of {len(devices)} devices failed")
     return 1 if failed or too_much else 0
 
 

@@ -1,14 +1,13 @@
 """
-The command serve: a device file, or one device that has everything, until a signal.
+The command serve: simulated devices, until a signal ends it.
 
-SIGHUP reads the file again, and with --reload every change of it does.
+SIGHUP reads the device file again; with --reload, so does every change of the file.
 """
 
 from __future__ import annotations
 
 import argparse
 import contextlib
-import sys
 from collections.abc import Callable
 from typing import Any
 
@@ -20,7 +19,11 @@ from ...server.server import Running, Server
 from ...server.units import UNKNOWN_UNIT_POLICIES
 from ...tools.simulator import device_file, example_files
 from ...tools.simulator.reloading import Reloader
-from .. import security
+from .. import arguments
+from ..connecting import OF_SERVERS, with_options
+from ..help import VerbatimHelp
+from ..output import complain
+from ..tracing import print_frame
 from . import limits, metrics, page
 from .announcing import announcing
 from .hangup import unless_closed
@@ -29,39 +32,50 @@ __all__ = ["add_command"]
 
 EXAMPLE_URL = "tcp://127.0.0.1:1502"
 
+EXAMPLES = """\
+examples:
+  libmodbus-py serve tcp://127.0.0.1:1502
+  libmodbus-py serve tcp://0.0.0.0:502 --device plant.toml --reload --page
+  libmodbus-py serve --example meter
+  libmodbus-py serve rtu:///dev/ttyUSB0 -b 9600 -p none --device plant.toml"""
+
 
 def add_command(commands: Any) -> None:
-    """Tell argparse of it."""
+    """Add the command to argparse."""
     command = commands.add_parser(
         "serve",
-        epilog=f"URLs: {' '.join(f'{scheme}://...' for scheme in SCHEMES)}",
+        description="Simulate the devices of a device file or of an example. Without either,"
+        " one device with\n"
+        "all tables and ten files, filled with zeros, answers as every unit.",
+        epilog=f"{EXAMPLES}\n\nURLs: {', '.join(f'{scheme}://' for scheme in SCHEMES)}",
+        formatter_class=VerbatimHelp,
     )
     command.add_argument(
         "urls",
         metavar="URL",
         nargs="*",
-        help=f"such as {EXAMPLE_URL}, which is where examples are served unless it is said",
+        help=f"where to listen, such as {EXAMPLE_URL}, the default for examples",
     )
     source = command.add_mutually_exclusive_group()
-    source.add_argument("--device", metavar="FILE", help="a device file, such as plant.toml")
+    source.add_argument("--device", metavar="FILE", help="serve the devices of a device file")
     source.add_argument(
         "--example",
         metavar="NAME",
         nargs="?",
         const="",
-        help="a device file that comes with the package; without a name they are listed",
+        help="serve a device file of the package; without NAME, list them",
     )
     command.add_argument(
         "--reload",
         action="store_true",
-        help="read the device file again when it or a register map of it changes, as SIGHUP does;"
-        " connections stay, and a mistake changes nothing",
+        help="read the device file again when the file, or a register map that it uses, changes;"
+        " connections stay open, and a mistake in the file changes nothing",
     )
     command.add_argument(
         "--own-unit",
         type=int,
         metavar="N",
-        help="which of several answers units 0 and 255 on TCP and UDP, too",
+        help="device that answers units 0 and 255 too, on TCP and UDP",
     )
     metrics.add_argument(command)
     page.add_argument(command)
@@ -69,9 +83,13 @@ def add_command(commands: Any) -> None:
         "--unknown-unit",
         choices=UNKNOWN_UNIT_POLICIES,
         default="refuse",
-        help="what a unit nobody is gets on TCP and UDP (refuse)",
+        metavar="POLICY",
+        help="requests to units without a device, on TCP and UDP: refuse answers with an"
+        " exception, silent does not answer (refuse)",
     )
-    security.add_arguments(command)
+    arguments.add_verbose(command)
+    arguments.add_serial_options(command)
+    arguments.add_security_options(command)
     command.set_defaults(run=_serve)
 
 
@@ -82,17 +100,18 @@ def _serve(options: argparse.Namespace) -> int:
     urls = options.urls or ([EXAMPLE_URL] if options.example is not None else [])
     if not urls:
         raise ValueError("the following arguments are required: URL")
+    urls = [each.url for each in with_options(urls, options, OF_SERVERS)]
     if options.reload and path is None:
-        raise ValueError("--reload means nothing without --device or --example")
+        raise ValueError("--reload needs --device or --example")
     simulation = None if path is None else device_file.load(path)
     devices, faults = simulation or (_everything(), None)
     server = Server(
         devices,
         faults,
-        limits.told(options),
+        limits.limits_of(options),
         options.unknown_unit,
         options.own_unit,
-        security.told(options),
+        trace=print_frame if options.verbose else None,
     )
     announce = announcing(options.allow)
     with (
@@ -121,8 +140,8 @@ def _serve_and_reload(
 
 
 def _tell(line: str) -> None:
-    with contextlib.suppress(OSError, ValueError):  # nobody listens, and it goes on serving
-        print(f"libmodbus-py: {line}", file=sys.stderr, flush=True)
+    with contextlib.suppress(OSError, ValueError):  # without a reader it still serves
+        complain(line)
 
 
 def _list_examples() -> int:

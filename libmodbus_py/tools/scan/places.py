@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 
 from ...client.blocking import Context
 from ...ports.endpoint import Endpoint
+from ...ports.schemes import SERIAL_DEFAULTS
 from ...protocol.checks import integer, seconds
 from ...security.security import Security
 
@@ -66,9 +67,8 @@ class Place:
         """Baud rate, parity, data bits and stop bits; empty on networks."""
         if not self.is_serial:
             return {}
-        told = {"baudrate": 19200, "parity": "E", "data_bits": 8, "stop_bits": 1}
-        told |= self.endpoint.serial_settings
-        return {name: told[name] for name in ("baudrate", "parity", "data_bits", "stop_bits")}
+        told = {**SERIAL_DEFAULTS, **self.endpoint.serial_settings}
+        return {name: told[name] for name in SERIAL_DEFAULTS}
 
     def __str__(self) -> str:
         if not self.is_serial:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from ...ports.endpoint import parse
+from ...ports.schemes import SERIAL_DEFAULTS
 from ...protocol.checks import integer
 from ...protocol.errors import (
     Acknowledge,
@@ -254,8 +255,8 @@ def search(
     baudrates = parities = None
     if endpoint.transport == "serial":
         # As for clients, which have one setting.
-        baudrates = [endpoint.options.get("baudrate", 19200)]
-        parities = [endpoint.options.get("parity", "E")]
+        settings = {**SERIAL_DEFAULTS, **endpoint.options}
+        baudrates, parities = [settings["baudrate"]], [settings["parity"]]
     (place,) = places(endpoint, baudrates, parities, timeout, security)
     integer("most_requests", most_requests, len(TABLES), 1_000_000)
     if on_progress is not None and not callable(on_progress):

@@ -198,7 +198,7 @@ def test_addresses_that_look_like_no_reference_are_not(url: str) -> None:
         ("holding 0 --csv --json", "not allowed with"),
         ("holding 0 --watch nan", "seconds"),
         ("holding 0 --watch 0", "0.01..86400"),
-        ("--watch holding 0", "goes to the end"),
+        ("--watch holding 0", "must be the last argument"),
         ("holding 0 --map /dev/null/none", "/dev/null/none"),
         ("holding 0 --map none", "'none' is no file of a register map, which ends with .csv or "),
         ("holding 0 --map plant", "and no example, which are iem3155, meter, "),
@@ -217,7 +217,7 @@ def test_names_that_a_map_lacks_are_guessed(url: str, meter: str) -> None:
     assert (done.code, done.out) == (2, "")
     assert "no point 'setpont'; close to it are setpoint" in done.err
     done = run("read", url, "--map", meter, "pump", "--type", "int16")
-    assert "pump has its type from the map" in done.err
+    assert "pump has the type that the map gives" in done.err
 
 
 # --- write -------------------------------------------------------------------------------
@@ -279,12 +279,12 @@ def test_names_are_written_scaled_and_checked(url: str, meter: str, mapping: Map
         ("voltage 3", "voltage cannot be written"),
         ("pump 2", "pump: value must be one of 0, 1"),
         ("setpoint 0x1F", "setpoint: value must be a number, not '0x1F'"),
-        ("setpoint", "setpoint takes a value behind its name, and 0 are there"),
-        ("setpoint 1 2", "setpoint takes a value behind its name, and 2 are there"),
-        ("setpoint 1 --mask 1 2", "no name"),
+        ("setpoint", "setpoint needs 1 value after its name, not 0"),
+        ("setpoint 1 2", "setpoint needs 1 value after its name, not 2"),
+        ("setpoint 1 --mask 1 2", "not a name"),
         ("holding 0 1 holding 2", "no value to write to holding 2"),
         ("input 0 1", "can only be read"),
-        ("holding 0 1 --mask 1 2", "in place of values"),
+        ("holding 0 1 --mask 1 2", "exclude each other"),
         ("coils 0 --mask 1 2", "for holding registers"),
         ("holding 1 1 holding 2 3 --and-read 0 1", "one item"),
     ):
@@ -327,8 +327,8 @@ def test_what_is_read_behind_a_write_is_shown_as_it_was_typed(url: str) -> None:
         (["127.0.0.1:1?unit=9", "-u", "8"], "unit 8: cannot connect"),
         (["/dev/no-such", "-b", "9600", "-p", "none", "-s", "2"], "cannot open /dev/no-such"),
         (["./no-such"], "no-such: No such file"),
-        (["127.0.0.1:1", "-b", "9600"], "--baudrate is for serial ports"),
-        (["tcp://127.0.0.1:1", "-s", "2"], "--stop-bits is for serial ports"),
+        (["127.0.0.1:1", "-b", "9600"], "--baudrate applies to serial ports only"),
+        (["tcp://127.0.0.1:1", "-s", "2"], "--stop-bits applies to serial ports only"),
         (["/dev/no-such", "-p", "mark"], "must be none, even or odd"),
         (["http://127.0.0.1"], "scheme must be one of"),
         (["a b:c:d"], "'a b:c:d'"),
@@ -346,7 +346,10 @@ def test_endpoints_without_a_scheme(
     assert done.err.count("\n") == 1
 
 
-@each_case("name", ["certificates", "completion", "gateway", "listen", "scan"])
+@each_case(
+    "name",
+    ["certificates", "completion", "fleet", "gateway", "listen", "map", "poll", "scan", "serve"],
+)
 def test_help_of_others_has_four_examples(name: str) -> None:
     text = run(name, "--help").out
     examples = text.partition("examples:\n")[2].partition("\n\n")[0].splitlines()

@@ -55,7 +55,7 @@ def test_all_mistakes_of_all_files(tmp_path: Path) -> None:
     assert len(lines) == 22
     assert lines[0].startswith(f"libmodbus-py: {bad}, line 2, column addr: address must be a ")
     assert lines[-2:] == [
-        "libmodbus-py: and perhaps more",
+        "libmodbus-py: and possibly more",
         "libmodbus-py: cannot read nothing.csv: No such file or directory",
     ]
 
@@ -72,7 +72,7 @@ def test_a_skeleton_reads_what_the_device_has(url: str, tmp_path: Path, suffix: 
     file = tmp_path / f"found{suffix}"
     done = mapped("from-device", url.removeprefix("tcp://"), "-u", "3", "-o", file)
     assert done.out == ""
-    assert done.err == f"{file}: 5 points; names, types and units are yours\n"
+    assert done.err == f"{file}: 5 points; fill in names, types and units\n"
     with TcpContext("127.0.0.1", int(url.rpartition(":")[2]), unit=3, timeout=5) as plc:
         assert plc.read_map(load_map(file)) == {
             "coil_0": False,
@@ -82,7 +82,7 @@ def test_a_skeleton_reads_what_the_device_has(url: str, tmp_path: Path, suffix: 
             "holding_6": 9,
         }
     assert {point.access for point in load_map(file).values()} == {"read"}
-    assert f"# What can be read of {url}, found by " in file.read_text()
+    assert f"# Addresses of {url} that can be read, found by " in file.read_text()
 
 
 def test_a_skeleton_of_very_much_has_ranges(tmp_path: Path) -> None:
@@ -100,8 +100,8 @@ def test_a_skeleton_of_very_much_has_ranges(tmp_path: Path) -> None:
 # What is typed, and what is said before anything is asked.
 WRONG = [
     (["found.xlsx"], "found.xlsx: it must end with one of .toml, .csv"),
-    (["{}/there.csv"], "/there.csv is there already, and would be lost"),
-    (["{}/no/found.csv"], "/no/found.csv: there is no such folder"),
+    (["{}/there.csv"], "/there.csv exists, and would be overwritten"),
+    (["{}/no/found.csv"], "/no/found.csv: the folder does not exist"),
     (["{}/found.csv", "--unit", "300"], "unit must be in 0..255, not 300"),
 ]
 

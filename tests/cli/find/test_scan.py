@@ -82,7 +82,7 @@ def test_what_deep_prints_is_a_device_file(url: str, tmp_path: Path) -> None:
 def test_nobody_is_exit_code_1(url: str) -> None:
     done = run("scan", url, "--units", "200")
     assert (done.code, done.out) == (1, "")
-    assert done.err.splitlines()[-1] == "nobody was found"
+    assert done.err.splitlines()[-1] == "no unit was found"
     done = run("scan", url, "--units", "200", "--json")
     assert done.code == 1
     assert json.loads(done.out)["found"] == []

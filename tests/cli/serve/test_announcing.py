@@ -16,5 +16,5 @@ def test_localhost_is_open_to_nobody_else(capsys: pytest.CaptureFixture[str]) ->
     running = SimpleNamespace(urls=["udp://localhost:502", "tcp://plc.example:502"])
     announcing(None)(cast(Any, running))
     warning = capsys.readouterr().err
-    assert "tcp://plc.example:502 may read and write" in warning
+    assert "tcp://plc.example:502 can read and write" in warning
     assert "localhost" not in warning

@@ -180,7 +180,7 @@ def test_what_is_wrong_in_the_file_is_told_before_anything_is_sent(tmp_path, cap
         (["--engine", "nats://u:secret@h:0"], "'nats://h:0': the port must be in 1..65535"),
         (["--engine", ","], "engine: 1..32 URLs"),
         (["--push"], "--push needs --engine"),
-        (["--engine", "nats://h", "--once"], "--once is for one machine"),
+        (["--engine", "nats://h", "--once"], "--once cannot be used with --engine"),
         (["--engine", "nats://h", "--zone", "a.b"], "zone 'a.b' must be 1..60 letters"),
     ],
 )
@@ -253,7 +253,7 @@ def test_results_commands_and_status(tmp_path, capsys):
             fleet_file(tmp_path, urls, interval=0.2, engine=engine, zone="north")
             told(capsys, "poll", str(file), "--engine", server.urls, "--push")
             out, err = told(capsys, *command, code=1)
-            assert "nobody serves zone 'north'" in err
+            assert "no worker polls zone 'north'" in err
             assert "nobody serves it" in out
             lost = asyncio.run(_requested(server.urls, subject, b"21"))
             assert lost["error"] == "nobody polls 'd0-3' now"

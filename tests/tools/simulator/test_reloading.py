@@ -346,7 +346,7 @@ def test_an_example_is_served() -> None:
         (["--example"], 0, " An electricity meter, "),
         (["--example", "plants"], 2, "there is no example 'plants'; there are "),
         (["--example", "plant", "--device", "x"], 2, "not allowed with argument"),
-        (["tcp://127.0.0.1:0", "--reload"], 2, "--reload means nothing without --device"),
+        (["tcp://127.0.0.1:0", "--reload"], 2, "--reload needs --device"),
     ],
 )
 def test_what_serve_says_without_serving(arguments: list[str], code: int, told: str) -> None:

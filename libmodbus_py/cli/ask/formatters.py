@@ -1,30 +1,30 @@
 """
-What was read, as people and programs want it: rows, and the fields of JSON.
+Values that were read, as lines of text, cells of CSV and fields of JSON.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
+from ...protocol.plain import plain
 from ...protocol.spelling import shown
 from ...protocol.values import Reading, ValueType, readings, value_type
 from ..failing import CommandError
 from .items import REGISTERS, Item
 
-__all__ = ["Outcome", "Row", "View", "aligned", "view_of"]
+__all__ = ["FormattedValue", "Formatter", "ReadResult", "aligned", "formatter_of"]
 
 
-class Row(NamedTuple):
+class FormattedValue(NamedTuple):
     """
-    One value.
+    One value as text.
 
     Attributes:
-        where: its number or name.
-        text: as people read it.
-        plain: as a cell of CSV.
-        unit: of the value, such as "V".
+        where: the address or the name of the value.
+        text: the value for people.
+        plain: the value for CSV.
+        unit: the physical unit, such as "V".
     """
 
     where: str
@@ -33,15 +33,13 @@ class Row(NamedTuple):
     unit: str = ""
 
 
-class View:
+class Formatter:
     """
-    Cells as they are: registers as numbers, bits as 0 and 1.
-
-    The base of all.
+    Formats the cells of an item as they are: registers as numbers, bits as 0 and 1.
 
     Args:
-        item: what was read.
-        in_hex: whether registers are in hex.
+        item: the item that is read.
+        in_hex: format registers in hexadecimal.
     """
 
     def __init__(self, item: Item, *, in_hex: bool = False) -> None:
@@ -50,26 +48,31 @@ class View:
 
     @property
     def is_text(self) -> bool:
-        """Whether it begins at the left, as text does."""
+        """True if values are text, which is aligned at the left."""
         return False
 
     def titles(self) -> list[str]:
-        """What its columns are called; as many as it has rows, if that is known before."""
+        """Return the titles of the columns of CSV, one for each value."""
         if self.item.table == "fifo_queue":
-            raise ValueError("fifo has no --csv: nobody knows how many columns there will be")
+            raise ValueError("fifo has no --csv: its number of columns is not known beforehand")
         return [f"{self.item.word} {number}" for number in self._numbers(self.item.count)]
 
-    def rows(self, cells: list[int]) -> list[Row]:
+    def rows(self, cells: list[int]) -> list[FormattedValue]:
+        """Return each value as text."""
         form = "0x{:04X}" if self._in_hex else "{}"
         texts = [form.format(cell) for cell in cells]
         numbers = self._numbers(len(texts))
-        return [Row(f"{at:>5}", text, text) for at, text in zip(numbers, texts, strict=True)]
+        return [
+            FormattedValue(f"{at:>5}", text, text) for at, text in zip(numbers, texts, strict=True)
+        ]
 
     def fields(self, cells: list[int]) -> dict[str, Any]:
+        """Return the fields of JSON."""
         return {**self.whence, "values": cells}
 
     @property
     def whence(self) -> dict[str, Any]:
+        """The fields of JSON that name the item."""
         found: dict[str, Any] = {"table": self.item.table, "address": self.item.first}
         return {**found, "file": self.item.file} if self.item.table == "file" else found
 
@@ -78,8 +81,8 @@ class View:
         return range(first, first + count * step, step)
 
 
-class _Typed(View):
-    """Values of a type; each row has the number of the first register."""
+class _TypedFormatter(Formatter):
+    """Formats values of a type; each has the address of its first register."""
 
     def __init__(self, item: Item, kind: ValueType) -> None:
         super().__init__(item)
@@ -89,11 +92,11 @@ class _Typed(View):
     def is_text(self) -> bool:
         return self._kind.is_text
 
-    def rows(self, cells: list[int]) -> list[Row]:
+    def rows(self, cells: list[int]) -> list[FormattedValue]:
         values = self._values(cells)
         numbers = self._numbers(len(values))
         return [
-            Row(f"{at:>5}", *_texts(value, self._kind))
+            FormattedValue(f"{at:>5}", *_texts(value, self._kind))
             for at, value in zip(numbers, values, strict=True)
         ]
 
@@ -110,8 +113,8 @@ class _Typed(View):
             raise CommandError(f"{place}: {error}") from None
 
 
-class _Readings(View):
-    """Every reading of the registers as one value."""
+class _AllFormatter(Formatter):
+    """Formats registers as one value, in every way that makes sense."""
 
     def __init__(self, item: Item) -> None:
         super().__init__(item)
@@ -128,11 +131,11 @@ class _Readings(View):
     def titles(self) -> list[str]:
         raise ValueError("--type all has no --csv")
 
-    def rows(self, cells: list[int]) -> list[Row]:
+    def rows(self, cells: list[int]) -> list[FormattedValue]:
         found = self._readings(cells)
         width = max(len(reading.type) for reading in found)
         return [
-            Row(f"{name:<{width}}  {order}", *_texts(value, value_type(name)))
+            FormattedValue(f"{name:<{width}}  {order}", *_texts(value, value_type(name)))
             for name, order, value in found
         ]
 
@@ -148,8 +151,8 @@ class _Readings(View):
         return found
 
 
-class _Named(View):
-    """A point of a map."""
+class _PointFormatter(Formatter):
+    """Formats a point of a register map."""
 
     def __init__(self, item: Item, point: Any) -> None:
         super().__init__(item)
@@ -163,11 +166,11 @@ class _Named(View):
         point = self._point
         return [point.name] if point.count == 1 else [f"{point.name}[{at}]" for at in self._range]
 
-    def rows(self, cells: list[int]) -> list[Row]:
+    def rows(self, cells: list[int]) -> list[FormattedValue]:
         value, point = self._value(cells), self._point
         values = [value] if point.count == 1 else value
         return [
-            Row(title, *self._texts(each), point.unit)
+            FormattedValue(title, *self._texts(each), point.unit)
             for title, each in zip(self.titles(), values, strict=True)
         ]
 
@@ -196,54 +199,56 @@ class _Named(View):
         return text, text
 
 
-class Outcome(NamedTuple):
+class ReadResult(NamedTuple):
     """
-    What was read of one item.
+    The result of one item.
 
     Attributes:
-        view: how it is shown.
-        rows: its values; none if it failed.
-        fields: of JSON.
-        failure: why there are none.
+        formatter: formats the values of the item.
+        rows: the values; empty after a failure.
+        fields: the fields of JSON.
+        failure: the reason of a failure; empty without one.
     """
 
-    view: View
-    rows: list[Row]
+    formatter: Formatter
+    rows: list[FormattedValue]
     fields: dict[str, Any]
     failure: str = ""
 
 
-def view_of(item: Item, *, as_all: bool, in_hex: bool) -> View:
+def formatter_of(item: Item, *, as_all: bool, in_hex: bool) -> Formatter:
     """
-    Give how an item is shown.
+    Return the formatter of an item.
 
     Args:
-        as_all: with every reading of its registers.
-        in_hex: registers that are no values.
+        as_all: format every interpretation of the registers.
+        in_hex: format registers without a type in hexadecimal.
 
     Raises:
-        ValueError: an item that cannot be shown so.
+        ValueError: the item cannot be formatted so.
     """
     if item.point is not None:
-        return _Named(item, item.point)
+        return _PointFormatter(item, item.point)
     if as_all:
-        return _Readings(item)
-    return View(item, in_hex=in_hex) if item.kind is None else _Typed(item, item.kind)
+        return _AllFormatter(item)
+    return Formatter(item, in_hex=in_hex) if item.kind is None else _TypedFormatter(item, item.kind)
 
 
-def aligned(groups: Sequence[tuple[View, list[Row]]]) -> list[str]:
-    """Give a line for each row; with the table in front where there are several items."""
+def aligned(groups: Sequence[tuple[Formatter, list[FormattedValue]]]) -> list[str]:
+    """Return a line for each value, which begins with the table if there are several items."""
     several = len(groups) > 1
     wheres = [
-        [_where(view, row) if several else row.where for row in rows] for view, rows in groups
+        [_where(formatter, row) if several else row.where for row in rows]
+        for formatter, rows in groups
     ]
     label = max((len(where) for group in wheres for where in group), default=0)
     numbers = max(
-        (len(row.text) for view, rows in groups if not view.is_text for row in rows), default=0
+        (len(row.text) for formatter, rows in groups if not formatter.is_text for row in rows),
+        default=0,
     )
     lines = []
-    for (view, rows), group in zip(groups, wheres, strict=True):
-        width = 0 if view.is_text else numbers
+    for (formatter, rows), group in zip(groups, wheres, strict=True):
+        width = 0 if formatter.is_text else numbers
         lines += [
             f"{where:<{label}}  {row.text:>{width}}{' ' if row.unit else ''}{row.unit}"
             for where, row in zip(group, rows, strict=True)
@@ -251,8 +256,10 @@ def aligned(groups: Sequence[tuple[View, list[Row]]]) -> list[str]:
     return lines
 
 
-def _where(view: View, row: Row) -> str:
-    return row.where if view.item.point is not None else f"{view.item.word:<8} {row.where}"
+def _where(formatter: Formatter, row: FormattedValue) -> str:
+    return (
+        row.where if formatter.item.point is not None else f"{formatter.item.word:<8} {row.where}"
+    )
 
 
 def _texts(value: Any, kind: ValueType) -> tuple[str, str]:
@@ -261,9 +268,7 @@ def _texts(value: Any, kind: ValueType) -> tuple[str, str]:
 
 
 def _as_json(value: Any) -> Any:
-    """As JSON has it: bits as 0 and 1; nan and inf, which JSON lacks, as text."""
+    """Return a value for JSON: bits are 0 and 1, as coils are."""
     if isinstance(value, list):
         return [int(each) if isinstance(each, bool) else each for each in value]
-    if isinstance(value, bool):
-        return int(value)
-    return str(value) if isinstance(value, float) and not math.isfinite(value) else value
+    return int(value) if isinstance(value, bool) else plain(value)

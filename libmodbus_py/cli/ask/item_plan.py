@@ -1,5 +1,5 @@
 """
-The requests that read some items, as few as there need be, and whose answers are whose.
+The requests that read items, as few as possible, and the cells of each item.
 """
 
 from __future__ import annotations
@@ -12,21 +12,21 @@ from ...protocol import pdu
 from ...protocol.errors import ModbusError
 from .items import REGISTERS, Item
 
-__all__ = ["Question"]
+__all__ = ["ItemPlan"]
 
 Cells = list[int] | ModbusError
 
-# The answer's byte count goes to 245 (section 6.14), though 251 would fit: only who asks for that
-# many in so many words gets them.
+# The byte count of an answer goes to 245 (section 6.14), although 251 would fit: longer requests
+# are sent only for a count that asks for them.
 USUAL_RECORDS = 121
 
 
-class Question:
+class ItemPlan:
     """
-    What to ask for items.
+    The requests that read items, as `Plan` has them, and those of files and queues.
 
     Attributes:
-        items: in their order.
+        items: the items in their order.
         requests: those of the four tables first, merged where they touch.
 
     Raises:
@@ -46,7 +46,7 @@ class Question:
             self.requests += requests
 
     def cells(self, answers: Sequence[Any]) -> list[Cells]:
-        """Give the cells of each item, or why there are none."""
+        """Return the cells of each item, or the error in place of them."""
         given = iter(answers[len(self._plan.requests) :])
         found: dict[int, Cells] = self._plan.results(answers[: len(self._plan.requests)])
         for at, requests in self._others.items():
@@ -55,7 +55,7 @@ class Question:
 
 
 class _CellPlan(Plan):
-    """Gives cells as they are: how they are shown is decided elsewhere."""
+    """A plan whose results are cells; a formatter decodes them."""
 
     def _decoded(self, name: Any, cells: list[Any]) -> Any:
         return [int(cell) for cell in cells]
@@ -71,7 +71,7 @@ def _joined(answers: list[Any]) -> Cells:
 
 
 def _of_file(item: Item) -> list[pdu.Request[Any]]:
-    """No value is torn: half of it would be older than the other."""
+    """Return requests that divide no value, because its halves could be of different age."""
     most = REGISTERS["file"][0]
     if item.kind is not None and item.size > most:
         raise ValueError(f"{item.kind.name} takes {item.size} registers, and a request {most}")
@@ -92,4 +92,4 @@ def _of_queue(item: Item) -> list[pdu.Request[Any]]:
 
 
 OTHERS = {"file": _of_file, "fifo_queue": _of_queue}
-"""What is no table of cells -> its requests."""
+"""Item outside the four tables -> function that returns its requests."""

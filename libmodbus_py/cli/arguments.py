@@ -1,0 +1,209 @@
+"""
+The arguments that several commands take, each declared once.
+
+Every option of URLs (`ports.schemes`) is an option of the command line under the same name, with
+hyphens. Options that are not typed are None, so that the URL or the default applies.
+"""
+
+from __future__ import annotations
+
+import argparse
+
+from ..ports.schemes import CLIENT_OPTIONS, OTHER_NAMES, SECURITY_OPTIONS, SERIAL_OPTIONS
+from .help import VerbatimHelp
+
+TYPE_CHECKING = False  # see commands
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Mapping
+    from typing import Any, TypeVar
+
+    from ..ports.schemes import Option
+
+    T = TypeVar("T")
+
+# fmt: off
+__all__ = [
+    "URLS", "add_client", "add_client_options", "add_defaults", "add_json", "add_security_options",
+    "add_serial_options", "add_url", "add_verbose", "checked", "flag", "given", "read_as",
+]
+# fmt: on
+
+URLS = """\
+URL: tcp://HOST[:502], tls://HOST[:802], udp://HOST[:502], rtu+tcp://HOST:PORT,
+     ascii+tcp://HOST:PORT, rtu+udp://HOST:PORT, rtu:///dev/ttyUSB0, ascii:///dev/ttyUSB0;
+     or just HOST, HOST:PORT or /dev/ttyUSB0.
+     Settings follow a question mark, as in "rtu:///dev/ttyUSB0?baudrate=9600&parity=N" or
+     "tcp://192.0.2.10?unit=7&timeout=2". Their names are those of the options above, with _
+     in place of -. Quote such a URL, because shells interpret &.
+     An option overrides the setting in the URL."""
+"""The end of each --help of a client."""
+
+SHORT = {"unit": "-u", "baudrate": "-b", "parity": "-p", "data_bits": "-d", "stop_bits": "-s"}
+
+REPEATED = ("pin",)
+"""Options that may be given several times; a URL has their values with commas between."""
+
+
+def flag(name: str) -> str:
+    """Return the option that sets something, as it is typed: ``--data-bits`` for data_bits."""
+    return f"--{name.replace('_', '-')}"
+
+
+def given(options: argparse.Namespace, names: Collection[str]) -> dict[str, Any]:
+    """Return those of the options that were typed."""
+    return {name: value for name in names if (value := getattr(options, name, None)) is not None}
+
+
+def checked(make: Callable[[Mapping[str, Any]], T], typed: Mapping[str, Any]) -> T:
+    """
+    Make something of the options that were typed.
+
+    Raises:
+        TypeError, ValueError: as of `make`; an option that is wrong whatever the others are is
+            named as it is typed.
+    """
+    try:
+        return make(typed)
+    except (TypeError, ValueError):
+        for name, error in _wrong(make, typed):
+            raise ValueError(f"{flag(name)}: {error}") from None
+        raise
+
+
+def _wrong(
+    make: Callable[[Mapping[str, Any]], Any], typed: Mapping[str, Any]
+) -> list[tuple[str, Exception]]:
+    """Return the options that are wrong alone, if no options at all would be right."""
+    found: list[tuple[str, Exception]] = []
+    for only in ({}, *({name: value} for name, value in typed.items())):
+        try:
+            make(only)
+        except (TypeError, ValueError) as error:
+            if not only:
+                return []
+            found += [(name, error) for name in only]
+    return found
+
+
+# --- single arguments ---------------------------------------------------------------------------
+
+
+def add_url(command: argparse.ArgumentParser) -> None:
+    command.formatter_class = VerbatimHelp
+    command.add_argument(
+        "url", metavar="URL", help="such as 192.0.2.10, tcp://192.0.2.10:1502 or /dev/ttyUSB0"
+    )
+
+
+def add_verbose(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "-v", "--verbose", action="store_true", help="print every frame sent and received to stderr"
+    )
+
+
+def add_json(group: Any) -> None:
+    group.add_argument("--json", action="store_true", help="print JSON, an object in each line")
+
+
+def read_as(option: Option) -> Callable[[str], Any]:
+    """Return the function that converts what is typed, for argparse."""
+
+    def read(text: str) -> Any:
+        try:
+            return option.convert(text)
+        except ValueError:
+            raise argparse.ArgumentTypeError(f"must be {option.wanted}, not {text!r}") from None
+
+    return read
+
+
+# --- groups of options --------------------------------------------------------------------------
+
+
+def add_client(command: argparse.ArgumentParser) -> None:
+    """Add what a client of one device takes."""
+    add_url(command)
+    add_client_options(command)
+    add_verbose(command)
+    add_serial_options(command)
+    add_security_options(command)
+
+
+def add_client_options(
+    command: argparse.ArgumentParser,
+    title: str = "requests",
+    *,
+    without: Collection[str] = (),
+    defaults: Callable[[], Mapping[str, str]] = dict,
+) -> None:
+    """
+    Add the options of clients.
+
+    Args:
+        title: of the group in --help.
+        without: options that mean nothing to the command.
+        defaults: returns texts in place of the defaults of clients.
+    """
+    options = {name: each for name, each in CLIENT_OPTIONS.items() if name not in without}
+    added = _add(command.add_argument_group(title), options)
+    add_defaults(added, lambda: {**_of_clients(), **defaults()})
+
+
+def add_serial_options(command: argparse.ArgumentParser) -> None:
+    """Add the settings of serial ports."""
+    group = command.add_argument_group("serial port")
+    add_defaults(_add(group, SERIAL_OPTIONS), _of_serial_ports)
+
+
+def add_security_options(command: argparse.ArgumentParser) -> None:
+    """Add the files that tls:// needs."""
+    _add(command.add_argument_group("certificates, for tls://"), SECURITY_OPTIONS)
+
+
+def _add(group: Any, options: Mapping[str, Option]) -> list[argparse.Action]:
+    added: list[argparse.Action] = []
+    for name, option in options.items():
+        flags = [*filter(None, [SHORT.get(name)]), flag(name)]
+        flags += [flag(other) for other, known in OTHER_NAMES.items() if known == name]
+        others: dict[str, Any] = {"dest": name, "help": option.text}
+        if not option.placeholder:
+            added.append(
+                group.add_argument(*flags, action=argparse.BooleanOptionalAction, **others)
+            )
+            continue
+        if name in REPEATED:
+            others |= {"action": "append", "help": f"{option.text}; may be repeated"}
+        others |= {"metavar": option.placeholder, "type": read_as(option)}
+        added.append(group.add_argument(*flags, **others))
+    return added
+
+
+# --- defaults -----------------------------------------------------------------------------------
+
+
+def add_defaults(actions: list[argparse.Action], defaults: Callable[[], Mapping[str, Any]]) -> None:
+    """
+    Make --help add the default values to the texts of options.
+
+    Args:
+        defaults: returns them by the names of the options; called only for --help.
+    """
+    for action in actions:
+        action.usual = lambda name: defaults().get(name)  # type: ignore[attr-defined]
+
+
+def _of_clients() -> dict[str, Any]:
+    from dataclasses import fields
+
+    from ..client.options import CheckedOptions
+
+    return {each.name: each.default for each in fields(CheckedOptions)}
+
+
+def _of_serial_ports() -> dict[str, Any]:
+    from ..ports.schemes import ASCII_DEFAULTS, PARITIES, SERIAL_DEFAULTS
+
+    others = {name: value for name, value in ASCII_DEFAULTS.items() if name in SERIAL_DEFAULTS}
+    told = {name: f"{SERIAL_DEFAULTS[name]}; ascii: {value}" for name, value in others.items()}
+    words = {letter: word for word, letter in reversed(PARITIES.items())}
+    return {**SERIAL_DEFAULTS, **told, "parity": words[SERIAL_DEFAULTS["parity"]]}

@@ -1,0 +1,66 @@
+"""
+Answers to several functions, of which a device may lack some, as text or JSON.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+from ...client.blocking import Context
+from ...protocol.errors import ExceptionResponse, InvalidResponse
+from ..failing import CommandError
+from ..output import print_json
+
+__all__ = ["Named", "print_report"]
+
+Named = Iterable[tuple[str, Any]]
+
+
+def print_report(
+    context: Context, questions: Mapping[str, Callable[[], Named]], *, as_json: bool
+) -> int:
+    """
+    Ask all questions, and print the answers and which of them the device lacks.
+
+    Args:
+        questions: name -> function that asks, and returns names and values.
+
+    Raises:
+        CommandError: the device has no answer to any of the questions.
+    """
+    answers: dict[str, Any] = {}
+    lacking: dict[str, str] = {}
+    for name, ask in questions.items():
+        try:
+            answers.update(ask())
+        except (ExceptionResponse, InvalidResponse) as error:
+            lacking[name] = str(error.args[0])
+    if as_json:
+        plain = {
+            name: _shown(value) if isinstance(value, bytes) else value
+            for name, value in answers.items()
+        }
+        print_json({"unit": context.unit, **plain, "lacking": lacking})
+    else:
+        _print_lines(answers, lacking)
+    if not answers:
+        raise CommandError(f"unit {context.unit} has none of these: {'; '.join(lacking.values())}")
+    return 0
+
+
+def _print_lines(answers: dict[str, Any], lacking: dict[str, str]) -> None:
+    lines = {name: _shown(value) for name, value in answers.items()}
+    if answers:
+        lines |= {name: f"({reason})" for name, reason in lacking.items()}
+    width = max(map(len, lines), default=0)
+    for name, text in lines.items():
+        print(f"{name.replace('_', ' '):<{width}}  {text}")
+
+
+def _shown(value: Any) -> str:
+    """Return a value as text without control characters; other bytes are hexadecimal."""
+    if isinstance(value, bytes):
+        is_text = value and all(0x20 <= byte < 0x7F for byte in value)
+        return value.decode() if is_text else value.hex(" ")
+    return str(value)

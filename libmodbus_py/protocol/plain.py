@@ -1,0 +1,42 @@
+"""
+Values as JSON can contain them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import enum
+import math
+from typing import Any
+
+from .pdu import Request
+
+__all__ = ["plain"]
+
+
+def plain(value: Any) -> Any:
+    """
+    Return a value, or a request, made of what JSON has.
+
+    Bytes are hexadecimal text; nan and infinities, which JSON lacks, are text; requests and named
+    tuples are objects with the names of their fields, requests with the name of their class too.
+    """
+    if isinstance(value, float):
+        return value if math.isfinite(value) else str(value)
+    if isinstance(value, Request):
+        names = [field.name for field in dataclasses.fields(value)]  # type: ignore[arg-type]
+        return {
+            "name": type(value).__name__,
+            **{each: plain(getattr(value, each)) for each in names},
+        }
+    if isinstance(value, bytes):
+        return value.hex()
+    if isinstance(value, enum.Enum):
+        return value.value
+    if hasattr(value, "_asdict"):
+        return plain(value._asdict())
+    if isinstance(value, dict):
+        return {str(key): plain(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(each) for each in value]
+    return value

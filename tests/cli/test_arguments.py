@@ -1,0 +1,138 @@
+"""
+The arguments that several commands take: the same words everywhere, and what is wrong by name.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+import pytest
+
+from libmodbus_py import Context, Device, Mapping, Server
+from libmodbus_py.cli.commands import COMMANDS
+from libmodbus_py.ports.schemes import CLIENT_OPTIONS, SECURITY_OPTIONS, SERIAL_OPTIONS
+from libmodbus_py.tools.testing.wires import SerialWire
+from tests.support.cases import each_case
+from tests.support.commands import Started, run
+
+CLIENTS = ["read", "write", "identify", "diagnose", "raw", "map from-device"]
+
+# Command -> the options of clients that it has not.
+WITHOUT: dict[str, set[str]] = {"scan": {"unit"}, "gateway": {"unit", "native"}}
+
+TAKING = [*CLIENTS, *WITHOUT]
+
+
+def texts(command: str) -> dict[str, str]:
+    """Return the texts of --help: the longest form of each option -> its text."""
+    help_text = run(*command.split(), "--help", environment={"COLUMNS": "200"}).out
+    entries = re.split(r"\n(?=  -)", help_text.partition("\n\nexamples:")[0])
+    found = {}
+    for entry in entries[1:]:
+        options, _, text = " ".join(entry.split("\n\n")[0].split()).partition(" ")
+        words = f"{options} {text}".split()
+        flags = [word.strip(",") for word in words if word.startswith("-")]
+        found[flags[1] if len(flags) > 1 and not flags[0].startswith("--") else flags[0]] = text
+    return found
+
+
+@each_case("command", [*TAKING, "serve"])
+def test_options_of_urls_are_those_of_the_command_line(command: str) -> None:
+    has = {name.removeprefix("--").replace("-", "_") for name in texts(command)}
+    expected = {*SERIAL_OPTIONS, *SECURITY_OPTIONS}
+    if command != "serve":
+        expected |= CLIENT_OPTIONS.keys() - WITHOUT.get(command, set())
+    assert expected - has == set()
+
+
+def test_the_same_option_has_the_same_text_in_all_commands() -> None:
+    names = [*SERIAL_OPTIONS, *SECURITY_OPTIONS, "retries", "turnaround", "verbose"]
+    every = [texts(command) for command in [*TAKING, "serve", "listen"]]
+    for name in names:
+        flag = f"--{name.replace('_', '-')}"
+        assert len({each[flag] for each in every if flag in each}) == 1, flag
+
+
+def test_defaults_are_those_of_clients() -> None:
+    found = texts("read")
+    assert found["--timeouts-before-reconnect"].endswith("(3)")
+    assert found["--baudrate"].endswith("(19200)")
+    assert found["--data-bits"].endswith("(8; ascii: 7)")
+    assert found["--order"].endswith("(ABCD)")
+    assert texts("gateway")["--max-pause"].endswith("(30)")
+    assert texts("scan")["--timeout"].endswith("(0.6; on networks 1)")
+
+
+@each_case(
+    ("arguments", "said"),
+    [
+        ("read h holding 0 --unit 256", "--unit: unit must be in 0..255, not 256"),
+        ("read h holding 0 -u x", "argument -u/--unit: must be a number, not 'x'"),
+        ("read h holding 0 --timeout 0", "--timeout: timeout must be"),
+        ("read h holding 0 --retries 101", "--retries: retries must be in 0..100, not 101"),
+        ("read h holding 0 --delimiter 300", "--delimiter: delimiter must be in 0..255"),
+        ("read h holding 0 --keepalive x", "argument --keepalive: must be a number or none"),
+        ("read /dev/x holding 0 -d 9", "--data-bits: data_bits must be in 5..8, not 9"),
+        ("read /dev/x holding 0 -p mark", "argument -p/--parity: must be none, even or odd"),
+        ("read /dev/x holding 0 --rs485 up", '--rs485: rs485 must be "kernel"'),
+        ("read /dev/x holding 0 --max-in-flight 2", "--max-in-flight: max_in_flight must be 1 on"),
+        ("read h holding 0 --echo", "--echo applies to serial ports only, not to tcp://h:502"),
+        ("read h?unit=256 holding 0 --timeout 1", "unit must be in 0..255, not 256"),
+        ("identify h --cert own.pem", "--cert applies to tls:// URLs only, not to tcp://h:502"),
+        ("serve tcp://h -b 9600", "--baudrate applies to serial ports only, not to tcp://h:502"),
+        ("serve tcp://h --max-connections 0", "--max-connections: max_connections must be"),
+        ("serve tcp://h --frame-timeout 0", "--frame-timeout: frame_timeout must be"),
+        ("gateway tcp://h --to tcp://b --queue 0", "--queue: queue must be in 1..1024, not 0"),
+        ("gateway tcp://h --to tcp://b -s 1", "--stop-bits applies to serial ports only"),
+        ("listen x.pcapng -b 9600", "--baudrate applies to serial ports only, not to x.pcapng"),
+    ],
+)
+def test_what_is_wrong_is_told_by_the_name_of_the_option(arguments: str, said: str) -> None:
+    done = run(*arguments.split())
+    assert (done.code, done.out) == (2, "")
+    assert done.err.startswith("libmodbus-py: ")
+    assert said in done.err
+    assert done.err.count("\n") == 1
+
+
+@pytest.fixture
+def behind() -> Iterator[str]:
+    device = Device(Mapping(holding_registers={0: [555]}))
+    with Server({7: device}).background("tcp://127.0.0.1:0") as running:
+        yield running.urls[0]
+
+
+def test_an_option_wins_over_the_url(behind: str) -> None:
+    done = run("read", f"{behind}?unit=9&timeout=0.1", "holding", "0", "-u", "7", "--retries", "1")
+    assert (done.code, done.out) == (0, "    0  555\n")
+
+
+def test_a_gateway_has_options_for_its_devices_and_prints_frames(behind: str) -> None:
+    arguments = ["tcp://127.0.0.1:0", "--to", f"7={behind}", "--timeout", "5", "-v"]
+    with Started("gateway", *arguments) as process:
+        url = process.stdout.readline().removeprefix("listening on ").strip()
+        with Context.from_url(url, unit=7) as context:
+            assert context.read_holding_registers(0, 1) == [555]
+        asked, answered = process.stderr.readline(), process.stderr.readline()
+        process.terminate()
+        assert process.wait() == 0
+    assert " <   7  ReadHoldingRegisters " in asked
+    assert " >   7  ReadHoldingRegisters " in answered
+    assert answered.endswith("07 03 02 02 2b\n")
+
+
+def test_serial_settings_are_those_of_the_server_too() -> None:
+    with SerialWire() as wire, Started("serve", f"rtu://{wire.server}", "-b", "115200") as process:
+        assert process.stdout.readline() == f"listening on rtu://{wire.server}?baudrate=115200\n"
+        done = run("read", wire.client, "holding", "5", "-b", "115200", "-p", "even")
+        assert (done.code, done.out, done.err) == (0, "    5  0\n", "")
+        process.terminate()
+        assert process.wait() == 0
+
+
+@each_case("name", COMMANDS)
+def test_every_sentence_of_help_is_told(name: str) -> None:
+    """No option and no argument without a text."""
+    for flag, text in texts(name).items():
+        assert re.sub(r"^([A-Z,.\[\]:=/_]+ ?)*", "", text), flag
