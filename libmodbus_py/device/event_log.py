@@ -68,6 +68,7 @@ class Event(IntFlag):
 # Plain numbers of what every request needs: enumerations take most of the time of a note.
 RECEIVED, BROADCAST, SENT = int(Event.RECEIVED), int(Event.BROADCAST), int(Event.SENT)
 SERVER_MESSAGES = int(SubFunction.SERVER_MESSAGE_COUNT)
+BUS_MESSAGES = int(SubFunction.BUS_MESSAGE_COUNT)
 
 # Exception code -> the bit of the send event.
 SENT_EXCEPTIONS = {
@@ -126,7 +127,8 @@ class EventLog:
 
     def note_frame(self) -> None:
         """A good frame passed, for whatever unit."""
-        self._count(SubFunction.BUS_MESSAGE_COUNT)
+        counters = self._counters
+        counters[BUS_MESSAGES] = counters[BUS_MESSAGES] + 1 & 0xFFFF
 
     def note_damage(self, *, overrun: bool) -> None:
         """Bytes passed that are no frame."""
@@ -139,7 +141,8 @@ class EventLog:
 
     def note_request(self, *, broadcast: bool) -> None:
         """A request for this device came in, and is processed next."""
-        self._count(SERVER_MESSAGES)
+        counters = self._counters
+        counters[SERVER_MESSAGES] = counters[SERVER_MESSAGES] + 1 & 0xFFFF
         self._log(RECEIVED | BROADCAST if broadcast else RECEIVED)
 
     def note_response(self, request: bytes, response: bytes, *, silent: bool) -> None:

@@ -98,10 +98,11 @@ class Framer(ABC):
         """The number of bytes that wait for the rest of their frame."""
         return len(self._buffer)
 
-    @property
-    def rest(self) -> bytes:
-        """The bytes that wait for the rest of their frame."""
-        return bytes(self._buffer)
+    def end(self) -> bytes:
+        """Return the bytes that wait for the rest of their frame, which does not come."""
+        rest = bytes(self._buffer)
+        self._buffer.clear()
+        return rest
 
     def feed(self, data: bytes) -> list[Frame]:
         """
@@ -177,6 +178,9 @@ def _note(found: list[Frame | FrameError], error: FrameError) -> None:
     if len(last) < MOST_ERRORS or set(map(type, last)) != {FrameError}:
         found.append(error)
 
+
+UNIT, FUNCTION = 6, 7
+"""Where unit and function code are in a frame with an MBAP header."""
 
 _HEADER = struct.Struct(">HHH")
 _PREFIX = struct.Struct(">HHHB")
@@ -255,7 +259,7 @@ class TcpFramer(Framer):
 
     def encode(self, frame: Frame) -> bytes:
         unit, pdu, transaction = _check(frame)
-        return mbap(transaction, unit, pdu)
+        return _PREFIX.pack(transaction, 0, 1 + len(pdu), unit) + pdu
 
     def _scan(self) -> None:
         if not self.in_step:

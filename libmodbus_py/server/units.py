@@ -136,9 +136,9 @@ class TcpUnits:
 
     def answer(self, frame: Frame, peer: str, role: str | None = None) -> Frame | None:
         unit, pdu, transaction = frame
-        device = self.device(unit)
+        device = self._units.get(unit, self._any)
         if device is not None:
-            caller = Caller(unit, peer, role=role, on_unauthorized=self._on_unauthorized)
+            caller = Caller(unit, peer, None, False, role, self._on_unauthorized)
             response = device.answer(pdu, caller)
         elif pdu[0] & 0x80 or not self._refuses:
             return None
