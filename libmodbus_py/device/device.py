@@ -44,9 +44,9 @@ from ..protocol.pdu import (
 )
 from ..protocol.pdu.interface import OBJECT_NAMES, ReadDeviceIdCode, pages
 from .access import ACCESSES, Access, Touched
-from .authorization import Asked, Authorize, Guard, UnauthorizedError
+from .authorization import Asked, Authorization, Authorize, UnauthorizedError
 from .event_log import EventLog
-from .hooks import EVERYTHING, Hook, Listener, places, timed
+from .hooks import EVERYTHING, Hook, HookCall, places, timed
 from .mapping import Mapping, Table
 from .record_file import RecordFile
 from .reply import Answered, Watched, make_tally, replier
@@ -171,7 +171,7 @@ class Device:
         self._identification = _checked_identification(identification or {})
         self._canopen = None if canopen is None else timed("canopen", canopen)
         self._handlers = {**self._own, **_bound(handlers or {})}
-        self._guard = None if authorize is None else Guard(authorize)
+        self._guard = None if authorize is None else Authorization(authorize)
         self._before_write = _listener("before_write", before_write)
         self._after_write = _listener("after_write", after_write)
         self._before_read = _listener("before_read", before_read)
@@ -265,7 +265,7 @@ class Device:
 
     def refresh(self, table: str, address: int, count: int) -> None:
         """
-        Have `before_read` compute values, for a program that looks at them without a request.
+        Call `before_read`, for a program that looks at values without a request.
 
         It is called in this thread, with an `Access` of nobody. Without one nothing happens.
 
@@ -492,13 +492,13 @@ _ACTIONS: dict[SubFunction, Callable[[Device, Diagnostics, EventLog], None]] = {
 
 
 def _is_write(function: int) -> bool:
-    """Whether a broadcast of it is executed."""
+    """Return True if a broadcast with this function is executed."""
     request = REQUESTS.get(function)
     return request is not None and request.is_write
 
 
-def _listener(name: str, hook: HookLike | None) -> Listener | None:
-    return None if hook is None else Listener(name, hook)
+def _listener(name: str, hook: HookLike | None) -> HookCall | None:
+    return None if hook is None else HookCall(name, hook)
 
 
 def _bound(

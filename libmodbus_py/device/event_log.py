@@ -1,5 +1,5 @@
 """
-What one device notes about one line: counters, event log, listen-only mode.
+The notes of one device about one line: counters, event log, listen-only mode.
 
 This is the memory behind functions 8, 11 and 12: MODBUS Application Protocol V1.1b3,
 sections 6.8-6.10; order of counting: MODBUS over Serial Line V1.02, appendix A. What
@@ -109,7 +109,7 @@ class EventLog:
         self.clear_counters()
 
     def of_connection(self) -> EventLog:
-        """Give the same counters and events, with a listen-only mode and a delimiter of its own."""
+        """Return a log with these counters and events, but an own mode and delimiter."""
         own = EventLog(is_serial=self.is_serial)
         own._events, own._counters = self._events, self._counters
         return own
@@ -192,7 +192,7 @@ class EventLog:
     # --- what functions 8, 11 and 12 do -----------------------------------------------------
 
     def counter(self, counter: SubFunction) -> int:
-        """Give a counter, 0..65535."""
+        """Return a counter, 0..65535."""
         return self._counters[counter]
 
     def clear_counters(self) -> None:

@@ -73,13 +73,13 @@ OnTraced = Callable[[Traced], object]
 
 
 def is_traced(callback: OnTraced | None) -> bool:
-    """Whether anybody wants to see something."""
+    """Return True if there is a callback, or the logger is at DEBUG."""
     return callback is not None or _is_logged()
 
 
 class Trace:
     """
-    Tells a callback, and the logger ``libmodbus_py.wire`` at DEBUG.
+    Passes ADUs to a callback, and to the logger ``libmodbus_py.wire`` at DEBUG.
 
     A callback that fails is logged, and harms no request.
     """
@@ -114,7 +114,7 @@ class Trace:
 
 def _is_logged() -> bool:
     """
-    Whether the logger is at DEBUG.
+    Return True if the logger is at DEBUG.
 
     It is imported no sooner than by the program, for that takes an eighth of what the whole
     client takes: where nobody has it, nobody has asked for DEBUG.

@@ -26,7 +26,7 @@ from typing import Any, ClassVar, Literal, NamedTuple
 from . import pdu
 from .errors import MAX_RECEIVED, FrameError
 from .pdu.fields import IN_C, MAX_PDU
-from .scan import Scan, crc16, lib
+from .scan import FrameScanner, crc16, lib
 
 # fmt: off
 __all__ = [
@@ -79,7 +79,7 @@ def _check(frame: Frame) -> Frame:
 
 
 class Framer(ABC):
-    """What the framers have in common: they keep frames and errors in the order of their bytes."""
+    """The base of all framers, which keeps frames and errors in the order of their bytes."""
 
     # Whether unit 0 addresses every unit, as on a serial line.
     has_broadcast = True
@@ -373,10 +373,10 @@ class RtuFramer(Framer):
         self._scanner.fresh = max(self._scanner.fresh - count, -1)
 
 
-def scanner(role: Role) -> Scan:
+def scanner(role: Role) -> FrameScanner:
     """Make what finds the RTU frames of one direction by the length rules of `pdu`."""
     is_client = role == "client"
-    return Scan(
+    return FrameScanner(
         is_client,
         {code: _in_c(request, is_client) for code, request in pdu.REQUESTS.items()},
         pdu.response_length if is_client else pdu.request_length,
@@ -389,7 +389,7 @@ def _in_c(request: type[pdu.Request[Any]], is_client: bool) -> tuple[int, int, i
 
 
 def is_delimiter(value: int) -> bool:
-    """Whether a byte may end ASCII frames: no colon, CR or hexadecimal digit, nor above 7Fh."""
+    """Return True if a byte can end ASCII frames: no colon, CR, hexadecimal digit or above 7Fh."""
     return 0 <= value <= 0x7F and chr(value) not in ":\r0123456789ABCDEFabcdef"
 
 

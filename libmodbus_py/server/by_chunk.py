@@ -50,7 +50,7 @@ class Singles:
         self._waiting.append((session, request))
 
     def take_back(self, session: ByChunk) -> list[bytes]:
-        """Give back what a session has just added, for more of it came: in records of TLS."""
+        """Return what a session has just added, because it received more, in records of TLS."""
         waiting, requests = self._waiting, []
         while waiting and waiting[-1][0] is session:
             requests.append(waiting.pop()[1])
@@ -243,7 +243,7 @@ class ByChunk:
 
 
 def _tell(trace: Trace, requests: bytes, answers: bytes) -> None:
-    """Tell a trace of requests that C has answered, one by one."""
+    """Report the requests that C has answered to a trace, one by one."""
     for request, answer in zip(split(requests), split(answers), strict=True):
         trace.tell("received", request, request[UNIT], request[FUNCTION])
         trace.tell("sent", answer, answer[UNIT], answer[FUNCTION])

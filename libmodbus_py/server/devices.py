@@ -23,7 +23,7 @@ class Devices:
         self._of_endpoints: list[TcpUnits | SerialUnits] = []
 
     def change(self, units: Units) -> None:
-        """Have others answer from the next request on, on all connections; in their loop."""
+        """Replace the units from the next request on, on all connections; in their loop."""
         self._units = units
         for each in self._of_endpoints:
             each.change(units)

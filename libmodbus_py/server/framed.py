@@ -1,5 +1,5 @@
 """
-What sessions have in common that answer frame by frame: bytes in, frames out, in turns.
+The base of sessions that answer frame by frame: bytes in, frames out, in turns.
 """
 
 from __future__ import annotations
@@ -142,7 +142,7 @@ class Framed(ABC):
         self.tell_received(self._found)
 
     def tell_received(self, found: Iterable[Frame | FrameError]) -> None:
-        """Tell the trace of what was found."""
+        """Report what was found to the trace."""
         if self._trace is not None:
             for each in found:
                 if isinstance(each, FrameError):
@@ -152,7 +152,7 @@ class Framed(ABC):
                     self._trace.tell("received", adu, each.unit, each.pdu[0])
 
     def tell_rest(self, unsearched: bytes) -> None:
-        """Tell the trace of what was received and is not answered any more."""
+        """Report what was received and is not answered any more to the trace."""
         if self._trace is not None:
             if self._framer.in_step:
                 self.tell_received(self._framer.scan(unsearched))
@@ -164,7 +164,7 @@ class Framed(ABC):
             self._timer.cancel()
 
     def _note_silence(self) -> None:
-        """Let the channel call `receive` in its turn, so that the requests are counted."""
+        """Make the channel call `receive` in its turn, so that the requests are counted."""
         self._timer = None
         self._is_quiet = True
         self._channel.follow()

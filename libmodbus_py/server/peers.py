@@ -188,7 +188,7 @@ class Peers:
     # --- reading and writing ----------------------------------------------------------------
 
     def watch(self, peer: Peer, descriptor: int, events: int) -> None:
-        """Tell a peer of these events from now on."""
+        """Report these events to a peer from now on."""
         if descriptor in self._by_descriptor:
             self._epoll.modify(descriptor, events)
         else:
@@ -200,17 +200,17 @@ class Peers:
         self._epoll.unregister(descriptor)
 
     def later(self, call: Callable[[], None]) -> None:
-        """Have it called when all have been read, before answers are sent."""
+        """Call a function when all have been read, before answers are sent."""
         self._calls.append(call)
 
     def send_soon(self, peer: Peer) -> None:
-        """Have it send when all have been read."""
+        """Make a peer send when all have been read."""
         if not self._sending and not self._in_turn:
             self.loop.call_soon(self._send)
         self._sending.append(peer)
 
     def catch_up_soon(self, peer: Peer) -> None:
-        """Have it act, in its turn, though nothing more is received."""
+        """Make a peer act in its turn, although nothing more was received."""
         self._behind.append(peer)
         if not self._in_turn:
             self._call_turn()
@@ -278,7 +278,7 @@ class Peers:
     # --- who is idle, who is late --------------------------------------------------------
 
     def note_request(self, peer: Peer) -> None:
-        """It is the latest of all now, and no frame is begun."""
+        """Make a peer the latest of all, with no frame begun."""
         self._deadlines.pop(peer, None)
         if self._now - self._known.get(peer, 0.0) > RESOLUTION:
             self._idle.note_request(peer, self._now)
@@ -534,7 +534,7 @@ class Peer:
 
 
 class LimitedPeer(Peer):
-    """One whose address may not ask as much as it likes."""
+    """A client whose address has a limit of requests."""
 
     __slots__ = ()
 

@@ -62,7 +62,7 @@ class SerialServer:
         abandoned_in_children(self)
 
     async def open(self) -> Endpoint:
-        """Give the endpoint as it is."""
+        """Open the port, and return its endpoint."""
         self._open()
         return self._endpoint
 

@@ -1,5 +1,5 @@
 """
-What an endpoint needs to know of what answers: sessions, and what makes them.
+The interface between endpoints and what answers: sessions, and services that make them.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class Channel(Protocol):
 
 class SessionState(enum.Enum):
     """
-    What a session waits for; of several, the first in this order.
+    The state of a session; of several that apply, the first in this order.
 
     Attributes:
         HANDSHAKE: received bytes that are no requests yet.
@@ -67,11 +67,11 @@ class SessionState(enum.Enum):
 
 
 class Session(Protocol):
-    """What one connection, datagram or port received, and the answers to it."""
+    """Answers the bytes that one connection, datagram or port receives."""
 
     @property
     def state(self) -> SessionState:
-        """What it waits for; after `end`, OWING or anything else."""
+        """The present state; after `end`, OWING or READING."""
         ...
 
     def receive(self, data: bytes) -> int:
@@ -99,7 +99,7 @@ Later = Callable[[Callable[[], None]], None]
 
 
 class Service(Protocol):
-    """What answers at the endpoints of a server."""
+    """Makes the sessions that answer at the endpoints of a server."""
 
     def sessions(
         self, endpoint: Endpoint, statistics: ServerStatistics, later: Later | None = None

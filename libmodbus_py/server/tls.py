@@ -71,12 +71,12 @@ class Handshakes:
         return self.security.to_client()
 
     def end(self, session: TlsSession) -> None:
-        """It is over, well or not. Any number of times."""
+        """Remove a handshake that succeeded or failed. Any number of times."""
         self._half_open.pop(session, None)
         self._line.pop(session, None)
 
     def line_up(self, session: TlsSession) -> None:
-        """Have it take a step when its turn comes, whether or not it may ask then."""
+        """Let a session take a step when its turn comes."""
         self._line[session] = None
         session.follow()
         if self._next_step is None:
@@ -97,7 +97,7 @@ class Handshakes:
 
 class TlsSession:
     """
-    What one connection received, taken out of TLS for the session inside.
+    A session within TLS: decrypts for the session inside, and encrypts its answers.
 
     Args:
         wire: the connection.
@@ -211,7 +211,7 @@ class TlsSession:
             self._open(tunnel)
 
     def _check(self, tunnel: Tunnel) -> str | None:
-        """Say what is wrong with a certificate that OpenSSL found good, and take its role."""
+        """Take the role of an accepted certificate; return why it is refused, or None."""
         security, certificate = self._handshakes.security, tunnel.certificate
         if not security.accepts(certificate):
             return "the certificate is none of the pins"
@@ -257,7 +257,7 @@ class TlsSession:
 
     def _take(self, tunnel: Tunnel, inner: Session, *, is_one: bool) -> int:
         """
-        Have the session inside receive a slice of what came.
+        Pass a slice of what was received to the session inside.
 
         Args:
             is_one: whether that is one record, in which case nothing is behind it.

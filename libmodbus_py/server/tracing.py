@@ -1,5 +1,5 @@
 """
-Who is told of every ADU that the sessions of a server receive and send.
+Traces: functions that are called with every ADU that a server receives and sends.
 
 The sessions tell of what they have framed themselves; without a trace they do not.
 """
@@ -25,7 +25,7 @@ logger: logging.Logger = logging.getLogger(__name__)
 
 class Traces:
     """
-    Who is told of ADUs. They come and go, in any thread.
+    The functions that are called with ADUs; they can change, in any thread.
 
     Args:
         first: called with a `Traced`; None for nobody.
@@ -43,7 +43,7 @@ class Traces:
 
     @contextlib.contextmanager
     def with_another(self, callback: OnTraced) -> Iterator[None]:
-        """Tell another one, too, while the block runs."""
+        """Call another function, too, while the block runs."""
         another = Harmless(callback)
         self._all += (another,)
         try:

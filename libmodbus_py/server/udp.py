@@ -62,7 +62,7 @@ class UdpServer:
         abandoned_in_children(self)
 
     async def open(self) -> Endpoint:
-        """Give the endpoint with the port it got."""
+        """Open the sockets, and return the endpoint with its port."""
         self._sockets, endpoint = await bound(self._endpoint, socket.SOCK_DGRAM, _bound)
         self._make_session = self._service.sessions(endpoint, self._statistics)
         self._sources.ports.add(endpoint.port)

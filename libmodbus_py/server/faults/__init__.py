@@ -1,5 +1,5 @@
 """
-What goes wrong with the answers of a server, where a simulation wants it.
+Faults in the answers of a server, for simulations.
 
 ::
 

@@ -9,7 +9,7 @@ import logging
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
 
-from ...device.authorization import Asked, Authorize, Guard, UnauthorizedError
+from ...device.authorization import Asked, Authorization, Authorize, UnauthorizedError
 from ...device.device import Caller, Device
 from ...device.rules import Allow
 from ...ports.endpoint import Endpoint
@@ -92,7 +92,7 @@ class Switch:
         self.most_of_session = most_of_session
         self.statistics = statistics
         self.now: Callable[[], float] = asyncio.get_running_loop().time
-        self._guard = None if authorize is None else Guard(authorize)
+        self._guard = None if authorize is None else Authorization(authorize)
         self._has_failed = False
 
     def sessions(
