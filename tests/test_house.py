@@ -68,20 +68,9 @@ WORDS = {
 """How often docstrings, comments and messages of the package use words that have plainer ones."""
 
 SAME_NAME = {
-    "Asked",
-    "JsonLines",
     "Kind",
     "Line",
-    "Link",
-    "Listener",
-    "Reading",
-    "Row",
-    "Scan",
-    "Settings",
     "Standing",
-    "Table",
-    "Turns",
-    "View",
 }
 """Classes whose name another class of the package has, too."""
 

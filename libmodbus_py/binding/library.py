@@ -67,7 +67,7 @@ def make(context: Any) -> Any:
 
 
 def loaded_version() -> tuple[int, int, int]:
-    """Say which libmodbus is loaded; the header's macro says what it was built with."""
+    """Return the version of the loaded libmodbus, which need not be that of its header."""
     return (
         lib.libmodbus_version_major,
         lib.libmodbus_version_minor,

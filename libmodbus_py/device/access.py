@@ -1,5 +1,5 @@
 """
-What a request touches: for hooks, which see tables and values instead of function codes.
+Accesses: the tables, addresses and values that a request reads and writes, for hooks and rules.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from ..protocol import pdu
 from .mapping import Mapping
 
-__all__ = ["ACCESSES", "Access", "Kind", "Touched", "Who", "touched", "touched_by"]
+__all__ = ["ACCESSES", "Access", "TouchRule", "Touched", "Who", "touched", "touched_by"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,9 +52,9 @@ class Touched(NamedTuple):
 Who = tuple[int, str, "str | None"]
 
 
-class Kind(NamedTuple):
+class TouchRule(NamedTuple):
     """
-    What requests of one class touch.
+    The accesses of the requests of one class.
 
     Attributes:
         find: says what one of them does.
@@ -66,26 +66,26 @@ class Kind(NamedTuple):
     writes: str = ""
 
 
-def _reads(table: str) -> Kind:
+def _reads(table: str) -> TouchRule:
     def find(request: Any, _: Mapping, who: Who) -> Touched:
         return Touched((), (Access(table, request.address, request.count, (), 0, *who),))
 
-    return Kind(find, reads=table)
+    return TouchRule(find, reads=table)
 
 
-def _write(table: str) -> Kind:
+def _write(table: str) -> TouchRule:
     def find(request: Any, _: Mapping, who: Who) -> Touched:
         return Touched((Access(table, request.address, 1, (request.value,), 0, *who),))
 
-    return Kind(find, writes=table)
+    return TouchRule(find, writes=table)
 
 
-def _writes(table: str) -> Kind:
+def _writes(table: str) -> TouchRule:
     def find(request: Any, _: Mapping, who: Who) -> Touched:
         values = request.values
         return Touched((Access(table, request.address, len(values), values, 0, *who),))
 
-    return Kind(find, writes=table)
+    return TouchRule(find, writes=table)
 
 
 def _mask_write(request: pdu.MaskWriteRegister, mapping: Mapping, who: Who) -> Touched:
@@ -125,7 +125,7 @@ def _read_fifo(request: pdu.ReadFifoQueue, _: Mapping, who: Who) -> Touched:
     return Touched(reads=(Access("fifo", request.address, 1, (), 0, *who),))
 
 
-ACCESSES: dict[type[pdu.Request[Any]], Kind] = {
+ACCESSES: dict[type[pdu.Request[Any]], TouchRule] = {
     pdu.ReadCoils: _reads("coils"),
     pdu.ReadDiscreteInputs: _reads("discrete_inputs"),
     pdu.ReadHoldingRegisters: _reads("holding_registers"),
@@ -134,11 +134,11 @@ ACCESSES: dict[type[pdu.Request[Any]], Kind] = {
     pdu.WriteRegister: _write("holding_registers"),
     pdu.WriteCoils: _writes("coils"),
     pdu.WriteRegisters: _writes("holding_registers"),
-    pdu.MaskWriteRegister: Kind(_mask_write, writes="holding_registers"),
-    pdu.ReadWriteRegisters: Kind(_read_write, "holding_registers", "holding_registers"),
-    pdu.ReadFileRecords: Kind(_read_files, reads="file"),
-    pdu.WriteFileRecords: Kind(_write_files, writes="file"),
-    pdu.ReadFifoQueue: Kind(_read_fifo, reads="fifo"),
+    pdu.MaskWriteRegister: TouchRule(_mask_write, writes="holding_registers"),
+    pdu.ReadWriteRegisters: TouchRule(_read_write, "holding_registers", "holding_registers"),
+    pdu.ReadFileRecords: TouchRule(_read_files, reads="file"),
+    pdu.WriteFileRecords: TouchRule(_write_files, writes="file"),
+    pdu.ReadFifoQueue: TouchRule(_read_fifo, reads="fifo"),
 }
 """Request class -> what its requests touch."""
 
@@ -147,13 +147,13 @@ _NOWHERE = Mapping()
 
 
 def touched(request: pdu.Request[Any] | None, who: Who = (0, "", None)) -> Touched:
-    """Say what a request touches, whatever device it is for; None touches nothing."""
+    """Return the accesses of a request to any device; None has none."""
     kind = ACCESSES.get(type(request))  # type: ignore[arg-type]
     return Touched() if kind is None else kind.find(request, _NOWHERE, who)
 
 
 def touched_by(data: bytes) -> Touched:
-    """Say what a request PDU touches; what cannot be decoded touches nothing."""
+    """Return the accesses of a request PDU; one that cannot be decoded has none."""
     try:
         request = pdu.decode_request(data)
     except Exception:

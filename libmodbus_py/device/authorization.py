@@ -16,7 +16,7 @@ from ..protocol.pdu import Request
 from .access import Access
 from .hooks import timed
 
-__all__ = ["Asked", "Authorize", "Guard", "UnauthorizedError"]
+__all__ = ["Asked", "Authorization", "Authorize", "UnauthorizedError"]
 
 logger: logging.Logger = logging.getLogger(__name__)
 
@@ -55,10 +55,10 @@ Authorize = Callable[[Asked], bool]
 
 
 class UnauthorizedError(IllegalFunction):
-    """What a client gets that may not do this: exception 1 (R-31)."""
+    """The request is not allowed: exception 1 (R-31)."""
 
 
-class Guard:
+class Authorization:
     """
     Asks about each request, and says in the log who was refused, but not more often than
     `MOST_LINES` times a minute: a client must not be able to fill the log.

@@ -12,8 +12,7 @@ import logging
 import reprlib
 from collections.abc import Callable, Iterable, Sequence
 from collections.abc import Mapping as MappingABC
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 from ..protocol.checks import integer
 from ..protocol.errors import (
@@ -45,9 +44,9 @@ from ..protocol.pdu import (
 )
 from ..protocol.pdu.interface import OBJECT_NAMES, ReadDeviceIdCode, pages
 from .access import ACCESSES, Access, Touched
-from .authorization import Asked, Authorize, Guard, UnauthorizedError
+from .authorization import Asked, Authorization, Authorize, UnauthorizedError
 from .event_log import EventLog
-from .hooks import EVERYTHING, Hook, Listener, places, timed
+from .hooks import EVERYTHING, Hook, HookCall, places, timed
 from .mapping import Mapping, Table
 from .record_file import RecordFile
 from .reply import Answered, Watched, make_tally, replier
@@ -67,17 +66,16 @@ DEFAULT_IDENTIFICATION: dict[str | int, str | bytes] = {
 }
 
 
-@dataclass(frozen=True)
-class Caller:
+class Caller(NamedTuple):
     """
-    Who asks.
+    Where a request comes from.
 
     Attributes:
         unit: the unit that was addressed, 0..255.
-        peer: "host:port", or the serial port.
+        peer: the client: "host:port", or the serial port.
         log: the device's notes about the line, frame included; None for its own about TCP.
-        is_broadcast: whether nobody is answered.
-        role: what the certificate of who asks says of them; None for nothing, or without TLS.
+        is_broadcast: True if no answer is sent.
+        role: the role in the client's certificate; None if there is none, or no TLS.
         on_unauthorized: called for each request that `authorize` does not allow, if it is given.
     """
 
@@ -87,6 +85,9 @@ class Caller:
     is_broadcast: bool = False
     role: str | None = None
     on_unauthorized: Callable[[], object] | None = None
+
+
+_UNKNOWN = Caller()
 
 
 class Device:
@@ -170,7 +171,7 @@ class Device:
         self._identification = _checked_identification(identification or {})
         self._canopen = None if canopen is None else timed("canopen", canopen)
         self._handlers = {**self._own, **_bound(handlers or {})}
-        self._guard = None if authorize is None else Guard(authorize)
+        self._guard = None if authorize is None else Authorization(authorize)
         self._before_write = _listener("before_write", before_write)
         self._after_write = _listener("after_write", after_write)
         self._before_read = _listener("before_read", before_read)
@@ -194,7 +195,7 @@ class Device:
         self._tally = make_tally()
         self._failed: set[int] = set()
 
-    def answer(self, pdu: bytes, caller: Caller = Caller()) -> bytes:
+    def answer(self, pdu: bytes, caller: Caller = _UNKNOWN) -> bytes:
         """
         Execute a request.
 
@@ -211,7 +212,10 @@ class Device:
             SystemExit, KeyboardInterrupt: a hook or handler did.
         """
         function = pdu[0]
-        log = self._log_of(caller)
+        log = caller.log
+        if log is None:
+            log = self._own_log()
+            log.note_frame()
         if function & 0x80:
             return b""
         log.note_request(broadcast=caller.is_broadcast)
@@ -248,9 +252,12 @@ class Device:
         with self.mapping.lock:
             return replier().answer(self.mapping, self._watched, self._tally, unit, data, start)
 
-    def refuse(self, pdu: bytes, code: int, caller: Caller = Caller()) -> bytes:
+    def refuse(self, pdu: bytes, code: int, caller: Caller = _UNKNOWN) -> bytes:
         """Answer a request that would be answered with an exception 1..255; nothing is executed."""
-        log = self._log_of(caller)
+        log = caller.log
+        if log is None:
+            log = self._own_log()
+            log.note_frame()
         log.note_request(broadcast=False)
         refusal = bytes([pdu[0] | 0x80, code])
         log.note_response(pdu, refusal, silent=False)
@@ -258,7 +265,7 @@ class Device:
 
     def refresh(self, table: str, address: int, count: int) -> None:
         """
-        Have `before_read` compute values, for a program that looks at them without a request.
+        Call `before_read`, for a program that looks at values without a request.
 
         It is called in this thread, with an `Access` of nobody. Without one nothing happens.
 
@@ -273,14 +280,6 @@ class Device:
         if self._before_read is not None:
             with self.mapping.lock:
                 self._before_read.tell((Access(table, address, count),))
-
-    def _log_of(self, caller: Caller) -> EventLog:
-        """The notes about a line, which has its frames counted; or about TCP, with this frame."""
-        if caller.log is not None:
-            return caller.log
-        log = self._own_log()
-        log.note_frame()
-        return log
 
     def _own_log(self) -> EventLog:
         """The notes about TCP, with those that were made in C."""
@@ -336,7 +335,8 @@ class Device:
         find = self._finds.get(type(request))
         touched = None
         with self.mapping.lock:
-            self._authorize(request.function, request, caller)
+            if self._guard is not None:
+                self._authorize(request.function, request, caller)
             if find is not None:
                 touched = find(request, self.mapping, (caller.unit, caller.peer, caller.role))
                 self._call_hooks_before(touched)
@@ -492,13 +492,13 @@ _ACTIONS: dict[SubFunction, Callable[[Device, Diagnostics, EventLog], None]] = {
 
 
 def _is_write(function: int) -> bool:
-    """Whether a broadcast of it is executed."""
+    """Return True if a broadcast with this function is executed."""
     request = REQUESTS.get(function)
     return request is not None and request.is_write
 
 
-def _listener(name: str, hook: HookLike | None) -> Listener | None:
-    return None if hook is None else Listener(name, hook)
+def _listener(name: str, hook: HookLike | None) -> HookCall | None:
+    return None if hook is None else HookCall(name, hook)
 
 
 def _bound(

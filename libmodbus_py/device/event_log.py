@@ -1,5 +1,5 @@
 """
-What one device notes about one line: counters, event log, listen-only mode.
+The notes of one device about one line: counters, event log, listen-only mode.
 
 This is the memory behind functions 8, 11 and 12: MODBUS Application Protocol V1.1b3,
 sections 6.8-6.10; order of counting: MODBUS over Serial Line V1.02, appendix A. What
@@ -67,6 +67,7 @@ class Event(IntFlag):
 # Plain numbers of what every request needs: enumerations take most of the time of a note.
 RECEIVED, BROADCAST, SENT = int(Event.RECEIVED), int(Event.BROADCAST), int(Event.SENT)
 SERVER_MESSAGES = int(SubFunction.SERVER_MESSAGE_COUNT)
+BUS_MESSAGES = int(SubFunction.BUS_MESSAGE_COUNT)
 
 # Exception code -> the bit of the send event.
 SENT_EXCEPTIONS = {
@@ -107,7 +108,7 @@ class EventLog:
         self.clear_counters()
 
     def of_connection(self) -> EventLog:
-        """Give the same counters and events, with a listen-only mode and a delimiter of its own."""
+        """Return a log with these counters and events, but an own mode and delimiter."""
         own = EventLog(is_serial=self.is_serial)
         own._events, own._counters = self._events, self._counters
         return own
@@ -125,7 +126,8 @@ class EventLog:
 
     def note_frame(self) -> None:
         """A good frame passed, for whatever unit."""
-        self._count(SubFunction.BUS_MESSAGE_COUNT)
+        counters = self._counters
+        counters[BUS_MESSAGES] = counters[BUS_MESSAGES] + 1 & 0xFFFF
 
     def note_damage(self, *, overrun: bool) -> None:
         """Bytes passed that are no frame."""
@@ -138,7 +140,8 @@ class EventLog:
 
     def note_request(self, *, broadcast: bool) -> None:
         """A request for this device came in, and is processed next."""
-        self._count(SERVER_MESSAGES)
+        counters = self._counters
+        counters[SERVER_MESSAGES] = counters[SERVER_MESSAGES] + 1 & 0xFFFF
         self._log(RECEIVED | BROADCAST if broadcast else RECEIVED)
 
     def note_response(self, request: bytes, response: bytes, *, silent: bool) -> None:
@@ -188,7 +191,7 @@ class EventLog:
     # --- what functions 8, 11 and 12 do -----------------------------------------------------
 
     def counter(self, counter: SubFunction) -> int:
-        """Give a counter, 0..65535."""
+        """Return a counter, 0..65535."""
         return self._counters[counter]
 
     def clear_counters(self) -> None:

@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 from ..protocol.tables import TABLE_SIZE
 from .access import Access
 
-__all__ = ["EVERYTHING", "SLOW", "Hook", "Listener", "places", "timed"]
+__all__ = ["EVERYTHING", "SLOW", "Hook", "HookCall", "places", "timed"]
 
 logger: logging.Logger = logging.getLogger(__name__)
 
@@ -92,11 +92,11 @@ class Hook:
         return f"Hook({self.call!r}, places={self.places})"
 
     def in_table(self, table: str) -> tuple[range, ...]:
-        """Say where in a table it is called."""
+        """Return the addresses of a table for which it is called."""
         return EVERYTHING if self.places is None else self.places.get(table, ())
 
     def wants(self, access: Access) -> bool:
-        """Say whether it is called for an access."""
+        """Return True if it is called for an access."""
         if self.places is None:
             return True
         is_file = access.table == "file"
@@ -107,7 +107,7 @@ class Hook:
         return at >= 0 and first < ranges[at].stop
 
 
-class Listener:
+class HookCall:
     """A hook of one device, whose argument has this name."""
 
     def __init__(self, name: str, hook: Hook | Callable[[Access], object]) -> None:
@@ -124,8 +124,8 @@ class Listener:
                 self._call(access)
 
 
-def places(*listeners: Listener | None) -> dict[str, tuple[range, ...]]:
-    """Say where any of these is to be told: ``{Access.table: ranges}``, for every table."""
+def places(*listeners: HookCall | None) -> dict[str, tuple[range, ...]]:
+    """Return the addresses that concern any of these hooks: ``{Access.table: ranges}``."""
     hooks = [each.hook for each in listeners if each is not None]
     return {
         table: _joined(table, [each for hook in hooks for each in hook.in_table(table)])
@@ -134,7 +134,7 @@ def places(*listeners: Listener | None) -> dict[str, tuple[range, ...]]:
 
 
 def timed(name: str, call: Callable[[Given], Result]) -> Callable[[Given], Result]:
-    """Give the same function, which says once when it took long; `name` is what it is for."""
+    """Return the same function, which logs once, under `name`, when a call took long."""
     is_known = False
 
     def measured(given: Given) -> Result:

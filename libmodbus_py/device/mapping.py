@@ -102,7 +102,7 @@ class Table(ABC, Generic[Cell]):
     def _from_cells(self, cells: memoryview) -> list[Cell]: ...
 
     def has(self, address: int, count: int = 1) -> bool:
-        """Say whether all of the `count` addresses from `address` on exist."""
+        """Return True if all of the `count` addresses from `address` on exist."""
         at = bisect_right(self._starts, address) - 1
         return at >= 0 and address + count <= self.ranges[at].stop
 
@@ -147,7 +147,7 @@ class Table(ABC, Generic[Cell]):
             self._cells[place] = memoryview(cells)
 
     def _place(self, key: int | slice) -> slice:
-        """Where the addresses are among the cells."""
+        """Return the places of addresses among the cells."""
         first, end = self.addresses.start, self.addresses.stop
         if isinstance(key, slice):
             start = first if key.start is None else self._address(key.start)

@@ -54,11 +54,11 @@ class RecordFile:
         return compress(self._values, self._exists)
 
     def has(self, record: int, length: int) -> bool:
-        """Say whether all of the `length` records from `record` on exist."""
+        """Return True if all of the `length` records from `record` on exist."""
         return record + length <= len(self._values) and all(self._exists[record : record + length])
 
     def read(self, record: int, length: int) -> list[int]:
-        """Give `length` records that exist (`has`)."""
+        """Return `length` records that exist (`has`)."""
         return self._values[record : record + length].tolist()
 
     def write(self, record: int, values: tuple[int, ...]) -> None:

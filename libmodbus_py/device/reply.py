@@ -38,7 +38,7 @@ def make_tally() -> Any:
 
 class Watched:
     """
-    What the replier leaves to Python.
+    The requests that the replier leaves to Python.
 
     Args:
         functions: the codes, 1..31, that it answers.
@@ -128,7 +128,7 @@ _local = threading.local()
 
 
 def replier() -> Replier:
-    """One for each thread."""
+    """Return the replier of this thread."""
     try:
         made: Replier = _local.replier
     except AttributeError:

@@ -43,7 +43,7 @@ Code = tuple[int, int | None]
 @dataclass(frozen=True)
 class Allow:
     """
-    What a role may do. Nothing, unless it is said here.
+    The accesses that a role is allowed; none unless they are listed here.
 
     Args:
         read: names of tables, "fifo" and "file", which are those as a whole; an `Access` with
@@ -173,7 +173,7 @@ class _Places:
         return bool(self._whole or self._runs)
 
     def cover(self, access: Access) -> bool:
-        """Whether all of it is in them."""
+        """Return True if the ranges contain all of it."""
         if access.table in self._whole:
             return True
         firsts, stops = self._runs.get((access.table, access.file), ((), ()))

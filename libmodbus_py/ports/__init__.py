@@ -1,5 +1,5 @@
 """
-What carries bytes, and how to wait for it.
+Ports: TCP, TLS, UDP and serial, and how to wait for them.
 
     endpoint       URLs: which port, which framing, which options
       schemes      ... that there are

@@ -54,7 +54,7 @@ PASSWORD = "(?<=password=)[^&#]+|(?<=:)[^/@:]+(?=@)"
 @dataclass(frozen=True)
 class Endpoint:
     """
-    Where to connect or to listen; ``str`` of it is its URL, without client options.
+    An endpoint to connect to or to listen at; ``str`` returns its URL, without client options.
 
     Attributes:
         scheme: one of `SCHEMES`.
@@ -159,7 +159,7 @@ def _parse_serial(url: str, scheme: Scheme, parts: SplitResult) -> Endpoint:
 def _options(
     url: str, query: str, own: Mapping[str, Option]
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Those of the endpoint itself, and those of clients."""
+    """Return the options of the endpoint itself, and those of clients."""
     from urllib.parse import parse_qsl
 
     allowed = {**own, **CLIENT_OPTIONS}

@@ -1,5 +1,5 @@
 """
-What carries bytes: a descriptor that is opened and closed any number of times.
+A port: a descriptor that is opened and closed any number of times.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ __all__ = ["Port", "Silence", "lost"]
 
 class Silence:
     """
-    How long a line must be quiet before anybody sends; times are those of time.monotonic().
+    The silence that a line needs before a frame is sent; times are those of time.monotonic().
 
     Args:
         seconds: without a byte.
@@ -82,7 +82,7 @@ class Port(ABC):
         return Waker()
 
     def has_input(self) -> bool:
-        """Whether something waits to be read: bytes, or the news that the other side closed."""
+        """Return True if something can be read: bytes, or the end of the connection."""
         return bool(self._poll.poll(0))
 
     def _watch(self, descriptor: int) -> None:
@@ -93,7 +93,7 @@ class Port(ABC):
     @abstractmethod
     def receive(self) -> list[bytes]:
         """
-        Give what has come, datagram by datagram; an empty list if there is nothing.
+        Return what was received, one item for each datagram; an empty list if there is nothing.
 
         Raises:
             ModbusConnectionError: the other side closed, or the port is gone.
@@ -115,7 +115,7 @@ class Port(ABC):
         """Throw away what has come."""
 
     def acknowledge(self) -> None:  # noqa: B027  # only TCP does
-        """Have what came confirmed at once, so that more comes."""
+        """Let the system acknowledge what was received at once, so that more is sent."""
 
     @abstractmethod
     def close(self) -> None:
@@ -127,7 +127,7 @@ class Port(ABC):
 
 
 def lost(error: OSError) -> ModbusConnectionError:
-    """Say that a port is gone, as the system says it."""
+    """Return the error for a port that is gone, with the words of the system."""
     made = ModbusConnectionError(error.strerror or str(error), errno=error.errno)
     made.__cause__ = error
     return made

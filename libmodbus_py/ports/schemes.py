@@ -1,5 +1,5 @@
 """
-What URLs of endpoints may say: schemes, and options with their types.
+The schemes and options of URLs of endpoints.
 """
 
 from __future__ import annotations

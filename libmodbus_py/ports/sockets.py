@@ -76,7 +76,7 @@ class SocketPort(Port):
         self._watch(made.fileno())
 
     def _preparing(self, made: socket.socket, deadline: float) -> Steps[None]:
-        """What is to be done before it counts as open. Raises ModbusConnectionError."""
+        """Prepare a connected socket. Raises ModbusConnectionError."""
         yield from ()
 
     def _connected(self, deadline: float) -> Steps[socket.socket]:

@@ -255,7 +255,7 @@ class TlsPort(TcpPort):
             self._end(tunnel, error)
 
     def _end(self, tunnel: Tunnel, error: ssl.SSLError) -> None:
-        """One of both refused to go on: nothing more is said, and nothing resumed (R-11)."""
+        """End a connection that one side refused, so that it is never resumed (R-11)."""
         self._failure = self._because(error)
         self._tunnel = None
         with contextlib.suppress(ModbusConnectionError):

@@ -81,7 +81,7 @@ def is_traced(callback: OnTraced | None) -> bool:
 
 class Trace:
     """
-    Tells a callback, and the logger ``libmodbus_py.wire`` at DEBUG.
+    Passes ADUs to a callback, and to the logger ``libmodbus_py.wire`` at DEBUG.
 
     A callback that fails is logged, and harms no request.
     """
@@ -120,7 +120,7 @@ class Trace:
 
 def _is_logged() -> bool:
     """
-    Whether the logger is at DEBUG.
+    Return True if the logger is at DEBUG.
 
     It is imported no sooner than by the program, for that takes an eighth of what the whole
     client takes: where nobody has it, nobody has asked for DEBUG.

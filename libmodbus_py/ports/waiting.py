@@ -54,7 +54,7 @@ Steps = Generator[Ready | Resolve, Any, Result]
 
 
 class Woken(Exception):
-    """Somebody wants the wait to end."""
+    """The wait was ended from another thread."""
 
 
 class Waker:
@@ -102,7 +102,7 @@ class Waker:
     __del__ = close
 
     def watch(self, descriptor: int) -> None:
-        """Say what `is_ready` waits for."""
+        """Set the descriptor and events that `is_ready` waits for."""
         self._watched = descriptor
         self._poll = select.poll()
         self._poll.register(self.descriptor, READ)
@@ -206,7 +206,7 @@ def _look_up(wanted: Resolve, waker: Waker) -> list[Any]:
 
 
 def no_thread(error: RuntimeError) -> OSError:
-    """Say that the system has no thread left, with the number that it gives for that."""
+    """Return the error for a system without a free thread, with its error number."""
     return OSError(errno.EAGAIN, str(error))
 
 

@@ -50,7 +50,7 @@ async def _look_up_async(wanted: Resolve) -> list[Any]:
 
 
 def resolve(future: asyncio.Future[None]) -> None:
-    """Let whoever awaits it go on, if he still does."""
+    """Complete a future, unless it was cancelled."""
     if not future.done():
         future.set_result(None)
 

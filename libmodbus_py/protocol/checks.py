@@ -20,7 +20,7 @@ def shown(number: object) -> str:
 
 def integer(name: str, value: object, low: int, high: int) -> int:
     """
-    Give `value` as an int, whatever kind of integer it is.
+    Return an integer of any type as an int.
 
     Raises:
         TypeError: no integer; True and False are none here.
@@ -39,13 +39,13 @@ def integer(name: str, value: object, low: int, high: int) -> int:
 
 
 def are_registers(values: Sequence[object]) -> bool:
-    """Whether all are plain ints in 0..65535, told at once: bulk reads do little else."""
+    """Return True if all are plain ints in 0..65535; fast, because bulk reads do little else."""
     return set(map(type, values)) == {int} and min(values) >= 0 and max(values) <= 0xFFFF  # type: ignore[type-var, operator]
 
 
 def seconds(name: str, value: object, low: float = 0.001, high: float = 86_400.0) -> float:
     """
-    Give `value` as a float.
+    Return a number of seconds as a float.
 
     Raises:
         TypeError: no number.

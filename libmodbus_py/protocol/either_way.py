@@ -12,7 +12,7 @@ from typing import ClassVar, NamedTuple
 
 from .framing import Frame, RtuFramer, scanner
 from .pdu import request_length, response_length
-from .scan import Scan, crc16
+from .scan import FrameScanner, crc16
 
 __all__ = ["EitherWay", "NoFrame", "RtuEitherWay", "may_be"]
 
@@ -38,7 +38,7 @@ class NoFrame(NamedTuple):
 
 
 def may_be(pdu: bytes) -> tuple[bool, bool]:
-    """Say whether the length rules let a PDU be a request, and a response."""
+    """Return whether a PDU can be a request, and whether it can be a response, by its length."""
     size = len(pdu)
     may_ask = pdu[0] < 0x80 and request_length(pdu) in (size, 0)
     return may_ask, response_length(pdu) in (size, 0)
@@ -89,7 +89,7 @@ class RtuEitherWay:
 
     def take(self, is_awaited: Callable[[int, int], bool]) -> EitherWay | NoFrame | None:
         """
-        Give what comes next, None if that takes more bytes, or silence.
+        Return what comes next; None if that takes more bytes, or silence.
 
         Args:
             is_awaited: whether a unit was asked for a function, so that a response is likely.
@@ -118,7 +118,7 @@ class RtuEitherWay:
 
     def _end_by_crc(self, data: bytes, end: int) -> int:
         """
-        Say where a frame ends whose length nothing tells; 0 while that is open.
+        Return the end of a frame of unknown length; 0 while it is unknown.
 
         Its CRC fits by chance inside such a frame once in 65536 bytes, so what follows must be
         a frame, or silence.
@@ -137,7 +137,7 @@ class RtuEitherWay:
 
     def _later_start(self, data: bytes) -> int:
         """
-        Say where to go on though the front may still be completed; 0 for nowhere.
+        Return where to go on although the front may still be completed; 0 for nowhere.
 
         A damaged front may claim a length that no byte will ever fill. So a frame counts that
         begins where silence ended, and in silence frames without a gap up to the end.
@@ -162,7 +162,7 @@ class RtuEitherWay:
         return at == len(data)
 
     def _complete(self, data: bytes, at: int, fresh: int) -> int:
-        """Say where a frame ends that begins just here; 0 or less if none does."""
+        """Return the end of a frame that begins here; 0 or less if none does."""
         for scan in (self._asking, self._answering):
             end, start = _look(scan, data, at, fresh)
             if start == at and end > 0:
@@ -188,8 +188,8 @@ class RtuEitherWay:
         self._fresh = [at - count for at in self._fresh if at >= count]
 
 
-def _look(scan: Scan, data: bytes, at: int, fresh: int) -> tuple[int, int]:
-    """Say where the frame ends that begins here, 0 for none, and where one may begin."""
+def _look(scan: FrameScanner, data: bytes, at: int, fresh: int) -> tuple[int, int]:
+    """Return the end of the frame that begins here, 0 for none, and where one may begin."""
     scan.fresh = fresh
     end = scan.next(data, at)
     return (end if scan.start == at else 0), scan.start

@@ -26,7 +26,7 @@ from typing import Any, ClassVar, Literal, NamedTuple
 from . import pdu
 from .errors import MAX_RECEIVED, FrameError
 from .pdu.fields import IN_C, MAX_PDU
-from .scan import Scan, crc16, lib
+from .scan import FrameScanner, crc16, lib
 
 # fmt: off
 __all__ = [
@@ -79,7 +79,7 @@ def _check(frame: Frame) -> Frame:
 
 
 class Framer(ABC):
-    """What the framers have in common: they keep frames and errors in the order of their bytes."""
+    """The base of all framers, which keeps frames and errors in the order of their bytes."""
 
     # Whether unit 0 addresses every unit, as on a serial line.
     has_broadcast = True
@@ -98,10 +98,11 @@ class Framer(ABC):
         """The number of bytes that wait for the rest of their frame."""
         return len(self._buffer)
 
-    @property
-    def rest(self) -> bytes:
-        """The bytes that wait for the rest of their frame."""
-        return bytes(self._buffer)
+    def end(self) -> bytes:
+        """Return the bytes that wait for the rest of their frame, which does not come."""
+        rest = bytes(self._buffer)
+        self._buffer.clear()
+        return rest
 
     def feed(self, data: bytes) -> list[Frame]:
         """
@@ -178,6 +179,9 @@ def _note(found: list[Frame | FrameError], error: FrameError) -> None:
     if len(last) < MOST_ERRORS or set(map(type, last)) != {FrameError}:
         found.append(error)
 
+
+UNIT, FUNCTION = 6, 7
+"""Where unit and function code are in a frame with an MBAP header."""
 
 _HEADER = struct.Struct(">HHH")
 _PREFIX = struct.Struct(">HHHB")
@@ -256,7 +260,7 @@ class TcpFramer(Framer):
 
     def encode(self, frame: Frame) -> bytes:
         unit, pdu, transaction = _check(frame)
-        return mbap(transaction, unit, pdu)
+        return _PREFIX.pack(transaction, 0, 1 + len(pdu), unit) + pdu
 
     def _scan(self) -> None:
         if not self.in_step:
@@ -370,10 +374,10 @@ class RtuFramer(Framer):
         self._scanner.fresh = max(self._scanner.fresh - count, -1)
 
 
-def scanner(role: Role) -> Scan:
+def scanner(role: Role) -> FrameScanner:
     """Make what finds the RTU frames of one direction by the length rules of `pdu`."""
     is_client = role == "client"
-    return Scan(
+    return FrameScanner(
         is_client,
         {code: _in_c(request, is_client) for code, request in pdu.REQUESTS.items()},
         pdu.response_length if is_client else pdu.request_length,

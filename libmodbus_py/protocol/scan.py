@@ -20,7 +20,7 @@ except ImportError as error:
 MAX_PDU = 253
 """Bytes of a PDU, function code included (application protocol, section 4.1)."""
 
-__all__ = ["MAX_PDU", "NOT_BUILT", "Scan", "crc16", "lib"]
+__all__ = ["MAX_PDU", "NOT_BUILT", "FrameScanner", "crc16", "lib"]
 
 
 def crc16(data: bytes | bytearray) -> int:
@@ -34,7 +34,7 @@ def crc16(data: bytes | bytearray) -> int:
     return crc
 
 
-class Scan:
+class FrameScanner:
     """
     Finds the frames of one direction of a line.
 
@@ -64,7 +64,7 @@ class Scan:
 
     def next(self, data: bytes, start: int = 0, at_end: bool = False) -> int:
         """
-        Say where the first frame from `start` on ends; negative if none does yet.
+        Return the end of the first frame from `start` on; negative if none is complete.
 
         Args:
             at_end: find the first one that ends with the data, past all that may still be

@@ -53,7 +53,7 @@ SHOWN: dict[str, Callable[[Any, ValueType], str]] = {
 
 
 def shown(value: Any, kind: ValueType) -> str:
-    """Give a value of a type as text: the shortest number, the lowest bit first, quoted text."""
+    """Return a value of a type as text: the shortest number, the lowest bit first, quoted text."""
     show = SHOWN.get(_family(kind))
     return show(value, kind) if show else str(value)
 

@@ -24,7 +24,7 @@ Table = Literal["coils", "discrete_inputs", RegisterTable]
 
 class TableRules(NamedTuple):
     """
-    What holds for one table; all have the addresses 0..65535 (`TABLE_SIZE`).
+    The rules of one table; all have the addresses 0..65535 (`TABLE_SIZE`).
 
     Attributes:
         read: makes the request for some of it: (address, count).

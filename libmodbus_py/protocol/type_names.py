@@ -67,13 +67,13 @@ TypeName = Literal[NumberType, BitsType, TextType]
 
 
 class TextOptions(TypedDict, total=False):
-    """How strings lie in registers, as of `value_type`."""
+    """The layout of strings in registers, as for `value_type`."""
 
     encoding: str
     padding: str
 
 
 class Layout(TextOptions, total=False):
-    """How any value lies in registers."""
+    """The layout of any value in registers."""
 
     order: Order

@@ -40,15 +40,16 @@ from collections.abc import Callable, Iterable, Mapping, Set
 from dataclasses import dataclass, field, replace
 from encodings import normalize_encoding
 from encodings.aliases import aliases
-from typing import Any, NamedTuple, SupportsFloat, SupportsIndex
+from typing import TYPE_CHECKING, Any, NamedTuple, SupportsFloat, SupportsIndex
 
 from .checks import are_registers, integer, shown
 from .type_names import BitsType, Layout, NumberType, Order, TextOptions, TextType, TypeName
 
 # fmt: off
 __all__ = [
-    "ENCODINGS", "ORDERS", "BitsType", "Layout", "NumberType", "Order", "Reading", "Reference",
-    "TextOptions", "TextType", "TypeName", "ValueType", "parse_reference", "readings", "value_type",
+    "ENCODINGS", "ORDERS", "BitsType", "Interpretation", "Layout", "NumberType", "Order",
+    "Reference", "TextOptions", "TextType", "TypeName", "ValueType", "parse_reference", "readings",
+    "value_type",
 ]
 # fmt: on
 
@@ -424,17 +425,17 @@ def _string(name: str, encoding: str, padding: str) -> ValueType:
     return _text(size, encoding, padding, _fill(padding, encoding))
 
 
-# --- readings ----------------------------------------------------------------------
+# --- interpretations ----------------------------------------------------------------------
 
 
-class Reading(NamedTuple):
+class Interpretation(NamedTuple):
     """
-    One way to read some registers.
+    One way to interpret some registers.
 
     Attributes:
         type: as in the module's docstring.
         order: ABCD, CDAB, BADC or DCBA.
-        value: what the type makes of them.
+        value: the value that they have in this type and order.
     """
 
     type: str
@@ -442,11 +443,11 @@ class Reading(NamedTuple):
     value: Any
 
 
-def readings(registers: Iterable[int]) -> list[Reading]:
+def readings(registers: Iterable[int]) -> list[Interpretation]:
     """
-    Read the same registers in every way that takes all of them as one value.
+    Return every interpretation of some registers that takes all of them as one value.
 
-    For manuals that are wrong: one of the readings is the value the device shows.
+    For manuals that are wrong: one of them is the value that the device shows.
     A value that a type gives in several orders stands once, under the first of
     them (ABCD, CDAB, BADC, DCBA).
 
@@ -460,7 +461,7 @@ def readings(registers: Iterable[int]) -> list[Reading]:
     cells = _cells(registers)
     count = integer("the number of registers", len(cells), 1, 125)
     names = [name for name, kind in TYPES.items() if kind.registers == count]
-    found: dict[tuple[str, str], Reading] = {}
+    found: dict[tuple[str, str], Interpretation] = {}
     for name in [*names, f"string:{2 * count}"]:
         for order in ORDERS:
             try:
@@ -468,8 +469,20 @@ def readings(registers: Iterable[int]) -> list[Reading]:
             except ValueError:
                 continue
             # By repr, for a nan is not equal to itself.
-            found.setdefault((name, repr(value)), Reading(name, order, value))
+            found.setdefault((name, repr(value)), Interpretation(name, order, value))
     return list(found.values())
+
+
+if not TYPE_CHECKING:  # checkers would take any name for one of this module
+
+    def __getattr__(name: str) -> object:
+        """Return the class for its former name, which programs may still use."""
+        if name != "Reading":
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        from warnings import warn
+
+        warn("values.Reading is now values.Interpretation", DeprecationWarning, stacklevel=2)
+        return Interpretation
 
 
 # --- references --------------------------------------------------------------------
@@ -486,7 +499,7 @@ TABLES = {
 
 class Reference(NamedTuple):
     """
-    What a reference stands for.
+    The table and address of a reference.
 
     Attributes:
         table: "coils", "discrete_inputs", "input_registers",

@@ -1,5 +1,5 @@
 """
-What a certificate says of itself, in one line of an error message.
+A certificate in one line of an error message.
 
 Certificates come from peers that nobody trusts yet: what they say is cut, and what no
 terminal or log should see is escaped.
@@ -32,7 +32,7 @@ def shown(what: object) -> str:
 
 def describe(certificate: bytes) -> str:
     """
-    Say whose certificate it is, who signed it, when it is valid, and its SHA-256.
+    Return subject, issuer, validity and SHA-256 of a certificate.
 
     Without cryptography it is the SHA-256 alone, and how to see more. Never raises,
     whatever the bytes are.

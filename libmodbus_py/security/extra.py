@@ -11,7 +11,7 @@ __all__ = ["require_cryptography"]
 
 def require_cryptography() -> None:
     """
-    Say what to install, before cryptography is imported.
+    Raise an ImportError that names the package to install if cryptography is missing.
 
     Raises:
         ImportError: it is not installed.

@@ -49,5 +49,5 @@ class GivenContext:
         return Tunnel(self._context, server_name=name_of(host), session=session)
 
     def accepts(self, certificate: bytes) -> bool:
-        """Whether what a good handshake showed will do: the context has said so."""
+        """Return True: the context has checked the certificate in the handshake."""
         return True

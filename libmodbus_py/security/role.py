@@ -40,7 +40,7 @@ class RoleError(ValueError):
 
 
 def mentions_role(certificate: bytes) -> bool:
-    """Say whether a certificate may have a role: without cryptography, and in no time."""
+    """Return True if a certificate may have a role: fast, and without cryptography."""
     return _ENCODED_OID in certificate
 
 
@@ -81,7 +81,7 @@ def role_of(certificate: bytes) -> str | None:
 
 def encode_role(role: str) -> bytes:
     """
-    Give the DER of a role, as the extension holds it.
+    Return the DER of a role, as the extension contains it.
 
     Args:
         role: 1..255 bytes of UTF-8, without control characters.

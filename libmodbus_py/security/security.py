@@ -1,5 +1,5 @@
 """
-Who one is, and whom one trusts.
+The own certificate and key, and the certificates that are trusted.
 """
 
 from __future__ import annotations
@@ -143,11 +143,11 @@ class Security:
 
     @property
     def is_pinned(self) -> bool:
-        """Whether it is these very certificates that are trusted, however old."""
+        """True if only pinned certificates are trusted, even expired ones."""
         return self._pins is not None
 
     def accepts(self, certificate: bytes) -> bool:
-        """Whether what a good handshake showed is one of the pins, if there are any."""
+        """Return True if a certificate is one of the pins, or there are none."""
         return self._pins is None or _digest(certificate) in self._pins
 
     # --- contexts -----------------------------------------------------------------------------
@@ -254,7 +254,7 @@ def _certificates(name: str, file: File) -> list[bytes]:
 
 
 def _text(name: str, file: File) -> str:
-    """What is in a file."""
+    """Return the content of a file."""
     if not isinstance(file, str | os.PathLike):
         raise TypeError(f"{name} must be a file, not {type(file).__name__}")
     try:

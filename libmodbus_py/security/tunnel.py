@@ -1,5 +1,5 @@
 """
-One TLS connection without a socket: what came over the wire in, what must go there out.
+One TLS connection without a socket: received bytes in, bytes to send out.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class Tunnel:
 
     def receive(self, most: int = READ_SIZE) -> bytes | None:
         """
-        Give what came, decrypted; None if there is nothing, b"" at the end.
+        Return what was received, decrypted; None if there is nothing, b"" at the end.
 
         Raises:
             ssl.SSLError: the other side refused, or what came is no TLS.
@@ -79,13 +79,13 @@ class Tunnel:
             return None
 
     def end(self) -> None:
-        """Say goodbye (close_notify)."""
+        """Prepare the close_notify alert."""
         with contextlib.suppress(ssl.SSLError):  # it was refused before, or says nothing more
             self._tls.unwrap()
 
     @property
     def has_more(self) -> bool:
-        """Whether something came that `receive` has not looked at."""
+        """True if something was received that `receive` has not returned."""
         return bool(self._incoming.pending or self._tls.pending())
 
     @property
@@ -106,7 +106,7 @@ class Tunnel:
 
     @property
     def has_expired(self) -> bool:
-        """Whether the other side's certificate has, since it was checked in an earlier session."""
+        """True if the peer's certificate has expired since it was checked in an earlier session."""
         # OpenSSL looks at the dates when a session begins, not when it is resumed.
         until = self.expires if self.is_resumed else None
         return until is not None and ssl.cert_time_to_seconds(until) < time.time()
@@ -123,18 +123,18 @@ class Tunnel:
 
     @property
     def session(self) -> ssl.SSLSession | None:
-        """What a client can resume."""
+        """The session that a client can resume."""
         return self._tls.session
 
 
 def name_of(host: str) -> str:
-    """Give the name that a host's certificate must have."""
+    """Return the name that a host's certificate must have."""
     return host.partition("%")[0]  # an IPv6 address's zone is no part of it
 
 
 class Records:
     """
-    Where the records of a stream end, which OpenSSL keeps to itself.
+    Finds the ends of the records of a stream, which OpenSSL does not report.
 
     Attributes:
         is_midway: whether one has begun and not ended.

@@ -14,11 +14,11 @@ In the order in which a request goes through::
                  addresses and idle say who of them has had enough
     tls          TlsSession: what a connection says within TLS, and the role of who asks
     sources      whose datagrams are answered
-    tracing      tells a trace of every ADU, around any session
-    service      the seam: what an endpoint knows of who answers; devices is one of them
+    tracing      who is told of every ADU that sessions receive and send
+    service      the seam: what an endpoint knows of what answers; devices is one of them
     by_chunk     ByChunk: Modbus/TCP by the chunk, in C; requests of many peers together
-    framed       what goes frame by frame has in common; ByFrame (by_frame) asks devices
+    framed       what sessions have in common that answer frame by frame; ByFrame (by_frame)
+                 asks devices, also for what C leaves
     units        which device answers a frame, on TCP and on serial lines
-    faults       Fault: what goes wrong with an answer, where a simulation wants it;
-                 faulty gives such answers
+    faults       Fault: what goes wrong with an answer, where a simulation wants it
 """

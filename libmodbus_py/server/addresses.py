@@ -1,5 +1,5 @@
 """
-What one address may ask: a client that opens another connection is still the same client.
+Limits of addresses: a client that opens another connection is still the same client.
 """
 
 from __future__ import annotations
@@ -55,14 +55,14 @@ class Address(Generic[Each]):
         self._timer: asyncio.TimerHandle | None = None
 
     def is_overspent(self) -> bool:
-        """Whether it has asked too much for now."""
+        """Return True if it has sent too many requests for now."""
         return self._allowance.wait(self._loop.time()) > 0
 
     def spend(self, requests: int) -> None:
         self._allowance.spend(requests)
 
     def pause(self, connection: Each) -> None:
-        """Have it resumed in its turn, when the address may ask again."""
+        """Resume a connection in its turn, when its address may send requests again."""
         self._paused[connection] = None
         if self._timer is None:
             self._release_after(self._allowance.wait(self._loop.time()))
@@ -78,7 +78,7 @@ class Address(Generic[Each]):
         self._timer = self._loop.call_later(seconds, self._release)
 
     def _release(self) -> None:
-        """One at a time: it spends only when it has been read."""
+        """Resume one connection: it spends only when it has been read."""
         self._timer = None
         wait = self._allowance.wait(self._loop.time())
         if not wait:
@@ -91,7 +91,7 @@ class Address(Generic[Each]):
 
 class Addresses(Generic[Each]):
     """
-    Those that are connected, and those that came last.
+    The addresses that are connected, and the latest that were.
 
     Args:
         rate: how many requests of each are answered in a second; infinite for all.
@@ -104,7 +104,7 @@ class Addresses(Generic[Each]):
         self._others: OrderedDict[str, Address[Each]] = OrderedDict()
 
     def get(self, host: str) -> Address[Each]:
-        """Give an address, which is remembered only when it is to be kept."""
+        """Return an address, which is remembered only after `keep`."""
         host = plain_host(host)
         address = self._connected.get(host) or self._others.get(host)
         return address or Address(host, self._rate, self._loop)

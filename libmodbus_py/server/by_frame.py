@@ -4,14 +4,13 @@ Devices answer what one connection or one port received, frame by frame.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from ..protocol.errors import FrameError
 from ..protocol.framing import AsciiFramer, Frame, Framing
 from .faults.delivery import Delivery
-from .faulty import FaultyAnswers
+from .faults.faulty import FaultyAnswers
 from .framed import Framed
 from .limits import ServerStatistics
+from .service import Channel
 from .units import SerialUnits, TcpUnits
 
 __all__ = ["ByFrame"]
@@ -22,59 +21,66 @@ class ByFrame(Framed):
     Any framing, frame by frame.
 
     Args:
-        units: who answers.
-        framing, peer, statistics, write, follow, role, at_once: as of `Framed`.
-        hang_up: as of `Link`.
+        units: the devices.
+        framing, channel, statistics, at_once: as for `Framed`.
     """
 
     def __init__(
         self,
         units: TcpUnits | SerialUnits,
         framing: Framing,
-        peer: str,
+        channel: Channel,
         statistics: ServerStatistics,
-        write: Callable[[bytes], None],
-        follow: Callable[[], None] = lambda: None,
-        role: str | None = None,
         at_once: int | None = None,
-        hang_up: Callable[[], bool] = lambda: False,
     ) -> None:
-        super().__init__(framing, peer, statistics, write, follow, role, at_once)
+        super().__init__(framing, channel, statistics, at_once)
         self._units = units
-        self._hang_up = hang_up
-        # With faults answers leave at other times than they are found.
-        self._faulty: FaultyAnswers | None = None
-        self._end_request()
+        self._faulty: FaultyAnswers | None = None  # until a fault may happen here
+        self._is_ascii = isinstance(self._framer, AsciiFramer)
+        self._follow_delimiter()
 
     @property
-    def is_waiting(self) -> bool:
-        return self.is_behind or (self._faulty is not None and self._faulty.delivery.is_waiting)
+    def is_held(self) -> bool:
+        return self._faulty is not None and self._faulty.delivery.is_waiting
+
+    @property
+    def is_over(self) -> bool:
+        """True once a fault has closed the connection: nothing is executed any more."""
+        return self._faulty is not None and self._faulty.delivery.is_over
 
     def close(self) -> None:
         super().close()
         if self._faulty is not None:
             self._faulty.delivery.close()
+            self._faulty = None  # it refers to the channel, and so to this session
 
-    def _take(self, found: list[Frame | FrameError]) -> int:
-        # Not in the middle of these, for what is answered at once is sent behind them all; and
-        # for ever, as what faults keep back comes before what follows.
-        if self._faulty is None and self._units.faults is not None:
-            delivery = Delivery(self._write, self._follow, self._hang_up)
-            self._faulty = FaultyAnswers(
-                self._units, self._framer, self._peer, self._role, self._statistics, delivery
-            )
-        return super()._take(found)
+    def note_damage(self, error: FrameError) -> None:
+        super().note_damage(error)
+        self._units.note_damage(overrun=error.overrun)
+
+    def _take_one(self, request: Frame) -> None:
+        faults = self._units.faults
+        # Once a fault has kept an answer back, all that follow go behind it.
+        if self._faulty is not None or (faults is not None and faults.concern(request.unit)):
+            if not self.is_over:
+                self._faulty_answers().answer(request)
+        elif (answer := self._answer(request)) is not None:
+            self._send(answer)
+        if self._is_ascii:
+            self._follow_delimiter()
 
     def _answer(self, request: Frame) -> Frame | None:
+        return self._units.answer(request, self._channel.address, self._channel.role)
+
+    def _faulty_answers(self) -> FaultyAnswers:
         if self._faulty is None:
-            return self._units.answer(request, self._peer, self._role)
-        self._faulty.answer(request)
-        return None
+            delivery = Delivery(self._channel, self._trace)
+            self._faulty = FaultyAnswers(
+                self._units, self._framer, self._answer, self._statistics, delivery
+            )
+        return self._faulty
 
-    def _note_damage(self, *, overrun: bool) -> None:
-        self._units.note_damage(overrun=overrun)
-
-    def _end_request(self) -> None:
+    def _follow_delimiter(self) -> None:
         """Another delimiter counts from the frame behind the answer on, both ways."""
         if isinstance(self._framer, AsciiFramer) and self._units.delimiter is not None:
             self._framer.delimiter = self._units.delimiter

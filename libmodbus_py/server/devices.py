@@ -9,7 +9,7 @@ from .by_chunk import ByChunk, Singles
 from .by_frame import ByFrame
 from .framed import AT_ONCE
 from .limits import ServerStatistics
-from .service import Later, Link, MakeSession, Session
+from .service import Channel, Later, MakeSession, Session
 from .units import SerialUnits, TcpUnits, Units
 
 __all__ = ["Devices"]
@@ -23,7 +23,7 @@ class Devices:
         self._of_endpoints: list[TcpUnits | SerialUnits] = []
 
     def change(self, units: Units) -> None:
-        """Have others answer from the next request on, on all connections; in their loop."""
+        """Replace the units from the next request on, on all connections; in their loop."""
         self._units = units
         for each in self._of_endpoints:
             each.change(units)
@@ -34,37 +34,18 @@ class Devices:
         framing = endpoint.framing
         at_once = None if later is None else AT_ONCE
 
-        def by_frame(units: TcpUnits | SerialUnits, link: Link) -> Session:
-            return ByFrame(
-                units,
-                framing,
-                link.address,
-                statistics,
-                link.write,
-                link.follow,
-                link.role,
-                at_once,
-                link.hang_up,
-            )
+        def by_frame(units: TcpUnits | SerialUnits, channel: Channel) -> Session:
+            return ByFrame(units, framing, channel, statistics, at_once)
 
         if framing in ("rtu", "ascii"):
             line = SerialUnits(self._units)
             self._of_endpoints.append(line)
             if endpoint.transport == "serial":
-                return lambda link: by_frame(line, link)
-            return lambda link: by_frame(line.of_connection(), link)
+                return lambda channel: by_frame(line, channel)
+            return lambda channel: by_frame(line.of_connection(), channel)
         own = TcpUnits(self._units)
         self._of_endpoints.append(own)
         if later is None:
-            return lambda link: by_frame(own, link)
+            return lambda channel: by_frame(own, channel)
         singles = Singles(own, statistics, later)
-        return lambda link: ByChunk(
-            own,
-            link.address,
-            statistics,
-            singles,
-            link.write,
-            link.follow,
-            link.role,
-            link.hang_up,
-        )
+        return lambda channel: ByChunk(own, channel, statistics, singles)

@@ -1,5 +1,5 @@
 """
-What a forked child does with its copies of a server's descriptors: it closes them.
+A forked child closes its copies of a server's descriptors.
 
 As long as it has one, no client sees the end of a connection that its parent closes, and no
 port is free again.
@@ -16,7 +16,7 @@ __all__ = ["abandoned_in_children"]
 
 
 class Holder(Protocol):
-    """Somebody who has descriptors of a server."""
+    """An object that holds descriptors of a server."""
 
     def abandon(self) -> None:
         """
@@ -32,7 +32,7 @@ _holders: weakref.WeakSet[Holder] = weakref.WeakSet()
 
 
 def abandoned_in_children(holder: Holder) -> None:
-    """Have it abandon its descriptors in every child that is forked while it lives."""
+    """Call `abandon` of an object in every child that is forked while it exists."""
     _holders.add(holder)
 
 

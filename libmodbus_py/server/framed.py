@@ -1,5 +1,5 @@
 """
-What the sessions have in common that go frame by frame: bytes in, frames out, in turns.
+The base of sessions that answer frame by frame: bytes in, frames out, in turns.
 """
 
 from __future__ import annotations
@@ -7,11 +7,12 @@ from __future__ import annotations
 import asyncio
 import logging
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Iterable
 
 from ..protocol.errors import FrameError
 from ..protocol.framing import Frame, Framing, make_framer
 from .limits import ServerStatistics
+from .service import Channel, SessionState
 
 __all__ = ["AT_ONCE", "FOUND_AT_ONCE", "Framed"]
 
@@ -25,61 +26,55 @@ FOUND_AT_ONCE = 4
 
 class Framed(ABC):
     """
-    Finds the frames in what a link receives.
+    Finds the frames in what a channel receives, and writes the answers to it.
 
     Args:
         framing: "tcp", "rtu", "ascii" or "udp".
-        peer: who asks.
-        statistics: where it is counted.
-        write: takes the answers to the bytes of one `receive` at once.
-        follow: called when `is_waiting` may have changed.
-        role: what the certificate of the peer says of it, if anything.
+        channel: of the client.
+        statistics: where requests are counted.
         at_once: how many bytes are searched for frames in one `receive`; of what is found
-            then `FOUND_AT_ONCE` is answered. None for all: nobody else waits.
+            then `FOUND_AT_ONCE` is answered. None for all, where no other client waits.
     """
-
-    takes_requests = True
 
     def __init__(
         self,
         framing: Framing,
-        peer: str,
+        channel: Channel,
         statistics: ServerStatistics,
-        write: Callable[[bytes], None],
-        follow: Callable[[], None] = lambda: None,
-        role: str | None = None,
         at_once: int | None = None,
     ) -> None:
         self._framer = make_framer(framing, "server")
-        self._peer = peer
-        self._role = role
+        self._channel = channel
+        self._trace = channel.trace
         self._statistics = statistics
-        self._write = write
-        self._follow = follow
         self._at_once = at_once
-        self._loop = asyncio.get_running_loop()
         self._timer: asyncio.TimerHandle | None = None
         self._unsearched = b""
-        self._is_quiet = False  # after that
-        self._is_heard = True  # whether the silence after the last bytes has been waited for
+        self._is_quiet = False  # True if silence followed the unsearched bytes
+        self._is_heard = True  # False until the silence after the latest bytes is waited for
         self._found: list[Frame | FrameError] = []
+        self._has_ended = False
 
     @property
-    def is_unfinished(self) -> bool:
-        # A line has noise on it, and silence ends what began.
-        return self._framer.quiet is None and self._framer.pending > 0
+    def state(self) -> SessionState:
+        if not self._has_ended:
+            if self._found or self._unsearched or self._is_quiet or not self._framer.in_step:
+                return SessionState.BEHIND
+            if self.is_held:
+                return SessionState.HELD
+            # A line has noise on it, and silence ends what began.
+            if self._framer.quiet is None and self._framer.pending:
+                return SessionState.UNFINISHED
+        return SessionState.OWING if self.is_owing else SessionState.READING
 
     @property
-    def is_behind(self) -> bool:
-        is_lost = not self._framer.in_step
-        return bool(self._found or self._unsearched or self._is_quiet or is_lost)
-
-    @property
-    def is_waiting(self) -> bool:
-        return self.is_behind
+    def is_held(self) -> bool:
+        """True while an answer is kept back, and those that follow with it."""
+        return False
 
     @property
     def is_owing(self) -> bool:
+        """True while an answer is still to come."""
         return False
 
     def receive(self, data: bytes) -> int:
@@ -88,29 +83,53 @@ class Framed(ABC):
             self._unsearched += data
             self._is_heard = False
             if self._at_once is not None and len(self._unsearched) > self._at_once:
-                self._follow()
+                self._channel.follow()
                 return 0
         if not self._found and self._framer.in_step:
             self._search()
         most = len(self._found) if self._at_once is None else FOUND_AT_ONCE
         now, self._found = self._found[:most], self._found[most:]
-        requests = self._take(now)
+        requests = self.take(now)
         if not (self._found or self._framer.in_step):
             self._unsearched = b""
             if not requests:  # else they count first
                 raise FrameError("stream out of step")
-        if self.is_behind:
-            self._follow()
+        if self.state is SessionState.BEHIND:
+            self._channel.follow()
         elif self._framer.quiet and self._framer.pending and not self._is_heard:
             self._is_heard = True
-            self._timer = self._loop.call_later(self._framer.quiet, self._silence)
+            loop = asyncio.get_running_loop()
+            self._timer = loop.call_later(self._framer.quiet, self._note_silence)
         return requests
 
-    def end(self) -> None:  # noqa: B027  # what is answered at once is answered
-        """Nothing more comes."""
+    def take(self, found: Iterable[Frame | FrameError]) -> int:
+        """Answer what was found, and return the number of requests."""
+        requests = 0
+        for each in found:
+            if isinstance(each, FrameError):
+                self.note_damage(each)
+            else:
+                requests += 1
+                self._statistics.requests += 1  # before the client can see an answer
+                self._take_one(each)
+        return requests
+
+    def end(self) -> None:
+        if self._has_ended:
+            return
+        self._has_ended = True
+        self._stop_timer()
+        self.tell_rest(self._unsearched)
+        self._unsearched, self._found = b"", []
 
     def close(self) -> None:
-        self._stop_timer()
+        self.end()
+
+    def note_damage(self, error: FrameError) -> None:
+        """Count bytes that are no frame."""
+        address = self._channel.address
+        logger.debug("%s: %s: %s", address, error, error.received.hex(" "))
+        self._statistics.bad_frames += 1
 
     def _search(self) -> None:
         if self._unsearched or not self._is_quiet:
@@ -120,48 +139,47 @@ class Framed(ABC):
         else:
             self._is_quiet = False
             self._found = self._framer.scan_silence()
+        self.tell_received(self._found)
+
+    def tell_received(self, found: Iterable[Frame | FrameError]) -> None:
+        """Report what was found to the trace."""
+        if self._trace is not None:
+            for each in found:
+                if isinstance(each, FrameError):
+                    self._trace.tell("received", each.received)
+                else:
+                    adu = self._framer.encode(each)
+                    self._trace.tell("received", adu, each.unit, each.pdu[0])
+
+    def tell_rest(self, unsearched: bytes) -> None:
+        """Report what was received and is not answered any more to the trace."""
+        if self._trace is not None:
+            if self._framer.in_step:
+                self.tell_received(self._framer.scan(unsearched))
+            if rest := self._framer.end():
+                self._trace.tell("received", rest)
 
     def _stop_timer(self) -> None:
         if self._timer is not None:
             self._timer.cancel()
 
-    def _silence(self) -> None:
-        """Whoever follows calls `receive` in its turn, and counts the requests."""
+    def _note_silence(self) -> None:
+        """Make the channel call `receive` in its turn, so that the requests are counted."""
         self._timer = None
         self._is_quiet = True
-        self._follow()
+        self._channel.follow()
 
-    def _take(self, found: list[Frame | FrameError]) -> int:
-        """Deal with what was found; give how many requests that were."""
-        adus = bytearray()
-        requests = 0
-        try:
-            for each in found:
-                if isinstance(each, FrameError):
-                    logger.debug("%s: %s: %s", self._peer, each, each.received.hex(" "))
-                    self._statistics.bad_frames += 1
-                    self._note_damage(overrun=each.overrun)
-                else:
-                    requests += 1
-                    self._take_one(each, adus)
-        finally:  # a hook may end the program: what it did before is answered
-            self._statistics.requests += requests
-            if adus:
-                self._write(bytes(adus))
-        return requests
-
-    def _take_one(self, request: Frame, adus: bytearray) -> None:
+    def _take_one(self, request: Frame) -> None:
         if (answer := self._answer(request)) is not None:
-            self._statistics.refused += answer.pdu[0] >> 7
-            adus += self._framer.encode(answer)
-        self._end_request()
+            self._send(answer)
+
+    def _send(self, answer: Frame) -> None:
+        self._statistics.refused += answer.pdu[0] >> 7
+        adu = self._framer.encode(answer)
+        if self._trace is not None:
+            self._trace.tell("sent", adu, answer.unit, answer.pdu[0])
+        self._channel.write(adu)
 
     @abstractmethod
     def _answer(self, request: Frame) -> Frame | None:
-        """Give the answer, if there is one now."""
-
-    def _note_damage(self, *, overrun: bool) -> None:  # noqa: B027  # not everybody counts them
-        """Bytes came that are no frame."""
-
-    def _end_request(self) -> None:  # noqa: B027  # few requests change the line
-        """A request was dealt with."""
+        """Return the answer, if there is one now."""

@@ -1,5 +1,5 @@
 """
-Who has been idle longest, of all connections or of those of one address.
+The order in which connections have been idle, of all or of one address.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Idle(Generic[Each]):
         self.strangers[each] = now
 
     def note_request(self, each: Each, now: float) -> None:
-        """It is the latest of all now."""
+        """Make it the latest of all."""
         self.remove(each)
         self.known[each] = now
 
@@ -48,12 +48,12 @@ class Idle(Generic[Each]):
         self.known.pop(each, None)
 
     def due(self, until: float) -> list[Each]:
-        """Give those that have been idle since then, or before."""
+        """Return those that have been idle since then, or before."""
         return [*due(self.strangers, until), *due(self.known, until)]
 
 
 def due(times: dict[Each, float], until: float) -> list[Each]:
-    """Give the first ones, for their times are in order."""
+    """Return the first ones up to a time; the times are in order."""
     found = []
     for each, time in times.items():
         if time > until:

@@ -1,5 +1,5 @@
 """
-What clients may cost a server, and what they did cost it.
+Limits of what clients may cost a server, and statistics of what they did.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ FULL_POLICIES = ("close-idle", "refuse")
 @dataclass(frozen=True)
 class Limits:
     """
-    What clients may cost a server. All but `allow` and `requests_per_second` are of TCP.
+    Limits of what clients may cost a server; all but `allow` and `requests_per_second` are of TCP.
 
     Args:
         max_connections: 1 or more, over all endpoints; None for what the process's
@@ -90,28 +90,28 @@ class Limits:
             _rate(self.requests_per_second)
 
     def allows(self, host: str) -> bool:
-        """Whether clients at this address are served."""
+        """Return True if clients at this address are served."""
         if not self._networks:
             return True
         address = ip_address(plain_host(host).partition("%")[0])
         return any(address in network for network in self._networks)
 
     def connections(self) -> int:
-        """How many connections there may be now."""
+        """Return the number of connections that are allowed now."""
         if self.max_connections is not None:
             return self.max_connections
         soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
         return max(1, soft - SPARE_DESCRIPTORS)
 
     def connections_of_address(self) -> int:
-        """How many of them one address may have now."""
+        """Return the number of connections that one address may have now."""
         if self.connections_per_address is not None:
             return self.connections_per_address
         return max(LEAST_OF_ADDRESS, self.connections() // 10)
 
 
 def plain_host(host: str) -> str:
-    """Give an address without the IPv6 around IPv4: it is the same client."""
+    """Return an IPv4 address in place of an IPv6 address that contains it: one client has both."""
     if not host.startswith("::ffff:"):
         return host
     return str(IPv6Address(host).ipv4_mapped or host)
@@ -138,7 +138,7 @@ def _rate(value: object) -> None:
 
 
 class Allowance:
-    """How many requests somebody may send: `rate` a second, and as many at once."""
+    """The number of requests that a client may send: `rate` a second, and as many at once."""
 
     __slots__ = ("_at", "_left", "_most", "_rate")
 
@@ -160,7 +160,7 @@ class Allowance:
 @dataclass(slots=True, weakref_slot=True)
 class ServerStatistics:
     """
-    What happened at all endpoints of a server since it was made.
+    Counters of all endpoints of a server since it was made.
 
     Attributes:
         connections: TCP connections that are open now.

@@ -22,12 +22,13 @@ from collections.abc import Callable
 from heapq import nsmallest
 from select import EPOLLIN, EPOLLOUT
 
+from ..ports.trace import Trace
 from ..protocol.errors import FrameError
 from .addresses import Address, Addresses
 from .forking import abandoned_in_children
 from .idle import Idle, due
 from .limits import SPARE_DESCRIPTORS, Limits, ServerStatistics
-from .service import ENDS, Session
+from .service import ENDS, Session, SessionState
 
 __all__ = ["MakePeerSession", "Peer", "Peers"]
 
@@ -53,6 +54,11 @@ ROOM_AT_MOST = 16_384
 # What is idle is known that exactly: to note it for each request would cost more
 # than to read the request.
 RESOLUTION = 0.05
+
+UNFINISHED = SessionState.UNFINISHED
+
+WAITING = (SessionState.BEHIND, SessionState.HELD)
+"""States in which a connection is not read."""
 
 MakePeerSession = Callable[["Peer"], Session]
 """Makes the session of a connection."""
@@ -182,7 +188,7 @@ class Peers:
     # --- reading and writing ----------------------------------------------------------------
 
     def watch(self, peer: Peer, descriptor: int, events: int) -> None:
-        """Tell a peer of these events from now on."""
+        """Report these events to a peer from now on."""
         if descriptor in self._by_descriptor:
             self._epoll.modify(descriptor, events)
         else:
@@ -194,17 +200,17 @@ class Peers:
         self._epoll.unregister(descriptor)
 
     def later(self, call: Callable[[], None]) -> None:
-        """Have it called when all have been read, before answers are sent."""
+        """Call a function when all have been read, before answers are sent."""
         self._calls.append(call)
 
     def send_soon(self, peer: Peer) -> None:
-        """Have it send when all have been read."""
+        """Make a peer send when all have been read."""
         if not self._sending and not self._in_turn:
             self.loop.call_soon(self._send)
         self._sending.append(peer)
 
     def catch_up_soon(self, peer: Peer) -> None:
-        """Have it act, in its turn, though nothing more is received."""
+        """Make a peer act in its turn, although nothing more was received."""
         self._behind.append(peer)
         if not self._in_turn:
             self._call_turn()
@@ -272,7 +278,7 @@ class Peers:
     # --- who is idle, who is late --------------------------------------------------------
 
     def note_request(self, peer: Peer) -> None:
-        """It is the latest of all now, and no frame is begun."""
+        """Make a peer the latest of all, with no frame begun."""
         self._deadlines.pop(peer, None)
         if self._now - self._known.get(peer, 0.0) > RESOLUTION:
             self._idle.note_request(peer, self._now)
@@ -315,6 +321,8 @@ def _latest_turn(ready: tuple[Peer, int]) -> int:
 
 class Peer:
     """One client. It is read only while it takes its answers and is not throttled."""
+
+    trace: Trace | None = None
 
     # fmt: off
     __slots__ = (
@@ -422,7 +430,7 @@ class Peer:
             return 0
         if requests:
             peers.note_request(self)
-        if self._is_closing or (session.is_unfinished and self._is_reading):
+        if self._is_closing or (self._is_reading and session.state is UNFINISHED):
             peers.set_deadline(self)
         elif not requests:
             peers.drop_deadline(self)
@@ -491,7 +499,9 @@ class Peer:
         return True
 
     def _close_if_done(self) -> None:
-        if self._descriptor >= 0 and not (self._unsent or self._session.is_owing):
+        if self._descriptor < 0 or self._unsent:
+            return
+        if self._session.state is not SessionState.OWING:
             self.close()
 
     # --- reading or not -------------------------------------------------------------------
@@ -504,18 +514,18 @@ class Peer:
         """Read, or do not read, as things are now."""
         if self._descriptor < 0:
             return
-        is_held, session = self._is_held, self._session
-        if session.is_behind and not (is_held or self._is_behind):
+        is_held, state = self._is_held, self._session.state
+        if state is SessionState.BEHIND and not (is_held or self._is_behind):
             self._is_behind = True
             self._peers.catch_up_soon(self)
-        read = not (is_held or session.is_waiting)
+        read = not (is_held or state in WAITING)
         if read != self._is_reading:
             self._is_reading = read
             self._watch()
             # The time of a frame is not running while nobody reads it.
             if not read:
                 self._peers.drop_deadline(self)
-            elif session.is_unfinished:
+            elif state is UNFINISHED:
                 self._peers.set_deadline(self)
 
     def _watch(self) -> None:
@@ -524,7 +534,7 @@ class Peer:
 
 
 class LimitedPeer(Peer):
-    """One whose address may not ask as much as it likes."""
+    """A client whose address has a limit of requests."""
 
     __slots__ = ()
 
@@ -542,7 +552,7 @@ class LimitedPeer(Peer):
 
     def _may_ask(self, events: int) -> bool:
         """Not in a handshake, nor to say goodbye."""
-        if self._descriptor < 0 or not self._session.takes_requests:
+        if self._descriptor < 0 or self._session.state is SessionState.HANDSHAKE:
             return False
         with contextlib.suppress(OSError):
             return not events or self._socket.recv(1, socket.MSG_PEEK) != b""

@@ -11,10 +11,11 @@ from collections.abc import Callable
 
 from ..ports.endpoint import Endpoint
 from ..ports.serial import SerialPort
+from ..ports.trace import Trace
 from ..protocol.errors import ModbusConnectionError
 from .forking import abandoned_in_children
 from .limits import ServerStatistics
-from .service import ENDS, Service
+from .service import ENDS, Service, SessionState
 
 __all__ = ["SerialServer"]
 
@@ -33,7 +34,7 @@ class SerialServer:
         end: closes all endpoints of the server, when a hook ends the program; None for this one.
 
     Attributes:
-        address, role: for its session, of which it is the link.
+        address, role, trace: for its session, whose channel it is.
 
     Raises:
         TypeError, ValueError: an option of the endpoint is wrong.
@@ -52,6 +53,7 @@ class SerialServer:
         self._make_session = service.sessions(endpoint, statistics)
         self.address: str = endpoint.device
         self.role: str | None = None
+        self.trace: Trace | None = None
         self._end = end or self.close
         self._loop = asyncio.get_running_loop()
         self._retry: asyncio.TimerHandle | None = None
@@ -60,7 +62,7 @@ class SerialServer:
         abandoned_in_children(self)
 
     async def open(self) -> Endpoint:
-        """Give the endpoint as it is."""
+        """Open the port, and return its endpoint."""
         self._open()
         return self._endpoint
 
@@ -106,7 +108,7 @@ class SerialServer:
 
     def follow(self) -> None:
         """Silence has completed a frame; or there is an answer that a fault keeps back."""
-        if self._session.is_behind:
+        if self._session.state is SessionState.BEHIND:
             self._receive()
 
     def hang_up(self) -> bool:

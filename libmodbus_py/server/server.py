@@ -86,7 +86,7 @@ class Server(Serving):
         faults: Mapping[int | None, Iterable[Fault]] | None = None,
     ) -> None:
         """
-        Have other devices and faults, from any thread, also while it serves.
+        Replace devices and faults, from any thread, also while it serves.
 
         Connections stay. In the server's own loop this holds from the next request on; from
         elsewhere it does as soon as the requests are answered that were read already. Answers

@@ -1,77 +1,84 @@
 """
-What an endpoint needs to know of who answers: sessions, and what makes them.
+The interface between endpoints and what answers: sessions, and services that make them.
 """
 
 from __future__ import annotations
 
+import enum
 from collections.abc import Callable
 from typing import Protocol
 
 from ..ports.endpoint import Endpoint
+from ..ports.trace import Trace
 from .limits import ServerStatistics
 
-__all__ = ["ENDS", "Later", "Link", "MakeSession", "Service", "Session"]
+__all__ = ["ENDS", "Channel", "Later", "MakeSession", "Service", "Session", "SessionState"]
 
-# What a hook raises to end the program; whatever else is an answer, or our mistake.
+# What a hook raises to end the program; any other exception is an answer, or a mistake of ours.
 ENDS = (SystemExit, KeyboardInterrupt)
 
 
-class Link(Protocol):
+class Channel(Protocol):
     """
-    The connection that a session belongs to.
+    The connection, datagram or port that a session belongs to.
 
     Attributes:
-        address: who asks: "192.0.2.7:51234", or the serial port.
-        role: what the certificate of the peer says of it, if anything.
+        address: of the client: "192.0.2.7:51234", or the serial port.
+        role: the role in the client's certificate, if any.
+        trace: is told of every ADU; None if nobody wants to see them.
     """
 
     address: str
     role: str | None
 
+    @property
+    def trace(self) -> Trace | None: ...
+
     def write(self, data: bytes) -> None:
         """Send answers, in the order of the calls."""
 
     def follow(self) -> None:
-        """Look again whether the session is behind, or waiting."""
+        """Look again at the state of the session, which may have changed."""
 
     def hang_up(self) -> bool:
         """Close the connection when what was written is sent; False if there is none."""
         ...
 
 
+class SessionState(enum.Enum):
+    """
+    The state of a session; of several that apply, the first in this order.
+
+    Attributes:
+        HANDSHAKE: received bytes that are no requests yet.
+        BEHIND: a call of `receive(b"")`, because not all that was received has been looked at.
+        HELD: the time at which a delayed answer is sent; until then nothing should be received.
+        UNFINISHED: the rest of a frame that only its last byte can end.
+        OWING: an answer that it will write to what was received; meanwhile more may be received.
+        READING: requests.
+    """
+
+    HANDSHAKE = "handshake"
+    BEHIND = "behind"
+    HELD = "held"
+    UNFINISHED = "unfinished"
+    OWING = "owing"
+    READING = "reading"
+
+
 class Session(Protocol):
-    """What one connection or one port received, and the answers to it."""
+    """Answers the bytes that one connection, datagram or port receives."""
 
     @property
-    def takes_requests(self) -> bool:
-        """Whether what comes is requests, and no handshake."""
-        ...
-
-    @property
-    def is_unfinished(self) -> bool:
-        """Whether a frame has begun whose end nothing but its last byte can tell."""
-        ...
-
-    @property
-    def is_behind(self) -> bool:
-        """Whether something was received that is still to be looked at: by `receive(b"")`."""
-        ...
-
-    @property
-    def is_waiting(self) -> bool:
-        """Whether the next bytes can wait, for it is behind, or an answer is kept back."""
-        ...
-
-    @property
-    def is_owing(self) -> bool:
-        """Whether it will write an answer to what it has received, but not now."""
+    def state(self) -> SessionState:
+        """The present state; after `end`, OWING or READING."""
         ...
 
     def receive(self, data: bytes) -> int:
         """
-        Take received bytes, write the answers, give how many requests there were.
+        Take received bytes, write the answers, and return the number of requests.
 
-        While it is behind none come; a call without bytes goes on where the last one stopped.
+        While it is BEHIND or HELD it is given none; b"" makes it go on where it stopped.
 
         Raises:
             FrameError: the stream must be closed; there were no requests this time.
@@ -79,28 +86,29 @@ class Session(Protocol):
         ...
 
     def end(self) -> None:
-        """Nothing more comes; who asked may be gone, or still listen."""
+        """Nothing more is received, and what was not looked at is dropped."""
 
-    def close(self) -> None: ...
+    def close(self) -> None:
+        """Forget everything, answers that are kept back included."""
 
 
-MakeSession = Callable[[Link], Session]
+MakeSession = Callable[[Channel], Session]
 
 Later = Callable[[Callable[[], None]], None]
-"""Has a function called when all connections have been read, before answers are sent."""
+"""Calls a function when all connections have been read, before answers are sent."""
 
 
 class Service(Protocol):
-    """Who answers at the endpoints of a server."""
+    """Makes the sessions that answer at the endpoints of a server."""
 
     def sessions(
         self, endpoint: Endpoint, statistics: ServerStatistics, later: Later | None = None
     ) -> MakeSession:
         """
-        Give what makes the session of each connection, datagram or port of an endpoint.
+        Return a function that makes the session of each connection, datagram or port.
 
         Args:
-            statistics: where it is counted.
+            statistics: where requests are counted.
             later: of an endpoint whose connections are read together; else None.
         """
         ...

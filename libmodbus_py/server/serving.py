@@ -1,5 +1,5 @@
 """
-What serves: endpoints from URLs, in a loop, in a thread, or for ever.
+Serving: endpoints from URLs, in a loop, in a thread, or for ever.
 
 Who answers there is said by who derives from `Serving`.
 """
@@ -180,7 +180,7 @@ class Serving(ABC):
 
     def tracing(self, callback: OnTraced) -> AbstractContextManager[None]:
         """
-        Tell another one of every ADU, as `trace` is told, while the ``with`` block runs.
+        Call another function with every ADU, as `trace`, while the ``with`` block runs.
 
         It sees connections that are made meanwhile, and those before only if somebody traced
         them already.
@@ -195,7 +195,7 @@ class Serving(ABC):
 
     @abstractmethod
     def _answering(self, endpoints: list[Endpoint]) -> AbstractAsyncContextManager[Service]:
-        """Give who answers at these endpoints, while it is entered."""
+        """Return a context manager with the service that answers at these endpoints."""
 
     def _make(
         self,

@@ -1,5 +1,5 @@
 """
-Whose datagrams are answered: anybody can write any source on them.
+Sources of datagrams that are answered: any source can be forged.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ USUAL_RATE = 1000.0
 
 class Sources:
     """
-    Those who ask, at all UDP endpoints of a server.
+    The clients at all UDP endpoints of a server.
 
     Attributes:
         ports: where the server itself listens; what comes from there was never a client's.
@@ -43,7 +43,7 @@ class Sources:
         self._returns: OrderedDict[int, Allowance] = OrderedDict()
 
     def admit(self, datagram: bytes, source: tuple[str, int]) -> bool:
-        """Whether it is to be answered; if not, it is counted."""
+        """Return True if a datagram is to be answered; if not, it is counted."""
         host, port = source[:2]
         if not self._limits.allows(host):
             self._statistics.disallowed += 1

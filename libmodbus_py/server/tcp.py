@@ -56,7 +56,7 @@ class TcpServer:
         abandoned_in_children(self)
 
     async def open(self) -> Endpoint:
-        """Give the endpoint with the port it got."""
+        """Open the sockets, and return the endpoint with its port."""
         self._listeners, endpoint = await bound(self._endpoint, socket.SOCK_STREAM, _listener)
         make = self._service.sessions(endpoint, self._peers.statistics, self._peers.later)
         self._make_session = self._secured(make)

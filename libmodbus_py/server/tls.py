@@ -12,13 +12,14 @@ import logging
 import ssl
 from typing import Protocol
 
+from ..ports.trace import Trace
 from ..protocol.errors import FrameError
 from ..security.describing import describe
 from ..security.role import mentions_role, role_of
 from ..security.security import Security
 from ..security.tunnel import Records, Tunnel
 from .limits import ServerStatistics
-from .service import Link, MakeSession, Session
+from .service import Channel, MakeSession, Session, SessionState
 
 __all__ = ["Handshakes", "TlsSession"]
 
@@ -31,8 +32,11 @@ HALF_OPEN = 1000
 # How much of what one record carries is answered in a turn.
 READ_SIZE = 1024
 
+WAITING = (SessionState.BEHIND, SessionState.HELD)
+"""States in which the session inside takes nothing."""
 
-class Wire(Link, Protocol):
+
+class Wire(Channel, Protocol):
     """A connection of its own."""
 
     def end(self) -> None:
@@ -67,12 +71,12 @@ class Handshakes:
         return self.security.to_client()
 
     def end(self, session: TlsSession) -> None:
-        """It is over, well or not. Any number of times."""
+        """Remove a handshake that succeeded or failed. Any number of times."""
         self._half_open.pop(session, None)
         self._line.pop(session, None)
 
     def line_up(self, session: TlsSession) -> None:
-        """Have it take a step when its turn comes, whether or not it may ask then."""
+        """Let a session take a step when its turn comes."""
         self._line[session] = None
         session.follow()
         if self._next_step is None:
@@ -93,7 +97,7 @@ class Handshakes:
 
 class TlsSession:
     """
-    What one connection received, taken out of TLS for the session inside.
+    A session within TLS: decrypts for the session inside, and encrypts its answers.
 
     Args:
         wire: the connection.
@@ -103,6 +107,8 @@ class TlsSession:
     Attributes:
         address, role: who asks, for the session inside.
     """
+
+    trace: Trace | None = None
 
     # fmt: off
     __slots__ = (
@@ -126,32 +132,18 @@ class TlsSession:
     # --- the session of the connection --------------------------------------------------------
 
     @property
-    def takes_requests(self) -> bool:
-        return self._inner is not None
-
-    @property
-    def is_unfinished(self) -> bool:
-        # The handshake has a time of its own.
-        inner = self._inner
-        return inner is not None and (self._records.is_midway or inner.is_unfinished)
-
-    @property
-    def is_behind(self) -> bool:
+    def state(self) -> SessionState:
         inner = self._inner
         if inner is None:
-            return False
-        return inner.is_behind or (self._has_more and not inner.is_waiting)
-
-    @property
-    def is_waiting(self) -> bool:
-        inner = self._inner
-        if inner is None:
-            return self._handshakes.is_lined_up(self)
-        return self._has_more or inner.is_waiting
-
-    @property
-    def is_owing(self) -> bool:
-        return self._inner is not None and self._inner.is_owing
+            # The handshake has a time of its own.
+            is_lined_up = self._handshakes.is_lined_up(self)
+            return SessionState.HELD if is_lined_up else SessionState.HANDSHAKE
+        state = inner.state
+        if state in (SessionState.BEHIND, SessionState.HELD):
+            return state
+        if self._has_more:
+            return SessionState.BEHIND
+        return SessionState.UNFINISHED if self._records.is_midway else state
 
     def receive(self, data: bytes) -> int:
         tunnel, inner = self._tunnel, self._inner
@@ -162,13 +154,15 @@ class TlsSession:
             tunnel.feed(data)
             is_one = self._records.follow(data)
         if inner is not None:
-            if not data and inner.is_behind:
+            if not data and inner.state is SessionState.BEHIND:
                 return inner.receive(b"")
             return self._take(tunnel, inner, is_one=is_one)
         self._handshakes.line_up(self)
         return 0
 
     def end(self) -> None:
+        self._has_more = False
+        self._records = Records()
         if self._inner is not None:
             self._inner.end()
 
@@ -217,7 +211,7 @@ class TlsSession:
             self._open(tunnel)
 
     def _check(self, tunnel: Tunnel) -> str | None:
-        """Say what is wrong with a certificate that OpenSSL found good, and take its role."""
+        """Take the role of an accepted certificate; return why it is refused, or None."""
         security, certificate = self._handshakes.security, tunnel.certificate
         if not security.accepts(certificate):
             return "the certificate is none of the pins"
@@ -263,7 +257,7 @@ class TlsSession:
 
     def _take(self, tunnel: Tunnel, inner: Session, *, is_one: bool) -> int:
         """
-        Have the session inside receive a slice of what came.
+        Pass a slice of what was received to the session inside.
 
         Args:
             is_one: whether that is one record, in which case nothing is behind it.
@@ -276,7 +270,7 @@ class TlsSession:
                 if is_one or not tunnel.has_more:
                     return requests
                 left -= len(data)
-                if left <= 0 or inner.is_waiting:
+                if left <= 0 or inner.state in WAITING:
                     self._has_more = True
                     self._wire.follow()
                     return requests

@@ -10,11 +10,12 @@ import socket
 from collections.abc import Callable
 
 from ..ports.endpoint import Endpoint
-from ..protocol.framing import Framing
+from ..ports.trace import Trace
+from ..protocol.framing import Framing, pdu_of
 from .forking import abandoned_in_children
 from .limits import ServerStatistics
 from .listening import bound
-from .service import ENDS, Service, Session
+from .service import ENDS, Service, Session, SessionState
 from .sources import Sources
 
 __all__ = ["UdpServer"]
@@ -23,9 +24,6 @@ __all__ = ["UdpServer"]
 READ_SIZE = 512
 
 ANSWERED_AT_ONCE = 16
-
-# Framing -> where the PDU of a datagram is.
-PDUS: dict[Framing, slice] = {"udp": slice(7, None), "rtu": slice(1, -2)}
 
 # How many answers may be kept back; what comes meanwhile is lost.
 WAITING_MAX = 1024
@@ -56,7 +54,6 @@ class UdpServer:
         self._service = service
         self._statistics = statistics
         self._sources = sources
-        self._pdu = PDUS[endpoint.framing]
         self._end = end
         self._loop = asyncio.get_running_loop()
         self._sockets: list[socket.socket] = []
@@ -65,7 +62,7 @@ class UdpServer:
         abandoned_in_children(self)
 
     async def open(self) -> Endpoint:
-        """Give the endpoint with the port it got."""
+        """Open the sockets, and return the endpoint with its port."""
         self._sockets, endpoint = await bound(self._endpoint, socket.SOCK_DGRAM, _bound)
         self._make_session = self._service.sessions(endpoint, self._statistics)
         self._sources.ports.add(endpoint.port)
@@ -101,23 +98,25 @@ class UdpServer:
                     raise
 
     def _answer(self, data: bytes, local: socket.socket, address: tuple[str, int]) -> None:
-        link = _Datagram(self._sources, self._pdu, self._waiting, local, address)
-        session = link.session = self._make_session(link)
+        framing = self._endpoint.framing
+        channel = _Datagram(self._sources, framing, self._waiting, local, address)
+        session = channel.session = self._make_session(channel)
         session.receive(data)
-        if not (session.is_waiting or session.is_owing):
+        if session.state is SessionState.READING:
             session.close()  # the rest of a frame does not come in another datagram
-        link.follow()
+        channel.follow()
 
 
 class _Datagram:
-    """The link of one datagram."""
+    """The channel of one datagram."""
 
     role: str | None = None
+    trace: Trace | None = None
 
     def __init__(
         self,
         sources: Sources,
-        pdu: slice,
+        framing: Framing,
         waiting: set[Session],
         local: socket.socket,
         source: tuple[str, int],
@@ -125,23 +124,25 @@ class _Datagram:
         self.address = f"{source[0]}:{source[1]}"
         self.session: Session | None = None
         self._sources = sources
-        self._pdu = pdu
+        self._framing = framing
         self._waiting = waiting
         self._local = local
         self._source = source
 
     def follow(self) -> None:
         session = self.session
-        if session is not None and (session.is_waiting or session.is_owing):
-            self._waiting.add(session)
-        elif session is not None:
+        if session is None:
+            return
+        if session.state is SessionState.READING:
             self._waiting.discard(session)
+        else:
+            self._waiting.add(session)
 
     def hang_up(self) -> bool:
         return False
 
     def write(self, data: bytes) -> None:
-        self._sources.note_answer(data, data[self._pdu], self._source)
+        self._sources.note_answer(data, pdu_of(self._framing, data), self._source)
         # An answer that does not get away is one that got lost on the way.
         with contextlib.suppress(OSError):
             self._local.sendto(data, self._source)

@@ -96,7 +96,7 @@ class TcpUnits:
         self.change(units)
 
     def change(self, units: Units) -> None:
-        """Have others answer from the next request on."""
+        """Replace the units from the next request on."""
         self.faults: Faults | None = units.faults
         own = {} if units.own is None else dict.fromkeys(SERVER_ITSELF, units.own)
         self._units: dict[int, Device] = {**own, **units.devices}
@@ -109,21 +109,21 @@ class TcpUnits:
             self._leave_out(self.faults)
 
     def _leave_out(self, faults: Faults) -> None:
-        """Those that faults happen to: None, so that none answers for all of them either."""
+        """Set units with faults to None, so that the device for all does not answer them either."""
         for unit in range(0x100):
             if faults.concern(unit):
                 self._without_faults[unit] = None
 
     def device(self, unit: int) -> Device | None:
-        """Who answers a unit, if somebody does."""
+        """Return the device of a unit, if there is one."""
         return self._units.get(unit, self._any)
 
     def without_faults(self, unit: int) -> Device | None:
-        """Who answers a unit, if nothing can happen to the answers."""
+        """Return the device of a unit, if its answers have no faults."""
         return self._without_faults.get(unit, self._any_without_faults)
 
     def answers(self, frame: Frame) -> bool:
-        """Whether a request is answered."""
+        """Return True if a request is answered."""
         is_known = self._refuses or self.device(frame.unit) is not None
         return is_known and not frame.pdu[0] & 0x80
 
@@ -136,9 +136,9 @@ class TcpUnits:
 
     def answer(self, frame: Frame, peer: str, role: str | None = None) -> Frame | None:
         unit, pdu, transaction = frame
-        device = self.device(unit)
+        device = self._units.get(unit, self._any)
         if device is not None:
-            caller = Caller(unit, peer, role=role, on_unauthorized=self._on_unauthorized)
+            caller = Caller(unit, peer, None, False, role, self._on_unauthorized)
             response = device.answer(pdu, caller)
         elif pdu[0] & 0x80 or not self._refuses:
             return None
@@ -151,14 +151,14 @@ class TcpUnits:
 
 
 class SerialLine:
-    """What all connections of a serial line share: who is on it."""
+    """The stations of a serial line, which all its connections share."""
 
     def __init__(self, units: Units) -> None:
         self.stations: dict[int, Station] = {}
         self.change(units)
 
     def change(self, units: Units) -> None:
-        """Have others answer from the next request on; who was there keeps notes of the line."""
+        """Replace the units from the next request on; notes about the line stay with their unit."""
         self.faults: Faults | None = units.faults
         self.answers_all: bool = units.any is not None
         self.on_unauthorized: Callable[[], object] = units.on_unauthorized
@@ -181,12 +181,12 @@ class SerialUnits:
         self.delimiter: int | None = LINE_FEED
 
     def change(self, units: Units) -> None:
-        """Have others answer from the next request on, on all connections."""
+        """Replace the units from the next request on, on all connections."""
         self._line.change(units)
 
     def of_connection(self) -> SerialUnits:
         """
-        Give the units as one connection has them: with counters and events of the line, but
+        Return the units as one connection has them: with counters and events of the line, but
         nobody else is silenced, or has to find another delimiter, because it wants that.
         """
         made = copy(self)
@@ -198,7 +198,7 @@ class SerialUnits:
         return self._line.faults
 
     def answers(self, frame: Frame) -> bool:
-        """Whether a request is answered, by somebody here."""
+        """Return True if a request is answered by a device of this server."""
         station = self._station(frame.unit)
         if station is None or frame.unit == 0:
             return False

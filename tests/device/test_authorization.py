@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from fuzz.checks import REQUEST_OBJECTS, examples
 from libmodbus_py import Access, Device, IllegalDataAddress, Mapping, ServerDeviceBusy, pdu
-from libmodbus_py.device.authorization import MOST_LINES, Guard, UnauthorizedError
+from libmodbus_py.device.authorization import MOST_LINES, Authorization, UnauthorizedError
 from libmodbus_py.device.event_log import EventLog
 from libmodbus_py.serve import Asked, Caller
 from tests.support.cases import each_case
@@ -357,14 +357,14 @@ class Clock:
         return self.now
 
 
-def refuse(guard: Guard, peer: str, role: str | None = "Viewer") -> None:
+def refuse(guard: Authorization, peer: str, role: str | None = "Viewer") -> None:
     access = Access("holding_registers", 100, 10)
     with pytest.raises(UnauthorizedError):
         guard.check(Asked(role, 17, peer, 16, None, (access,)))
 
 
 def test_the_log_says_who_and_what(caplog: pytest.LogCaptureFixture) -> None:
-    guard = Guard(lambda asked: False)
+    guard = Authorization(lambda asked: False)
     refuse(guard, "192.0.2.7:51234")
     refuse(guard, "[2001:db8::1]:1", None)
     refuse(guard, "/dev/ttyUSB0", None)
@@ -381,7 +381,7 @@ def test_the_log_says_who_and_what(caplog: pytest.LogCaptureFixture) -> None:
 
 def test_a_client_cannot_fill_the_log(caplog: pytest.LogCaptureFixture) -> None:
     clock = Clock()
-    guard = Guard(lambda asked: False, clock=clock)
+    guard = Authorization(lambda asked: False, clock=clock)
     for port in range(1000):
         refuse(guard, f"192.0.2.7:{port}")
     assert len(caplog.records) == 1
@@ -395,7 +395,7 @@ def test_a_client_cannot_fill_the_log(caplog: pytest.LogCaptureFixture) -> None:
 
 def test_many_clients_cannot_either(caplog: pytest.LogCaptureFixture) -> None:
     clock = Clock()
-    guard = Guard(lambda asked: False, clock=clock)
+    guard = Authorization(lambda asked: False, clock=clock)
     for minute in range(3):
         for host in range(1000):
             refuse(guard, f"[2001:db8::{host:x}]:1", f"role {minute}")
@@ -404,5 +404,5 @@ def test_many_clients_cannot_either(caplog: pytest.LogCaptureFixture) -> None:
 
 
 def test_a_role_is_one_line_in_the_log(caplog: pytest.LogCaptureFixture) -> None:
-    refuse(Guard(lambda asked: False), "here", "a\nERROR b\u202e")
+    refuse(Authorization(lambda asked: False), "here", "a\nERROR b\u202e")
     assert caplog.records[0].message.isprintable()

@@ -16,12 +16,15 @@ from hypothesis import strategies as st
 
 from libmodbus_py import Access, Device, Hook, IllegalDataAddress, Mapping, pdu
 from libmodbus_py.protocol.errors import FrameError
+from libmodbus_py.protocol.framing import Frame, cut, is_one_frame, split
 from libmodbus_py.server.by_chunk import ByChunk, Singles
 from libmodbus_py.server.by_frame import ByFrame
 from libmodbus_py.server.faults.due import Faults
 from libmodbus_py.server.limits import ServerStatistics
+from libmodbus_py.server.service import SessionState
 from libmodbus_py.server.units import TcpUnits, Units
 from tests.support.cases import each_case
+from tests.support.channels import FakeChannel
 from tests.support.vectors import REQUESTS, FrameVector, rows
 
 REPLIED = (1, 2, 3, 4, 5, 6, 15, 16, 22, 23)
@@ -60,12 +63,13 @@ class End:
         self.is_open = True
         self.calls: list[Callable[[], None]] = []
         units = TcpUnits(Units(devices, Faults({}), unknown))
+        channel: Any = FakeChannel(self.write)
         if kind == "chunk":
             # Here every turn has one connection, which may be alone.
             singles = Singles(units, self.statistics, self.calls.append)
-            self.session: Any = ByChunk(units, "peer", self.statistics, singles, self.write)
+            self.session: Any = ByChunk(units, channel, self.statistics, singles)
         else:
-            self.session = ByFrame(units, "tcp", "peer", self.statistics, self.write)
+            self.session = ByFrame(units, "tcp", channel, self.statistics)
 
     def write(self, data: bytes) -> None:
         self.sent += data
@@ -80,7 +84,7 @@ class End:
         if self.is_open and data:
             try:
                 self.session.receive(data)
-                while self.session.is_behind:
+                while self.session.state is SessionState.BEHIND:
                     self.session.receive(b"")
             except FrameError:
                 self.is_open = False
@@ -755,3 +759,35 @@ def test_handlers_of_tables_are_asked() -> None:
     end = End({1: made_device(handlers=handlers)}, "chunk")
     end.receive(adu(b"\x03\x12\x34\0\x02", 5))
     assert end.sent == adu(b"\x03\x04\x12\x34\x12\x34", 5)
+
+
+# --- headers -----------------------------------------------------------------------------------
+
+
+@each_case("length", [*range(10), *range(250, 260), 0x1FE, 0xFFFF])
+@each_case("protocol", [0, 1, 0xFF00])
+def test_c_and_python_agree_on_headers(protocol: int, length: int) -> None:
+    """What C answers is a frame for Python; what it leaves though it is one, it has not whole."""
+    request = bytes.fromhex("03 0007 0001")
+    data = struct.pack(">HHHB", 1, protocol, length, 1) + request.ljust(300, b"\0")
+    device = made_device()
+    end, *_ = device.answer_chunk(data, 0, 1)
+    found: list[Any] = []
+    try:
+        cut_at = cut(data, 0, found, 1)
+    except FrameError:
+        cut_at = 0
+    is_frame = bool(found) and isinstance(found[0], Frame)
+    is_whole = 6 + length <= len(data)
+    assert (end > 0) is (is_frame and is_whole)
+    assert end in (0, cut_at)
+    assert is_one_frame(data[: 6 + length]) is (is_frame and is_whole)
+
+
+@given(st.lists(bodies(), min_size=1, max_size=5))
+def test_a_chunk_is_split_as_it_is_cut(asked: list[bytes]) -> None:
+    frames = [adu(body, number) for number, body in enumerate(asked)]
+    assert list(split(b"".join(frames))) == frames
+    found: list[Any] = []
+    assert cut(b"".join(frames), 0, found, 99) == len(b"".join(frames))
+    assert [each.pdu for each in found] == asked

@@ -34,7 +34,7 @@ from libmodbus_py import (
 )
 from libmodbus_py.protocol.framing import AsciiFramer, Frame, Framer, RtuFramer, TcpFramer
 from libmodbus_py.server.by_frame import ByFrame
-from libmodbus_py.server.faults.delivery import MAX_WAITING, Delivery, Piece, pieces
+from libmodbus_py.server.faults.delivery import MAX_WAITING, Delivery, Fragment, fragments
 from libmodbus_py.server.faults.due import Faults
 from libmodbus_py.server.faults.fault import KINDS, Fault
 from libmodbus_py.server.limits import ServerStatistics
@@ -42,6 +42,7 @@ from libmodbus_py.server.units import TcpUnits, Units
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.simulation.stage import Stage, Talker
 from tests.support.certificates import Papers, secured
+from tests.support.channels import FakeChannel
 
 FOREVER = 600.0  # longer than any test may last
 
@@ -222,7 +223,7 @@ BYTES: list[tuple[Fault, Framer, list[tuple[float, str]]]] = [
 def test_bytes_of_each_fault(
     fault: Fault, framer: Framer, expected: list[tuple[float, str]]
 ) -> None:
-    sent = [(piece.wait, piece.data.hex()) for piece in pieces(fault, ANSWER, framer)]
+    sent = [(each.wait, each.data.hex()) for each in fragments(fault, ANSWER, framer)]
     assert sent == expected
 
 
@@ -321,13 +322,13 @@ def test_random_bytes_are_the_same_with_a_seed() -> None:
 
 @pytest.mark.parametrize(("unit", "other"), [(0, 1), (1, 2), (246, 247), (247, 1), (255, 9)])
 def test_another_unit_is_one_that_a_line_can_have(unit: int, other: int) -> None:
-    (piece,) = pieces(Fault("wrong_unit"), ANSWER._replace(unit=unit), TcpFramer())
-    assert piece.data[6] == other
+    (fragment,) = fragments(Fault("wrong_unit"), ANSWER._replace(unit=unit), TcpFramer())
+    assert fragment.data[6] == other
 
 
 def test_the_transaction_before_0_is_65535() -> None:
-    (piece,) = pieces(Fault("wrong_transaction"), ANSWER._replace(transaction=0), TcpFramer())
-    assert piece.data[:2] == b"\xff\xff"
+    (fragment,) = fragments(Fault("wrong_transaction"), ANSWER._replace(transaction=0), TcpFramer())
+    assert fragment.data[:2] == b"\xff\xff"
 
 
 # --- what others see -------------------------------------------------------------------------
@@ -428,14 +429,14 @@ def test_answers_that_nobody_waits_for_are_lost(stage: Stage) -> None:
     written: list[bytes] = []
 
     async def deliver() -> None:
-        delivery = Delivery(written.append, lambda: None)
-        delivery.send([Piece(10, b"first")])
+        delivery = Delivery(FakeChannel(written.append))
+        delivery.send([Fragment(10, b"first")])
         for _ in range(3):
-            delivery.send([Piece(0, bytes(MAX_WAITING // 2))])
-        delivery.send([Piece(0, b"lost")])
+            delivery.send([Fragment(0, bytes(MAX_WAITING // 2))])
+        delivery.send([Fragment(0, b"lost")])
         await asyncio.sleep(50)
         assert not delivery.is_waiting
-        delivery.send([Piece(0, b"last")])
+        delivery.send([Fragment(0, b"last")])
 
     stage.wait(deliver())
     assert [data for data in written if len(data) < 10] == [b"first", b"last"]
@@ -446,11 +447,11 @@ def test_delivery_tells_when_it_waits(stage: Stage) -> None:
     told: list[bool] = []
 
     async def deliver() -> None:
-        delivery = Delivery(lambda data: None, lambda: told.append(delivery.is_waiting))
-        delivery.send([Piece(0, b"1")])
+        delivery = Delivery(FakeChannel(follow=lambda: told.append(delivery.is_waiting)))
+        delivery.send([Fragment(0, b"1")])
         assert told == []
-        delivery.send([Piece(10, b"2"), Piece(10, b"3")])
-        delivery.send([Piece(0, b"4")])
+        delivery.send([Fragment(10, b"2"), Fragment(10, b"3")])
+        delivery.send([Fragment(0, b"4")])
         await asyncio.sleep(50)
 
     stage.wait(deliver())
@@ -461,9 +462,9 @@ def test_each_wait_begins_when_what_is_before_is_sent(stage: Stage) -> None:
     written: list[bytes] = []
 
     async def deliver() -> None:
-        delivery = Delivery(written.append, lambda: None)
-        delivery.send([Piece(10, b"1")])
-        delivery.send([Piece(FOREVER, b"2")])
+        delivery = Delivery(FakeChannel(written.append))
+        delivery.send([Fragment(10, b"1")])
+        delivery.send([Fragment(FOREVER, b"2")])
         await asyncio.sleep(50)
         delivery.close()
 
@@ -476,7 +477,7 @@ def test_a_session_that_is_closed_sends_nothing_more(stage: Stage) -> None:
     units = Units(made_device(), Faults({None: [Fault("delay", seconds=10)]}))
 
     async def ask() -> None:
-        session = ByFrame(TcpUnits(units), "tcp", "", ServerStatistics(), written.append)
+        session = ByFrame(TcpUnits(units), "tcp", FakeChannel(written.append), ServerStatistics())
         session.receive(adu(READ))
         session.close()
         await asyncio.sleep(50)
@@ -489,8 +490,8 @@ def test_nothing_is_sent_after_close(stage: Stage) -> None:
     written: list[bytes] = []
 
     async def deliver() -> None:
-        delivery = Delivery(written.append, lambda: None)
-        delivery.send([Piece(0, b"1"), Piece(10, b"2")])
+        delivery = Delivery(FakeChannel(written.append))
+        delivery.send([Fragment(0, b"1"), Fragment(10, b"2")])
         delivery.close()
         await asyncio.sleep(50)
 

@@ -164,9 +164,7 @@ def test_ipv4_within_ipv6_is_the_same_address() -> None:
                 peers.admit(
                     theirs,
                     (host, 1),
-                    lambda peer: ByFrame(
-                        TcpUnits(device), "tcp", peer.address, statistics, peer.write
-                    ),
+                    lambda peer: ByFrame(TcpUnits(device), "tcp", peer, statistics),
                 )
             return statistics.refused_address
 

@@ -105,7 +105,7 @@ def test_who_only_listens_any_more_gets_all_answers(device: Device) -> None:
         peers.admit(
             end,
             ("peer", 1),
-            lambda peer: ByChunk(units, peer.address, statistics, singles, peer.write),
+            lambda peer: ByChunk(units, peer, statistics, singles),
         )
         while statistics.requests < 80:  # it has seen the end of the requests
             await asyncio.sleep(0)

@@ -32,7 +32,9 @@ from libmodbus_py import (
     Traced,
 )
 from libmodbus_py.tools.testing.wires import SerialWire
+from tests.simulation.stage import Stage
 from tests.support.attacks import connect
+from tests.support.cases import each_case
 from tests.support.certificates import Papers, secured
 from tests.support.talk import ascii_frame, rtu
 
@@ -181,6 +183,36 @@ def test_a_spoilt_answer_is_told_as_it_went_out_and_the_next_one_whole(kind: str
     sent = [each for each in told if each.direction == "sent"]
     assert [each.adu for each in sent] == [ANSWER, *answers, ANSWER]
     assert (sent[-1].unit, sent[-1].function) == (17, 3)
+
+
+GARBAGE = b"\xff\xff"
+
+
+@each_case(
+    ("place", "sent"),
+    [
+        ("before", [(GARBAGE, None), (ANSWER, 17)]),
+        ("instead", [(GARBAGE, None)]),
+        ("behind", [(ANSWER, 17), (GARBAGE, None)]),
+    ],
+)
+def test_garbage_is_told_beside_the_answer(place: Any, sent: list[tuple[bytes, int]]) -> None:
+    told: list[Traced] = []
+    faults = {17: [Fault("garbage", data=GARBAGE, place=place)]}
+    with connected(told.append, faults=faults) as (one, _):
+        ask(one, READ, b"".join(adu for adu, _ in sent))
+    assert [(each.adu, each.unit) for each in told if each.direction == "sent"] == sent
+
+
+def test_an_answer_that_is_kept_back_is_told_when_it_is_sent(stage: Stage) -> None:
+    told: list[Traced] = []
+    server = Server({17: made_device()}, {17: [Fault("delay", seconds=10)]}, trace=told.append)
+    with server.background("tcp://10.0.0.1:0") as running, stage.talk(running.urls[0]) as talker:
+        talker.send(READ + READ)
+        stage.pass_time(5)
+        assert [each.direction for each in told] == ["received"] * 2
+        stage.pass_time(10)
+        assert [each.direction for each in told] == ["received"] * 2 + ["sent"]
 
 
 @pytest.mark.parametrize(

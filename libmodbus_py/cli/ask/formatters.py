@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from ...protocol.plain import plain
 from ...protocol.spelling import shown
-from ...protocol.values import Reading, ValueType, readings, value_type
+from ...protocol.values import Interpretation, ValueType, readings, value_type
 from ..failing import CommandError
 from .items import REGISTERS, Item
 
@@ -144,7 +144,7 @@ class _AllFormatter(Formatter):
         rows = [{**reading._asdict(), "value": _as_json(reading.value)} for reading in found]
         return {**self.whence, "registers": cells, "readings": rows}
 
-    def _readings(self, cells: list[int]) -> list[Reading]:
+    def _readings(self, cells: list[int]) -> list[Interpretation]:
         found = readings(cells)
         if not found:
             raise CommandError(f"{len(cells)} registers can only be text, and these are not")

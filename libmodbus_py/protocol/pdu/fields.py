@@ -1,5 +1,5 @@
 """
-What messages are made of: checked arguments, and their bytes.
+The fields of messages: checked arguments, and their bytes.
 """
 
 from __future__ import annotations

@@ -123,7 +123,7 @@ def decode_request(pdu: bytes) -> Request[Any]:
 
 def request_length(head: bytes) -> int | None:
     """
-    Say how long the request PDU is that begins with these bytes.
+    Return the length of the request PDU that begins with these bytes.
 
     Args:
         head: one byte or more.
@@ -136,7 +136,7 @@ def request_length(head: bytes) -> int | None:
 
 
 def response_length(head: bytes) -> int | None:
-    """Say how long a response PDU is; as `request_length`. Exception responses are 2 bytes."""
+    """Return the length of a response PDU, as `request_length`; 2 for exception responses."""
     if head[0] & 0x80:
         return 2
     request = REQUESTS.get(head[0])

@@ -39,7 +39,7 @@ OBJECT_NAMES = {
 
 
 class ReadDeviceIdCode(IntEnum):
-    """How much is asked for (section 6.21)."""
+    """The objects that are requested (section 6.21)."""
 
     BASIC = 1
     REGULAR = 2
@@ -103,7 +103,7 @@ def _response_length(head: bytes) -> int | None:
 
 
 class _Encapsulated(Request[Result]):
-    """What the interfaces have in common: their lengths, and how devices refuse."""
+    """The base of requests of function 43: their lengths, and how devices refuse them."""
 
     __slots__ = ()
     function = 0x2B
@@ -198,7 +198,7 @@ class ReadDeviceIdentification(_Encapsulated[IdentificationPage]):
         return bytes([*head, more, following, len(objects)]) + body
 
     def _answers(self, objects: dict[int, bytes]) -> bool:
-        """Whether these are what was asked: any of a stream, or the single one."""
+        """Return True if these were requested: any objects of a stream, or the single one."""
         single = self.code == ReadDeviceIdCode.INDIVIDUAL
         return list(objects) == [self.object_id] if single else True
 
@@ -225,7 +225,7 @@ class ReadDeviceIdentification(_Encapsulated[IdentificationPage]):
 
 class DeviceIdentification(NamedTuple):
     """
-    What a device says about itself.
+    The identification of a device.
 
     Attributes:
         conformity: 1 basic, 2 regular, 3 extended; 81h..83h if single objects
@@ -241,7 +241,7 @@ class DeviceIdentification(NamedTuple):
 
     @property
     def names(self) -> dict[str, str]:
-        """Give the objects 0..6 by the names that section 6.21 gives them."""
+        """Return the objects 0..6 by their names in section 6.21."""
         return {
             OBJECT_NAMES[number]: value.decode("ascii", "replace")
             for number, value in self.objects.items()

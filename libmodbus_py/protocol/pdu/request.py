@@ -1,5 +1,5 @@
 """
-What every request has in common; those that are echoed, and those without arguments.
+The base of all requests; those that are echoed, and those without arguments.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ Result = TypeVar("Result")
 
 class Request(Generic[Result]):
     """
-    What every request has in common.
+    The base of all requests.
 
     Class attributes:
         function: the function code, 1..127.
@@ -39,7 +39,7 @@ class Request(Generic[Result]):
 
     @property
     def expects_response(self) -> bool:
-        """Whether a server answers it at all."""
+        """True if a server answers it."""
         return True
 
     def encode(self) -> bytes:

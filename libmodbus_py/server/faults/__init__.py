@@ -1,10 +1,11 @@
 """
-What goes wrong with the answers of a server, where a simulation wants it.
+Faults in the answers of a server, for simulations.
 
 ::
 
     fault      Fault: one kind of fault, with its probability and duration
     switch     FaultSwitch: faults of a running server, on and off, for several users
     due        which fault is due for a request
+    faulty     FaultyAnswers: answers of devices, as the fault that is due makes them
     delivery   the bytes of a faulty answer, and when they go
 """

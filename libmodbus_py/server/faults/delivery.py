@@ -9,38 +9,52 @@ from collections import deque
 from collections.abc import Callable
 from typing import NamedTuple
 
+from ...ports.trace import Trace
 from ...protocol.framing import AsciiFramer, Frame, Framer, RtuFramer, TcpFramer, UdpFramer
+from ..service import Channel
 from .fault import Fault
 
-__all__ = ["Delivery", "Piece", "pieces"]
+__all__ = ["Delivery", "Fragment", "fragments"]
 
 # Answers that wait on a connection are no more than those to one read, which is
 # less; on a serial line, those to a client that does not wait for answers.
 MAX_WAITING = 1 << 17
 
 
-class Piece(NamedTuple):
+Told = tuple[bytes, Frame | None]
+"""Bytes that are sent, for a trace, and the frame that they are; None for no frame."""
+
+
+class Fragment(NamedTuple):
     """
     Bytes to send, and the seconds to wait before, once those before it are gone.
 
     Attributes:
-        is_last: whether the connection is closed behind them.
+        is_last: True if the connection is closed behind them.
+        told: what a trace is told when they are sent.
     """
 
     wait: float
     data: bytes
     is_last: bool = False
+    told: tuple[Told, ...] = ()
 
 
-def pieces(fault: Fault | None, answer: Frame, framer: Framer) -> list[Piece]:
-    """Say what is sent in place of an answer; of garbage `data` must be given."""
+def fragments(fault: Fault | None, answer: Frame, framer: Framer) -> list[Fragment]:
+    """Return what is sent in place of an answer; of garbage `data` must be given."""
     if fault is None:
-        return [Piece(0, framer.encode(answer))]
-    change = _FRAMES.get(fault.kind)
-    data = framer.encode(change(answer) if change else answer)
-    if spoil := _BYTES.get(fault.kind):
-        data = spoil(data, fault, framer)
-    return _IN_TIME.get(fault.kind, _at_once)(data, fault)
+        data = framer.encode(answer)
+        return [Fragment(0, data, told=((data, answer),))]
+    frame = _FRAMES.get(fault.kind, _unchanged)(answer)
+    adu = framer.encode(frame)
+    parts = _PARTS[fault.kind](adu, fault, framer) if fault.kind in _PARTS else (adu,)
+    made = _IN_TIME.get(fault.kind, _at_once)(b"".join(parts), fault)
+    told = tuple((each, frame if each == adu else None) for each in parts if each)
+    return [*made[:-1], *(each._replace(told=told) for each in made[-1:])]
+
+
+def _unchanged(frame: Frame) -> Frame:
+    return frame
 
 
 # Kind -> the frame that is sent in place of the answer.
@@ -73,34 +87,36 @@ _SPOILS: dict[type, Callable[[bytes], bytes]] = {
 }
 
 
-def _with_garbage(adu: bytes, fault: Fault, _: Framer) -> bytes:
+def _with_garbage(adu: bytes, fault: Fault, _: Framer) -> Parts:
     garbage = fault.data or b""
-    return {"instead": garbage, "behind": adu + garbage}.get(fault.place or "", garbage + adu)
+    return {"instead": (garbage,), "behind": (adu, garbage)}.get(fault.place or "", (garbage, adu))
 
 
-# Kind -> the bytes that are sent in place of the answer's.
-_BYTES: dict[str, Callable[[bytes, Fault, Framer], bytes]] = {
-    "wrong_check": lambda adu, fault, framer: _SPOILS[type(framer)](adu),
-    "truncate": lambda adu, fault, framer: adu[: min(fault.length or 0, len(adu) - 1)],
-    "disconnect": lambda adu, fault, framer: adu[: fault.length or 0],
+Parts = tuple[bytes, ...]
+
+# Kind -> what is sent in place of the bytes of the answer.
+_PARTS: dict[str, Callable[[bytes, Fault, Framer], Parts]] = {
+    "wrong_check": lambda adu, fault, framer: (_SPOILS[type(framer)](adu),),
+    "truncate": lambda adu, fault, framer: (adu[: min(fault.length or 0, len(adu) - 1)],),
+    "disconnect": lambda adu, fault, framer: (adu[: fault.length or 0],),
     "garbage": _with_garbage,
 }
 
 
-def _at_once(data: bytes, fault: Fault) -> list[Piece]:
-    return [Piece(fault.seconds or 0, data)]
+def _at_once(data: bytes, fault: Fault) -> list[Fragment]:
+    return [Fragment(fault.seconds or 0, data)]
 
 
-def _byte_by_byte(data: bytes, fault: Fault) -> list[Piece]:
+def _byte_by_byte(data: bytes, fault: Fault) -> list[Fragment]:
     wait = fault.seconds or 0
-    return [Piece(wait if at else 0, data[at : at + 1]) for at in range(len(data))]
+    return [Fragment(wait if at else 0, data[at : at + 1]) for at in range(len(data))]
 
 
 # Kind -> when they are sent.
-_IN_TIME: dict[str, Callable[[bytes, Fault], list[Piece]]] = {
+_IN_TIME: dict[str, Callable[[bytes, Fault], list[Fragment]]] = {
     "no_answer": lambda data, fault: [],
     "trickle": _byte_by_byte,
-    "disconnect": lambda data, fault: [Piece(0, data, True)],
+    "disconnect": lambda data, fault: [Fragment(0, data, True)],
 }
 
 
@@ -109,43 +125,32 @@ class Delivery:
     Bytes on their way to one client, in order, each in its time. For one loop only.
 
     Args:
-        write: sends bytes now.
-        follow: called whenever `is_waiting` has changed.
-        hang_up: closes the connection; False if there is none.
+        channel: of the client; `follow` is called whenever `is_waiting` has changed.
+        trace: is told of what is sent; None for nobody.
 
     Attributes:
-        is_waiting: whether anything is to be sent later.
-        is_over: whether the connection was closed, and nothing goes out any more.
+        is_waiting: True while something is to be sent later.
+        is_over: True once the connection was closed, and nothing is sent any more.
     """
 
-    def __init__(
-        self,
-        write: Callable[[bytes], None],
-        follow: Callable[[], None],
-        hang_up: Callable[[], bool] = lambda: False,
-    ) -> None:
+    def __init__(self, channel: Channel, trace: Trace | None = None) -> None:
         self.is_waiting: bool = False
         self.is_over: bool = False
-        self._write = write
-        self._follow = follow
-        self._hang_up = hang_up
+        self._channel = channel
+        self._trace = trace
         self._loop = asyncio.get_running_loop()
-        self._queue: deque[Piece] = deque()
+        self._queue: deque[Fragment] = deque()
         self._queued = 0
         self._timer: asyncio.TimerHandle | None = None
 
-    def send(self, answer: list[Piece]) -> None:
+    def send(self, answer: list[Fragment]) -> None:
         """Send an answer after those before it; it is lost where too much waits already."""
         if self._queued >= MAX_WAITING or self.is_over:
             return
         self._queue += answer
-        self._queued += sum(len(piece.data) for piece in answer)
+        self._queued += sum(len(fragment.data) for fragment in answer)
         if self._timer is None:
             self._go_on()
-
-    def send_bytes(self, data: bytes) -> None:
-        """Send what no fault happens to, after what waits."""
-        self.send([Piece(0, data)])
 
     def close(self) -> None:
         """Forget what was not sent."""
@@ -164,7 +169,7 @@ class Delivery:
             self._send_first()
         if self.is_waiting != bool(self._queue):
             self.is_waiting = not self.is_waiting
-            self._follow()
+            self._channel.follow()
 
     def _send_next(self) -> None:
         self._timer = None
@@ -172,10 +177,20 @@ class Delivery:
         self._go_on()
 
     def _send_first(self) -> None:
-        piece = self._queue.popleft()
-        self._queued -= len(piece.data)
-        if piece.data or not piece.is_last:
-            self._write(piece.data)
-        if piece.is_last and self._hang_up():
+        fragment = self._queue.popleft()
+        self._queued -= len(fragment.data)
+        if self._trace is not None:
+            _tell(self._trace, fragment.told)
+        if fragment.data or not fragment.is_last:
+            self._channel.write(fragment.data)
+        if fragment.is_last and self._channel.hang_up():
             self.is_over = True
             self.close()
+
+
+def _tell(trace: Trace, told: tuple[Told, ...]) -> None:
+    for adu, frame in told:
+        if frame is None:
+            trace.tell("sent", adu)
+        else:
+            trace.tell("sent", adu, frame.unit, frame.pdu[0])

@@ -64,13 +64,13 @@ class Faults:
         return any(self._by_unit.values())
 
     def share(self, unit: int, others: Iterable[int]) -> None:
-        """Have the faults of a unit happen to these, too, unless they have their own."""
+        """Apply the faults of a unit to these units, too, unless they have their own."""
         if unit in self._by_unit:
             for other in others:
                 self._by_unit.setdefault(other, self._by_unit[unit])
 
     def concern(self, unit: int) -> bool:
-        """Whether anything may happen to the answers of a unit."""
+        """Return True if the answers of a unit have faults."""
         return bool(self._by_unit.get(unit) or self._by_unit.get(None))
 
     def due(self, request: Frame, *, has_transaction: bool) -> Fault | None:

@@ -73,7 +73,7 @@ SETTINGS: dict[str, Callable[[str, object], object]] = {
 @dataclass(frozen=True)
 class Fault:
     """
-    What goes wrong with the answers of a unit, and how often.
+    A fault in the answers of a unit, and how often it happens.
 
     A fault counts the requests of its unit, function and range that are answered, on all
     lines and from all clients together. Where several are due, the unit's own come
@@ -192,11 +192,11 @@ class Fault:
 
     @property
     def is_everywhere(self) -> bool:
-        """Whether it happens to requests whatever they touch."""
+        """True if it happens to requests of all addresses."""
         return self.table is None and self.address is None
 
     def hits(self, touched: Touched) -> bool:
-        """Whether it happens to what touches this."""
+        """Return True if it happens to a request with these accesses."""
         first = 0 if self.address is None else self.address
         stop = TABLE_SIZE if self.address is None else first + (self.count or 1)
         return any(

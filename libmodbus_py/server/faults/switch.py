@@ -19,7 +19,7 @@ FaultsByUnit = dict[int | None, list[Fault]]
 
 class FaultState:
     """
-    One fault of a server, and whether it is switched on.
+    One fault of a server, which is on or off.
 
     Attributes:
         unit: 0..255, whose answers are concerned; None for every unit.
@@ -60,7 +60,7 @@ class FaultSwitch:
 
     def switch_on(self, *faults: Fault, unit: int | None = None) -> Switched:
         """
-        Let something go wrong from now on.
+        Switch faults on.
 
         Args:
             faults: they come before those that are there already.

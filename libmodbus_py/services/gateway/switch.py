@@ -9,7 +9,7 @@ import logging
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
 
-from ...device.authorization import Asked, Authorize, Guard, UnauthorizedError
+from ...device.authorization import Asked, Authorization, Authorize, UnauthorizedError
 from ...device.device import Caller, Device
 from ...device.rules import Allow
 from ...ports.endpoint import Endpoint
@@ -24,7 +24,7 @@ from ...protocol.errors import (
 from ...protocol.framing import Frame
 from ...server.framed import AT_ONCE, Framed
 from ...server.limits import ServerStatistics
-from ...server.service import Later, Link, MakeSession
+from ...server.service import Channel, Later, MakeSession
 from .line import Forwarded, Line
 from .passed import Passed, passed
 from .statistics import GatewayStatistics
@@ -92,7 +92,7 @@ class Switch:
         self.most_of_session = most_of_session
         self.statistics = statistics
         self.now: Callable[[], float] = asyncio.get_running_loop().time
-        self._guard = None if authorize is None else Guard(authorize)
+        self._guard = None if authorize is None else Authorization(authorize)
         self._has_failed = False
 
     def sessions(
@@ -101,8 +101,8 @@ class Switch:
         has_ids = endpoint.framing in ("tcp", "udp")
         at_once = None if has_ids or later is None else AT_ONCE
 
-        def make(link: Link) -> ForwardingSession:
-            return ForwardingSession(self, endpoint, link, statistics, at_once)
+        def make(channel: Channel) -> ForwardingSession:
+            return ForwardingSession(self, endpoint, channel, statistics, at_once)
 
         return make
 
@@ -255,22 +255,14 @@ class ForwardingSession(Framed):
         self,
         switch: Switch,
         endpoint: Endpoint,
-        link: Link,
+        channel: Channel,
         statistics: ServerStatistics,
         at_once: int | None,
     ) -> None:
-        super().__init__(
-            endpoint.framing,
-            link.address,
-            statistics,
-            link.write,
-            link.follow,
-            link.role,
-            at_once,
-        )
-        self.peer: str = link.address
-        self.role: str | None = link.role
-        self.host: Hashable = link.address.rpartition(":")[0] or link.address
+        super().__init__(endpoint.framing, channel, statistics, at_once)
+        self.peer: str = channel.address
+        self.role: str | None = channel.role
+        self.host: Hashable = channel.address.rpartition(":")[0] or channel.address
         self.statistics = statistics
         self.has_ids: bool = endpoint.framing in ("tcp", "udp")
         self.is_line: bool = endpoint.transport == "serial"
@@ -299,14 +291,13 @@ class ForwardingSession(Framed):
         if response is None and self.has_ids and forwarded.request.is_write:
             response = forwarded.request.response_to_broadcast()
         if response is not None:
-            self._statistics.refused += response[0] >> 7
-            frame = Frame(forwarded.from_unit, response, forwarded.number)
-            self._write(self._framer.encode(frame))
+            self._send(Frame(forwarded.from_unit, response, forwarded.number))
         if not self._asked:
-            self._follow()
+            self._channel.follow()
 
     def end(self) -> None:
-        """Whoever is gone must not cost the others turns."""
+        """A client that is gone must not cost the others turns."""
+        super().end()
         for forwarded in [each for each in self._asked if each.submitted is None]:
             self._withdraw(forwarded)
 
