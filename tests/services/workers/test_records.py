@@ -11,10 +11,10 @@ import pytest
 
 from libmodbus_py.services.workers.records import (
     Connection,
+    FleetSettings,
     Holding,
     Member,
     RecordError,
-    Settings,
     Slot,
     decode,
     digest_of,
@@ -33,17 +33,17 @@ def value(**given: Any) -> bytes:
 @pytest.mark.parametrize(
     "record",
     [
-        Settings(),
-        Settings(0.5, "continue", True, {"max_age": 1}),
-        Settings(60.0),
+        FleetSettings(),
+        FleetSettings(0.5, "continue", True, {"max_age": 1}),
+        FleetSettings(60.0),
         Connection("", LINE, 0.0, '{"devices": []}'),
         Connection("north", LINE, 60.0, '{"devices": [{"name": "d"}]}'),
         Member("a.1", "here", ("", "north"), 10.0, 3, 17, {"up": 1}),
         Member("a.1", "ended", (), 0.5),
     ],
 )
-def test_what_is_written_is_read_as_it_was(record: Settings | Connection | Member) -> None:
-    key = "settings" if isinstance(record, Settings) else record.bucket_key
+def test_what_is_written_is_read_as_it_was(record: FleetSettings | Connection | Member) -> None:
+    key = "settings" if isinstance(record, FleetSettings) else record.bucket_key
     assert decode(key, record.encode()) == record
 
 
@@ -88,10 +88,10 @@ def test_what_no_worker_wrote_is_refused(key: str, given: bytes, why: str) -> No
 
 
 def test_a_value_of_more_than_a_mebibyte_is_refused() -> None:
-    given = Settings(results={"x": ""}).encode()
-    longest = Settings(results={"x": "." * ((1 << 20) - len(given))}).encode()
+    given = FleetSettings(results={"x": ""}).encode()
+    longest = FleetSettings(results={"x": "." * ((1 << 20) - len(given))}).encode()
     assert len(longest) == 1 << 20
-    assert isinstance(decode("settings", longest), Settings)
+    assert isinstance(decode("settings", longest), FleetSettings)
     with pytest.raises(RecordError, match="more than 1048576 bytes"):
         decode("settings", longest + b" ")
 

@@ -10,13 +10,13 @@ from typing import Any, cast
 import pytest
 
 from libmodbus_py.services.engine.buckets import Bucket
-from libmodbus_py.services.engine.troubles import EngineError, EngineGone
+from libmodbus_py.services.engine.errors import EngineError, EngineGone
 from libmodbus_py.services.workers.pushing import seen_now
 from libmodbus_py.services.workers.records import (
     SETTINGS,
     Connection,
+    FleetSettings,
     Member,
-    Settings,
     digest_of,
     encode_holder,
     slot_of,
@@ -40,7 +40,7 @@ def member(id: str, *, beat: int = 1, state: Any = "here", report: Any = REPORT)
 def plant() -> MemoryBucket:
     """Three workers, of whom one is silent and one has ended; connections in three zones."""
     bucket = MemoryBucket()
-    bucket.write(SETTINGS, Settings(LEASE).encode())
+    bucket.write(SETTINGS, FleetSettings(LEASE).encode())
     for each in (connection("", 1), connection("north", 2), connection("south", 3)):
         bucket.write(each.bucket_key, each.encode())
     for each in (
