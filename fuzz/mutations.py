@@ -4,6 +4,12 @@ The mutants of a source file: copies that each differ from the file in one expre
 A mutant is made by replacing the text of one syntax node, so that all line numbers stay. What no
 test needs to look at is left alone: docstrings, texts, annotations, decorators, what is raised or
 logged, and how an object is printed.
+
+Some constants are tuning: how much is done at once, where a bound of memory lies, how long a pause
+is. A value a little larger gives the same results with other costs, and the documentation promises
+none of them, so that a test of the exact value would only repeat it. `TUNING` names them, and their
+values are left alone. What uses them is not: a bound that is not held, or a pause that is not made,
+must fail a test. All other constants are promised, and a test has to look at their exact values.
 """
 
 from __future__ import annotations
@@ -13,7 +19,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-__all__ = ["Mutant", "mutants"]
+__all__ = ["TUNING", "Mutant", "mutants"]
 
 
 @dataclass(frozen=True)
@@ -87,6 +93,31 @@ _ARITHMETIC: dict[type[ast.operator], type[ast.operator]] = {
 _CALLS = {"min": "max", "max": "min", "any": "all", "all": "any"}
 _PRINTED = {"__repr__", "__str__", "__format__"}
 _LOGS = {"logger", "log", "logging", "warnings"}
+
+TUNING: dict[str, frozenset[str]] = {
+    "of how much is done before others have their turn": frozenset(
+        {
+            *("AT_ONCE", "BEHIND_AT_ONCE", "EVENTS_MAX", "FAIR_SIZE", "FOUND_AT_ONCE"),
+            *("GREEDY_AT_ONCE", "MOST_AT_ONCE", "MOST_WRITES", "READ_SIZE", "TOGETHER"),
+        }
+    ),
+    "of memory that only floods and failures reach": frozenset(
+        {
+            *("MAX_ABANDONED", "MAX_KEPT", "MAX_RECEIVED", "MAX_UNASKED", "MAX_WAITING"),
+            *("MOST_ERRORS", "MOST_MESSAGES", "MOST_OF_CSV", "ROOM_AT_MOST", "SPARE_DESCRIPTORS"),
+        }
+    ),
+    "of seconds between tries, and of how exactly time is kept": frozenset(
+        {
+            *("COARSEST", "EXACTNESS", "FADING", "FIRST_PAUSE", "LAST_WAIT", "LEAVING"),
+            *("LONGEST_PAUSE", "PAUSE", "RESOLUTION", "SHORTEST_COPY", "SHORTEST_TRIAL"),
+            *("SHORTEST_TRY", "SLEPT"),
+        }
+    ),
+}
+"""Constants whose exact values no test should repeat, by what they are bounds of."""
+
+_TUNING = frozenset().union(*TUNING.values())
 
 # A kind of change, and the text that stands for the node.
 _Change = tuple[str, str]
@@ -242,6 +273,8 @@ def _children(node: ast.AST) -> Iterator[ast.AST]:
                 yield from node.body
         case ast.ClassDef():
             yield from node.body
+        case ast.AnnAssign(target=ast.Name(id=name)) if name in _TUNING:
+            return
         case ast.AnnAssign():
             if node.value is not None and not isinstance(node.target, ast.Subscript):
                 yield node.value
@@ -251,8 +284,14 @@ def _children(node: ast.AST) -> Iterator[ast.AST]:
             return
         case ast.If(test=ast.Name(id="TYPE_CHECKING")):
             return
-        case ast.Assign(targets=[ast.Name(id=name)]) if name.startswith("__"):
+        case ast.Assign(targets=[ast.Name(id=name)]) if name.startswith("__") or name in _TUNING:
             return
+        case ast.Assign(targets=[ast.Tuple(elts=names)], value=ast.Tuple(elts=values)) if (
+            _TUNING & _defined(node)
+        ):
+            for target, value in zip(names, values, strict=True):
+                if not (isinstance(target, ast.Name) and target.id in _TUNING):
+                    yield value
         case ast.Call(func=function) if _is_log(function):
             return
         case ast.Expr(value=ast.Call(func=function)) if _is_log(function):

@@ -68,7 +68,6 @@ WORDS = {
 """How often docstrings, comments and messages of the package use words that have plainer ones."""
 
 SAME_NAME = {
-    "Kind",
     "Line",
     "Standing",
 }

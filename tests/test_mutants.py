@@ -13,7 +13,7 @@ import pytest
 
 from fuzz.covering import Covering, functions
 from fuzz.mutants import chosen
-from fuzz.mutations import mutants
+from fuzz.mutations import TUNING, mutants
 
 ROOT = Path(__file__).parent.parent
 
@@ -71,6 +71,40 @@ def test_each_place_is_changed_and_texts_are_not(tank: Path) -> None:
         for each in mutants(tank)
     ]
     assert sorted(found) == sorted(EXPECTED)
+
+
+def test_values_of_tuning_constants_are_left_alone_and_their_uses_are_not(tmp_path: Path) -> None:
+    path = tmp_path / "pump.py"
+    path.write_text(
+        """
+MOST_AT_ONCE = 1 << 8
+FIRST_PAUSE, LONGEST = 0.5, 30.0
+
+
+def take(waiting: list[int]) -> bool:
+    return len(waiting) < MOST_AT_ONCE
+"""
+    )
+    found = {(each.line, each.operator) for each in mutants(path)}
+    assert found == {
+        (3, "assignment removed"),
+        (3, "constant"),
+        (7, "boundary"),
+        (7, "comparison"),
+        (7, "return value"),
+    }
+
+
+def test_each_tuning_constant_is_one_of_the_package() -> None:
+    defined = {
+        name.id
+        for path in (ROOT / "libmodbus_py").rglob("*.py")
+        for node in ast.parse(path.read_text()).body
+        if isinstance(node, ast.Assign | ast.AnnAssign)
+        for name in ast.walk(node)
+        if isinstance(name, ast.Name)
+    }
+    assert frozenset().union(*TUNING.values()) - defined == set()
 
 
 def test_a_mutant_differs_in_one_place_and_keeps_its_lines(tank: Path) -> None:

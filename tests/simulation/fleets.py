@@ -10,7 +10,7 @@ from contextlib import asynccontextmanager
 from functools import partial
 
 from libmodbus_py import AsyncClient, Device, DeviceConfig, Gateway, Mapping, Route, Server
-from libmodbus_py.services.workers.records import Settings
+from libmodbus_py.services.workers.records import FleetSettings
 from tests.services.workers.trial import MAP, Asked
 
 from .engine import Engine
@@ -58,7 +58,7 @@ class Fleet:
         registers = Mapping(holding_registers=2)
         units = {unit: Device(registers) for unit in range(1, 1 + self._units)}
         async with Server(units, trace=self.asked.note).serving(*self._places):
-            await push_fleet(self._engine, self._devices(), Settings(self._lease))
+            await push_fleet(self._engine, self._devices(), FleetSettings(self._lease))
             for _ in range(workers):
                 await self.start()
             try:

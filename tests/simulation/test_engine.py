@@ -12,8 +12,8 @@ import pytest
 from libmodbus_py import Device, DeviceConfig, Mapping, Point, RegisterMap, Server
 from libmodbus_py.ports.trace import Traced
 from libmodbus_py.services.engine.buckets import Change
-from libmodbus_py.services.engine.troubles import EngineError
-from libmodbus_py.services.workers.records import Settings
+from libmodbus_py.services.engine.errors import EngineError
+from libmodbus_py.services.workers.records import FleetSettings
 
 from .engine import Engine
 from .network import Network
@@ -38,7 +38,7 @@ def exchange(seed: int) -> list[tuple[float, str, bytes]]:
     async def main() -> None:
         server = Server({1: Device(Mapping(holding_registers=1))})
         async with server.serving(*(each.url for each in devices(8))):
-            await push_fleet(engine, devices(8), Settings(LEASE))
+            await push_fleet(engine, devices(8), FleetSettings(LEASE))
             one, other = (SimulatedWorker(network, engine, name) for name in "ab")
             await one.start()
             await other.start()
@@ -214,7 +214,7 @@ def test_a_stopped_worker_does_nothing_and_then_goes_on() -> None:
     async def main() -> None:
         server = Server({1: Device(Mapping(holding_registers=1))}, trace=note)
         async with server.serving("tcp://10.0.0.1"):
-            await push_fleet(engine, devices(1), Settings(LEASE))
+            await push_fleet(engine, devices(1), FleetSettings(LEASE))
             worker = SimulatedWorker(network, engine, "a")
             await worker.start()
             await asyncio.sleep(7.5)

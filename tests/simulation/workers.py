@@ -14,7 +14,7 @@ from libmodbus_py.services.fleet.config import DeviceConfig
 from libmodbus_py.services.fleet.outputs.output import Output
 from libmodbus_py.services.workers.polling import Polling
 from libmodbus_py.services.workers.pushing import Pushed, connections_of, push, seen_now
-from libmodbus_py.services.workers.records import Settings
+from libmodbus_py.services.workers.records import FleetSettings
 
 from .engine import Engine
 from .network import Network
@@ -24,10 +24,10 @@ __all__ = ["SimulatedWorker", "push_fleet"]
 
 
 async def push_fleet(
-    engine: Engine, devices: Iterable[DeviceConfig], settings: Settings | None = None
+    engine: Engine, devices: Iterable[DeviceConfig], settings: FleetSettings | None = None
 ) -> Pushed:
     """Have the bucket say what the devices are, as ``poll --push`` does."""
-    settings = settings or Settings()
+    settings = settings or FleetSettings()
     client = engine.client()
     try:
         return await push(engine.bucket(client), settings, connections_of(devices, settings.lease))

@@ -17,13 +17,13 @@ from typing import Any, TypeVar
 from ...server.signals import Handler, signal_handlers
 from ...services.engine.buckets import Bucket, make_bucket, open_bucket
 from ...services.engine.connection import connected, disconnect, parse_servers
-from ...services.engine.troubles import EngineError, EngineGone, NothingThere
+from ...services.engine.errors import EngineError, EngineGone, NothingThere
 from ...services.fleet.files import FleetFile, FleetFileError
 from ...services.fleet.fleet import Fleet
 from ...services.fleet.outputs.output import Output
 from ...services.workers.polling import BUCKET, Polling
 from ...services.workers.pushing import Pushed, changes, connections_of, push, seen_now, settings_of
-from ...services.workers.records import Connection, Settings, in_key
+from ...services.workers.records import Connection, FleetSettings, in_key
 from ...services.workers.status import fleet_status, tables
 from ...tools.files.texts import load_file
 from ...tools.files.toml_text import read_toml
@@ -126,7 +126,7 @@ def poll(
     return _waited_for(_work(servers, settings, connections, options, outputs, exposed, show))
 
 
-def _settings(text: str) -> Settings:
+def _settings(text: str) -> FleetSettings:
     try:
         given = read_toml(text).get("engine", {})
         if not isinstance(given, dict):
@@ -146,7 +146,7 @@ def _waited_for(running: Coroutine[Any, Any, int]) -> int:
 # --- the bucket ----------------------------------------------------------------------------------
 
 
-async def _push(servers: list[str], settings: Settings, connections: list[Connection]) -> int:
+async def _push(servers: list[str], settings: FleetSettings, connections: list[Connection]) -> int:
     client = await connected(servers, name="libmodbus-py push")
     try:
         pushed = await _answered(lambda: _pushed(client, settings, connections), set(), ELECTION)
@@ -182,7 +182,7 @@ async def _answered(
         await asyncio.sleep(PAUSE)
 
 
-async def _pushed(client: Any, settings: Settings, connections: list[Connection]) -> Pushed:
+async def _pushed(client: Any, settings: FleetSettings, connections: list[Connection]) -> Pushed:
     return await push(await make_bucket(client, BUCKET), settings, connections)
 
 
@@ -195,8 +195,8 @@ async def _is_there(client: Any) -> bool:
 
 
 async def _opened(
-    client: Any, settings: Settings, connections: list[Connection]
-) -> tuple[Bucket, Settings]:
+    client: Any, settings: FleetSettings, connections: list[Connection]
+) -> tuple[Bucket, FleetSettings]:
     """Return the bucket; if it does not exist, make it with the devices of the file."""
     told: set[str] = set()
     if not await _answered(lambda: _is_there(client), told):
@@ -219,7 +219,7 @@ async def _opened(
 
 async def _work(
     servers: list[str],
-    settings: Settings,
+    settings: FleetSettings,
     connections: list[Connection],
     options: argparse.Namespace,
     outputs: Sequence[Output],

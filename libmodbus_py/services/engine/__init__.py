@@ -4,6 +4,6 @@ The way to NATS, from where it is looked for to what went wrong there.
 ::
 
     connection     a connection, with what the environment says of certificates and passwords
-    troubles       what is wrong, in one line
+    errors         what is wrong, in one line
     buckets        key-value buckets and streams: made, checked, watched, written to
 """

@@ -9,7 +9,7 @@ import contextlib
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from .troubles import EngineError, explained
+from .errors import EngineError, explained
 
 if TYPE_CHECKING:
     from nats.aio.client import Client

@@ -17,7 +17,7 @@ from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
-from .troubles import EngineError, EngineGone, explained, what
+from .errors import EngineError, EngineGone, explained, what
 
 if TYPE_CHECKING:
     from nats.aio.client import Client

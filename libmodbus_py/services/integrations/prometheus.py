@@ -89,7 +89,7 @@ class Sample(NamedTuple):
 Values = dict[Sample, float]
 
 
-class Kind(NamedTuple):
+class MetricKind(NamedTuple):
     """
     How objects with one kind of statistics become metrics.
 
@@ -242,29 +242,29 @@ def _label(values: Values, more: Values, *labels: tuple[str, str]) -> None:
     )
 
 
-KINDS: dict[type, Kind] = {
-    Statistics: Kind(
+KINDS: dict[type, MetricKind] = {
+    Statistics: MetricKind(
         [REQUESTS, DURATION, LAST_SUCCESS, *CLIENT.values()],
         _of_client,
         # Settings of serial ports are of no interest here.
         lambda client, name: (("endpoint", client.url.partition("?")[0]),),
     ),
-    ServerStatistics: Kind(
+    ServerStatistics: MetricKind(
         [*SERVER.values()],
         lambda statistics: _attributes(SERVER, statistics),
         lambda server, name: (("server", name),) if name else (),
     ),
-    GatewayStatistics: Kind(
+    GatewayStatistics: MetricKind(
         [*GATEWAY.values(), *LINE.values(), *UNIT.values()],
         _of_gateway,
         lambda gateway, name: (("server", name),) if name else (),
     ),
-    FleetStatistics: Kind(
+    FleetStatistics: MetricKind(
         [*FLEET.values(), *OUTPUT.values(), LATENESS],
         _of_fleet,
         lambda fleet, name: (("fleet", name),) if name else (),
     ),
-    KeptReadings: Kind([VALUE], _of_readings, lambda values, name: ()),
+    KeptReadings: MetricKind([VALUE], _of_readings, lambda values, name: ()),
 }
 """Class of statistics -> what is made of them."""
 
@@ -275,7 +275,7 @@ KINDS: dict[type, Kind] = {
 class _Watched:
     """Statistics as long as somebody has them, and what they were when last looked at."""
 
-    def __init__(self, statistics: Any, kind: Kind, labels: Labels) -> None:
+    def __init__(self, statistics: Any, kind: MetricKind, labels: Labels) -> None:
         self._statistics = weakref.ref(statistics)
         self._kind = kind
         self.labels = labels

@@ -11,7 +11,7 @@ Workers on several machines that share the devices of a fleet: each is polled by
 Decided without sockets and clocks::
 
     worker         its lease, its slots, and whom it may ask; and why none is asked by two
-    whereabouts    where a device is that one does not have
+    locations    where a device is that one does not have
     sharing        who should have which slots
     lease          how a worker counts its own lease
     view           what one has seen of the bucket, and when

@@ -16,16 +16,16 @@ from collections.abc import Callable, Collection, Sequence
 from typing import TYPE_CHECKING, Any
 
 from ..engine.buckets import Bucket, Change, Watch
-from ..engine.troubles import EngineError
+from ..engine.errors import EngineError
 from ..fleet.commands import Commands
 from ..fleet.config import DeviceConfig, devices_from_json
 from ..fleet.fleet import Fleet
 from ..fleet.outputs.output import Output
 from ..fleet.outputs.stream import Stream
 from .commands import CommandService
-from .records import Connection, Settings
+from .locations import Locations
+from .records import Connection, FleetSettings
 from .view import Entry
-from .whereabouts import Whereabouts
 from .worker import Put, Worker
 
 if TYPE_CHECKING:
@@ -79,7 +79,7 @@ class Polling:
         self,
         client: Client,
         bucket: Bucket,
-        settings: Settings,
+        settings: FleetSettings,
         *,
         name: str = "",
         zones: Collection[str] = (),
@@ -112,7 +112,7 @@ class Polling:
         self._polls = 0
         self._polls_at = self.now()
         self._rate = 0.0
-        self._whereabouts = Whereabouts(self.worker)
+        self._locations = Locations(self.worker)
 
     def _new_id(self) -> str:
         return f"{self._name}.{secrets.token_hex(4)}"
@@ -308,7 +308,7 @@ class Polling:
         """See `CommandService`."""
         if device in self.fleet.devices:
             return None
-        return self._whereabouts.refusal(device, self.now())
+        return self._locations.refusal(device, self.now())
 
     # --- for people -----------------------------------------------------------------------------
 

@@ -11,10 +11,18 @@ from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 from ...client.options import CheckedOptions
 from ...protocol.checks import integer, seconds
 from ..engine.buckets import Bucket
-from ..engine.troubles import EngineError, EngineGone
+from ..engine.errors import EngineError, EngineGone
 from ..fleet.config import DeviceConfig, by_connection, devices_to_json
-from .records import LONGEST_LEASE, SETTINGS, SHORTEST_LEASE, Connection, OnLoss, Settings, in_key
-from .view import Entry, View
+from .records import (
+    LONGEST_LEASE,
+    SETTINGS,
+    SHORTEST_LEASE,
+    Connection,
+    FleetSettings,
+    OnLoss,
+    in_key,
+)
+from .view import BucketView, Entry
 from .worker import Put
 
 if TYPE_CHECKING:
@@ -44,7 +52,7 @@ class Pushed(NamedTuple):
     gone: int
 
 
-def settings_of(given: Mapping[str, Any]) -> Settings:
+def settings_of(given: Mapping[str, Any]) -> FleetSettings:
     """
     Read the table ``[engine]`` of a fleet file.
 
@@ -54,7 +62,7 @@ def settings_of(given: Mapping[str, Any]) -> Settings:
     for key in given:
         if key not in KEYS:
             raise ValueError(f"engine.{key}: no such key; allowed are {', '.join(KEYS)}")
-    usual = Settings()
+    usual = FleetSettings()
     lease = seconds("engine.lease", given.get("lease", usual.lease))
     if not SHORTEST_LEASE <= lease <= LONGEST_LEASE:
         wanted = f"{SHORTEST_LEASE}..{LONGEST_LEASE}"
@@ -71,7 +79,7 @@ def settings_of(given: Mapping[str, Any]) -> Settings:
         results["max_age"] = seconds("engine.max_age", given["max_age"], high=3.2e8)
     if "max_bytes" in given:
         results["max_bytes"] = integer("engine.max_bytes", given["max_bytes"], 1 << 16, 1 << 50)
-    return Settings(lease, on_loss, commands, results)
+    return FleetSettings(lease, on_loss, commands, results)
 
 
 def connections_of(devices: Iterable[DeviceConfig], lease: float) -> list[Connection]:
@@ -104,7 +112,9 @@ def _connection(key: str, devices: list[DeviceConfig], lease: float) -> Connecti
     return Connection(first.zone, key, timeout, devices_to_json(devices))
 
 
-def changes(view: View, settings: Settings, connections: Iterable[Connection]) -> Iterator[Put]:
+def changes(
+    view: BucketView, settings: FleetSettings, connections: Iterable[Connection]
+) -> Iterator[Put]:
     """What to write: what is new or other first, then what is gone."""
     if view.settings != settings:
         yield Put(SETTINGS, settings.encode(), view.seen_at(SETTINGS).revision)
@@ -118,7 +128,7 @@ def changes(view: View, settings: Settings, connections: Iterable[Connection]) -
         yield Put(key, None, view.seen_at(key).revision)
 
 
-async def push(bucket: Bucket, settings: Settings, connections: list[Connection]) -> Pushed:
+async def push(bucket: Bucket, settings: FleetSettings, connections: list[Connection]) -> Pushed:
     """
     Have the bucket say what a fleet file says.
 
@@ -157,14 +167,14 @@ async def _written(bucket: Bucket, puts: list[Put]) -> None:
         )
 
 
-async def seen_now(bucket: Bucket) -> View:
+async def seen_now(bucket: Bucket) -> BucketView:
     """
     Read all of a bucket.
 
     Raises:
         EngineError
     """
-    view = View()
+    view = BucketView()
     is_whole = asyncio.Event()
 
     def note(change: Change | None) -> None:

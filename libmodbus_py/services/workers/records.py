@@ -21,10 +21,10 @@ from typing import Any, Literal, NamedTuple, get_args
 __all__ = [
     "SETTINGS",
     "Connection",
+    "FleetSettings",
     "Holding",
     "Member",
     "RecordError",
-    "Settings",
     "Slot",
     "State",
     "decode",
@@ -68,7 +68,7 @@ class Slot(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Settings:
+class FleetSettings:
     """
     What all workers must agree on.
 
@@ -201,7 +201,7 @@ def in_key(zone: str) -> str:
     return zone or "_"
 
 
-Record = Settings | Connection | Member | Holding
+Record = FleetSettings | Connection | Member | Holding
 
 
 def decode(key: str, value: bytes) -> Record:
@@ -227,10 +227,10 @@ def decode(key: str, value: bytes) -> Record:
         raise RecordError(f"{key[:200]}: {what[:200] or 'not to be read'}") from None
 
 
-def _settings(_rest: list[str], given: dict[str, Any]) -> Settings:
+def _settings(_rest: list[str], given: dict[str, Any]) -> FleetSettings:
     if given["format"] != FORMAT:
         raise ValueError(f"format {given['format']!r}; this version knows {FORMAT}")
-    return Settings(
+    return FleetSettings(
         _lease(given["lease"]),
         _one_of(get_args(OnLoss), given["on_engine_loss"]),
         given["commands"] is True,

@@ -9,10 +9,10 @@ from collections import Counter, defaultdict
 from typing import Any
 
 from ..engine.buckets import Bucket
-from ..engine.troubles import EngineError
+from ..engine.errors import EngineError
 from .pushing import seen_now
 from .records import Member
-from .view import View
+from .view import BucketView
 
 __all__ = ["fleet_status", "tables"]
 
@@ -38,7 +38,7 @@ async def fleet_status(bucket: Bucket) -> dict[str, Any]:
     return _document(before, await seen_now(bucket))
 
 
-def _document(before: View, view: View) -> dict[str, Any]:
+def _document(before: BucketView, view: BucketView) -> dict[str, Any]:
     slots = Counter(view.holders[slot] for slot in view.used_slots if slot in view.holders)
     workers = [
         _worker(member, _state(member, before, view), slots[member.id])
@@ -56,7 +56,7 @@ def _document(before: View, view: View) -> dict[str, Any]:
     }
 
 
-def _state(member: Member, before: View, view: View) -> str:
+def _state(member: Member, before: BucketView, view: BucketView) -> str:
     """A worker that is there has told of itself since."""
     known = before.seen.get(member.bucket_key)
     is_new = known is None or known.revision < view.seen[member.bucket_key].revision
@@ -74,7 +74,7 @@ def _worker(member: Member, state: str, slots: int) -> dict[str, Any]:
     }
 
 
-def _zones(view: View, here: set[str]) -> dict[str, Any]:
+def _zones(view: BucketView, here: set[str]) -> dict[str, Any]:
     """By zone; the empty one is that of devices without."""
     connections = Counter(each.zone for each in view.connections)
     used, served = Counter[str](), Counter[str]()

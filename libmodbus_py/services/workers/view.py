@@ -10,9 +10,18 @@ from collections import Counter
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from .records import Connection, Member, RecordError, Settings, Slot, decode, digest_of, slot_of
+from .records import (
+    Connection,
+    FleetSettings,
+    Member,
+    RecordError,
+    Slot,
+    decode,
+    digest_of,
+    slot_of,
+)
 
-__all__ = ["Entry", "Seen", "View"]
+__all__ = ["BucketView", "Entry", "Seen"]
 
 
 class Entry(NamedTuple):
@@ -39,7 +48,7 @@ class Seen(NamedTuple):
 NEVER = Seen(0, float("-inf"))
 
 
-class View:
+class BucketView:
     """
     The bucket, up to a revision.
 
@@ -59,7 +68,7 @@ class View:
 
     def __init__(self) -> None:
         self.revision: int = 0
-        self.settings: Settings | None = None
+        self.settings: FleetSettings | None = None
         self.members: dict[str, Member] = {}
         self.holders: dict[Slot, str] = {}
         self.seen: dict[str, Seen] = {}
@@ -92,7 +101,7 @@ class View:
         self.changes += known is None or member is None or not member.is_as(known)
         return True
 
-    def keep_times(self, before: View, at: float) -> None:
+    def keep_times(self, before: BucketView, at: float) -> None:
         """Take over when things were first seen from a view that this one replaces."""
         for key, seen in before.seen.items():
             mine = self.seen.get(key)
@@ -170,7 +179,7 @@ class View:
         except RecordError as error:
             self.unreadable[key] = str(error)
             return
-        if isinstance(record, Settings):
+        if isinstance(record, FleetSettings):
             self.settings = record
         elif isinstance(record, Member):
             self.members[record.id] = record

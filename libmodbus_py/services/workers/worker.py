@@ -31,7 +31,7 @@ from typing import Any, NamedTuple
 from .lease import AGAIN, OTHERS_PART, Lease
 from .records import Connection, Member, Slot, State, encode_holder
 from .sharing import share
-from .view import Entry, View
+from .view import BucketView, Entry
 
 __all__ = ["Put", "Worker"]
 
@@ -86,12 +86,12 @@ class Worker:
     """
 
     def __init__(self, new_id: Callable[[], str], zones: Collection[str]) -> None:
-        self.view: View = View()
+        self.view: BucketView = BucketView()
         self.left: bool = False
         self.due: float = -math.inf
         self._new_id = new_id
         self._zones = tuple(sorted(zones))
-        self._snapshot: View | None = None
+        self._snapshot: BucketView | None = None
         # When it began to see the bucket without a break that matters.
         self._since = math.inf
         # When it heard itself, and since when without a break: others are silent only then.
@@ -110,7 +110,7 @@ class Worker:
 
     def begins(self) -> None:
         """All of the bucket comes now, from its beginning."""
-        self._snapshot = View()
+        self._snapshot = BucketView()
 
     def saw(self, entry: Entry, now: float) -> None:
         """A key has this value now."""

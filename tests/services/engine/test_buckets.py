@@ -9,7 +9,7 @@ import asyncio
 import pytest
 
 from libmodbus_py.services.engine.buckets import Change
-from libmodbus_py.services.engine.troubles import EngineGone
+from libmodbus_py.services.engine.errors import EngineGone
 from tests.simulation.engine import Engine
 from tests.simulation.network import Network
 

@@ -10,7 +10,7 @@ import itertools
 import random
 from dataclasses import dataclass, field
 
-from libmodbus_py.services.workers.records import Connection, Settings
+from libmodbus_py.services.workers.records import Connection, FleetSettings
 from libmodbus_py.services.workers.view import Entry
 from libmodbus_py.services.workers.worker import Put, Worker
 
@@ -139,7 +139,7 @@ class World:
         self.now = 1000.0
         self.nonces = itertools.count(1)
         self.bucket = Bucket()
-        self.bucket.write("settings", Settings(LEASE).encode())
+        self.bucket.write("settings", FleetSettings(LEASE).encode())
         self.processes: list[Process] = []
         self.writes: list[tuple[float, int, Put, Process]] = []
         self.confirmed: list[tuple[float, int, Put, Process, int]] = []

@@ -12,7 +12,7 @@ from collections.abc import AsyncIterator
 import pytest
 
 from libmodbus_py.services.engine.connection import TIMES, connected
-from libmodbus_py.services.engine.troubles import EngineError
+from libmodbus_py.services.engine.errors import EngineError
 
 pytest.importorskip("nats")
 

@@ -11,8 +11,8 @@ import pytest
 
 from libmodbus_py.services.workers.lease import Lease
 from libmodbus_py.services.workers.pushing import settings_of
-from libmodbus_py.services.workers.records import SETTINGS, Member, Settings
-from libmodbus_py.services.workers.view import Entry, View
+from libmodbus_py.services.workers.records import SETTINGS, FleetSettings, Member
+from libmodbus_py.services.workers.view import BucketView, Entry
 from libmodbus_py.services.workers.worker import Worker
 
 LEASE = 10.0
@@ -73,7 +73,7 @@ class TestBlindness:
     def _worker(self) -> Worker:
         worker = Worker(lambda: "a.1", {""})
         worker.begins()
-        worker.saw(Entry(SETTINGS, Settings(LEASE).encode(), 1), 0.0)
+        worker.saw(Entry(SETTINGS, FleetSettings(LEASE).encode(), 1), 0.0)
         return worker
 
     def test_who_is_reading_is_not_blind(self) -> None:
@@ -109,7 +109,7 @@ class TestBlindness:
 
 class TestView:
     def test_a_worker_that_is_deleted_and_never_ended_has_vanished(self) -> None:
-        view = View()
+        view = BucketView()
         view.add(Entry("worker.a.1", member(1).encode(), 1), 5.0)
         view.add(Entry("worker.b.1", member(1, "ended", "b.1").encode(), 2), 5.0)
         assert sorted(view.members) == ["a.1", "b.1"]
@@ -119,7 +119,7 @@ class TestView:
         assert list(view.vanished.values()) == [6.0]
 
     def test_what_is_known_is_not_taken_again(self) -> None:
-        view = View()
+        view = BucketView()
         assert view.add(Entry("worker.a.1", member(2).encode(), 2), 5.0)
         assert not view.add(Entry("worker.a.1", member(1).encode(), 1), 6.0)
         assert not view.add(Entry("worker.a.1", member(2).encode(), 2), 6.0)
@@ -130,7 +130,7 @@ class TestView:
 
 class TestSettings:
     def test_usual_settings(self) -> None:
-        assert settings_of({}) == Settings(10.0, "stop", False, {})
+        assert settings_of({}) == FleetSettings(10.0, "stop", False, {})
 
     def test_all_of_them(self) -> None:
         given = {
@@ -141,7 +141,7 @@ class TestSettings:
             "max_bytes": 1 << 16,
         }
         limits = {"max_age": 60, "max_bytes": 1 << 16}
-        assert settings_of(given) == Settings(0.5, "continue", True, limits)
+        assert settings_of(given) == FleetSettings(0.5, "continue", True, limits)
         assert settings_of({"lease": 60}).lease == 60
 
     @pytest.mark.parametrize(

@@ -17,14 +17,14 @@ from typing import Any
 import pytest
 
 from libmodbus_py import DeviceConfig, Point, RegisterMap
-from libmodbus_py.services.engine.troubles import EngineGone
+from libmodbus_py.services.engine.errors import EngineGone
 from libmodbus_py.services.fleet.buffer import Buffer
 from libmodbus_py.services.fleet.config import checked, devices_to_json
 from libmodbus_py.services.fleet.outputs.output import OutputError
 from libmodbus_py.services.fleet.statistics import FleetStatistics, OutputStatistics
 from libmodbus_py.services.workers import polling
 from libmodbus_py.services.workers.polling import MOST_WRITES, PATIENCE, SAID_AGAIN, Polling, clock
-from libmodbus_py.services.workers.records import SETTINGS, Connection, Settings
+from libmodbus_py.services.workers.records import SETTINGS, Connection, FleetSettings
 from tests.services.workers.memory_engine import MemoryBucket, now, run
 
 LEASE = 10.0
@@ -73,15 +73,15 @@ def connection(*names: str, host: int = 1) -> Connection:
 
 def filled(*connections: Connection, **settings: Any) -> MemoryBucket:
     bucket = MemoryBucket()
-    bucket.write(SETTINGS, Settings(LEASE, **settings).encode())
+    bucket.write(SETTINGS, FleetSettings(LEASE, **settings).encode())
     for each in connections:
         bucket.write(each.bucket_key, each.encode())
     return bucket
 
 
-def made(bucket: MemoryBucket, settings: Settings | None = None, **options: Any) -> Polling:
+def made(bucket: MemoryBucket, settings: FleetSettings | None = None, **options: Any) -> Polling:
     given: Any = bucket
-    return Polling(given.client, given, settings or Settings(LEASE), clock=now, **options)
+    return Polling(given.client, given, settings or FleetSettings(LEASE), clock=now, **options)
 
 
 @asynccontextmanager
@@ -177,7 +177,7 @@ class TestLife:
     def test_the_end_of_an_output_ends_it(self) -> None:
         async def main() -> None:
             bucket = filled(connection("pump"), commands=True)
-            worker = made(bucket, Settings(LEASE, commands=True))
+            worker = made(bucket, FleetSettings(LEASE, commands=True))
             running = asyncio.create_task(worker.run())
             await until(lambda: names(worker))
             worker.fleet.error.set_exception(OutputError("nobody reads"))  # type: ignore[attr-defined]
@@ -494,7 +494,7 @@ class TestCommands:
     @pytest.mark.parametrize("commands", [True, False])
     def test_devices_are_written_to_if_the_fleet_says_so(self, commands: bool) -> None:
         async def main() -> None:
-            settings = Settings(LEASE, commands=commands)
+            settings = FleetSettings(LEASE, commands=commands)
             bucket = filled(connection("pump"), commands=commands)
             async with at_work(bucket, settings=settings) as worker:
                 await until(lambda: names(worker))

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py.services.workers.records import Settings
+from libmodbus_py.services.workers.records import FleetSettings
 from tests.services.workers.trial import INTERVAL, LEASE, UNITS, Trial
 from tests.simulation.workers import push_fleet
 
@@ -133,7 +133,7 @@ def test_without_the_engine_nobody_asks_beyond_the_lease(seconds: float) -> None
 
 
 def test_it_goes_on_without_the_engine_if_told_so_and_keeps_what_it_read() -> None:
-    trial = Trial(2, settings=Settings(LEASE, "continue"))
+    trial = Trial(2, settings=FleetSettings(LEASE, "continue"))
 
     async def main() -> None:
         await trial.start("a")
@@ -335,7 +335,7 @@ def asked_to_write(trial: Trial, main: Callable[[Ask], Awaitable[None]]) -> None
 
 
 def commanded(connections: int = 4) -> Trial:
-    return Trial(connections, settings=Settings(LEASE, commands=True))
+    return Trial(connections, settings=FleetSettings(LEASE, commands=True))
 
 
 def test_commands_are_carried_out_by_who_has_the_device() -> None:

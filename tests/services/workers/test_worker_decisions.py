@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
-from libmodbus_py.services.workers.records import Settings, encode_holder
+from libmodbus_py.services.workers.records import FleetSettings, encode_holder
 from libmodbus_py.services.workers.view import Entry
 from tests.services.workers.simulated import LEASE, Process, World
 
@@ -90,7 +90,7 @@ class Fleet(RuleBasedStateMachine):
         self.mend()
 
     def mend(self):
-        self.world.bucket.write("settings", Settings(LEASE).encode())
+        self.world.bucket.write("settings", FleetSettings(LEASE).encode())
 
     @invariant()
     def none_is_asked_by_two(self):
@@ -275,7 +275,7 @@ def bucket_was_emptied(world: World) -> None:
     for process in world.processes[1:]:
         world.kill(process)
     world.bucket.purge()
-    world.bucket.write("settings", Settings(LEASE).encode())
+    world.bucket.write("settings", FleetSettings(LEASE).encode())
     for connection in world.connections.values():
         world.bucket.write(connection.bucket_key, connection.encode())
     world.start(*ZONES)
@@ -336,7 +336,7 @@ def test_no_answer_is_waited_for_beyond_the_lease():
 
 def test_it_goes_on_without_the_engine_if_told_so():
     world = settled(processes=1, connections=5)
-    world.bucket.write("settings", Settings(LEASE, "continue").encode())
+    world.bucket.write("settings", FleetSettings(LEASE, "continue").encode())
     world.run(1)
     cut_off(world)
     world.run(5 * LEASE)

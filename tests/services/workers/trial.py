@@ -11,7 +11,7 @@ from typing import Any
 
 from libmodbus_py import Device, DeviceConfig, Mapping, Point, RegisterMap, Server
 from libmodbus_py.ports.trace import Traced
-from libmodbus_py.services.workers.records import Settings
+from libmodbus_py.services.workers.records import FleetSettings
 from tests.simulation.engine import Engine
 from tests.simulation.network import Network
 from tests.simulation.workers import SimulatedWorker, push_fleet
@@ -102,11 +102,11 @@ class Trial:
         workers: those that were started, by name.
     """
 
-    def __init__(self, connections: int, *, settings: Settings | None = None, seed: int = 1):
+    def __init__(self, connections: int, *, settings: FleetSettings | None = None, seed: int = 1):
         self.network = Network(seed)
         self.engine = Engine(self.network)
         self.asked = Asked(lambda: self.now)
-        self.settings = settings or Settings(LEASE)
+        self.settings = settings or FleetSettings(LEASE)
         self.places = [f"tcp://10.0.0.{at + 1}:502" for at in range(connections)]
         self.workers: dict[str, SimulatedWorker] = {}
         self._killed: list[SimulatedWorker] = []

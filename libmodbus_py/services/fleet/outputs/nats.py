@@ -9,7 +9,7 @@ from typing import Any
 
 from ....protocol.checks import integer, seconds
 from ...engine.connection import connected, disconnect, parse_servers, shown
-from ...engine.troubles import EngineError, EngineGone
+from ...engine.errors import EngineError, EngineGone
 from ..buffer import MOST_KEPT
 from .output import OutputError
 from .stream import LIMITS, Stream

@@ -11,7 +11,7 @@ from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
 from ...engine.buckets import PATIENCE, keep_stream
-from ...engine.troubles import EngineError, explained
+from ...engine.errors import EngineError, explained
 from ..readings import Reading
 from .forms import payload
 from .subjects import READINGS, readings_of

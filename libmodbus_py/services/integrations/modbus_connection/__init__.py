@@ -4,7 +4,7 @@ A backend of Home Assistant's modbus-connection: its connections and units, on `
 ::
 
     from modbus_connection import ModbusTcpParams
-    from libmodbus_py.services.integrations.modbus_connection import ModbusConnection
+    from libmodbus_py.modbus_connection import ModbusConnection
 
     connection = ModbusConnection(ModbusTcpParams(host="192.0.2.10"), timeout=3)
     await connection.for_unit(1).read_holding_registers(100, 3)
@@ -12,10 +12,10 @@ A backend of Home Assistant's modbus-connection: its connections and units, on `
 
 Its files::
 
-    links    Link: the connection: made, lost, closed, and one request at a time over it
-    units    Unit: its 19 operations
-    places   where the parameters lead, as URLs; which framings there are
-    causes   what our errors are called there
+    connection   ClientConnection: made, lost, closed, with one request at a time
+    units        ConnectionUnit: its 19 operations
+    places       the URLs of parameters; which framings there are
+    causes       the errors of modbus-connection for those of this package
 
 It needs Python 3.13 or newer and modbus-connection: libmodbus-py[homeassistant].
 """
@@ -39,9 +39,9 @@ except ImportError as error:
     ) from error
 
 from ....protocol.checks import integer
-from .links import Link
+from .connection import ClientConnection
 from .places import SUPPORTED_FRAMINGS, Params
-from .units import Unit
+from .units import ConnectionUnit
 
 # fmt: off
 __all__ = [
@@ -51,7 +51,7 @@ __all__ = [
 # fmt: on
 
 
-class ModbusConnection(Link):
+class ModbusConnection(ClientConnection):
     """
     A link to a Modbus network, as ``modbus_connection.ModbusConnection`` says it.
 
@@ -81,17 +81,17 @@ class ModbusConnection(Link):
             are none.
     """
 
-    def for_unit(self, unit_id: int) -> Unit:
+    def for_unit(self, unit_id: int) -> ConnectionUnit:
         """
-        Give a handle to a unit, 0..255. Unit 0 is a broadcast on serial lines: writes only.
+        Return a handle for a unit, 0..255. On serial lines unit 0 is a broadcast: writes only.
 
         Raises:
             TypeError, ValueError: no such unit.
         """
-        return Unit(self, integer("unit_id", unit_id, 0, 255))
+        return ConnectionUnit(self, integer("unit_id", unit_id, 0, 255))
 
 
-class Times(TypedDict, total=False):
+class Timings(TypedDict, total=False):
     """As of `ModbusConnection`."""
 
     timeout: float | None
@@ -104,7 +104,7 @@ async def connect_tcp(
     *,
     port: int = 502,
     framer: Literal["socket", "rtu", "ascii"] | None = None,
-    **times: Unpack[Times],
+    **times: Unpack[Timings],
 ) -> ModbusConnection:
     """
     Connect over TCP.
@@ -125,7 +125,7 @@ async def connect_udp(
     *,
     port: int = 502,
     framer: Literal["socket", "rtu", "ascii"] = "socket",
-    **times: Unpack[Times],
+    **times: Unpack[Timings],
 ) -> ModbusConnection:
     """As `connect_tcp`, over UDP; it has no framer "ascii"."""
     return await _connected(ModbusUdpParams(host=host, port=port, framer=framer), times)
@@ -141,7 +141,7 @@ async def connect_tls(
     client_key: str | None = None,
     client_key_password: str | None = None,
     sslctx: ssl.SSLContext | None = None,
-    **times: Unpack[Times],
+    **times: Unpack[Timings],
 ) -> ModbusConnection:
     """As `connect_tcp`, over TLS; what is said of certificates is as of ``ModbusTlsParams``."""
     params = ModbusTlsParams(
@@ -165,7 +165,7 @@ async def connect_serial(
     parity: Literal["N", "E", "O"] = "N",
     stopbits: Literal[1, 2] = 1,
     framer: Literal["rtu", "ascii"] = "rtu",
-    **times: Unpack[Times],
+    **times: Unpack[Timings],
 ) -> ModbusConnection:
     """As `connect_tcp`, at a serial port, or ``socket://HOST:PORT``, which leads to one."""
     params = ModbusSerialParams(
@@ -179,7 +179,7 @@ async def connect_serial(
     return await _connected(params, times)
 
 
-async def _connected(params: Params, times: Times) -> ModbusConnection:
+async def _connected(params: Params, times: Timings) -> ModbusConnection:
     connection = ModbusConnection(params, **times)
     try:
         await connection.connect()

@@ -11,20 +11,22 @@ from typing import Any, Concatenate, ParamSpec, TypeVar
 
 from ....client.asynchronous import AsyncClient
 from ....protocol.pdu import ReportServerId, ServerId
-from .links import Link
+from .connection import ClientConnection
 
-__all__ = ["Unit"]
+__all__ = ["ConnectionUnit"]
 
 Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")
-Operation = Callable[Concatenate["Unit", Arguments], Coroutine[Any, Any, Result]]
+Operation = Callable[Concatenate["ConnectionUnit", Arguments], Coroutine[Any, Any, Result]]
 
 
 def in_turn(ask: Operation[Arguments, Result]) -> Operation[Arguments, Result]:
     """Have it connect first, wait for its turn, and raise the errors of modbus-connection."""
 
     @functools.wraps(ask)
-    async def asking(self: Unit, /, *given: Arguments.args, **named: Arguments.kwargs) -> Result:
+    async def asking(
+        self: ConnectionUnit, /, *given: Arguments.args, **named: Arguments.kwargs
+    ) -> Result:
         shown = [*map(reprlib.repr, given)]
         shown += [f"{name}={reprlib.repr(value)}" for name, value in named.items()]
         return await self.link.carry_out(
@@ -47,7 +49,7 @@ class WholeServerId(ReportServerId):
         return ServerId.split(data, next(ends, len(found.identifier)))
 
 
-class Unit:
+class ConnectionUnit:
     """
     A unit, as ``modbus_connection.ModbusUnit`` says it; any number of tasks may ask it, and keep
     it for the life of its connection.
@@ -60,7 +62,7 @@ class Unit:
         unit_id: who is asked.
     """
 
-    def __init__(self, link: Link, unit_id: int) -> None:
+    def __init__(self, link: ClientConnection, unit_id: int) -> None:
         self.link = link
         self.unit_id = unit_id
 

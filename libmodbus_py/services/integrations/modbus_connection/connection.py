@@ -20,7 +20,7 @@ from ....security.given import GivenContext
 from .causes import not_connected, told
 from .places import Params, url_of
 
-__all__ = ["Link"]
+__all__ = ["ClientConnection"]
 
 Result = TypeVar("Result")
 
@@ -32,7 +32,7 @@ NEVER = 1_000_000
 FILES = ("verify", "client_cert", "client_key")
 
 
-class Link(theirs.ModbusConnection):
+class ClientConnection(theirs.ModbusConnection):
     """
     See `ModbusConnection`.
 

@@ -6,15 +6,15 @@ from __future__ import annotations
 
 import pytest
 
+from libmodbus_py.services.workers.locations import Locations
 from libmodbus_py.services.workers.records import (
     SETTINGS,
     Connection,
+    FleetSettings,
     Member,
-    Settings,
     encode_holder,
 )
 from libmodbus_py.services.workers.view import Entry
-from libmodbus_py.services.workers.whereabouts import Whereabouts
 from libmodbus_py.services.workers.worker import Worker
 
 LEASE = 10.0
@@ -28,10 +28,10 @@ class Bucket:
         self.worker = Worker(lambda: "b.1", {""})
         self.revision = 0
         self.worker.begins()
-        self.has(SETTINGS, Settings(LEASE).encode())
+        self.has(SETTINGS, FleetSettings(LEASE).encode())
         self.is_here("b.1")
         self.worker.is_synced(0.0)
-        self.whereabouts = Whereabouts(self.worker)
+        self.locations = Locations(self.worker)
 
     def has(self, key: str, value: bytes | None) -> None:
         self.revision += 1
@@ -44,7 +44,7 @@ class Bucket:
         self.has(connection.slot.key, encode_holder(id, id))
 
     def refusal(self, device: str = "pump", now: float = 1.0) -> str:
-        return self.whereabouts.refusal(device, now)
+        return self.locations.refusal(device, now)
 
 
 @pytest.fixture
@@ -117,5 +117,5 @@ def test_places_are_not_read_again_for_each_question(
 ) -> None:
     """A flood of questions for thousands of devices must not read them all each time."""
     assert bucket.refusal("pump")
-    monkeypatch.setattr("libmodbus_py.services.workers.whereabouts.json.loads", None)
+    monkeypatch.setattr("libmodbus_py.services.workers.locations.json.loads", None)
     assert bucket.refusal("pump") == "nobody polls 'pump' now"

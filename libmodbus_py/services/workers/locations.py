@@ -9,10 +9,10 @@ import json
 from .records import Connection
 from .worker import Worker
 
-__all__ = ["Whereabouts"]
+__all__ = ["Locations"]
 
 
-class Whereabouts:
+class Locations:
     """
     What the bucket says of devices.
 

@@ -1,0 +1,103 @@
+"""
+What is taken from the bucket, and what is refused as nothing that a worker wrote.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import pytest
+
+from libmodbus_py.services.workers.records import (
+    Connection,
+    FleetSettings,
+    Holding,
+    Member,
+    RecordError,
+    Slot,
+    decode,
+    digest_of,
+    encode_holder,
+    in_key,
+)
+
+LINE = "serial:/dev/ttyUSB0"
+DIGEST = digest_of(LINE)
+
+
+def value(**given: Any) -> bytes:
+    return json.dumps(given).encode()
+
+
+@pytest.mark.parametrize(
+    "record",
+    [
+        FleetSettings(),
+        FleetSettings(0.5, "continue", True, {"max_age": 1}),
+        FleetSettings(60.0),
+        Connection("", LINE, 0.0, '{"devices": []}'),
+        Connection("north", LINE, 60.0, '{"devices": [{"name": "d"}]}'),
+        Member("a.1", "here", ("", "north"), 10.0, 3, 17, {"up": 1}),
+        Member("a.1", "ended", (), 0.5),
+    ],
+)
+def test_what_is_written_is_read_as_it_was(record: FleetSettings | Connection | Member) -> None:
+    key = "settings" if isinstance(record, FleetSettings) else record.bucket_key
+    assert decode(key, record.encode()) == record
+
+
+@pytest.mark.parametrize("number", [0, 255])
+def test_the_holder_of_a_slot_is_read(number: int) -> None:
+    slot = Slot("north", number)
+    assert decode(slot.key, encode_holder("a.1", "b.2")) == Holding(slot, "a.1", "b.2")
+
+
+@pytest.mark.parametrize(
+    ("key", "given", "why"),
+    [
+        ("thing.x", value(), "no such key"),
+        ("settings.x", value(), "no such key"),
+        ("settings", b"[]", "no object"),
+        ("settings", value(format=2), "format 2; this version knows 1"),
+        ("settings", value(format=1, lease=0.4, on_engine_loss="stop"), "0.4 is not in 0.5..60.0"),
+        ("settings", value(format=1, lease=61, on_engine_loss="stop"), "61 is not in 0.5..60.0"),
+        ("settings", value(format=1, lease=True, on_engine_loss="stop"), "'True' is no number"),
+        ("settings", value(format=1, lease=1, on_engine_loss="go"), "'go' is none of stop, cont"),
+        ("settings", value(format=1, lease=1), "on_engine_loss is missing"),
+        (f"connection._.{DIGEST}", value(connection="tcp:x", timeout=1, devices=[]), "not the one"),
+        (f"connection._.{DIGEST[:31]}", value(connection=LINE, timeout=1, devices=[]), "not the"),
+        (f"connection._.{DIGEST}", value(connection=LINE, timeout=61, devices=[]), "61 is not in"),
+        (f"connection._.{DIGEST}", value(connection=LINE, timeout=-1, devices=[]), "-1 is not in"),
+        (f"connection.a b.{DIGEST}", value(connection=LINE, timeout=1, devices=[]), "zone 'a b'"),
+        ("slot._.256", value(holder="a.1", by="a.1"), "slots are 0..255"),
+        ("slot._.-1", value(holder="a.1", by="a.1"), "slots are 0..255"),
+        ("slot._.007", value(holder="a.1", by="a.1"), "slots are 0..255"),
+        ("slot._.1", value(holder=1, by="a.1"), "'1' is no str"),
+        ("worker.a.1", value(zones=["north"], state="gone"), "'gone' is none of here, ended"),
+        ("worker.a.1", value(zones="north", state="here"), "'north' is no list"),
+        ("worker.a.1", value(zones=[], state="here", lease=1, beat=True, seen=0), "no int"),
+        ("settings", b"[" * 10_000, "recursion"),
+    ],
+)
+def test_what_no_worker_wrote_is_refused(key: str, given: bytes, why: str) -> None:
+    with pytest.raises(RecordError) as refused:
+        decode(key, given)
+    assert str(refused.value).startswith(f"{key}: ")
+    assert why in str(refused.value)
+
+
+def test_a_value_of_more_than_a_mebibyte_is_refused() -> None:
+    given = FleetSettings(results={"x": ""}).encode()
+    longest = FleetSettings(results={"x": "." * ((1 << 20) - len(given))}).encode()
+    assert len(longest) == 1 << 20
+    assert isinstance(decode("settings", longest), FleetSettings)
+    with pytest.raises(RecordError, match="more than 1048576 bytes"):
+        decode("settings", longest + b" ")
+
+
+def test_a_zone_has_sixty_characters_at_most() -> None:
+    assert in_key("") == "_"
+    assert in_key("a" * 60) == "a" * 60
+    with pytest.raises(ValueError, match="60 letters"):
+        in_key("a" * 61)

@@ -1,0 +1,152 @@
+"""
+What `fleet status` says, of a bucket in memory.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any, cast
+
+import pytest
+
+from libmodbus_py.services.engine.buckets import Bucket
+from libmodbus_py.services.engine.errors import EngineError, EngineGone
+from libmodbus_py.services.workers.pushing import seen_now
+from libmodbus_py.services.workers.records import (
+    SETTINGS,
+    Connection,
+    FleetSettings,
+    Member,
+    digest_of,
+    encode_holder,
+    slot_of,
+)
+from libmodbus_py.services.workers.status import fleet_status, tables
+from tests.services.workers.memory_engine import MemoryBucket, now, run
+
+LEASE = 8.0
+
+REPORT = {"connections": 2, "devices": 3, "up": 2, "down": 1, "polls": 1.26}
+
+
+def connection(zone: str, host: int) -> Connection:
+    return Connection(zone, f"tcp:192.0.2.{host}:502", 1.0, '{"devices": []}')
+
+
+def member(id: str, *, beat: int = 1, state: Any = "here", report: Any = REPORT) -> Member:
+    return Member(id, state, ("", "north"), LEASE, beat, 0, report)
+
+
+def plant() -> MemoryBucket:
+    """Three workers, of whom one is silent and one has ended; connections in three zones."""
+    bucket = MemoryBucket()
+    bucket.write(SETTINGS, FleetSettings(LEASE).encode())
+    for each in (connection("", 1), connection("north", 2), connection("south", 3)):
+        bucket.write(each.bucket_key, each.encode())
+    for each in (
+        member("alive.1"),
+        member("silent.2"),
+        member("ended.3", state="ended"),
+    ):
+        bucket.write(each.bucket_key, each.encode())
+    for zone, host, worker in (("", 1, "alive.1"), ("north", 2, "silent.2")):
+        slot = slot_of(zone, digest_of(connection(zone, host).key))
+        bucket.write(slot.key, encode_holder(worker, worker))
+    bucket.write("worker.odd.4", b"{}")
+    return bucket
+
+
+async def seen(bucket: MemoryBucket, *, report: Any = REPORT) -> tuple[dict[str, Any], float]:
+    """Look at the fleet while one of its workers tells of itself; give how long that took too."""
+    began = now()
+    looking = asyncio.create_task(fleet_status(cast(Bucket, bucket)))
+    await asyncio.sleep(1.0)
+    told = member("alive.1", beat=2, report=report)
+    bucket.write(told.bucket_key, told.encode())
+    return await looking, now() - began
+
+
+def test_workers_zones_and_sums() -> None:
+    status, took = run(seen(plant()))
+    assert took == pytest.approx(LEASE / 4)
+    assert [(each["id"], each["state"], each["slots"]) for each in status["workers"]] == [
+        ("alive.1", "here", 1),
+        ("ended.3", "ended", 0),
+        ("silent.2", "silent", 1),
+    ]
+    assert status["workers"][0]["zones"] == ["north"]
+    assert status["lease"] == LEASE
+    assert status["on_engine_loss"] == "stop"
+    assert status["totals"] == {**REPORT, "polls": 1.3}
+    assert status["zones"] == {
+        "": {"connections": 1, "slots": 1, "served_slots": 1, "workers": 1},
+        "north": {"connections": 1, "slots": 1, "served_slots": 0, "workers": 1},
+        "south": {"connections": 1, "slots": 1, "served_slots": 0, "workers": 0},
+    }
+    assert status["unreadable"] == ["worker.odd.4: zones is missing"]
+
+
+def test_tables_say_the_same_to_be_read() -> None:
+    status, _ = run(seen(plant()))
+    status["workers"][0]["zones"] = ["east", "north"]
+    status["workers"][1]["id"] = "e" * 30
+    status["zones"]["z" * 30] = status["zones"].pop("south")
+    assert (
+        tables(status)
+        == f"""\
+worker                       state   slots connections devices     up   down  polls/s  zones
+alive.1                      here        1           2       3      2      1     1.26  east, north
+{"e" * 28} ended       0           2       3      2      1     1.26  north
+silent.2                     silent      1           2       3      2      1     1.26  north
+
+zone                         workers connections slots served
+(none)                             1           1     1      1
+north                              1           1     1      0  moving
+{"z" * 28}       0           1     1      0  nobody serves it
+unreadable: worker.odd.4: zones is missing"""
+    )
+
+
+def test_numbers_of_a_report_that_are_none_count_as_nothing() -> None:
+    status, _ = run(seen(plant(), report={"polls": "many", "up": float("nan"), "down": 2}))
+    assert status["totals"] == {"connections": 0, "devices": 0, "up": 0, "down": 2, "polls": 0}
+
+
+def test_a_worker_that_came_between_the_two_looks_is_here() -> None:
+    async def main() -> list[str]:
+        bucket = plant()
+        looking = asyncio.create_task(fleet_status(cast(Bucket, bucket)))
+        await asyncio.sleep(1.0)
+        bucket.write("worker.new.5", member("new.5").encode())
+        return [each["id"] for each in (await looking)["workers"] if each["state"] == "here"]
+
+    assert run(main()) == ["new.5"]
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        (None, "there is no fleet yet; put it there with --push"),
+        (b'{"format": 99}', "settings: format 99; this version knows 1"),
+    ],
+)
+def test_a_bucket_without_a_fleet(settings: bytes | None, said: str) -> None:
+    bucket = MemoryBucket()
+    if settings:
+        bucket.write(SETTINGS, settings)
+    with pytest.raises(EngineError) as refused:
+        run(fleet_status(cast(Any, bucket)))
+    assert str(refused.value) == f"{bucket.name}: {said}"
+
+
+def test_a_bucket_that_is_not_told_whole() -> None:
+    async def main() -> float:
+        bucket = MemoryBucket()
+        bucket.is_mute = True
+        began = now()
+        with pytest.raises(EngineGone, match="it was not told whole in 10 s"):
+            await seen_now(cast(Any, bucket))
+        assert bucket.watches == []
+        return now() - began
+
+    assert run(main()) == pytest.approx(10.0)
