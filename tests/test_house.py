@@ -75,7 +75,6 @@ SAME_NAME = {
     "Link",
     "Listener",
     "Reading",
-    "Row",
     "Scan",
     "Settings",
     "Standing",

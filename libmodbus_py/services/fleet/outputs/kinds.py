@@ -4,13 +4,13 @@ The kinds of outputs, by the names that files and options have for them.
 
 from __future__ import annotations
 
-import inspect
 from importlib import import_module
 from typing import Any
 
+from ....tools.files.schema import Keys, keys_of
 from .output import Output
 
-__all__ = ["KINDS", "keys_of", "made"]
+__all__ = ["KINDS", "made", "output_keys"]
 
 KINDS: dict[str, tuple[str, str]] = {
     "json": ("json_lines", "JsonLines"),
@@ -26,21 +26,17 @@ def _class(kind: str) -> Any:
     return getattr(import_module(f".{module}", __package__), name)
 
 
-def keys_of(kind: str) -> list[str]:
-    """Give what it can be told."""
-    return list(inspect.signature(_class(kind)).parameters)
+def output_keys(kind: str) -> Keys:
+    """Return the keys of a kind of outputs, of which one is made."""
+    return keys_of(_class(kind))
 
 
 def made(kind: str, keys: dict[str, Any]) -> Output:
     """
-    Make one.
+    Make an output.
 
     Raises:
         TypeError, ValueError: a key of the wrong name, type or range.
     """
-    needed = inspect.signature(_class(kind)).parameters.values()
-    for each in needed:
-        if each.default is each.empty and each.name not in keys:
-            raise ValueError(f"{each.name} is missing")
-    output: Output = _class(kind)(**keys)
+    output: Output = output_keys(kind).read((), keys)
     return output

@@ -15,6 +15,7 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
+from ....protocol.mistakes import WrongType
 from ..buffer import MOST_KEPT
 from ..readings import Reading
 from .output import OutputError
@@ -49,7 +50,7 @@ class TextFile:
         buffer: int = MOST_KEPT,
     ) -> None:
         if not isinstance(path, str | os.PathLike) or not os.fspath(path):
-            raise TypeError(f"path must be text, not {path!r}")
+            raise WrongType("path", f"must be text, not {path!r}")
         self.path: str = os.fspath(path)
         self.buffer: int = buffer
         self._name = name
