@@ -69,7 +69,6 @@ WORDS = {
 
 SAME_NAME = {
     "Asked",
-    "JsonLines",
     "Kind",
     "Line",
     "Link",

@@ -19,8 +19,7 @@ from ...server.signals import Handler, signal_handlers
 from ...services.fleet.config import DeviceConfig
 from ...services.fleet.files import FleetFile, load
 from ...services.fleet.fleet import Fleet
-from ...services.fleet.outputs.csv_rows import CsvRows
-from ...services.fleet.outputs.json_lines import JsonLines
+from ...services.fleet.outputs.kinds import KINDS, made
 from ...services.fleet.outputs.last_values import LastValues
 from ...services.fleet.outputs.output import Output, OutputError
 from ...services.fleet.trial import Tried, overloads, trying
@@ -44,6 +43,8 @@ ON_TIME = 0.1
 
 STANDARD_OUTPUT = "-"
 
+FILES = {name: kind for name, kind in KINDS.items() if kind.form}
+
 
 def add_command(commands: Any) -> None:
     """Tell argparse of it."""
@@ -60,7 +61,7 @@ def add_command(commands: Any) -> None:
     mode.add_argument(
         "--check", action="store_true", help="ask each device once, and print how that went"
     )
-    for name, form in (("json", "lines of JSON"), ("csv", "CSV")):
+    for name, (_, _, form) in FILES.items():
         command.add_argument(
             f"--{name}",
             nargs="?",
@@ -82,7 +83,7 @@ def _poll(options: argparse.Namespace) -> int:
         raise ValueError("--push needs --engine")
     for each in overloads(file.devices):
         logger.warning("%s", each)
-    values = LastValues({each.name: each.labels for each in file.devices})
+    values = LastValues()
     outputs = _outputs(file, options)
     if options.engine is not None:
         return _poll_with_others(options, file, outputs, values)
@@ -123,11 +124,12 @@ def _poll_with_others(
 
 def _outputs(file: FleetFile, options: argparse.Namespace) -> list[Output]:
     outputs = file.made_outputs()
-    for make, path in ((JsonLines, options.json), (CsvRows, options.csv)):
+    for kind in FILES:
+        path = getattr(options, kind)
         if path is not None:
-            outputs.append(make(path))
+            outputs.append(made(kind, {"path": path}))
     if not (outputs or options.metrics or options.engine or sys.stdout.isatty()):
-        outputs.append(JsonLines())
+        outputs.append(made("json", {"path": STANDARD_OUTPUT}))
     if sum(map(_prints, outputs)) > 1:
         raise ValueError("only one output may be the standard output")
     return outputs

@@ -9,8 +9,8 @@ Fleet files: devices and outputs, described in TOML.
                                 stand in its place, with what a `Point` has
     [engine]                    for several machines, see `workers.pushing`
     [output.json] [output.csv] [output.mqtt] ...
-                                as `outputs.kinds`; "${NAME}" stands for what the environment
-                                has under that name
+                                as `outputs.kinds`; [[output.json]] for several of a kind;
+                                "${NAME}" stands for a variable of the environment
 """
 
 from __future__ import annotations
@@ -67,15 +67,15 @@ class FleetFile:
 
     Attributes:
         devices: for `Fleet`.
-        outputs: kind -> the arguments of its class, with secrets.
+        outputs: of each the kind, and the arguments of its class, with secrets.
     """
 
     devices: list[DeviceConfig]
-    outputs: dict[str, dict[str, Any]] = field(default_factory=dict, repr=False)
+    outputs: list[tuple[str, dict[str, Any]]] = field(default_factory=list, repr=False)
 
     def made_outputs(self) -> list[Output]:
         """Make the outputs; each is for one fleet."""
-        return [made(kind, keys) for kind, keys in self.outputs.items()]
+        return [made(kind, keys) for kind, keys in self.outputs]
 
 
 def load(path: str | PathLike[str]) -> FleetFile:
@@ -194,11 +194,14 @@ class _Reader:
 
     # --- outputs ----------------------------------------------------------------------------
 
-    def _outputs(self, given: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-        return {kind: self._output(kind, keys) for kind, keys in given.items()}
+    def _outputs(self, given: Mapping[str, Any]) -> list[tuple[str, dict[str, Any]]]:
+        return [
+            (kind, self._output(path, kind, keys))
+            for kind, tables in given.items()
+            for path, keys in tables
+        ]
 
-    def _output(self, kind: str, given: Mapping[str, Any]) -> dict[str, Any]:
-        path = ("output", kind)
+    def _output(self, path: Path, kind: str, given: Mapping[str, Any]) -> dict[str, Any]:
         with inside(*path):
             keys = {key: _filled(key, value) for key, value in self._secrets(given).items()}
             if isinstance(keys.get("path"), str) and keys["path"] != "-":
@@ -271,13 +274,17 @@ def _points(path: Path, given: object) -> RegisterMap:
 
 
 def _output_tables(path: Path, given: object) -> dict[str, Any]:
-    return Keys(Key(kind, _output_table) for kind in KINDS).read(path, given)  # type: ignore[no-any-return]
+    return Keys(Key(kind, _one_or_several) for kind in KINDS).read(path, given)  # type: ignore[no-any-return]
 
 
-def _output_table(path: Path, given: object) -> dict[str, Any]:
+def _one_or_several(path: Path, given: object) -> list[tuple[Path, dict[str, Any]]]:
+    """Return the table ``[output.KIND]``, or the tables ``[[output.KIND]]``, with their paths."""
     keys = output_keys(str(path[-1]))
     files = [Key(f"{key}_file", text=f"a file with the {key}") for key in SECRET if key in keys]
-    return (keys | Keys(files)).optional().read(path, given)  # type: ignore[no-any-return]
+    allowed = (keys | Keys(files)).optional()
+    if not isinstance(given, list):
+        return [(path, allowed.read(path, given))]
+    return [(item(path, at), allowed.read(item(path, at), each)) for at, each in enumerate(given)]
 
 
 DEVICE = keys_of(DeviceConfig, map=_file_name)
@@ -291,7 +298,11 @@ FILE = Keys(
         Key("devices", _file_name, "a file of devices in CSV"),
         Key("defaults", DEVICE.but("name").optional().read, "what devices have unless they say it"),
         Key("device", tables, "a table for each device: [[device]]"),
-        Key("output", _output_tables, "a table for each output: [output.KIND]"),
+        Key(
+            "output",
+            _output_tables,
+            "a table for each output: [output.KIND], or several: [[output.KIND]]",
+        ),
         Key("engine", text="what several machines share"),
     ]
 )

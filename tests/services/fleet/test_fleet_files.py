@@ -102,8 +102,9 @@ def test_a_file_with_every_key(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     assert (north.unit, north.interval, north.names) == (4, 7.5, ("voltage",))
     assert north.labels == {"site": "here"}
     assert pump.map is valve.map is north.map
-    assert file.outputs["json"] == {"path": str(tmp_path / "readings.jsonl")}
-    assert file.outputs["mqtt"]["password"] == "secret"
+    (json_kind, json_keys), (_, mqtt_keys) = file.outputs
+    assert (json_kind, json_keys) == ("json", {"path": str(tmp_path / "readings.jsonl")})
+    assert mqtt_keys["password"] == "secret"
     assert "secret" not in repr(file)
     fleet_of_it = Fleet.from_file(tmp_path / "fleet.toml")
     assert set(fleet_of_it.statistics.outputs) == set()
@@ -114,7 +115,7 @@ def test_the_example_of_the_source_tree_can_be_loaded(monkeypatch: pytest.Monkey
     monkeypatch.setenv("MQTT_PASSWORD", "secret")
     file = load(Path(__file__).parents[3] / "examples" / "fleet.toml")
     assert len(file.devices) > 2
-    assert set(file.outputs) == {"json", "csv", "mqtt"}
+    assert {kind for kind, _ in file.outputs} == {"json", "csv", "mqtt"}
 
 
 SIMPLE = '[[device]]\nname = "a"\nurl = "tcp://h"\nmap = "meter.csv"\n'
@@ -174,6 +175,11 @@ SIMPLE = '[[device]]\nname = "a"\nurl = "tcp://h"\nmap = "meter.csv"\n'
             "[output.json]\npth = 'x'\n" + SIMPLE,
             2,
             "output.json.pth: no such key; allowed are path",
+        ),
+        (
+            "[[output.csv]]\n[[output.csv]]\npth = 1\n" + SIMPLE,
+            3,
+            "output.csv[1].pth: no such key; allowed are path, buffer",
         ),
         ("[output.jsn]\n" + SIMPLE, 1, "output.jsn: no such key; allowed are json, csv, mqtt"),
         ("[output.json]\npath = 7\n" + SIMPLE, 2, "output.json.path must be text"),
