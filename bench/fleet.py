@@ -22,7 +22,7 @@ from contextlib import ExitStack, contextmanager
 from bench.children import resident_memory
 from bench.memory import raise_descriptor_limit
 from libmodbus_py import Device, DeviceConfig, Fleet, Limits, Mapping, Point, RegisterMap, Server
-from libmodbus_py.services.fleet.outputs.json_lines import JsonLines
+from libmodbus_py.services.fleet.outputs.json_output import JsonOutput
 from libmodbus_py.services.fleet.statistics import LATENESS_BOUNDS
 
 ON_TIME, WANTED_ON_TIME = 0.1, 0.99
@@ -125,7 +125,7 @@ async def measure(urls: list[str], options: argparse.Namespace) -> dict[str, flo
         for at, url in enumerate(urls)
         for unit in range(1, options.units + 1)
     ]
-    outputs = [JsonLines(options.output)] if options.output else []
+    outputs = [JsonOutput(options.output)] if options.output else []
     fleet = Fleet(devices, outputs=outputs)
     async with fleet:
         gc.collect()

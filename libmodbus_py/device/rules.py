@@ -14,6 +14,7 @@ from typing import Any, Literal
 
 from ..protocol import pdu
 from ..protocol.checks import integer
+from ..protocol.mistakes import Path, WrongType, WrongValue
 from ..protocol.tables import TABLE_SIZE
 from ..security.role import check_role
 from .access import ACCESSES, Access
@@ -129,7 +130,7 @@ class Rules:
 
     def __init__(self, roles: Mapping[str | None, Allow]) -> None:
         if not isinstance(roles, Mapping):
-            raise TypeError(f"roles must be {{role: Allow(...)}}, not {type(roles).__name__}")
+            raise WrongType("roles", f"must be {{role: Allow(...)}}, not {type(roles).__name__}")
         for role, allow in roles.items():
             if role is not None:
                 if not isinstance(role, str):
@@ -157,10 +158,10 @@ class _Places:
         runs: list[tuple[str, int, int, int]] = []
         for at, each in enumerate(given):
             if isinstance(each, str):
-                _check_table(f"{name}[{at}]", each, sizes)
+                _check_table((name, at), each, sizes)
                 self._whole.add(each)
             else:
-                runs.append(_run(f"{name}[{at}]", each, sizes))
+                runs.append(_run((name, at), each, sizes))
         for table, file, first, stop in sorted(runs):
             firsts, stops = self._runs.setdefault((table, file), ([], []))
             if stops and first <= stops[-1]:
@@ -185,50 +186,53 @@ def _listed(name: str, given: object, everything: Iterable[str]) -> tuple[Any, .
     if given == "all":
         return tuple(everything)
     if isinstance(given, str) or not isinstance(given, Iterable):
-        raise TypeError(f'{name} must be "all" or a list, not {reprlib.repr(given)}')
+        raise WrongType(name, f'must be "all" or a list, not {reprlib.repr(given)}')
     return tuple(given)
 
 
-def _check_table(name: str, table: object, sizes: Mapping[str, int]) -> None:
+def _check_table(name: Path, table: object, sizes: Mapping[str, int]) -> None:
     if not isinstance(table, str) or table not in sizes:
-        raise ValueError(
-            f"{name}: the table must be one of {', '.join(sizes)}, not {reprlib.repr(table)}"
+        raise WrongValue.about(
+            name, f"the table must be one of {', '.join(sizes)}, not {reprlib.repr(table)}"
         )
 
 
-def _run(name: str, place: Any, sizes: Mapping[str, int]) -> tuple[str, int, int, int]:
+def _run(name: Path, place: Any, sizes: Mapping[str, int]) -> tuple[str, int, int, int]:
     if not isinstance(place, Access):
-        raise TypeError(
-            f"{name} must be the name of a table or Access(...), not {reprlib.repr(place)}"
+        raise WrongType(
+            name, f"must be the name of a table or Access(...), not {reprlib.repr(place)}"
         )
     _check_table(name, place.table, sizes)
     if place != Access(place.table, place.address, place.count, file=place.file):
-        raise ValueError(
-            f"{name}: values, unit, peer and role mean nothing in {reprlib.repr(place)}"
+        raise WrongValue.about(
+            name, f"values, unit, peer and role mean nothing in {reprlib.repr(place)}"
         )
     size = sizes[place.table]
-    first = integer(f"{name}: address", place.address, 0, size - 1)
-    count = integer(f"{name}: count", place.count, 1, size - first)
+    first = integer((*name, "address"), place.address, 0, size - 1)
+    count = integer((*name, "count"), place.count, 1, size - first)
     is_file = place.table == "file"
-    file = integer(f"{name}: file", place.file, 1 if is_file else 0, 0xFFFF if is_file else 0)
+    file = integer((*name, "file"), place.file, 1 if is_file else 0, 0xFFFF if is_file else 0)
     return place.table, file, first, first + count
 
 
 def _code(at: int, given: object) -> Code:
     """A function, as given; those that touch tables have rules of their own."""
-    name = f"functions[{at}]"
+    name = ("functions", at)
     code, sub = given, None
     if isinstance(given, str):
         parts = re.fullmatch(r"([0-9]{1,3})/([0-9]{1,5})", given)
         if parts is None or int(parts[1]) not in SUB_FUNCTIONS:
-            raise ValueError(
-                f'{name} must be a code, or such as "8/0" or "43/14", not {reprlib.repr(given)}'
+            raise WrongValue(
+                name, f'must be a code, or such as "8/0" or "43/14", not {reprlib.repr(given)}'
             )
         code, sub = int(parts[1]), int(parts[2])
-        integer(f"{name}: what follows {code}/", sub, 0, SUB_FUNCTIONS[code])
-    number = integer(f"{name}: a code", code, 1, 127)
+        most = SUB_FUNCTIONS[code]
+        if sub > most:
+            reason = f"what follows {code}/ must be in 0..{most}, not {sub}"
+            raise WrongValue.about(name, reason)
+    number = integer(name, code, 1, 127)
     if pdu.REQUESTS.get(number) in ACCESSES:
-        raise ValueError(f"{name}: {number} touches tables: allow them by read and write")
+        raise WrongValue.about(name, f"{number} touches tables: allow them by read and write")
     return number, sub
 
 

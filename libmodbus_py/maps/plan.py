@@ -16,6 +16,7 @@ from typing import Any, Literal, NamedTuple, Required, TypedDict, TypeVar
 from ..protocol import pdu
 from ..protocol.checks import integer
 from ..protocol.errors import ModbusError
+from ..protocol.mistakes import WrongType, WrongValue, placed
 from ..protocol.pdu.fields import checked_span, store
 from ..protocol.tables import TABLE_SIZE, TABLES, Table
 from ..protocol.values import Order, TypeName, ValueType, value_type
@@ -59,7 +60,7 @@ class Read:
 
     def __post_init__(self) -> None:
         if not isinstance(self.table, str) or self.table not in TABLES:
-            raise ValueError(f"table must be one of {', '.join(TABLES)}, not {self.table!r}")
+            raise WrongValue("table", f"must be one of {', '.join(TABLES)}, not {self.table!r}")
         store(self, kind=self._find_kind())
         count = integer("count", self.count, 1, TABLE_SIZE // self.size)
         name = "count" if self.size == 1 else f"{self.size} * count"
@@ -69,10 +70,10 @@ class Read:
     def _find_kind(self) -> ValueType | None:
         if self.type is None:
             if (self.order, self.encoding, self.padding) != ("ABCD", "ascii", "\0"):
-                raise ValueError("type must be given with order, encoding or padding")
+                raise WrongValue("type", "must be given with order, encoding or padding")
             return None
         if TABLES[self.table].is_bits:
-            raise ValueError(f"type must be None for {self.table}, not {self.type!r}")
+            raise WrongValue("type", f"must be None for {self.table}, not {self.type!r}")
         return value_type(self.type, order=self.order, encoding=self.encoding, padding=self.padding)
 
     @cached_property
@@ -93,7 +94,7 @@ class Read:
             TypeError, ValueError: not as many as `cells`, or such that hold no such value.
         """
         if len(cells) != len(self.cells):
-            raise ValueError(f"cells must be {len(self.cells)}, not {len(cells)}")
+            raise WrongValue("cells", f"must be {len(self.cells)}, not {len(cells)}")
         return list(cells) if self.kind is None else self.kind.decode_many(cells)
 
 
@@ -256,9 +257,9 @@ class Plan:
 
     def _checked_answers(self, answers: list[Any]) -> list[Any]:
         if len(answers) != len(self.requests):
-            raise ValueError(
-                f"answers must hold one for each of {len(self.requests)} requests,"
-                f" not {len(answers)}"
+            raise WrongValue(
+                "answers",
+                f"must hold one for each of {len(self.requests)} requests, not {len(answers)}",
             )
         for at, (answer, request) in enumerate(zip(answers, self.requests, strict=True)):
             count: int = request.count  # type: ignore[attr-defined]
@@ -341,7 +342,7 @@ def _checked_items(items: object) -> dict[Any, Read]:
     if isinstance(items, Mapping):
         return {name: _checked_item(name, item) for name, item in items.items()}
     if isinstance(items, Read | str | bytes) or not isinstance(items, Iterable):
-        raise TypeError(f"items must be a list of reads, not {type(items).__name__}")
+        raise WrongType("items", f"must be a list of reads, not {type(items).__name__}")
     return {name: _checked_item(name, item) for name, item in enumerate(items)}
 
 
@@ -349,11 +350,13 @@ def _checked_item(name: object, item: object) -> Read:
     if isinstance(item, Read):
         return item
     if not isinstance(item, tuple) or not 2 <= len(item) <= 7:
-        raise TypeError(f"items[{name!r}] must be a Read or a tuple of its arguments, not {item!r}")
+        raise WrongType(
+            f"items[{name!r}]", f"must be a Read or a tuple of its arguments, not {item!r}"
+        )
     try:
         return Read(*item)
     except (TypeError, ValueError) as error:
-        raise type(error)(f"items[{name!r}]: {error}") from None
+        raise placed(error, (f"items[{name!r}]",)) from None
 
 
 def _checked_forbidden(forbidden: object) -> dict[str, list[range]]:
@@ -361,11 +364,13 @@ def _checked_forbidden(forbidden: object) -> dict[str, list[range]]:
     pairs = list(forbidden) if isinstance(forbidden, Iterable) else [forbidden]
     for at, pair in enumerate(pairs):
         if not isinstance(pair, tuple) or len(pair) != 2 or not isinstance(pair[1], range):
-            raise TypeError(f"forbidden[{at}] must be a pair (table, range), not {pair!r}")
+            raise WrongType(("forbidden", at), f"must be a pair (table, range), not {pair!r}")
         table, cells = pair
         if table not in TABLES:
-            raise ValueError(f"forbidden[{at}]: table must be one of {', '.join(TABLES)}")
+            raise WrongValue.about(("forbidden", at), f"table must be one of {', '.join(TABLES)}")
         if cells.step != 1 or cells.start < 0 or cells.stop > TABLE_SIZE:
-            raise ValueError(f"forbidden[{at}]: the range must lie in 0..65535 without steps")
+            raise WrongValue.about(
+                ("forbidden", at), "the range must lie in 0..65535 without steps"
+            )
         closed[table] += [cells] if cells else []
     return closed

@@ -5,11 +5,12 @@ One named value of a device: where it lies, and what its cells mean.
 from __future__ import annotations
 
 import reprlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from ..protocol.checks import shown
+from ..protocol.mistakes import Mistake, WrongType, WrongValue
 from ..protocol.pdu.fields import checked_bit, checked_sequence, store
 from ..protocol.tables import TABLES, Table
 from ..protocol.values import Order, TypeName, ValueType
@@ -115,6 +116,34 @@ class Point:
         """What makes its value of a raw one; None where they are the same."""
         return None if self._scaling is None else self._scaling.to_value
 
+    @property
+    def type_name(self) -> str:
+        """Its type; its table where that holds bits."""
+        return self.type or self.table
+
+    @property
+    def limits(self) -> tuple[float, float] | tuple[None, None]:
+        """
+        The lowest and the highest value that its cells can hold, scaled; 0 and 1 in tables of
+        bits; None and None if its values are no numbers.
+        """
+        if self.read.kind is None:
+            return 0, 1
+        if self.read.kind.limits is None:
+            return None, None
+        low, high = self.read.kind.limits
+        if self._scaling is None:
+            return low, high
+        low, high = sorted(map(self._scaling.to_value, (low, high)))
+        return low, high
+
+    @property
+    def step(self) -> float:
+        """The distance of two values; 0 for floats, and for what is no number."""
+        limits = (0, 1) if self.read.kind is None else self.read.kind.limits
+        is_whole = limits is not None and isinstance(limits[0], int)
+        return abs(self.scale) if is_whole else 0
+
     # --- what its cells mean ---------------------------------------------------------------
 
     def decode(self, cells: Sequence[Any]) -> Any:
@@ -133,12 +162,24 @@ class Point:
                 the point.
         """
         try:
-            values = self.read.decode(cells)
+            if len(cells) != len(self.cells):
+                raise WrongValue("cells", f"must be {len(self.cells)}, not {len(cells)}")
+            values = self.values_in(cells)
         except (TypeError, ValueError) as error:
             raise _named(self.name, error) from None
-        if self._scaling is not None:
-            values = [self._scaling.to_value(raw) for raw in values]
         return values[0] if self.count == 1 else values
+
+    def values_in(self, cells: Sequence[Any]) -> list[Any]:
+        """
+        Turn the cells of some of its values into these values.
+
+        Raises:
+            TypeError, ValueError: the cells hold no such values.
+        """
+        values = list(cells) if self.read.kind is None else self.read.kind.decode_many(cells)
+        if self._scaling is None:
+            return values
+        return [self._scaling.to_value(raw) for raw in values]
 
     def encode(self, value: Any) -> list[Any]:
         """
@@ -155,38 +196,68 @@ class Point:
                 names the point.
         """
         try:
-            given = [value] if self.count == 1 else self._checked_values(value)
-            return [cell for each in given for cell in self._cells_of(each)]
+            return self.cells_of(value)
         except (TypeError, ValueError) as error:
             raise _named(self.name, error) from None
+
+    def cells_of(self, value: Any) -> list[Any]:
+        """
+        Turn a value into its cells, as `encode` does.
+
+        Raises:
+            TypeError, ValueError: as `encode`; the message begins with "value", not with the
+                name of the point.
+        """
+        given = [value] if self.count == 1 else self._checked_values(value)
+        return [cell for each in given for cell in self.cells_of_one(each)]
+
+    def cells_of_one(self, value: Any) -> list[Any]:
+        """
+        Turn one of its values into cells.
+
+        Raises:
+            TypeError, ValueError: as `cells_of`.
+        """
+        cells = self._encoded(value)
+        if self.minimum is not None or self.maximum is not None:
+            self._check_bounds_of(value)
+        return cells
+
+    def cells_for(self, values: Iterable[Any]) -> list[Any]:
+        """
+        Turn some of its values into cells; `minimum` and `maximum` are not looked at.
+
+        Raises:
+            TypeError, ValueError: a value does not fit the type; the message begins with "value".
+        """
+        return [cell for each in values for cell in self._encoded(each)]
 
     def _checked_values(self, values: object) -> Sequence[Any]:
         taken = checked_sequence("value", values, self.count)
         if len(taken) != self.count:
-            raise ValueError(f"value must be a list of {self.count}, not of {len(taken)}")
+            raise WrongValue("value", f"must be a list of {self.count}, not of {len(taken)}")
         return taken
 
-    def _cells_of(self, value: Any) -> list[Any]:
+    def _encoded(self, value: Any) -> list[Any]:
         kind = self.read.kind
         if kind is None:
             return [checked_bit("value", value)]
-        if kind.limits is None:
+        if self._scaling is None:
             return kind.encode(value)
-        raw = value if self._scaling is None else self._raw(kind, self._scaling, value)
-        cells = kind.encode(raw)
-        low, high = self.minimum, self.maximum
-        if not _is_within(value, low, high):
-            raise ValueError(f"value must be in {_span(low, high)}, not {shown(value)}")
-        return cells
+        return kind.encode(self._raw(kind, self._scaling, value))
 
     def _raw(self, kind: ValueType, scaling: Scaling, value: object) -> float:
         if kind.limits is None or isinstance(kind.limits[0], float):
             return scaling.to_float(value)
         raw = scaling.to_whole(value)
         if not kind.limits[0] <= raw <= kind.limits[1]:
-            span = _span(*sorted(map(scaling.to_value, kind.limits)))
-            raise ValueError(f"value must be in {span}, not {shown(value)}")
+            raise WrongValue("value", f"must be in {_span(*self.limits)}, not {shown(value)}")
         return raw
+
+    def _check_bounds_of(self, value: Any) -> None:
+        low, high = self.minimum, self.maximum
+        if not _is_within(value, low, high):
+            raise WrongValue("value", f"must be in {_span(low, high)}, not {shown(value)}")
 
     # --- checks ------------------------------------------------------------------------------
 
@@ -196,34 +267,34 @@ class Point:
             return "read_write" if can_be_written else "read"
         if self.access not in ACCESSES:
             given = reprlib.repr(self.access)
-            raise ValueError(f"access must be one of {', '.join(ACCESSES)}, not {given}")
+            raise WrongValue("access", f"must be one of {', '.join(ACCESSES)}, not {given}")
         if self.access != "read" and not can_be_written:
-            raise ValueError(f"access must be read for {self.table}, not {self.access!r}")
+            raise WrongValue("access", f"must be read for {self.table}, not {self.access!r}")
         return self.access
 
     def _checked_scaling(self) -> Scaling | None:
         for name, plain in (("scale", 1), ("offset", 0)):
             if number(name, getattr(self, name)) != plain and not self._is_number:
-                raise ValueError(f"{name} must be {plain} for {self._what}, which has no numbers")
+                raise WrongValue(
+                    name, f"must be {plain} for {self.type_name}, which has no numbers"
+                )
         return None if self.scale == 1 and self.offset == 0 else Scaling(self.scale, self.offset)
 
     def _check_bounds(self) -> None:
         low, high = self.minimum, self.maximum
         for name, bound in (("minimum", low), ("maximum", high)):
             if bound is not None and not self._is_number:
-                raise ValueError(f"{name} must be left out for {self._what}, which has no numbers")
+                raise WrongValue(
+                    name, f"must be left out for {self.type_name}, which has no numbers"
+                )
             if bound is not None:
                 number(name, bound)
         if low is not None and high is not None and low > high:
-            raise ValueError(f"minimum must not be above maximum, {shown(high)}: {shown(low)}")
+            raise WrongValue("minimum", f"must not be above maximum, {shown(high)}: {shown(low)}")
 
     @property
     def _is_number(self) -> bool:
         return self.read.kind is not None and self.read.kind.limits is not None
-
-    @property
-    def _what(self) -> str:
-        return self.type or self.table
 
 
 def _is_bits(table: object) -> bool:
@@ -233,17 +304,17 @@ def _is_bits(table: object) -> bool:
 
 def _check_string(name: str, value: object) -> None:
     if not isinstance(value, str):
-        raise TypeError(f"{name} must be a string, not {type(value).__name__}")
+        raise WrongType(name, f"must be a string, not {type(value).__name__}")
 
 
 def _check_text(name: str, value: Any, least: int, most: int) -> None:
     _check_string(name, value)
     if not least <= len(value) <= most:
-        raise ValueError(f"{name} must have {least}..{most} characters, not {len(value)}")
+        raise WrongValue(name, f"must have {least}..{most} characters, not {len(value)}")
     unfit = [each for each in value if not each.isprintable() and each not in "\n\t"]
     if unfit or (name != "description" and value != value.strip()):
-        raise ValueError(
-            f"{name} must be printable characters, without spaces around: {reprlib.repr(value)}"
+        raise WrongValue(
+            name, f"must be printable characters, without spaces around: {reprlib.repr(value)}"
         )
 
 
@@ -258,6 +329,7 @@ def _span(low: float | None, high: float | None) -> str:
     return f"{'' if low is None else low}..{'' if high is None else high}"
 
 
-def _named(name: str, error: Exception) -> Exception:
-    kind: Callable[[str], Exception] = TypeError if isinstance(error, TypeError) else ValueError
-    return kind(f"{name}: {error}")
+def _named(name: str, error: Exception) -> Mistake:
+    """Return an error that begins with the name of a point."""
+    kind = WrongType if isinstance(error, TypeError) else WrongValue
+    return kind.about(name, str(error))

@@ -11,10 +11,11 @@ from typing import Any, NamedTuple, Unpack
 
 from ..protocol import pdu
 from ..protocol.errors import ModbusError
+from ..protocol.mistakes import WrongType, WrongValue
 from .plan import Plan, PlanOptions
 from .point import Point
 
-__all__ = ["PointPlan", "RegisterMap"]
+__all__ = ["PointPlan", "RegisterMap", "close_to"]
 
 
 class RegisterMap(Mapping[str, Point]):
@@ -38,9 +39,9 @@ class RegisterMap(Mapping[str, Point]):
         self._kept: tuple[object, PointPlan] | None = None
         for point in points:
             if not isinstance(point, Point):
-                raise TypeError(f"points must be Points, not {type(point).__name__}")
+                raise WrongType("points", f"must be Points, not {type(point).__name__}")
             if point.name in self._points:
-                raise ValueError(f"name {point.name!r} is there twice")
+                raise WrongValue("name", f"{point.name!r} is there twice")
             self._points[point.name] = point
 
     def __getitem__(self, name: str) -> Point:
@@ -95,10 +96,10 @@ class RegisterMap(Mapping[str, Point]):
                 it cannot have; points that share cells. They are named.
         """
         if not isinstance(values, Mapping):
-            raise TypeError(f"values must be by names, not {type(values).__name__}")
+            raise WrongType("values", f"must be by names, not {type(values).__name__}")
         for name in values:
             if not self._known(name).is_writable:
-                raise ValueError(f"{name} cannot be written: its access is read")
+                raise WrongValue(name, "cannot be written: its access is read")
         changes = [(point, values[name]) for name, point in self.items() if name in values]
         from .writing import write_requests  # brings the functions that write
 
@@ -109,17 +110,21 @@ class RegisterMap(Mapping[str, Point]):
             return [point for point in self._points.values() if point.is_readable]
         for name in names:
             if not self._known(name).is_readable:
-                raise ValueError(f"{name} cannot be read: its access is write")
+                raise WrongValue(name, "cannot be read: its access is write")
         return [self._points[name] for name in names]
 
     def _known(self, name: str) -> Point:
         if name in self._points:
             return self._points[name]
-        from difflib import get_close_matches
+        raise ValueError(f"the map has no point {reprlib.repr(name)}{close_to(name, self._points)}")
 
-        close = get_close_matches(name, self._points, 3) if isinstance(name, str) else []
-        hint = f"; close to it are {', '.join(close)}" if close else ""
-        raise ValueError(f"the map has no point {reprlib.repr(name)}{hint}")
+
+def close_to(name: object, known: Iterable[str]) -> str:
+    """Return the end of a message about a name that is not known: those that are close to it."""
+    from difflib import get_close_matches
+
+    close = get_close_matches(name, known, 3) if isinstance(name, str) else []
+    return f"; close to it are {', '.join(close)}" if close else ""
 
 
 class _Quick(NamedTuple):
@@ -209,5 +214,5 @@ def _packed(answer: Any) -> bytes | None:
 
 def _checked_names(names: object) -> Iterable[str]:
     if isinstance(names, str | bytes) or not isinstance(names, Iterable):
-        raise TypeError(f"names must be a list of names, not {type(names).__name__}")
+        raise WrongType("names", f"must be a list of names, not {type(names).__name__}")
     return names

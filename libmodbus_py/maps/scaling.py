@@ -8,6 +8,7 @@ import math
 from typing import TYPE_CHECKING, Any, SupportsFloat, SupportsIndex
 
 from ..protocol.checks import shown
+from ..protocol.mistakes import WrongType, WrongValue
 
 if TYPE_CHECKING:
     # Imported where needed: it takes as long as a read, and most programs scale nothing.
@@ -29,9 +30,9 @@ def number(name: str, value: object) -> int | float:
         ValueError: not in -1e30..1e30.
     """
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise TypeError(f"{name} must be a number, not {type(value).__name__}")
+        raise WrongType(name, f"must be a number, not {type(value).__name__}")
     if not -LARGEST <= value <= LARGEST:
-        raise ValueError(f"{name} must be in -{LARGEST:g}..{LARGEST:g}, not {shown(value)}")
+        raise WrongValue(name, f"must be in -{LARGEST:g}..{LARGEST:g}, not {shown(value)}")
     return int(value) if isinstance(value, int) else float(value)
 
 
@@ -54,7 +55,7 @@ class Scaling:
 
     def __init__(self, scale: float, offset: float) -> None:
         if abs(number("scale", scale)) < SMALLEST:
-            raise ValueError(f"scale must not be nearer to 0 than {SMALLEST:g}: {shown(scale)}")
+            raise WrongValue("scale", f"must not be nearer to 0 than {SMALLEST:g}: {shown(scale)}")
         times, plus = exact(scale), exact(number("offset", offset))
         self._divisor = math.lcm(times.denominator, plus.denominator)
         self._factor = int(times * self._divisor)
@@ -96,7 +97,7 @@ class Scaling:
         try:
             return float(self._to_raw(value))
         except OverflowError:
-            raise ValueError(f"value is too large: {shown(value)}") from None
+            raise WrongValue("value", f"is too large: {shown(value)}") from None
 
     def _to_raw(self, value: object) -> Fraction:
         return (exact(value) * self._divisor - self._shift) / self._factor
@@ -112,11 +113,11 @@ def exact(value: Any) -> Fraction:
     from fractions import Fraction
 
     if isinstance(value, bool) or not isinstance(value, SupportsFloat | SupportsIndex):
-        raise TypeError(f"value must be a number, not {type(value).__name__}")
+        raise WrongType("value", f"must be a number, not {type(value).__name__}")
     if isinstance(value, SupportsIndex):
         return Fraction(value.__index__())
     if not math.isfinite(value):
-        raise ValueError(f"value must be a finite number, not {value}")
+        raise WrongValue("value", f"must be a finite number, not {value}")
     # Decimals are written so, too; and Fractions have a numerator.
     return Fraction(str(value) if _is_exact(value) else repr(float(value)))
 

@@ -4,6 +4,7 @@ Bytes and values, for both ends. No socket, no clock, no event loop, no libmodbu
 Bottom up:
 
     errors     whose fault it was: the exceptions
+    mistakes   errors that know where the wrong value stands
     checks     numbers that callers give
     pdu        one class for each function: encode and decode, request and response
     scan       the CRC, and where RTU frames begin and end; in C (scan.c)

@@ -8,6 +8,8 @@ import reprlib
 from collections.abc import Sequence
 from operator import index
 
+from .mistakes import Path, WrongType, WrongValue
+
 __all__ = ["are_registers", "integer", "seconds", "shown"]
 
 
@@ -18,7 +20,7 @@ def shown(number: object) -> str:
     return str(number) if hasattr(number, "as_tuple") else reprlib.repr(number)
 
 
-def integer(name: str, value: object, low: int, high: int) -> int:
+def integer(name: str | Path, value: object, low: int, high: int) -> int:
     """
     Return an integer of any type as an int.
 
@@ -27,14 +29,14 @@ def integer(name: str, value: object, low: int, high: int) -> int:
         ValueError: not in low..high.
     """
     if isinstance(value, bool):
-        raise TypeError(f"{name} must be an integer in {low}..{high}, not {value!r}")
+        raise WrongType(name, f"must be an integer in {low}..{high}, not {value!r}")
     try:
         number = index(value)  # type: ignore[arg-type]
     except TypeError:
         given = type(value).__name__
-        raise TypeError(f"{name} must be an integer in {low}..{high}, not {given}") from None
+        raise WrongType(name, f"must be an integer in {low}..{high}, not {given}") from None
     if not low <= number <= high:
-        raise ValueError(f"{name} must be in {low}..{high}, not {shown(number)}")
+        raise WrongValue(name, f"must be in {low}..{high}, not {shown(number)}")
     return number
 
 
@@ -43,7 +45,7 @@ def are_registers(values: Sequence[object]) -> bool:
     return set(map(type, values)) == {int} and min(values) >= 0 and max(values) <= 0xFFFF  # type: ignore[type-var, operator]
 
 
-def seconds(name: str, value: object, low: float = 0.001, high: float = 86_400.0) -> float:
+def seconds(name: str | Path, value: object, low: float = 0.001, high: float = 86_400.0) -> float:
     """
     Return a number of seconds as a float.
 
@@ -52,8 +54,8 @@ def seconds(name: str, value: object, low: float = 0.001, high: float = 86_400.0
         ValueError: not in low..high.
     """
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise TypeError(f"{name} must be a number of seconds, not {type(value).__name__}")
+        raise WrongType(name, f"must be a number of seconds, not {type(value).__name__}")
     if not low <= value <= high:
         given = f"{value:g}" if isinstance(value, float) else shown(value)
-        raise ValueError(f"{name} must be in {low:g}..{high:g} seconds, not {given}")
+        raise WrongValue(name, f"must be in {low:g}..{high:g} seconds, not {given}")
     return float(value)

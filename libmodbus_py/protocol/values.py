@@ -43,6 +43,7 @@ from encodings.aliases import aliases
 from typing import TYPE_CHECKING, Any, NamedTuple, SupportsFloat, SupportsIndex
 
 from .checks import are_registers, integer, shown
+from .mistakes import Path, WrongType, WrongValue, item
 from .type_names import BitsType, Layout, NumberType, Order, TextOptions, TextType, TypeName
 
 # fmt: off
@@ -77,12 +78,13 @@ _SPELLINGS = {
 def _order(order: object, kind: ValueType) -> str:
     """The four letters; a spelling of another width is a mistake, not a synonym."""
     if not isinstance(order, str):
-        raise TypeError(f"order must be one of {', '.join(ORDERS)}, not {type(order).__name__}")
+        raise WrongType("order", f"must be one of {', '.join(ORDERS)}, not {type(order).__name__}")
     name, width = _SPELLINGS.get(order.upper(), (order.upper(), None))
     if name not in ORDERS:
-        raise ValueError(f"order must be one of {', '.join(ORDERS)}, not {reprlib.repr(order)}")
+        raise WrongValue("order", f"must be one of {', '.join(ORDERS)}, not {reprlib.repr(order)}")
     if width not in (None, 1 if kind.is_text else kind.registers):
-        raise ValueError(f"order of {kind.name} must be one of {', '.join(ORDERS)}, not {order!r}")
+        wanted = f"one of {', '.join(ORDERS)}"
+        raise WrongValue("order", f"of {kind.name} must be {wanted}, not {order!r}")
     return name
 
 
@@ -115,7 +117,7 @@ class ValueType:
 
     name: str
     registers: int
-    _pack: Callable[[str, Any], bytes] = field(repr=False)  # the argument's name, the value
+    _pack: Callable[[str | Path, Any], bytes] = field(repr=False)  # the argument's name, the value
     _unpack: Callable[[bytes], Any] = field(repr=False)  # ValueError says what the bytes are not
     limits: tuple[int, int] | tuple[float, float] | None = None
     is_text: bool = False
@@ -144,7 +146,7 @@ class ValueType:
         """
         found = []
         for at, value in enumerate(_items("values", values)):
-            found += self._to_registers(f"values[{at}]", value)
+            found += self._to_registers(("values", at), value)
         return found
 
     def decode(self, registers: Iterable[int]) -> Any:
@@ -161,8 +163,8 @@ class ValueType:
         """
         cells = _cells(registers)
         if len(cells) != self.registers:
-            raise ValueError(
-                f"registers must hold {self.registers} for {self.name}, not {len(cells)}"
+            raise WrongValue(
+                "registers", f"must hold {self.registers} for {self.name}, not {len(cells)}"
             )
         return self._from_registers(cells)[0]
 
@@ -176,13 +178,13 @@ class ValueType:
         """
         cells = _cells(registers)
         if len(cells) % self.registers:
-            raise ValueError(
-                f"registers must hold a multiple of {self.registers} for {self.name},"
-                f" not {len(cells)}"
+            raise WrongValue(
+                "registers",
+                f"must hold a multiple of {self.registers} for {self.name}, not {len(cells)}",
             )
         return self._from_registers(cells)
 
-    def _to_registers(self, name: str, value: object) -> list[int]:
+    def _to_registers(self, name: str | Path, value: object) -> list[int]:
         data = self._reordered(self._pack(name, value))
         return list(struct.unpack(f">{self.registers}H", data))
 
@@ -214,11 +216,11 @@ class ValueType:
         return _reorder(data, words and not self.is_text, swap)
 
 
-def _items(name: str, values: object) -> list[Any]:
+def _items(name: str | Path, values: object) -> list[Any]:
     # Text, sets and mappings are iterable, but never a run of values.
     unfit = isinstance(values, str | bytes | bytearray | Set | Mapping)
     if unfit or not isinstance(values, Iterable):
-        raise TypeError(f"{name} must be a list, not {type(values).__name__}")
+        raise WrongType(name, f"must be a list, not {type(values).__name__}")
     return list(values)
 
 
@@ -226,13 +228,13 @@ def _cells(registers: object) -> list[int]:
     given = registers if type(registers) is list else _items("registers", registers)
     if are_registers(given):
         return given
-    return [integer(f"registers[{at}]", cell, 0, 0xFFFF) for at, cell in enumerate(given)]
+    return [integer(("registers", at), cell, 0, 0xFFFF) for at, cell in enumerate(given)]
 
 
 def _integers(bits: int, signed: bool) -> ValueType:
     low, high = (-1 << bits - 1, (1 << bits - 1) - 1) if signed else (0, (1 << bits) - 1)
 
-    def pack(name: str, value: object) -> bytes:
+    def pack(name: str | Path, value: object) -> bytes:
         return integer(name, value, low, high).to_bytes(bits // 8, "big", signed=signed)
 
     def unpack(data: bytes) -> int:
@@ -245,15 +247,15 @@ def _integers(bits: int, signed: bool) -> ValueType:
 def _floats(bits: int, code: str, largest: float) -> ValueType:
     form = struct.Struct(f">{code}")
 
-    def pack(name: str, value: object) -> bytes:
+    def pack(name: str | Path, value: object) -> bytes:
         unfit = isinstance(value, bool) or not isinstance(value, SupportsFloat | SupportsIndex)
         if unfit:
-            raise TypeError(f"{name} must be a number, not {type(value).__name__}")
+            raise WrongType(name, f"must be a number, not {type(value).__name__}")
         try:
             return form.pack(float(value))  # type: ignore[arg-type]
         except OverflowError:
             span = f"-{largest:.8g}..{largest:.8g}, infinite or nan"
-            raise ValueError(f"{name} must be in {span}, not {shown(value)}") from None
+            raise WrongValue(name, f"must be in {span}, not {shown(value)}") from None
 
     def unpack(data: bytes) -> float:
         value: float = form.unpack(data)[0]
@@ -266,7 +268,7 @@ def _decimals(bits: int) -> ValueType:
     digits = bits // 4
     high = 10**digits - 1
 
-    def pack(name: str, value: object) -> bytes:
+    def pack(name: str | Path, value: object) -> bytes:
         number = integer(name, value, 0, high)
         return bytes.fromhex(f"{number:0{digits}}")
 
@@ -280,11 +282,11 @@ def _decimals(bits: int) -> ValueType:
 
 
 def _flags(bits: int) -> ValueType:
-    def pack(name: str, value: object) -> bytes:
+    def pack(name: str | Path, value: object) -> bytes:
         flags = _items(name, value)
         if len(flags) != bits:
-            raise ValueError(f"{name} must hold {bits} bits, lowest first, not {len(flags)}")
-        number = sum(_bit(f"{name}[{at}]", flag) << at for at, flag in enumerate(flags))
+            raise WrongValue(name, f"must hold {bits} bits, lowest first, not {len(flags)}")
+        number = sum(_bit(item(name, at), flag) << at for at, flag in enumerate(flags))
         return number.to_bytes(bits // 8, "big")
 
     def unpack(data: bytes) -> list[bool]:
@@ -294,7 +296,7 @@ def _flags(bits: int) -> ValueType:
     return ValueType(f"bits{bits}", bits // 16, pack, unpack)
 
 
-def _bit(name: str, flag: object) -> int:
+def _bit(name: str | Path, flag: object) -> int:
     return int(flag) if isinstance(flag, bool) else integer(name, flag, 0, 1)
 
 
@@ -328,17 +330,17 @@ def _known_encoding(encoding: str) -> bool:
 def _text(size: int, encoding: str, padding: str, fill: bytes) -> ValueType:
     registers = (size + 1) // 2
 
-    def pack(name: str, value: object) -> bytes:
+    def pack(name: str | Path, value: object) -> bytes:
         if not isinstance(value, str):
-            raise TypeError(f"{name} must be a string, not {type(value).__name__}")
+            raise WrongType(name, f"must be a string, not {type(value).__name__}")
         data = _encoded(name, value, encoding)
         room = size - len(data)
         if room < 0:
             given = f"{reprlib.repr(value)} with {len(data)}"
-            raise ValueError(f"{name} must have 0..{size} bytes in {encoding}, not {given}")
+            raise WrongValue(name, f"must have 0..{size} bytes in {encoding}, not {given}")
         if room % len(fill):
-            raise ValueError(
-                f"{name} leaves {room} bytes of {size}, and padding fills {len(fill)} at a time"
+            raise WrongValue(
+                name, f"leaves {room} bytes of {size}, and padding fills {len(fill)} at a time"
             )
         return (data + fill * (room // len(fill))).ljust(2 * registers, b"\0")
 
@@ -351,24 +353,25 @@ def _text(size: int, encoding: str, padding: str, fill: bytes) -> ValueType:
     return ValueType(f"string:{size}", registers, pack, unpack, is_text=True)
 
 
-def _encoded(name: str, value: str, encoding: str) -> bytes:
+def _encoded(name: str | Path, value: str, encoding: str) -> bytes:
     try:
         return value.encode(encoding)
     except UnicodeError:
-        raise ValueError(f"{name} must be {encoding}, not {reprlib.repr(value)}") from None
+        raise WrongValue(name, f"must be {encoding}, not {reprlib.repr(value)}") from None
 
 
 def _fill(padding: str, encoding: str) -> bytes:
     """The bytes of one more padding: without the mark that begins UTF-16 text."""
     for name, given in (("encoding", encoding), ("padding", padding)):
         if not isinstance(given, str):
-            raise TypeError(f"{name} must be a string, not {type(given).__name__}")
+            raise WrongType(name, f"must be a string, not {type(given).__name__}")
     if len(padding) != 1:
-        raise ValueError(f"padding must be one character, not {reprlib.repr(padding)}")
+        raise WrongValue("padding", f"must be one character, not {reprlib.repr(padding)}")
     if not _known_encoding(encoding):
-        raise ValueError(
-            f"encoding must be ascii, latin-1, utf-8, cp1252 or another of values.ENCODINGS,"
-            f" not {reprlib.repr(encoding)}"
+        raise WrongValue(
+            "encoding",
+            f"must be ascii, latin-1, utf-8, cp1252 or another of values.ENCODINGS,"
+            f" not {reprlib.repr(encoding)}",
         )
     one, two = (_encoded("padding", padding * count, encoding) for count in (1, 2))
     return two[len(one) :]
@@ -412,7 +415,7 @@ def value_type(
 
 def _known(name: object) -> ValueType | None:
     if not isinstance(name, str):
-        raise TypeError(f"type must be a string, such as float32, not {type(name).__name__}")
+        raise WrongType("type", f"must be a string, such as float32, not {type(name).__name__}")
     return TYPES.get(name)
 
 
@@ -420,8 +423,10 @@ def _string(name: str, encoding: str, padding: str) -> ValueType:
     found = re.fullmatch(r"string:([0-9]{1,9})", name)
     if not found:
         wanted = f"one of {', '.join(TYPES)}, string:N"
-        raise ValueError(f"type must be {wanted}, not {reprlib.repr(name)}")
-    size = integer("type string:N: N", int(found[1]), 1, 250)
+        raise WrongValue("type", f"must be {wanted}, not {reprlib.repr(name)}")
+    size = int(found[1])
+    if not 1 <= size <= 250:
+        raise WrongValue("type", f"string:N: N must be in 1..250, not {size}")
     return _text(size, encoding, padding, _fill(padding, encoding))
 
 
@@ -529,16 +534,17 @@ def parse_reference(text: str) -> Reference:
         given = type(text).__name__
         raise TypeError(f'a reference must be a string, such as "40123", not {given}')
     if not re.fullmatch(r"[0-9]{5,6}", text) or text[0] not in TABLES:
-        raise ValueError(
-            f"reference {text!r} must have 5 or 6 digits and begin with 0 (coil), 1 (discrete"
-            " input), 3 (input register), 4 (holding register) or 6 (file record), as in 40123"
+        raise WrongValue(
+            "reference",
+            f"{text!r} must have 5 or 6 digits and begin with 0 (coil), 1 (discrete"
+            " input), 3 (input register), 4 (holding register) or 6 (file record), as in 40123",
         )
     table, item = TABLES[text[0]], int(text[1:])
     if table == "file":
         if item > 9999:
-            raise ValueError(f"reference {text!r}: file records are 600000..609999")
+            raise WrongValue("reference", f"{text!r}: file records are 600000..609999")
         return Reference(table, item)
     if not 1 <= item <= 65536:
         first, last = f"{text[0]}{'1':0>{len(text) - 1}}", f"{text[0]}65536"
-        raise ValueError(f"reference {text!r}: the items are {first}..{last}, counted from 1")
+        raise WrongValue("reference", f"{text!r}: the items are {first}..{last}, counted from 1")
     return Reference(table, item - 1)

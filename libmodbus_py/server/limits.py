@@ -11,6 +11,7 @@ from ipaddress import IPv4Network, IPv6Address, IPv6Network, ip_address, ip_netw
 from typing import Literal
 
 from ..protocol.checks import integer, seconds
+from ..protocol.mistakes import WrongType, WrongValue
 
 __all__ = ["FULL_POLICIES", "Allowance", "Limits", "ServerStatistics", "plain_host"]
 
@@ -75,8 +76,8 @@ class Limits:
         if self.connections_per_address is not None:
             integer("connections_per_address", self.connections_per_address, 1, 1_000_000)
         if self.when_full not in FULL_POLICIES:
-            raise ValueError(
-                f"when_full must be one of {', '.join(FULL_POLICIES)}, not {self.when_full!r}"
+            raise WrongValue(
+                "when_full", f"must be one of {', '.join(FULL_POLICIES)}, not {self.when_full!r}"
             )
         seconds("frame_timeout", self.frame_timeout)
         seconds("handshake_timeout", self.handshake_timeout)
@@ -119,22 +120,22 @@ def plain_host(host: str) -> str:
 
 def _networks(allow: Iterable[str]) -> tuple[IPv4Network | IPv6Network, ...]:
     if isinstance(allow, str):
-        raise TypeError(f"allow must be a list of networks, not the string {allow!r}")
+        raise WrongType("allow", f"must be a list of networks, not the string {allow!r}")
     try:
         return tuple(ip_network(network, strict=False) for network in allow)
     except ValueError as error:
-        raise ValueError(f"allow: {error}") from None
+        raise WrongValue.about("allow", f"{error}") from None
     except TypeError:
         given = type(allow).__name__
-        raise TypeError(f"allow must be a list of networks, not {given}") from None
+        raise WrongType("allow", f"must be a list of networks, not {given}") from None
 
 
 def _rate(value: object) -> None:
     if isinstance(value, bool) or not isinstance(value, int | float):
         given = type(value).__name__
-        raise TypeError(f"requests_per_second must be a number, not {given}")
+        raise WrongType("requests_per_second", f"must be a number, not {given}")
     if not 0.001 <= value <= 1_000_000:
-        raise ValueError(f"requests_per_second must be in 0.001..1000000, not {value}")
+        raise WrongValue("requests_per_second", f"must be in 0.001..1000000, not {value}")
 
 
 class Allowance:

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from libmodbus_py import Fleet, Point, RegisterMap
-from libmodbus_py.services.fleet.outputs.json_lines import JsonLines
+from libmodbus_py.services.fleet.outputs.json_output import JsonOutput
 from libmodbus_py.services.fleet.poller import Standing
 from tests.faults.injecting import Scenario, Trial, tried
 from tests.faults.test_clients import each_echoed, on_line
@@ -33,7 +33,7 @@ def polling(urls: list[str], file: Path) -> Scenario:
         devices = [
             meter(f"device {at}", url, map=ONE, interval=INTERVAL) for at, url in enumerate(urls)
         ]
-        fleet = Fleet(devices, outputs=[JsonLines(str(file))])
+        fleet = Fleet(devices, outputs=[JsonOutput(str(file))])
         with contextlib.ExitStack() as ends:
             ends.callback(file.unlink, missing_ok=True)
             async with contextlib.AsyncExitStack() as stack:

@@ -32,7 +32,7 @@ def _check_file(file: str) -> int:
         return _wrong([str(error)])
     if contents.mistakes:
         more = ["and possibly more"] * (len(contents.mistakes) == MOST_MISTAKES)
-        return _wrong([*(each.of(file) for each in contents.mistakes), *more])
+        return _wrong([*(str(each) for each in contents.mistakes), *more])
     print(f"{file}: {counted(len(contents.points), 'point')}")
     for line in [*_tables(contents), *remarks(contents)]:
         print(f"  {line}")

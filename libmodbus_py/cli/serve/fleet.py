@@ -127,13 +127,10 @@ def poll(
 
 
 def _settings(text: str) -> FleetSettings:
-    try:
-        given = read_toml(text).get("engine", {})
-        if not isinstance(given, dict):
-            raise TypeError("engine must be a table")
-        return settings_of(given)
-    except (TypeError, ValueError) as error:
-        raise FleetFileError(str(error)) from None
+    given = read_toml(text).get("engine", {})
+    if not isinstance(given, dict):
+        raise TypeError("engine must be a table")
+    return settings_of(given)
 
 
 def _waited_for(running: Coroutine[Any, Any, int]) -> int:

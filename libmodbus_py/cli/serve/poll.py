@@ -19,8 +19,7 @@ from ...server.signals import Handler, signal_handlers
 from ...services.fleet.config import DeviceConfig
 from ...services.fleet.files import FleetFile, load
 from ...services.fleet.fleet import Fleet
-from ...services.fleet.outputs.csv_rows import CsvRows
-from ...services.fleet.outputs.json_lines import JsonLines
+from ...services.fleet.outputs.kinds import KINDS, made
 from ...services.fleet.outputs.last_values import LastValues
 from ...services.fleet.outputs.output import Output, OutputError
 from ...services.fleet.trial import Tried, overloads, trying
@@ -52,6 +51,8 @@ examples:
   libmodbus-py poll fleet.toml --json readings.jsonl --metrics 127.0.0.1:9400
   libmodbus-py poll fleet.toml --engine nats://192.0.2.1 --zone north"""
 
+FILES = {name: kind for name, kind in KINDS.items() if kind.form}
+
 
 def add_command(commands: Any) -> None:
     """Add the command to argparse."""
@@ -73,7 +74,7 @@ def add_command(commands: Any) -> None:
         action="store_true",
         help="ask each device once, and print the results as a table",
     )
-    for name, form in (("json", "lines of JSON"), ("csv", "CSV")):
+    for name, (_, _, form) in FILES.items():
         command.add_argument(
             f"--{name}",
             nargs="?",
@@ -95,7 +96,7 @@ def _poll(options: argparse.Namespace) -> int:
         raise ValueError("--push needs --engine")
     for each in overloads(file.devices):
         logger.warning("%s", each)
-    values = LastValues({each.name: each.labels for each in file.devices})
+    values = LastValues()
     outputs = _outputs(file, options)
     if options.engine is not None:
         return _poll_with_others(options, file, outputs, values)
@@ -137,11 +138,12 @@ def _poll_with_others(
 
 def _outputs(file: FleetFile, options: argparse.Namespace) -> list[Output]:
     outputs = file.made_outputs()
-    for make, path in ((JsonLines, options.json), (CsvRows, options.csv)):
+    for kind in FILES:
+        path = getattr(options, kind)
         if path is not None:
-            outputs.append(make(path))
+            outputs.append(made(kind, {"path": path}))
     if not (outputs or options.metrics or options.engine or sys.stdout.isatty()):
-        outputs.append(JsonLines())
+        outputs.append(made("json", {"path": STANDARD_OUTPUT}))
     if sum(map(_prints, outputs)) > 1:
         raise ValueError("only one output may be the standard output")
     return outputs

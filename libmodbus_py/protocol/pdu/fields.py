@@ -10,6 +10,7 @@ from itertools import islice
 from typing import Any, Protocol
 
 from ..checks import are_registers, integer
+from ..mistakes import WrongType, WrongValue
 from ..scan import MAX_PDU as MAX_PDU
 from ..scan import lib
 
@@ -33,7 +34,7 @@ class LengthRule(Protocol):
 # --- arguments ---------------------------------------------------------------------
 
 
-class AddressError(ValueError):
+class AddressError(WrongValue):
     """An address that no table has: a server answers 2 to it, not 3."""
 
 
@@ -56,11 +57,11 @@ def checked_sequence(name: str, values: object, limit: int) -> tuple[Any, ...]:
     unfit = isinstance(values, str | bytes | bytearray | Set | Mapping)
     if unfit or not isinstance(values, Iterable):
         given = type(values).__name__
-        raise TypeError(f"{name} must be a sequence of 1..{limit} values, not {given}")
+        raise WrongType(name, f"must be a sequence of 1..{limit} values, not {given}")
     taken = tuple(islice(values, limit + 1))
     if not 1 <= len(taken) <= limit:
         given = f"{len(taken)}" if len(taken) <= limit else f"more than {limit}"
-        raise ValueError(f"{name} must hold 1..{limit} values, not {given}")
+        raise WrongValue(name, f"must hold 1..{limit} values, not {given}")
     return taken
 
 
@@ -80,9 +81,9 @@ def checked_registers(name: str, values: object, limit: int) -> tuple[int, ...]:
 
 def checked_data(name: str, value: object, limit: int) -> bytes:
     if not isinstance(value, bytes):
-        raise TypeError(f"{name} must be bytes, not {type(value).__name__}")
+        raise WrongType(name, f"must be bytes, not {type(value).__name__}")
     if len(value) > limit:
-        raise ValueError(f"{name} must be up to {limit} bytes, not {len(value)}")
+        raise WrongValue(name, f"must be up to {limit} bytes, not {len(value)}")
     return value
 
 
@@ -90,7 +91,7 @@ def checked_span(name: str, address: object, count_name: str, count: int) -> int
     start = integer(name, address, 0, TABLE_SIZE - 1)
     if start + count > TABLE_SIZE:
         raise AddressError(
-            f"{name} + {count_name} must not pass {TABLE_SIZE}, but {start} + {count} does"
+            name, f"+ {count_name} must not pass {TABLE_SIZE}, but {start} + {count} does"
         )
     return start
 
@@ -129,7 +130,7 @@ def unpack_registers(data: bytes) -> tuple[int, ...]:
 
 def exactly(count: int, values: tuple[Any, ...]) -> tuple[Any, ...]:
     if len(values) != count:
-        raise ValueError(f"result must hold {count} values, not {len(values)}")
+        raise WrongValue("result", f"must hold {count} values, not {len(values)}")
     return values
 
 

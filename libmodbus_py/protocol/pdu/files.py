@@ -41,11 +41,11 @@ def _record_span(name: str, file: object, record: object, length: int) -> tuple[
             integer(f"{name} record", record, 0, RECORDS_PER_FILE - 1),
         )
     except ValueError as error:  # a file or record that does not exist is an address
-        raise AddressError(str(error)) from None
+        raise AddressError(*error.args) from None
     if checked[1] + length > RECORDS_PER_FILE:
         raise AddressError(
-            f"{name} record + length must not pass {RECORDS_PER_FILE},"
-            f" but {checked[1]} + {length} does"
+            f"{name} record",
+            f"+ length must not pass {RECORDS_PER_FILE}, but {checked[1]} + {length} does",
         )
     return checked
 
@@ -193,7 +193,7 @@ class WriteFileRecords(Echoed):
 def _check_reference_types(kinds: Iterable[int]) -> None:
     for kind in kinds:
         if kind != FILE_REFERENCE_TYPE:
-            raise AddressError(f"reference type must be {FILE_REFERENCE_TYPE}, not {kind}")
+            raise AddressError("reference type", f"must be {FILE_REFERENCE_TYPE}, not {kind}")
 
 
 def _counted_wide(head: bytes) -> int | None:

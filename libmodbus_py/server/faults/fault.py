@@ -13,6 +13,7 @@ from typing import Any, Literal, get_args
 
 from ...device.access import Touched
 from ...protocol.checks import integer, seconds
+from ...protocol.mistakes import WrongType, WrongValue
 from ...protocol.tables import TABLE_SIZE, TABLES, Table
 
 __all__ = ["KINDS", "PLACES", "Fault"]
@@ -48,15 +49,15 @@ LONGEST = 512
 
 def _data(name: str, value: object) -> None:
     if not isinstance(value, bytes):
-        raise TypeError(f"{name} must be bytes, not {type(value).__name__}")
+        raise WrongType(name, f"must be bytes, not {type(value).__name__}")
     if not 1 <= len(value) <= LONGEST:
-        raise ValueError(f"{name} must have 1..{LONGEST} bytes, not {len(value)}")
+        raise WrongValue(name, f"must have 1..{LONGEST} bytes, not {len(value)}")
 
 
 def _one_of(choices: tuple[str, ...]) -> Callable[[str, object], None]:
     def check(name: str, value: object) -> None:
         if value not in choices:
-            raise ValueError(f"{name} must be one of {', '.join(choices)}, not {value!r}")
+            raise WrongValue(name, f"must be one of {', '.join(choices)}, not {value!r}")
 
     return check
 
@@ -139,11 +140,13 @@ class Fault:
 
     def __post_init__(self) -> None:
         if not isinstance(self.kind, str) or self.kind not in KINDS:
-            raise ValueError(f"kind must be one of {', '.join(KINDS)}, not {self.kind!r}")
+            raise WrongValue("kind", f"must be one of {', '.join(KINDS)}, not {self.kind!r}")
         for name, check in SETTINGS.items():
             self._check_setting(name, check)
         if self.kind == "garbage" and (self.data is None) == (self.length is None):
-            raise ValueError("data or length is missing, and garbage needs one of them, not both")
+            raise WrongValue(
+                "data", "or length is missing, and garbage needs one of them, not both"
+            )
         if self.function is not None:
             integer("function", self.function, 1, 0x7F)
         self._check_where()
@@ -153,9 +156,9 @@ class Fault:
         value = getattr(self, name)
         if value is None:
             if name == KINDS[self.kind]:
-                raise ValueError(f"{name} is missing, which {self.kind} needs")
+                raise WrongValue(name, f"is missing, which {self.kind} needs")
         elif name != KINDS[self.kind] and name not in OPTIONAL.get(self.kind, ()):
-            raise ValueError(f"{name} means nothing for {self.kind}")
+            raise WrongValue(name, f"means nothing for {self.kind}")
         elif (self.kind, name) == ("disconnect", "length"):
             integer(name, value, 0, LONGEST)
         else:
@@ -168,27 +171,27 @@ class Fault:
             integer("address", self.address, 0, TABLE_SIZE - 1)
         if self.count is not None:
             if self.address is None:
-                raise ValueError("count means nothing without address")
+                raise WrongValue("count", "means nothing without address")
             integer("count", self.count, 1, TABLE_SIZE)
 
     def _check_how_often(self) -> None:
         if self.every is not None:
             integer("every", self.every, 1, 1_000_000_000)
             if self.probability is not None:
-                raise ValueError("probability means nothing beside every")
+                raise WrongValue("probability", "means nothing beside every")
         if self.probability is not None:
             self._check_probability(self.probability)
         if self.seed is not None:
             is_random = self.kind == "garbage" and self.length is not None
             if self.probability is None and not is_random:
-                raise ValueError("seed means nothing without probability")
+                raise WrongValue("seed", "means nothing without probability")
             integer("seed", self.seed, 0, (1 << 64) - 1)
 
     def _check_probability(self, given: Any) -> None:
         if isinstance(given, bool) or not isinstance(given, int | float):
-            raise TypeError(f"probability must be a number in 0..1, not {type(given).__name__}")
+            raise WrongType("probability", f"must be a number in 0..1, not {type(given).__name__}")
         if not 0 <= given <= 1:
-            raise ValueError(f"probability must be in 0..1, not {given:g}")
+            raise WrongValue("probability", f"must be in 0..1, not {given:g}")
 
     @property
     def is_everywhere(self) -> bool:

@@ -5,7 +5,7 @@ What a fleet is made of: its devices, as frozen values, and as text that can be 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import MISSING, dataclass, field, fields
 from functools import lru_cache
 from typing import Any
@@ -15,6 +15,7 @@ from ...maps.point import Point
 from ...maps.register_map import PointPlan, RegisterMap
 from ...ports.endpoint import Endpoint, parse
 from ...protocol.checks import integer, seconds
+from ...protocol.mistakes import Path, WrongType, WrongValue, inside
 
 __all__ = [
     "DeviceConfig",
@@ -79,12 +80,13 @@ class DeviceConfig:
     def __post_init__(self) -> None:
         _text("name", self.name, 1)
         _text("zone", self.zone, 0)
-        object.__setattr__(self, "endpoint", _endpoint(self.url))
+        with inside("url"):
+            object.__setattr__(self, "endpoint", _endpoint(self.url))
         integer("unit", self.unit, 0, 255)
         if self.unit == 0 and self.endpoint.framing in ("rtu", "ascii"):
-            raise ValueError("unit must not be 0 there, a broadcast, which nobody answers")
+            raise WrongValue("unit", "must not be 0 there, a broadcast, which nobody answers")
         if not isinstance(self.map, RegisterMap):
-            raise TypeError(f"map must be a RegisterMap, not {type(self.map).__name__}")
+            raise WrongType("map", f"must be a RegisterMap, not {type(self.map).__name__}")
         object.__setattr__(self, "items", _items(self.items, self.map))
         integer("gap", self.gap, 0, 2000)
         integer("max_registers", self.max_registers, 1, 125)
@@ -94,21 +96,21 @@ class DeviceConfig:
             seconds("timeout", self.timeout)
         seconds("spacing", self.spacing, low=0)
         if not isinstance(self.on_change, bool):
-            raise TypeError(f"on_change must be true or false, not {self.on_change!r}")
+            raise WrongType("on_change", f"must be true or false, not {self.on_change!r}")
         self._check_dead_bands()
         if not isinstance(self.labels, Mapping):
-            raise TypeError(f"labels must be a table, not {type(self.labels).__name__}")
+            raise WrongType("labels", f"must be a table, not {type(self.labels).__name__}")
         for key, value in self.labels.items():
-            _text(f"labels.{key}", value, 0)
+            _text(("labels", key), value, 0)
 
     def _check_dead_bands(self) -> None:
         if not isinstance(self.dead_bands, Mapping):
-            raise TypeError(f"dead_bands must be a table, not {type(self.dead_bands).__name__}")
+            raise WrongType("dead_bands", f"must be a table, not {type(self.dead_bands).__name__}")
         for name, band in self.dead_bands.items():
             if name not in self.names:
-                raise ValueError(f"dead_bands.{name}: nothing of this name is read")
+                raise WrongValue.about(("dead_bands", name), "nothing of this name is read")
             if isinstance(band, bool) or not isinstance(band, int | float) or not band >= 0:
-                raise ValueError(f"dead_bands.{name} must be a number, 0 or more, not {band!r}")
+                raise WrongValue(("dead_bands", name), f"must be a number, 0 or more, not {band!r}")
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -125,7 +127,7 @@ class DeviceConfig:
         try:
             return self.map.plan(self.names, gap=self.gap, max_registers=self.max_registers)
         except ValueError as error:
-            raise ValueError(f"max_registers: {error}") from None
+            raise WrongValue.about("max_registers", f"{error}") from None
 
     @property
     def connection_key(self) -> str:
@@ -142,17 +144,18 @@ def readable(points: RegisterMap) -> tuple[str, ...]:
 
 def _items(given: object, points: RegisterMap) -> tuple[str, ...]:
     if isinstance(given, str) or not isinstance(given, Iterable):
-        raise TypeError(f"items must be a list of names, not {type(given).__name__}")
+        raise WrongType("items", f"must be a list of names, not {type(given).__name__}")
     items = tuple(given)
     for at, name in enumerate(items):
         if name not in points:
-            raise ValueError(f"items[{at}]: the map has no {name!r}; it has {_some(points)}")
+            reason = f"the map has no {name!r}; it has {_some(points)}"
+            raise WrongValue.about(("items", at), reason)
         if points[name].access == "write":
-            raise ValueError(f"items[{at}]: {name!r} can only be written")
+            raise WrongValue.about(("items", at), f"{name!r} can only be written")
         if name in items[:at]:
-            raise ValueError(f"items[{at}]: {name!r} is given twice")
+            raise WrongValue.about(("items", at), f"{name!r} is given twice")
     if not (items or readable(points)):
-        raise ValueError("map: nothing in it can be read")
+        raise WrongValue.about("map", "nothing in it can be read")
     return items
 
 
@@ -161,26 +164,21 @@ def _some(names: Iterable[str], most: int = 8) -> str:
     return ", ".join(all_names[:most]) + ", ..." * (len(all_names) > most)
 
 
-def _text(name: str, value: object, least: int) -> None:
+def _text(name: str | Path, value: object, least: int) -> None:
     if not isinstance(value, str):
-        raise TypeError(f"{name} must be text, not {type(value).__name__}")
+        raise WrongType(name, f"must be text, not {type(value).__name__}")
     if not least <= len(value) <= LONGEST_NAME or not value.isprintable():
         wanted = f"{least}..{LONGEST_NAME} characters that can be printed"
-        raise ValueError(f"{name} must have {wanted}, not {value[:LONGEST_NAME]!r}")
+        raise WrongValue(name, f"must have {wanted}, not {value[:LONGEST_NAME]!r}")
 
 
 @lru_cache(maxsize=4096)
 def _endpoint(url: str) -> Endpoint:
-    try:
-        endpoint = parse(url)
-    except (TypeError, ValueError) as error:
-        raise type(error)(f"url: {error}") from None
+    endpoint = parse(url)
     if "unit" in endpoint.client_options:
-        raise ValueError(f"url: {url!r}: the unit stands beside it: unit = ...")
-    try:  # what a client cannot have is refused now, not when it is made
-        assembled(endpoint, CheckedOptions.of(endpoint, {}), 1)
-    except (TypeError, ValueError) as error:
-        raise type(error)(f"url: {error}") from None
+        raise ValueError(f"{url!r}: the unit stands beside it: unit = ...")
+    # What a client cannot have is refused now, not when it is made.
+    assembled(endpoint, CheckedOptions.of(endpoint, {}), 1)
     return endpoint
 
 
@@ -192,27 +190,36 @@ def by_connection(devices: Iterable[DeviceConfig]) -> dict[str, list[DeviceConfi
     return found
 
 
-def checked(devices: Iterable[DeviceConfig]) -> list[DeviceConfig]:
+def checked(
+    devices: Iterable[DeviceConfig], called: Callable[[int], str] = "devices[{}]".format
+) -> list[DeviceConfig]:
     """
-    Give the devices of one fleet.
+    Return the devices of one fleet as a list.
+
+    Args:
+        called: returns what an error calls the device with an index, if it names it besides
+            the one that is wrong.
 
     Raises:
-        TypeError, ValueError: two have one name, or lead to one place in two ways; the
-            message begins with ``devices[N]``.
+        TypeError, ValueError: two have one name, or lead to one place in two ways; the path of
+            the error begins with "devices" and the index.
     """
     found = list(devices)
     names: dict[str, int] = {}
     places: dict[str, int] = {}
     for at, device in enumerate(found):
         if not isinstance(device, DeviceConfig):
-            raise TypeError(f"devices[{at}] must be a DeviceConfig, not {type(device).__name__}")
+            reason = f"must be a DeviceConfig, not {type(device).__name__}"
+            raise WrongType(("devices", at), reason)
         first = names.setdefault(device.name, at)
         if first != at:
-            raise ValueError(f"devices[{at}].name: {device.name!r} is that of devices[{first}]")
+            reason = f"{device.name!r} is that of {called(first)}"
+            raise WrongValue.about(("devices", at, "name"), reason)
         first = places.setdefault(device.connection_key, at)
         url = found[first].endpoint.url
         if url != device.endpoint.url:
-            raise ValueError(f"devices[{at}].url: devices[{first}] leads there with {url}")
+            reason = f"{called(first)} leads there with {url}"
+            raise WrongValue.about(("devices", at, "url"), reason)
     return found
 
 

@@ -9,8 +9,8 @@ Fleet files: devices and outputs, described in TOML.
                                 stand in its place, with what a `Point` has
     [engine]                    for several machines, see `workers.pushing`
     [output.json] [output.csv] [output.mqtt] ...
-                                as `outputs.kinds`; "${NAME}" stands for what the environment
-                                has under that name
+                                as `outputs.kinds`; [[output.json]] for several of a kind;
+                                "${NAME}" stands for a variable of the environment
 """
 
 from __future__ import annotations
@@ -18,31 +18,34 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from os import PathLike
-from pathlib import Path
-from typing import Any
+from pathlib import Path as FilePath
+from typing import Any, NamedTuple
 
-from ...maps.point import Point
 from ...maps.register_map import RegisterMap
-from ...tools.files.maps.drafts import MapError
+from ...protocol.mistakes import (
+    Mistake,
+    Path,
+    WrongType,
+    WrongValue,
+    inside,
+    item,
+    path_text,
+    placed,
+)
+from ...tools.files.file_error import FileError
+from ...tools.files.maps.drafts import POINT
 from ...tools.files.maps.map_file import load_map
-from ...tools.files.tables import checked_table
+from ...tools.files.schema import REQUIRED, Key, Keys, keys_of, tables
 from ...tools.files.texts import load_file, read_text
-from ...tools.files.toml_lines import below
 from ...tools.files.toml_text import read_toml
 from .config import DeviceConfig, checked
-from .devices_csv import rows
-from .outputs.kinds import KINDS, keys_of, made
+from .devices_csv import DeviceRow, device_rows
+from .outputs.kinds import KINDS, made, output_keys
 from .outputs.output import Output
 
-__all__ = ["FleetFile", "FleetFileError", "load"]
-
-KEYS = ("devices", "defaults", "device", "output", "engine")
-
-DEVICE = tuple(each.name for each in fields(DeviceConfig) if each.init)
-
-POINT = tuple(each.name for each in fields(Point) if each.init)
+__all__ = ["DEVICE", "FILE", "FleetFile", "FleetFileError", "load"]
 
 # A line of 150 characters for each of 100000 devices.
 MOST_OF_CSV = 1 << 24
@@ -50,13 +53,11 @@ MOST_OF_CSV = 1 << 24
 # What must not stand in a file that many can read.
 SECRET = ("password",)
 
-_DEVICE = re.compile(r"\bdevices\[(\d+)\](?:\.(\w+))?")
-
 _NAME = re.compile(r"\$\{(\w*)\}")
 
 
-class FleetFileError(ValueError):
-    """A fleet file that cannot be: which file, line and key, and what is allowed."""
+class FleetFileError(FileError):
+    """A file describes no fleet; it names file, line and key, and what is allowed."""
 
 
 @dataclass(frozen=True)
@@ -66,15 +67,15 @@ class FleetFile:
 
     Attributes:
         devices: for `Fleet`.
-        outputs: kind -> the arguments of its class, with secrets.
+        outputs: of each the kind, and the arguments of its class, with secrets.
     """
 
     devices: list[DeviceConfig]
-    outputs: dict[str, dict[str, Any]] = field(default_factory=dict, repr=False)
+    outputs: list[tuple[str, dict[str, Any]]] = field(default_factory=list, repr=False)
 
     def made_outputs(self) -> list[Output]:
         """Make the outputs; each is for one fleet."""
-        return [made(kind, keys) for kind, keys in self.outputs.items()]
+        return [made(kind, keys) for kind, keys in self.outputs]
 
 
 def load(path: str | PathLike[str]) -> FleetFile:
@@ -84,7 +85,33 @@ def load(path: str | PathLike[str]) -> FleetFile:
     Raises:
         FleetFileError: one of them cannot be read, or says what cannot be.
     """
-    return load_file(path, _Reader(Path(path)).parse, FleetFileError)
+    return load_file(path, _Reader(FilePath(path)).parse, FleetFileError)
+
+
+class _Origin(NamedTuple):
+    """
+    Where a device stands.
+
+    Attributes:
+        path: the table, or the key that names a file in CSV.
+        file, row: in CSV; empty and None for a table.
+    """
+
+    path: Path
+    file: str = ""
+    row: DeviceRow | None = None
+
+    def __str__(self) -> str:
+        line = f": {self.file}, line {self.row.line}" if self.row else ""
+        return f"{path_text(self.path)}{line}"
+
+    def of(self, error: Exception) -> Mistake:
+        """Return an error about the device as one about the file."""
+        mistake = placed(error, ())
+        if self.row is None:
+            return mistake.under(self.path)
+        found = FleetFileError.of(mistake, self.row.place(mistake.path))
+        return found.in_file(self.file).under(self.path)
 
 
 class _Reader:
@@ -92,155 +119,123 @@ class _Reader:
     Reads one fleet file.
 
     Args:
-        path: of it.
+        path: of the file.
     """
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._maps: dict[Path, RegisterMap] = {}
-        self._places: list[str] = []
+    def __init__(self, path: FilePath) -> None:
+        self._folder = path.parent
+        self._maps: dict[FilePath, RegisterMap] = {}
+        self._origins: list[_Origin] = []
         self._defaults: dict[str, Any] = {}
 
     def parse(self, text: str) -> FleetFile:
-        try:
-            given = checked_table("", read_toml(text), KEYS)
-            self._defaults = _defaults(given.get("defaults", {}))
-            devices = [
-                *self._of_toml(given.get("device", [])),
-                *self._of_csv(given.get("devices")),
-            ]
-            if not devices:
-                raise ValueError("device must hold at least one table: [[device]]")
-            self._check(devices)
-            return FleetFile(devices, self._outputs(given.get("output", {})))
-        except (TypeError, ValueError) as error:
-            raise FleetFileError(str(error)) from None
+        """Return what a text describes."""
+        given = FILE.read((), read_toml(text))
+        self._defaults = given.get("defaults", {})
+        devices = [*self._of_toml(given.get("device", [])), *self._of_csv(given.get("devices"))]
+        if not devices:
+            raise WrongValue("device", "must hold at least one table: [[device]]")
+        self._check(devices)
+        return FleetFile(devices, self._outputs(given.get("output", {})))
 
     def _check(self, devices: list[DeviceConfig]) -> None:
         try:
-            checked(devices)
+            checked(devices, lambda at: str(self._origins[at]))
         except ValueError as error:
-            raise ValueError(_DEVICE.sub(self._place, str(error))) from None
-
-    def _place(self, found: re.Match[str]) -> str:
-        """Where a device stands, and its key if one is named."""
-        place, key = self._places[int(found[1])], found[2]
-        between = "." if place.startswith("device[") else ", column "
-        return place + (between + key if key else "")
+            mistake = placed(error, ())
+            at = mistake.path[1]
+            assert isinstance(at, int)
+            raise self._origins[at].of(mistake.renamed(()).renamed(())) from None
 
     # --- devices ----------------------------------------------------------------------------
 
-    def _of_toml(self, given: object) -> Iterable[DeviceConfig]:
-        if not isinstance(given, list):
-            raise TypeError("device must be an array of tables: [[device]]")
-        for at, each in enumerate(given):
-            where = below("device", at)
-            keys = dict(checked_table(where, each, (*DEVICE, "point")))
+    def _of_toml(self, given: list[dict[str, Any]]) -> Iterable[DeviceConfig]:
+        for at, raw in enumerate(given):
+            path = ("device", at)
+            keys = TABLE.read(path, raw)
+            if "point" in keys and "map" in keys:
+                raise WrongValue.about((*path, "point"), "there is a map already")
             if "point" in keys:
-                if "map" in keys:
-                    raise ValueError(f"{where}.point: there is a map already")
-                keys["map"] = _points(f"{where}.point", keys.pop("point"))
-            self._places.append(where)
-            yield self._device(keys, self._path.parent, f"{where}.")
+                keys["map"] = keys.pop("point")
+            yield self._device(keys, self._folder, _Origin(path))
 
-    def _of_csv(self, given: object) -> Iterable[DeviceConfig]:
+    def _of_csv(self, given: str | None) -> Iterable[DeviceConfig]:
         if given is None:
             return
-        if not isinstance(given, str) or not given:
-            raise TypeError(f"devices must be the name of a file in CSV, not {given!r}")
-        path = self._path.parent / given
-        try:
+        path = self._folder / given
+        with inside("devices"):
             text = read_text(path, FleetFileError, MOST_OF_CSV)
+        try:
+            for row in device_rows(text, DEVICE, FleetFileError):
+                origin = _Origin(("devices",), str(path), row)
+                yield self._device(row.keys, path.parent, origin)
         except FleetFileError as error:
-            raise ValueError(f"devices: {error}") from None
-        try:
-            for line, keys in rows(text):
-                self._places.append(f"devices: {path}, line {line}")
-                yield self._device(keys, path.parent, f"line {line}: ")
-        except (TypeError, ValueError) as error:
-            raise ValueError(f"devices: {path}, {error}") from None
+            raise error.in_file(str(path)).under(("devices",)) from None
 
-    def _device(self, keys: dict[str, Any], folder: Path, where: str) -> DeviceConfig:
-        keys = _with_defaults(self._defaults, keys)
-        for key in ("name", "url", "map"):
-            if key not in keys:
-                raise ValueError(f"{where}{key} is missing")
-        if not isinstance(keys["map"], RegisterMap):
-            base = self._path.parent if keys["map"] is self._defaults.get("map") else folder
-            keys["map"] = self._map(where, keys["map"], base)
+    def _device(self, given: dict[str, Any], folder: FilePath, origin: _Origin) -> DeviceConfig:
+        self._origins.append(origin)
         try:
+            keys = _with_defaults(self._defaults, given)
+            for key in DEVICE.values():
+                if key.default is REQUIRED and key.name not in keys:
+                    raise WrongValue(key.name, "is missing")
+            if not isinstance(keys["map"], RegisterMap):
+                base = self._folder if keys["map"] is self._defaults.get("map") else folder
+                with inside("map"):
+                    keys["map"] = self._map(base / keys["map"])
             return DeviceConfig(**keys)
         except (TypeError, ValueError) as error:
-            raise type(error)(f"{where}{error}") from None
+            raise origin.of(error) from None
 
-    def _map(self, where: str, given: object, folder: Path) -> RegisterMap:
-        if not isinstance(given, str) or not given:
-            raise TypeError(f"{where}map must be the name of a file, not {given!r}")
-        path = folder / given
+    def _map(self, path: FilePath) -> RegisterMap:
         if path not in self._maps:
-            try:
-                self._maps[path] = load_map(path)
-            except MapError as error:
-                raise ValueError(f"{where}map: {error}") from None
+            self._maps[path] = load_map(path)
         return self._maps[path]
 
     # --- outputs ----------------------------------------------------------------------------
 
-    def _outputs(self, given: object) -> dict[str, dict[str, Any]]:
-        tables = checked_table("output", given, tuple(KINDS))
-        found: dict[str, dict[str, Any]] = {}
-        for kind, each in tables.items():
-            where = f"output.{kind}"
-            allowed = keys_of(kind)
-            allowed += [f"{key}_file" for key in SECRET if key in allowed]
-            keys = self._secrets(where, dict(checked_table(where, each, allowed)))
-            if "path" in keys and isinstance(keys["path"], str) and keys["path"] != "-":
-                keys["path"] = str(self._path.parent / keys["path"])
-            try:
-                made(kind, keys)
-            except (TypeError, ValueError) as error:
-                raise type(error)(f"{where}.{error}") from None
-            found[kind] = keys
-        return found
+    def _outputs(self, given: Mapping[str, Any]) -> list[tuple[str, dict[str, Any]]]:
+        return [
+            (kind, self._output(path, kind, keys))
+            for kind, tables in given.items()
+            for path, keys in tables
+        ]
 
-    def _secrets(self, where: str, keys: dict[str, Any]) -> dict[str, Any]:
+    def _output(self, path: Path, kind: str, given: Mapping[str, Any]) -> dict[str, Any]:
+        with inside(*path):
+            keys = {key: _filled(key, value) for key, value in self._secrets(given).items()}
+            if isinstance(keys.get("path"), str) and keys["path"] != "-":
+                keys["path"] = str(self._folder / keys["path"])
+            output_keys(kind).read((), keys)
+        return keys
+
+    def _secrets(self, given: Mapping[str, Any]) -> dict[str, Any]:
+        keys = dict(given)
         for key in SECRET:
             file = keys.pop(f"{key}_file", None)
             if file is not None:
-                keys[key] = self._secret_of(f"{where}.{key}_file", file)
+                keys[key] = self._secret_of(f"{key}_file", file)
             elif isinstance(keys.get(key), str) and not _NAME.search(keys[key]):
-                raise ValueError(
-                    f"{where}.{key} must not stand here: write ${{NAME}}, a variable of the"
-                    f" environment, or {key}_file"
-                )
-        return {
-            key: _filled(f"{where}.{key}", value) if isinstance(value, str) else value
-            for key, value in keys.items()
-        }
+                wanted = f"${{NAME}}, a variable of the environment, or {key}_file"
+                raise WrongValue(key, f"must not stand here: write {wanted}")
+        return keys
 
-    def _secret_of(self, where: str, file: object) -> str:
+    def _secret_of(self, key: str, file: object) -> str:
         if not isinstance(file, str):
-            raise TypeError(f"{where} must be the name of a file, not {file!r}")
-        try:
-            return read_text(self._path.parent / file, ValueError, 4096).rstrip("\r\n")
-        except ValueError as error:
-            raise ValueError(f"{where}: {error}") from None
+            raise WrongType(key, f"must be the name of a file, not {file!r}")
+        with inside(key):
+            return read_text(self._folder / file, FleetFileError, 4096).rstrip("\r\n")
 
 
-def _filled(where: str, text: str) -> str:
-    def value(found: re.Match[str]) -> str:
+def _filled(key: str, value: Any) -> Any:
+    """Return a value with the variables of the environment that a text names."""
+
+    def variable(found: re.Match[str]) -> str:
         if found[1] not in os.environ:
-            raise ValueError(f"{where}: {found[0]}: the environment has no such variable")
+            raise WrongValue.about(key, f"{found[0]}: the environment has no such variable")
         return os.environ[found[1]]
 
-    return _NAME.sub(value, text)
-
-
-def _defaults(given: object) -> dict[str, Any]:
-    keys = dict(checked_table("defaults", given, tuple(key for key in DEVICE if key != "name")))
-    if "map" in keys and not isinstance(keys["map"], str):
-        raise TypeError(f"defaults.map must be the name of a file, not {keys['map']!r}")
-    return keys
+    return _NAME.sub(variable, value) if isinstance(value, str) else value
 
 
 def _with_defaults(defaults: Mapping[str, Any], keys: dict[str, Any]) -> dict[str, Any]:
@@ -261,21 +256,53 @@ def _with_defaults(defaults: Mapping[str, Any], keys: dict[str, Any]) -> dict[st
     return merged
 
 
-def _points(where: str, given: object) -> RegisterMap:
+# --- the keys ----------------------------------------------------------------------------
+
+
+def _file_name(path: Path, given: object) -> str:
+    if not isinstance(given, str) or not given:
+        raise WrongType(path, f"must be the name of a file, not {given!r}")
+    return given
+
+
+def _points(path: Path, given: object) -> RegisterMap:
     if not isinstance(given, list) or not given:
-        raise TypeError(f"{where} must be an array of tables: [[device.point]]")
-    points = []
-    for at, each in enumerate(given):
-        place = below(where, at)
-        keys = checked_table(place, each, POINT)
-        for key in ("name", "table", "address"):
-            if key not in keys:
-                raise ValueError(f"{place}.{key} is missing")
-        try:
-            points.append(Point(**keys))
-        except (TypeError, ValueError) as error:
-            raise type(error)(f"{place}.{error}") from None
-    try:
+        raise WrongType(path, "must be an array of tables: [[device.point]]")
+    points = [POINT.read(item(path, at), each) for at, each in enumerate(given)]
+    with inside(*path):
         return RegisterMap(points)
-    except ValueError as error:
-        raise ValueError(f"{where}: {error}") from None
+
+
+def _output_tables(path: Path, given: object) -> dict[str, Any]:
+    return Keys(Key(kind, _one_or_several) for kind in KINDS).read(path, given)  # type: ignore[no-any-return]
+
+
+def _one_or_several(path: Path, given: object) -> list[tuple[Path, dict[str, Any]]]:
+    """Return the table ``[output.KIND]``, or the tables ``[[output.KIND]]``, with their paths."""
+    keys = output_keys(str(path[-1]))
+    files = [Key(f"{key}_file", text=f"a file with the {key}") for key in SECRET if key in keys]
+    allowed = (keys | Keys(files)).optional()
+    if not isinstance(given, list):
+        return [(path, allowed.read(path, given))]
+    return [(item(path, at), allowed.read(item(path, at), each)) for at, each in enumerate(given)]
+
+
+DEVICE = keys_of(DeviceConfig, map=_file_name)
+
+POINTS = Key("point", _points, "a table for each point: [[device.point]], in place of a map")
+
+TABLE = (DEVICE | Keys([POINTS])).optional()
+
+FILE = Keys(
+    [
+        Key("devices", _file_name, "a file of devices in CSV"),
+        Key("defaults", DEVICE.but("name").optional().read, "what devices have unless they say it"),
+        Key("device", tables, "a table for each device: [[device]]"),
+        Key(
+            "output",
+            _output_tables,
+            "a table for each output: [output.KIND], or several: [[output.KIND]]",
+        ),
+        Key("engine", text="what several machines share"),
+    ]
+)

@@ -9,6 +9,7 @@ import contextlib
 import logging
 import time
 import weakref
+from collections import Counter
 from collections.abc import AsyncIterator, Iterable, Mapping, Sequence
 from os import PathLike
 from typing import Any, Self
@@ -18,7 +19,7 @@ from .commands import Commands
 from .config import DeviceConfig, by_connection, checked
 from .files import load
 from .line import Line, MayAsk
-from .outputs.output import Commanded, Output
+from .outputs.output import Commanded, Labelled, Output
 from .outputs.pump import Pump
 from .poller import Poller, Reads, Standing
 from .readings import Reading
@@ -154,15 +155,25 @@ class Fleet:
             raise RuntimeError("this fleet polls already; make one for each")
         self._loop = asyncio.get_running_loop()
         self._wall = time.time() - self._loop.time()
+        self._label()
+        names: Counter[str] = Counter()
         for output in self._outputs:
             if isinstance(output, Commanded) and output.takes_commands:
                 output.attach(Commands(self))
             pump = Pump(output)
-            self.statistics.outputs[pump.name] = pump.statistics
+            names[pump.name] += 1
+            number = f" ({names[pump.name]})" if names[pump.name] > 1 else ""
+            self.statistics.outputs[f"{pump.name}{number}"] = pump.statistics
             self._pumps.append(pump)
             pump.start()
         for device in self._devices.values():
             self._begin(device)
+
+    def _label(self) -> None:
+        labels = {each.name: each.labels for each in self._devices.values()}
+        for output in self._outputs:
+            if isinstance(output, Labelled):
+                output.label(labels)
 
     async def _stop(self) -> None:
         if self._timer is not None:
@@ -216,6 +227,7 @@ class Fleet:
         before, self._devices = self._devices, after
         if self._loop is None:
             return
+        self._label()
         moved = self._moved(after)
         for name, device in before.items():
             if after.get(name) != device or device.connection_key in moved:

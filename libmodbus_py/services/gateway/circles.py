@@ -9,6 +9,7 @@ import socket
 from collections.abc import Iterable
 
 from ...ports.endpoint import Endpoint
+from ...protocol.mistakes import Path, WrongValue
 
 __all__ = ["check_line"]
 
@@ -16,7 +17,7 @@ LOCALHOST = ("localhost", "ip6-localhost")
 EVERYWHERE = ("0.0.0.0", "::")
 
 
-def check_line(name: str, line: Endpoint, listening: Iterable[Endpoint]) -> None:
+def check_line(name: Path, line: Endpoint, listening: Iterable[Endpoint]) -> None:
     """
     Check that a line leads somewhere else.
 
@@ -28,10 +29,10 @@ def check_line(name: str, line: Endpoint, listening: Iterable[Endpoint]) -> None
         ValueError: there is no such port, or the gateway itself listens there.
     """
     if line.transport == "serial" and not os.path.exists(line.device):
-        raise ValueError(f"{name}: there is no port {line.device}")
+        raise WrongValue.about(name, f"there is no port {line.device}")
     for own in listening:
         if _is_same(line, own):
-            raise ValueError(f"{name}: the gateway itself listens on {own}")
+            raise WrongValue.about(name, f"the gateway itself listens on {own}")
 
 
 def _is_same(line: Endpoint, own: Endpoint) -> bool:

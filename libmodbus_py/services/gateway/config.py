@@ -13,42 +13,34 @@ Gateway files: a gateway, described in TOML.
 
 from __future__ import annotations
 
-import contextlib
-import re
 import reprlib
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, fields
+from collections.abc import Iterable
+from dataclasses import dataclass, field
 from functools import partial
 from os import PathLike
 from typing import Any
 
 from ...ports.endpoint import parse as parse_url
+from ...protocol.mistakes import Path, WrongType, WrongValue, inside, item
 from ...server.limits import Limits
 from ...tools.files import roles
-from ...tools.files.tables import checked_table
+from ...tools.files.file_error import FileError
+from ...tools.files.schema import Key, Keys, keys_of
 from ...tools.files.texts import load_file
 from ...tools.files.toml_text import read_toml
 from .circles import check_line
+from .gateway import Gateway
 from .manner import Manner
 from .routes import Route, by_unit
 
-__all__ = ["GatewayFile", "GatewayFileError", "load", "parse"]
+__all__ = ["FILE", "ROUTE", "GatewayFile", "GatewayFileError", "load", "parse"]
 
 # 256 units can have no more.
 MOST_ROUTES = 256
 
-OPTIONS = tuple(each.name for each in fields(Manner) if each.init)
-"""What `Gateway` takes as it is."""
 
-KEYS = ("listen", *OPTIONS, "limits", "route", "roles")
-
-ROUTE = tuple(each.name for each in fields(Route) if each.init)
-
-LIMITS = tuple(each.name for each in fields(Limits) if each.init)
-
-
-class GatewayFileError(ValueError):
-    """A gateway file that cannot be: which file, line and key, and what is allowed."""
+class GatewayFileError(FileError):
+    """A file describes no gateway; it names file, line and key, and what is allowed."""
 
 
 @dataclass(frozen=True)
@@ -75,9 +67,9 @@ def load(path: str | PathLike[str], known: Iterable[Route] = ()) -> GatewayFile:
         known: routes whose ports may be gone now: they were there, and may come back.
 
     Raises:
-        GatewayFileError: it cannot be read, is no TOML, or says what cannot be.
+        GatewayFileError: the file cannot be read, is no TOML, or says what cannot be.
     """
-    return load_file(path, partial(parse, known=known), GatewayFileError)
+    return load_file(path, partial(_parse, known=known), GatewayFileError)
 
 
 def parse(text: str, known: Iterable[Route] = ()) -> GatewayFile:
@@ -88,90 +80,66 @@ def parse(text: str, known: Iterable[Route] = ()) -> GatewayFile:
         known: as for `load`.
 
     Raises:
-        GatewayFileError: it is no TOML, or says what cannot be; it begins with the key.
+        GatewayFileError: the text is no TOML, or says what cannot be.
     """
-    with _inside():
-        given = checked_table("", read_toml(text), KEYS)
-        listen = tuple(_listen(given.get("listen", [])))
-        routes = [_route(f"route[{at}]", each) for at, each in enumerate(_routes(given))]
-        with _renamed("routes", "route"):
-            by_unit(routes)
-        there = {route.endpoint.url for route in known}
-        for at, route in enumerate(routes):
-            if route.endpoint.url in there:
-                continue
-            check_line(f"route[{at}].to", route.endpoint, map(parse_url, listen))
-        options = {name: given[name] for name in OPTIONS if name in given}
-        Manner(**options)
-        if "limits" in given:
-            options["limits"] = _limits(given["limits"])
-        if "roles" in given:
-            options["authorize"] = roles.rules("roles", given["roles"])
-        return GatewayFile(listen, routes, options)
-
-
-@contextlib.contextmanager
-def _inside() -> Iterator[None]:
     try:
-        yield
+        return _parse(text, known)
     except (TypeError, ValueError) as error:
-        raise GatewayFileError(str(error)) from None
+        raise GatewayFileError.of(error) from None
 
 
-@contextlib.contextmanager
-def _renamed(name: str, key: str) -> Iterator[None]:
-    """As the file calls it."""
-    try:
-        yield
-    except (TypeError, ValueError) as error:
-        raise type(error)(re.sub(rf"\b{name}\b", key, str(error))) from None
+def _parse(text: str, known: Iterable[Route]) -> GatewayFile:
+    given = FILE.read((), read_toml(text))
+    listen, routes = given.pop("listen", ()), given.pop("route", ())
+    if not routes:
+        raise WrongValue("route", "must hold at least one table: [[route]]")
+    by_unit(routes, "route")
+    there = {route.endpoint.url for route in known}
+    for at, route in enumerate(routes):
+        if route.endpoint.url not in there:
+            check_line(("route", at, "to"), route.endpoint, map(parse_url, listen))
+    Manner(**{key.name: given.get(key.name, key.default) for key in OPTIONS.values()})
+    if "roles" in given:
+        given["authorize"] = given.pop("roles")
+    return GatewayFile(listen, routes, given)
 
 
-def _listen(given: object) -> Iterator[str]:
+# --- the keys ----------------------------------------------------------------------------
+
+
+def _listen(path: Path, given: object) -> tuple[str, ...]:
     if not isinstance(given, list):
-        raise TypeError(f"listen must be a list of URLs, not {reprlib.repr(given)}")
+        raise WrongType(path, f"must be a list of URLs, not {reprlib.repr(given)}")
     for at, url in enumerate(given):
-        try:
+        with inside(*item(path, at)):
             endpoint = parse_url(url)
-        except (TypeError, ValueError) as error:
-            raise type(error)(f"listen[{at}]: {error}") from None
-        if endpoint.client_options:
-            names = ", ".join(endpoint.client_options)
-            raise ValueError(f"listen[{at}]: {url!r}: {names} is for clients")
-        yield url
+            if endpoint.client_options:
+                names = ", ".join(endpoint.client_options)
+                raise ValueError(f"{url!r}: {names} is for clients")
+    return tuple(given)
 
 
-def _routes(given: Mapping[str, Any]) -> list[Any]:
-    routes = given.get("route")
-    if not isinstance(routes, list) or not routes:
-        raise ValueError("route must hold at least one table: [[route]]")
-    if len(routes) > MOST_ROUTES:
-        raise ValueError(f"route must hold at most {MOST_ROUTES} tables, not {len(routes)}")
-    return routes
+def _routes(path: Path, given: object) -> list[Route]:
+    if not isinstance(given, list) or not given:
+        raise WrongValue(path, "must hold at least one table: [[route]]")
+    if len(given) > MOST_ROUTES:
+        raise WrongValue(path, f"must hold at most {MOST_ROUTES} tables, not {len(given)}")
+    return [ROUTE.read(item(path, at), each) for at, each in enumerate(given)]
 
 
-def _route(where: str, given: object) -> Route:
-    options = dict(checked_table(where, given, ROUTE))
-    if "to" not in options:
-        raise ValueError(f"{where}.to is missing")
-    writable = options.get("writable")
-    if isinstance(writable, list):
-        options["writable"] = [
-            roles.part(f"{where}.writable[{at}]", each) for at, each in enumerate(writable)
+OPTIONS = keys_of(Gateway).only(*keys_of(Manner))
+"""Options of `Gateway`, which takes them as they are."""
+
+ROUTE = keys_of(Route, writable=roles.parts)
+
+FILE = (
+    Keys([Key("listen", _listen, "URLs of the endpoints where clients are served", ())])
+    | OPTIONS
+    | Keys(
+        [
+            Key("limits", keys_of(Limits).read, "what clients may cost, as `Limits`"),
+            Key("route", _routes, "a table for each line and its units: [[route]]"),
+            Key("roles", roles.rules, "who may read and write what: [roles.NAME]"),
         ]
-    try:
-        return Route(**options)
-    except (TypeError, ValueError) as error:
-        message = str(error)
-        key = next((name for name in ROUTE if re.match(rf"{name}\b", message)), None)
-        raise type(error)(f"{where}.{message}" if key else f"{where}.to: {message}") from None
-
-
-def _limits(given: object) -> Limits:
-    try:
-        return Limits(**checked_table("limits", given, LIMITS))
-    except (TypeError, ValueError) as error:
-        message = str(error)
-        raise type(error)(
-            message if message.startswith("limits") else f"limits.{message}"
-        ) from None
+    )
+)

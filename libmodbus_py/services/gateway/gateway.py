@@ -129,7 +129,7 @@ class Gateway(Serving):
 
     def _check_lines(self, routes: Iterable[Route], listening: list[Endpoint]) -> None:
         for at, route in enumerate(routes):
-            check_line(f"routes[{at}].to", route.endpoint, listening)
+            check_line(("routes", at, "to"), route.endpoint, listening)
 
     def _change_lines(self) -> None:
         answering = self._answering_now

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Sized
 from dataclasses import dataclass, field
 
 from ...protocol.checks import integer, seconds
+from ...protocol.mistakes import WrongType
 from .routes import units_of
 
 __all__ = ["Manner"]
@@ -35,4 +36,4 @@ class Manner:
         integer("queue", self.queue, 1, 1024)
         seconds("longest_wait", self.longest_wait)
         if not isinstance(self.writes_first, bool):
-            raise TypeError(f"writes_first must be True or False, not {self.writes_first!r}")
+            raise WrongType("writes_first", f"must be True or False, not {self.writes_first!r}")

@@ -13,6 +13,7 @@ from ...device.access import Access
 from ...device.rules import Allow
 from ...ports.endpoint import Endpoint, parse
 from ...protocol.checks import integer, seconds
+from ...protocol.mistakes import WrongType, WrongValue, inside, placed
 from ...protocol.spelling import units_of as units_in
 
 __all__ = ["Route", "by_unit", "parse_route", "units_of"]
@@ -67,16 +68,13 @@ class Route:
     allow: Allow | None = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        endpoint = parse(self.to)
-        if "unit" in endpoint.client_options:
-            raise ValueError(f"to: {self.to!r}: unit means nothing here; device_units does")
-        # What a client cannot have is refused now, not when it is made.
-        assembled(endpoint, CheckedOptions.of(endpoint, {}), 1)
+        with inside("to"):
+            endpoint = self._checked_endpoint()
         for name in ("merge", "read_only"):
             if not isinstance(getattr(self, name), bool):
-                raise TypeError(f"{name} must be True or False, not {getattr(self, name)!r}")
+                raise WrongType(name, f"must be True or False, not {getattr(self, name)!r}")
         if self.read_only and self.writable is not None:
-            raise ValueError("writable: there is nothing to write, for read_only is set")
+            raise WrongValue.about("writable", "there is nothing to write, for read_only is set")
         seconds("cache", self.cache, low=0)
         units = self._units(endpoint)
         for name, value in (
@@ -86,6 +84,14 @@ class Route:
             ("allow", self._allow()),
         ):
             object.__setattr__(self, name, value)
+
+    def _checked_endpoint(self) -> Endpoint:
+        endpoint = parse(self.to)
+        if "unit" in endpoint.client_options:
+            raise ValueError(f"{self.to!r}: unit means nothing here; device_units does")
+        # What a client cannot have is refused now, not when it is made.
+        assembled(endpoint, CheckedOptions.of(endpoint, {}), 1)
+        return endpoint
 
     def _units(self, endpoint: Endpoint) -> Sequence[int]:
         if self.units is None:
@@ -101,8 +107,8 @@ class Route:
         found = units_of("device_units", given, distinct=False)
         object.__setattr__(self, "device_units", tuple(found))
         if len(found) not in (1, len(units)):
-            raise ValueError(
-                f"device_units must be one, or {len(units)} as units, not {len(found)}"
+            raise WrongValue(
+                "device_units", f"must be one, or {len(units)} as units, not {len(found)}"
             )
         return found if len(found) == len(units) else found * len(units)
 
@@ -114,7 +120,7 @@ class Route:
         try:
             made = Allow(read="all", write=self.writable, functions=HARMLESS)
         except (TypeError, ValueError) as error:
-            raise type(error)(str(error).replace("write", "writable", 1)) from None
+            raise placed(error, ()).renamed(("writable",)) from None
         object.__setattr__(self, "writable", "all" if self.writable == "all" else made.write)
         return made
 
@@ -130,15 +136,15 @@ def units_of(name: str, given: object, *, distinct: bool = True) -> list[int]:
         try:
             found = units_in(given)
         except ValueError as error:
-            raise ValueError(f"{name}: {error}") from None
+            raise WrongValue.about(name, f"{error}") from None
     elif isinstance(given, Iterable):
-        found = [integer(f"{name}[{at}]", unit, 0, 255) for at, unit in enumerate(given)]
+        found = [integer((name, at), unit, 0, 255) for at, unit in enumerate(given)]
     else:
-        raise TypeError(f"{name} must be text or a list, not {type(given).__name__}")
+        raise WrongType(name, f"must be text or a list, not {type(given).__name__}")
     if not found:
-        raise ValueError(f"{name} must hold at least one")
+        raise WrongValue(name, "must hold at least one")
     if distinct and (twice := {unit for unit in found if found.count(unit) > 1}):
-        raise ValueError(f"{name}: {min(twice)} is given twice")
+        raise WrongValue.about(name, f"{min(twice)} is given twice")
     return found
 
 
@@ -156,9 +162,12 @@ def parse_route(text: str) -> Route:
     return Route(url, units, device_units if colon else None)
 
 
-def by_unit(routes: Iterable[Route]) -> dict[int, Route]:
+def by_unit(routes: Iterable[Route], name: str = "routes") -> dict[int, Route]:
     """
-    Give the route of each unit.
+    Return the route of each unit.
+
+    Args:
+        name: of the list, for errors.
 
     Raises:
         TypeError, ValueError: two of them are for one unit, or lead to one place in two ways.
@@ -167,18 +176,16 @@ def by_unit(routes: Iterable[Route]) -> dict[int, Route]:
     places: dict[str, tuple[int, str]] = {}
     for at, route in enumerate(routes):
         if not isinstance(route, Route):
-            raise TypeError(f"routes[{at}] must be a Route, not {type(route).__name__}")
+            raise WrongType((name, at), f"must be a Route, not {type(route).__name__}")
         endpoint = route.endpoint
         place = endpoint.device or f"{endpoint.transport}:{endpoint.host}:{endpoint.port}"
         first, url = places.setdefault(place, (at, endpoint.url))
         if url != endpoint.url:
-            raise ValueError(
-                f"routes[{at}].to: routes[{first}] leads there with other options, {url}"
-            )
+            reason = f"{name}[{first}] leads there with other options, {url}"
+            raise WrongValue.about((name, at, "to"), reason)
         for unit in route.ways:
             if unit in found:
-                raise ValueError(
-                    f"routes[{at}].units: there is a route for unit {unit} before this"
-                )
+                reason = f"there is a route for unit {unit} before this"
+                raise WrongValue.about((name, at, "units"), reason)
             found[unit] = route
     return found

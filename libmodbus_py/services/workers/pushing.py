@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
 from ...client.options import CheckedOptions
 from ...protocol.checks import integer, seconds
+from ...protocol.mistakes import WrongType, WrongValue
 from ..engine.buckets import Bucket
 from ..engine.errors import EngineError, EngineGone
 from ..fleet.config import DeviceConfig, by_connection, devices_to_json
@@ -61,24 +62,26 @@ def settings_of(given: Mapping[str, Any]) -> FleetSettings:
     """
     for key in given:
         if key not in KEYS:
-            raise ValueError(f"engine.{key}: no such key; allowed are {', '.join(KEYS)}")
+            raise WrongValue.about(("engine", key), f"no such key; allowed are {', '.join(KEYS)}")
     usual = FleetSettings()
-    lease = seconds("engine.lease", given.get("lease", usual.lease))
+    lease = seconds(("engine", "lease"), given.get("lease", usual.lease))
     if not SHORTEST_LEASE <= lease <= LONGEST_LEASE:
         wanted = f"{SHORTEST_LEASE}..{LONGEST_LEASE}"
-        raise ValueError(f"engine.lease must be in {wanted} s, not {lease}")
+        raise WrongValue(("engine", "lease"), f"must be in {wanted} s, not {lease}")
     on_loss = given.get("on_engine_loss", usual.on_engine_loss)
     if on_loss not in get_args(OnLoss):
         allowed = " or ".join(get_args(OnLoss))
-        raise ValueError(f"engine.on_engine_loss must be {allowed}, not {on_loss!r}")
+        raise WrongValue(("engine", "on_engine_loss"), f"must be {allowed}, not {on_loss!r}")
     commands = given.get("commands", usual.commands)
     if not isinstance(commands, bool):
-        raise TypeError(f"engine.commands must be true or false, not {commands!r}")
+        raise WrongType(("engine", "commands"), f"must be true or false, not {commands!r}")
     results: dict[str, Any] = {}
     if "max_age" in given:
-        results["max_age"] = seconds("engine.max_age", given["max_age"], high=3.2e8)
+        results["max_age"] = seconds(("engine", "max_age"), given["max_age"], high=3.2e8)
     if "max_bytes" in given:
-        results["max_bytes"] = integer("engine.max_bytes", given["max_bytes"], 1 << 16, 1 << 50)
+        results["max_bytes"] = integer(
+            ("engine", "max_bytes"), given["max_bytes"], 1 << 16, 1 << 50
+        )
     return FleetSettings(lease, on_loss, commands, results)
 
 

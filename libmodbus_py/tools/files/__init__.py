@@ -1,13 +1,15 @@
 """
-What stands in files, whatever it describes.
+Files that describe devices, gateways and fleets, and register maps: how they are read.
 
 ::
 
-    texts        a file, read and made something of; every mistake is told with its line
+    texts        reading a file, and a TOML document
     rereading    a file that is read again while a program uses what it said before
+    schema       the keys of tables: a row for each, and the checks of their values
+    file_error   what is wrong in a file: its place, the path of the key, the reason
     toml_text    TOML within bounds: its size, its depth, its numbers and texts
-    toml_lines   where in the text a key stands
-    tables       what a table may hold
-    roles        who may read and write what, by the roles in certificates
+    toml_lines   the line of a key in a TOML document
+    csv_text     CSV: headings, rows, cells
+    roles        rights of roles in certificates
     maps         register maps
 """

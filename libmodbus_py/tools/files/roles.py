@@ -11,60 +11,55 @@ from typing import Any
 
 from ...device.access import Access
 from ...device.rules import Allow, Rules
-from .tables import checked_table
-from .toml_lines import below
+from ...protocol.mistakes import Path, inside, item
+from .schema import REQUIRED, Key, Keys, anything, keys_of, table
+from .toml_lines import shown_key
 
-__all__ = ["part", "rules"]
-
-RIGHTS = ("read", "write", "functions")
-
-PART = ("table", "address", "count", "file")
+__all__ = ["parts", "rules"]
 
 
-def rules(where: str, given: object) -> Rules:
+def rules(path: Path, given: object) -> Rules:
     """
     Make the rules of all roles; the empty name is that of clients without a role.
 
     Rules that were made already, those of the file, are those of a unit that has none.
 
     Raises:
-        TypeError, ValueError: it says what cannot be; the message begins with its key.
+        TypeError, ValueError: a table is no rule; with the path of the key.
     """
     if isinstance(given, Rules):
         return given
-    named = checked_table(where, given)
-    roles = {name or None: _allow(below(where, name), each) for name, each in named.items()}
-    try:
-        return Rules(roles)
-    except ValueError as error:
-        raise ValueError(f"{where}: {error}") from None
-
-
-def _allow(where: str, given: object) -> Allow:
-    rights = checked_table(where, given, RIGHTS)
-    converted = {
-        name: [part(below(f"{where}.{name}", at), each) for at, each in enumerate(value)]
-        if isinstance(value, list)
-        else value
-        for name, value in rights.items()
+    named = table(path, given)
+    roles = {
+        name or None: ALLOW.read((*path, shown_key(name)), each) for name, each in named.items()
     }
-    try:
-        return Allow(**converted)
-    except (TypeError, ValueError) as error:
-        raise type(error)(f"{where}.{error}") from None
+    with inside(*path):
+        return Rules(roles)
 
 
-def part(where: str, given: object) -> Any:
+def parts(path: Path, given: object) -> Any:
     """
-    Make an `Access` of a part of a table; the name of a whole one stays as it is.
+    Make a list of names of tables, and of an `Access` for each part of a table.
 
     Raises:
-        TypeError, ValueError: it begins with `where`.
+        TypeError, ValueError: a part has a key missing, or one that means nothing.
     """
-    if not isinstance(given, dict):
+    if not isinstance(given, list):
         return given
-    part = checked_table(where, given, PART)
-    for key in PART[:3]:
-        if key not in part:
-            raise ValueError(f"{where}.{key} is missing")
-    return Access(**part)
+    return [
+        PART.read(item(path, at), each) if isinstance(each, dict) else each
+        for at, each in enumerate(given)
+    ]
+
+
+ALLOW = keys_of(Allow, read=parts, write=parts)
+
+PART = Keys(
+    (
+        Key("table", anything, "the table", REQUIRED),
+        Key("address", anything, "the first address or record", REQUIRED),
+        Key("count", anything, "how many", REQUIRED),
+        Key("file", anything, "the number of the file", 0),
+    ),
+    Access,
+)

@@ -1,5 +1,5 @@
 """
-A file in TOML, and what is made of it; every mistake is told with its line.
+Reading files: a text within bounds, and what is made of a text in TOML.
 """
 
 from __future__ import annotations
@@ -7,10 +7,12 @@ from __future__ import annotations
 import os
 import stat
 from collections.abc import Callable
-from os import PathLike
+from os import PathLike, fspath
 from typing import TypeVar
 
-from .toml_lines import line_of, path_at_start
+from ...protocol.mistakes import placed
+from .file_error import FileError, FilePlace
+from .toml_lines import line_of
 from .toml_text import MAX_SIZE
 
 __all__ = ["load_file", "read_text"]
@@ -19,48 +21,48 @@ Made = TypeVar("Made")
 
 
 def load_file(
-    path: str | PathLike[str], parse: Callable[[str], Made], kind: type[ValueError]
+    path: str | PathLike[str], parse: Callable[[str], Made], kind: type[FileError]
 ) -> Made:
     """
-    Read a file and make something of its text.
+    Read a file in TOML and make something of its text.
 
     Args:
-        parse: raises errors of `kind`, which begin with the key that they are about.
+        parse: makes it; raises TypeErrors and ValueErrors, with the path of the key.
 
     Raises:
-        ValueError: of `kind`: it cannot be read, or `parse` raised it; with file and line.
+        FileError: of `kind`: the file cannot be read, or `parse` raised an error, with the file
+            and the line.
     """
     text = read_text(path, kind)
     try:
         return parse(text)
-    except kind as error:
-        line = line_of(text, path_at_start(str(error)))
-        place = f"{path}, line {line}" if line else path
-        raise kind(f"{place}: {error}") from None
+    except (TypeError, ValueError) as error:
+        mistake = placed(error, ())
+        raise kind.of(mistake, FilePlace(fspath(path), line_of(text, mistake.path))) from None
 
 
-def read_text(path: str | PathLike[str], kind: type[ValueError], most: int = MAX_SIZE) -> str:
+def read_text(path: str | PathLike[str], kind: type[FileError], most: int = MAX_SIZE) -> str:
     """
     Read a text of at most so many bytes.
 
     Raises:
-        ValueError: of `kind`: it cannot be read, is no regular file, is longer, or no UTF-8; with
-            the file.
+        FileError: of `kind`: the file cannot be read, is no regular file, is longer, or no UTF-8.
     """
+    place = FilePlace(fspath(path))
     try:
         with open(path, "rb", opener=_at_once) as file:
             if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-                raise kind(f"{path}: no regular file")
+                raise kind((), "no regular file", place=place)
             data = file.read(most + 1)
         if len(data) > most:
-            raise kind(f"{path}: more than {most} bytes")
+            raise kind((), f"more than {most} bytes", place=place)
         return data.decode("utf-8")
     except OSError as error:
-        raise kind(f"cannot read {path}: {error.strerror}") from error
+        raise kind((), f"cannot read {place}: {error.strerror}") from error
     except UnicodeDecodeError as error:
-        raise kind(f"{path}: byte {error.start} is no UTF-8") from None
+        raise kind((), f"byte {error.start} is no UTF-8", place=place) from None
 
 
 def _at_once(path: str, flags: int) -> int:
-    """A named pipe would be waited for, for as long as nobody writes into it."""
+    """Open a named pipe without waiting for a writer."""
     return os.open(path, flags | os.O_NONBLOCK)

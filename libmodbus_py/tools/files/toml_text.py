@@ -10,7 +10,8 @@ import tomllib
 from typing import Any
 
 from ...protocol.checks import shown
-from .toml_lines import below
+from ...protocol.mistakes import Path, WrongValue
+from .toml_lines import shown_key
 
 __all__ = ["MAX_SIZE", "read_toml"]
 
@@ -23,8 +24,8 @@ MAX_DEPTH = 10
 # Each takes tomllib a kilobyte for each of its levels.
 MAX_TABLES = 10_000
 
-# Text fills at most 125 registers.
-MAX_TEXT = 250
+# The description of a point may be as long; other texts have bounds of their own.
+MAX_TEXT = 2000
 
 # TOML has integers of 64 bits (1.0.0, "Integer"); uint64 is one of our types.
 LOWEST, HIGHEST = -(1 << 63), (1 << 64) - 1
@@ -40,13 +41,14 @@ _HEADER = re.compile(r"^[ \t]*\[", re.MULTILINE)
 _LONG_NUMBER = re.compile(r"[0-9][0-9_]{4300}")
 
 
-def read_toml(text: str, max_text: int = MAX_TEXT) -> dict[str, Any]:
+def read_toml(text: str) -> dict[str, Any]:
     """
     Read a TOML document of at most 512 KiB, with at most 10000 headers, ten levels, texts of
-    `max_text` characters and integers of 64 bits.
+    2000 characters and integers of 64 bits.
 
     Raises:
-        ValueError: it is no TOML, or more than that; with the path of a value that is.
+        ValueError: the text is no TOML, or has more than that; a value that is too long or too
+            large is named by its path.
     """
     if len(text) > MAX_SIZE:
         raise ValueError(f"more than {MAX_SIZE} characters")
@@ -63,7 +65,7 @@ def read_toml(text: str, max_text: int = MAX_TEXT) -> dict[str, Any]:
         if found := _LONG_NUMBER.search(text):
             raise ValueError(f"more digits than a number has (at {_line(text, found)})") from None
         raise
-    _check(content, max_text)
+    _check(content)
     return content
 
 
@@ -71,18 +73,17 @@ def _line(text: str, found: re.Match[str]) -> str:
     return f"line {text.count(chr(10), 0, found.start()) + 1}"
 
 
-def _check(content: dict[str, Any], max_text: int) -> None:
-    to_check: list[tuple[str, int, Any]] = [("", 1, content)]
+def _check(content: dict[str, Any]) -> None:
+    to_check: list[tuple[Path, Any]] = [((), content)]
     while to_check:
-        path, depth, holder = to_check.pop()
-        if depth > MAX_DEPTH:
-            raise ValueError(f"{path} lies deeper than {MAX_DEPTH} levels")
+        path, holder = to_check.pop()
+        if len(path) >= MAX_DEPTH:
+            raise WrongValue(path, f"lies deeper than {MAX_DEPTH} levels")
         for key, value in holder.items() if isinstance(holder, dict) else enumerate(holder):
+            place = (*path, key if isinstance(key, int) else shown_key(key))
             if isinstance(value, dict | list):
-                to_check.append((below(path, key), depth + 1, value))
-            elif isinstance(value, str) and len(value) > max_text:
-                wanted = f"0..{max_text} characters"
-                raise ValueError(f"{below(path, key)} must have {wanted}, not {len(value)}")
+                to_check.append((place, value))
+            elif isinstance(value, str) and len(value) > MAX_TEXT:
+                raise WrongValue(place, f"must have 0..{MAX_TEXT} characters, not {len(value)}")
             elif isinstance(value, int) and not LOWEST <= value <= HIGHEST:
-                wanted = f"{LOWEST}..{HIGHEST}"
-                raise ValueError(f"{below(path, key)} must be in {wanted}, not {shown(value)}")
+                raise WrongValue(place, f"must be in {LOWEST}..{HIGHEST}, not {shown(value)}")

@@ -9,12 +9,11 @@ from collections.abc import Callable, Iterable
 
 from ...device.access import Access
 from ...device.hooks import Hook
+from ...device.rules import WRITABLE
 from ...protocol.errors import IllegalDataAddress
 from ...protocol.tables import TABLES
 from .clockwork import Clockwork
-from .keys import ACCESS
-from .ranges import Range
-from .runs import Run
+from .simulated_point import SimulatedPoint
 
 __all__ = ["AccessRules"]
 
@@ -28,11 +27,11 @@ class AccessRules:
             without them; None if there are none.
     """
 
-    def __init__(self, ranges: list[Range], clockwork: Clockwork) -> None:
+    def __init__(self, points: list[SimulatedPoint], clockwork: Clockwork) -> None:
         self._clockwork = clockwork
-        unreadable = [each for each in ranges if not ACCESS[each.access][0]]
-        unwritable = [each for each in ranges if not ACCESS[each.access][1]]
-        moving = [each for each in ranges if each.behaviour]
+        unreadable = [each for each in points if each.access == "write"]
+        unwritable = [each for each in points if each.access == "read" and each.table in WRITABLE]
+        moving = [each for each in points if each.behaviour]
         self._unreadable = _by_place(unreadable)
         self._unwritable = _by_place(unwritable)
         self.before_read: Hook | None = _hook(self._before_read, [*unreadable, *moving])
@@ -47,31 +46,31 @@ class AccessRules:
         _check(self._unwritable, access, "written")
 
 
-def _hook(call: Callable[[Access], None], ranges: Iterable[Range]) -> Hook | None:
+def _hook(call: Callable[[Access], None], points: Iterable[SimulatedPoint]) -> Hook | None:
     places: dict[str, list[range]] = {}
-    for each in ranges:
+    for each in points:
         if each.file:
             places.setdefault("files", []).append(range(each.file, each.file + 1))
         else:
-            places.setdefault(each.run.table, []).append(range(each.run.first, each.run.stop))
+            places.setdefault(each.table, []).append(range(each.first, each.stop))
     return Hook(call, **places) if places else None
 
 
-# (table, file) -> runs, in order.
-_Runs = dict[tuple[str, int], list[Run]]
+# (table, file) -> points, in order.
+_ByPlace = dict[tuple[str, int], list[SimulatedPoint]]
 
 
-def _by_place(ranges: Iterable[Range]) -> _Runs:
-    runs: _Runs = {}
-    for each in sorted(ranges, key=lambda each: each.run.first):
-        runs.setdefault(each.place, []).append(each.run)
-    return runs
+def _by_place(points: Iterable[SimulatedPoint]) -> _ByPlace:
+    found: _ByPlace = {}
+    for each in sorted(points, key=lambda each: each.first):
+        found.setdefault(each.place, []).append(each)
+    return found
 
 
-def _check(forbidden: _Runs, access: Access, what: str) -> None:
-    runs = forbidden.get((access.table, access.file), [])
+def _check(forbidden: _ByPlace, access: Access, what: str) -> None:
+    points = forbidden.get((access.table, access.file), [])
     stop = access.address + access.count
-    at = bisect_left(runs, stop, key=lambda run: run.first) - 1  # the last that begins before
-    if at >= 0 and access.address < runs[at].stop:
+    at = bisect_left(points, stop, key=lambda each: each.first) - 1  # the last that begins before
+    if at >= 0 and access.address < points[at].stop:
         span = f"{access.table} {access.address}..{stop - 1}"
         raise IllegalDataAddress(f"{span} cannot all be {what}")

@@ -10,8 +10,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from ...protocol.checks import integer, seconds
+from ...protocol.mistakes import WrongType, WrongValue
 from ...protocol.tables import TABLES
-from .runs import Behaviour, Compute, Run, Runs, ScaledType
+from .simulated_point import Behaviour, Compute, DeviceValues, SimulatedPoint
 
 __all__ = ["BEHAVIOURS", "Copy", "Counter", "RandomWalk", "Sine"]
 
@@ -29,34 +30,28 @@ LARGEST = 1e100
 
 def _number(name: str, value: object) -> None:
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise TypeError(f"{name} must be a number, not {type(value).__name__}")
+        raise WrongType(name, f"must be a number, not {type(value).__name__}")
     if not -LARGEST <= value <= LARGEST:
-        raise ValueError(f"{name} must be in {-LARGEST:g}..{LARGEST:g}, not {value}")
+        raise WrongValue(name, f"must be in {-LARGEST:g}..{LARGEST:g}, not {value}")
 
 
 def _check_between(low: Number, high: Number) -> None:
     _number("low", low)
     _number("high", high)
     if low >= high:
-        raise ValueError(f"high must be above low, which is {low}, not {high}")
+        raise WrongValue("high", f"must be above low, which is {low}, not {high}")
 
 
-def _numeric(run: Run, **numbers: Number) -> tuple[Number, Number]:
-    """Give the limits of a run's values; the numbers, which are named, must keep them."""
-    if run.kind.limits is None:
-        raise ValueError(f"only numbers can move by themselves, not {run.kind.name}")
-    low, high = run.kind.limits
+def _limits(simulated: SimulatedPoint, **numbers: Number) -> tuple[Number, Number]:
+    """Return the limits of a point's values; the numbers, which are named, must lie within."""
+    point = simulated.point
+    low, high = point.limits
+    if low is None or high is None:
+        raise ValueError(f"only numbers can move by themselves, not {point.type_name}")
     for name, number in numbers.items():
         if not low <= number <= high:
-            raise ValueError(f"{name} must be in {low}..{high} for {run.kind.name}, not {number}")
-    return run.kind.limits
-
-
-def _step(run: Run) -> Number:
-    """What lies between two values of a run; 0 for floats."""
-    if isinstance(run.kind, ScaledType):
-        return run.kind.step
-    return int(run.kind.limits is not None and isinstance(run.kind.limits[0], int))
+            raise WrongValue(name, f"must be in {low}..{high} for {point.type_name}, not {number}")
+    return low, high
 
 
 @dataclass(frozen=True)
@@ -83,22 +78,22 @@ class Counter:
         seconds("interval", self.interval)
         _number("start", self.start)
         if self.step == 0:
-            raise ValueError("step must not be 0")
+            raise WrongValue("step", "must not be 0")
         if self.wrap is not None:
             _number("wrap", self.wrap)
             if (self.wrap - self.start) * self.step <= 0:
                 side = "above" if self.step > 0 else "below"
-                raise ValueError(f"wrap must be {side} start, which is {self.start}")
+                raise WrongValue("wrap", f"must be {side} start, which is {self.start}")
 
-    def begin(self, run: Run, runs: Runs) -> Compute:
-        low, high = _numeric(run, start=self.start)
+    def begin(self, point: SimulatedPoint, others: DeviceValues) -> Compute:
+        low, high = _limits(point, start=self.start)
         wrap = self.wrap
-        beyond = _step(run)
+        beyond = point.point.step
         if wrap is None and beyond:
             wrap = high + beyond if self.step > 0 else low - beyond
         elif wrap is not None and not low - (beyond or 1) <= wrap <= high + (beyond or 1):
-            span = f"{low - (beyond or 1)}..{high + (beyond or 1)} for {run.kind.name}"
-            raise ValueError(f"wrap must be in {span}, not {wrap}")
+            span = f"{low - (beyond or 1)}..{high + (beyond or 1)} for {point.point.type_name}"
+            raise WrongValue("wrap", f"must be in {span}, not {wrap}")
 
         def compute(indices: range, now: float) -> list[Number]:
             way = self.step * int(now / self.interval)
@@ -127,8 +122,8 @@ class Sine:
         _check_between(self.low, self.high)
         seconds("period", self.period)
 
-    def begin(self, run: Run, runs: Runs) -> Compute:
-        _numeric(run, low=self.low, high=self.high)
+    def begin(self, point: SimulatedPoint, others: DeviceValues) -> Compute:
+        _limits(point, low=self.low, high=self.high)
 
         def compute(indices: range, now: float) -> list[Number]:
             share = (1 + math.sin(math.tau * now / self.period)) / 2
@@ -161,21 +156,21 @@ class RandomWalk:
         _number("step", self.step)
         if not 0 < self.step <= self.high - self.low:
             span = f"more than 0 and up to {self.high - self.low}"
-            raise ValueError(f"step must be {span}, not {self.step}")
+            raise WrongValue("step", f"must be {span}, not {self.step}")
         seconds("interval", self.interval)
         if self.seed is not None:
             integer("seed", self.seed, 0, (1 << 64) - 1)
 
-    def begin(self, run: Run, runs: Runs) -> Compute:
-        _numeric(run, low=self.low, high=self.high)
-        place = _mixed(list(TABLES).index(run.table), run.first)
+    def begin(self, point: SimulatedPoint, others: DeviceValues) -> Compute:
+        _limits(point, low=self.low, high=self.high)
+        place = _mixed(list(TABLES).index(point.table), point.first)
         low, high, span = self.low, self.high, self.high - self.low
         waves = [self.step * 3 / 8]
         while waves[-1] < span and len(waves) < MOST_WAVES:
             waves.append(4 * waves[-1])
 
         def compute(indices: range, now: float) -> list[Number]:
-            seed = _mixed(runs.seed, place) if self.seed is None else self.seed
+            seed = _mixed(others.seed, place) if self.seed is None else self.seed
             moves = int(now / self.interval)
             ways = [span / 2 + _way(_mixed(seed, index), moves, waves) for index in indices]
             # At the limits it turns round, as often as it must.
@@ -239,57 +234,61 @@ class Copy:
     def __post_init__(self) -> None:
         integer("address", self.address, 0, 0xFFFF)
         if self.table not in TABLES:
-            raise ValueError(f"table must be one of {', '.join(TABLES)}, not {self.table!r}")
+            raise WrongValue("table", f"must be one of {', '.join(TABLES)}, not {self.table!r}")
         _number("scale", self.scale)
 
-    def begin(self, run: Run, runs: Runs) -> Compute:
-        self._check(run, runs)
+    def begin(self, point: SimulatedPoint, others: DeviceValues) -> Compute:
+        self._check(point, others)
 
         def compute(indices: range, now: float) -> list[Any]:
             values: list[Any] = []
-            for source, places in self._sources(indices, runs):
-                found = runs.values(source, places, now)
-                is_number = source.kind.limits is not None
+            for source, places in self._sources(indices, others):
+                found = others.values(source, places, now)
+                is_number = source.point.limits[0] is not None
                 values += [value * self.scale for value in found] if is_number else found
             return values
 
         return compute
 
-    def _check(self, run: Run, runs: Runs) -> None:
-        for source, _ in self._sources(range(run.count), runs):
-            is_number = source.kind.limits is not None and run.kind.limits is not None
-            if not is_number and (source.kind.name != run.kind.name or self.scale != 1):
+    def _check(self, point: SimulatedPoint, others: DeviceValues) -> None:
+        own = point.point
+        for source, _ in self._sources(range(own.count), others):
+            other = source.point
+            are_numbers = other.limits[0] is not None and own.limits[0] is not None
+            if not are_numbers and (other.type_name != own.type_name or self.scale != 1):
                 raise ValueError(
-                    f"{source.kind.name} cannot become {run.kind.name}; what is no number is copied"
+                    f"{other.type_name} cannot become {own.type_name}; what is no number is copied"
                     " to its own type, without scale"
                 )
-        self._check_row(range(run.count), runs, 1)
+        self._check_row(range(own.count), others, 1)
 
-    def _check_row(self, indices: range, runs: Runs, copies: int) -> None:
+    def _check_row(self, indices: range, others: DeviceValues, copies: int) -> None:
         if copies > MOST_COPIES:
             raise ValueError(f"more than {MOST_COPIES} copies in a row, or a circle of them")
-        for source, places in self._sources(indices, runs):
+        for source, places in self._sources(indices, others):
             if isinstance(source.behaviour, Copy):
-                source.behaviour._check_row(places, runs, copies + 1)
+                source.behaviour._check_row(places, others, copies + 1)
 
-    def _sources(self, indices: range, runs: Runs) -> Iterator[tuple[Run, range]]:
+    def _sources(
+        self, indices: range, others: DeviceValues
+    ) -> Iterator[tuple[SimulatedPoint, range]]:
         """
-        Find the values that some of the run follow: runs, and indices in them.
+        Find the values that some of the point follow: points, and indices in them.
 
         Raises:
             ValueError: there is none.
         """
-        first = runs.find(self.table, self.address)
-        width = first.kind.registers if first is not None else 1
+        first = others.find(self.table, self.address)
+        width = first.size if first is not None else 1
         while indices:
             address = self.address + indices[0] * width
-            source = runs.find(self.table, address)
-            if source is None or (address - source.first) % source.kind.registers:
+            source = others.find(self.table, address)
+            if source is None or (address - source.first) % source.size:
                 raise ValueError(f"in {self.table} no value begins at {address}")
-            at = (address - source.first) // source.kind.registers
-            stride, rest = divmod(indices.step * width, source.kind.registers)
+            at = (address - source.first) // source.size
+            stride, rest = divmod(indices.step * width, source.size)
             # In another rhythm than that of these values only the first is sure to be one.
-            end = at + 1 if rest else source.count
+            end = at + 1 if rest else source.point.count
             places = range(at, end, stride or 1)[: len(indices)]
             yield source, places
             indices = indices[len(places) :]

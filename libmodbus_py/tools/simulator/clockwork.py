@@ -15,7 +15,7 @@ from typing import Any
 from ...device.mapping import Mapping
 from ...protocol.errors import ServerDeviceFailure
 from ...protocol.tables import TABLES
-from .runs import Compute, Run, fitting
+from .simulated_point import Compute, SimulatedPoint, fitting
 
 __all__ = ["Clockwork"]
 
@@ -26,7 +26,7 @@ class Clockwork:
 
     Args:
         mapping: holds the values.
-        runs: all values of it, which do not overlap.
+        points: all values of it, which do not overlap.
         clock: gives seconds; the time of the call is the start.
 
     Attributes:
@@ -34,36 +34,39 @@ class Clockwork:
     """
 
     def __init__(
-        self, mapping: Mapping, runs: Iterable[Run], clock: Callable[[], float] = time.monotonic
+        self,
+        mapping: Mapping,
+        points: Iterable[SimulatedPoint],
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._mapping = mapping
         self._clock = clock
         self._start = clock()
         self.seed: int = random.getrandbits(64)
-        self._runs: dict[str, list[Run]] = {table: [] for table in TABLES}
-        for run in sorted(runs, key=lambda run: run.first):
-            self._runs[run.table].append(run)
+        self._points: dict[str, list[SimulatedPoint]] = {table: [] for table in TABLES}
+        for point in sorted(points, key=lambda point: point.first):
+            self._points[point.table].append(point)
         self._moving: dict[tuple[str, int], Compute] = {}
 
-    def start(self, run: Run) -> None:
+    def start(self, point: SimulatedPoint) -> None:
         """
-        Let the values of a run move, if they have a behaviour.
+        Let the values of a point move, if they have a behaviour.
 
         Raises:
             ValueError: the behaviour does not go with them.
         """
-        if run.behaviour is not None:
-            self._moving[run.table, run.first] = run.behaviour.begin(run, self)
+        if point.behaviour is not None:
+            self._moving[point.table, point.first] = point.behaviour.begin(point, self)
 
     def go_on_from(self, before: Clockwork) -> None:
         """Move on as another one began."""
         self._start, self.seed = before._start, before.seed
 
-    def find(self, table: str, address: int) -> Run | None:
-        """Give the run that has an address."""
-        runs = self._runs[table]
-        at = bisect_right(runs, address, key=lambda run: run.first) - 1
-        return runs[at] if at >= 0 and address < runs[at].stop else None
+    def find(self, table: str, address: int) -> SimulatedPoint | None:
+        """Return the point that has an address."""
+        points = self._points[table]
+        at = bisect_right(points, address, key=lambda point: point.first) - 1
+        return points[at] if at >= 0 and address < points[at].stop else None
 
     def refresh(self, table: str, address: int, count: int) -> None:
         """
@@ -76,38 +79,39 @@ class Clockwork:
             return
         now = self._clock() - self._start
         stop = address + count
-        runs = self._runs[table]
-        at = max(bisect_right(runs, address, key=lambda run: run.first) - 1, 0)
-        while at < len(runs) and runs[at].first < stop:
-            run = runs[at]
-            first = max(address - run.first, 0) // run.kind.registers
-            last = (min(stop, run.stop) - run.first - 1) // run.kind.registers
-            self._refresh(run, range(first, last + 1), now)
+        points = self._points[table]
+        at = max(bisect_right(points, address, key=lambda point: point.first) - 1, 0)
+        while at < len(points) and points[at].first < stop:
+            point = points[at]
+            first = max(address - point.first, 0) // point.size
+            last = (min(stop, point.stop) - point.first - 1) // point.size
+            self._refresh(point, range(first, last + 1), now)
             at += 1
 
-    def values(self, run: Run, indices: range, now: float) -> list[Any]:
-        """Give some values, at a time since the start."""
-        self._refresh(run, indices, now)
-        width = run.kind.registers
-        cells = list(map(int, self._table(run)[run.place(indices)]))
+    def values(self, point: SimulatedPoint, indices: range, now: float) -> list[Any]:
+        """Return some values of a point, at a time since the start."""
+        self._refresh(point, indices, now)
+        width = point.size
+        cells = list(map(int, self._table(point)[point.slice_of(indices)]))
         if indices.step > 1:
             starts = range(0, len(cells), width * indices.step)
             cells = [cell for start in starts for cell in cells[start : start + width]]
         try:
-            return run.kind.decode_many(cells)
+            return point.point.values_in(cells)
         except ValueError as error:
             raise ServerDeviceFailure(str(error)) from None
 
-    def _refresh(self, run: Run, indices: range, now: float) -> None:
-        compute = self._moving.get((run.table, run.first))
+    def _refresh(self, point: SimulatedPoint, indices: range, now: float) -> None:
+        compute = self._moving.get((point.table, point.first))
         if compute is None:
             return
-        values = [fitting(run.kind, value) for value in compute(indices, now)]
+        table = self._table(point)
+        values = [fitting(point.point, value) for value in compute(indices, now)]
         if indices.step == 1:
-            self._table(run)[run.place(indices)] = run.kind.encode_many(values)
+            table[point.slice_of(indices)] = point.point.cells_for(values)
         else:
             for index, value in zip(indices, values, strict=True):
-                self._table(run)[run.place(range(index, index + 1))] = run.kind.encode(value)
+                table[point.slice_of(range(index, index + 1))] = point.point.cells_for([value])
 
-    def _table(self, run: Run) -> Any:
-        return getattr(self._mapping, run.table)
+    def _table(self, point: SimulatedPoint) -> Any:
+        return getattr(self._mapping, point.table)

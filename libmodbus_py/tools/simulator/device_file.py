@@ -42,13 +42,14 @@ from os import PathLike, fspath
 from os.path import dirname
 from typing import Any
 
+from ...protocol.mistakes import Path, WrongValue
 from ...server.faults.fault import Fault
+from ..files.file_error import FileError
 from ..files.texts import load_file
 from ..files.toml_text import read_toml
-from .checks import DeviceFileError, checked, inside
 from .keys import FAULT, FILE
 from .mapped import Maps
-from .ranges import Budget, defaults_of
+from .own_points import Budget, checked_defaults
 from .simulated import SimulatedDevice, Simulation, simulation
 from .units import made_unit
 
@@ -56,6 +57,17 @@ __all__ = ["DeviceFileError", "SimulatedDevice", "Simulation", "load", "parse"]
 
 # All of them are looked at for each request.
 MAX_FAULTS = 1000
+
+
+class DeviceFileError(FileError):
+    """
+    A file describes no devices; it names file, line and key, and what is allowed.
+
+    Attributes:
+        files: the register maps that were read, or could not be.
+    """
+
+    files: tuple[str, ...] = ()
 
 
 def load(path: str | PathLike[str], *, clock: Callable[[], float] = time.monotonic) -> Simulation:
@@ -92,34 +104,38 @@ def parse(
     Raises:
         DeviceFileError: it is no TOML, or says what cannot be.
     """
-    return _parse(text, maps=Maps(fspath(folder)), clock=clock)
+    try:
+        return _parse(text, maps=Maps(fspath(folder)), clock=clock)
+    except (TypeError, ValueError) as error:
+        raise DeviceFileError.of(error) from None
 
 
 def _parse(text: str, *, maps: Maps, clock: Callable[[], float]) -> Simulation:
-    with inside(""):
-        content = read_toml(text)
-    given = checked("", content, FILE, required=("unit",))
-    defaults = defaults_of("", given)
-    faults: dict[int | None, list[Fault]] = {None: _faults("fault", given)}
+    content = read_toml(text)
+    given = FILE.read((), content)
+    defaults = checked_defaults((), given)
+    faults: dict[int | None, list[Fault]] = {None: _faults((), given)}
     devices: dict[int | None, SimulatedDevice] = {}
     budget = Budget()
     of_all = {"roles": given["roles"]} if "roles" in given else {}
     for at, own in enumerate(given["unit"]):
-        where, unit = f"unit[{at}]", of_all | own
+        path, unit = ("unit", at), of_all | own
         if "id" not in unit and len(given["unit"]) > 1:
-            raise DeviceFileError(f"{where}.id is missing; only a single unit can be without")
+            raise WrongValue((*path, "id"), "is missing; only a single unit can be without")
         said = own, content.get("roles")
-        number, device = made_unit(where, unit, said, defaults, maps, clock, budget)
+        number, device = made_unit(path, unit, said, defaults, maps, clock, budget)
         if number in devices:
-            raise DeviceFileError(f"{where}.id: there is a unit {number} before this")
+            raise WrongValue.about((*path, "id"), f"there is a unit {number} before this")
         devices[number] = device
-        faults[number] = faults.get(number, []) + _faults(f"{where}.fault", unit)
+        faults[number] = faults.get(number, []) + _faults(path, unit)
         if sum(map(len, faults.values())) > MAX_FAULTS:
-            raise DeviceFileError(f"{where}.fault: more than {MAX_FAULTS} faults in one file")
+            reason = f"more than {MAX_FAULTS} faults in one file"
+            raise WrongValue.about((*path, "fault"), reason)
     if not devices:
-        raise DeviceFileError("unit must hold at least one")
+        raise WrongValue("unit", "must hold at least one")
     return simulation(devices, {unit: each for unit, each in faults.items() if each}, maps.files)
 
 
-def _faults(where: str, given: Mapping[str, Any]) -> list[Fault]:
-    return [FAULT(f"{where}[{at}]", each) for at, each in enumerate(given.get("fault", ()))]
+def _faults(path: Path, given: Mapping[str, Any]) -> list[Fault]:
+    raw = given.get("fault", ())
+    return [FAULT.read((*path, "fault", at), each) for at, each in enumerate(raw)]

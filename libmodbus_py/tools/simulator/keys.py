@@ -7,118 +7,141 @@ The keys of device files, and what may stand behind each.
 from __future__ import annotations
 
 from ...protocol.checks import integer
+from ...protocol.mistakes import Path, WrongValue
 from ...protocol.pdu import RECORDS_PER_FILE
 from ...server.faults.fault import LONGEST, Fault
 from ..files import roles
-from .behaviour import BEHAVIOURS
-from .checks import (
-    Check,
+from ..files.maps.drafts import POINT
+from ..files.schema import (
+    REQUIRED,
+    Key,
+    Keys,
     a_list,
-    anything,
     bytes_or_text,
     flag,
-    made_by,
-    one_of,
+    keys_of,
     table,
     tables,
     text,
     whole,
 )
+from .behaviour import BEHAVIOURS
 
 # fmt: off
 __all__ = [
-    "ACCESS", "CONTENT", "DEFAULTS", "FAULT", "FIFO", "FILE", "MOVES", "NAMES", "RANGES", "SCALE",
-    "SERVER_ID", "TYPE", "UNIT",
+    "CONTENTS", "DEFAULTS", "FAULT", "FIFO", "FILE", "MOVES", "NAMING", "POINT_KEYS", "SERVER_ID",
+    "TYPING", "UNIT", "VALUES",
 ]
 # fmt: on
 
-ACCESS = {
-    "read_write": (True, True),
-    "read": (True, False),
-    "write": (False, True),
-}
-"""How a range can be accessed -> whether clients can read, and write."""
 
-
-def unit_id(name: str, value: object) -> int:
-    number = integer(name, value, 0, 255)
+def unit_id(path: Path, value: object) -> int:
+    """Check a unit that devices can have."""
+    number = integer(path, value, 0, 255)
     if 247 < number < 255:
-        raise ValueError(f"{name} must be in 0..247, or 255, not {number}")
+        raise WrongValue(path, f"must be in 0..247, or 255, not {number}")
     return number
 
 
-FILE: dict[str, Check] = {
-    "unit": tables,
-    "fault": tables,
-    "roles": roles.rules,
-    "defaults": table,
+def _maps(path: Path, value: object) -> list[tuple[Path, str]]:
+    """Check one path of a register map, or several; return each with its own place."""
+    if isinstance(value, str):
+        return [(path, value)]
+    if not isinstance(value, list):
+        raise WrongValue(path, "must be the path of a register map, or a list of them")
+    for at, name in enumerate(value):
+        if not isinstance(name, str):
+            raise WrongValue((*path, at), "must be the path of a register map")
+    return [((*path, at), name) for at, name in enumerate(value)]
+
+
+# --- tables ------------------------------------------------------------------------------
+
+FAULT = keys_of(Fault, data=bytes_or_text(1, LONGEST))
+
+MOVES = Keys(
+    Key(name, keys_of(make).read, f"how values move: see `{make.__name__}`")
+    for name, make in BEHAVIOURS.items()
+)
+
+VALUES = Keys(
+    [
+        Key("value", text="all values, at first"),
+        Key("values", a_list, "each value, at first; then there is no count"),
+    ]
+)
+
+POINT_KEYS = POINT.but("table")
+"""The keys of a point; its table is the name of the list."""
+
+TYPING = POINT.only("type", "order", "encoding", "padding")
+
+NAMING = POINT.only("name", "description", "units", "unit", "scale", "offset")
+"""The keys that make a point one of those of which a file may have 10000."""
+
+DEFAULTS = (TYPING | POINT.only("access")).optional()
+
+_COUNT = Keys([Key("count", whole(1, 0x10000), "how many values", 1)])
+
+_IN_TABLE = POINT_KEYS.optional() | POINT.only("address") | _COUNT | VALUES | MOVES
+
+CONTENTS: dict[str, Keys] = {
+    **dict.fromkeys(
+        ("coils", "discrete_inputs", "holding_registers", "input_registers"), _IN_TABLE
+    ),
+    "file": Keys(
+        [
+            Key("number", whole(1, 0xFFFF), "the number of the file", REQUIRED),
+            Key("record", whole(0, RECORDS_PER_FILE - 1), "the first record", REQUIRED),
+            Key("count", whole(1, RECORDS_PER_FILE), "how many values", 1),
+        ]
+    )
+    | VALUES
+    | TYPING
+    | POINT.only("access"),
 }
+"""Table -> the keys of what it holds."""
 
-UNIT: dict[str, Check] = {
-    "id": unit_id,
-    "name": text(100),
-    "description": text(250),
-    "exception_status": whole(0, 255),
-    "server_id": table,
-    "identification": table,
-    "defaults": table,
-    "map": anything,
-    "values": table,
-    "moves": table,
-    "coils": tables,
-    "discrete_inputs": tables,
-    "holding_registers": tables,
-    "input_registers": tables,
-    "file": tables,
-    "fifo": tables,
-    "fault": tables,
-    "roles": roles.rules,
-}
+SERVER_ID = Keys(
+    [
+        Key("identifier", bytes_or_text(1, 125), "which device it is"),
+        Key("running", flag, "its run indicator"),
+        Key("additional", bytes_or_text(0, 125), "more of its own"),
+    ]
+)
 
-SERVER_ID: dict[str, Check] = {
-    "identifier": bytes_or_text(1, 125),
-    "running": flag,
-    "additional": bytes_or_text(0, 125),
-}
+FIFO = Keys(
+    [
+        Key("address", whole(0, 0xFFFF), "of the queue", REQUIRED),
+        Key("values", a_list, "up to 31 registers, the oldest first", REQUIRED),
+    ]
+)
 
-FIFO: dict[str, Check] = {"address": whole(0, 0xFFFF), "values": a_list}
+UNIT = Keys(
+    [
+        Key("id", unit_id, "0..247 or 255; a single unit without it answers every unit"),
+        Key("name", text(100), "what people call it", ""),
+        Key("description", text(250), "for people", ""),
+        Key("exception_status", whole(0, 255), "what function 7 answers", 0),
+        Key("server_id", SERVER_ID.read, "what function 17 answers"),
+        Key("identification", table, "what function 43/14 answers"),
+        Key("defaults", table, "what points have unless they say it"),
+        Key("map", _maps, "register maps, whose points all exist"),
+        Key("values", table, "what points of the maps are at first, by name"),
+        Key("moves", table, "how points of the maps move, by name"),
+        *(Key(name, tables, "a table for each point") for name in CONTENTS if name != "file"),
+        Key("file", tables, "a table for each run of records"),
+        Key("fifo", tables, "a table for each queue"),
+        Key("fault", tables, "a table for each fault"),
+        Key("roles", roles.rules, "who may read and write what, in place of those of all units"),
+    ]
+)
 
-CONTENT: dict[str, Check] = {"value": anything, "values": a_list}
-
-TYPE: dict[str, Check] = {
-    "type": anything,
-    "order": anything,
-    "encoding": anything,
-    "padding": anything,
-}
-
-PLACE: dict[str, Check] = {"address": whole(0, 0xFFFF), "count": whole(1, 0x10000)}
-
-NAMES: dict[str, Check] = {"name": anything, "description": anything}
-
-SCALE: dict[str, Check] = {"unit": anything, "scale": anything, "offset": anything}
-
-MOVES: dict[str, Check] = {name: made_by(make) for name, make in BEHAVIOURS.items()}
-
-CAN: dict[str, Check] = {"access": one_of(*ACCESS)}
-
-DEFAULTS: dict[str, Check] = TYPE | CAN
-"""What a range has unless it says something else."""
-
-FAULT: Check = made_by(Fault, data=bytes_or_text(1, LONGEST))
-
-RANGES: dict[str, dict[str, Check]] = {
-    "coils": PLACE | CONTENT | CAN | MOVES | NAMES,
-    "discrete_inputs": PLACE | CONTENT | MOVES | NAMES,
-    "holding_registers": PLACE | CONTENT | TYPE | CAN | MOVES | NAMES | SCALE,
-    "input_registers": PLACE | CONTENT | TYPE | MOVES | NAMES | SCALE,
-    "file": {
-        "number": whole(1, 0xFFFF),
-        "record": whole(0, RECORDS_PER_FILE - 1),
-        "count": whole(1, RECORDS_PER_FILE),
-    }
-    | CONTENT
-    | TYPE
-    | CAN,
-}
-"""Table -> the keys of its ranges."""
+FILE = Keys(
+    [
+        Key("unit", tables, "a table for each unit", REQUIRED),
+        Key("fault", tables, "a table for each fault of all units"),
+        Key("roles", roles.rules, "who may read and write what: [roles.NAME]"),
+        Key("defaults", table, "what points of all units have unless they say it"),
+    ]
+)

@@ -10,22 +10,19 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from ...maps.point import Point
-from ...maps.register_map import RegisterMap
+from ...maps.register_map import RegisterMap, close_to
+from ...protocol.mistakes import Path, WrongValue, inside, placed
 from ...protocol.tables import TABLE_SIZE, TABLES
-from ...protocol.values import value_type
 from ..files.maps.map_file import load_map
-from ..files.toml_lines import below
-from .checks import DeviceFileError, checked, inside, table
+from ..files.toml_lines import shown_key
 from .keys import MOVES
-from .ranges import SCALED_CELLS, Budget, Range
-from .runs import BIT, Behaviour, Kind, Run, ScaledType
+from .own_points import Budget
+from .simulated_point import Behaviour, SimulatedPoint
 
-__all__ = ["Maps", "mapped_points", "mapped_ranges"]
+__all__ = ["Maps", "mapped_contents", "mapped_points"]
 
 # Different ones of one device file; each takes as long as it.
 MAX_MAPS = 50
-
-REGISTER = value_type("uint16")
 
 
 class Maps:
@@ -47,63 +44,63 @@ class Maps:
     def files(self) -> tuple[str, ...]:
         return tuple(self._maps)
 
-    def get(self, where: str, name: str) -> RegisterMap:
+    def get(self, where: Path, name: str) -> RegisterMap:
         """
+        Return a register map.
+
+        Args:
+            where: the path of the key that names it.
+
         Raises:
-            DeviceFileError: it cannot be read, or there are too many.
+            WrongValue: it cannot be read, or there are too many.
         """
         path = os.path.normpath(os.path.join(self._folder, name))
         if path not in self._maps:
             if len(self._maps) >= MAX_MAPS:
-                raise DeviceFileError(f"{where}: more than {MAX_MAPS} register maps in one file")
+                raise WrongValue.about(where, f"more than {MAX_MAPS} register maps in one file")
             self._maps[path] = RegisterMap(())
-            try:
+            with inside(*where):  # a path with a 0 in it is no MapError
                 self._maps[path] = load_map(path)
-            except ValueError as error:  # a path with a 0 in it is no MapError
-                raise DeviceFileError(f"{where}: {error}") from None
         return self._maps[path]
 
 
-def mapped_points(
-    where: str, unit: Mapping[str, Any], maps: Maps, budget: Budget
-) -> dict[str, Point]:
-    """Give the points of all maps of a unit, by name."""
+def mapped_points(unit: Mapping[str, Any], maps: Maps, budget: Budget) -> dict[str, Point]:
+    """
+    Return the points of all maps of a unit, by name.
+
+    Raises:
+        WrongValue: a map cannot be read, or two have a point of one name.
+    """
     points: dict[str, Point] = {}
-    for place, name in _names(f"{where}map", unit.get("map", [])):
-        found = maps.get(place, name)
-        budget.spend_points(place, len(found))
+    for path, name in unit.get("map", ()):
+        found = maps.get(path, name)
+        budget.spend_points(path, len(found))
         for point in found.values():
             if point.name in points:
-                raise DeviceFileError(f"{place}: there is a point {point.name} in a map before")
+                raise WrongValue.about(path, f"there is a point {point.name} in a map before")
             points[point.name] = point
     return points
 
 
-def _names(where: str, given: object) -> Iterator[tuple[str, str]]:
-    if isinstance(given, str):
-        yield where, given
-        return
-    if not isinstance(given, list):
-        raise DeviceFileError(f"{where} must be the path of a register map, or a list of them")
-    for at, name in enumerate(given):
-        if not isinstance(name, str):
-            raise DeviceFileError(f"{where}[{at}] must be the path of a register map")
-        yield f"{where}[{at}]", name
-
-
-def mapped_ranges(
-    where: str, unit: Mapping[str, Any], points: Mapping[str, Point], budget: Budget
-) -> list[Range]:
+def mapped_contents(
+    path: Path, unit: Mapping[str, Any], points: Mapping[str, Point], budget: Budget
+) -> list[SimulatedPoint]:
     """
-    Make ranges of points.
+    Return what a device has of the points of its maps.
 
-    Points may share cells. What moves is one range then, and those that can be written come
-    before others; what no range has of a point is a plain one.
+    Points may share cells. A point that moves is one whole then, and those that can be written
+    come before others; cells of a point that no other has are registers or bits of their own.
+
+    Args:
+        path: of the unit.
+
+    Raises:
+        TypeError, ValueError: `values` or `moves` of the unit say what cannot be.
     """
     moves = {
-        name: _behaviour(place, raw) for name, place, raw in _by_name(where, "moves", unit, points)
+        name: _behaviour(place, raw) for name, place, raw in _by_name(path, "moves", unit, points)
     }
-    image = _image(where, unit, points, moves, budget)
+    image = _image(path, unit, points, moves, budget)
     order = sorted(
         points.values(), key=lambda each: (each.name not in moves, each.access != "read_write")
     )
@@ -112,93 +109,76 @@ def mapped_ranges(
     for point in order:
         cells = point.cells
         used = taken[point.table]
-        place = f"{where}map, {point.name}"
+        place = (*path, "map", shown_key(point.name))
         if used.find(1, cells.start, cells.stop) < 0:
-            behaviour, move = moves.get(point.name, ("", None))
-            run = Run(point.table, cells.start, point.count, _kind(point), move)
-            access = "read" if move else str(point.access)
-            found.append(_range(place, run, image, access, behaviour))
+            moved_by, behaviour = moves.get(point.name, ((), None))
+            found.append(_content(place, point, image, behaviour, moved_by))
         elif point.name in moves:
-            key = below(f"{where}moves", point.name)
-            raise DeviceFileError(f"{key} shares cells with another that moves")
+            key = (*path, "moves", shown_key(point.name))
+            raise WrongValue(key, "shares cells with another that moves")
         else:
-            kind = BIT if TABLES[point.table].is_bits else REGISTER
             for start, stop in _free(used, cells):
-                run = Run(point.table, start, stop - start, kind)
-                found.append(_range(place, run, image, str(point.access), ""))
+                rest = Point(point.name, point.table, start, stop - start, access=point.access)
+                found.append(_content(place, rest, image))
         used[cells.start : cells.stop] = b"\1" * len(cells)
     return found
 
 
 def _by_name(
-    where: str, key: str, unit: Mapping[str, Any], points: Mapping[str, Point]
-) -> Iterator[tuple[str, str, Any]]:
+    path: Path, key: str, unit: Mapping[str, Any], points: Mapping[str, Point]
+) -> Iterator[tuple[str, Path, Any]]:
     for name, value in unit.get(key, {}).items():
-        place = below(f"{where}{key}", name)
+        place = (*path, key, shown_key(name))
+        if not points:
+            raise WrongValue.about(place, "there is no point, for the unit has no map")
         if name not in points:
-            raise DeviceFileError(f"{place}: {_unknown(name, points)}")
+            raise WrongValue.about(place, f"no such point{close_to(name, points)}")
         yield name, place, value
 
 
-def _unknown(name: str, points: Mapping[str, Point]) -> str:
-    if not points:
-        return "there is no point, for the unit has no map"
-    from difflib import get_close_matches
-
-    close = get_close_matches(name, points, 3)
-    return f"no such point{f'; close to it are {chr(44).join(close)}' if close else ''}"
-
-
-def _behaviour(where: str, raw: object) -> tuple[str, Behaviour]:
-    with inside(""):
-        given = checked(f"{where}.", table(where, raw), MOVES)
+def _behaviour(path: Path, raw: object) -> tuple[Path, Behaviour]:
+    given = MOVES.read(path, raw)
     if len(given) != 1:
-        raise DeviceFileError(f"{where} must have one of {', '.join(MOVES)}")
+        raise WrongValue(path, f"must have one of {', '.join(MOVES)}")
     ((name, behaviour),) = given.items()
-    return name, behaviour
+    return (*path, name), behaviour
 
 
 def _image(
-    where: str,
+    path: Path,
     unit: Mapping[str, Any],
     points: Mapping[str, Point],
     moves: Mapping[str, object],
     budget: Budget,
 ) -> dict[str, array[int]]:
-    """What is in the tables at first, by table."""
+    """Return what is in the tables at first, by table."""
     zeros = bytes(2 * TABLE_SIZE)
     image: dict[str, array[int]] = {each.table: array("H", zeros) for each in points.values()}
-    for name, place, value in _by_name(where, "values", unit, points):
+    for name, place, value in _by_name(path, "values", unit, points):
         point = points[name]
         if name in moves:
-            raise DeviceFileError(f"{place} means nothing beside moves.{name}")
-        is_scaled = (point.scale, point.offset) != (1, 0)
-        budget.spend(place, len(point.cells) * (SCALED_CELLS if is_scaled else 1))
+            raise WrongValue(place, f"means nothing beside moves.{name}")
+        budget.spend(place, len(point.cells))
+        budget.spend_values(place, point, point.count)
         try:
-            cells = point.encode(value)
+            cells = point.cells_of(value)
         except (TypeError, ValueError) as error:
-            message = str(error).removeprefix(f"{name}: value").removeprefix(f"{name}: ")
-            raise DeviceFileError(f"{place}{message}") from None
+            raise placed(error, ()).renamed(place) from None
         image[point.table][point.cells.start : point.cells.stop] = array("H", map(int, cells))
     return image
 
 
-def _kind(point: Point) -> Kind:
-    kind = point.read.kind
-    if kind is None:
-        return BIT
-    if point.scale == 1 and point.offset == 0:
-        return kind
-    return ScaledType.of(kind, point.scale, point.offset)
-
-
-def _range(
-    where: str, run: Run, image: dict[str, array[int]], access: str, behaviour: str
-) -> Range:
-    cells = image[run.table][run.first : run.stop]
+def _content(
+    path: Path,
+    point: Point,
+    image: dict[str, array[int]],
+    behaviour: Behaviour | None = None,
+    moved_by: Path = (),
+) -> SimulatedPoint:
+    cells = image[point.table][point.cells.start : point.cells.stop]
     if not any(cells):
-        cells = cells[: run.kind.registers]
-    return Range(where, run, cells, access, behaviour, is_mapped=True)
+        cells = cells[: point.read.size]
+    return SimulatedPoint(path, point, cells, behaviour, moved_by, is_mapped=True)
 
 
 def _free(used: bytearray, cells: range) -> Iterator[tuple[int, int]]:

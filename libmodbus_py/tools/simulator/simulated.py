@@ -5,6 +5,7 @@ Simulated devices: they know the names of what they have, and go on from those b
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -15,7 +16,7 @@ from ...maps.register_map import RegisterMap
 from ...protocol.tables import TABLES
 from ...server.faults.fault import Fault
 from .clockwork import Clockwork
-from .ranges import Range
+from .simulated_point import SimulatedPoint
 
 __all__ = ["Served", "SimulatedDevice", "Simulation"]
 
@@ -35,7 +36,7 @@ class SimulatedDevice(Device):
         name: str,
         description: str,
         definition: object,
-        ranges: list[Range],
+        contents: list[SimulatedPoint],
         mapped: Mapping[str, Point],
         clockwork: Clockwork,
         **options: Any,
@@ -44,7 +45,7 @@ class SimulatedDevice(Device):
         self.name: str = name
         self.description: str = description
         self._definition = definition
-        self._ranges = ranges
+        self._contents = contents
         self._mapped = mapped
         self._clockwork = clockwork
         self._first_fifos = {address: tuple(queue) for address, queue in self.fifos.items()}
@@ -52,19 +53,18 @@ class SimulatedDevice(Device):
     @cached_property
     def points(self) -> RegisterMap:
         """
-        What its tables hold, by name: the points of its register maps, and its ranges.
+        What its tables hold, by name: the points of its register maps, and its own.
 
-        Ranges without a name are called after their table and address, such as
+        Points without a name are called after their table and address, such as
         "holding_registers_100".
         """
         points = dict(self._mapped)
-        own = [each for each in self._ranges if each.run.table in TABLES and not each.is_mapped]
-        for each in sorted(own, key=lambda each: "name" not in each.told):
-            name = f"{each.run.table}_{each.run.first}"
+        own = [each for each in self._contents if each.table in TABLES and not each.is_mapped]
+        for each in sorted(own, key=lambda each: not each.is_named):
+            name = each.point.name
             while name in points:
                 name += "_"
-            point = each.point(name)
-            points[point.name] = point
+            points[name] = replace(each.point, name=name, access=each.access)
         return RegisterMap(points.values())
 
     def is_as(self, other: SimulatedDevice) -> bool:
@@ -75,10 +75,10 @@ class SimulatedDevice(Device):
         """Have what clients wrote into ranges and queues that both files have alike."""
         self._clockwork.go_on_from(before._clockwork)
         self.diagnostic_register: int = before.diagnostic_register
-        known = {each.identity for each in before._ranges}
+        known = {each.identity for each in before._contents}
         with before.mapping, self.mapping:
-            for each in self._ranges:
-                if each.identity in known and each.run.table in TABLES:
+            for each in self._contents:
+                if each.identity in known and each.table in TABLES:
                     self._copy(before, each)
                 elif each.identity in known:
                     self._copy_records(before, each)
@@ -86,16 +86,16 @@ class SimulatedDevice(Device):
                 if before._first_fifos.get(address) == first:
                     self.fifos[address] = before.fifos[address]
 
-    def _copy(self, before: SimulatedDevice, each: Range) -> None:
-        old = getattr(before.mapping, each.run.table)
-        new = getattr(self.mapping, each.run.table)
-        first, stop = each.run.first, each.run.stop
+    def _copy(self, before: SimulatedDevice, each: SimulatedPoint) -> None:
+        old = getattr(before.mapping, each.table)
+        new = getattr(self.mapping, each.table)
+        first, stop = each.first, each.stop
         # What is the same is not written: pages of zeros take no memory.
         if _cells(old, first, stop) != _cells(new, first, stop):
             new[first:stop] = old[first:stop]
 
-    def _copy_records(self, before: SimulatedDevice, each: Range) -> None:
-        first, length = each.run.first, each.run.stop - each.run.first
+    def _copy_records(self, before: SimulatedDevice, each: SimulatedPoint) -> None:
+        first, length = each.first, each.stop - each.first
         written = before.files[each.file].read(first, length)
         self.files[each.file].write(first, tuple(written))
 

@@ -13,23 +13,24 @@ from ...device.mapping import Mapping as Tables
 from ...device.record_file import RecordFile
 from ...maps.point import Point
 from ...protocol.checks import integer
-from ...protocol.pdu import ServerId
+from ...protocol.mistakes import Path, WrongValue, inside
 from ...protocol.pdu.interface import OBJECT_NAMES
 from ...protocol.tables import TABLES
-from ..files.toml_lines import below
+from ..files.schema import bytes_or_text
+from ..files.toml_lines import shown_key
 from .access_rules import AccessRules
-from .checks import DeviceFileError, bytes_or_text, checked, inside
 from .clockwork import Clockwork
-from .keys import FIFO, RANGES, SERVER_ID, UNIT
-from .mapped import Maps, mapped_points, mapped_ranges
-from .ranges import Budget, Range, check_overlaps, defaults_of, ranges
+from .keys import CONTENTS, FIFO, UNIT
+from .mapped import Maps, mapped_contents, mapped_points
+from .own_points import Budget, check_overlaps, checked_defaults, own_points
 from .simulated import SimulatedDevice
+from .simulated_point import SimulatedPoint
 
 __all__ = ["made_unit"]
 
 
 def made_unit(
-    where: str,
+    path: Path,
     raw: dict[str, object],
     said: object,
     defaults: dict[str, Any],
@@ -41,125 +42,121 @@ def made_unit(
     Make the device of a unit.
 
     Args:
-        where: its path in the file.
+        path: of the unit in the file.
         said: what makes it another one than before, besides `defaults` and register maps.
-        defaults: of ranges, as the file says them.
+        defaults: of points, as the file says them.
         maps: where register maps come from.
 
     Raises:
-        DeviceFileError: it says what cannot be.
+        TypeError, ValueError: it says what cannot be.
     """
-    dotted = f"{where}."
-    given = checked(dotted, raw, UNIT)
-    defaults = defaults | defaults_of(dotted, given)
-    found = [each for table in RANGES for each in ranges(dotted, table, given, defaults, budget)]
+    given = UNIT.read(path, raw)
+    defaults = defaults | checked_defaults(path, given)
+    found = [
+        each for table in CONTENTS for each in own_points(path, table, given, defaults, budget)
+    ]
     check_overlaps(found)
-    points = mapped_points(dotted, given, maps, budget)
-    if mapped := mapped_ranges(dotted, given, points, budget):
+    points = mapped_points(given, maps, budget)
+    if mapped := mapped_contents(path, given, points, budget):
         found += mapped
         check_overlaps(found)
     _check_names(found, points)
-    in_tables = [each for each in found if each.run.table in TABLES]
+    in_tables = [each for each in found if each.table in TABLES]
     mapping = _mapping(in_tables, budget)
-    clockwork = Clockwork(mapping, [each.run for each in in_tables], clock)
+    clockwork = Clockwork(mapping, in_tables, clock)
     for each in in_tables:
-        with inside(f"{each.where}.{each.behaviour}: "):
-            clockwork.start(each.run)
+        if each.behaviour is not None:
+            with inside(*each.moved_by):
+                clockwork.start(each)
     rules = AccessRules(found, clockwork)
     device = SimulatedDevice(
         mapping,
         name=given.get("name", ""),
         description=given.get("description", ""),
         definition=(said, defaults, points),
-        ranges=found,
+        contents=found,
         mapped=points,
         clockwork=clockwork,
-        fifos=_fifos(f"{where}.fifo", given),
-        identification=_identification(f"{where}.identification", given),
-        server_id=_server_id(f"{where}.server_id.", given),
+        fifos=_fifos((*path, "fifo"), given),
+        identification=_identification((*path, "identification"), given),
+        server_id=DEFAULT_SERVER_ID._replace(**given.get("server_id", {})),
         exception_status=given.get("exception_status", 0),
         before_write=rules.before_write,
         before_read=rules.before_read,
         authorize=given.get("roles"),
     )
-    device.files.update(_files([each for each in found if each.run.table == "file"], budget))
+    device.files.update(_files([each for each in found if each.file], budget))
     return given.get("id"), device
 
 
-def _check_names(found: list[Range], points: Mapping[str, Point]) -> None:
+def _check_names(found: list[SimulatedPoint], points: Mapping[str, Point]) -> None:
     names = set(points)
     for each in found:
-        name = each.told.get("name")
-        if name in names:
-            raise DeviceFileError(f"{each.where}.name: there is a point {name} before this")
-        if name is not None:
+        name = each.point.name
+        if each.is_named and name in names:
+            raise WrongValue.about((*each.path, "name"), f"there is a point {name} before this")
+        if each.is_named:
             names.add(name)
 
 
-def _mapping(ranges: list[Range], budget: Budget) -> Tables:
+def _mapping(points: list[SimulatedPoint], budget: Budget) -> Tables:
     places: dict[str, list[range]] = {table: [] for table in TABLES}
-    for each in ranges:
-        places[each.run.table].append(range(each.run.first, each.run.stop))
+    for each in points:
+        places[each.table].append(range(each.first, each.stop))
     mapping = Tables(**places)
-    for each in ranges:
+    for each in points:
         if any(each.cells):  # zeros are there already, and take no memory
-            budget.spend(each.where, each.run.stop - each.run.first)
-            getattr(mapping, each.run.table)[each.run.first : each.run.stop] = each.all_cells
+            budget.spend(each.path, each.stop - each.first)
+            getattr(mapping, each.table)[each.first : each.stop] = each.all_cells
     return mapping
 
 
-def _files(ranges: list[Range], budget: Budget) -> Iterator[tuple[int, RecordFile]]:
+def _files(points: list[SimulatedPoint], budget: Budget) -> Iterator[tuple[int, RecordFile]]:
     """One after the other, for its records take more memory while they are put together."""
-    in_order = sorted(ranges, key=lambda each: (each.file, each.run.first))
+    in_order = sorted(points, key=lambda each: (each.file, each.first))
     for number, parts in groupby(in_order, key=lambda each: each.file):
         records: dict[int, int] = {}
         before = 0
         for each in parts:
-            budget.spend(each.where, each.run.stop - before)
-            before = each.run.stop
-            records.update(enumerate(each.all_cells, start=each.run.first))
+            budget.spend(each.path, each.stop - before)
+            before = each.stop
+            records.update(enumerate(each.all_cells, start=each.first))
         yield number, RecordFile(records)
 
 
-def _fifos(where: str, unit: Mapping[str, Any]) -> dict[int, list[int]]:
+def _fifos(where: Path, unit: Mapping[str, Any]) -> dict[int, list[int]]:
     fifos: dict[int, list[int]] = {}
     for at, raw in enumerate(unit.get("fifo", ())):
-        prefix = f"{where}[{at}]."
-        given = checked(prefix, raw, FIFO, required=FIFO)
+        path = (*where, at)
+        given = FIFO.read(path, raw)
         address, values = given["address"], given["values"]
         if address in fifos:
-            raise DeviceFileError(f"{prefix}address: there is a queue at {address} before this")
+            reason = f"there is a queue at {address} before this"
+            raise WrongValue.about((*path, "address"), reason)
         if len(values) > 31:
-            raise DeviceFileError(f"{prefix}values must be 0..31, not {len(values)}")
-        with inside(prefix):
-            numbers = enumerate(values)
-            fifos[address] = [integer(f"values[{i}]", value, 0, 0xFFFF) for i, value in numbers]
+            raise WrongValue((*path, "values"), f"must be 0..31, not {len(values)}")
+        numbers = enumerate(values)
+        fifos[address] = [integer((*path, "values", i), value, 0, 0xFFFF) for i, value in numbers]
     return fifos
 
 
-def _identification(where: str, unit: Mapping[str, Any]) -> dict[str | int, str | bytes]:
+def _identification(path: Path, unit: Mapping[str, Any]) -> dict[str | int, str | bytes]:
     objects: dict[str | int, str | bytes] = {}
     check = bytes_or_text(0, 244)
     for key, value in unit.get("identification", {}).items():
-        number = _object_id(where, key)
+        place = (*path, shown_key(key))
+        number = _object_id(place, key)
         if number in objects:
-            raise DeviceFileError(f"{below(where, key)}: there is an object {number} before this")
-        with inside(f"{where}."):
-            objects[number] = check(key, value)
+            raise WrongValue.about(place, f"there is an object {number} before this")
+        objects[number] = check(place, value)
     return objects
 
 
-def _object_id(where: str, key: str) -> int:
+def _object_id(path: Path, key: str) -> int:
     numbers = {name: number for number, name in OBJECT_NAMES.items()}
     number = numbers.get(key, int(key) if key.isdecimal() and len(key) < 4 else -1)
     if number not in OBJECT_NAMES and not 0x80 <= number <= 0xFF:
         names = ", ".join(numbers)
-        raise DeviceFileError(
-            f"{below(where, key)}: no such key; allowed are {names}, and the numbers 0..6, 128..255"
-        )
+        reason = f"no such key; allowed are {names}, and the numbers 0..6, 128..255"
+        raise WrongValue.about(path, reason)
     return number
-
-
-def _server_id(where: str, unit: Mapping[str, Any]) -> ServerId:
-    given = checked(where, unit.get("server_id", {}), SERVER_ID)
-    return DEFAULT_SERVER_ID._replace(**given)

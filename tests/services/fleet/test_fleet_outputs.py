@@ -19,10 +19,11 @@ import pytest
 
 from libmodbus_py import Fleet
 from libmodbus_py.fleet import Reading
+from libmodbus_py.services.fleet.files import load
 from libmodbus_py.services.fleet.outputs import pump as pumps
 from libmodbus_py.services.fleet.outputs import text_file
-from libmodbus_py.services.fleet.outputs.csv_rows import CsvRows
-from libmodbus_py.services.fleet.outputs.json_lines import JsonLines
+from libmodbus_py.services.fleet.outputs.csv_output import CsvOutput
+from libmodbus_py.services.fleet.outputs.json_output import JsonOutput
 from libmodbus_py.services.fleet.outputs.output import Output, OutputError
 from tests.services.fleet.fleets import LONGEST, Peer, RealPeer, meter, simulated_run, until
 
@@ -164,7 +165,7 @@ def test_files_are_appended_to(tmp_path: Path) -> None:
 
     async def go() -> Fleet:
         async with RealPeer() as peer:
-            outputs = [CsvRows(str(rows)), JsonLines(str(lines))]
+            outputs = [CsvOutput(str(rows)), JsonOutput(str(lines))]
             fleet = Fleet([meter("a", peer.url, interval=60)], outputs=outputs)
             await fleet.run(once=True)
         return fleet
@@ -186,7 +187,7 @@ def test_files_are_appended_to(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("quick")
 @pytest.mark.parametrize("path", ["/dev/full", "/nowhere/at/all", "/proc/version"])
 def test_a_file_that_cannot_be_written_stops_nobody(path: str, caplog: Any) -> None:
-    output = JsonLines(path)
+    output = JsonOutput(path)
     fleet = run(polled(output, lambda fleet: fleet.statistics.polls > 10, kind=RealPeer))
     statistics = fleet.statistics.outputs[f"json {path}"]
     assert statistics.written == 0
@@ -205,7 +206,7 @@ def test_a_file_that_is_full_ends_with_a_whole_line(tmp_path: Path) -> None:
 
     async def go() -> None:
         async with RealPeer() as peer:
-            fleet = Fleet([meter("a", peer.url, interval=0.02)], outputs=[JsonLines(str(path))])
+            fleet = Fleet([meter("a", peer.url, interval=0.02)], outputs=[JsonOutput(str(path))])
             async with fleet:
                 await until(path.exists)
                 resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))
@@ -235,7 +236,7 @@ def test_a_pipe_that_nobody_reads_stops_nobody_and_leaves_nothing(tmp_path: Path
     reader = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
     threads = threading.active_count()
     try:
-        output = JsonLines(str(path), buffer=100)
+        output = JsonOutput(str(path), buffer=100)
 
         async def go() -> Fleet:
             async with RealPeer() as peer:
@@ -254,3 +255,35 @@ def test_a_pipe_that_nobody_reads_stops_nobody_and_leaves_nothing(tmp_path: Path
                 pass
         os.close(reader)
     run(until(lambda: threading.active_count() <= threads))
+
+
+class Labelled(Odd):
+    """An output that wants to know labels."""
+
+    def label(self, labels: Any) -> None:
+        self.labels = dict(labels)
+
+
+def test_outputs_are_told_the_labels_of_devices_and_those_of_one_name_are_told_apart() -> None:
+    outputs = [Labelled(), Odd(), Odd()]
+
+    async def scenario() -> None:
+        async with Peer() as peer:
+            devices = [meter("a", peer.url, labels={"site": "here"})]
+            async with Fleet(devices, outputs=outputs) as fleet:
+                assert outputs[0].labels == {"a": {"site": "here"}}
+                assert list(fleet.statistics.outputs) == ["odd", "odd (2)", "odd (3)"]
+                fleet.replace([meter("b", peer.url, labels={"site": "there"})])
+                assert outputs[0].labels == {"b": {"site": "there"}}
+
+    simulated_run(scenario())
+
+
+def test_several_files_of_one_kind_get_the_same_readings(tmp_path: Path) -> None:
+    (tmp_path / "meter.csv").write_text("name,table,address\nvoltage,input,0\n")
+    (tmp_path / "fleet.toml").write_text(
+        '[[device]]\nname = "a"\nurl = "tcp://192.0.2.1"\nmap = "meter.csv"\n'
+        '[[output.csv]]\npath = "one.csv"\n[[output.csv]]\npath = "two.csv"\n'
+    )
+    names = [each.name for each in load(tmp_path / "fleet.toml").made_outputs()]
+    assert names == [f"csv {tmp_path / name}.csv" for name in ("one", "two")]

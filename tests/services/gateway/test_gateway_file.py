@@ -31,7 +31,7 @@ def test_the_example_has_every_key_and_is_read() -> None:
     assert file.options["limits"].requests_per_second == 5000
     Gateway(file.routes, **file.options)
     text = EXAMPLE.read_text()
-    for key in (*config.KEYS, *config.ROUTE):
+    for key in (*config.FILE, *config.ROUTE):
         assert key in text
 
 

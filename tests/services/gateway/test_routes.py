@@ -13,7 +13,8 @@ from libmodbus_py import Route
 from libmodbus_py.ports.endpoint import Endpoint, parse
 from libmodbus_py.services.gateway import circles
 from libmodbus_py.services.gateway.circles import check_line
-from libmodbus_py.services.gateway.config import MOST_ROUTES, _routes
+from libmodbus_py.services.gateway.config import MOST_ROUTES
+from libmodbus_py.services.gateway.config import parse as parse_file
 from libmodbus_py.services.gateway.manner import Manner
 
 TCP, LINE = "tcp://192.0.2.1", "rtu:///dev/ttyUSB0"
@@ -107,13 +108,14 @@ def test_what_may_be_written_is_as_it_was_given() -> None:
 
 @pytest.mark.parametrize("count", [1, MOST_ROUTES])
 def test_a_file_has_as_many_routes_as_there_can_be_units(count: int) -> None:
-    assert len(_routes({"route": [{}] * count})) == count
+    routes = [f'[[route]]\nto = "{TCP}"\nunits = [{unit}]\n' for unit in range(count)]
+    assert len(parse_file("".join(routes)).routes) == count
 
 
-@pytest.mark.parametrize("routes", [[], None, {}, [{}] * (MOST_ROUTES + 1)])
-def test_a_file_has_routes_and_not_too_many(routes: object) -> None:
+@pytest.mark.parametrize("text", ["", "route = []", "route = 1", "[[route]]\n" * 257])
+def test_a_file_has_routes_and_not_too_many(text: str) -> None:
     with pytest.raises(ValueError, match="route must hold at"):
-        _routes({"route": routes})
+        parse_file(text)
 
 
 @pytest.mark.parametrize("queue", [1, 1024])

@@ -5,10 +5,11 @@ Lines of keys in TOML texts.
 from __future__ import annotations
 
 import re
-from pathlib import Path
+from pathlib import Path as FilePath
 
 import pytest
 
+from libmodbus_py.protocol.mistakes import Path
 from libmodbus_py.tools.files.toml_lines import line_of
 from libmodbus_py.tools.simulator.device_file import DeviceFileError, load
 from tests.support.cases import each_case
@@ -34,22 +35,23 @@ value = true
 @each_case(
     ("path", "line"),
     [
-        ("title", 2),
-        ("unit[0]", 3),
-        ("unit[0].id", 4),
-        ("unit[0].server_id.running", 6),
-        ("unit[0].server_id.additional", 5),
-        ("unit[0].coils[0].address", 8),
-        ("unit[0].coils[1]", 9),
-        ("unit[0].coils[1].counter.step", 11),
-        ("unit[0].coils[1].address[3]", 10),
-        ("unit[1].coils[0].value", 14),
-        ("unit[1].id", 12),
-        ("unit[2].id", None),
-        ("fault", None),
+        ((), None),
+        (("title",), 2),
+        (("unit", 0), 3),
+        (("unit", 0, "id"), 4),
+        (("unit", 0, "server_id", "running"), 6),
+        (("unit", 0, "server_id", "additional"), 5),
+        (("unit", 0, "coils", 0, "address"), 8),
+        (("unit", 0, "coils", 1), 9),
+        (("unit", 0, "coils", 1, "counter", "step"), 11),
+        (("unit", 0, "coils", 1, "address", 3), 10),
+        (("unit", 1, "coils", 0, "value"), 14),
+        (("unit", 1, "id"), 12),
+        (("unit", 2, "id"), None),
+        (("fault",), None),
     ],
 )
-def test_a_key_is_found_in_its_own_table(path: str, line: int | None) -> None:
+def test_a_key_is_found_in_its_own_table(path: Path, line: int | None) -> None:
     assert line_of(TEXT, path) == line
 
 
@@ -72,7 +74,7 @@ MISTAKES = [
 
 @each_case(("text", "line", "message"), MISTAKES)
 def test_a_mistake_in_an_unknown_table_names_its_own_line(
-    text: str, line: int, message: str, tmp_path: Path
+    text: str, line: int, message: str, tmp_path: FilePath
 ) -> None:
     path = tmp_path / "plant.toml"
     path.write_bytes(text.encode())

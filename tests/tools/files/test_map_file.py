@@ -129,8 +129,8 @@ REFUSED = [
     ("\n\n", "{}, line 1: no column name; "),
     ("\n# x\nname,adress\n", "{}, line 3: no column address; it may be called address, register, "),
     (HEAD, "{}: it has no points"),
-    (HEAD + "a,coils", "{}, line 2: address is missing"),
-    (HEAD + ",coils,7", "{}, line 2: name is missing"),
+    (HEAD + "a,coils", "{}, line 2, column address: address is missing"),
+    (HEAD + ",coils,7", "{}, line 2, column name: name is missing"),
     (HEAD + "\n\na,coils,x", "{}, line 4, column address: address must be a whole number"),
     (HEAD + "a,holding,65536", "{}, line 2, column address: address must be in 0..65535, not "),
     (HEAD + "a,holding," + "9" * 5000, "{}, line 2, column address: address must be a whole"),
@@ -184,16 +184,19 @@ POINT = '[[point]]\nname = "a"\ntable = "holding_registers"\naddress = 7\n'
 REFUSED_TOML = [
     ("", "{}: it has no points"),
     ("[[point]]\nname = 'a", "{}: "),
-    ("[point]\nname = 'a'", "{}, line 1: point must be an array of tables: [[point]]"),
-    ("point = [7]", "{}, line 1: point must be a table, not 7"),
-    (POINT + "[device]\n", "{}, line 5: device means nothing here; points are tables [[point]]"),
-    (POINT + "adress = 8", "{}, line 5: adress means nothing here; allowed are name, table, "),
-    (POINT + "\nscale = '0.1'", "{}, line 6: scale must be a number, not str"),
-    (POINT + "count = 1.5", "{}, line 5: count must be an integer in 1..65536, not float"),
-    (POINT + "type = ['int16']", "{}, line 5: type must be a string, such as float32, not list"),
-    (POINT + "encoding = 7", "{}, line 5: encoding must be "),
-    (POINT + POINT, "{}, line 6: name 'a' stands in line 1 already"),
-    (POINT + "[[point]]\nname = 'b'", "{}, line 5: table is missing"),
+    ("[point]\nname = 'a'", "{}, line 1: point must be a list of tables: [[point]]"),
+    ("point = [7]", "{}, line 1: point[0] must be a table, not 7"),
+    (POINT + "[device]\n", "{}, line 5: device: no such key; allowed are point"),
+    (POINT + "adress = 8", "{}, line 5: point[0].adress: no such key; allowed are name, table, "),
+    (POINT + "\nscale = '0.1'", "{}, line 6: point[0].scale must be a number, not str"),
+    (POINT + "count = 1.5", "{}, line 5: point[0].count must be an integer in 1..65536, not float"),
+    (
+        POINT + "type = ['int16']",
+        "{}, line 5: point[0].type must be a string, such as float32, not list",
+    ),
+    (POINT + "encoding = 7", "{}, line 5: point[0].encoding must be "),
+    (POINT + POINT, "{}, line 6: point[1].name 'a' stands in line 1 already"),
+    (POINT + "[[point]]\nname = 'b'", "{}, line 5: point[1].table is missing"),
     (POINT + f"unit = '{'x' * 2001}'", "{}, line 5: point[0].unit must have 0..2000 characters"),
 ]
 
@@ -219,12 +222,12 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
 def test_all_mistakes_are_found_up_to_a_number(tmp_path: Path) -> None:
     (tmp_path / "meter.csv").write_text(HEAD + "a,coils,x\nb,coils,1\nc,coil,70000\n" * 9)
     found = contents_of(tmp_path / "meter.csv", most=5)
-    assert [mistake.place for mistake in found.mistakes] == [
-        "line 2, column address",
-        "line 4, column address",
-        "line 5, column address",
-        "line 6, column name",
-        "line 7, column address",
+    assert [mistake.place[1:] for mistake in found.mistakes] == [
+        (2, "address"),
+        (4, "address"),
+        (5, "address"),
+        (6, "name"),
+        (7, "address"),
     ]
 
 

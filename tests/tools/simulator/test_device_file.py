@@ -39,7 +39,7 @@ from libmodbus_py.server.faults.fault import KINDS, PLACES, Fault
 from libmodbus_py.tools.simulator import example_files
 from libmodbus_py.tools.simulator.behaviour import BEHAVIOURS, Counter, RandomWalk
 from libmodbus_py.tools.simulator.device_file import DeviceFileError, load, parse
-from libmodbus_py.tools.simulator.keys import DEFAULTS, FIFO, FILE, RANGES, SERVER_ID, UNIT
+from libmodbus_py.tools.simulator.keys import CONTENTS, DEFAULTS, FIFO, FILE, SERVER_ID, UNIT
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.support.cases import each_case
 from tests.support.commands import Started, run
@@ -764,17 +764,21 @@ BROKEN = [
     ("[[unit]]\n[[unit.coils]]", "unit[0].coils[0].address is missing"),
     (
         "[[unit]]\n[[unit.coils]]\naddress = 0\ntype = 'int16'",
-        "unit[0].coils[0].type: no such key; allowed are address, count, value, values, access,"
-        " counter, sine, random_walk, copy, name, description",
+        "unit[0].coils[0].type must be None for coils, not 'int16'",
+    ),
+    (
+        "[[unit]]\n[[unit.coils]]\naddress = 0\ntable = 'coils'",
+        "unit[0].coils[0].table: no such key; allowed are name, address, count, type, order,"
+        " encoding, padding, scale, offset, unit, access, minimum, maximum, description, value,"
+        " values, counter, sine, random_walk, copy",
     ),
     (
         "[[unit]]\n[[unit.coils]]\naddress = 0\nvalues = [true, 2]",
-        "unit[0].coils[0].values[1] must be true or false, not 2",
+        "unit[0].coils[0].values[1] must be in 0..1, not 2",
     ),
     (
-        "[[unit]]\n[[unit.discrete_inputs]]\naddress = 0\naccess = 'read'",
-        "unit[0].discrete_inputs[0].access: no such key; allowed are address, count, value,"
-        " values, counter, sine, random_walk, copy, name, description",
+        "[[unit]]\n[[unit.discrete_inputs]]\naddress = 0\naccess = 'read_write'",
+        "unit[0].discrete_inputs[0].access must be read for discrete_inputs, not 'read_write'",
     ),
     (
         "[[unit]]\n[[unit.holding_registers]]\naddress = 65536",
@@ -783,7 +787,7 @@ BROKEN = [
     (HOLDING + "count = 0", f"{AT}.count must be in 1..65536, not 0"),
     (
         HOLDING.replace("0\n", "65534\n") + "values = [1, 2, 3]",
-        f"{AT} ends at 65536, after 65535",
+        f"{AT}.address + count must not pass 65536, but 65534 + 3 does",
     ),
     (HOLDING + "value = 1\nvalues = [1]", f"{AT}.values means nothing beside value"),
     (HOLDING + "value = 1\ncounter = {}", f"{AT}.counter means nothing beside value"),
@@ -802,7 +806,7 @@ BROKEN = [
         HOLDING + "type = 'int32'\norder = 'ABDC'",
         f"{AT}.order must be one of ABCD, CDAB, BADC, DCBA, not 'ABDC'",
     ),
-    (HOLDING + "order = 'ABCD'", f"{AT}.order means nothing without type"),
+    (HOLDING + "minimum = 5\nvalue = 4", f"{AT}.value must be in 5.., not 4"),
     (
         HOLDING + "type = 'string:4'\nencoding = 'klingon'",
         f"{AT}.encoding must be ascii, latin-1, utf-8, cp1252 or another of values.ENCODINGS, not"
@@ -818,7 +822,7 @@ BROKEN = [
     ),
     (
         HOLDING + "access = 'readonly'",
-        f"{AT}.access must be one of read_write, read, write, not 'readonly'",
+        f"{AT}.access must be one of read, write, read_write, not 'readonly'",
     ),
     (
         HOLDING + "access = 'read_write'\ncounter = {}",
@@ -853,11 +857,11 @@ BROKEN = [
     ),
     (
         HOLDING + "counter = { wrap = 65537 }",
-        f"{AT}.counter: wrap must be in -1..65536 for uint16, not 65537",
+        f"{AT}.counter.wrap must be in -1..65536 for uint16, not 65537",
     ),
     (
         HOLDING + "counter = { start = -1 }",
-        f"{AT}.counter: start must be in 0..65535 for uint16, not -1",
+        f"{AT}.counter.start must be in 0..65535 for uint16, not -1",
     ),
     (
         HOLDING + "type = 'string:2'\ncounter = {}",
@@ -874,11 +878,11 @@ BROKEN = [
     ),
     (
         HOLDING + "sine = { low = 0, high = 65536, period = 1 }",
-        f"{AT}.sine: high must be in 0..65535 for uint16, not 65536",
+        f"{AT}.sine.high must be in 0..65535 for uint16, not 65536",
     ),
     (
         HOLDING + "type = 'float32'\nsine = { low = 0, high = 1e39, period = 1 }",
-        f"{AT}.sine: high must be in {FLOAT} for float32, not 1e+39",
+        f"{AT}.sine.high must be in {FLOAT} for float32, not 1e+39",
     ),
     (
         HOLDING + "random_walk = { low = 0, high = 9, step = 10 }",
@@ -1186,7 +1190,7 @@ def test_the_examples_have_every_key() -> None:
     keys = set(re.findall(r"^(\w+) =|[{,] (\w+) =", text, re.MULTILINE))
     present = {one or other for one, other in keys}
     present |= set(re.findall(r"^\[+(?:unit\.)?(\w+)[].]", text, re.MULTILINE))
-    for expected in (UNIT, SERVER_ID, FIFO, *RANGES.values(), Fault.__dataclass_fields__):
+    for expected in (UNIT, SERVER_ID, FIFO, *CONTENTS.values(), Fault.__dataclass_fields__):
         assert set(expected) <= present
     for behaviour in BEHAVIOURS.values():
         assert set(behaviour.__dataclass_fields__) <= present  # type: ignore[attr-defined]
@@ -1198,7 +1202,7 @@ def test_the_page_about_the_simulator_explains_every_key() -> None:
     text = (PLANT.parents[1] / "docs" / "how-to" / "simulator.md").read_text()
     text = text[text.index("## All keys") :]
     explained = set(re.findall(r"\w+", " ".join(re.findall(r"`([^`]+)`", text))))
-    expected = [FILE, UNIT, SERVER_ID, FIFO, DEFAULTS, *RANGES.values(), KINDS, PLACES]
+    expected = [FILE, UNIT, SERVER_ID, FIFO, DEFAULTS, *CONTENTS.values(), KINDS, PLACES]
     expected += [each.__dataclass_fields__ for each in (Fault, *BEHAVIOURS.values())]  # type: ignore[attr-defined]
     for keys in expected:
         assert set(keys) <= explained

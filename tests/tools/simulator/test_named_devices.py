@@ -329,7 +329,7 @@ BROKEN = [
     (MAPPED + "moves = { voltage = { sin = 1 } }", "unit[0].moves.voltage.sin: no such key; allow"),
     (
         MAPPED + "moves = { voltage = { counter = { start = 7000 } } }",
-        "unit[0].map, voltage.counter: start must be in 0.0..6553.5 for uint16, not 7000",
+        "unit[0].moves.voltage.counter.start must be in 0.0..6553.5 for uint16, not 7000",
     ),
     (
         MAPPED + "moves = { voltage = { counter = {} } }\nvalues = { voltage = 1 }",
@@ -341,7 +341,7 @@ BROKEN = [
     ),
     (
         MAPPED + "[[unit.input_registers]]\naddress = 3",
-        "unit[0].input_registers[0] begins at 3, within unit[0].map, power (2..3)",
+        "unit[0].input_registers[0] begins at 3, within unit[0].map.power (2..3)",
     ),
     (
         MAPPED + "[[unit.coils]]\naddress = 9\nname = 'pump'",
@@ -349,7 +349,10 @@ BROKEN = [
     ),
     (REGISTER + "scale = 0", "unit[0].input_registers[0].scale must not be nearer to 0 than 1e-30"),
     (REGISTER + "scale = 'a'", "unit[0].input_registers[0].scale must be a number, not str"),
-    (REGISTER + "type = 'bits16'\nscale = 2", "unit[0].input_registers[0].scale and offset mean n"),
+    (
+        REGISTER + "type = 'bits16'\nscale = 2",
+        "unit[0].input_registers[0].scale must be 1 for bits16",
+    ),
     (REGISTER + "scale = 0.1\nvalue = 7000", "unit[0].input_registers[0].value must be in 0.0..65"),
     (REGISTER + "name = ''", "unit[0].input_registers[0].name must have 1..100 characters, not 0"),
     (REGISTER + "unit = 5", "unit[0].input_registers[0].unit must be a string, not int"),

@@ -157,7 +157,7 @@ def test_the_example_does_what_it_says() -> None:
         (
             '[roles.Viewer]\nread = [{table = "coils", address = 5, count = 65536}]',
             2,
-            "roles.Viewer.read[0]: count must be in 1..65531",
+            "roles.Viewer.read[0].count must be in 1..65531",
         ),
         (
             '[roles.Viewer]\nread = [{table = "coils", address = 5, count = 1, unit = 3}]',
@@ -167,18 +167,18 @@ def test_the_example_does_what_it_says() -> None:
         (
             '[roles.Viewer]\nread = [{table = "coils", address = "5", count = 1}]',
             2,
-            "roles.Viewer.read[0]: address must be an integer in 0..65535, not str",
+            "roles.Viewer.read[0].address must be an integer in 0..65535, not str",
         ),
         (
             '[roles.Viewer]\nread = [{table = "coils", address = [5], count = {a = 1}}]',
             2,
-            "roles.Viewer.read[0]: address must be an integer",
+            "roles.Viewer.read[0].address must be an integer",
         ),
         ("[roles.Viewer]\nfunctions = [3]", 2, "roles.Viewer.functions[0]: 3 touches tables"),
         (
             "[roles.Viewer]\nfunctions = [[]]",
             2,
-            "roles.Viewer.functions[0]: a code must be an integer",
+            "roles.Viewer.functions[0] must be an integer",
         ),
         ("[roles.Viewer]\nfunctions = 17", 2, 'roles.Viewer.functions must be "all" or a list'),
         ('[roles."a\\nb"]', None, "roles: the role 'a\\nb' has control characters"),

@@ -1,46 +1,55 @@
 """
-The kinds of outputs, by the names that files and options have for them.
+The kinds of outputs: a row for each.
 """
 
 from __future__ import annotations
 
-import inspect
 from importlib import import_module
-from typing import Any
+from typing import Any, NamedTuple
 
+from ....tools.files.schema import Keys, keys_of
 from .output import Output
 
-__all__ = ["KINDS", "keys_of", "made"]
+__all__ = ["KINDS", "OutputKind", "made", "output_keys"]
 
-KINDS: dict[str, tuple[str, str]] = {
-    "json": ("json_lines", "JsonLines"),
-    "csv": ("csv_rows", "CsvRows"),
-    "mqtt": ("mqtt", "Mqtt"),
-    "nats": ("nats", "Nats"),
+
+class OutputKind(NamedTuple):
+    """
+    One kind of outputs.
+
+    Attributes:
+        module: its file in this folder, imported when an output is made.
+        name: its class. The arguments of the class are the keys in fleet files.
+        form: what it appends to a file, for the help of an option of the command line; empty if
+            it needs more than a path.
+    """
+
+    module: str
+    name: str
+    form: str = ""
+
+
+KINDS: dict[str, OutputKind] = {
+    "json": OutputKind("json_output", "JsonOutput", "lines of JSON"),
+    "csv": OutputKind("csv_output", "CsvOutput", "CSV"),
+    "mqtt": OutputKind("mqtt", "Mqtt"),
+    "nats": OutputKind("nats", "Nats"),
 }
-"""Name -> its file and its class, whose arguments are the keys."""
+"""Name in fleet files and of options -> the kind."""
 
 
-def _class(kind: str) -> Any:
-    module, name = KINDS[kind]
-    return getattr(import_module(f".{module}", __package__), name)
-
-
-def keys_of(kind: str) -> list[str]:
-    """Give what it can be told."""
-    return list(inspect.signature(_class(kind)).parameters)
+def output_keys(kind: str) -> Keys:
+    """Return the keys of a kind of outputs, of which an output is made."""
+    row = KINDS[kind]
+    return keys_of(getattr(import_module(f".{row.module}", __package__), row.name))
 
 
 def made(kind: str, keys: dict[str, Any]) -> Output:
     """
-    Make one.
+    Make an output.
 
     Raises:
         TypeError, ValueError: a key of the wrong name, type or range.
     """
-    needed = inspect.signature(_class(kind)).parameters.values()
-    for each in needed:
-        if each.default is each.empty and each.name not in keys:
-            raise ValueError(f"{each.name} is missing")
-    output: Output = _class(kind)(**keys)
+    output: Output = output_keys(kind).read((), keys)
     return output

@@ -30,17 +30,18 @@ class LastValues:
     """
     Keeps the last reading of each point of a fleet.
 
-    Args:
-        labels: device -> its labels.
-
     Attributes:
         statistics: where they are.
     """
 
     name = "metrics"
 
-    def __init__(self, labels: Mapping[str, Mapping[str, str]] | None = None) -> None:
-        self.statistics: KeptReadings = KeptReadings(labels=labels or {})
+    def __init__(self) -> None:
+        self.statistics: KeptReadings = KeptReadings()
+
+    def label(self, labels: Mapping[str, Mapping[str, str]]) -> None:
+        """Set the labels of devices; others keep theirs."""
+        self.statistics.labels = {**self.statistics.labels, **labels}
 
     async def open(self) -> None:
         """There is nothing to open."""

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import quote, unquote, urlsplit
 
 from ....protocol.checks import integer
+from ....protocol.mistakes import WrongType, WrongValue
 from ..buffer import MOST_KEPT
 from ..commands import Commands, wanted_of
 from ..readings import Reading
@@ -85,16 +86,16 @@ class Mqtt:
         self.name: str = f"mqtt {self._host}:{self._port}"
         self.buffer: int = buffer
         if password is not None and user is None:
-            raise ValueError("user must be given with a password")
+            raise WrongValue("user", "must be given with a password")
         for key, flag in (("retain", retain), ("commands", commands)):
             if not isinstance(flag, bool):
-                raise TypeError(f"{key} must be true or false, not {flag!r}")
+                raise WrongType(key, f"must be true or false, not {flag!r}")
         self._topic = _topic(topic)
         self._status = _plain_topic("status", status)
         self._retain = retain
         self._qos = integer("qos", qos, 0, 1)
         if ca is not None and not self._is_secure:
-            raise ValueError("ca is for mqtts://, and means nothing here")
+            raise WrongValue("ca", "is for mqtts://, and means nothing here")
         self._ca = ca
         self._options = {"username": user, "password": password, "identifier": client_id}
         self.takes_commands: bool = commands
@@ -211,16 +212,16 @@ async def _all(publishing: list[Coroutine[Any, Any, None]]) -> None:
 
 def _place(url: object) -> tuple[str, int, bool]:
     if not isinstance(url, str):
-        raise TypeError(f"url must be text, not {type(url).__name__}")
+        raise WrongType("url", f"must be text, not {type(url).__name__}")
     parts = urlsplit(url)
     if parts.username is not None or parts.password is not None:
-        raise ValueError("url: user and password stand beside it")
+        raise WrongValue.about("url", "user and password stand beside it")
     if parts.scheme not in SCHEMES or not parts.hostname or parts.path not in ("", "/"):
-        raise ValueError(f'url must be such as "mqtt://192.0.2.1:1883", not {url!r}')
+        raise WrongValue("url", f'must be such as "mqtt://192.0.2.1:1883", not {url!r}')
     try:
         port = parts.port or SCHEMES[parts.scheme]
     except ValueError:
-        raise ValueError(f"url: the port must be in 1..65535: {url!r}") from None
+        raise WrongValue.about("url", f"the port must be in 1..65535: {url!r}") from None
     return parts.hostname, port, parts.scheme == "mqtts"
 
 
@@ -228,17 +229,17 @@ def _topic(topic: object) -> str:
     _plain_topic("topic", topic)
     assert isinstance(topic, str)
     if sorted(re.findall(r"\{.*?\}", topic)) != ["{device}", "{name}"]:
-        raise ValueError(f"topic must hold {{device}} and {{name}} once, not {topic!r}")
+        raise WrongValue("topic", f"must hold {{device}} and {{name}} once, not {topic!r}")
     if re.sub(r"\{(device|name)\}", "", topic).strip("/") == topic or "}{" in topic:
-        raise ValueError(f"topic: {{device}} and {{name}} must stand apart: {topic!r}")
+        raise WrongValue.about("topic", f"{{device}} and {{name}} must stand apart: {topic!r}")
     return topic
 
 
 def _plain_topic(key: str, topic: object) -> str:
     if not isinstance(topic, str):
-        raise TypeError(f"{key} must be text, not {type(topic).__name__}")
+        raise WrongType(key, f"must be text, not {type(topic).__name__}")
     if set("+#\0") & set(topic) or len(topic.encode()) > 1000 or topic.startswith("$"):
-        raise ValueError(f"{key} must be a topic without + and #, not {topic!r}")
+        raise WrongValue(key, f"must be a topic without + and #, not {topic!r}")
     return topic
 
 

@@ -4,13 +4,13 @@ What takes readings away: the face that all outputs have.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Protocol, runtime_checkable
 
 from ..commands import Commands
 from ..readings import Reading
 
-__all__ = ["Commanded", "Output", "OutputError"]
+__all__ = ["Commanded", "Labelled", "Output", "OutputError"]
 
 
 class OutputError(Exception):
@@ -67,4 +67,17 @@ class Commanded(Protocol):
 
     def attach(self, commands: Commands) -> None:
         """Have these carry out what is asked; called before `Output.open`."""
+        ...
+
+
+@runtime_checkable
+class Labelled(Protocol):
+    """An output that wants to know the labels of devices as well."""
+
+    def label(self, labels: Mapping[str, Mapping[str, str]]) -> None:
+        """
+        Set the labels of devices, by the names of the devices.
+
+        It is called before `Output.open`, and when the devices of the fleet change.
+        """
         ...

@@ -1,40 +1,38 @@
 """
-A file, or the standard output, written to by a thread: a disk or a reader that is slow stops
-nobody else.
+A file, or the standard output, written to by a thread, so that a slow disk or reader delays
+nothing else.
 """
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
-import errno
 import os
-import queue
 import stat
-import threading
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any
 
+from ....protocol.mistakes import WrongType
 from ..buffer import MOST_KEPT
 from ..readings import Reading
 from .output import OutputError
+from .writer_thread import WriterThread
 
 __all__ = ["TextFile"]
 
-# Who does not read any more is left behind; the thread ends with the program.
+# Seconds that the last write may take: a reader may have stopped reading.
 LAST_WAIT = 1.0
-
-Job = tuple[Callable[..., Any], tuple[Any, ...], asyncio.Future[Any]]
 
 
 class TextFile:
     """
+    An output that appends readings to a file.
+
     Args:
         name: of the output.
-        path: where readings are appended; "-" for the standard output.
-        form: makes bytes of readings.
-        header: what an empty file begins with.
-        buffer: readings that wait, at most.
+        path: of the file; "-" for the standard output.
+        form: returns readings as bytes.
+        header: the first bytes of an empty file.
+        buffer: how many readings may wait.
 
     Raises:
         TypeError: `path` is no text.
@@ -49,47 +47,32 @@ class TextFile:
         buffer: int = MOST_KEPT,
     ) -> None:
         if not isinstance(path, str | os.PathLike) or not os.fspath(path):
-            raise TypeError(f"path must be text, not {path!r}")
+            raise WrongType("path", f"must be text, not {path!r}")
         self.path: str = os.fspath(path)
         self.buffer: int = buffer
         self._name = name
         self._form = form
         self._header = header
         self._descriptor = -1
-        self._jobs: queue.SimpleQueue[Job | None] = queue.SimpleQueue()
-        self._thread: threading.Thread | None = None
+        self._thread = WriterThread(self.path)
 
     @property
     def name(self) -> str:
         return self._name if self.path == "-" else f"{self._name} {self.path}"
 
     async def open(self) -> None:
-        self._jobs = queue.SimpleQueue()
-        thread = threading.Thread(
-            target=_work, args=(self._jobs,), name=f"writes {self.path}", daemon=True
-        )
-        try:
-            thread.start()
-        except RuntimeError as error:  # there are too many
-            raise OSError(errno.EAGAIN, str(error), self.path) from error
-        self._thread = thread
-        await self._have_done(self._open)
+        self._thread.start()
+        await self._thread.call(self._open)
 
     async def write(self, readings: Sequence[Reading]) -> None:
-        await self._have_done(self._write, self._form(readings))
+        await self._thread.call(self._write, self._form(readings))
 
     async def close(self) -> None:
-        if self._thread is None:
+        if not self._thread.is_running:
             return
         with contextlib.suppress(OSError, TimeoutError, OutputError):
-            await asyncio.wait_for(self._have_done(self._close), LAST_WAIT)
-        self._jobs.put(None)
-        self._thread = None
-
-    async def _have_done(self, function: Callable[..., Any], *arguments: Any) -> None:
-        done = asyncio.get_running_loop().create_future()
-        self._jobs.put((function, arguments, done))
-        await done
+            await asyncio.wait_for(self._thread.call(self._close), LAST_WAIT)
+        self._thread.stop()
 
     # --- in the thread ----------------------------------------------------------------------
 
@@ -138,28 +121,3 @@ class TextFile:
         if self._descriptor >= 0:
             descriptor, self._descriptor = self._descriptor, -1
             os.close(descriptor)
-
-
-def _work(jobs: queue.SimpleQueue[Job | None]) -> None:
-    while (job := jobs.get()) is not None:
-        function, arguments, done = job
-        try:
-            function(*arguments)
-        except BaseException as error:
-            _tell(done, error)
-        else:
-            _tell(done, None)
-
-
-def _tell(done: asyncio.Future[Any], error: BaseException | None) -> None:
-    with contextlib.suppress(RuntimeError):  # the loop is over
-        done.get_loop().call_soon_threadsafe(_settle, done, error)
-
-
-def _settle(done: asyncio.Future[Any], error: BaseException | None) -> None:
-    if done.done():
-        return
-    if error is None:
-        done.set_result(None)
-    else:
-        done.set_exception(error)

@@ -8,7 +8,7 @@ Register maps in files, in TOML and in CSV.
     csv_form    a map in CSV, as vendors publish it
     cells       what the cells of a row become
     words       the words that vendors use in headings and cells
-    drafts      what a file says of a point, and what is wrong with it: MapError
+    drafts      what a file says of points, made into points; MapError
     checking    doubts about a map that can be read
     texts       a map as text
 """

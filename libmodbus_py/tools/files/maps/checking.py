@@ -24,7 +24,7 @@ def remarks(contents: Contents) -> Iterator[str]:
     yield from _overlaps(contents)
     for name, point in contents.points.items():
         if point.scale < 0 and point.scale == int(point.scale):
-            place = contents.places[name](None)
+            place = contents.place(name)
             yield f"{place}: {name} is multiplied by {point.scale}: no power of ten is meant?"
 
 
@@ -42,5 +42,5 @@ def _overlaps(contents: Contents) -> Iterator[str]:
     ordered = sorted(contents.points.values(), key=lambda point: (point.table, point.address))
     for first, second in pairwise(ordered):
         if first.table == second.table and second.address < first.cells.stop:
-            place = contents.places[second.name](None)
+            place = contents.place(second.name)
             yield f"{place}: {second.name} overlaps {first.name} at {second.table} {second.address}"

@@ -1,43 +1,29 @@
 """
-What a file says of a point, before it is one; every mistake is told with its place.
+What a file says of points, before they are points; every mistake is collected with its place.
 """
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field, fields
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from ....maps.point import Point
+from ....protocol.mistakes import Path, WrongValue, placed
+from ..file_error import FileError, FilePlace
+from ..schema import keys_of
 
-__all__ = ["KEYS", "MAX_POINTS", "Contents", "Draft", "MapError", "Mistake", "collected"]
+__all__ = ["MAX_POINTS", "POINT", "Contents", "Draft", "MapError", "collected"]
 
 # As many as a file in TOML can have.
 MAX_POINTS = 10_000
 
-KEYS = [each.name for each in fields(Point) if each.init]
+POINT = keys_of(Point)
+"""The keys of a point, in every file that describes points."""
 
 
-class MapError(ValueError):
-    """A register map that is none: it says file, line, column or key, and what is allowed."""
-
-
-class Mistake(NamedTuple):
-    """
-    What is wrong in a file.
-
-    Attributes:
-        place: such as "line 7, column Address"; empty for the file as a whole.
-        message: what is wrong, and what is allowed.
-    """
-
-    place: str
-    message: str
-
-    def of(self, path: str) -> str:
-        """All of it in one line."""
-        return f"{path}{', ' if self.place else ''}{self.place}: {self.message}"
+class MapError(FileError):
+    """A file is no register map; it names file, line, column or key, and what is allowed."""
 
 
 class Draft(NamedTuple):
@@ -45,13 +31,15 @@ class Draft(NamedTuple):
     What a file says of one point.
 
     Attributes:
-        keys: arguments of `Point`, as far as they are there.
-        place: key -> where that stands, such as "line 7, column Address"; of None where the
-            point does.
+        path: of the point in the file; empty in CSV, where a row is a point.
+        place: returns where a path stands.
+        keys: returns the arguments of `Point`; raises a TypeError or ValueError if the file says
+            what cannot be.
     """
 
-    keys: dict[str, Any]
-    place: Callable[[str | None], str]
+    path: Path
+    place: Callable[[Path], FilePlace]
+    keys: Callable[[], Mapping[str, Any]]
 
 
 @dataclass
@@ -61,43 +49,46 @@ class Contents:
 
     Attributes:
         points: all that are right, by name.
-        places: name of a point -> what gives its place.
+        drafts: what each of them was made of, by name.
         mistakes: the file is no map if there are any.
         ignored: headings of columns that mean nothing here.
     """
 
     points: dict[str, Point] = field(default_factory=dict)
-    places: dict[str, Callable[[None], str]] = field(default_factory=dict)
-    mistakes: list[Mistake] = field(default_factory=list)
+    drafts: dict[str, Draft] = field(default_factory=dict)
+    mistakes: list[MapError] = field(default_factory=list)
     ignored: list[str] = field(default_factory=list)
 
+    def place(self, name: str) -> FilePlace:
+        """Return where a point stands."""
+        draft = self.drafts[name]
+        return draft.place(draft.path)
 
-def collected(drafts: Iterable[Draft | Mistake], most: int) -> Contents:
+
+def collected(contents: Contents, drafts: Iterable[Draft], most: int) -> Contents:
     """Make points of drafts, up to the mistake with the number `most`."""
-    contents = Contents()
-    for draft in drafts:
-        found = draft if isinstance(draft, Mistake) else _taken(contents, draft)
-        contents.mistakes += [found] if found else []
-        if len(contents.mistakes) == most:
-            break
+    try:
+        for draft in drafts:
+            _take(contents, draft)
+            if len(contents.mistakes) == most:
+                return contents
+    except MapError as error:
+        contents.mistakes.append(error)
     if not contents.points and not contents.mistakes:
-        contents.mistakes.append(Mistake("", "it has no points"))
+        contents.mistakes.append(MapError((), "it has no points"))
     return contents
 
 
-def _taken(contents: Contents, draft: Draft) -> Mistake | None:
-    """Take a point, unless something is wrong with it."""
-    for key in ("name", "table", "address"):
-        if key not in draft.keys:
-            return Mistake(draft.place(None), f"{key} is missing")
+def _take(contents: Contents, draft: Draft) -> None:
+    """Take a point, or what is wrong with it."""
     try:
-        point = Point(**draft.keys)
+        point: Point = POINT.read(draft.path, draft.keys())
+        if point.name in contents.points:
+            reason = f"{point.name!r} stands in {contents.place(point.name)} already"
+            raise WrongValue((*draft.path, "name"), reason)
     except (TypeError, ValueError) as error:
-        key = re.match(r"\w*", str(error))[0]  # type: ignore[index]
-        return Mistake(draft.place(key if key in KEYS else None), str(error))
-    if point.name in contents.points:
-        first = contents.places[point.name](None)
-        return Mistake(draft.place("name"), f"name {point.name!r} stands in {first} already")
-    contents.points[point.name] = point
-    contents.places[point.name] = draft.place
-    return None
+        mistake = placed(error, ())
+        contents.mistakes.append(MapError.of(mistake, draft.place(mistake.path)))
+    else:
+        contents.points[point.name] = point
+        contents.drafts[point.name] = draft

@@ -8,6 +8,7 @@ from os import PathLike, fspath
 from pathlib import PurePath
 
 from ....maps.register_map import RegisterMap
+from ..file_error import FilePlace
 from ..texts import read_text
 from . import csv_form, toml_form
 from .drafts import Contents, MapError, collected
@@ -30,7 +31,7 @@ def load_map(path: str | PathLike[str]) -> RegisterMap:
     """
     contents = contents_of(path, most=1)
     if contents.mistakes:
-        raise MapError(contents.mistakes[0].of(fspath(path)))
+        raise contents.mistakes[0]
     return RegisterMap(contents.points.values())
 
 
@@ -43,21 +44,25 @@ def contents_of(path: str | PathLike[str], most: int) -> Contents:
     """
     form = _FORMS.get(PurePath(path).suffix.lower())
     if form is None:
-        raise MapError(f"{fspath(path)}: a register map must end with one of {', '.join(_FORMS)}")
-    return form(read_text(path, MapError), most)
+        reason = f"a register map must end with one of {', '.join(_FORMS)}"
+        raise MapError((), reason, place=FilePlace(fspath(path)))
+    contents = form(read_text(path, MapError), most)
+    contents.mistakes = [mistake.in_file(fspath(path)) for mistake in contents.mistakes]
+    return contents
 
 
 def _from_toml(text: str, most: int) -> Contents:
-    return collected(toml_form.drafts(text), most)
+    return collected(Contents(), toml_form.drafts(text), most)
 
 
 def _from_csv(text: str, most: int) -> Contents:
-    columns = csv_form.header(text)
-    if not isinstance(columns, csv_form.Columns):
-        return Contents(mistakes=[columns])
-    contents = collected(csv_form.drafts(text, columns), most)
-    contents.ignored = columns.ignored
-    return contents
+    try:
+        opened = csv_form.opened(text)
+        columns = csv_form.columns_of(opened.head)
+    except MapError as error:
+        return Contents(mistakes=[error])
+    contents = Contents(ignored=columns.ignored)
+    return collected(contents, csv_form.drafts(opened, columns), most)
 
 
 _FORMS = {".toml": _from_toml, ".csv": _from_csv, ".tsv": _from_csv, ".txt": _from_csv}

@@ -4,49 +4,40 @@ Register maps in TOML: a table ``[[point]]`` for each, with the arguments of `Po
 
 from __future__ import annotations
 
-import reprlib
 from collections.abc import Iterator
 from typing import Any
 
-from ....maps.point import MAX_DESCRIPTION
-from ..toml_lines import below, line_of, path_at_start, shown_key
+from ....protocol.mistakes import Path, placed
+from ..file_error import FilePlace
+from ..schema import Key, Keys, table, tables
+from ..toml_lines import line_of
 from ..toml_text import read_toml
-from .drafts import KEYS, Draft, Mistake
+from .drafts import Draft, MapError
 
 __all__ = ["drafts"]
 
+FILE = Keys([Key("point", tables, "a table for each point: [[point]]", ())])
 
-def drafts(text: str) -> Iterator[Draft | Mistake]:
-    """Give what a text says of each point, or what is wrong with it."""
+
+def drafts(text: str) -> Iterator[Draft]:
+    """
+    Yield what a text says of each point.
+
+    Raises:
+        MapError: the text is no TOML, or has other keys.
+    """
+
+    def place(path: Path) -> FilePlace:
+        return FilePlace(line=line_of(text, path))
+
     try:
-        content = read_toml(text, max_text=MAX_DESCRIPTION)
-    except ValueError as error:
-        yield Mistake(_place(text, path_at_start(str(error))), str(error))
-        return
-    for key in content:
-        if key != "point":
-            message = f"{shown_key(key)} means nothing here; points are tables [[point]]"
-            yield Mistake(_place(text, below("", key)), message)
-    tables = content.get("point", [])
-    if isinstance(tables, list):
-        yield from (_draft(text, below("point", at), keys) for at, keys in enumerate(tables))
-    else:
-        yield Mistake(_place(text, "point"), "point must be an array of tables: [[point]]")
+        points = FILE.read((), read_toml(text)).get("point", [])
+    except (TypeError, ValueError) as error:
+        mistake = placed(error, ())
+        raise MapError.of(mistake, place(mistake.path)) from None
+    for at, given in enumerate(points):
+        yield _draft(("point", at), given, place)
 
 
-def _draft(text: str, path: str, keys: Any) -> Draft | Mistake:
-    def place(key: str | None) -> str:
-        return _place(text, below(path, key) if key else path)
-
-    if not isinstance(keys, dict):
-        return Mistake(place(None), f"point must be a table, not {reprlib.repr(keys)}")
-    for key in keys:
-        if key not in KEYS:
-            known = ", ".join(KEYS)
-            return Mistake(place(key), f"{shown_key(key)} means nothing here; allowed are {known}")
-    return Draft(keys, place)
-
-
-def _place(text: str, path: str) -> str:
-    line = line_of(text, path)
-    return f"line {line}" if line else ""
+def _draft(path: Path, given: Any, place: Any) -> Draft:
+    return Draft(path, place, lambda: table(path, given))

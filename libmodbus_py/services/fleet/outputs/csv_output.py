@@ -9,17 +9,17 @@ from ..readings import Reading
 from .forms import as_csv
 from .text_file import TextFile
 
-__all__ = ["CsvRows"]
+__all__ = ["CsvOutput"]
 
 HEADER = f"{','.join(Reading._fields)}\n".encode()
 
 
-class CsvRows(TextFile):
+class CsvOutput(TextFile):
     """
     Appends readings to a file, which begins with the names of its columns.
 
     Args:
-        path, buffer: as for `JsonLines`.
+        path, buffer: as for `JsonOutput`.
 
     Raises:
         TypeError: `path` is no text.

@@ -8,10 +8,10 @@ from ..buffer import MOST_KEPT
 from .forms import as_json
 from .text_file import TextFile
 
-__all__ = ["JsonLines"]
+__all__ = ["JsonOutput"]
 
 
-class JsonLines(TextFile):
+class JsonOutput(TextFile):
     """
     Appends readings to a file: time (ISO 8601, UTC), device, name, value, unit, quality, and
     the reason where there is no value.

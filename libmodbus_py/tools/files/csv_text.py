@@ -1,0 +1,174 @@
+"""
+CSV as people and programs write it: one line with headings, then a row in a line.
+
+Cells are separated by commas, semicolons, tabs or bars; empty lines and those that begin with
+``#`` say nothing, nor does a byte order mark.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+import reprlib
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+from ...protocol.mistakes import WrongValue
+from .file_error import FileError, FilePlace
+
+__all__ = ["CELLS", "CsvRow", "CsvText", "number_in", "whole_in"]
+
+DELIMITERS = ",;\t|"
+
+# What editors and terminals obey, and no table holds.
+_CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]")
+
+
+class CsvRow(NamedTuple):
+    """A line of a file: its number, from 1, and its cells without spaces around."""
+
+    line: int
+    cells: list[str]
+
+
+class CsvText:
+    """
+    A text in CSV.
+
+    Args:
+        text: all of it.
+        is_known: returns whether a heading means something. The delimiter is the one with the
+            most of these.
+        kind: of the errors.
+
+    Attributes:
+        head: the row with the headings; without cells if there is none.
+        delimiter: between cells.
+
+    Raises:
+        FileError: of `kind`: the text has characters that no text has, or is no CSV.
+    """
+
+    def __init__(self, text: str, is_known: Callable[[str], bool], kind: type[FileError]) -> None:
+        if found := _CONTROL.search(text):
+            line = text.count("\n", 0, found.start()) + 1
+            reason = f"no text: it has a character {ord(found[0]):#04x}"
+            raise kind((), reason, place=FilePlace(line=line))
+        self._kind = kind
+        # Excel begins a file with a mark of order.
+        self._text = text.removeprefix("\ufeff")
+        heads = [(delimiter, self._head(delimiter)) for delimiter in DELIMITERS]
+        self.delimiter, head = max(heads, key=lambda each: _known(each[1], is_known))
+        if isinstance(head, FileError):
+            raise head
+        self.head: CsvRow = head
+
+    def rows(self) -> Iterator[CsvRow]:
+        """
+        Yield the rows below the headings.
+
+        Raises:
+            FileError: the text is no CSV from there on.
+        """
+        rows = self._rows(self.delimiter)
+        next(rows, None)
+        yield from rows
+
+    def cells(self, row: CsvRow) -> list[str]:
+        """
+        Return the cells of a row, as many as there are headings at most.
+
+        Raises:
+            WrongValue: it has more.
+        """
+        width = len(self.head.cells)
+        if any(row.cells[width:]):
+            reason = f"{len(row.cells)} cells below {width} headings"
+            raise WrongValue((), f"{reason}: quote what has a {self.delimiter!r} in it")
+        return row.cells[:width]
+
+    def _head(self, delimiter: str) -> CsvRow | FileError:
+        try:
+            return next(self._rows(delimiter), CsvRow(1, []))
+        except FileError as error:
+            return error
+
+    def _rows(self, delimiter: str) -> Iterator[CsvRow]:
+        lines = io.StringIO(self._text, newline="")
+        reader = csv.reader(lines, delimiter=delimiter, strict=True)
+        line = 1
+        while True:
+            try:
+                found = next(reader, None)
+            except csv.Error as error:
+                raise self._kind((), f"no CSV: {error}", place=FilePlace(line=line)) from None
+            if found is None:
+                return
+            cells = [cell.strip() for cell in found]
+            if any(cells) and not cells[0].startswith("#"):
+                yield CsvRow(line, cells)
+            line = reader.line_num + 1
+
+
+def _known(head: CsvRow | FileError, is_known: Callable[[str], bool]) -> int:
+    return -1 if isinstance(head, FileError) else sum(map(is_known, head.cells))
+
+
+# --- cells ---------------------------------------------------------------------------
+
+_DECIMAL = re.compile(r"[+-]?([0-9]{1,40}(\.[0-9]{0,40})?|\.[0-9]{1,40})([eE][+-]?[0-9]{1,3})?")
+
+
+def number_in(cell: str) -> int | float:
+    """
+    Read 10, 0.1, 1e-3 or 1/10.
+
+    Raises:
+        WrongValue: the cell holds no number.
+    """
+    over, slash, under = cell.partition("/")
+    if not _DECIMAL.fullmatch(over) or (slash and not _DECIMAL.fullmatch(under)):
+        hint = " with a point, not a comma," if "," in cell else ""
+        raise WrongValue((), f"must be a number such as 0.1,{hint} not {reprlib.repr(cell)}")
+    if not slash:
+        return int(over) if re.fullmatch("[+-]?[0-9]+", over) else float(over)
+    if not float(under):
+        raise WrongValue((), f"must not divide by 0: {reprlib.repr(cell)}")
+    return float(over) / float(under)
+
+
+def whole_in(cell: str) -> int:
+    """
+    Read 100, 0x64 or 64h.
+
+    Raises:
+        WrongValue: the cell holds no whole number.
+    """
+    if re.fullmatch("[0-9]{1,20}", cell):
+        return int(cell)
+    if found := re.fullmatch("0x([0-9a-f]{1,16})|([0-9a-f]{1,16})h", cell.casefold()):
+        return int(found[1] or found[2], 16)
+    wanted = "a whole number such as 100, 0x64 or 64h"
+    raise WrongValue((), f"must be {wanted}, not {reprlib.repr(cell)}")
+
+
+def _flag(cell: str) -> bool:
+    if cell.lower() not in ("true", "false"):
+        raise WrongValue((), f"must be true or false, not {reprlib.repr(cell)}")
+    return cell.lower() == "true"
+
+
+def _words(cell: str) -> list[str]:
+    return [each.strip() for each in cell.split(";") if each.strip()]
+
+
+CELLS: dict[str, Callable[[str], Any]] = {
+    "str": str,
+    "int": whole_in,
+    "float": number_in,
+    "float | None": number_in,
+    "bool": _flag,
+    "tuple[str, ...]": _words,
+}
+"""Annotation of an argument -> reads its value from a cell."""

@@ -1,0 +1,229 @@
+"""
+The keys of files: one row for each, whatever the format of the file.
+
+A table of keys is written out, or made of a class whose arguments are the keys; then names and
+defaults come from the signature of the class, and texts from its docstring.
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+import reprlib
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+from ...protocol.checks import integer, shown
+from ...protocol.mistakes import Path, WrongType, WrongValue, inside, item
+from .toml_lines import shown_key
+
+# fmt: off
+__all__ = [
+    "REQUIRED", "Check", "Key", "Keys", "a_list", "anything", "bytes_or_text", "flag",
+    "keys_of", "one_of", "table", "tables", "text", "whole",
+]
+# fmt: on
+
+Check = Callable[[Path, object], Any]
+"""Checks the value of a key, whose path is given, and returns what it stands for."""
+
+REQUIRED: Any = inspect.Parameter.empty
+"""The default of a key that must be there."""
+
+
+def anything(path: Path, value: object) -> object:
+    """Return a value that is checked elsewhere."""
+    return value
+
+
+@dataclass(frozen=True)
+class Key:
+    """
+    One key of a table in a file.
+
+    Attributes:
+        name: the key.
+        check: checks the value.
+        text: what the key means.
+        default: what holds without the key; `REQUIRED` if it must be there.
+        kind: the annotation of its value, such as "int"; empty if that is not known.
+    """
+
+    name: str
+    check: Check = anything
+    text: str = ""
+    default: Any = None
+    kind: str = ""
+
+
+class Keys(Mapping[str, Key]):
+    """
+    All keys of one table in a file, by name.
+
+    Args:
+        keys: in the order in which errors name them.
+        make: what is made of the values; a dict of what is there by default.
+    """
+
+    def __init__(self, keys: Iterable[Key], make: Callable[..., Any] = dict) -> None:
+        self._keys = {key.name: key for key in keys}
+        self._make = make
+
+    def __getitem__(self, name: str) -> Key:
+        return self._keys[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._keys)
+
+    def __len__(self) -> int:
+        return len(self._keys)
+
+    def but(self, *names: str) -> Keys:
+        """Return all keys but these, of which a dict is made."""
+        return Keys(key for key in self.values() if key.name not in names)
+
+    def only(self, *names: str) -> Keys:
+        """Return these of the keys, as far as they are there; a dict is made of them."""
+        return Keys(key for key in self.values() if key.name in names)
+
+    def optional(self) -> Keys:
+        """Return the same keys, none of which must be there; a dict is made of them."""
+        return Keys(
+            replace(key, default=None) if key.default is REQUIRED else key for key in self.values()
+        )
+
+    def __or__(self, other: Keys) -> Keys:
+        return Keys((self._keys | other._keys).values())
+
+    def read(self, path: Path, given: object) -> Any:
+        """
+        Check a table, and make of it what is to be made.
+
+        Raises:
+            TypeError, ValueError: `given` is no table, a key is missing or unknown, or has a
+                value that it cannot have; with the path of the key.
+        """
+        found = self.checked(path, table(path, given))
+        with inside(*path):
+            return self._make(**found)
+
+    def checked(self, path: Path, given: Mapping[str, object]) -> dict[str, Any]:
+        """
+        Check the keys of a table and their values.
+
+        Raises:
+            TypeError, ValueError: as `read`.
+        """
+        for name in given:
+            if name not in self._keys:
+                reason = f"no such key; allowed are {', '.join(self._keys)}"
+                raise WrongValue.about((*path, shown_key(name)), reason)
+        for key in self._keys.values():
+            if key.default is REQUIRED and key.name not in given:
+                raise WrongValue((*path, key.name), "is missing")
+        return {name: self._keys[name].check((*path, name), value) for name, value in given.items()}
+
+
+def keys_of(make: Callable[..., Any], **checks: Check) -> Keys:
+    """
+    Return the arguments of a class as keys; the class checks all values but those of `checks`.
+
+    Texts are those of the section "Args" or "Attributes" of the docstring of the class.
+    """
+    texts = _texts(inspect.getdoc(make) or "")
+    return Keys(
+        (
+            Key(
+                each.name,
+                checks.get(each.name, anything),
+                texts.get(each.name, ""),
+                each.default,
+                str(each.annotation),
+            )
+            for each in inspect.signature(make).parameters.values()
+        ),
+        make,
+    )
+
+
+def _texts(docstring: str) -> dict[str, str]:
+    """Return what a section says of each argument; several share one text."""
+    found: dict[str, str] = {}
+    section = re.search(r"^(?:Args|Attributes):\n((?:    .*\n?|\n)*)", docstring, re.MULTILINE)
+    for entry in re.split(r"\n(?=    \w)", section[1] if section else ""):
+        names, _, text = entry.strip().partition(":")
+        found |= dict.fromkeys(names.split(", "), " ".join(text.split()))
+    return found
+
+
+# --- checks ----------------------------------------------------------------------------
+
+
+def whole(low: int, high: int) -> Check:
+    """Return a check for integers in a range."""
+    return lambda path, value: integer(path, value, low, high)
+
+
+def _of_kind(kind: type, what: str) -> Check:
+    def check(path: Path, value: object) -> Any:
+        if not isinstance(value, kind):
+            raise WrongType(path, f"must be {what}, not {reprlib.repr(value)}")
+        return value
+
+    return check
+
+
+flag: Check = _of_kind(bool, "true or false")
+table: Check = _of_kind(dict, "a table")
+a_list: Check = _of_kind(list, "a list")
+
+
+def tables(path: Path, value: object) -> list[dict[str, object]]:
+    """Check an array of tables."""
+    if not isinstance(value, list):
+        name = ".".join(each for each in path if isinstance(each, str))
+        raise WrongType(path, f"must be a list of tables: [[{name}]]")
+    return [table(item(path, at), each) for at, each in enumerate(value)]
+
+
+def text(most: int) -> Check:
+    """Return a check for texts of so many characters."""
+
+    def check(path: Path, value: object) -> str:
+        if not isinstance(value, str):
+            raise WrongType(path, f"must be text, not {shown(value)}")
+        if len(value) > most:
+            raise WrongValue(path, f"must have 0..{most} characters, not {len(value)}")
+        return value
+
+    return check
+
+
+def bytes_or_text(low: int, high: int) -> Check:
+    """Return a check for so many bytes: ASCII text, or a list of numbers."""
+
+    def check(path: Path, value: object) -> bytes:
+        if isinstance(value, list):
+            numbers = enumerate(value)
+            data = bytes(integer(item(path, at), number, 0, 255) for at, number in numbers)
+        elif isinstance(value, str) and value.isascii():
+            data = value.encode("ascii")
+        else:
+            raise WrongType(path, f"must be ASCII text or a list of bytes, not {shown(value)}")
+        if not low <= len(data) <= high:
+            raise WrongValue(path, f"must have {low}..{high} bytes, not {len(data)}")
+        return data
+
+    return check
+
+
+def one_of(*choices: str) -> Check:
+    """Return a check for one of some words."""
+
+    def check(path: Path, value: object) -> str:
+        if value not in choices:
+            raise WrongValue(path, f"must be one of {', '.join(choices)}, not {shown(value)}")
+        return str(value)
+
+    return check

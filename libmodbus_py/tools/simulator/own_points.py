@@ -1,0 +1,213 @@
+"""
+The points that a device file itself describes: where they lie, and what they hold.
+"""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Iterable, Mapping
+from itertools import pairwise
+from typing import Any
+
+from ...maps.point import Point
+from ...protocol.mistakes import Path, WrongValue, inside, path_text, placed
+from ...protocol.pdu import RECORDS_PER_FILE
+from ...protocol.tables import TABLES
+from ...protocol.values import value_type
+from ..files.maps.drafts import MAX_POINTS
+from .keys import CONTENTS, DEFAULTS, MOVES, NAMING, POINT_KEYS, TYPING, VALUES
+from .simulated_point import SimulatedPoint
+
+__all__ = ["Budget", "check_overlaps", "checked_defaults", "initial_cells", "own_points"]
+
+# Eight units with full tables that are not 0; more would take seconds and memory to write.
+MAX_CELLS = 1 << 19
+
+# How many cells a value with a scale counts as: it is computed exactly.
+SCALED_CELLS = 16
+
+
+class Budget:
+    """How many cells and points a file may still have."""
+
+    def __init__(self) -> None:
+        self._cells = MAX_CELLS
+        self._points = MAX_POINTS
+
+    def spend(self, path: Path, cells: int) -> None:
+        """
+        Raises:
+            WrongValue: the file has too many cells.
+        """
+        self._cells -= cells
+        if self._cells < 0:
+            raise WrongValue.about(path, f"more than {MAX_CELLS} cells in one file")
+
+    def spend_values(self, path: Path, point: Point, values: int) -> None:
+        """
+        Count the values of a point that are computed.
+
+        Raises:
+            WrongValue: the file has too many cells.
+        """
+        is_scaled = (point.scale, point.offset) != (1, 0)
+        self.spend(path, values * (SCALED_CELLS if is_scaled else 0))
+
+    def spend_points(self, path: Path, points: int) -> None:
+        """
+        Raises:
+            WrongValue: the file has too many points with names.
+        """
+        self._points -= points
+        if self._points < 0:
+            raise WrongValue.about(path, f"more than {MAX_POINTS} points in one file")
+
+
+def own_points(
+    path: Path, table: str, unit: Mapping[str, Any], defaults: dict[str, Any], budget: Budget
+) -> list[SimulatedPoint]:
+    """
+    Make the points of one table of a unit, or the records of its files.
+
+    Args:
+        path: of the unit.
+
+    Raises:
+        TypeError, ValueError: the device file says what cannot be.
+    """
+    return [
+        _point((*path, table, at), table, given, defaults, budget)
+        for at, given in enumerate(unit.get(table, ()))
+    ]
+
+
+def check_overlaps(found: Iterable[SimulatedPoint]) -> None:
+    """
+    Raises:
+        WrongValue: two of them share something.
+    """
+    in_order = sorted(found, key=lambda each: (*each.place, each.first))
+    for before, after in pairwise(in_order):
+        if before.place == after.place and after.first < before.stop:
+            taken = f"{path_text(before.path)} ({before.first}..{before.stop - 1})"
+            raise WrongValue(after.path, f"begins at {after.first}, within {taken}")
+
+
+def checked_defaults(path: Path, given: Mapping[str, Any]) -> dict[str, Any]:
+    """
+    Check what points have unless they say something else.
+
+    Args:
+        path: of the table around that of the defaults.
+
+    Raises:
+        TypeError, ValueError: no point could have it.
+    """
+    path = (*path, "defaults")
+    found: dict[str, Any] = DEFAULTS.read(path, given.get("defaults", {}))
+    options = {key: value for key, value in found.items() if key in TYPING and key != "type"}
+    with inside(*path):
+        value_type(found.get("type", "string:1"), **options)
+    return found
+
+
+def _point(
+    path: Path, table: str, raw: dict[str, object], defaults: dict[str, Any], budget: Budget
+) -> SimulatedPoint:
+    given: dict[str, Any] = CONTENTS[table].read(path, raw)
+    source = _source(path, given)
+    behaviour = given[source] if source in MOVES else None
+    given = _fitting(table, source in MOVES, defaults) | given
+    values = given.get("values", [given[source]] if source == "value" else [])
+    with inside(*path):
+        point = _read_point(table, _count(given), given)
+    _check_end(path, table, point)
+    budget.spend_values(path, point, max(1, len(values)))
+    is_named = any(key in given for key in NAMING)
+    if is_named:
+        budget.spend_points(path, 1)
+    found = (*path, source)
+    return SimulatedPoint(
+        path,
+        point,
+        initial_cells(found, point, values),
+        behaviour,
+        found,
+        file=given.get("number", 0),
+        is_named="name" in given,
+    )
+
+
+def _source(path: Path, given: Mapping[str, Any]) -> str:
+    """Return the key that says what the values are; empty for none."""
+    sources = [key for key in given if key in VALUES or key in MOVES]
+    if len(sources) > 1:
+        raise WrongValue((*path, sources[1]), f"means nothing beside {sources[0]}")
+    source = sources[0] if sources else ""
+    if source in MOVES and given.get("access", "read") != "read":
+        # What a client wrote would be gone at the next read.
+        raise WrongValue((*path, "access"), "must be read for what moves by itself")
+    return source
+
+
+def _fitting(table: str, is_moving: bool, defaults: dict[str, Any]) -> dict[str, Any]:
+    """Return the defaults that a point of this table can have."""
+    without: set[str] = set()
+    if table in TABLES and TABLES[table].is_bits:
+        without |= set(TYPING)
+    if is_moving or (table in TABLES and not TABLES[table].most_written):
+        without |= {"access"}
+    return {key: value for key, value in defaults.items() if key not in without}
+
+
+def _count(given: Mapping[str, Any]) -> int:
+    """Return how many values there are."""
+    if "values" not in given:
+        return int(given.get("count", 1))
+    if "count" in given:
+        raise WrongValue("count", "means nothing beside values")
+    if not given["values"]:
+        raise WrongValue("values", "must hold at least one")
+    return len(given["values"])
+
+
+def _read_point(table: str, count: int, given: Mapping[str, Any]) -> Point:
+    """Return the point; records are taken for registers, which they are but for their place."""
+    first = given["record" if table == "file" else "address"]
+    keys = {key: value for key, value in given.items() if key in POINT_KEYS}
+    keys["count"] = count
+    keys.setdefault("name", f"{table}_{first}")
+    if table == "file":
+        return Point(**keys, table="holding_registers", address=first)
+    return Point(**keys, table=table)  # type: ignore[arg-type]
+
+
+def _check_end(path: Path, table: str, point: Point) -> None:
+    last = point.cells.stop - 1
+    if table == "file" and last >= RECORDS_PER_FILE:
+        raise WrongValue(path, f"ends at {last}, after {RECORDS_PER_FILE - 1}")
+
+
+def initial_cells(path: Path, point: Point, values: list[Any]) -> array[int]:
+    """
+    Return what a point holds at first; the cells of one value, if all are the same.
+
+    Args:
+        path: of the values, which ends with "value" if there is only one.
+        values: one, or all; none for what a device has that nobody wrote to.
+
+    Raises:
+        TypeError, ValueError: the point cannot have such a value.
+    """
+    if not values:
+        kind = point.read.kind
+        is_text = kind is not None and kind.is_text
+        return array("H", kind.encode("") if kind and is_text else [0] * point.read.size)
+    cells = array("H")
+    for at, value in enumerate(values):
+        where = (*path, at) if path[-1] == "values" else path
+        try:
+            cells.extend(map(int, point.cells_of_one(value)))
+        except (TypeError, ValueError) as error:
+            raise placed(error, ()).renamed(where) from None
+    return cells

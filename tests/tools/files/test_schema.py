@@ -1,0 +1,158 @@
+"""
+The keys of files: every mistake in a table is told with the path of its key, and every file that
+describes points takes every spelling of a point.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from libmodbus_py import Point, load_map
+from libmodbus_py.protocol.mistakes import Mistake, path_text
+from libmodbus_py.services.fleet import files as fleet_files
+from libmodbus_py.services.gateway import config as gateway_file
+from libmodbus_py.tools.files.csv_text import CELLS
+from libmodbus_py.tools.files.maps.cells import READERS
+from libmodbus_py.tools.files.maps.drafts import POINT
+from libmodbus_py.tools.files.schema import (
+    REQUIRED,
+    Key,
+    Keys,
+    bytes_or_text,
+    flag,
+    keys_of,
+    one_of,
+    table,
+    tables,
+    text,
+    whole,
+)
+from libmodbus_py.tools.simulator import device_file, keys
+from tests.support.cases import each_case
+
+INNER = Keys([Key("must", whole(0, 9), default=REQUIRED), Key("may", flag)])
+
+OUTER = Keys(
+    [
+        Key("number", whole(1, 5)),
+        Key("flag", flag),
+        Key("text", text(3)),
+        Key("word", one_of("a", "b")),
+        Key("data", bytes_or_text(1, 2)),
+        Key("table", table),
+        Key("tables", tables),
+        Key("inner", INNER.read),
+        Key("point", keys_of(Point).read),
+    ]
+)
+
+PLACE = {"table": "coils", "address": 1}
+
+
+@each_case(
+    ("given", "message"),
+    [
+        ({"numbr": 1}, "numbr: no such key; allowed are number, flag, text, word, data, table,"),
+        ({"a b": 1}, "'a b': no such key; allowed are"),
+        ({"number": 6}, "number must be in 1..5, not 6"),
+        ({"number": "6"}, "number must be an integer in 1..5, not str"),
+        ({"flag": 1}, "flag must be true or false, not 1"),
+        ({"text": "long"}, "text must have 0..3 characters, not 4"),
+        ({"text": 1}, "text must be text, not 1"),
+        ({"word": "c"}, "word must be one of a, b, not 'c'"),
+        ({"data": ""}, "data must have 1..2 bytes, not 0"),
+        ({"data": [1, 256]}, "data[1] must be in 0..255, not 256"),
+        ({"data": "\u00fc"}, "data must be ASCII text or a list of bytes, not '\u00fc'"),
+        ({"table": []}, "table must be a table, not []"),
+        ({"tables": {}}, "tables must be a list of tables: [["),
+        ({"tables": [{}, 3]}, "tables[1] must be a table, not 3"),
+        ({"inner": 3}, "inner must be a table, not 3"),
+        ({"inner": {}}, "inner.must is missing"),
+        ({"inner": {"must": 1, "may": 2}}, "inner.may must be true or false, not 2"),
+        ({"point": {"name": "a"}}, "point.table is missing"),
+        ({"point": {"name": "a", **PLACE, "x": 1}}, "point.x: no such key; allowed are name, "),
+        ({"point": {"name": "", **PLACE}}, "point.name must have 1..100 characters, not 0"),
+        ({"point": {"name": "a", **PLACE, "scale": 2}}, "point.scale must be 1 for coils, which"),
+    ],
+)
+def test_a_mistake_has_the_path_of_its_key(given: dict[str, Any], message: str) -> None:
+    with pytest.raises(Mistake) as raised:
+        OUTER.read((), given)
+    assert str(raised.value).startswith(message)
+    with pytest.raises(Mistake) as raised:
+        OUTER.read(("unit", 3), given)
+    assert str(raised.value).startswith(f"unit[3].{message}")
+    assert raised.value.path[:2] == ("unit", 3)
+    assert str(raised.value) == (
+        f"{path_text(raised.value.path)}{raised.value.between}{raised.value.reason}"
+    )
+
+
+def test_right_values_are_what_they_stand_for() -> None:
+    given = {"number": 5, "data": [1, 2], "inner": {"must": 0}, "point": {"name": "a", **PLACE}}
+    assert OUTER.read((), given) == {**given, "data": b"\1\2", "point": Point("a", "coils", 1)}
+
+
+def test_keys_of_a_class_are_its_arguments_with_their_defaults_and_texts() -> None:
+    found = POINT["count"]
+    assert (found.default, found.kind) == (1, "int")
+    assert found.text == "how many values; 1 for the value itself, more for a list of them."
+    assert POINT["name"].default is REQUIRED
+
+
+@pytest.mark.parametrize(
+    "table_of_keys",
+    [
+        *(keys.FILE, keys.UNIT, keys.SERVER_ID, keys.FIFO, keys.FAULT, *keys.CONTENTS.values()),
+        *(gateway_file.FILE, gateway_file.ROUTE),
+        *(fleet_files.FILE, fleet_files.DEVICE, POINT),
+    ],
+)
+def test_every_key_of_every_file_says_what_it_means(table_of_keys: Keys) -> None:
+    assert table_of_keys
+    assert [key.name for key in table_of_keys.values() if not key.text] == []
+
+
+def test_every_key_can_stand_in_a_cell_that_csv_has_a_column_for() -> None:
+    assert set(READERS) - {"function", "divisor"} == set(POINT) - {"padding"}
+    not_in_cells = {"map", "dead_bands", "labels"}
+    columns = {key.name for key in fleet_files.DEVICE.values() if key.kind in CELLS}
+    assert columns == set(fleet_files.DEVICE) - not_in_cells
+
+
+# --- points, wherever they stand -----------------------------------------------------------
+
+# Keys of a point besides its name and table, as people write them in TOML.
+POINTS = {
+    "a long description": f'address = 7\ndescription = "{"x" * 300}"',
+    "an order without a type": 'address = 7\norder = "CDAB"',
+    "an order that is written out": 'address = 7\ntype = "uint16"\norder = "ba"',
+    "an access that goes without saying": 'address = 7\naccess = "read"',
+    "bounds": "address = 7\nminimum = -1\nmaximum = 5.5",
+    "a hexadecimal address": "address = 0x07",
+    "several values": "address = 7\ncount = 3",
+    "a scale": 'address = 7\nscale = 0.1\noffset = -5\nunit = "V"',
+    "a text": 'address = 7\ntype = "string:5"\nencoding = "latin-1"\npadding = " "',
+    "a name of spaces and letters": "address = 7",
+}
+
+
+@each_case("text", POINTS.values(), ids=POINTS.__getitem__)
+def test_a_map_a_fleet_file_and_a_device_file_take_the_same_points(
+    tmp_path: Path, text: str
+) -> None:
+    named = f'name = "\u00e4 b"\n{text}\n'
+    (tmp_path / "map.toml").write_text(f'[[point]]\ntable = "input_registers"\n{named}')
+    expected = load_map(tmp_path / "map.toml")
+    (tmp_path / "fleet.toml").write_text(
+        '[[device]]\nname = "a"\nurl = "tcp://192.0.2.1"\n'
+        f'[[device.point]]\ntable = "input_registers"\n{named}'
+    )
+    assert fleet_files.load(tmp_path / "fleet.toml").devices[0].map == expected
+    (tmp_path / "device.toml").write_text(f"[[unit]]\n[[unit.input_registers]]\n{named}")
+    device = device_file.load(tmp_path / "device.toml").devices
+    assert not isinstance(device, dict)
+    assert device.points == expected
