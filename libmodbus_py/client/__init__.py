@@ -4,12 +4,12 @@ Asks. What is decided is decided once, and two drivers wait and read for it.
 From the caller to the wire:
 
     requests           every method, once for both clients
-    handle             a unit, its patience, and the connection that it shares
+    handle             a unit, its timeouts, and the connection that it shares
     blocking           Context, TcpContext, UdpContext, RtuContext, AsciiContext
     asynchronous       AsyncClient
     options            what both take, and the parts made of it
     batch              what one caller asks, and what became of it
-    patience           how long a caller waits
+    timeouts           how long a caller waits
     blocking_driver    waits by polling, for any thread; forks, Ctrl-C
     asyncio_driver     waits in an event loop, with one reader and one timer
     shortcut           the short way, when nothing needs deciding

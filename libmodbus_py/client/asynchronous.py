@@ -25,7 +25,7 @@ from ..protocol.errors import InvalidResponse, ModbusError
 from .asyncio_driver import AsyncioDriver
 from .batch import Batch, raised
 from .handle import Handle
-from .options import AsyncOptions, Settings, assembled
+from .options import AsyncOptions, CheckedOptions, assembled
 from .requests import Awaiting, Several
 
 __all__ = ["IN_FLIGHT", "AsyncClient", "Submitted"]
@@ -82,11 +82,11 @@ class AsyncClient(Handle[AsyncioDriver], Awaiting):
 
     def __init__(self, url: str, **options: Unpack[AsyncOptions]) -> None:
         endpoint = parse(url)
-        settings = Settings.of(endpoint, options, max_pause=MAX_PAUSE, may_send=None)
+        settings = CheckedOptions.of(endpoint, options, max_pause=MAX_PAUSE, may_send=None)
         parts = assembled(endpoint, settings, IN_FLIGHT)
-        patience = settings.patience
-        driver = AsyncioDriver(parts, patience, settings.may_send)
-        super().__init__(parts, settings, driver, patience)
+        timeouts = settings.timeouts
+        driver = AsyncioDriver(parts, timeouts, settings.may_send)
+        super().__init__(parts, settings, driver, timeouts)
         self._life = _Life(self._driver)
 
     async def connect(self) -> None:
@@ -97,7 +97,7 @@ class AsyncClient(Handle[AsyncioDriver], Awaiting):
             ModbusConnectionError: with errno.
             RuntimeError: another event loop.
         """
-        batch = Batch(self.unit, [], self._patience)
+        batch = Batch(self.unit, [], self._timeouts)
         await self._driver.run(batch)
         if batch.refusal is not None:
             raise batch.refusal
@@ -133,10 +133,10 @@ class AsyncClient(Handle[AsyncioDriver], Awaiting):
         timeout: float | None = None,
         retries: int | None = None,
     ) -> Result:
-        patience = self._patience
+        timeouts = self._timeouts
         if timeout is not None or retries is not None:
-            patience = self._patience.but(timeout, retries)
-        batch = Batch(self.unit, [request], patience, is_broadcast=self._is_broadcast)
+            timeouts = self._timeouts.but(timeout, retries)
+        batch = Batch(self.unit, [request], timeouts, is_broadcast=self._is_broadcast)
         await self._driver.run(batch)
         result: Result = batch.outcomes[0]
         if isinstance(result, BaseException):
@@ -161,7 +161,7 @@ class AsyncClient(Handle[AsyncioDriver], Awaiting):
             RuntimeError: another event loop.
         """
         is_broadcast = unit == 0 and self._has_broadcast
-        batch = Batch(unit, [request], self._patience, is_broadcast=is_broadcast)
+        batch = Batch(unit, [request], self._timeouts, is_broadcast=is_broadcast)
         self._driver.ask(batch, on_done)
         return Submitted(batch, self._driver)
 

@@ -20,8 +20,8 @@ from ..ports.waiting_async import resolve, run_async
 from ..protocol.errors import ModbusConnectionError
 from .batch import Batch
 from .options import Parts
-from .patience import Patience
 from .reconnecting import State
+from .timeouts import Timeouts
 
 __all__ = ["AsyncioDriver"]
 
@@ -34,18 +34,18 @@ class AsyncioDriver:
 
     Args:
         parts: of the client.
-        patience: whose timeout an attempt to connect has.
+        timeouts: whose timeout an attempt to connect has.
         may_send: as of `AsyncOptions`.
     """
 
     def __init__(
-        self, parts: Parts, patience: Patience, may_send: Callable[[], bool] | None = None
+        self, parts: Parts, timeouts: Timeouts, may_send: Callable[[], bool] | None = None
     ) -> None:
         self._port = parts.port
         self._conversation = parts.conversation
         self._connection = parts.connection
         self._endpoint = str(parts.endpoint)
-        self._patience = patience
+        self._timeouts = timeouts
         self._may_send = may_send
         self._loop: asyncio.AbstractEventLoop | None = None
         self._now: Callable[[], float] = monotonic  # the clock of the loop, once there is one
@@ -146,7 +146,7 @@ class AsyncioDriver:
         self._port.abandon()
 
     def change_timeout(self) -> None:
-        """Some `Patience` has changed."""
+        """Some `Timeouts` has changed."""
         self._conversation.change_timeout(self._now())
         if self._loop is not None:
             self._set_timer()
@@ -336,7 +336,7 @@ class AsyncioDriver:
         self._retry = None
         if not self._conversation.is_wanted or self._is_forbidden():
             return
-        opening = self._port.opening(self._now() + self._patience.timeout)
+        opening = self._port.opening(self._now() + self._timeouts.timeout)
         self._attempt = self._loop.create_task(run_async(opening))
         # Not in the task itself, for one that is cancelled early never begins.
         self._attempt.add_done_callback(self._end_attempt)

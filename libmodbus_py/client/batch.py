@@ -11,14 +11,14 @@ from ..protocol.errors import ModbusError
 from ..protocol.pdu import MAX_PDU, Request
 
 if TYPE_CHECKING:
-    from .patience import Patience
+    from .timeouts import Timeouts
 
 __all__ = [
     "MAX_IN_FLIGHT",
     "NOT_ASKED",
-    "Asked",
     "Batch",
-    "Found",
+    "Pending",
+    "Reply",
     "raised",
 ]
 
@@ -30,10 +30,10 @@ NOT_ASKED: Final = object()
 MAX_IN_FLIGHT = 256
 
 # The PDU that answers a request, or why there is none.
-Found = bytes | ModbusError
+Reply = bytes | ModbusError
 
 
-class Asked:
+class Pending:
     """
     One request that was sent.
 
@@ -60,7 +60,7 @@ class Asked:
     @property
     def deadline(self) -> float:
         """Computed anew each time, for a client's timeout may change meanwhile."""
-        return self.since + self.batch.patience.timeout
+        return self.since + self.batch.timeouts.timeout
 
 
 class Batch:
@@ -95,9 +95,26 @@ class Batch:
 
     # fmt: off
     __slots__ = (
-        "_open", "end", "go_on", "in_flight", "is_done", "limit", "on_done", "outcomes",
-        "patience", "pdus", "queued", "refusal", "repeated", "requests", "sent", "silent", "since",
-        "started", "unit", "used",
+        "_open",
+        "end",
+        "go_on",
+        "in_flight",
+        "is_done",
+        "limit",
+        "on_done",
+        "outcomes",
+        "pdus",
+        "queued",
+        "refusal",
+        "repeated",
+        "requests",
+        "sent",
+        "silent",
+        "since",
+        "started",
+        "timeouts",
+        "unit",
+        "used",
     )
     # fmt: on
 
@@ -105,7 +122,7 @@ class Batch:
         self,
         unit: int,
         requests: list[Request[Any]],
-        patience: Patience,
+        timeouts: Timeouts,
         *,
         name: str = "request",
         is_broadcast: bool = False,
@@ -114,7 +131,7 @@ class Batch:
     ) -> None:
         self.unit: int = unit
         self.requests: list[Request[Any]] = requests
-        self.patience: Patience = patience
+        self.timeouts: Timeouts = timeouts
         self.pdus: list[bytes] = [
             encoded(request, name, index, is_broadcast) for index, request in enumerate(requests)
         ]

@@ -79,9 +79,9 @@ class Context(Handle[BlockingDriver], Blocking):
 
     def __init__(self, endpoint: Endpoint, options: Mapping[str, Any]) -> None:
         # What a client is made of is the greater half of it: programs that make none go without.
-        from .options import Settings, assembled
+        from .options import CheckedOptions, assembled
 
-        settings = Settings.of(endpoint, options, native=True)
+        settings = CheckedOptions.of(endpoint, options, native=True)
         parts = assembled(endpoint, settings, MAX_IN_FLIGHT)
         # ASCII, echoes and pauses are for the conversation.
         is_paced = settings.request_spacing or settings.connect_delay
@@ -123,7 +123,7 @@ class Context(Handle[BlockingDriver], Blocking):
         Raises:
             ModbusConnectionError: with errno.
         """
-        batch = Batch(self.unit, [], self._patience)
+        batch = Batch(self.unit, [], self._timeouts)
         self._driver.run(batch)
         if batch.refusal is not None:
             raise batch.refusal
@@ -154,11 +154,11 @@ class Context(Handle[BlockingDriver], Blocking):
         timeout: float | None = None,
         retries: int | None = None,
     ) -> Result:
-        patience = self._patience
+        timeouts = self._timeouts
         if timeout is not None or retries is not None:
-            patience = self._patience.but(timeout, retries)
+            timeouts = self._timeouts.but(timeout, retries)
         is_broadcast = self._has_broadcast and self.unit == 0
-        result: Result = self._driver.ask(self.unit, request, patience, is_broadcast)
+        result: Result = self._driver.ask(self.unit, request, timeouts, is_broadcast)
         return result
 
     def execute_many(

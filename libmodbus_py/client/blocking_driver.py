@@ -23,7 +23,7 @@ from .shortcut import Shortcut
 if TYPE_CHECKING:
     from ..ports.waiting import Waker
     from .options import Parts
-    from .patience import Patience
+    from .timeouts import Timeouts
 
 __all__ = ["BlockingDriver"]
 
@@ -97,7 +97,7 @@ class BlockingDriver:
                 if self._closed:
                     self._shut()
 
-    def ask(self, unit: int, request: Request[Any], patience: Patience, broadcast: bool) -> Any:
+    def ask(self, unit: int, request: Request[Any], timeouts: Timeouts, broadcast: bool) -> Any:
         """
         Ask a single request, the short way if that may be.
 
@@ -113,14 +113,14 @@ class BlockingDriver:
                 self._is_busy = True
                 if self._shortcut is not None and not broadcast and self._conversation.is_plain:
                     batch, outcome = self._shortcut.ask(
-                        unit, request, patience, self.waker.descriptor
+                        unit, request, timeouts, self.waker.descriptor
                     )
                     if batch is None:
                         return outcome
                     if outcome is not None:
                         self._lose(outcome, by_itself=True)
                 else:
-                    batch = Batch(unit, [request], patience, is_broadcast=broadcast)
+                    batch = Batch(unit, [request], timeouts, is_broadcast=broadcast)
                     self._conversation.add(batch, self._now())
                 self._drive(batch, lock)
             except Exception:
@@ -145,7 +145,7 @@ class BlockingDriver:
             )
 
     def change_timeout(self) -> None:
-        """Some `Patience` has changed."""
+        """Some `Timeouts` has changed."""
         self._conversation.change_timeout(self._now())
 
     def close(self) -> None:
@@ -271,7 +271,7 @@ class BlockingDriver:
     # --- connecting -------------------------------------------------------------------------
 
     def _connect(self, batch: Batch, now: float) -> None:
-        deadline = batch.since + batch.patience.timeout
+        deadline = batch.since + batch.timeouts.timeout
         refusal = self._connection.refusal(now, deadline)
         if refusal is not None:
             self._conversation.refuse(refusal)

@@ -23,7 +23,7 @@ from ..protocol.errors import (
     ServerDeviceBusy,
     alike,
 )
-from .batch import Asked, Batch, Found
+from .batch import Batch, Pending, Reply
 from .hints import explain, shown
 from .reconnecting import State
 from .statistics import result_of
@@ -45,7 +45,7 @@ class Conversation(Turns):
     def add(self, batch: Batch, now: float) -> None:
         """Take what a caller asks; it is told by `Batch.is_done`."""
         batch.since = now
-        deadline = now + batch.patience.timeout
+        deadline = now + batch.timeouts.timeout
         if not self.connection.is_open:
             refusal = self.connection.refusal(now, deadline)
             if refusal is not None:
@@ -63,7 +63,7 @@ class Conversation(Turns):
         """Wait for the answer to the only request of a batch, which was sent already."""
         batch.started = batch.in_flight = 1
         self._room -= 1
-        self._wake(now + batch.patience.timeout)
+        self._wake(now + batch.timeouts.timeout)
         self._note_starts(1, now)
         self._register(batch, adu, now)
 
@@ -75,7 +75,7 @@ class Conversation(Turns):
         self._unanswered += self._let_go(batch, now) > 0
 
     def change_timeout(self, now: float) -> None:
-        """Some `Patience` has changed."""
+        """Some `Timeouts` has changed."""
         self._wake(now)
 
     # --- what happened to the connection ------------------------------------------------
@@ -182,7 +182,7 @@ class Conversation(Turns):
         for asked, what in self._found[before:]:
             self._free(asked, what)
 
-    def _free(self, asked: Asked, what: Found) -> None:
+    def _free(self, asked: Pending, what: Reply) -> None:
         """Give back the slot, and the place in its batch, unless its next one depends on it."""
         self._room += 1
         batch = asked.batch
@@ -212,7 +212,7 @@ class Conversation(Turns):
                 self.connection.prove()
             self.statistics.last_success = now
 
-    def _conclude(self, asked: Asked, what: Found, now: float) -> None:
+    def _conclude(self, asked: Pending, what: Reply, now: float) -> None:
         batch, index = asked.batch, asked.index
         if isinstance(what, ModbusError):
             self._fail(what, asked, now)
@@ -234,7 +234,7 @@ class Conversation(Turns):
         if batch.is_done and batch.in_flight:
             self._let_go(batch, now)
 
-    def _fail(self, error: ModbusError, asked: Asked, now: float) -> None:
+    def _fail(self, error: ModbusError, asked: Pending, now: float) -> None:
         batch, index = asked.batch, asked.index
         if isinstance(error, ExceptionResponse):
             self.statistics.exceptions += 1
@@ -246,7 +246,7 @@ class Conversation(Turns):
         if not self._repeat(error, asked, now):
             batch.settle(index, self._completed(error, batch, index, asked.adu))
 
-    def _repeat(self, error: ModbusError, asked: Asked, now: float) -> bool:
+    def _repeat(self, error: ModbusError, asked: Pending, now: float) -> bool:
         """Have it asked again, if that may be; it keeps its place in its batch meanwhile."""
         batch, index = asked.batch, asked.index
         is_busy = isinstance(error, BUSY)
@@ -255,7 +255,7 @@ class Conversation(Turns):
         ):
             return False
         done = batch.repeated.get((index, is_busy), 0)
-        if done >= (batch.patience.busy_retries if is_busy else batch.patience.retries):
+        if done >= (batch.timeouts.busy_retries if is_busy else batch.timeouts.retries):
             return False
         batch.repeated[index, is_busy] = done + 1
         batch.sent[index] = asked.adu
@@ -324,14 +324,14 @@ class Conversation(Turns):
             if not self._is_too_late(batch, now):
                 self._repeats.append(repeat)
             elif not batch.is_done:
-                self._fail_at(batch, index, self.connection.not_in_time(batch.patience.timeout))
+                self._fail_at(batch, index, self.connection.not_in_time(batch.timeouts.timeout))
 
     def _is_too_late(self, batch: Batch, now: float) -> bool:
-        until = batch.since + batch.patience.timeout
+        until = batch.since + batch.timeouts.timeout
         if until > now:
             self._wake(until)
             return False
-        self._refuse(batch, self.connection.not_in_time(batch.patience.timeout))
+        self._refuse(batch, self.connection.not_in_time(batch.timeouts.timeout))
         return True
 
     def _note_life(self, now: float) -> None:
@@ -339,7 +339,7 @@ class Conversation(Turns):
         self._unanswered = 0
         self._answered_at = now
 
-    def _restart(self, now: float) -> list[Asked]:
+    def _restart(self, now: float) -> list[Pending]:
         """Give what was in flight, and begin anew on another connection."""
         asked = [*self._forget(now), *(each for _, each in self._silent)]
         self._silent = []
@@ -376,19 +376,19 @@ class Conversation(Turns):
     def _take(self, data: bytes, now: float) -> None: ...
 
     @abstractmethod
-    def _received_with(self, asked: Asked, pdu: bytes) -> bytes:
+    def _received_with(self, asked: Pending, pdu: bytes) -> bytes:
         """Give the bytes in which a PDU came."""
 
     @abstractmethod
-    def _overdue(self, now: float) -> list[tuple[Asked, Found]]:
+    def _overdue(self, now: float) -> list[tuple[Pending, Reply]]:
         """Give up what has been waited for too long, and wake for the rest."""
 
     @abstractmethod
-    def _give_up(self, batch: Batch, now: float) -> list[Asked]:
+    def _give_up(self, batch: Batch, now: float) -> list[Pending]:
         """Wait no more for a batch; gives what it waited for."""
 
     @abstractmethod
-    def _forget(self, now: float) -> list[Asked]: ...
+    def _forget(self, now: float) -> list[Pending]: ...
 
     def _note_quiet(self, now: float) -> None:  # silence means nothing with ids
         """Look at what silence has ended, and wake for it."""

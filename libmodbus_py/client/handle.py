@@ -15,9 +15,9 @@ from .batch import MAX_IN_FLIGHT, Batch
 from .reconnecting import State
 
 if TYPE_CHECKING:
-    from .options import Parts, Settings
-    from .patience import Patience
+    from .options import CheckedOptions, Parts
     from .statistics import Statistics
+    from .timeouts import Timeouts
 
 __all__ = ["Handle"]
 
@@ -33,7 +33,7 @@ Driving = TypeVar("Driving", bound=Driver)
 
 class Handle(Generic[Driving]):
     """
-    What both clients are: a unit, its patience, and the connection that it shares.
+    What both clients are: a unit, its timeouts, and the connection that it shares.
 
     Attributes:
         unit: who is asked.
@@ -42,10 +42,14 @@ class Handle(Generic[Driving]):
     unit: int
 
     def __init__(
-        self, parts: Parts, settings: Settings, driver: Driving, patience: Patience | None = None
+        self,
+        parts: Parts,
+        settings: CheckedOptions,
+        driver: Driving,
+        timeouts: Timeouts | None = None,
     ) -> None:
         self.unit = settings.unit
-        self._patience = patience or settings.patience
+        self._timeouts = timeouts or settings.timeouts
         self._endpoint = parts.endpoint
         self._connection = parts.connection
         self._statistics = parts.statistics
@@ -67,7 +71,7 @@ class Handle(Generic[Driving]):
         """
         handle = copy.copy(self)
         handle.unit = integer("unit", unit, 0, 255)
-        handle._patience = self._patience.but(timeout, retries)
+        handle._timeouts = self._timeouts.but(timeout, retries)
         return handle
 
     @property
@@ -78,11 +82,11 @@ class Handle(Generic[Driving]):
     @property
     def timeout(self) -> float:
         """Seconds that one request may take, connecting included; settable."""
-        return self._patience.timeout
+        return self._timeouts.timeout
 
     @timeout.setter
     def timeout(self, value: float) -> None:
-        self._patience.timeout = seconds("timeout", value)
+        self._timeouts.timeout = seconds("timeout", value)
         self._driver.change_timeout()
 
     @property
@@ -198,7 +202,7 @@ class Handle(Generic[Driving]):
         return Batch(
             self.unit,
             list(requests),
-            self._patience,
+            self._timeouts,
             name="requests[{}]",
             is_broadcast=self._is_broadcast,
             limit=limit,

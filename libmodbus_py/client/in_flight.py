@@ -9,7 +9,7 @@ from typing import Any
 
 from ..protocol.errors import FrameError, InvalidResponse, ModbusError
 from ..protocol.framing import Frame, Framer, make_framer, mbap
-from .batch import Asked, Batch, Found
+from .batch import Batch, Pending, Reply
 from .conversation import Conversation, no_answer
 
 __all__ = ["InFlight"]
@@ -34,7 +34,7 @@ class InFlight(Conversation):
     def __init__(self, *args: Any, any_unit: bool = False, **options: Any) -> None:
         self._any_unit = any_unit
         self._last = 0
-        self._asked: dict[int, Asked] = {}
+        self._asked: dict[int, Pending] = {}
         self._abandoned: dict[int, None] = {}
         self._rest = b""
         self._strays = b""
@@ -70,16 +70,16 @@ class InFlight(Conversation):
 
     def _register(self, batch: Batch, adu: bytes, now: float) -> None:
         self._strays = b""
-        self._asked[int.from_bytes(adu[:2], "big")] = Asked(batch, 0, adu, now)
+        self._asked[int.from_bytes(adu[:2], "big")] = Pending(batch, 0, adu, now)
 
-    def _begin(self, batch: Batch, index: int, now: float) -> Asked:
+    def _begin(self, batch: Batch, index: int, now: float) -> Pending:
         if not self._asked:
             self._strays = b""
             self._wrong.clear()
             self._units.clear()
         number = self.next_number()
         adu = mbap(number, batch.unit, batch.pdus[index])
-        asked = Asked(batch, index, adu, now)
+        asked = Pending(batch, index, adu, now)
         if not (batch.silent and batch.silent[index]):
             self._asked[number] = asked
         return asked
@@ -149,8 +149,8 @@ class InFlight(Conversation):
             if len(self._wrong) > self.limit:
                 self._wrong = {each: self._wrong[each] for each in self._wrong.keys() & self._asked}
 
-    def _overdue(self, now: float) -> list[tuple[Asked, Found]]:
-        overdue: list[tuple[Asked, Found]] = []
+    def _overdue(self, now: float) -> list[tuple[Pending, Reply]]:
+        overdue: list[tuple[Pending, Reply]] = []
         for number, asked in list(self._asked.items()):
             if asked.deadline > now:
                 self._wake(asked.deadline)
@@ -159,8 +159,8 @@ class InFlight(Conversation):
             overdue.append((asked, self._wrong.get(number) or self._no_answer(asked)))
         return overdue
 
-    def _no_answer(self, asked: Asked) -> ModbusError:
-        timeout = asked.batch.patience.timeout
+    def _no_answer(self, asked: Pending) -> ModbusError:
+        timeout = asked.batch.timeouts.timeout
         begun = self._rest and int.from_bytes(self._rest[:2], "big") not in self._asked
         if begun or not self._strays:
             return no_answer(timeout, self._rest if begun else b"")
@@ -177,18 +177,18 @@ class InFlight(Conversation):
         if len(self._abandoned) > MAX_ABANDONED:
             del self._abandoned[next(iter(self._abandoned))]
 
-    def _received_with(self, asked: Asked, pdu: bytes) -> bytes:
+    def _received_with(self, asked: Pending, pdu: bytes) -> bytes:
         number = int.from_bytes(asked.adu[:2], "big")
         frame = mbap(number, self._units.get(number, asked.batch.unit), pdu)
         return frame if self._asked else frame + self._rest
 
-    def _give_up(self, batch: Batch, now: float) -> list[Asked]:
+    def _give_up(self, batch: Batch, now: float) -> list[Pending]:
         given_up = {number: asked for number, asked in self._asked.items() if asked.batch is batch}
         for number in given_up:
             self._abandon(number)
         return list(given_up.values())
 
-    def _forget(self, now: float) -> list[Asked]:
+    def _forget(self, now: float) -> list[Pending]:
         asked = list(self._asked.values())
         self._asked = {}
         self._abandoned = {}

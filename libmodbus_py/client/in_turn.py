@@ -14,7 +14,7 @@ from ..ports.port import Silence
 from ..protocol.errors import FrameError, InvalidResponse, ModbusError
 from ..protocol.framing import AsciiFramer, Frame, Framer, make_framer
 from ..protocol.pdu import Diagnostics, SubFunction
-from .batch import Asked, Batch, Found
+from .batch import Batch, Pending, Reply
 from .conversation import Conversation, no_answer
 
 __all__ = ["InTurn"]
@@ -38,7 +38,7 @@ class InTurn(Conversation):
     def __init__(self, *args: Any, silence: Silence, delimiter: int = 0x0A, **options: Any) -> None:
         self._silence = silence
         self._delimiter = delimiter
-        self._asked: Asked | None = None
+        self._asked: Pending | None = None
         self._wrong: ModbusError | None = None  # what came in place of its answer so far
         self._came_early = False  # an answer came before its request can have left
         self._received = bytearray()
@@ -115,7 +115,7 @@ class InTurn(Conversation):
 
     def _impatience(self, batch: Batch, now: float) -> ModbusError | None:
         """Not for ever; from who sends more than a late answer, not longer than for an answer."""
-        timeout = batch.patience.timeout
+        timeout = batch.timeouts.timeout
         since = self._waiting.setdefault(batch, now)
         limit = since + timeout * (1 if len(self._late) >= MAX_KEPT else 2)
         if limit > now:
@@ -124,13 +124,13 @@ class InTurn(Conversation):
         del self._waiting[batch]
         return FrameError("the line does not fall silent", received=bytes(self._late))
 
-    def _begin(self, batch: Batch, index: int, now: float) -> Asked:
+    def _begin(self, batch: Batch, index: int, now: float) -> Pending:
         if self._is_noisy or self._framer.pending:
             self._framer = self._make_framer()
         adu = self._framer.encode(Frame(batch.unit, batch.pdus[index]))
         return self._ask(batch, index, adu, now)
 
-    def _ask(self, batch: Batch, index: int, adu: bytes, now: float) -> Asked:
+    def _ask(self, batch: Batch, index: int, adu: bytes, now: float) -> Pending:
         self._end_doubt(batch.unit)
         self._waiting.pop(batch, None)
         self._received.clear()
@@ -139,7 +139,7 @@ class InTurn(Conversation):
         self._silence.sent(len(adu), now)
         self._wrong = None
         self._came_early = False
-        asked = Asked(batch, index, adu, now)
+        asked = Pending(batch, index, adu, now)
         if not (batch.silent and batch.silent[index]):
             self._asked = asked
         return asked
@@ -212,7 +212,7 @@ class InTurn(Conversation):
         if self._trace.is_on:
             self._trace.tell("received", error.received)
 
-    def _note_other(self, asked: Asked, unit: int, now: float) -> None:
+    def _note_other(self, asked: Pending, unit: int, now: float) -> None:
         """Another unit's answer does not end the wait (serial line, 2.4.1)."""
         self._is_noisy = True
         if unit in self._doubts:
@@ -224,7 +224,7 @@ class InTurn(Conversation):
             self._wrong = InvalidResponse(f"unit {unit} answered")
             self._wrong.answers_another = True
 
-    def _note_other_function(self, asked: Asked, frame: Frame) -> None:
+    def _note_other_function(self, asked: Pending, frame: Frame) -> None:
         """The answer to a function that was not asked does not end the wait either."""
         self._is_noisy = True
         self.statistics.invalid += 1
@@ -238,7 +238,7 @@ class InTurn(Conversation):
         self._is_noisy = self._came_early = True
         self.statistics.late_answers += 1
 
-    def _is_echo(self, asked: Asked, pdu: bytes) -> bool:
+    def _is_echo(self, asked: Pending, pdu: bytes) -> bool:
         """Whether it is the request, and no answer that repeats it as some do."""
         if pdu != asked.batch.pdus[asked.index]:
             return False
@@ -254,7 +254,7 @@ class InTurn(Conversation):
         if asked is not None and isinstance(self._wrong, FrameError) and self._is_damaged(asked):
             self._end(asked, self._wrong, now)
 
-    def _is_damaged(self, asked: Asked) -> bool:
+    def _is_damaged(self, asked: Pending) -> bool:
         rest = bytes(self._received).replace(asked.adu, b"", 1)  # its echo
         unit, function = asked.batch.unit, asked.batch.pdus[asked.index][0]
         starts = [bytes([unit, function]), bytes([unit, function | 0x80])]
@@ -263,7 +263,7 @@ class InTurn(Conversation):
             rest = rest.upper()
         return any(start in rest for start in starts)
 
-    def _end(self, asked: Asked, what: bytes | ModbusError, now: float) -> None:
+    def _end(self, asked: Pending, what: bytes | ModbusError, now: float) -> None:
         self._asked = None
         self._quiet_at = None
         if isinstance(what, ModbusError):
@@ -285,7 +285,7 @@ class InTurn(Conversation):
         self._judge(self._framer.scan_silence(), now)
         self._end_if_damaged(now)
 
-    def _overdue(self, now: float) -> list[tuple[Asked, Found]]:
+    def _overdue(self, now: float) -> list[tuple[Pending, Reply]]:
         asked = self._asked
         if asked is None:
             return []
@@ -296,21 +296,21 @@ class InTurn(Conversation):
         if self._came_early:  # and nothing else: bytes take no time here, whatever the settings say
             self._silence.is_timed = False
         received = bytes(self._received)
-        error = self._wrong or no_answer(asked.batch.patience.timeout, received)
+        error = self._wrong or no_answer(asked.batch.timeouts.timeout, received)
         error.received = received
         return [(asked, error)]
 
     def _doubt(self, batch: Batch, now: float) -> None:
         """Let the line fall silent before this unit is asked again: it may still answer."""
-        timeout = batch.patience.timeout
+        timeout = batch.timeouts.timeout
         self._is_exact = False
         self._doubts[batch.unit] = now + timeout, timeout
 
-    def _doubt_unanswered(self, asked: Asked, now: float) -> None:
+    def _doubt_unanswered(self, asked: Pending, now: float) -> None:
         """As after a timeout, however early its caller went: the answer may be as late."""
         self._doubt(asked.batch, max(now, asked.deadline))
 
-    def _give_up(self, batch: Batch, now: float) -> list[Asked]:
+    def _give_up(self, batch: Batch, now: float) -> list[Pending]:
         self._waiting.pop(batch, None)
         asked = self._asked
         if asked is None or asked.batch is not batch:
@@ -319,7 +319,7 @@ class InTurn(Conversation):
         self._doubt_unanswered(asked, now)
         return [asked]
 
-    def _forget(self, now: float) -> list[Asked]:
+    def _forget(self, now: float) -> list[Pending]:
         self._is_exact = False
         self._waiting.clear()
         asked, self._asked = self._asked, None
@@ -330,7 +330,7 @@ class InTurn(Conversation):
 
     # --- what is left -------------------------------------------------------------------------
 
-    def _received_with(self, asked: Asked, pdu: bytes) -> bytes:
+    def _received_with(self, asked: Pending, pdu: bytes) -> bytes:
         return bytes(self._received)
 
     def _follow(self, request: Any) -> None:

@@ -17,16 +17,16 @@ from ..protocol.framing import is_delimiter
 from .batch import MAX_IN_FLIGHT
 from .conversation import Conversation
 from .in_flight import InFlight
-from .patience import Patience
 from .reconnecting import OnState, Reconnecting
 from .statistics import Statistics
+from .timeouts import Timeouts
 from .turns import Pace
 
 if TYPE_CHECKING:  # ssl, which it needs, takes longer to import than the rest of a client
     from ..security.given import GivenContext
     from ..security.security import Security
 
-__all__ = ["AsyncOptions", "ContextOptions", "Options", "Parts", "Settings", "assembled"]
+__all__ = ["AsyncOptions", "CheckedOptions", "ContextOptions", "Options", "Parts", "assembled"]
 
 
 OF_ONE_KIND = ("native", "may_send")
@@ -122,7 +122,7 @@ class AsyncOptions(Options, total=False):
 
 
 @dataclass(frozen=True, slots=True)
-class Settings:
+class CheckedOptions:
     """`ContextOptions`, checked."""
 
     unit: int = 1
@@ -178,7 +178,7 @@ class Settings:
             raise TypeError(f"native must be True or False, not {self.native!r}")
 
     @classmethod
-    def of(cls, endpoint: Endpoint, options: Mapping[str, Any], **usual: Any) -> Settings:
+    def of(cls, endpoint: Endpoint, options: Mapping[str, Any], **usual: Any) -> CheckedOptions:
         """
         Take what an endpoint's URL says, and the options, which win.
 
@@ -193,8 +193,8 @@ class Settings:
         return cls(**{**usual, **endpoint.client_options, **options})
 
     @property
-    def patience(self) -> Patience:
-        return Patience(float(self.timeout), self.retries, self.busy_retries)
+    def timeouts(self) -> Timeouts:
+        return Timeouts(float(self.timeout), self.retries, self.busy_retries)
 
 
 def _check_security(security: object) -> None:
@@ -216,7 +216,7 @@ class Parts:
     statistics: Statistics
 
 
-def assembled(endpoint: Endpoint, settings: Settings, most: int) -> Parts:
+def assembled(endpoint: Endpoint, settings: CheckedOptions, most: int) -> Parts:
     """
     Make the parts.
 
@@ -252,7 +252,7 @@ def assembled(endpoint: Endpoint, settings: Settings, most: int) -> Parts:
     return Parts(endpoint, port, conversation, connection, statistics)
 
 
-def _refuse_ids(endpoint: Endpoint, settings: Settings) -> None:
+def _refuse_ids(endpoint: Endpoint, settings: CheckedOptions) -> None:
     where = f"on {endpoint.scheme}, whose answers carry no transaction id"
     if settings.max_in_flight not in (None, 1):
         raise ValueError(f"max_in_flight must be 1 {where}")
@@ -260,34 +260,34 @@ def _refuse_ids(endpoint: Endpoint, settings: Settings) -> None:
         raise ValueError(f'accept_unit must be "same" {where}')
 
 
-def _port(endpoint: Endpoint, settings: Settings) -> Port:
+def _port(endpoint: Endpoint, settings: CheckedOptions) -> Port:
     if settings.security is not None and endpoint.transport != "tls":
         raise ValueError(f"security is for tls://, and means nothing on {endpoint.scheme}")
     return PORTS[endpoint.transport](endpoint, settings)
 
 
-def _tcp_port(endpoint: Endpoint, settings: Settings) -> Port:
+def _tcp_port(endpoint: Endpoint, settings: CheckedOptions) -> Port:
     return TcpPort(endpoint.host, endpoint.port, settings.keepalive)
 
 
-def _udp_port(endpoint: Endpoint, settings: Settings) -> Port:
+def _udp_port(endpoint: Endpoint, settings: CheckedOptions) -> Port:
     return UdpPort(endpoint.host, endpoint.port)
 
 
-def _tls_port(endpoint: Endpoint, settings: Settings) -> Port:
+def _tls_port(endpoint: Endpoint, settings: CheckedOptions) -> Port:
     from ..ports.tls import TlsPort, security_of
 
     security = security_of(endpoint, settings.security)
     return TlsPort(endpoint.host, endpoint.port, settings.keepalive, security)
 
 
-def _serial_port(endpoint: Endpoint, settings: Settings) -> Port:
+def _serial_port(endpoint: Endpoint, settings: CheckedOptions) -> Port:
     from ..ports.serial import SerialPort
 
     return SerialPort(endpoint.device, **endpoint.serial_settings)
 
 
-PORTS: dict[str, Callable[[Endpoint, Settings], Port]] = {
+PORTS: dict[str, Callable[[Endpoint, CheckedOptions], Port]] = {
     "tcp": _tcp_port,
     "udp": _udp_port,
     "tls": _tls_port,

@@ -20,7 +20,7 @@ from .libmodbus import NativeCarrier, pdu_on_line
 
 if TYPE_CHECKING:
     from .options import Parts
-    from .patience import Patience
+    from .timeouts import Timeouts
 
 __all__ = ["KNOWN", "Carrier", "Shortcut"]
 
@@ -114,7 +114,7 @@ class Shortcut:
             self._carrier = PythonCarrier(parts.port, framer, waker)
 
     def ask(
-        self, unit: int, request: Request[Any], patience: Patience, waker: int
+        self, unit: int, request: Request[Any], timeouts: Timeouts, waker: int
     ) -> tuple[Batch | None, Any]:
         """
         Send a request and take its answer.
@@ -131,7 +131,7 @@ class Shortcut:
         """
         pdu = request.encode() if isinstance(request, Request) else b""
         if pdu[:1] not in KNOWN:
-            return self._hand_over(unit, request, patience), None
+            return self._hand_over(unit, request, timeouts), None
         number = self._conversation.next_number()
         if self._is_line and (left := self._port.silence.over_at - self._now()) > 0:
             self._waker.sleep(left)
@@ -139,9 +139,9 @@ class Shortcut:
         if self._is_line:
             self._port.silence.sent(len(pdu) + LEAST_AROUND, since)
         try:
-            answer = self._carrier.carry(unit, number, pdu, patience.timeout, waker)
+            answer = self._carrier.carry(unit, number, pdu, timeouts.timeout, waker)
             if answer is None:
-                return self._hand_over(unit, request, patience), None
+                return self._hand_over(unit, request, timeouts), None
             if answer and not (self._is_line and self._now() < self._port.silence.left_at):
                 outcome = request.decode_response(answer)
                 self._note_success(pdu[0], since)
@@ -149,10 +149,10 @@ class Shortcut:
         except Exception:
             pass  # the conversation meets it again, and tells it all that was asked
         except BaseException:  # Ctrl-C: it was sent, and nobody waits any more
-            batch = self._adopted(unit, number, request, patience, since)
+            batch = self._adopted(unit, number, request, timeouts, since)
             self._conversation.abandon(batch, since)
             raise
-        batch = self._adopted(unit, number, request, patience, since)
+        batch = self._adopted(unit, number, request, timeouts, since)
         if self._carrier.error is None:
             now = self._now()
             for data in self._carrier.received:
@@ -160,15 +160,15 @@ class Shortcut:
             self._conversation.settle(now)
         return batch, self._carrier.error
 
-    def _hand_over(self, unit: int, request: Request[Any], patience: Patience) -> Batch:
-        batch = Batch(unit, [request], patience)
+    def _hand_over(self, unit: int, request: Request[Any], timeouts: Timeouts) -> Batch:
+        batch = Batch(unit, [request], timeouts)
         self._conversation.add(batch, self._now())
         return batch
 
     def _adopted(
-        self, unit: int, number: int, request: Request[Any], patience: Patience, since: float
+        self, unit: int, number: int, request: Request[Any], timeouts: Timeouts, since: float
     ) -> Batch:
-        batch = Batch(unit, [request], patience)
+        batch = Batch(unit, [request], timeouts)
         adu = self._encode(Frame(unit, batch.pdus[0], number))
         self._conversation.adopt(batch, adu, since)
         return batch

@@ -13,7 +13,7 @@ from ..ports.endpoint import Endpoint
 from ..ports.trace import Trace
 from ..protocol.errors import ModbusConnectionError, ModbusError
 from ..protocol.framing import Framer, Framing
-from .batch import Asked, Batch, Found
+from .batch import Batch, Pending, Reply
 from .reconnecting import Reconnecting
 from .statistics import Statistics
 
@@ -80,8 +80,8 @@ class Turns(ABC):
         self._room = limit
         self._queue: deque[Batch] = deque()
         self._repeats: list[tuple[float, Batch, int]] = []
-        self._silent: list[tuple[float, Asked]] = []
-        self._found: list[tuple[Asked, Found]] = []
+        self._silent: list[tuple[float, Pending]] = []
+        self._found: list[tuple[Pending, Reply]] = []
         self._unanswered = 0
         self._answered_at = 0.0
         self._unasked = 0
@@ -138,7 +138,7 @@ class Turns(ABC):
             # The others of the queue have their turn before the next one of this batch.
             most = 1 if self._queue else room
             count = max(0, min(most, batch.limit - batch.in_flight, batch.end - batch.started))
-            self._wake(now + batch.patience.timeout - batch.used)
+            self._wake(now + batch.timeouts.timeout - batch.used)
             for index in range(batch.started, batch.started + count):
                 adus.append(self._start(batch, index, now))
             batch.started += count
@@ -195,7 +195,7 @@ class Turns(ABC):
                 self._wake(due if due > now else self.alarm)
             elif self._may_ask(batch.unit, now):
                 self.statistics.retries += 1
-                self._wake(now + batch.patience.timeout - batch.used)
+                self._wake(now + batch.timeouts.timeout - batch.used)
                 adus.append(self._start(batch, index, now))
             elif (error := self._impatience(batch, now)) is not None:
                 batch.in_flight -= 1
@@ -240,7 +240,7 @@ class Turns(ABC):
     def _make_framer(self) -> Framer: ...
 
     @abstractmethod
-    def _begin(self, batch: Batch, index: int, now: float) -> Asked:
+    def _begin(self, batch: Batch, index: int, now: float) -> Pending:
         """Make the request one that is asked, and its frame."""
 
     @abstractmethod

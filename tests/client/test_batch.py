@@ -11,14 +11,14 @@ import pytest
 
 from libmodbus_py import ModbusTimeoutError, pdu
 from libmodbus_py.client.batch import NOT_ASKED, Batch, raised
-from libmodbus_py.client.patience import Patience
+from libmodbus_py.client.timeouts import Timeouts
 
 LATE = ModbusTimeoutError("late")
 
 
 def batch(count: int, **options: Any) -> Batch:
     requests: list[pdu.Request[Any]] = [pdu.ReadCoils(number, 1) for number in range(count)]
-    return Batch(1, requests, Patience(1, 0, 0), **options)
+    return Batch(1, requests, Timeouts(1, 0, 0), **options)
 
 
 @pytest.mark.parametrize("order", list(itertools.permutations(range(3))))
@@ -92,7 +92,7 @@ def test_what_is_decided_is_told_once_and_changes_no_more() -> None:
 
 def test_a_request_without_an_answer_makes_them_go_one_by_one() -> None:
     silent = pdu.Diagnostics(pdu.SubFunction.FORCE_LISTEN_ONLY, b"\0\0")
-    made = Batch(1, [pdu.ReadCoils(0, 1), silent], Patience(1, 0, 0), limit=16)
+    made = Batch(1, [pdu.ReadCoils(0, 1), silent], Timeouts(1, 0, 0), limit=16)
     assert made.limit == 1
     assert made.silent == [False, True]
     assert batch(2, limit=16).silent is None
@@ -110,4 +110,4 @@ def test_what_cannot_be_sent_is_refused_by_its_name(
     request_: Any, options: Any, kind: type[Exception], reason: str
 ) -> None:
     with pytest.raises(kind, match=reason):
-        Batch(1, [pdu.WriteCoil(0, True), request_], Patience(1, 0, 0), **options)
+        Batch(1, [pdu.WriteCoil(0, True), request_], Timeouts(1, 0, 0), **options)

@@ -85,7 +85,7 @@ def test_a_timeout_that_is_changed_meanwhile_holds_at_once(timeout: float) -> No
     talk = Talk(timeout=1)
     batch = talk.ask(1)
     talk.wait(0.2)
-    talk.patience.timeout = timeout
+    talk.timeouts.timeout = timeout
     talk.conversation.change_timeout(talk.now)
     talk.wait_until(timeout - 0.01)
     assert not batch.is_done

@@ -15,8 +15,8 @@ from typing import Any
 from libmodbus_py import ModbusConnectionError, pdu
 from libmodbus_py.client.batch import Batch
 from libmodbus_py.client.in_flight import InFlight
-from libmodbus_py.client.options import Settings, assembled
-from libmodbus_py.client.patience import Patience
+from libmodbus_py.client.options import CheckedOptions, assembled
+from libmodbus_py.client.timeouts import Timeouts
 from libmodbus_py.ports.endpoint import parse
 
 TCP = "tcp://192.0.2.1"
@@ -44,13 +44,13 @@ class Talk:
         self, url: str = TCP, *, is_open: bool = True, is_timed: bool = False, **options: Any
     ) -> None:
         endpoint = parse(url)
-        self.settings = Settings.of(endpoint, options)
+        self.settings = CheckedOptions.of(endpoint, options)
         parts = assembled(endpoint, self.settings, 16)
         parts.port.silence.is_timed = is_timed
         self.conversation = parts.conversation
         self.connection = parts.connection
         self.statistics = parts.statistics
-        self.patience = self.settings.patience
+        self.timeouts = self.settings.timeouts
         self.now = 0.0
         self.sent: list[bytes] = []
         self.times: list[float] = []
@@ -89,7 +89,7 @@ class Talk:
         limit: int = 1,
         go_on: bool = False,
         is_broadcast: bool = False,
-        **patience: Any,
+        **timeouts: Any,
     ) -> Batch:
         settings = self.settings
         usual = {
@@ -100,7 +100,7 @@ class Talk:
         return Batch(
             unit,
             [read(each) if isinstance(each, int) else each for each in requests],
-            Patience(**{**usual, **patience}) if patience else self.patience,
+            Timeouts(**{**usual, **timeouts}) if timeouts else self.timeouts,
             limit=limit,
             go_on=go_on,
             is_broadcast=is_broadcast,

@@ -10,7 +10,7 @@ from dataclasses import MISSING, dataclass, field, fields
 from functools import lru_cache
 from typing import Any
 
-from ...client.options import Settings, assembled
+from ...client.options import CheckedOptions, assembled
 from ...maps.point import Point
 from ...maps.register_map import PointPlan, RegisterMap
 from ...ports.endpoint import Endpoint, parse
@@ -178,7 +178,7 @@ def _endpoint(url: str) -> Endpoint:
     if "unit" in endpoint.client_options:
         raise ValueError(f"url: {url!r}: the unit stands beside it: unit = ...")
     try:  # what a client cannot have is refused now, not when it is made
-        assembled(endpoint, Settings.of(endpoint, {}), 1)
+        assembled(endpoint, CheckedOptions.of(endpoint, {}), 1)
     except (TypeError, ValueError) as error:
         raise type(error)(f"url: {error}") from None
     return endpoint

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
-from ...client.options import Settings, assembled
+from ...client.options import CheckedOptions, assembled
 from ...device.access import Access
 from ...device.rules import Allow
 from ...ports.endpoint import Endpoint, parse
@@ -75,7 +75,7 @@ class Route:
         if "unit" in endpoint.client_options:
             raise ValueError(f"to: {self.to!r}: unit means nothing here; device_units does")
         # What a client cannot have is refused now, not when it is made.
-        assembled(endpoint, Settings.of(endpoint, {}), 1)
+        assembled(endpoint, CheckedOptions.of(endpoint, {}), 1)
         for name in ("merge", "read_only"):
             if not isinstance(getattr(self, name), bool):
                 raise TypeError(f"{name} must be True or False, not {getattr(self, name)!r}")

@@ -8,7 +8,7 @@ import asyncio
 from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
-from ...client.options import Settings as ClientSettings
+from ...client.options import CheckedOptions
 from ...protocol.checks import integer, seconds
 from ..engine.buckets import Bucket
 from ..engine.troubles import EngineError, EngineGone
@@ -94,7 +94,7 @@ def _connection(key: str, devices: list[DeviceConfig], lease: float) -> Connecti
                 f"device {device.name!r}: zone {device.zone!r}, but {first.name!r} shares its"
                 f" connection {key}, and is in {first.zone!r}"
             )
-    usual = ClientSettings.of(first.endpoint, {}).timeout
+    usual = CheckedOptions.of(first.endpoint, {}).timeout
     timeout = max(usual if each.timeout is None else each.timeout for each in devices)
     if timeout > lease * LONGEST_ANSWER:
         raise ValueError(

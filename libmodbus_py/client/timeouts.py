@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 
 from ..protocol.checks import integer, seconds
 
-__all__ = ["Patience"]
+__all__ = ["Timeouts"]
 
 
 @dataclass(slots=True)
-class Patience:
+class Timeouts:
     """
     How long to wait, and how often to ask again.
 
@@ -26,11 +26,11 @@ class Patience:
     retries: int
     busy_retries: int
 
-    def but(self, timeout: float | None, retries: int | None) -> Patience:
+    def but(self, timeout: float | None, retries: int | None) -> Timeouts:
         """Give one like it, with what is not None in place of its own."""
-        patience = self
+        timeouts = self
         if timeout is not None:
-            patience = replace(patience, timeout=seconds("timeout", timeout))
+            timeouts = replace(timeouts, timeout=seconds("timeout", timeout))
         if retries is not None:
-            patience = replace(patience, retries=integer("retries", retries, 0, 100))
-        return patience
+            timeouts = replace(timeouts, retries=integer("retries", retries, 0, 100))
+        return timeouts
