@@ -85,7 +85,7 @@ class AsyncClient(Handle[AsyncioDriver], Awaiting):
         settings = CheckedOptions.of(endpoint, options, max_pause=MAX_PAUSE, may_send=None)
         parts = assembled(endpoint, settings, IN_FLIGHT)
         timeouts = settings.timeouts
-        driver = AsyncioDriver(parts, timeouts, settings.may_send)
+        driver = AsyncioDriver(parts, timeouts)
         super().__init__(parts, settings, driver, timeouts)
         self._life = _Life(self._driver)
 
@@ -136,7 +136,8 @@ class AsyncClient(Handle[AsyncioDriver], Awaiting):
         timeouts = self._timeouts
         if timeout is not None or retries is not None:
             timeouts = self._timeouts.but(timeout, retries)
-        batch = Batch(self.unit, [request], timeouts, is_broadcast=self._is_broadcast)
+        is_broadcast = self._has_broadcast and self.unit == 0
+        batch = Batch(self.unit, [request], timeouts, is_broadcast=is_broadcast)
         await self._driver.run(batch)
         result: Result = batch.outcomes[0]
         if isinstance(result, BaseException):

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import asyncio
 import errno
-import logging
 import math
 import warnings
 from collections.abc import Callable
@@ -19,13 +18,12 @@ from time import monotonic
 from ..ports.waiting_async import resolve, run_async
 from ..protocol.errors import ModbusConnectionError
 from .batch import Batch
+from .conversation import forbidden
 from .options import Parts
 from .reconnecting import State
 from .timeouts import Timeouts
 
 __all__ = ["AsyncioDriver"]
-
-logger: logging.Logger = logging.getLogger(__name__)
 
 
 class AsyncioDriver:
@@ -35,18 +33,14 @@ class AsyncioDriver:
     Args:
         parts: of the client.
         timeouts: whose timeout an attempt to connect has.
-        may_send: as of `AsyncOptions`.
     """
 
-    def __init__(
-        self, parts: Parts, timeouts: Timeouts, may_send: Callable[[], bool] | None = None
-    ) -> None:
+    def __init__(self, parts: Parts, timeouts: Timeouts) -> None:
         self._port = parts.port
         self._conversation = parts.conversation
         self._connection = parts.connection
         self._endpoint = str(parts.endpoint)
         self._timeouts = timeouts
-        self._may_send = may_send
         self._loop: asyncio.AbstractEventLoop | None = None
         self._now: Callable[[], float] = monotonic  # the clock of the loop, once there is one
         self._attempt: asyncio.Task[None] | None = None
@@ -60,40 +54,47 @@ class AsyncioDriver:
 
     async def run(self, batch: Batch) -> None:
         """
-        Ask what a batch holds; returns when it is decided.
+        Send the requests of a batch; returns when it is settled.
 
         Raises:
             RuntimeError: the client belongs to another event loop.
         """
         done = self._bind().create_future()
-        self.ask(batch, partial(resolve, done))
+        batch.on_done = partial(resolve, done)
+        self._add(batch)
         if batch.is_done:
             return
         try:
             await done
         finally:
-            self.withdraw(batch)
+            if not batch.is_done:
+                self.withdraw(batch)
 
     def ask(self, batch: Batch, on_done: Callable[[], object]) -> None:
         """
-        Ask what a batch holds; `on_done` is called once when it is decided, perhaps from here.
+        Send the requests of a batch; `on_done` is called once it is settled, perhaps from here.
 
         Raises:
             RuntimeError: the client belongs to another event loop.
         """
-        loop = self._bind()
+        self._bind()
         batch.on_done = on_done
-        self._conversation.add(batch, self._now())
+        self._add(batch)
+
+    def _add(self, batch: Batch) -> None:
+        conversation, now = self._conversation, self._now()
+        conversation.add(batch, now)
         if batch.is_done:
             return
-        if self._conversation.is_idle:
-            self._turn()
-        elif not self._is_due:  # all who ask in this turn of the loop go out together
+        if not conversation.in_flight:
+            self._turn(now)
+        elif not self._is_due:  # what is asked in this turn of the loop goes out together
             self._is_due = True
-            loop.call_soon(self._turn)
+            assert self._loop is not None
+            self._loop.call_soon(self._turn)
 
     def withdraw(self, batch: Batch) -> None:
-        """Nobody waits for a batch any more, unless it is decided."""
+        """Drop a batch, unless it is settled."""
         if not batch.is_done:
             self._conversation.abandon(batch, self._now())
             self._turn()
@@ -162,52 +163,38 @@ class AsyncioDriver:
 
     # --- turns ------------------------------------------------------------------------------
 
-    def _turn(self) -> None:
-        """Send what may be sent now, and see to it that the rest has its turn."""
+    def _turn(self, now: float | None = None) -> None:
+        """Send what may be sent now, and set the timer for the rest."""
         self._is_due = False
         conversation = self._conversation
-        now = self._now()
+        if now is None:
+            now = self._now()
         if not self._connection.is_open:
             self._seek_connection(now)
         else:
-            if conversation.is_idle and conversation.is_wanted and self._port.has_input():
+            if not conversation.in_flight and self._port.has_input():
                 self._read()
-            self._send(now)
-            if conversation.is_wanted:
-                self._send(now)
+            adus = conversation.start(now)
+            if adus:
+                self._send(adus, now)
+                if conversation.is_wanted:
+                    self._send(conversation.start(now), now)
         if conversation.broken is not None:
             self._lose(conversation.broken, by_itself=False)
         self._set_timer()
 
-    def _send(self, now: float) -> None:
-        if self._is_forbidden():
-            return
-        adus = self._conversation.start(now)
+    def _send(self, adus: list[bytes], now: float) -> None:
         if not adus:
             return
+        port = self._port
         try:
-            self._port.send(adus, now)
-            if self._port.has_unsent or self._is_writing or self._port.resume_at is not None:
+            port.send(adus, now)
+            if port.has_unsent or self._is_writing or port.resume_at is not None:
                 self._follow_port(now)
             if not self._is_reading:
                 self._read_on()
         except ModbusConnectionError as error:
             self._lose(error)
-
-    def _is_forbidden(self) -> bool:
-        """Whether nothing may be sent now; then whoever waits is told so."""
-        if self._may_send is None or not self._conversation.is_wanted or self._allows():
-            return False
-        self._conversation.refuse(_forbidden())
-        return True
-
-    def _allows(self) -> bool:
-        assert self._may_send is not None
-        try:
-            return self._may_send()
-        except Exception:
-            logger.exception("may_send failed; nothing is sent")
-            return False
 
     def _set_timer(self) -> None:
         """Only if it must ring sooner: one that rings too early does no harm."""
@@ -229,30 +216,28 @@ class AsyncioDriver:
     # --- reading and writing ------------------------------------------------------------------
 
     def _readable(self) -> None:
-        self._read()
-        if self._conversation.is_wanted or self._conversation.broken is not None:
+        is_wanted = self._read()
+        if is_wanted or self._conversation.broken is not None:
             self._turn()
         else:
             self._set_timer()
 
-    def _read(self) -> None:
-        conversation = self._conversation
-        now = self._now()
+    def _read(self) -> bool:
+        """Take what has come; return True if requests wait to be sent."""
+        conversation, now = self._conversation, self._now()
         try:
             chunks = self._port.receive()
         except ModbusConnectionError as error:
             self._lose(error)
-            return
-        for data in chunks:
-            conversation.take(data, now)
-        if not conversation.is_idle:
+            return False
+        adus = conversation.start(now) if conversation.take(chunks, now) else []
+        if adus:  # with which what came is acknowledged
+            self._send(adus, now)
+        elif conversation.in_flight:
             self._port.acknowledge()
         elif conversation.is_flooded:
             self._pause_reading()
-        # Half of the next go out before these are decoded, so that the server has work.
-        if conversation.is_wanted:
-            self._send(now)
-        conversation.settle(now)
+        return conversation.settle(now)
 
     def _pause_reading(self) -> None:
         """Until somebody asks: an idle client must not be kept busy by whoever floods it."""
@@ -290,8 +275,8 @@ class AsyncioDriver:
 
     def _go_on(self) -> None:
         now = self._now()
-        if self._port.has_unsent and self._may_send is not None and not self._allows():
-            self._lose(_forbidden(), by_itself=False)  # and what it had not sent with it
+        if self._port.has_unsent and not self._conversation.is_allowed():
+            self._lose(forbidden(), by_itself=False)  # and what it had not sent with it
             return
         try:
             self._port.go_on(now)
@@ -334,7 +319,10 @@ class AsyncioDriver:
     def _start_attempt(self) -> None:
         assert self._loop is not None
         self._retry = None
-        if not self._conversation.is_wanted or self._is_forbidden():
+        if not self._conversation.is_wanted:
+            return
+        if not self._conversation.is_allowed():
+            self._conversation.refuse(forbidden())
             return
         opening = self._port.opening(self._now() + self._timeouts.timeout)
         self._attempt = self._loop.create_task(run_async(opening))
@@ -377,7 +365,3 @@ class AsyncioDriver:
         if self._connection.state is State.CONNECTING:
             self._connection.given_up()
             self._conversation.refuse(error)
-
-
-def _forbidden() -> ModbusConnectionError:
-    return ModbusConnectionError("may_send allows no request now", errno=errno.EPERM)

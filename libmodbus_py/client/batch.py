@@ -95,26 +95,9 @@ class Batch:
 
     # fmt: off
     __slots__ = (
-        "_open",
-        "end",
-        "go_on",
-        "in_flight",
-        "is_done",
-        "limit",
-        "on_done",
-        "outcomes",
-        "pdus",
-        "queued",
-        "refusal",
-        "repeated",
-        "requests",
-        "sent",
-        "silent",
-        "since",
-        "started",
-        "timeouts",
-        "unit",
-        "used",
+        "_open", "end", "go_on", "in_flight", "is_done", "limit", "on_done", "outcomes", "pdus",
+        "queued", "refusal", "repeated", "requests", "sent", "silent", "since", "started",
+        "timeouts", "unit", "used",
     )
     # fmt: on
 
@@ -132,12 +115,13 @@ class Batch:
         self.unit: int = unit
         self.requests: list[Request[Any]] = requests
         self.timeouts: Timeouts = timeouts
-        self.pdus: list[bytes] = [
-            encoded(request, name, index, is_broadcast) for index, request in enumerate(requests)
-        ]
-        silent = [is_broadcast or not request.expects_response for request in requests]
+        self.pdus: list[bytes] = []
+        silent: list[bool] = []
+        for index, request in enumerate(requests):
+            self.pdus.append(encoded(request, name, index, is_broadcast))
+            silent.append(is_broadcast or not request.expects_response)
         self.silent: list[bool] | None = silent if True in silent else None
-        # Who gets no answer cannot say in which order the others were carried out.
+        # A client without answers cannot tell in which order the others were carried out.
         self.limit: int = 1 if self.silent else limit
         self.go_on: bool = go_on
         self.outcomes: list[Any] = [NOT_ASKED] * len(requests)

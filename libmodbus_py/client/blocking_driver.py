@@ -80,7 +80,8 @@ class BlockingDriver:
         """
         lock = self._lock
         with lock:
-            self._check_turn()
+            if self._is_busy:
+                raise _under_way()
             # Nothing may come between here and the end that a Ctrl-C could skip.
             try:
                 self._is_busy = True
@@ -107,7 +108,8 @@ class BlockingDriver:
         """
         lock = self._lock
         with lock:
-            self._check_turn()
+            if self._is_busy:
+                raise _under_way()
             batch = None
             try:
                 self._is_busy = True
@@ -136,13 +138,6 @@ class BlockingDriver:
                     self._shut()
         raised(batch.outcomes)
         return batch.outcomes[0]
-
-    def _check_turn(self) -> None:
-        if self._is_busy:
-            raise RuntimeError(
-                "a request of this thread is under way on the same connection: a signal "
-                "handler or a callback must not ask here"
-            )
 
     def change_timeout(self) -> None:
         """Some `Timeouts` has changed."""
@@ -200,7 +195,7 @@ class BlockingDriver:
             self._connect(batch, now)
             return
         try:
-            if conversation.is_idle and self._port.has_input():
+            if not conversation.in_flight and self._port.has_input():
                 self._look(now)
             self._send(now)
             if conversation.is_wanted:
@@ -227,8 +222,7 @@ class BlockingDriver:
         """Read what nobody asked for, or the end of the connection, before asking."""
         conversation = self._conversation
         while self._port.has_input() and not conversation.broken:
-            for data in self._port.receive():
-                conversation.take(data, now)
+            conversation.take(self._port.receive(), now)
             if conversation.is_flooded:
                 self._port.discard_input()
                 return
@@ -238,7 +232,7 @@ class BlockingDriver:
         until = conversation.alarm
         if port.resume_at is not None:
             until = min(until, port.resume_at)
-        if conversation.is_idle and until - now < SLEPT:
+        if not conversation.in_flight and until - now < SLEPT:
             self.waker.sleep(max(0.0, until - now))
         elif port.has_unsent:
             self.waker.wait(port.descriptor, READ | WRITE, until)
@@ -254,15 +248,14 @@ class BlockingDriver:
         conversation.settle(now)
 
     def _receive(self) -> None:
-        conversation = self._conversation
+        conversation, port = self._conversation, self._port
         now = self._now()
-        for data in self._port.receive():
-            conversation.take(data, now)
-        if not conversation.is_idle:
-            self._port.acknowledge()
-        # Before these are decoded, so that the server has work meanwhile.
-        if conversation.is_wanted:
-            self._send(now)
+        # Sent before the replies are decoded, so that the server has work meanwhile.
+        adus = conversation.start(now) if conversation.take(port.receive(), now) else []
+        if adus:  # with which what came is acknowledged
+            port.send(adus, now)
+        elif conversation.in_flight:
+            port.acknowledge()
 
     def _lose(self, error: ModbusConnectionError, *, by_itself: bool) -> None:
         self._port.close()
@@ -290,6 +283,13 @@ class BlockingDriver:
             if self._connection.state is State.CONNECTING:
                 self._port.close()
                 self._connection.given_up()
+
+
+def _under_way() -> RuntimeError:
+    return RuntimeError(
+        "a request of this thread is under way on the same connection: a signal "
+        "handler or a callback must not ask here"
+    )
 
 
 def _waker(parts: Parts) -> Waker:

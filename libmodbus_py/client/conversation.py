@@ -1,17 +1,22 @@
 """
-What is asked over one connection, and what comes back. No socket, no clock, no event loop.
+The requests of one connection: which may be sent when, and what became of each.
 
-`Conversation` decides who is told what, as `turns` does who may ask when; which answer is
-whose, its two kinds know: `in_flight` by transaction ids, `in_turn` on lines without.
-The drivers wait and read for it, and call it with bytes and times (time.monotonic()).
+`Conversation` has no socket, no clock and no event loop. The drivers wait and read for it: they
+pass it bytes and times (time.monotonic()), and send the frames that it returns. Its `Matching`
+knows which answer belongs to which request: `in_flight` by transaction ids, `in_turn` on lines
+without them.
 """
 
 from __future__ import annotations
 
-from abc import abstractmethod
+import errno
+import math
 from collections import deque
-from typing import Any
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 
+from ..ports.endpoint import Endpoint
+from ..ports.trace import Trace
 from ..protocol.errors import (
     Acknowledge,
     ExceptionResponse,
@@ -24,29 +29,116 @@ from ..protocol.errors import (
     alike,
 )
 from .batch import Batch, Pending, Reply
-from .hints import explain, shown
-from .reconnecting import State
-from .statistics import result_of
-from .turns import Turns
+from .hints import explain
+from .matching import Matching, Replies
+from .reconnecting import Reconnecting, State
+from .statistics import Statistics, result_of
 
-__all__ = ["Conversation", "no_answer"]
+__all__ = ["Conversation", "Pace", "forbidden"]
 
 BUSY = (Acknowledge, ServerDeviceBusy)
 
-# A host that drops connections unanswered will do so again: then all who wait fail.
+# So many bytes that belong to no request are no accident: the connection is flooded.
+MAX_UNASKED = 1 << 16
+
+# A host that drops connections without an answer will do so again: then all waiting batches fail.
 LOSSES_BEFORE_END = 3
 
 
-class Conversation(Turns):
-    """Tells callers what became of their requests; see `Turns`, who may ask when."""
+@dataclass(frozen=True, slots=True)
+class Pace:
+    """
+    How fast requests follow each other; seconds.
 
-    # --- for callers ------------------------------------------------------------------
+    Attributes:
+        turnaround: duration of a request that is not answered.
+        request_spacing: between the starts of two requests, at least.
+        connect_delay: between connecting and the first request.
+        timeouts_before_reconnect: timeouts in a row after which a connection counts as dead;
+            a serial port never does.
+    """
+
+    turnaround: float
+    request_spacing: float
+    connect_delay: float
+    timeouts_before_reconnect: int
+
+
+class Conversation:
+    """
+    Sends the requests of batches in the order of their callers, and settles them.
+
+    Args:
+        endpoint: of the connection.
+        limit: how many requests may be in flight.
+        may_send: as of `AsyncOptions`.
+
+    Attributes:
+        in_flight: how many requests are, now.
+        alarm: when `tick` must be called; may be too early, never too late.
+        broken: why the connection should be closed for a new one, or None.
+        is_flooded: True if more bytes came that belong to no request than can be an accident.
+    """
+
+    def __init__(
+        self,
+        endpoint: Endpoint,
+        limit: int,
+        pace: Pace,
+        matching: Matching,
+        connection: Reconnecting,
+        statistics: Statistics,
+        trace: Trace,
+        may_send: Callable[[], bool] | None = None,
+    ) -> None:
+        self.limit = limit
+        self.in_flight: int = 0
+        self.alarm: float = math.inf
+        self.broken: ModbusConnectionError | None = None
+        self.is_flooded: bool = False
+        self.connection = connection
+        self.statistics = statistics
+        self._place = str(endpoint)
+        self._scheme = endpoint.scheme
+        self._is_socket = endpoint.transport != "serial"
+        self._pace = pace
+        self._matching = matching
+        self._trace = trace
+        self._may_send = may_send
+        self._is_traced = False
+        self._has_ids = matching.has_ids
+        self._half = (limit + 1) // 2
+        self._queue: deque[Batch] = deque()
+        # Requests to send again: when, and which.
+        self._repeats: list[tuple[float, Batch, int]] = []
+        # Requests without an answer: when they are over.
+        self._silent: list[tuple[float, Pending]] = []
+        self._replies: Replies = []
+        self._next_start = 0.0
+
+    @property
+    def is_wanted(self) -> bool:
+        """True if a request waits to be sent, or a caller for the connection."""
+        return bool(self._queue or self._repeats)
+
+    @property
+    def is_plain(self) -> bool:
+        """True if the next bytes can only be the answer to the next request, and no one waits."""
+        return (
+            not self.in_flight
+            and self._matching.is_clean
+            and self.connection.is_open
+            and not (self._queue or self._repeats)
+            and not self._trace.is_on
+        )
+
+    # --- callers ------------------------------------------------------------------------------
 
     def add(self, batch: Batch, now: float) -> None:
-        """Take what a caller asks; it is told by `Batch.is_done`."""
+        """Enqueue a batch; `Batch.is_done` says when it is settled, perhaps at once."""
         batch.since = now
-        deadline = now + batch.timeouts.timeout
         if not self.connection.is_open:
+            deadline = now + batch.timeouts.timeout
             refusal = self.connection.refusal(now, deadline)
             if refusal is not None:
                 self._refuse(batch, refusal)
@@ -55,36 +147,206 @@ class Conversation(Turns):
         elif not batch.pdus:
             batch.finish()
             return
-        batch.limit = min(batch.limit, self.limit)
+        if batch.limit > self.limit:
+            batch.limit = self.limit
         batch.queued = True
         self._queue.append(batch)
 
     def adopt(self, batch: Batch, adu: bytes, now: float) -> None:
-        """Wait for the answer to the only request of a batch, which was sent already."""
+        """Expect the answer to the only request of a batch, which was already sent as `adu`."""
         batch.started = batch.in_flight = 1
-        self._room -= 1
+        self.in_flight += 1
         self._wake(now + batch.timeouts.timeout)
-        self._note_starts(1, now)
-        self._register(batch, adu, now)
+        self.is_flooded = False
+        self.statistics.requests += 1
+        self._matching.start(batch, 0, now, adu)
 
     def abandon(self, batch: Batch, now: float) -> None:
-        """Nobody waits any more: late answers are dropped, and count as missing until they come."""
+        """Drop a batch; its late answers count as missing until they come."""
         batch.on_done = None
         batch.finish()
         self._leave_queue(batch)
-        self._unanswered += self._let_go(batch, now) > 0
+        self._matching.unanswered += self._let_go(batch, now) > 0
 
     def change_timeout(self, now: float) -> None:
-        """Some `Timeouts` has changed."""
+        """Note that some `Timeouts` were changed."""
         self._wake(now)
 
-    # --- what happened to the connection ------------------------------------------------
+    def is_allowed(self) -> bool:
+        """Return what `may_send` says; True without one, False if it fails."""
+        if self._may_send is None:
+            return True
+        try:
+            return self._may_send()
+        except Exception:
+            import logging
+
+            logging.getLogger(__name__).exception("may_send failed; nothing is sent")
+            return False
+
+    # --- sending ------------------------------------------------------------------------------
+
+    def start(self, now: float) -> list[bytes]:
+        """
+        Return the frames to send now: up to half of what may be in flight.
+
+        The other half follows with the next call, so that the server has work meanwhile.
+        """
+        if not (self._queue or self._repeats):
+            return []
+        if self._may_send is not None and not self.is_allowed():
+            self.refuse(forbidden())
+            return []
+        if self.in_flight >= self.limit or not self._is_usable():
+            return []
+        if now < self._next_start:
+            self._wake(self._next_start)
+            return []
+        adus: list[bytes] = []
+        self._is_traced = self._trace.is_on
+        if self._repeats:
+            self._start_repeats(adus, now)
+        if self._queue and not (adus and self._pace.request_spacing):
+            self._start_queue(adus, now)
+        if adus:
+            self.is_flooded = False
+            self.statistics.requests += len(adus)
+            if self._pace.request_spacing:
+                self._note_start(now)
+        if self._matching.alarm < self.alarm:
+            self.alarm = self._matching.alarm
+        return adus
+
+    def _is_usable(self) -> bool:
+        """Return True if requests may be sent over this connection; else it may be broken now."""
+        if self.broken is not None or not self.connection.is_open:
+            return False
+        if self._replies and self.limit == 1:
+            return False  # what came on a line belongs to the request that it answers
+        matching = self._matching
+        is_dead = self._is_socket and matching.unanswered >= self._pace.timeouts_before_reconnect
+        # The next answer would be taken into half a frame that nobody waits for.
+        has_leftover = matching.rest and self.in_flight == len(self._silent)
+        if not is_dead and not has_leftover:
+            return True
+        if not self.in_flight:
+            self._break("given up for a new connection")
+        return False
+
+    def _note_start(self, now: float) -> None:
+        self._next_start = now + self._pace.request_spacing
+        self._wake(self._next_start)
+
+    def _start_queue(self, adus: list[bytes], now: float) -> None:
+        room = self._window()
+        while room > 0 and self._queue and (batch := self._pick(now)) is not None:
+            # The other batches of the queue have their turn before the next request of this one.
+            most = 1 if self._queue else room
+            count = max(0, min(most, batch.limit - batch.in_flight, batch.end - batch.started))
+            for index in range(batch.started, batch.started + count):
+                adus.append(self._start(batch, index, now))
+            batch.started += count
+            batch.in_flight += count
+            room -= count
+            batch.queued = False
+            if batch.started < batch.end:
+                self._enqueue(batch)
+
+    def _window(self) -> int:
+        """Return how many requests may start at once."""
+        room = self.limit - self.in_flight
+        if self._pace.request_spacing:
+            return min(room, 1)
+        first = self._queue[0].limit
+        return min(room, self._half if first == 1 else (first + 1) // 2)
+
+    def _pick(self, now: float) -> Batch | None:
+        """Take the first batch out of the queue that has a request which may be sent now."""
+        queue = self._queue
+        held: list[Batch] = []
+        picked = None
+        while queue and picked is None:
+            batch = queue.popleft()
+            if batch.started >= batch.end:
+                batch.queued = False
+            elif self._has_ids or self._may_start_next(batch, now):
+                picked = batch
+            else:
+                held.append(batch)
+        if held:
+            queue.extendleft(reversed(held))
+        return picked
+
+    def _may_start_next(self, batch: Batch, now: float) -> bool:
+        try:
+            return self._matching.may_start(batch, now)
+        except FrameError as error:
+            self._fail_next(batch, error)
+            return False
+
+    def _enqueue(self, batch: Batch) -> None:
+        if not batch.queued and batch.in_flight < batch.limit and batch.started < batch.end:
+            batch.queued = True
+            self._queue.append(batch)
+
+    def _leave_queue(self, batch: Batch) -> None:
+        if batch.queued:
+            batch.queued = False
+            self._queue.remove(batch)
+
+    def _start(self, batch: Batch, index: int, now: float) -> bytes:
+        deadline = now + batch.timeouts.timeout - batch.used
+        if deadline < self.alarm:
+            self.alarm = deadline
+        pending = self._matching.start(batch, index, now)
+        batch.used = 0.0
+        self.in_flight += 1
+        if batch.silent and batch.silent[index]:
+            self._silent.append((now + self._pace.turnaround, pending))
+            self._wake(now + self._pace.turnaround)
+        if self._is_traced:
+            self._trace.tell("sent", pending.adu, batch.unit, batch.pdus[index][0])
+        return pending.adu
+
+    def _start_repeats(self, adus: list[bytes], now: float) -> None:
+        waiting, self._repeats = self._repeats, []
+        for repeat in waiting:
+            due, batch, index = repeat
+            is_full = self.in_flight >= self.limit or (adus and self._pace.request_spacing)
+            if not batch.matters(index):
+                batch.in_flight -= 1
+            elif due > now or is_full:
+                self._repeats.append(repeat)
+                self._wake(due if due > now else self.alarm)
+            else:
+                self._start_repeat(repeat, adus, now)
+
+    def _start_repeat(
+        self, repeat: tuple[float, Batch, int], adus: list[bytes], now: float
+    ) -> None:
+        _, batch, index = repeat
+        try:
+            may_start = self._has_ids or self._matching.may_start(batch, now)
+        except FrameError as error:
+            batch.in_flight -= 1
+            self._fail_at(batch, index, error)
+            self._enqueue(batch)
+            return
+        if may_start:
+            self.statistics.retries += 1
+            adus.append(self._start(batch, index, now))
+        else:
+            self._repeats.append(repeat)
+
+    def _wake(self, at: float) -> None:
+        if at < self.alarm:
+            self.alarm = at
+
+    # --- the connection -----------------------------------------------------------------------
 
     def opened(self, now: float) -> None:
-        """It stands."""
-        self._begin_anew()
-        self._restart(now)
-        self._framer = self._make_framer()
+        """The connection was established: send what waits for it."""
+        self._reset(now)
         if self._pace.connect_delay:
             self._next_start = now + self._pace.connect_delay
         waiting, self._queue = self._queue, deque()
@@ -98,19 +360,19 @@ class Conversation(Turns):
         self.connection.opened()
 
     def failed(self, error: ModbusConnectionError, now: float) -> None:
-        """It could not be made: nobody who waits for it gets it."""
+        """No connection was established: all batches that wait for it fail."""
         try:
             self.connection.failed(error, now)
-        finally:  # whatever who is told of it raises
+        finally:  # even if `on_state` raises
             self.refuse(error)
 
     def lost(self, error: ModbusConnectionError, now: float, *, by_itself: bool = True) -> None:
-        """It ended: what is in flight fails, the queue waits for the next one."""
+        """The connection ended: requests in flight fail, the queue waits for the next one."""
         try:
             self.connection.lost(error, now, by_itself=by_itself)
         finally:
             self._fail_all(error, now)
-        # Each that was given up as dead took its time, and the next one may be alive.
+        # A connection given up as dead took its time, and the next one may be alive.
         if by_itself and self.connection.fruitless >= LOSSES_BEFORE_END:
             self.refuse(error)
         waiting, self._queue = self._queue, deque()
@@ -120,7 +382,7 @@ class Conversation(Turns):
                 self.add(batch, now)
 
     def closed(self, error: ModbusConnectionError, now: float) -> None:
-        """There will never be another one: all fails."""
+        """The client was closed: all batches fail, now and later."""
         try:
             self.connection.close()
         finally:
@@ -128,25 +390,37 @@ class Conversation(Turns):
             self.refuse(error)
 
     def interrupted(self, error: ModbusConnectionError, now: float) -> None:
-        """Whoever asked is gone, in the midst of anything: nothing of it must be sent later."""
-        in_flight = [*self._restart(now), *(asked for asked, _ in self._found)]
-        for asked in in_flight:
-            self.statistics.note(asked.function, "cancelled")
-        self._queue, self._repeats, self._found = deque(), [], []
-        self._begin_anew()
+        """The callers are gone, at any point: forget their batches, and leave the connection."""
+        for pending in [*self._reset(now), *(pending for pending, _ in self._replies)]:
+            self.statistics.note(pending.function, "cancelled")
+        self._queue, self._repeats, self._replies = deque(), [], []
         if self.connection.is_open:
             self.connection.lost(error, now, by_itself=False)
         elif self.connection.state is State.CONNECTING:
             self.connection.given_up()
 
+    def _reset(self, now: float) -> list[Pending]:
+        """Return what was in flight, and forget the state of the previous connection."""
+        pending = [*self._matching.reset(now), *(pending for _, pending in self._silent)]
+        self.broken = None
+        self.is_flooded = False
+        self._silent = []
+        self.in_flight = 0
+        return pending
+
+    def _break(self, reason: str) -> None:
+        """Ask the driver to close the connection for a new one."""
+        if self.broken is None:
+            self.broken = ModbusConnectionError(reason)
+
+    # --- failures -----------------------------------------------------------------------------
+
     def _fail_all(self, error: ModbusConnectionError, now: float) -> None:
-        self._begin_anew()
-        for asked in self._restart(now):
-            self._found.append((asked, alike(error)))
+        self._replies += [(pending, alike(error)) for pending in self._reset(now)]
         self.settle(now)
 
     def refuse(self, error: ModbusError) -> None:
-        """There will be none now: the queue fails."""
+        """Fail all requests that wait."""
         queue, self._queue = self._queue, deque()
         repeats, self._repeats = self._repeats, []
         for _, batch, index in repeats:
@@ -173,105 +447,10 @@ class Conversation(Turns):
         batch.started += 1
         self._fail_at(batch, index, error)
 
-    # --- bytes ------------------------------------------------------------------------------
-
-    def take(self, data: bytes, now: float) -> None:
-        """Take received bytes; slots may be free again."""
-        before = len(self._found)
-        self._take(data, now)
-        for asked, what in self._found[before:]:
-            self._free(asked, what)
-
-    def _free(self, asked: Pending, what: Reply) -> None:
-        """Give back the slot, and the place in its batch, unless its next one depends on it."""
-        self._room += 1
-        batch = asked.batch
-        if batch.limit > 1 and isinstance(what, bytes) and what[0] < 0x80:
-            batch.in_flight -= 1
-            if not batch.queued:
-                self._enqueue(batch)
-
-    def settle(self, now: float) -> None:
-        """Decode what came and tell the callers."""
-        if not self._found:
-            return
-        found, self._found = self._found, []
-        before = self.statistics.responses
-        for asked, what in found:
-            batch = asked.batch
-            if batch.limit == 1 or not isinstance(what, bytes) or what[0] >= 0x80:
-                batch.in_flight -= 1
-                if not batch.queued:
-                    self._enqueue(batch)
-            if batch.is_done:
-                self.statistics.note(asked.function, "cancelled")
-            else:
-                self._conclude(asked, what, now)
-        if self.statistics.responses > before:
-            if self.connection.fruitless:
-                self.connection.prove()
-            self.statistics.last_success = now
-
-    def _conclude(self, asked: Pending, what: Reply, now: float) -> None:
-        batch, index = asked.batch, asked.index
-        if isinstance(what, ModbusError):
-            self._fail(what, asked, now)
-        else:
-            try:
-                outcome = batch.requests[index].decode_response(what)
-            except ModbusError as error:
-                self.statistics.invalid += isinstance(error, InvalidResponse)
-                error.received = self._received_with(asked, what)
-                self._fail(error, asked, now)
-            except BaseException as error:  # a mistake in a request class is its caller's
-                self.statistics.note(asked.function, "invalid")
-                batch.settle(index, error)
-            else:
-                self.statistics.note_answer(asked.function, "ok", now - asked.sent)
-                batch.settle(index, outcome)
-                if self.limit == 1:
-                    self._follow(batch.requests[index])
-        if batch.is_done and batch.in_flight:
-            self._let_go(batch, now)
-
-    def _fail(self, error: ModbusError, asked: Pending, now: float) -> None:
-        batch, index = asked.batch, asked.index
-        if isinstance(error, ExceptionResponse):
-            self.statistics.exceptions += 1
-            self.statistics.note_answer(asked.function, "exception", now - asked.sent)
-        else:
-            self.statistics.note(asked.function, result_of(error))
-            if not isinstance(error, ModbusConnectionError):
-                self._doubt(batch, now)
-        if not self._repeat(error, asked, now):
-            batch.settle(index, self._completed(error, batch, index, asked.adu))
-
-    def _repeat(self, error: ModbusError, asked: Pending, now: float) -> bool:
-        """Have it asked again, if that may be; it keeps its place in its batch meanwhile."""
-        batch, index = asked.batch, asked.index
-        is_busy = isinstance(error, BUSY)
-        if not is_busy and (
-            isinstance(error, ExceptionResponse) or not batch.requests[index].repeatable
-        ):
-            return False
-        done = batch.repeated.get((index, is_busy), 0)
-        if done >= (batch.timeouts.busy_retries if is_busy else batch.timeouts.retries):
-            return False
-        batch.repeated[index, is_busy] = done + 1
-        batch.sent[index] = asked.adu
-        batch.in_flight += 1
-        if batch.in_flight >= batch.limit:
-            self._leave_queue(batch)
-        batch.since = now
-        due = now + (min(1.0, 0.1 * 2**done) if is_busy else 0.0)
-        self._repeats.append((due, batch, index))
-        self._wake(due)
-        return True
-
     def _completed(
         self, error: ModbusError, batch: Batch, index: int | None, sent: bytes
     ) -> ModbusError:
-        """Tell the error what was asked, and say what it looks like."""
+        """Return an error with what was asked, and a hint at the cause."""
         error.unit, error.endpoint, error.sent = batch.unit, self._place, sent
         if index is not None:
             request = batch.requests[index]
@@ -281,39 +460,164 @@ class Conversation(Turns):
             error.args = (f"{error.args[0]}; {hint}",) if hint else error.args
         return error
 
-    # --- time ------------------------------------------------------------------------------
+    # --- replies ------------------------------------------------------------------------------
+
+    def take(self, chunks: Iterable[bytes], now: float) -> bool:
+        """
+        Take received bytes; `settle` decodes the replies.
+
+        Slots may be free again. Call `start` first if requests wait for them (True is returned),
+        so that the server has work meanwhile.
+        """
+        matching = self._matching
+        for data in chunks:
+            replies = matching.take(data, now)
+            if replies:
+                self._note_ends(replies)
+        if matching.alarm < self.alarm:
+            self.alarm = matching.alarm
+        if matching.unasked > MAX_UNASKED or not matching.is_in_step:
+            self._note_flood()
+        return bool(self._queue or self._repeats)
+
+    def _note_flood(self) -> None:
+        self.is_flooded = self._matching.unasked > MAX_UNASKED
+        if not self._matching.is_in_step:
+            self._break("closed, because what came cannot be understood")
+        elif self._is_socket:
+            self._break("flooded with what nobody asked for")
+
+    def _note_ends(self, replies: Replies) -> None:
+        """
+        Free the slots of requests that were answered.
+
+        A good answer also frees the place in its batch; after another one, what comes next in
+        the batch depends on it.
+        """
+        self.in_flight -= len(replies)
+        self._replies += replies
+        for pending, reply in replies:
+            batch = pending.batch
+            if batch.limit > 1 and _is_good(reply):
+                batch.in_flight -= 1
+                self._enqueue(batch)
+
+    def settle(self, now: float) -> bool:
+        """Decode the replies and settle their requests; return True if others wait to be sent."""
+        replies, self._replies = self._replies, []
+        for pending, reply in replies:
+            batch = pending.batch
+            if batch.limit == 1 or not _is_good(reply):
+                batch.in_flight -= 1
+                if batch.started < batch.end:
+                    self._enqueue(batch)
+            if batch.is_done:
+                self.statistics.note(pending.function, "cancelled")
+            else:
+                self._settle(pending, reply, now)
+        return bool(self._queue or self._repeats)
+
+    def _settle(self, pending: Pending, reply: Reply, now: float) -> None:
+        batch, index = pending.batch, pending.index
+        if isinstance(reply, ModbusError):
+            self._fail(reply, pending, now)
+        else:
+            try:
+                outcome = batch.requests[index].decode_response(reply)
+            except ModbusError as error:
+                self.statistics.invalid += isinstance(error, InvalidResponse)
+                error.received = self._matching.received_with(pending, reply)
+                self._fail(error, pending, now)
+            except BaseException as error:  # a mistake in a request class is its caller's
+                self.statistics.note(pending.function, "invalid")
+                batch.settle(index, error)
+            else:
+                self.note_answer(reply[0], "ok", now - pending.sent, now)
+                batch.settle(index, outcome)
+                if not self._has_ids:
+                    self._matching.conclude(pending, None, now)
+        if batch.is_done and batch.in_flight:
+            self._let_go(batch, now)
+
+    def note_answer(self, function: int, result: str, seconds: float, now: float) -> None:
+        """Note an answer that fits, a refusal included: the connection is good."""
+        self.statistics.note_answer(function, result, seconds, now)
+        if self.connection.fruitless:
+            self.connection.prove()
+
+    def _fail(self, error: ModbusError, pending: Pending, now: float) -> None:
+        if isinstance(error, ExceptionResponse):
+            self.statistics.exceptions += 1
+            self.note_answer(pending.function, "exception", now - pending.sent, now)
+        else:
+            self.statistics.note(pending.function, result_of(error))
+        self._matching.conclude(pending, error, now)
+        if not self._repeat(error, pending, now):
+            batch, index = pending.batch, pending.index
+            batch.settle(index, self._completed(error, batch, index, pending.adu))
+
+    def _repeat(self, error: ModbusError, pending: Pending, now: float) -> bool:
+        """Send a request again later, if that is allowed; it keeps its place in its batch."""
+        batch, index = pending.batch, pending.index
+        is_busy = isinstance(error, BUSY)
+        if not is_busy and (
+            isinstance(error, ExceptionResponse) or not batch.requests[index].repeatable
+        ):
+            return False
+        done = batch.repeated.get((index, is_busy), 0)
+        if done >= (batch.timeouts.busy_retries if is_busy else batch.timeouts.retries):
+            return False
+        batch.repeated[index, is_busy] = done + 1
+        batch.sent[index] = pending.adu
+        batch.in_flight += 1
+        if batch.in_flight >= batch.limit:
+            self._leave_queue(batch)
+        batch.since = now
+        due = now + (min(1.0, 0.1 * 2**done) if is_busy else 0.0)
+        self._repeats.append((due, batch, index))
+        self._wake(due)
+        return True
+
+    def _let_go(self, batch: Batch, now: float) -> int:
+        """Wait no longer for a batch; return for how many answers it waited."""
+        self._repeats = [each for each in self._repeats if each[1] is not batch]
+        for due, pending in self._silent:
+            if pending.batch is batch:
+                self._wake(due)  # its slot is free only then: the line is still in use
+        withdrawn = self._matching.withdraw(batch, now)
+        for pending in withdrawn:
+            self.statistics.note(pending.function, "cancelled")
+        self.in_flight -= len(withdrawn)
+        return len(withdrawn)
+
+    # --- time ---------------------------------------------------------------------------------
 
     def tick(self, now: float) -> None:
-        """Give up what has been waited for too long; `settle` tells the callers."""
-        self._be_still()
-        before = len(self._found)
-        self._note_quiet(now)
+        """End what is overdue; `settle` tells the callers."""
+        matching = self._matching
+        self.alarm = matching.alarm = math.inf
         self._end_silent(now)
         if self.connection.is_open:
-            overdue = self._overdue(now)
-            self.statistics.timeouts += len(overdue)
-            self._unanswered += sum(asked.since >= self._answered_at for asked, _ in overdue)
-            self._found += overdue
+            self._note_ends(matching.expire(now))
+            self._wake(matching.alarm)
         else:
             self._end_waits(now)
-        for asked, what in self._found[before:]:
-            self._free(asked, what)
 
     def _end_silent(self, now: float) -> None:
-        over = [asked for due, asked in self._silent if due <= now]
+        over = [pending for due, pending in self._silent if due <= now]
         self._silent = [each for each in self._silent if each[0] > now]
-        for asked in over:
-            self._room += 1
-            asked.batch.in_flight -= 1
-            self.statistics.note(asked.function, "silent")
-            asked.batch.settle(asked.index, None)
-            if not asked.batch.queued:
-                self._enqueue(asked.batch)
+        for pending in over:
+            batch = pending.batch
+            self.in_flight -= 1
+            batch.in_flight -= 1
+            self.statistics.note(pending.function, "silent")
+            batch.settle(pending.index, None)
+            self._enqueue(batch)
         for due, _ in self._silent:
             self._wake(due)
 
     def _end_waits(self, now: float) -> None:
-        """Of those who wait for the connection."""
+        """Fail the batches that have waited too long for a connection."""
         waiting, self._queue = self._queue, deque()
         for batch in waiting:
             if not self._is_too_late(batch, now):
@@ -334,76 +638,11 @@ class Conversation(Turns):
         self._refuse(batch, self.connection.not_in_time(batch.timeouts.timeout))
         return True
 
-    def _note_life(self, now: float) -> None:
-        """Somebody is there."""
-        self._unanswered = 0
-        self._answered_at = now
 
-    def _restart(self, now: float) -> list[Pending]:
-        """Give what was in flight, and begin anew on another connection."""
-        asked = [*self._forget(now), *(each for _, each in self._silent)]
-        self._silent = []
-        self._room = self.limit
-        return asked
-
-    def _let_go(self, batch: Batch, now: float) -> int:
-        """Wait no more for a batch; says for how many answers it waited."""
-        self._repeats = [each for each in self._repeats if each[1] is not batch]
-        for due, asked in self._silent:
-            if asked.batch is batch:
-                self._wake(due)  # its slot is free only then: the line is still in use
-        given_up = self._give_up(batch, now)
-        for asked in given_up:
-            self.statistics.note(asked.function, "cancelled")
-        self._room += len(given_up)
-        return len(given_up)
-
-    # --- which answer is whose -----------------------------------------------------------------
-
-    @property
-    @abstractmethod
-    def is_plain(self) -> bool:
-        """Whether the next answer can only be that to the next request: nothing else may come."""
-
-    @abstractmethod
-    def next_number(self) -> int:
-        """Give the id of a request that somebody else will send; 0 where there are none."""
-
-    @abstractmethod
-    def _register(self, batch: Batch, adu: bytes, now: float) -> None: ...
-
-    @abstractmethod
-    def _take(self, data: bytes, now: float) -> None: ...
-
-    @abstractmethod
-    def _received_with(self, asked: Pending, pdu: bytes) -> bytes:
-        """Give the bytes in which a PDU came."""
-
-    @abstractmethod
-    def _overdue(self, now: float) -> list[tuple[Pending, Reply]]:
-        """Give up what has been waited for too long, and wake for the rest."""
-
-    @abstractmethod
-    def _give_up(self, batch: Batch, now: float) -> list[Pending]:
-        """Wait no more for a batch; gives what it waited for."""
-
-    @abstractmethod
-    def _forget(self, now: float) -> list[Pending]: ...
-
-    def _note_quiet(self, now: float) -> None:  # silence means nothing with ids
-        """Look at what silence has ended, and wake for it."""
-
-    def _doubt(self, batch: Batch, now: float) -> None:  # none with ids
-        """An answer is missing, or turned out to be none."""
-
-    def _follow(self, request: Any) -> None:  # most lines stay as they are
-        """A request was answered; some change the line."""
+def _is_good(reply: Reply) -> bool:
+    return isinstance(reply, bytes) and reply[0] < 0x80
 
 
-def no_answer(timeout: float, received: bytes) -> ModbusTimeoutError:
-    """Say that a request got no answer, and what came instead."""
-    if received:
-        return ModbusTimeoutError(
-            f"no complete answer within {timeout:g} s, but {shown(received)}", received=received
-        )
-    return ModbusTimeoutError(f"no answer within {timeout:g} s")
+def forbidden() -> ModbusConnectionError:
+    """Return the error for requests that `may_send` does not allow."""
+    return ModbusConnectionError("may_send allows no request now", errno=errno.EPERM)

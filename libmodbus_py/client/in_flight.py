@@ -1,119 +1,119 @@
 """
-Many requests at once, told apart by their transaction ids: Modbus/TCP, and UDP.
+Matching by transaction ids, with many requests in flight: Modbus/TCP, and UDP.
 """
 
 from __future__ import annotations
 
 import copy
-from typing import Any
 
+from ..ports.endpoint import Endpoint
+from ..ports.trace import Trace
 from ..protocol.errors import FrameError, InvalidResponse, ModbusError
 from ..protocol.framing import Frame, Framer, make_framer, mbap
-from .batch import Batch, Pending, Reply
-from .conversation import Conversation, no_answer
+from .batch import Batch, Pending
+from .matching import MAX_KEPT, Matching, Replies, no_answer
+from .statistics import Statistics
 
 __all__ = ["InFlight"]
 
-# So many late answers are waited for; there must be ids left for requests.
+# At most so many ids are kept for late answers; requests need the others.
 MAX_ABANDONED = 0x8000
 
-# What errors can carry; more of the same tells no more.
-MAX_KEPT = 600
 
-
-class InFlight(Conversation):
+class InFlight(Matching):
     """
-    See `Conversation`. An id is used again after all others were, and not while its late
+    See `Matching`. An id is used again after all others were, and not while its late
     answer may come.
 
     Args:
-        any_unit: whether answers may come from another unit than the one asked, as from
+        limit: how many requests may be in flight.
+        any_unit: True if an answer may come from another unit than the one asked, as from
             devices that are 255 to everybody.
     """
 
-    def __init__(self, *args: Any, any_unit: bool = False, **options: Any) -> None:
+    has_ids = True
+
+    def __init__(
+        self,
+        endpoint: Endpoint,
+        statistics: Statistics,
+        trace: Trace,
+        *,
+        limit: int,
+        any_unit: bool = False,
+    ) -> None:
+        super().__init__(endpoint, statistics, trace)
+        self._limit = limit
         self._any_unit = any_unit
         self._last = 0
-        self._asked: dict[int, Pending] = {}
+        self._pending: dict[int, Pending] = {}
         self._abandoned: dict[int, None] = {}
-        self._rest = b""
         self._strays = b""
-        # Id -> what came in place of its answer while the wait goes on.
+        # Id -> what came in place of its answer; the right one may still follow.
         self._wrong: dict[int, FrameError] = {}
-        # Id -> who answered, where that may be anybody.
+        # Id -> the unit that answered, with `any_unit`.
         self._units: dict[int, int] = {}
-        super().__init__(*args, **options)
 
     def _make_framer(self) -> Framer:
         return make_framer(self._framing, "client")
 
-    @property
-    def is_plain(self) -> bool:
-        return (
-            self._room == self.limit
-            and self.connection.is_open
-            and not (self._abandoned or self._unanswered or self._rest or self._repeats)
-            and not self._trace.is_on
-        )
-
-    def _is_spent(self) -> bool:
-        """Also when half a frame was left, which the next answer would be taken into."""
-        return super()._is_spent() or (self._rest != b"" and not self._asked)
-
     def next_number(self) -> int:
-        """Give an id that no request in flight has, and no answer that may still come."""
+        """Return an id that belongs to no request in flight, and to no late answer."""
         number = self._last + 1 & 0xFFFF
-        while number in self._asked or number in self._abandoned:
+        while number in self._pending or number in self._abandoned:
             number = number + 1 & 0xFFFF
         self._last = number
         return number
 
-    def _register(self, batch: Batch, adu: bytes, now: float) -> None:
-        self._strays = b""
-        self._asked[int.from_bytes(adu[:2], "big")] = Pending(batch, 0, adu, now)
-
-    def _begin(self, batch: Batch, index: int, now: float) -> Pending:
-        if not self._asked:
+    def start(self, batch: Batch, index: int, now: float, adu: bytes | None = None) -> Pending:
+        if not self._pending:
             self._strays = b""
             self._wrong.clear()
             self._units.clear()
-        number = self.next_number()
-        adu = mbap(number, batch.unit, batch.pdus[index])
-        asked = Pending(batch, index, adu, now)
+        if adu is None:
+            number = self.next_number()
+            adu = mbap(number, batch.unit, batch.pdus[index])
+        else:
+            number = _number(adu)
+        self.unasked = 0
+        pending = Pending(batch, index, adu, now)
         if not (batch.silent and batch.silent[index]):
-            self._asked[number] = asked
-        return asked
+            self._pending[number] = pending
+        return pending
 
-    def _take(self, data: bytes, now: float) -> None:
-        is_on = self._trace.is_on
-        answers = 0
-        if not self._asked:
-            self._note_unasked(len(data))
+    # --- answers --------------------------------------------------------------------------
+
+    def take(self, data: bytes, now: float) -> Replies:
+        if not self._pending:
+            self.unasked += len(data)
+        replies: Replies = []
+        is_traced = self._trace.is_on
         for each in self._framer.scan(data):
             if isinstance(each, FrameError):
-                self._blame(each)
+                self._blame(each, replies)
                 continue
             unit, pdu, number = each
-            if is_on:
+            if is_traced:
                 self._trace.tell("received", self._framer.encode(each), unit, pdu[0])
-            asked = self._asked.pop(number, None)
-            if asked is None:
+            pending = self._pending.pop(number, None)
+            if pending is None:
                 self._drop(each, now)
-            elif asked.batch.unit == unit or self._any_unit:
-                answers += 1
+            elif pending.batch.unit == unit or self._any_unit:
+                self.unanswered = 0
+                self.answered_at = now
                 if self._any_unit:
                     self._units[number] = unit
-                self._found.append((asked, pdu))
+                replies.append((pending, pdu))
             else:
-                self._found.append((asked, self._other_unit(each)))
-        if answers:
-            self._note_life(now)
-        pending = self._framer.pending
-        self._rest = (self._rest + data)[-pending:] if pending else b""
+                replies.append((pending, self._other_unit(each)))
+        rest = self._framer.pending
+        self.rest = (self.rest + data)[-rest:] if rest else b""
+        self.is_clean = not (rest or self._abandoned or self.unanswered)
+        return replies
 
     def _drop(self, frame: Frame, now: float) -> None:
-        """An answer that comes late proves that somebody is there; one to nobody does not."""
-        self.statistics.late_answers += 1
+        """Only an answer that is late proves that the server is there; a stray one does not."""
+        self._statistics.late_answers += 1
         if frame.transaction in self._abandoned:
             del self._abandoned[frame.transaction]
             self._note_life(now)
@@ -124,7 +124,7 @@ class InFlight(Conversation):
         self._strays += data[: MAX_KEPT - len(self._strays)]
 
     def _other_unit(self, frame: Frame) -> InvalidResponse:
-        self.statistics.invalid += 1
+        self._statistics.invalid += 1
         error = InvalidResponse(
             f'unit {frame.unit} answered; accept_unit="any" would take it',
             received=self._framer.encode(frame),
@@ -132,65 +132,80 @@ class InFlight(Conversation):
         error.answers_another = True
         return error
 
-    def _blame(self, error: FrameError) -> None:
-        """Find whose answer it should have been: all, when nothing can be understood any more."""
-        self.statistics.invalid += 1
+    def _blame(self, error: FrameError, replies: Replies) -> None:
+        """
+        Assign an error to the request whose answer it should have been.
+
+        All pending requests fail when the stream cannot be understood any more.
+        """
+        self._statistics.invalid += 1
         if self._trace.is_on:
             self._trace.tell("received", error.received)
         if not self._framer.in_step:
-            self._break("closed, for what came cannot be understood")
-            asked, self._asked = self._asked, {}
-            for each in asked.values():
-                self._found.append((each, copy.copy(error)))
+            self.is_in_step = False
+            pending, self._pending = self._pending, {}
+            replies += [(each, copy.copy(error)) for each in pending.values()]
         elif self._framing == "udp":
             self._keep_stray(error.received)  # the next datagram may be the right one
-        elif (number := int.from_bytes(error.received[:2], "big")) in self._asked:
-            self._wrong[number] = error  # a better one may follow
-            if len(self._wrong) > self.limit:
-                self._wrong = {each: self._wrong[each] for each in self._wrong.keys() & self._asked}
+        elif (number := _number(error.received)) in self._pending:
+            self._wrong[number] = error
+            if len(self._wrong) > self._limit:
+                waited = self._wrong.keys() & self._pending
+                self._wrong = {each: self._wrong[each] for each in waited}
 
-    def _overdue(self, now: float) -> list[tuple[Pending, Reply]]:
-        overdue: list[tuple[Pending, Reply]] = []
-        for number, asked in list(self._asked.items()):
-            if asked.deadline > now:
-                self._wake(asked.deadline)
+    def received_with(self, pending: Pending, pdu: bytes) -> bytes:
+        number = _number(pending.adu)
+        frame = mbap(number, self._units.get(number, pending.batch.unit), pdu)
+        return frame if self._pending else frame + self.rest
+
+    # --- no answer ------------------------------------------------------------------------
+
+    def expire(self, now: float) -> Replies:
+        overdue: Replies = []
+        for number, pending in list(self._pending.items()):
+            if pending.deadline > now:
+                self._wake(pending.deadline)
                 continue
             self._abandon(number)
-            overdue.append((asked, self._wrong.get(number) or self._no_answer(asked)))
+            error = self._wrong.get(number) or self._no_answer(pending)
+            overdue.append(self._time_out(pending, error))
         return overdue
 
-    def _no_answer(self, asked: Pending) -> ModbusError:
-        timeout = asked.batch.timeouts.timeout
-        begun = self._rest and int.from_bytes(self._rest[:2], "big") not in self._asked
+    def _no_answer(self, pending: Pending) -> ModbusError:
+        timeout = pending.batch.timeouts.timeout
+        begun = self.rest and _number(self.rest) not in self._pending
         if begun or not self._strays:
-            return no_answer(timeout, self._rest if begun else b"")
+            return no_answer(timeout, self.rest if begun else b"")
         error = no_answer(timeout, self._strays)
-        number, other = (int.from_bytes(each[:2], "big") for each in (asked.adu, self._strays))
+        number, other = _number(pending.adu), _number(self._strays)
         if number != other:
             error.args = (f"{error.args[0]}: id {other}, not {number}",)
             error.answers_another = True
         return error
 
+    def withdraw(self, batch: Batch, now: float) -> list[Pending]:
+        withdrawn = {
+            number: pending for number, pending in self._pending.items() if pending.batch is batch
+        }
+        for number in withdrawn:
+            self._abandon(number)
+        return list(withdrawn.values())
+
     def _abandon(self, number: int) -> None:
-        del self._asked[number]
+        del self._pending[number]
         self._abandoned[number] = None
+        self.is_clean = False
         if len(self._abandoned) > MAX_ABANDONED:
             del self._abandoned[next(iter(self._abandoned))]
 
-    def _received_with(self, asked: Pending, pdu: bytes) -> bytes:
-        number = int.from_bytes(asked.adu[:2], "big")
-        frame = mbap(number, self._units.get(number, asked.batch.unit), pdu)
-        return frame if self._asked else frame + self._rest
-
-    def _give_up(self, batch: Batch, now: float) -> list[Pending]:
-        given_up = {number: asked for number, asked in self._asked.items() if asked.batch is batch}
-        for number in given_up:
-            self._abandon(number)
-        return list(given_up.values())
-
-    def _forget(self, now: float) -> list[Pending]:
-        asked = list(self._asked.values())
-        self._asked = {}
+    def reset(self, now: float) -> list[Pending]:
+        super().reset(now)
+        pending = list(self._pending.values())
+        self._pending = {}
         self._abandoned = {}
-        self._rest = self._strays = b""
-        return asked
+        self.rest = self._strays = b""
+        return pending
+
+
+def _number(data: bytes) -> int:
+    return int.from_bytes(data[:2], "big")

@@ -15,12 +15,12 @@ from ..ports.trace import OnTraced, Trace
 from ..protocol.checks import integer, seconds
 from ..protocol.framing import is_delimiter
 from .batch import MAX_IN_FLIGHT
-from .conversation import Conversation
+from .conversation import Conversation, Pace
 from .in_flight import InFlight
+from .matching import Matching
 from .reconnecting import OnState, Reconnecting
 from .statistics import Statistics
 from .timeouts import Timeouts
-from .turns import Pace
 
 if TYPE_CHECKING:  # ssl, which it needs, takes longer to import than the rest of a client
     from ..security.given import GivenContext
@@ -212,6 +212,7 @@ class Parts:
     endpoint: Endpoint
     port: Port
     conversation: Conversation
+    matching: Matching
     connection: Reconnecting
     statistics: Statistics
 
@@ -236,20 +237,34 @@ def assembled(endpoint: Endpoint, settings: CheckedOptions, most: int) -> Parts:
         settings.timeouts_before_reconnect,
     )
     trace = Trace(str(endpoint), settings.trace)
-    common = (pace, statistics, connection, trace)
-    conversation: Conversation
+    limit = in_flight_limit(endpoint, settings.max_in_flight or most)
+    matching = _matching(endpoint, settings, limit, port, statistics, trace)
+    conversation = Conversation(
+        endpoint, limit, pace, matching, connection, statistics, trace, settings.may_send
+    )
+    return Parts(endpoint, port, conversation, matching, connection, statistics)
+
+
+def in_flight_limit(endpoint: Endpoint, most: int) -> int:
+    """Return how many requests may be in flight: one where frames carry no transaction id."""
+    return most if endpoint.framing in ("tcp", "udp") else 1
+
+
+def _matching(
+    endpoint: Endpoint,
+    settings: CheckedOptions,
+    limit: int,
+    port: Port,
+    statistics: Statistics,
+    trace: Trace,
+) -> Matching:
     if endpoint.framing in ("tcp", "udp"):
         any_unit = settings.accept_unit == "any"
-        limit = settings.max_in_flight or most
-        conversation = InFlight(endpoint, limit, *common, any_unit=any_unit)
-    else:
-        from .in_turn import InTurn
+        return InFlight(endpoint, statistics, trace, limit=limit, any_unit=any_unit)
+    from .in_turn import InTurn
 
-        _refuse_ids(endpoint, settings)
-        conversation = InTurn(
-            endpoint, 1, *common, silence=port.silence, delimiter=settings.delimiter
-        )
-    return Parts(endpoint, port, conversation, connection, statistics)
+    _refuse_ids(endpoint, settings)
+    return InTurn(endpoint, statistics, trace, silence=port.silence, delimiter=settings.delimiter)
 
 
 def _refuse_ids(endpoint: Endpoint, settings: CheckedOptions) -> None:

@@ -102,7 +102,7 @@ class Shortcut:
         self._now = waker.now
         self._port = parts.port
         self._conversation = parts.conversation
-        self._connection = parts.connection
+        self._matching = parts.matching
         self._statistics = parts.statistics
         self._encode = framer.encode
         self._is_line = framer.has_broadcast
@@ -132,7 +132,7 @@ class Shortcut:
         pdu = request.encode() if isinstance(request, Request) else b""
         if pdu[:1] not in KNOWN:
             return self._hand_over(unit, request, timeouts), None
-        number = self._conversation.next_number()
+        number = self._matching.next_number()
         if self._is_line and (left := self._port.silence.over_at - self._now()) > 0:
             self._waker.sleep(left)
         since = self._now()
@@ -155,8 +155,7 @@ class Shortcut:
         batch = self._adopted(unit, number, request, timeouts, since)
         if self._carrier.error is None:
             now = self._now()
-            for data in self._carrier.received:
-                self._conversation.take(data, now)
+            self._conversation.take(self._carrier.received, now)
             self._conversation.settle(now)
         return batch, self._carrier.error
 
@@ -175,11 +174,7 @@ class Shortcut:
 
     def _note_success(self, function: int, since: float) -> None:
         now = self._now()
-        statistics = self._statistics
-        statistics.requests += 1
-        statistics.last_success = now
-        statistics.note_answer(function, "ok", now - since)
-        if self._connection.fruitless:
-            self._connection.prove()
+        self._statistics.requests += 1
+        self._conversation.note_answer(function, "ok", now - since, now)
         if self._is_line:
             self._port.silence.heard(now)

@@ -78,8 +78,9 @@ class Statistics:
         """Count what became of a request."""
         self.results[function, result] += 1
 
-    def note_answer(self, function: int, result: str, seconds: float) -> None:
-        """Count an answer that fits, and what it took."""
+    def note_answer(self, function: int, result: str, seconds: float, now: float) -> None:
+        """Count an answer that fits and came now, after so many seconds."""
+        self.last_success = now
         self.responses += 1
         self.results[function, result] += 1
         self.answer_times[bisect_left(TIME_BOUNDS, seconds)] += 1

@@ -52,8 +52,10 @@ OnTraced = Callable[[Traced], object]
 
 
 def is_traced(callback: OnTraced | None) -> bool:
-    """Whether anybody wants to see something."""
-    return callback is not None or _is_logged()
+    """Return True if there is a callback, or the logger is at DEBUG."""
+    if callback is not None:
+        return True
+    return _is_logged() if _wire is None else _wire.isEnabledFor(DEBUG)
 
 
 class Trace:
@@ -70,7 +72,11 @@ class Trace:
 
     @property
     def is_on(self) -> bool:
-        return is_traced(self._callback)
+        """True if there is a callback, or the logger is at DEBUG."""
+        if self._callback is not None:
+            return True
+        # As in `is_traced`, which would be one more call for each request.
+        return _is_logged() if _wire is None else _wire.isEnabledFor(DEBUG)
 
     def tell(
         self,

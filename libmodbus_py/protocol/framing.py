@@ -118,7 +118,8 @@ class Framer(ABC):
         """Take received bytes, give what they turn out to be, in their order."""
         self._buffer += data
         self._scan()
-        return self._give()
+        found, self._found = self._found, []
+        return found
 
     def scan_silence(self) -> list[Frame | FrameError]:
         """As `scan`, for silence."""

@@ -471,8 +471,8 @@ def test_more_than_an_answer_is_a_flood(size: int, seconds: float) -> None:
     talk.come(b"\x55" * size)
     while not batch.is_done:
         talk.wait(0.01)
-        talk.conversation._silence.heard(talk.now)  # it goes on, and all of it was kept already
-        talk.conversation._doubts[1] = (talk.now + 1, 1)
+        talk.matching._silence.heard(talk.now)  # it goes on, and all of it was kept already
+        talk.matching._doubts[1] = (talk.now + 1, 1)
         assert talk.now < asked_at + 3
     assert talk.now - asked_at == pytest.approx(seconds, abs=0.011)
 

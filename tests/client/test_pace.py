@@ -19,7 +19,7 @@ def ids(talk: Talk) -> list[int]:
 
 def test_ids_count_up_and_begin_anew() -> None:
     talk = Talk()
-    talk.conversation._last = 0xFFFD  # type: ignore[attr-defined]
+    talk.matching._last = 0xFFFD
     for address in range(4):
         talk.ask(address)
         talk.come(tcp(talk.sent[-1]))
@@ -31,7 +31,7 @@ def test_an_id_in_flight_or_owed_is_skipped() -> None:
     talk.ask(1, go_on=True)
     talk.wait(1.0)
     talk.ask(2)
-    talk.conversation._last = 0  # type: ignore[attr-defined]
+    talk.matching._last = 0
     talk.ask(3)
     assert ids(talk) == [1, 2, 3]
 
@@ -135,8 +135,8 @@ def test_bounds_of_times_are_those_of_the_documentation() -> None:
 )
 def test_an_answer_is_counted_up_to_its_bound(seconds: float, place: int) -> None:
     statistics = Statistics()
-    statistics.note_answer(3, "ok", seconds)
-    statistics.note_answer(3, "exception", seconds)
+    statistics.note_answer(3, "ok", seconds, 0.0)
+    statistics.note_answer(3, "exception", seconds, 0.0)
     assert [at for at, count in enumerate(statistics.answer_times) if count] == [place]
     assert statistics.answer_times[place] == statistics.responses == 2
     assert statistics.answer_seconds == 2 * seconds

@@ -89,7 +89,7 @@ def test_whoever_floods_is_waited_for_no_longer_than_an_answer() -> None:
         while not batch.is_done:
             talk.wait(0.1)
             if not batch.is_done and size < MOST:
-                talk.conversation._doubts[1] = talk.now + 1.0, 1.0
+                talk.matching._doubts[1] = talk.now + 1.0, 1.0
             elif not batch.is_done:
                 talk.come(b"\x00")
         ends.append(round(talk.now - begun, 1))

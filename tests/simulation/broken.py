@@ -51,17 +51,17 @@ class Break:
 @contextlib.contextmanager
 def _answers_in_any_order() -> Iterator[None]:
     """Take each answer for that to the oldest request, whatever its id says."""
-    before = InFlight._take
+    before = InFlight.take
 
-    def take(self: Any, data: bytes, now: float) -> None:
+    def take(self: Any, data: bytes, now: float) -> Any:
         renumbered = b""
         for frame in self._framer.scan(data):
             if isinstance(frame, Frame):
-                number = next(iter(self._asked), frame.transaction)
+                number = next(iter(self._pending), frame.transaction)
                 renumbered += number.to_bytes(2, "big") + self._framer.encode(frame)[2:]
-        before(self, renumbered, now)
+        return before(self, renumbered, now)
 
-    with patch.object(InFlight, "_take", take):
+    with patch.object(InFlight, "take", take):
         yield
 
 
@@ -70,7 +70,7 @@ def _any_unit_answers() -> Iterator[None]:
     before = InTurn._judge
 
     def judge(self: Any, found: list[Any], now: float) -> None:
-        asked = self._asked
+        asked = self._pending
         changed = [
             each._replace(unit=asked.batch.unit) if isinstance(each, Frame) and asked else each
             for each in found
@@ -94,9 +94,9 @@ def _only_one_queue() -> Iterator[None]:
         yield
 
 
-def _end_at_once(conversation: Any, asked: Any, frame: Frame) -> None:
+def _end_at_once(matching: Any, pending: Any, frame: Frame) -> None:
     """Take a frame of another function for the answer, which it is not."""
-    conversation._end(asked, frame.pdu, asked.sent)
+    matching._end(pending, frame.pdu, pending.sent)
 
 
 def _nothing(*_: Any, **__: Any) -> None:

@@ -14,7 +14,6 @@ from typing import Any
 
 from libmodbus_py import ModbusConnectionError, pdu
 from libmodbus_py.client.batch import Batch
-from libmodbus_py.client.in_flight import InFlight
 from libmodbus_py.client.options import CheckedOptions, assembled
 from libmodbus_py.client.timeouts import Timeouts
 from libmodbus_py.ports.endpoint import parse
@@ -48,6 +47,7 @@ class Talk:
         parts = assembled(endpoint, self.settings, 16)
         parts.port.silence.is_timed = is_timed
         self.conversation = parts.conversation
+        self.matching: Any = parts.matching
         self.connection = parts.connection
         self.statistics = parts.statistics
         self.timeouts = self.settings.timeouts
@@ -117,7 +117,7 @@ class Talk:
 
     def come(self, *pieces: bytes) -> None:
         for piece in pieces:
-            self.conversation.take(piece, self.now)
+            self.conversation.take([piece], self.now)
             self.start()
             self.conversation.settle(self.now)
             self.start()
@@ -145,13 +145,14 @@ class Talk:
 
     @property
     def has_ids(self) -> bool:
-        return isinstance(self.conversation, InFlight)
+        has_ids: bool = self.matching.has_ids
+        return has_ids
 
     @property
     def is_at_rest(self) -> bool:
         """Whether nothing is left of all that was asked."""
         conversation = self.conversation
-        return conversation.is_idle and not conversation.is_wanted
+        return not conversation.in_flight and not conversation.is_wanted
 
 
 def read(address: int) -> pdu.ReadHoldingRegisters:
