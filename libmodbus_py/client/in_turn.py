@@ -8,8 +8,6 @@ another unit is recognised by its unit, and a collision by its check bytes.
 
 from __future__ import annotations
 
-from typing import Any
-
 from ..ports.endpoint import Endpoint
 from ..ports.port import Silence
 from ..ports.trace import Trace
@@ -20,8 +18,7 @@ from ..protocol.errors import (
     ModbusConnectionError,
     ModbusError,
 )
-from ..protocol.framing import AsciiFramer, Frame, Framer, make_framer
-from ..protocol.pdu import Diagnostics, SubFunction
+from ..protocol.framing import LINE_FEED, AsciiFramer, Frame, Framer, delimiter_after, make_framer
 from .batch import Batch, Pending, Reply
 from .matching import MAX_KEPT, Matching, Replies, no_answer
 from .statistics import Statistics
@@ -50,7 +47,7 @@ class InTurn(Matching):
         trace: Trace,
         *,
         silence: Silence,
-        delimiter: int = 0x0A,
+        delimiter: int = LINE_FEED,
     ) -> None:
         self._delimiter = delimiter
         super().__init__(endpoint, statistics, trace)
@@ -304,9 +301,9 @@ class InTurn(Matching):
         self._end_if_damaged(now)
 
     def conclude(self, pending: Pending, error: ModbusError | None, now: float) -> None:
-        if error is None:
-            self._follow(pending.batch.requests[pending.index])
-        elif not isinstance(error, ExceptionResponse | ModbusConnectionError):
+        if error is None and self._framing == "ascii":
+            self._follow(pending.batch.pdus[pending.index])
+        elif error and not isinstance(error, ExceptionResponse | ModbusConnectionError):
             self._doubt(pending.batch, now)
 
     def _doubt(self, batch: Batch, now: float) -> None:
@@ -319,13 +316,10 @@ class InTurn(Matching):
         """As after a timeout, however early its caller went: the answer may be as late."""
         self._doubt(pending.batch, max(now, pending.deadline))
 
-    def _follow(self, request: Any) -> None:
-        """Functions 8/3 and 8/1: another ASCII delimiter, and the first one again."""
-        if isinstance(request, Diagnostics) and self._framing == "ascii":
-            if request.sub_function == SubFunction.CHANGE_ASCII_DELIMITER:
-                self._delimiter = request.data[0]
-            elif request.sub_function == SubFunction.RESTART_COMMUNICATIONS:
-                self._delimiter = 0x0A
+    def _follow(self, pdu: bytes) -> None:
+        delimiter = delimiter_after(pdu, self._delimiter)
+        if delimiter != self._delimiter:
+            self._delimiter = delimiter
             self._framer = self._make_framer()
 
     def withdraw(self, batch: Batch, now: float) -> list[Pending]:

@@ -23,7 +23,7 @@ from ..protocol.errors import (
     IllegalFunction,
     ServerDeviceFailure,
 )
-from ..protocol.framing import is_delimiter
+from ..protocol.framing import delimiter_after
 from ..protocol.pdu import (
     MAX_PDU,
     REQUESTS,
@@ -449,8 +449,8 @@ class Device:
         self.diagnostic_register = 0
 
     def _change_delimiter(self, request: Diagnostics, log: EventLog) -> None:
-        delimiter, zero = request.data
-        if zero or not is_delimiter(delimiter):
+        delimiter = delimiter_after(request.encode(), log.delimiter)
+        if delimiter != request.data[0] or request.data[1]:
             raise IllegalDataValue(f"delimiter {request.data.hex()}")
         log.delimiter = delimiter
 

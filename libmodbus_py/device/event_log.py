@@ -18,6 +18,7 @@ from ..protocol.errors import (
     ServerDeviceBusy,
     ServerDeviceFailure,
 )
+from ..protocol.framing import LINE_FEED
 from ..protocol.pdu import (
     CommEventCounter,
     CommEventLog,
@@ -26,9 +27,7 @@ from ..protocol.pdu import (
     SubFunction,
 )
 
-__all__ = ["LINE_FEED", "Event", "EventLog"]
-
-LINE_FEED = 0x0A
+__all__ = ["Event", "EventLog"]
 
 COUNTERS = (
     SubFunction.BUS_MESSAGE_COUNT,

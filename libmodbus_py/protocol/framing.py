@@ -29,8 +29,8 @@ from .scan import Scan, crc16, lib
 
 # fmt: off
 __all__ = [
-    "AsciiFramer", "Frame", "Framer", "Framing", "RtuFramer", "TcpFramer", "UdpFramer", "crc16",
-    "is_delimiter", "lrc", "make_framer", "scanner",
+    "LINE_FEED", "AsciiFramer", "Frame", "Framer", "Framing", "RtuFramer", "TcpFramer",
+    "UdpFramer", "crc16", "delimiter_after", "is_delimiter", "lrc", "make_framer", "scanner",
 ]
 # fmt: on
 
@@ -331,9 +331,34 @@ def _in_c(request: type[pdu.Request[Any]], is_client: bool) -> tuple[int, int, i
     return IN_C.get(rule, (lib.BY_PYTHON, 0, 0))
 
 
+LINE_FEED = 0x0A
+"""The last byte of ASCII frames, unless the device was told otherwise."""
+
+_RESTART_COMMUNICATIONS = b"\x08\0\x01"
+_CHANGE_DELIMITER = b"\x08\0\x03"
+
+
 def is_delimiter(value: int) -> bool:
-    """Whether a byte may end ASCII frames: no colon, CR or hexadecimal digit, nor above 7Fh."""
+    """Return True if a byte may end ASCII frames: no colon, CR or hexadecimal digit, below 80h."""
     return 0 <= value <= 0x7F and chr(value) not in ":\r0123456789ABCDEFabcdef"
+
+
+def delimiter_after(pdu: bytes, delimiter: int) -> int:
+    """
+    Return the delimiter of ASCII frames after a device has answered with a PDU.
+
+    Function 8, sub-function 3 changes it, if what it asks for is a delimiter and 00 follows;
+    sub-function 1, a restart, sets it to LF.
+
+    Args:
+        pdu: the answer; the request is the same.
+        delimiter: until then.
+    """
+    if pdu[:3] == _RESTART_COMMUNICATIONS:
+        return LINE_FEED
+    if pdu[:3] == _CHANGE_DELIMITER and pdu[4:] == b"\0" and is_delimiter(pdu[3]):
+        return pdu[3]
+    return delimiter
 
 
 class AsciiFramer(Framer):
@@ -357,7 +382,7 @@ class AsciiFramer(Framer):
     def __init__(self, *, strict: bool = False) -> None:
         super().__init__()
         self._digits = re.compile(rb"(?:[0-9A-F]{2})*" if strict else rb"(?:[0-9A-Fa-f]{2})*")
-        self.delimiter = 0x0A
+        self.delimiter = LINE_FEED
 
     @property
     def delimiter(self) -> int:

@@ -18,16 +18,21 @@ from ..device.hooks import timed
 from ..ports.endpoint import Endpoint
 from ..ports.trace import OnTraced, Trace, Traced, is_traced
 from ..protocol.errors import FrameError
-from ..protocol.framing import AsciiFramer, Frame, Framer, Framing, is_delimiter, make_framer
-from ..protocol.pdu import Diagnostics, SubFunction
+from ..protocol.framing import (
+    LINE_FEED,
+    AsciiFramer,
+    Frame,
+    Framer,
+    Framing,
+    delimiter_after,
+    make_framer,
+)
 from .limits import ServerStatistics
 from .service import ENDS, Later, Link, MakeSession, Service
 
 __all__ = ["TracedService", "Traces"]
 
 logger: logging.Logger = logging.getLogger(__name__)
-
-LINE_FEED = 0x0A
 
 
 class Traces:
@@ -175,19 +180,8 @@ class TracedSession:
         return self._link.hang_up()
 
     def _follow_delimiter(self, answer: bytes) -> None:
-        """Function 8, sub-functions 3 and 1: another end of ASCII frames, and LF again."""
-        if answer[:3] == _CHANGE_DELIMITER:
-            self._end_with(answer[3])
-        elif answer[:3] == _RESTART:
-            self._end_with(LINE_FEED)
-
-    def _end_with(self, delimiter: int) -> None:
         for each in (self._received, self._sent):
-            each.end_with(delimiter)
-
-
-_CHANGE_DELIMITER = Diagnostics(SubFunction.CHANGE_ASCII_DELIMITER, b"\x0a\0").encode()[:3]
-_RESTART = Diagnostics(SubFunction.RESTART_COMMUNICATIONS).encode()[:3]
+            each.follow_delimiter(answer)
 
 
 class Direction:
@@ -222,11 +216,10 @@ class Direction:
             self._rest = b""
             self._framer = self._made()
 
-    def end_with(self, delimiter: int) -> None:
-        """ASCII frames end otherwise from now on."""
-        if is_delimiter(delimiter):
-            self._delimiter = delimiter
-            self._set_delimiter(self._framer)
+    def follow_delimiter(self, answer: bytes) -> None:
+        """Take the delimiter of ASCII frames that counts after an answer."""
+        self._delimiter = delimiter_after(answer, self._delimiter)
+        self._set_delimiter(self._framer)
 
     def _made(self) -> Framer:
         framer = make_framer(self._framing, "server" if self._direction == "received" else "client")

@@ -11,10 +11,10 @@ from copy import copy
 from typing import Literal, get_args
 
 from ..device.device import Caller, Device
-from ..device.event_log import LINE_FEED, EventLog
+from ..device.event_log import EventLog
 from ..protocol.checks import integer
 from ..protocol.errors import GatewayTargetFailedToRespond
-from ..protocol.framing import Frame
+from ..protocol.framing import LINE_FEED, Frame
 from ..protocol.pdu import Diagnostics
 from .faults.due import Faults
 

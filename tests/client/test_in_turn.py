@@ -569,6 +569,20 @@ def test_a_refused_delimiter_is_not_used() -> None:
     assert talk.sent[-1].endswith(b"\r$")
 
 
+@pytest.mark.parametrize("data", [b":\0", b"\r\0", b"A\0", b"\xff\0", b"#\n"])
+def test_a_delimiter_that_no_frame_can_have_is_not_used_if_a_device_echoes_it(data: bytes) -> None:
+    talk = Talk(ASCII)
+    batch = talk.ask(pdu.Diagnostics(3, data))
+    talk.come(ascii_frame("01 08 0003" + data.hex()))
+    assert batch.outcomes == [data]
+    talk.lose()
+    talk.open()  # with another framer
+    batch = talk.ask(1, unit=2)
+    assert talk.sent[-1].endswith(b"\r\n")
+    talk.come(ascii_frame("02 03 02 0001"))
+    assert batch.outcomes == [[1]]
+
+
 def test_an_rtu_line_has_no_delimiter() -> None:
     talk = Talk(LINE)
     talk.ask(pdu.Diagnostics(3, b"#\0"))

@@ -24,6 +24,7 @@ from libmodbus_py.protocol.framing import (
     TcpFramer,
     UdpFramer,
     crc16,
+    delimiter_after,
     is_delimiter,
     lrc,
     make_framer,
@@ -866,6 +867,26 @@ class TestAscii:
         assert len(errors) == 1
         framer.delimiter = 0x0A
         assert framer.encode(READ) == self.good
+
+    @each_case(
+        ("answer", "delimiter"),
+        [
+            ("08 00 03 23 00", 0x23),
+            ("08 00 03 0A 00", 0x0A),
+            ("08 00 03 3A 00", 0x24),  # a colon begins a frame
+            ("08 00 03 41 00", 0x24),
+            ("08 00 03 80 00", 0x24),
+            ("08 00 03 23 01", 0x24),  # 00 follows the delimiter
+            ("08 00 03 23", 0x24),
+            ("08 00 01 00 00", 0x0A),
+            ("08 00 01 FF 00", 0x0A),
+            ("08 00 00 23 00", 0x24),
+            ("88 03", 0x24),
+            ("03 02 00 03", 0x24),
+        ],
+    )
+    def test_delimiter_after_an_answer(self, answer: str, delimiter: int) -> None:
+        assert delimiter_after(bytes.fromhex(answer), 0x24) == delimiter
 
     @each_case("delimiter", [-1, 128, 256, *b":\r0123456789ABCDEFabcdef"])
     def test_delimiter_with_another_use_is_refused(self, delimiter: int) -> None:

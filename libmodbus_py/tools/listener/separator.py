@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Literal
 
-from ...protocol.framing import AsciiFramer, RtuFramer, is_delimiter
-from ...protocol.pdu import Diagnostics, SubFunction
+from ...protocol.framing import AsciiFramer, RtuFramer, delimiter_after
+from ...protocol.pdu import Diagnostics
 from .hearing import Candidate, Damage, FramerHearing, Hearing, RtuHearing
 from .pairing import Pairing
 from .transaction import OnHeard, Transaction
@@ -126,14 +126,6 @@ class Separator:
         return FramerHearing(lambda: RtuFramer("server" if is_asking else "client"), is_asking)
 
     def _follow_delimiter(self, done: Transaction) -> None:
-        """Function 8, sub-functions 3 and 1: another end of ASCII frames, and LF again."""
-        request = done.request
-        if self._ascii and isinstance(request, Diagnostics) and done.kind == "answered":
-            if request.sub_function == SubFunction.CHANGE_ASCII_DELIMITER:
-                self._end_with(request.data[0])
-            elif request.sub_function == SubFunction.RESTART_COMMUNICATIONS:
-                self._end_with(0x0A)
-
-    def _end_with(self, delimiter: int) -> None:
-        for framer in self._ascii if is_delimiter(delimiter) else ():
-            framer.delimiter = delimiter
+        if self._ascii and isinstance(done.request, Diagnostics) and done.kind == "answered":
+            for framer in self._ascii:
+                framer.delimiter = delimiter_after(done.request.encode(), framer.delimiter)
