@@ -79,15 +79,15 @@ class InTurn(Matching):
         if now < over_at and not self._late:  # the pause between two frames
             self._wake(over_at)
             return False
-        ready_at = max(over_at, self._ready_at(batch.unit))
+        ready_at = max(over_at, self.ready_at(batch.unit))
         if ready_at <= now:
             return True
         self._wake(ready_at)
         self._check_wait(batch, now)
         return False
 
-    def _ready_at(self, unit: int) -> float:
-        """A broadcast is for all units, so it waits for all."""
+    def ready_at(self, unit: int) -> float:
+        # A broadcast is for all units, so it waits for all.
         doubts = self._doubts.values() if unit == 0 else [self._doubts.get(unit, (0.0, 0.0))]
         return max((ready_at for ready_at, _ in doubts), default=0.0)
 

@@ -16,10 +16,9 @@ from ...ports.trace import Traced
 from ...ports.waiting import Waker
 from ...protocol import pdu
 from ...protocol.errors import (
+    NO_UNIT,
     ExceptionResponse,
     FrameError,
-    GatewayPathUnavailable,
-    GatewayTargetFailedToRespond,
     ModbusConnectionError,
     ModbusError,
 )
@@ -29,7 +28,7 @@ from .places import Place
 
 # fmt: off
 __all__ = [
-    "LONGEST_SIZE", "MOST_PAGES", "NOBODY", "PROBE", "PROBE_SIZE", "Answer", "Asker", "Late",
+    "LONGEST_SIZE", "MOST_PAGES", "PROBE", "PROBE_SIZE", "Answer", "Asker", "Late",
     "Nothing", "Reading",
 ]
 # fmt: on
@@ -49,9 +48,7 @@ PROBE = pdu.ReadHoldingRegisters(0, 1)
 # Of the probe and its answer, and of the longest request and answer, in RTU frames.
 PROBE_SIZE, LONGEST_SIZE = 8 + 7, 8 + 256
 
-# What a gateway says of a unit that is not there (application protocol, section 7).
-NOBODY = (GatewayPathUnavailable, GatewayTargetFailedToRespond)
-NOBODY_CODES = [each.code for each in NOBODY]
+NO_UNIT_CODES = [each.code for each in NO_UNIT]
 
 # Of identification that are asked for; one has what most devices tell.
 MOST_PAGES = 4
@@ -86,7 +83,7 @@ class Nothing(NamedTuple):
     @property
     def is_gateway(self) -> bool:
         """Whether a gateway says so."""
-        return isinstance(self.error, NOBODY)
+        return isinstance(self.error, NO_UNIT)
 
     @property
     def is_noise(self) -> bool:
@@ -143,7 +140,7 @@ class Asker:
         try:
             self._carefully(unit, PROBE)
             code = None
-        except NOBODY as error:
+        except NO_UNIT as error:
             return Nothing(error)
         except ExceptionResponse as error:
             code = error.code
@@ -249,7 +246,7 @@ class Asker:
         except ModbusError:
             return  # what others say on the line
         del self._owed[key]
-        if code not in NOBODY_CODES:
+        if code not in NO_UNIT_CODES:
             self._late.append(Late(unit, Answer(self.waker.now() - asked_at, code)))
 
 

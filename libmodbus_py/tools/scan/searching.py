@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 from ...ports.endpoint import parse
 from ...protocol.checks import integer
 from ...protocol.errors import (
+    NO_UNIT,
     Acknowledge,
     ExceptionResponse,
     IllegalFunction,
@@ -22,7 +23,7 @@ from ...protocol.tables import TABLES
 from ...security.security import Security
 from .halving import Cells, halving
 from .places import Place, places
-from .probe import LONGEST_SIZE, NOBODY, Asker, Nothing
+from .probe import LONGEST_SIZE, Asker, Nothing
 from .walking import Walk, Walker
 
 __all__ = ["MOST_REQUESTS", "Extent", "Search", "Searching", "searching"]
@@ -183,7 +184,7 @@ class _Tables(Walk[Extent]):
                 asker.waker.sleep(pause)
             except IllegalFunction:
                 raise _EndedError(_NO_FUNCTION) from None
-            except NOBODY:
+            except NO_UNIT:
                 raise _EndedError(_GONE) from None
             except ModbusConnectionError:
                 raise
