@@ -173,6 +173,11 @@ class AsyncClient(Handle[AsyncioDriver], Awaiting):
         """How many requests may wait for their answers together."""
         return self._limit
 
+    @property
+    def has_ids(self) -> bool:
+        """True if frames carry transaction ids: any unit may be asked at any time."""
+        return self._matching.has_ids
+
     def ready_at(self, unit: int) -> float:
         """
         Return when a unit may be asked, in the time of the event loop; 0.0 if at once.

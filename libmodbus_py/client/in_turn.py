@@ -87,9 +87,10 @@ class InTurn(Matching):
         return False
 
     def ready_at(self, unit: int) -> float:
+        if unit or not self._doubts:
+            return self._doubts[unit][0] if unit in self._doubts else 0.0
         # A broadcast is for all units, so it waits for all.
-        doubts = self._doubts.values() if unit == 0 else [self._doubts.get(unit, (0.0, 0.0))]
-        return max((ready_at for ready_at, _ in doubts), default=0.0)
+        return max(ready_at for ready_at, _ in self._doubts.values())
 
     def _check_wait(self, batch: Batch, now: float) -> None:
         """

@@ -131,10 +131,11 @@ class FirstCome(Generic[Each]):
         self._queue.appendleft(each)
 
     def pick(self, may_ask: MayAsk[Each] | None = None) -> Each | None:
-        found = next((each for each in self if may_ask is None or may_ask(each)), None)
-        if found is not None:
-            self._queue.remove(found)
-        return found
+        for each in self._queue:
+            if may_ask is None or may_ask(each):
+                self._queue.remove(each)
+                return each
+        return None
 
     def remove(self, each: Each) -> None:
         self._queue.remove(each)
@@ -184,11 +185,14 @@ class FairByHost(Generic[Guest]):
         return True
 
     def pick(self, may_ask: MayAsk[Guest] | None = None) -> Guest | None:
-        found = next((each for each in self if may_ask is None or may_ask(each)), None)
-        if found is not None:
-            self.remove(found)
-            self._end_turn(found)
-        return found
+        for queues in self._hosts.values():
+            for queue in queues.values():
+                for each in queue:
+                    if may_ask is None or may_ask(each):
+                        self.remove(each)
+                        self._end_turn(each)
+                        return each
+        return None
 
     def remove(self, each: Guest) -> None:
         queues = self._hosts[each.host]
@@ -282,7 +286,7 @@ class WaitingRoom(Generic[Member]):
         self._ready_at = ready_at
         self._most_trials = most_trials or limit
         self._now = 0.0
-        self._trials: FirstCome[Member] = FirstCome()
+        self._trials: deque[Member] = deque()
         self._trying: dict[Member, None] = {}
         self._was_trial = False
         # The longest times that answers took, fading: of all units, and of each.
@@ -296,18 +300,20 @@ class WaitingRoom(Generic[Member]):
 
     def put(self, each: Member) -> bool:
         """Add a request; return False if too many wait."""
-        return self._queue_of(each).put(each)
+        if not each.is_trial:
+            return self._queue.put(each)
+        self._trials.append(each)
+        return True
 
     def remove(self, each: Member) -> bool:
         """Remove a request; return False if it does not wait."""
-        queue = self._queue_of(each)
-        if not queue.has(each):
+        if each in self._trials:
+            self._trials.remove(each)
+        elif self._queue.has(each):
+            self._queue.remove(each)
+        else:
             return False
-        queue.remove(each)
         return True
-
-    def _queue_of(self, each: Member) -> Discipline[Member]:
-        return self._trials if each.is_trial else self._queue
 
     def clear(self) -> list[Member]:
         """Remove and return all requests that wait."""
@@ -324,28 +330,37 @@ class WaitingRoom(Generic[Member]):
         if self.in_flight >= self._limit:
             return None
         self._now = now
-        may_ask = None if self._ready_at is None else self._may_ask
-        each = self._due_trial(now, may_ask) or self._queue.pick(may_ask)
-        if each is None and len(self._trying) < self._most_trials:
-            each = self._trials.pick(may_ask)
+        each = self._pick_trial(is_due=True) if self._trials else None
+        if each is None:
+            each = self._queue.pick(None if self._ready_at is None else self._may_ask)
+        if each is None and self._trials:
+            each = self._pick_trial(is_due=False)
         return each
 
     def _may_ask(self, each: Member) -> bool:
-        assert self._ready_at is not None
-        at = self._ready_at(each.unit)
+        at = 0.0 if self._ready_at is None else self._ready_at(each.unit)
         if at <= self._now:
             return True
         self.alarm = min(self.alarm, at)
         return False
 
-    def _due_trial(self, now: float, may_ask: MayAsk[Member] | None) -> Member | None:
-        """Return a trial that has waited for a timeout."""
-        if not self._trials or self._was_trial or self._trying:
+    def _pick_trial(self, *, is_due: bool) -> Member | None:
+        """
+        Remove and return the first trial that may be made.
+
+        Args:
+            is_due: True for one that has waited for a timeout, while others wait.
+        """
+        if is_due:
+            first = self._trials[0]
+            if self._was_trial or self._now - first.waits_since < self._timeout(first):
+                return None
+        if len(self._trying) >= (1 if is_due else self._most_trials):
             return None
-        first = next(iter(self._trials))
-        if now - first.waits_since < self._timeout(first):
-            return None
-        return self._trials.pick(may_ask)
+        each = next((each for each in self._trials if self._may_ask(each)), None)
+        if each is not None:
+            self._trials.remove(each)
+        return each
 
     def start(self, each: Member) -> None:
         """Note that a request that was picked is in flight."""

@@ -152,7 +152,7 @@ class Line:
         self._loop = asyncio.get_running_loop()
         self.url: str = str(endpoint)
         self.key: str = endpoint.url
-        self.has_broadcast: bool = endpoint.framing in ("rtu", "ascii")
+        self.has_broadcast: bool = not self._client.has_ids
         self.statistics: LineStatistics = LineStatistics(self.url, self._client.statistics)
         queues = [FairByHost[Forwarded](manner.queue, MOST_WAITING) for _ in range(2)]
         self._room: WaitingRoom[Forwarded] = WaitingRoom(
