@@ -69,7 +69,6 @@ WORDS = {
 
 SAME_NAME = {
     "Line",
-    "Standing",
 }
 """Classes whose name another class of the package has, too."""
 

@@ -145,7 +145,7 @@ from fuzz.covering import Covering
 from fuzz.mutants import Trial
 from fuzz.mutations import mutants
 
-path = Path("libmodbus_py/services/fleet/schedule.py")
+path = Path("libmodbus_py/client/waiting_room.py")
 (mutant,) = [each for each in mutants(path) if str(each).endswith("misses - 1 -> (misses + 1)")]
 for file in sys.argv[1:]:
     trial = Trial(Covering(), Path("."), 1)
@@ -155,9 +155,9 @@ for file in sys.argv[1:]:
 """
 
 BODIES = {
-    "killed": "assert pause_after(3, 1.0) == 4.0",
-    "survived": "pause_after(3, 1.0)",
-    "hung": "pause_after(3, 1.0) == 4.0 or threading.Event().wait()",
+    "killed": "assert rest_after(3, 1.0, 60.0) == 4.0",
+    "survived": "rest_after(3, 1.0, 60.0)",
+    "hung": "rest_after(3, 1.0, 60.0) == 4.0 or threading.Event().wait()",
 }
 
 
@@ -166,7 +166,7 @@ def test_a_mutant_is_killed_by_a_test_that_notices(tmp_path: Path) -> None:
     for folder in ("libmodbus_py", "fuzz"):
         (tmp_path / folder).symlink_to(ROOT / folder)
     for kind, body in BODIES.items():
-        head = "import threading\nfrom libmodbus_py.services.fleet.schedule import pause_after\n"
+        head = "import threading\nfrom libmodbus_py.client.waiting_room import rest_after\n"
         (tmp_path / f"test_{kind}.py").write_text(f"{head}\n\ndef test_it():\n    {body}\n")
     command = [sys.executable, "-c", TRYING, *(f"test_{kind}.py" for kind in BODIES)]
     done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True, cwd=tmp_path)

@@ -19,6 +19,7 @@ From the caller to the wire:
       in_flight        ... by transaction ids
       in_turn          ... and on lines without them
       hints            likely causes of bytes that are no answer
+    waiting_room       who may ask next on a line of a gateway or a fleet
     reconnecting       when to connect again; State
     statistics         what happened, counted; Statistics
 """

@@ -87,6 +87,8 @@ class AsyncClient(Handle[AsyncioDriver], Awaiting):
         timeouts = settings.timeouts
         driver = AsyncioDriver(parts, timeouts)
         super().__init__(parts, settings, driver, timeouts)
+        self._limit = parts.conversation.limit
+        self._matching = parts.matching
         self._life = _Life(self._driver)
 
     async def connect(self) -> None:
@@ -165,6 +167,29 @@ class AsyncClient(Handle[AsyncioDriver], Awaiting):
         batch = Batch(unit, [request], self._timeouts, is_broadcast=is_broadcast)
         self._driver.ask(batch, on_done)
         return Submitted(batch, self._driver)
+
+    @property
+    def max_in_flight(self) -> int:
+        """How many requests may wait for their answers together."""
+        return self._limit
+
+    @property
+    def has_ids(self) -> bool:
+        """True if frames carry transaction ids: any unit may be asked at any time."""
+        return self._matching.has_ids
+
+    def ready_at(self, unit: int) -> float:
+        """
+        Return when a unit may be asked, in the time of the event loop; 0.0 if at once.
+
+        On a line a unit is left alone for one `timeout` after a failure, because nothing tells its
+        late answer from the next one. A request that is submitted earlier waits for that, and all
+        others with it.
+
+        Args:
+            unit: 0..255.
+        """
+        return self._matching.ready_at(unit)
 
     async def execute_many(
         self,

@@ -79,17 +79,18 @@ class InTurn(Matching):
         if now < over_at and not self._late:  # the pause between two frames
             self._wake(over_at)
             return False
-        ready_at = max(over_at, self._ready_at(batch.unit))
+        ready_at = max(over_at, self.ready_at(batch.unit))
         if ready_at <= now:
             return True
         self._wake(ready_at)
         self._check_wait(batch, now)
         return False
 
-    def _ready_at(self, unit: int) -> float:
-        """A broadcast is for all units, so it waits for all."""
-        doubts = self._doubts.values() if unit == 0 else [self._doubts.get(unit, (0.0, 0.0))]
-        return max((ready_at for ready_at, _ in doubts), default=0.0)
+    def ready_at(self, unit: int) -> float:
+        if unit or not self._doubts:
+            return self._doubts[unit][0] if unit in self._doubts else 0.0
+        # A broadcast is for all units, so it waits for all.
+        return max(ready_at for ready_at, _ in self._doubts.values())
 
     def _check_wait(self, batch: Batch, now: float) -> None:
         """

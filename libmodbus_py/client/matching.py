@@ -63,6 +63,10 @@ class Matching(ABC):
         """Return the transaction id of the next request; 0 on lines, which have none."""
         return 0
 
+    def ready_at(self, unit: int) -> float:
+        """Return when a unit may be asked that owes an answer; 0.0 if it owes none."""
+        return 0.0
+
     def may_start(self, batch: Batch, now: float) -> bool:
         """
         Return True if a request of this batch may be sent now; else set `alarm`.

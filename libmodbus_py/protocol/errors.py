@@ -206,6 +206,10 @@ class GatewayTargetFailedToRespond(ExceptionResponse):
     meaning = "gateway target device failed to respond"
 
 
+NO_UNIT = (GatewayPathUnavailable, GatewayTargetFailedToRespond)
+"""What a gateway answers in place of a unit that it cannot reach (application protocol, 7)."""
+
+
 _BY_CODE: dict[int, type[ExceptionResponse]] = {
     kind.code: kind
     for kind in (

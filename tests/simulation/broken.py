@@ -14,9 +14,9 @@ from unittest.mock import patch
 from libmodbus_py.client.asyncio_driver import AsyncioDriver
 from libmodbus_py.client.in_flight import InFlight
 from libmodbus_py.client.in_turn import InTurn
+from libmodbus_py.client.waiting_room import FairByHost
 from libmodbus_py.protocol.framing import Frame
-from libmodbus_py.services.gateway.silent_units import SilentUnits, Standing
-from libmodbus_py.services.gateway.turns import Turns
+from libmodbus_py.services.gateway.silent_units import SilentUnits, UnitState
 from libmodbus_py.services.workers.worker import Worker
 
 from .world import Options
@@ -84,13 +84,13 @@ def _any_unit_answers() -> Iterator[None]:
 @contextlib.contextmanager
 def _only_one_queue() -> Iterator[None]:
     """Serve hosts in the order of their requests."""
-    put = Turns.put
+    put = FairByHost.put
 
     def put_together(self: Any, each: Any) -> bool:
         each.host = each.client = "all"
         return put(self, each)
 
-    with patch.object(Turns, "put", put_together):
+    with patch.object(FairByHost, "put", put_together):
         yield
 
 
@@ -135,7 +135,7 @@ BREAKS: tuple[Break, ...] = (
     Break(
         "a resting unit is not asked",
         ("silent unit",),
-        lambda: patch.object(SilentUnits, "standing", lambda *_: Standing.GOOD),
+        lambda: patch.object(SilentUnits, "state", lambda *_: UnitState.GOOD),
     ),
     Break("hosts take turns", ("crowd",), _only_one_queue),
     Break(

@@ -362,7 +362,8 @@ class Fleet:
     def _let_rest(self, poller: Poller) -> None:
         assert self._loop is not None
         if self._once is None:
-            until = self._loop.time() + poller.pause
+            owing = self._lines[poller.config.connection_key].client.ready_at(poller.unit)
+            until = max(self._loop.time() + poller.pause, owing)
             if poller.at < until:
                 poller.at, _ = next_time(poller.at, poller.config.interval, until)
                 self._put(poller)

@@ -6,13 +6,14 @@ from __future__ import annotations
 
 import asyncio
 import errno
-from collections import deque
+import math
 from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from ...client.asynchronous import IN_FLIGHT, AsyncClient
+from ...client.asynchronous import AsyncClient
 from ...client.reconnecting import State
+from ...client.waiting_room import FirstCome, WaitingRoom
 from ...ports.endpoint import Endpoint
 from ...protocol.errors import ModbusConnectionError, ModbusError, ModbusTimeoutError
 from ...server.forking import abandoned_in_children
@@ -22,16 +23,6 @@ from .statistics import FleetStatistics
 __all__ = ["Line", "MayAsk"]
 
 MayAsk = Callable[[str], bool]
-
-# What a try of a silent device may cost others at least: a few turns of a fast line.
-SHORTEST_TRY = 0.02
-
-# How much of the longest time that an answer took counts when the next one came.
-FADING = 0.95
-
-# Of so many tries of a silent device one waits to the end, whoever waits for the line: it may
-# have become slower than all others.
-TRIES_BEFORE_LONG = 16
 
 
 class Line:
@@ -69,21 +60,21 @@ class Line:
         self._is_gated = gate is not None
         self._clients: dict[float | None, AsyncClient] = {None: self.client}
         self._loop = asyncio.get_running_loop()
-        has_ids = endpoint.framing in ("tcp", "udp")
-        options = endpoint.client_options
-        self._limit: int = (options.get("max_in_flight") or IN_FLIGHT) if has_ids else 1
+        self._queue: FirstCome[Poller] = FirstCome()
+        self._room: WaitingRoom[Poller] = WaitingRoom(
+            self.client.max_in_flight,
+            self._queue,
+            timeout=lambda poller: self.client_of(poller).timeout,
+            ready_at=None if self.client.has_ids else self.client.ready_at,
+            most_trials=1,
+        )
         self._statistics = statistics
         self._on_polled = on_polled
         self._on_back = on_back
-        self._waiting: deque[Poller] = deque()
-        self._tries: deque[Poller] = deque()
-        self._trying: Poller | None = None
         self._resting: dict[Poller, asyncio.TimerHandle] = {}
         self._done: list[Poller] = []
-        self._in_flight = 0
-        self._was_try = False
-        self._took = 0.0
         self._timer: asyncio.TimerHandle | None = None
+        self._timer_at = math.inf
         self._is_closed = False
         abandoned_in_children(self)
 
@@ -97,9 +88,7 @@ class Line:
         poller = self.pollers.pop(name)
         if poller.submitted is not None:
             self._withdraw(poller)
-        for queue in (self._waiting, self._tries):
-            if poller in queue:
-                queue.remove(poller)
+        self._room.remove(poller)
         resting = self._resting.pop(poller, None)
         if resting is not None:
             resting.cancel()
@@ -125,8 +114,7 @@ class Line:
         for resting in self._resting.values():
             resting.cancel()
         self._resting.clear()
-        self._waiting.clear()
-        self._tries.clear()
+        self._room.clear()
 
     async def close(self) -> None:
         """For good."""
@@ -143,17 +131,14 @@ class Line:
         if poller.planned is not None:
             self._statistics.skipped += 1
             return
-        poller.planned = planned
+        poller.planned = poller.waits_since = planned
         poller.is_trial = poller.standing is Standing.DOWN
         poller.begin()
         if poller.rest_until > self._loop.time():
             self._rest(poller)
         else:
-            self._enqueue(poller)
+            self._room.put(poller)
             self._go_on()
-
-    def _enqueue(self, poller: Poller) -> None:
-        (self._tries if poller.is_trial else self._waiting).append(poller)
 
     def _rest(self, poller: Poller) -> None:
         pause = poller.rest_until - self._loop.time()
@@ -161,55 +146,46 @@ class Line:
 
     def _end_rest(self, poller: Poller) -> None:
         del self._resting[poller]
-        self._enqueue(poller)
+        self._room.put(poller)
         self._go_on()
 
     def _go_on(self) -> None:
         if self._is_closed:
             return
-        while self._in_flight < self._limit and (poller := self._next()) is not None:
-            self._ask(poller)
-        if self._trying is not None and self._waiting and self._in_flight >= self._limit:
-            self._make_way(self._trying)
-
-    def _next(self) -> Poller | None:
-        """Silent devices are tried when nobody else waits, or when that never happens."""
-        if self._tries and self._trying is None:
-            planned = self._tries[0].planned or 0.0
-            has_waited = self._loop.time() - planned >= self.client.timeout
-            if not self._waiting or (has_waited and not self._was_try):
-                return self._tries.popleft()
-        return self._waiting.popleft() if self._waiting else None
-
-    def _ask(self, poller: Poller) -> None:
         now = self._loop.time()
+        while (poller := self._room.pick(now)) is not None:
+            self._ask(poller, now)
+        if (trial := self._room.overstayed(now)) is not None:
+            self._make_way(trial)
+        self._set_timer()
+
+    def _ask(self, poller: Poller, now: float) -> None:
         if not poller.has_begun:
             assert poller.planned is not None
             self._statistics.note_start(max(0.0, now - poller.planned))
-        self._was_try = poller.is_trial
-        if poller.is_trial:
-            self._trying = poller
-        self._in_flight += 1
         poller.asked_at = now
+        self._room.start(poller)
         poller.submitted = self.client_of(poller).submit(
             poller.config.unit, poller.next_request, partial(self._note_done, poller)
         )
 
     def _make_way(self, poller: Poller) -> None:
-        if poller.misses % TRIES_BEFORE_LONG == 0 or poller in self._done:
-            return
-        patience = min(self.client_of(poller).timeout, max(self._took, poller.took, SHORTEST_TRY))
-        wait = poller.asked_at + patience - self._loop.time()
-        if wait > 0:
-            if self._timer is None:
-                self._timer = self._loop.call_later(wait, self._awake)
+        if poller in self._done:
             return
         self._withdraw(poller)
         self._conclude(poller, ModbusTimeoutError("no answer while others waited"))
         self._go_on()
 
-    def _awake(self) -> None:
-        self._timer = None
+    def _set_timer(self) -> None:
+        at = self._room.alarm
+        if at < self._timer_at:
+            if self._timer is not None:
+                self._timer.cancel()
+            self._timer_at = at
+            self._timer = self._loop.call_at(at, self._ring)
+
+    def _ring(self) -> None:
+        self._timer, self._timer_at = None, math.inf
         self._go_on()
 
     def _withdraw(self, poller: Poller) -> None:
@@ -220,11 +196,9 @@ class Line:
             poller.submitted.withdraw()
         self._end(poller)
 
-    def _end(self, poller: Poller) -> None:
+    def _end(self, poller: Poller, took: float | None = None) -> None:
         poller.submitted = None
-        self._in_flight -= 1
-        if self._trying is poller:
-            self._trying = None
+        self._room.end(poller, took)
 
     def _note_done(self, poller: Poller) -> None:
         if not self._done:
@@ -237,10 +211,8 @@ class Line:
         for poller in done:
             assert poller.submitted is not None
             outcome = poller.submitted.outcome
-            self._end(poller)
-            if not isinstance(outcome, BaseException):
-                poller.took = max(now - poller.asked_at, FADING * poller.took)
-                self._took = max(poller.took, FADING * self._took)
+            is_answer = not isinstance(outcome, BaseException)
+            self._end(poller, now - poller.asked_at if is_answer else None)
             self._conclude(poller, outcome)
         self._go_on()
 
@@ -261,7 +233,7 @@ class Line:
             poller.rest_until = now + poller.config.spacing
             self._rest(poller)
         else:
-            self._waiting.appendleft(poller)  # all of a poll should be of one moment
+            self._queue.put_first(poller)  # all of a poll should be of one moment
 
     def _was_held(self, outcome: Any) -> bool:
         is_lost = isinstance(outcome, ModbusConnectionError)

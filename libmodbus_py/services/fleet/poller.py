@@ -8,13 +8,16 @@ from enum import Enum
 from typing import Any
 
 from ...client.asynchronous import Submitted
+from ...client.waiting_room import rest_after
 from ...maps.register_map import PointPlan
 from ...protocol.errors import ModbusError
 from .config import DeviceConfig
 from .readings import Changes, Quality, Reading, is_down
-from .schedule import pause_after
 
-__all__ = ["Poller", "Reads", "Standing"]
+__all__ = ["LONGEST_REST", "Poller", "Reads", "Standing"]
+
+LONGEST_REST = 60.0
+"""Between two trials of a device that does not answer, unless its interval is longer."""
 
 
 class Standing(Enum):
@@ -59,13 +62,13 @@ class Poller:
         submitted: the request that is in flight, or None.
         asked_at: when that was sent.
         rest_until: when its next request may be sent.
-        took: the longest time that an answer took, fading.
+        waits_since: when the poll that is on its way was due.
     """
 
     # fmt: off
     __slots__ = (
         "_answers", "_changes", "asked_at", "at", "config", "error", "is_trial", "misses",
-        "planned", "reads", "rest_until", "standing", "submitted", "told_standing", "took",
+        "planned", "reads", "rest_until", "standing", "submitted", "told_standing", "waits_since",
     )
     # fmt: on
 
@@ -82,7 +85,7 @@ class Poller:
         self.submitted: Submitted | None = None
         self.asked_at: float = 0.0
         self.rest_until: float = 0.0
-        self.took: float = 0.0
+        self.waits_since: float = 0.0
         self._answers: list[Any] = []
         bands = config.dead_bands
         self._changes = Changes(config.on_change, [bands.get(name) for name in reads.names])
@@ -90,6 +93,10 @@ class Poller:
     @property
     def name(self) -> str:
         return self.config.name
+
+    @property
+    def unit(self) -> int:
+        return self.config.unit
 
     @property
     def has_begun(self) -> bool:
@@ -138,7 +145,7 @@ class Poller:
     @property
     def pause(self) -> float:
         """How long it rests after its last poll, which got no answer."""
-        return pause_after(self.misses, self.config.interval)
+        return rest_after(self.misses, self.config.interval, LONGEST_REST)
 
     @property
     def is_refused(self) -> bool:

@@ -10,10 +10,9 @@ from datetime import UTC, datetime
 from typing import Any, Literal, NamedTuple
 
 from ...protocol.errors import (
+    NO_UNIT,
     ExceptionResponse,
     FrameError,
-    GatewayPathUnavailable,
-    GatewayTargetFailedToRespond,
     InvalidResponse,
     ModbusError,
 )
@@ -53,16 +52,13 @@ def time_text(time: float) -> str:
     return f"{datetime.fromtimestamp(time, UTC).isoformat(timespec='milliseconds')[:-6]}Z"
 
 
-# A gateway's word for what would be silence without it.
-OF_GATEWAYS = (GatewayPathUnavailable, GatewayTargetFailedToRespond)
-
 # Somebody is there, and says so.
 ANSWERS = (ExceptionResponse, FrameError, InvalidResponse)
 
 
 def is_down(error: BaseException) -> bool:
     """Whether an error means that the device gave no answer."""
-    return isinstance(error, OF_GATEWAYS) or (
+    return isinstance(error, NO_UNIT) or (
         isinstance(error, ModbusError) and not isinstance(error, ANSWERS)
     )
 

@@ -8,13 +8,7 @@ from hashlib import blake2b
 from heapq import heappop, heappush
 from typing import Generic, TypeVar
 
-__all__ = ["LONGEST_PAUSE", "Timetable", "first_time", "next_time", "pause_after"]
-
-LONGEST_PAUSE = 60.0
-"""Between two tries of a device that does not answer, unless its interval is longer."""
-
-# Beyond it every pause is the longest one.
-MOST_DOUBLINGS = 20
+__all__ = ["Timetable", "first_time", "next_time"]
 
 
 def first_time(name: str, interval: float, now: float, wall: float) -> float:
@@ -35,12 +29,6 @@ def next_time(planned: float, interval: float, now: float) -> tuple[float, int]:
     """Give the first time after now, and how many before it are skipped, for they have passed."""
     missed = max(0, int((now - planned) // interval))
     return planned + (missed + 1) * interval, missed
-
-
-def pause_after(misses: int, interval: float) -> float:
-    """Give how long a device rests that gave no answer so many times in a row, one or more."""
-    longer: float = interval * 2 ** min(misses - 1, MOST_DOUBLINGS)
-    return min(longer, max(LONGEST_PAUSE, interval))
 
 
 Each = TypeVar("Each")

@@ -12,7 +12,6 @@ In the order in which a request goes through::
     passed        Passed: a request as bytes, judged by what is known of it
     own_device    the gateway as a device: its statistics as registers
     line          Line: one AsyncClient, and the requests that wait for it
-    turns         whose request is next
     silent_units  units that gave no answer, and when they are tried again
     cache         what was read before
     statistics    what happened, by line and by unit

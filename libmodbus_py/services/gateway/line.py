@@ -6,13 +6,14 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections import deque
+import math
 from collections.abc import Hashable
 from functools import partial
 from typing import Any, Protocol
 
-from ...client.asynchronous import IN_FLIGHT, AsyncClient, Submitted
+from ...client.asynchronous import AsyncClient, Submitted
 from ...client.reconnecting import State
+from ...client.waiting_room import FairByHost, Precedence, WaitingRoom
 from ...ports.endpoint import Endpoint
 from ...protocol.errors import (
     ExceptionResponse,
@@ -29,9 +30,8 @@ from ...server.forking import abandoned_in_children
 from .cache import Cache
 from .manner import Manner
 from .passed import Passed
-from .silent_units import SilentUnits, Standing
+from .silent_units import SilentUnits, UnitState
 from .statistics import LineStatistics, UnitStatistics
-from .turns import Turns
 
 __all__ = ["Asker", "Forwarded", "Line"]
 
@@ -43,18 +43,11 @@ BUSY = ServerDeviceBusy.code
 # How long the pause between two attempts to open a port grows, unless its URL says it.
 MAX_PAUSE = 2.0
 
-# How many timeouts after it was given up an answer may still come: until then its unit is not
-# asked again, for on a line nothing would tell it from the next one.
-LATEST = 2
+# How many timeouts a unit rests at first: its late answer may come within that time.
+FIRST_REST = 2
 
 # Requests that wait, of all clients.
 MOST_WAITING = 4096
-
-# What a request that tries a silent unit may cost others at least: a few turns of a fast line.
-SHORTEST_TRIAL = 0.02
-
-# How much of the longest time that an answer took counts when the next one came.
-FADING = 0.95
 
 
 class Asker(Hashable, Protocol):
@@ -80,15 +73,17 @@ class Forwarded:
         age: seconds that what was read before may be old, 0 for not at all.
 
     Attributes:
-        since: since when it waits.
+        waits_since: since when it waits.
+        asked_at: when it was sent.
+        misses: how many times in a row its unit gave no answer, if this is a trial.
         others: equal ones that get the same answer.
         first: the equal one that is asked in place of this one; None for this one itself.
     """
 
     # fmt: off
     __slots__ = (
-        "age", "asker", "client", "first", "from_unit", "host", "is_trial", "number", "others",
-        "request", "since", "started", "state", "submitted", "unit",
+        "age", "asked_at", "asker", "client", "first", "from_unit", "host", "is_trial", "misses",
+        "number", "others", "request", "state", "submitted", "unit", "waits_since",
     )
     # fmt: on
 
@@ -109,12 +104,13 @@ class Forwarded:
         self.from_unit: int = from_unit
         self.unit: int = unit
         self.request: Passed = request
-        self.since: float = since
+        self.waits_since: float = since
         self.age: float = age
         self.others: list[Forwarded] = []
         self.first: Forwarded | None = None
         self.is_trial: bool = False
-        self.started: float = 0.0
+        self.misses: int = 0
+        self.asked_at: float = 0.0
         self.state: int = 0
         self.submitted: Submitted | None = None
 
@@ -152,31 +148,26 @@ class Line:
         options = endpoint.client_options
         pause = options.get("max_pause", MAX_PAUSE)
         self._client = AsyncClient(endpoint.url, max_pause=pause, on_state=self._note_state)
-        self._has_ids = endpoint.framing in ("tcp", "udp")
-        self._limit: int = (options.get("max_in_flight") or IN_FLIGHT) if self._has_ids else 1
         self._longest_wait = manner.longest_wait
         self._loop = asyncio.get_running_loop()
         self.url: str = str(endpoint)
         self.key: str = endpoint.url
-        self.has_broadcast: bool = not self._has_ids
+        self.has_broadcast: bool = not self._client.has_ids
         self.statistics: LineStatistics = LineStatistics(self.url, self._client.statistics)
-        self._turns: list[Turns[Forwarded]] = [
-            Turns(manner.queue, MOST_WAITING) for _ in range(1 + manner.writes_first)
-        ]
-        self._silent = SilentUnits(LATEST * self._client.timeout)
+        queues = [FairByHost[Forwarded](manner.queue, MOST_WAITING) for _ in range(2)]
+        self._room: WaitingRoom[Forwarded] = WaitingRoom(
+            self._client.max_in_flight,
+            Precedence(queues, _reads_last) if manner.writes_first else queues[0],
+            timeout=lambda each: self._client.timeout,
+            ready_at=self._client.ready_at if self.has_broadcast else None,
+        )
+        self._silent = SilentUnits(FIRST_REST * self._client.timeout)
         self._cache = Cache()
-        # Those that try a silent unit: who waits for that, and who has been sent.
-        self._trials: deque[Forwarded] = deque()
-        self._trying: dict[Forwarded, None] = {}
-        self._was_trial = False
-        # Units whose late answer could be taken for the next one.
-        self._held: dict[int, asyncio.TimerHandle] = {}
         # Reads that others may join while they wait.
         self._joinable: dict[tuple[int, bytes], Forwarded] = {}
         self._done: list[Forwarded] = []
-        self._in_flight = 0
-        self._slowest = 0.0
         self._timer: asyncio.TimerHandle | None = None
+        self._timer_at = math.inf
         self._was_lost = False
         self.is_closed: bool = False
         abandoned_in_children(self)
@@ -192,22 +183,22 @@ class Line:
 
     def put(self, each: Forwarded, *, merge: bool = False) -> int:
         """Have it asked; gives 0, or the code of the exception that answers it at once."""
-        unit, now = each.unit, each.since
+        unit, now = each.unit, each.waits_since
         is_broadcast = unit == 0 and self.has_broadcast
         if self.is_closed or (is_broadcast and not each.request.is_write):
             return NO_ANSWER
-        standing = self._silent.standing(unit, now)
-        if standing is Standing.RESTING:
+        state = self._silent.state(unit, now)
+        if state is UnitState.RESTING:
             self.statistics.unit(unit).resting += 1
             return NO_ANSWER
         if not each.request.is_read:
             self._note_write(unit)
-        if standing is Standing.DUE:
-            self._silent.note_trial(unit)
+        if state is UnitState.DUE:
             each.is_trial = True
-            self._trials.append(each)
+            each.misses = self._silent.start_trial(unit)
+            self._room.put(each)
         elif not (merge and self._join(each)):
-            if not self._turns_of(each).put(each):
+            if not self._room.put(each):
                 self.statistics.full += 1
                 return BUSY
             self.statistics.waiting += 1
@@ -222,37 +213,27 @@ class Line:
         each = each.first or each
         if each.submitted is not None or each.is_wanted:
             return
+        if not self._room.remove(each):
+            return
         if each.is_trial:
-            if each in self._trials:
-                self._trials.remove(each)
-                self._silent.note_untried(each.unit, self._loop.time())
-        elif self._turns_of(each).has(each):
-            self._turns_of(each).remove(each)
+            self._silent.cancel_trial(each.unit, self._loop.time())
+        else:
             self._leave(each)
 
     async def close(self) -> None:
         """For good; who waits is told that there is no answer."""
         self.is_closed = True
-        for turns in self._turns:
-            for each in list(turns):
-                turns.remove(each)
+        for each in self._room.clear():
+            if not each.is_trial:
                 self._leave(each)
-                self._refuse(each, NO_ANSWER)
-        for each in self._trials:
             self._refuse(each, NO_ANSWER)
-        self._trials.clear()
         if self._timer is not None:
             self._timer.cancel()
-        for timer in self._held.values():
-            timer.cancel()
         await self._client.close()
         self._finish()
 
     def abandon(self) -> None:
         self._client.abandon()
-
-    def _turns_of(self, each: Forwarded) -> Turns[Forwarded]:
-        return self._turns[-1 if each.request.is_read else 0]
 
     def _join(self, each: Forwarded) -> bool:
         first = self._joinable.get((each.unit, each.request.pdu))
@@ -279,34 +260,23 @@ class Line:
 
     def _go_on(self) -> None:
         now = self._loop.time()
-        while self._in_flight < self._limit and (each := self._next(now)) is not None:
-            self._ask(each, now)
-        if self._trying and self.statistics.waiting:
-            self._make_way(now)
-
-    def _next(self, now: float) -> Forwarded | None:
-        """Silent units are tried when nobody else waits, or when that never happens."""
-        timeout = self._client.timeout
-        is_due = self._trials and now - self._trials[0].since >= timeout
-        if is_due and not (self._was_trial or self._trying):
-            return self._trials.popleft()
-        for turns in self._turns:
-            while (each := turns.take(self._held)) is not None:
+        while (each := self._room.pick(now)) is not None:
+            if not each.is_trial:
                 self._leave(each)
-                if now - each.since <= self._longest_wait:
-                    return each
+            if each.is_trial or now - each.waits_since <= self._longest_wait:
+                self._ask(each, now)
+            else:
                 self.statistics.full += 1
                 self._refuse(each, BUSY)
-        return self._trials.popleft() if self._trials else None
+        if (trial := self._room.overstayed(now)) is not None:
+            self._make_way(trial, now)
+        self._set_timer()
 
     def _ask(self, each: Forwarded, now: float) -> None:
-        each.started = now
-        self._was_trial = each.is_trial
-        if each.is_trial:
-            self._trying[each] = None
+        each.asked_at = now
+        self._room.start(each)
         if each.age:
             each.state = self._cache.state(each.unit)
-        self._in_flight += 1
         self.statistics.in_flight += 1
         self.statistics.unit(each.unit).requests += 1
         each.submitted = self._client.submit(
@@ -318,32 +288,28 @@ class Line:
             self._loop.call_soon(self._finish)
         self._done.append(each)
 
-    def _make_way(self, now: float) -> None:
-        """A request that only tries a unit costs others no more than another of theirs."""
-        if self._in_flight < self._limit:
+    def _make_way(self, each: Forwarded, now: float) -> None:
+        """End a trial: it costs others no more than one of their own requests."""
+        if each in self._done:
             return
-        each = next(iter(self._trying))
-        patience = min(self._client.timeout, max(self._slowest, SHORTEST_TRIAL))
-        wait = each.started + patience - now
-        if wait > 0:
-            self._wake(wait)
-        elif each not in self._done:
-            assert each.submitted is not None
-            each.submitted.withdraw()
-            self._end(each)
-            self._note_silence(each.unit, now)
-            # The client lets the line fall silent as after a timeout.
-            self._hold(each.unit, each.started + LATEST * self._client.timeout - now)
-            self.statistics.unit(each.unit).given_up += 1
-            self._refuse(each, NO_ANSWER)
-            self._go_on()
+        assert each.submitted is not None
+        each.submitted.withdraw()
+        self._end(each)
+        self._note_silence(each.unit, now)
+        self.statistics.unit(each.unit).given_up += 1
+        self._refuse(each, NO_ANSWER)
+        self._go_on()
 
-    def _wake(self, seconds: float) -> None:
-        if self._timer is None:
-            self._timer = self._loop.call_later(seconds, self._awake)
+    def _set_timer(self) -> None:
+        at = self._room.alarm
+        if at < self._timer_at:
+            if self._timer is not None:
+                self._timer.cancel()
+            self._timer_at = at
+            self._timer = self._loop.call_at(at, self._ring)
 
-    def _awake(self) -> None:
-        self._timer = None
+    def _ring(self) -> None:
+        self._timer, self._timer_at = None, math.inf
         self._go_on()
 
     # --- answers ------------------------------------------------------------------------------
@@ -352,20 +318,19 @@ class Line:
         done, self._done = self._done, []
         now = self._loop.time()
         for each in done:
-            self._end(each)
-            self._conclude(each, now)
+            assert each.submitted is not None
+            outcome: Any = each.submitted.outcome
+            is_answer = isinstance(outcome, bytes | ExceptionResponse)
+            self._end(each, now - each.asked_at if is_answer else None)
+            self._conclude(each, outcome, now)
         if not self.is_closed:
             self._go_on()
 
-    def _end(self, each: Forwarded) -> None:
-        self._in_flight -= 1
+    def _end(self, each: Forwarded, took: float | None = None) -> None:
+        self._room.end(each, took)
         self.statistics.in_flight -= 1
-        if each.is_trial:
-            self._trying.pop(each, None)
 
-    def _conclude(self, each: Forwarded, now: float) -> None:
-        assert each.submitted is not None
-        outcome: Any = each.submitted.outcome
+    def _conclude(self, each: Forwarded, outcome: Any, now: float) -> None:
         unit = self.statistics.unit(each.unit)
         if not each.request.is_read:
             self._note_write(each.unit)
@@ -373,11 +338,11 @@ class Line:
             self._note_answer(each, unit, now)
         if isinstance(outcome, bytes):
             if each.age:
-                self._cache.keep(each.unit, each.request.pdu, outcome, each.started, each.state)
+                self._cache.keep(each.unit, each.request.pdu, outcome, each.asked_at, each.state)
             self.statistics.unwanted += each.tell(outcome)
         elif outcome is None:  # nobody answers
             if each.is_trial:
-                self._silent.note_untried(each.unit, now)
+                self._silent.cancel_trial(each.unit, now)
             each.tell(None)
         elif isinstance(outcome, ExceptionResponse):
             unit.exceptions += 1
@@ -388,10 +353,8 @@ class Line:
             self._refuse(each, ServerDeviceFailure.code if is_ours else NO_ANSWER)
 
     def _note_answer(self, each: Forwarded, unit: UnitStatistics, now: float) -> None:
-        took = now - each.started
         unit.answers += 1
-        unit.seconds += took
-        self._slowest = max(took, FADING * self._slowest)
+        unit.seconds += now - each.asked_at
         if self._silent and self._silent.note_answer(each.unit):
             unit.is_silent = False
             logger.info("%s: unit %d answers again", self.url, each.unit)
@@ -405,7 +368,6 @@ class Line:
             return
         if isinstance(error, FrameError | InvalidResponse):
             unit.invalid += 1
-            self._hold(each.unit, self._client.timeout)
         elif isinstance(error, ModbusConnectionError):
             unit.lost += 1
         else:
@@ -419,24 +381,12 @@ class Line:
         if self._silent.note_silence(unit, now):
             self.statistics.unit(unit).is_silent = True
             logger.info("%s: unit %d gives no answer", self.url, unit)
-        for turns in self._turns:
-            for each in turns.of_unit(unit):
-                turns.remove(each)
+        for each in self._room.others:
+            if each.unit == unit:
+                self._room.remove(each)
                 self._leave(each)
                 self.statistics.unit(unit).resting += 1
                 self._refuse(each, NO_ANSWER)
-
-    def _hold(self, unit: int, seconds: float) -> None:
-        """Ask a unit nothing meanwhile: the client would wait, and others with it."""
-        if self._has_ids:
-            return
-        if unit in self._held:
-            self._held[unit].cancel()
-        self._held[unit] = self._loop.call_later(seconds, self._release, unit)
-
-    def _release(self, unit: int) -> None:
-        del self._held[unit]
-        self._go_on()
 
     def _refuse(self, each: Forwarded, code: int) -> None:
         self.statistics.unwanted += each.tell(bytes([each.request.function | 0x80, code]))
@@ -448,3 +398,7 @@ class Line:
         elif state is State.CONNECTED and self._was_lost:
             self._was_lost = False
             logger.warning("%s: is back", self.url)
+
+
+def _reads_last(each: Forwarded) -> int:
+    return int(each.request.is_read)

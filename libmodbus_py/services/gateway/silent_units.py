@@ -7,13 +7,15 @@ from __future__ import annotations
 import math
 from enum import Enum
 
-__all__ = ["SilentUnits", "Standing"]
+from ...client.waiting_room import rest_after
 
-LONGEST_PAUSE = 30.0
+__all__ = ["SilentUnits", "UnitState"]
+
+LONGEST_REST = 30.0
 
 
-class Standing(Enum):
-    """How a unit stands."""
+class UnitState(Enum):
+    """What a request to a unit may do: be asked, be answered at once, or try the unit."""
 
     GOOD = "good"
     RESTING = "resting"
@@ -22,17 +24,17 @@ class Standing(Enum):
 
 class SilentUnits:
     """
-    A unit that gave no answer rests: for `first_pause` seconds, then twice as long, and so on up
-    to `LONGEST_PAUSE`, until it answers. Between two rests it is due: one request tries it.
+    A unit that gave no answer rests: for `first_rest` seconds, then twice as long, and so on up
+    to `LONGEST_REST`, until it answers. Between two rests it is due: one request tries it.
 
     Args:
-        first_pause: seconds; no less than a late answer may take.
+        first_rest: seconds; no less than a late answer may take.
     """
 
-    def __init__(self, first_pause: float) -> None:
-        self._first = first_pause
-        # Unit -> its pause, and when that is over.
-        self._units: dict[int, tuple[float, float]] = {}
+    def __init__(self, first_rest: float) -> None:
+        self._first = first_rest
+        # Unit -> how many times in a row it gave no answer, and when its rest is over.
+        self._units: dict[int, tuple[int, float]] = {}
 
     def __len__(self) -> int:
         return len(self._units)
@@ -40,30 +42,30 @@ class SilentUnits:
     def __contains__(self, unit: int) -> bool:
         return unit in self._units
 
-    def standing(self, unit: int, now: float) -> Standing:
+    def state(self, unit: int, now: float) -> UnitState:
         if not self._units or unit not in self._units:
-            return Standing.GOOD
-        return Standing.RESTING if now < self._units[unit][1] else Standing.DUE
+            return UnitState.GOOD
+        return UnitState.RESTING if now < self._units[unit][1] else UnitState.DUE
 
-    def note_trial(self, unit: int) -> None:
-        """A request tries it: no other one does meanwhile."""
-        pause, _ = self._units[unit]
-        self._units[unit] = pause, math.inf
+    def start_trial(self, unit: int) -> int:
+        """Have the unit rest while a request tries it; return how often it gave no answer."""
+        misses, _ = self._units[unit]
+        self._units[unit] = misses, math.inf
+        return misses
 
-    def note_untried(self, unit: int, now: float) -> None:
-        """The request that was to try it did not; the next one may."""
+    def cancel_trial(self, unit: int, now: float) -> None:
+        """The request that was to try the unit was not sent: the next one may."""
         if unit in self._units:
             self._units[unit] = self._units[unit][0], now
 
     def note_answer(self, unit: int) -> bool:
-        """It is there; says whether it was not before."""
+        """Note an answer; return True if the unit was silent before."""
         return self._units.pop(unit, None) is not None
 
     def note_silence(self, unit: int, now: float) -> bool:
-        """It gave no answer in time, or not as long as it was waited for; says if that is new."""
-        pause, until = self._units.get(unit, (0.0, 0.0))
+        """Note that a request got no answer in time; return True if the unit was not silent yet."""
+        misses, until = self._units.get(unit, (0, 0.0))
         if now < until < math.inf:
-            return False  # another request, asked before it rested
-        longer = min(2 * pause, max(LONGEST_PAUSE, self._first)) or self._first
-        self._units[unit] = longer, now + longer
-        return not pause
+            return False  # another request, asked before the unit rested
+        self._units[unit] = misses + 1, now + rest_after(misses + 1, self._first, LONGEST_REST)
+        return not misses

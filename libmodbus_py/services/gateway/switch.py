@@ -223,7 +223,7 @@ class Broadcast:
         self._left = len(lines)
         self._session.note(self._whole, None)
         for line in lines:
-            part = Forwarded(self, 0, 0, 0, self._request, self._whole.since)
+            part = Forwarded(self, 0, 0, 0, self._request, self._whole.waits_since)
             if line.put(part):
                 self.told(part, b"\x80")
 

@@ -16,10 +16,9 @@ from ...ports.trace import Traced
 from ...ports.waiting import Waker
 from ...protocol import pdu
 from ...protocol.errors import (
+    NO_UNIT,
     ExceptionResponse,
     FrameError,
-    GatewayPathUnavailable,
-    GatewayTargetFailedToRespond,
     ModbusConnectionError,
     ModbusError,
 )
@@ -31,8 +30,8 @@ from .places import Place
 
 # fmt: off
 __all__ = [
-    "LONGEST_SIZE", "MOST_PAGES", "NOBODY", "PROBE", "PROBE_SIZE", "Answer", "Late",
-    "Nothing", "Prober", "Reading",
+    "LONGEST_SIZE", "MOST_PAGES", "PROBE", "PROBE_SIZE", "Answer", "Late", "Nothing", "Prober",
+    "Reading",
 ]
 # fmt: on
 
@@ -51,9 +50,7 @@ PROBE = pdu.ReadHoldingRegisters(0, 1)
 # Of the probe and its answer, and of the longest request and answer, in RTU frames.
 PROBE_SIZE, LONGEST_SIZE = 8 + 7, 8 + 256
 
-# What a gateway says of a unit that is not there (application protocol, section 7).
-NOBODY = (GatewayPathUnavailable, GatewayTargetFailedToRespond)
-NOBODY_CODES = [each.code for each in NOBODY]
+NO_UNIT_CODES = [each.code for each in NO_UNIT]
 
 # Of identification that are asked for; one has what most devices tell.
 MOST_PAGES = 4
@@ -88,7 +85,7 @@ class Nothing(NamedTuple):
     @property
     def is_gateway(self) -> bool:
         """Whether a gateway says so."""
-        return isinstance(self.error, NOBODY)
+        return isinstance(self.error, NO_UNIT)
 
     @property
     def is_noise(self) -> bool:
@@ -144,7 +141,7 @@ class Prober:
         try:
             self._carefully(unit, PROBE)
             code = None
-        except NOBODY as error:
+        except NO_UNIT as error:
             return Nothing(error)
         except ExceptionResponse as error:
             code = error.code
@@ -236,7 +233,7 @@ class Prober:
             return
         code = probe.error.code if isinstance(probe.error, ExceptionResponse) else None
         self._silent.discard(unit)
-        if code not in NOBODY_CODES:
+        if code not in NO_UNIT_CODES:
             self._late.append(Late(unit, Answer(probe.duration or 0.0, code)))
 
 

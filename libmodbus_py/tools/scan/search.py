@@ -12,6 +12,7 @@ from ...ports.endpoint import parse
 from ...ports.schemes import SERIAL_DEFAULTS
 from ...protocol.checks import integer
 from ...protocol.errors import (
+    NO_UNIT,
     Acknowledge,
     ExceptionResponse,
     IllegalFunction,
@@ -23,7 +24,7 @@ from ...protocol.tables import TABLES
 from ...security.security import Security
 from .halving import Cells, halving
 from .places import Place, places
-from .probe import LONGEST_SIZE, NOBODY, Nothing, Prober
+from .probe import LONGEST_SIZE, Nothing, Prober
 from .walking import Walk, Walker
 
 __all__ = ["MOST_REQUESTS", "Extent", "Search", "Searching", "search"]
@@ -184,7 +185,7 @@ class _Tables(Walk[Extent]):
                 prober.waker.sleep(pause)
             except IllegalFunction:
                 raise _EndedError(_NO_FUNCTION) from None
-            except NOBODY:
+            except NO_UNIT:
                 raise _EndedError(_GONE) from None
             except ModbusConnectionError:
                 raise

