@@ -8,8 +8,8 @@ import pytest
 
 from libmodbus_py import DeviceConfig, Point, RegisterMap
 from libmodbus_py.services.fleet.buffer import Buffer
-from libmodbus_py.services.fleet.devices_csv import COLUMNS
 from libmodbus_py.services.fleet.statistics import LATENESS_BOUNDS, FleetStatistics
+from libmodbus_py.tools.files.csv_text import CELLS
 
 
 def test_polls_are_counted_by_how_late_they_began() -> None:
@@ -58,8 +58,8 @@ def test_an_unknown_item_is_answered_with_eight_names(points: int, listed: str) 
     assert str(refused.value).endswith(f"the map has no 'level'; it has {listed}")
 
 
-def test_numbers_in_a_table_have_nine_digits_at_most() -> None:
-    assert COLUMNS["gap"]("999999999") == 999_999_999
-    for text in ("1000000000", "-1", "1.5", "", "\u0661"):
+def test_whole_numbers_in_a_table_have_twenty_digits_at_most() -> None:
+    assert CELLS["int"]("9" * 20) == 10**20 - 1
+    for text in ("9" * 21, "-1", "1.5", "", "\u0661"):
         with pytest.raises(ValueError, match="must be a whole number"):
-            COLUMNS["gap"](text)
+            CELLS["int"](text)
