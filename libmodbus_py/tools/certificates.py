@@ -1,5 +1,5 @@
 """
-Certificates for trying things out, and for tests: authorities, servers, clients with roles.
+Certificates for trials and tests: authorities, servers, clients with roles.
 
 Keys are EC P-256, which every peer must understand (MB-TCP-Security-v36, R-61, R-62), unless
 others are given. What is made here passes the strict checks of Python 3.13 (RFC 5280).
@@ -29,10 +29,10 @@ if TYPE_CHECKING:
 __all__ = ["Identity", "make", "write"]
 
 EARLIER = timedelta(hours=1)
-"""Certificates begin before they are made: the clocks of devices are wrong."""
+"""Certificates are valid from before they are made, because the clocks of devices are wrong."""
 
 MAX_DAYS = 36_500
-"""A century: what is longer is a typo."""
+"""A century; a longer time is a typing error."""
 
 
 @dataclass(frozen=True)
@@ -41,10 +41,10 @@ class Identity:
     A certificate with its key.
 
     Attributes:
-        certificate: as `cryptography` has it.
-        key: the private key to it.
-        issuers: the authorities above it, nearest first, without the one that signed itself:
-            a peer is shown these, and must know that one (R-46).
+        certificate: an object of `cryptography`.
+        key: its private key.
+        issuers: the authorities above it, nearest first, without the self-signed one: these are
+            sent to a peer, and the peer must know that one (R-46).
     """
 
     certificate: x509.Certificate
@@ -67,7 +67,7 @@ class Identity:
         return b"".join(each.public_bytes(Encoding.PEM) for each in chain)
 
     def key_pem(self, password: bytes | None = None) -> bytes:
-        """Give the private key (PKCS #8), encrypted if there is a password."""
+        """Return the private key (PKCS #8), encrypted if a password is given."""
         from cryptography.hazmat.primitives import serialization
 
         encryption: serialization.KeySerializationEncryption = (
@@ -92,21 +92,21 @@ def make(
     key: PrivateKey | None = None,
 ) -> Identity:
     """
-    Make a key and a certificate to it.
+    Make a key and a certificate for it.
 
     Args:
         name: the common name, 1..64 characters.
-        issuer: who signs; None: it signs itself.
-        is_authority: whether it may sign others.
-        role: put into it, if there is one.
-        hosts: names and IP addresses that it is good for, as a server.
-        begin: when it begins to be valid, with a timezone; None: an hour ago.
-        days: how long from then on, up to 36500.
-        key: its private key; None: a new one, EC P-256.
+        issuer: signs the certificate; None for a self-signed one.
+        is_authority: True if it may sign others.
+        role: the role of a client in it, if any.
+        hosts: names and IP addresses of a server for which it is valid.
+        begin: the start of its validity, with a timezone; None for an hour ago.
+        days: the length of its validity, up to 36500.
+        key: the private key; None for a new one, EC P-256.
 
     Raises:
         ImportError: cryptography is not installed.
-        ValueError: a name, role, host or time that cannot be.
+        ValueError: a name, role, host or time is wrong.
     """
     require_cryptography()
     from cryptography import x509
@@ -204,15 +204,15 @@ def write(directory: Path, identities: Mapping[str, Identity]) -> dict[str, tupl
     alone can read. All or nothing; nothing is overwritten.
 
     Args:
-        directory: made if there is none.
+        directory: made if it does not exist.
         identities: by name.
 
     Returns:
         The paths of certificate and key, by name.
 
     Raises:
-        FileExistsError: there is such a file already.
-        OSError: it cannot be written.
+        FileExistsError: one of the files exists already.
+        OSError: a file cannot be written.
     """
     directory.mkdir(parents=True, exist_ok=True)
     written: list[Path] = []
@@ -225,7 +225,7 @@ def write(directory: Path, identities: Mapping[str, Identity]) -> dict[str, tupl
                 (certificate, 0o644, identity.pem),
                 (key, 0o600, identity.key_pem()),
             ):
-                # Created with its mode, so that a key is at no time anybody's to read.
+                # Created with its mode, so that only its owner can read a key at any time.
                 with open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "wb") as file:
                     written.append(path)
                     file.write(data)

@@ -1,5 +1,5 @@
 """
-Captures: what was heard as pcapng, which Wireshark decodes without options, and back.
+Captures: traffic as pcapng, which Wireshark decodes without options, and back.
 
 A frame is an exported PDU (link type 252) for the dissector "mbtcp": the PDU behind a made-up
 MBAP header, from or to port 502 of 10.0.0.UNIT. Bytes that are no frame go to "mbrtu". Each port
@@ -40,7 +40,7 @@ MAX_INTERFACES = 256
 
 
 class CaptureError(ValueError):
-    """A file that is no capture of this package: what is wrong, and where."""
+    """A file is no capture of this package; the message says what is wrong, and at which byte."""
 
 
 def _padded(data: bytes) -> bytes:
@@ -67,7 +67,7 @@ class CaptureWriter:
     Writes a capture, each frame at once.
 
     Args:
-        path: of the file; what it held is lost.
+        path: the file, which is overwritten.
         names: of the interfaces, such as URLs.
 
     Raises:
@@ -98,24 +98,24 @@ class CaptureWriter:
         self.close()
 
     def close(self) -> None:
-        """Any number of times."""
+        """Close the file; any number of times."""
         self._file.close()
 
     def write(self, heard: Heard, interface: int = 0, link: int = 0) -> None:
         """
-        Write what was heard.
+        Write a frame or damaged bytes.
 
         Args:
             heard: a frame that was named, or damaged bytes.
-            interface: which of `names`.
-            link: number of the connection, where there are several.
+            interface: the index of its interface in `names`.
+            link: the number of the connection, if there are several.
 
         Raises:
             OSError: the disk is full, or the file closed.
         """
         port = FIRST_CLIENT_PORT + link % (65536 - FIRST_CLIENT_PORT)
         if heard.frame is None:
-            # Whose bytes they are nobody knows: both ports are the client's.
+            # The sender is not known: both ports are the client's.
             tags = _tag(_DISSECTOR, b"mbrtu") + _ports(port, port)
             data = tags + bytes(4) + heard.data
         else:
@@ -125,7 +125,7 @@ class CaptureWriter:
         self._write(_block(_PACKET, head + _padded(data)))
 
     def _exported(self, heard: Heard, frame: Frame, interface: int, port: int) -> bytes:
-        # Answers carry the number of the last question to their unit.
+        # Responses carry the number of the last request to their unit.
         key = interface, port, frame.unit
         if heard.part == "request" or key not in self._ids:
             self._last_id = self._last_id % 0xFFFF + 1
@@ -139,7 +139,7 @@ class CaptureWriter:
             + _ports(source[1], target[1])
             + bytes(4)
         )
-        if len(self._ids) > 4096:  # connections that came and went
+        if len(self._ids) > 4096:  # connections that are closed
             self._ids.clear()
         return head + mbap(self._ids.get(key, self._last_id), frame.unit, frame.pdu)
 
@@ -152,7 +152,7 @@ class CaptureWriter:
 
 
 class Recorded(NamedTuple):
-    """What was heard on one connection; `link` tells connections and interfaces apart."""
+    """A frame or damaged bytes; `link` is different for each connection and interface."""
 
     link: int
     found: Candidate | Damage
@@ -160,10 +160,10 @@ class Recorded(NamedTuple):
 
 class CaptureReader:
     """
-    Reads what `CaptureWriter` wrote, also when Wireshark saved it again.
+    Reads a file of `CaptureWriter`, even if Wireshark has saved it again.
 
     Args:
-        path: of the file.
+        path: the file.
 
     Attributes:
         recorded: an iterator of `Recorded`; raises CaptureError where the file is no such
@@ -171,7 +171,7 @@ class CaptureReader:
 
     Raises:
         OSError: the file cannot be read.
-        CaptureError: it does not begin as a pcapng file does.
+        CaptureError: the file does not begin like a pcapng file.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
@@ -179,7 +179,7 @@ class CaptureReader:
         self._file: BinaryIO = open(path, "rb")  # noqa: SIM115  # closed by close()
         self._order = "<"
         self._at = 0
-        self._units: list[float] = []  # of each interface: seconds that one of its ticks takes
+        self._units: list[float] = []  # of each interface: the seconds of one tick
         try:
             kind, body = self._next_block() or (0, b"")
             if kind != _SECTION:
@@ -191,7 +191,7 @@ class CaptureReader:
         self.recorded: Iterator[Recorded] = self._read()
 
     def close(self) -> None:
-        """Any number of times."""
+        """Close the file; any number of times."""
         self._file.close()
 
     def _read(self) -> Iterator[Recorded]:

@@ -18,7 +18,7 @@ IsAwaited = Callable[[int, int], bool]
 
 
 class Candidate(NamedTuple):
-    """A good frame: when it came, and what it may be."""
+    """A valid frame with its times, which may be a request, a response, or either."""
 
     began: float
     ended: float
@@ -36,18 +36,18 @@ class Damage(NamedTuple):
 
 
 class Hearing(Protocol):
-    """What all have; `quiet`: seconds without a byte after which `silence` should be called."""
+    """Cuts frames; `quiet`: the seconds without a byte after which `silence` is to be called."""
 
     quiet: float
 
     def hear(self, data: bytes, at: float, is_awaited: IsAwaited) -> Iterator[Candidate | Damage]:
-        """Take bytes that came at a time, in seconds; give what they are, in their order."""
+        """Take bytes that came at this time, in seconds; yield frames and damage, in order."""
         ...
 
     def silence(
         self, is_awaited: IsAwaited, *, is_long: bool = False
     ) -> Iterator[Candidate | Damage]:
-        """Take it that the line is quiet; for so long that no frame will be completed."""
+        """Note that the line is quiet; if `is_long`, no pending frame will be completed."""
         ...
 
 
@@ -58,12 +58,12 @@ class RtuHearing:
 
     def __init__(self) -> None:
         self._frames = RtuEitherWay()
-        self._offsets: list[int] = []  # where in the stream each piece begins,
-        self._times: list[float] = []  # and when it came
+        self._offsets: list[int] = []  # where in the stream each piece begins
+        self._times: list[float] = []  # when each piece came
         self._damage: Damage | None = None
 
     def hear(self, data: bytes, at: float, is_awaited: IsAwaited) -> Iterator[Candidate | Damage]:
-        # Of pieces that are only waited on, as many as there are bytes.
+        # As many as there are bytes that wait for the rest of their frame.
         self._offsets.append(self._frames.end)
         self._times.append(at)
         self._frames.feed(data)
@@ -74,7 +74,7 @@ class RtuHearing:
     ) -> Iterator[Candidate | Damage]:
         self._frames.silence(is_long=is_long)
         yield from self._take(is_awaited)
-        # What still waits may turn out to be the end of it.
+        # Bytes that still wait may belong to the same damage.
         if self._frames.end == self._frames.offset:
             yield from self._flush()
 
@@ -89,7 +89,7 @@ class RtuHearing:
         self._forget()
 
     def _add(self, damage: Damage) -> Iterator[Damage]:
-        """A run of bytes that are no frame is one, up to a size."""
+        """Join bytes that are no frame to one `Damage`, up to `MAX_RECEIVED` bytes."""
         if self._damage is None:
             self._damage = damage
         else:
@@ -116,17 +116,17 @@ class RtuHearing:
 
 class FramerHearing:
     """
-    Frames that a framer cuts out; their times are those of the pieces that end them.
+    Frames that a framer cuts; the time of each is that of the piece that ends it.
 
     Args:
-        make_framer: for one direction of RTU, or ASCII, whose frames have marks of their own.
-        is_asking: whether it is the direction of requests; None for both in one stream.
+        make_framer: for one direction of RTU, or for ASCII, whose frames have delimiters.
+        is_asking: True for the direction of requests; None for both directions in one stream.
     """
 
     def __init__(self, make_framer: Callable[[], Framer], is_asking: bool | None) -> None:
         self._make_framer = make_framer
         self._framer = make_framer()
-        self._tail = b""  # what waits in the framer for the rest of its frame
+        self._tail = b""  # bytes in the framer that wait for the rest of their frame
         self._is_asking = is_asking
         self._began: float | None = None
         self._at = 0.0
@@ -138,7 +138,7 @@ class FramerHearing:
         found = self._framer.scan(data)
         pending, data = self._framer.pending, self._tail + data
         self._tail = data[-pending:] if pending else b""
-        if not found and not pending:  # skipped, as what comes before a colon
+        if not found and not pending:  # skipped bytes, such as those before a colon
             yield Damage(began, at, data[:MAX_RECEIVED])
         for each in found:
             yield self._heard(each, began)

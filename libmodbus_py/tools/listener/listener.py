@@ -1,5 +1,5 @@
 """
-listen(url): transactions as they pass, for a ``for`` loop or an ``async for`` loop.
+listen(url): the transactions on a line, for a ``for`` loop or an ``async for`` loop.
 """
 
 from __future__ import annotations
@@ -30,32 +30,32 @@ __all__ = ["Listener", "listen"]
 
 logger: logging.Logger = logging.getLogger(__name__)
 
-# How long a port that is gone is left alone before the next attempt.
+# Seconds between two attempts to open a port that is gone.
 REOPEN_AFTER = 1.0
 
-# How often a quiet line is looked at for questions that nobody answered.
+# Seconds after which a quiet line is checked for requests without a response.
 IDLE = 1.0
 
-# Connections, or what a capture takes for such, that are followed at once.
+# Connections, live or in a capture, that are followed at once.
 MAX_SEPARATORS = 256
 
 
 class Listener:
     """
-    What passes on a line, as an iterator of `Transaction`; made by `listen`.
+    The traffic on a line, as an iterator of `Transaction`; made by `listen`.
 
     Use it in a ``with`` or ``async with`` block, which closes it. Iteration ends at the end of a
-    capture, and once it was closed; a port that is unplugged is waited for and opened again.
-    Whoever takes the transactions should do it at once: a serial port keeps 4096 bytes, and what
-    is read late has come late. A tap passes bytes on whatever happens here.
+    capture, and when the listener is closed; a serial port that was unplugged is opened again when
+    it is back. Iterate without delay: a serial port keeps 4096 bytes, and the time of bytes is that
+    at which they are read. A tap passes bytes on in any case.
 
     Attributes:
-        url: where it listens, with the port it got; or the path of the capture.
-        summary: what was heard so far, counted.
+        url: the URL, with the port that the system chose; or the path of the capture.
+        summary: counts of the traffic so far.
 
     Raises, while iterating:
-        CaptureError: a capture that is read is none, or ends inside a block.
-        OSError: the capture that is written cannot be.
+        CaptureError: the capture that is read is invalid, or ends inside a block.
+        OSError: the capture cannot be written.
         RuntimeError: another thread or task is iterating.
     """
 
@@ -76,7 +76,7 @@ class Listener:
         self._clock = clock
         self._separators: dict[int, Separator] = {}
         self._ready: deque[Transaction] = deque()
-        self._lock = threading.RLock()  # a signal handler may close, too
+        self._lock = threading.RLock()  # reentrant, because a signal handler may close it
         self._is_busy = False
         self._is_closed = False
         self._waker = Waker()
@@ -84,7 +84,7 @@ class Listener:
         self._epoll.register(self._waker.descriptor, READ)
         if self._source is not None:
             self._epoll.register(self._source.descriptor, READ)
-        self._is_open = True  # else the port is gone
+        self._is_open = True  # False while the port is gone
         self._tick_after: float = IDLE
 
     # --- opening and closing --------------------------------------------------------------
@@ -102,7 +102,7 @@ class Listener:
         self.close()
 
     def close(self) -> None:
-        """Close it, also from another thread or a signal handler. Any number of times."""
+        """Close the listener, from any thread or a signal handler, any number of times."""
         with self._lock:
             self._is_closed = True
             if self._is_busy:
@@ -111,7 +111,7 @@ class Listener:
                 self._free()
 
     def __del__(self) -> None:
-        with contextlib.suppress(Exception):  # it may not have come so far
+        with contextlib.suppress(Exception):  # __init__ may have failed
             self.close()
 
     def _free(self) -> None:
@@ -120,7 +120,7 @@ class Listener:
                 each.close()
 
     def _enter(self) -> bool:
-        """Begin to wait; False if it is closed."""
+        """Begin to wait; return False if the listener is closed."""
         with self._lock:
             if self._is_busy:
                 raise RuntimeError("another thread or task is listening already")
@@ -158,7 +158,7 @@ class Listener:
         found = None
         if self._enter():
             try:
-                # A flood, or a capture, never waits; others in this loop want their turn.
+                # A flood or a capture never waits; other tasks must run, too.
                 await asyncio.sleep(0)
                 found = await run_async(self._next())
             finally:
@@ -168,7 +168,7 @@ class Listener:
         return found
 
     def rest(self) -> list[Transaction]:
-        """Give the questions that are still open as unanswered: for whoever stops listening."""
+        """Return the transactions that were not iterated, open requests as unanswered."""
         return [*self._ready, *self._noted(self._end_all())]
 
     def _next(self) -> Steps[Transaction | None]:
@@ -198,7 +198,7 @@ class Listener:
         except ModbusConnectionError as error:
             logger.warning("%s: %s; waiting for it to come back", self.url, error)
             self._is_open = False
-            source.close()  # epoll forgets it with that
+            source.close()  # which removes it from epoll
             self._ready += self._noted(self._end_all())
             return
         for piece in pieces:
@@ -214,7 +214,7 @@ class Listener:
             self._is_open = True
             logger.warning("%s: is back", self.url)
 
-    # --- what is heard --------------------------------------------------------------------
+    # --- traffic ---------------------------------------------------------------------------
 
     def _feed(self, piece: TimedBytes) -> list[Transaction]:
         if not piece.data:
@@ -234,7 +234,7 @@ class Listener:
         return True
 
     def _separator(self, link: int) -> tuple[Separator, list[Transaction]]:
-        """Give that of a connection; and what ends because there are too many."""
+        """Return the separator of a connection, and what ends if there are too many."""
         made = self._separators.get(link)
         if made is not None:
             return made, []
@@ -260,11 +260,11 @@ class Listener:
 
 
 def _ignore(heard: Heard) -> None:
-    """Nobody captures."""
+    """Do nothing, because there is no capture to write."""
 
 
 class Clock:
-    """Seconds since the epoch that only go forward, corrected where nothing was heard for long."""
+    """Seconds since the epoch that never go back; set again after a minute without a call."""
 
     def __init__(self) -> None:
         self._offset = time.time() - time.monotonic()
@@ -285,17 +285,18 @@ def listen(
     capture: str | os.PathLike[str] | None = None,
 ) -> Listener:
     """
-    Listen to what others say on a line.
+    Listen to the traffic between other devices on a line.
 
     Args:
-        url: a serial port (rtu, ascii), opened for reading only; or where clients connect
+        url: a serial port (rtu, ascii), opened for reading only; or an address for clients
             (rtu+tcp, ascii+tcp), with `between`; or the path of a capture, ending in .pcapng.
-        between: the device that such clients want, under the same scheme: what they and it
-            send is passed on unchanged, both ways.
-        capture: the path of a pcapng file to write, which Wireshark decodes and `url` takes.
+        between: the device to which these clients are connected, with the same scheme; bytes
+            are passed on unchanged in both directions.
+        capture: the path of a pcapng file to write, which Wireshark decodes, and which can be
+            the `url` of another call.
 
     Returns:
-        An iterator, blocking and asyncio, that is open.
+        An open iterator, blocking and asyncio.
 
     Raises:
         TypeError, ValueError: a URL is wrong, or cannot be listened to.
@@ -308,7 +309,7 @@ def listen(
     framing: LineFraming = "rtu"
     if isinstance(url, str) and url.endswith(".pcapng") and "://" not in url:
         if between is not None:
-            raise ValueError("a capture has nothing to be between")
+            raise ValueError("between cannot be given with a capture")
         if capture is not None and os.path.exists(capture) and os.path.samefile(url, capture):
             raise ValueError(f"{url}: a capture cannot be written over itself")
         name, source = url, CaptureReader(url)
@@ -333,7 +334,7 @@ def listen(
 
 
 def _source(endpoint: Endpoint, target: Endpoint | None, clock: Clock) -> tuple[Source, Endpoint]:
-    """Open it; and give the endpoint as it is."""
+    """Open the source; return it and the endpoint with its port."""
     _check(endpoint, target)
     if target is not None:
         tap = Tap(endpoint, target, clock)
@@ -347,12 +348,12 @@ def _endpoint(url: str) -> Endpoint:
     endpoint = parse(url)
     if endpoint.client_options:
         names = ", ".join(endpoint.client_options)
-        raise ValueError(f"{url!r}: {names} is for clients, and means nothing to a listener")
+        raise ValueError(f"{url!r}: {names} is an option of clients, and not of listeners")
     return endpoint
 
 
 def _check(endpoint: Endpoint, target: Endpoint | None) -> None:
-    """Raises ValueError."""
+    """Raise ValueError if the endpoint cannot be listened to."""
     if endpoint.transport == "serial":
         if target is not None:
             raise ValueError("between needs rtu+tcp or ascii+tcp; a serial port is only read")
@@ -362,8 +363,10 @@ def _check(endpoint: Endpoint, target: Endpoint | None) -> None:
             f"{endpoint}: the scheme must be rtu, ascii, or rtu+tcp or ascii+tcp with between"
         )
     if target is None:
-        raise ValueError(f"{endpoint}: the device is missing, which it is to be between")
+        raise ValueError(f"{endpoint}: between is missing: the device to connect to")
     if target.scheme != endpoint.scheme:
-        raise ValueError(f"{target}: the scheme must be {endpoint.scheme}, for no byte is changed")
+        raise ValueError(
+            f"{target}: the scheme must be {endpoint.scheme}, because bytes are passed on unchanged"
+        )
     if target.port == 0:
         raise ValueError(f"{target}: the port of the device is missing")

@@ -1,7 +1,5 @@
 """
-Bytes and times in, transactions out: for one line, or one connection.
-
-No clock and no port: give it bytes with times from anywhere.
+Bytes and times in, transactions out: for one line or one connection, without clock or port.
 """
 
 from __future__ import annotations
@@ -19,28 +17,29 @@ __all__ = ["Direction", "LineFraming", "Separator"]
 
 LineFraming = Literal["rtu", "ascii"]
 
-# Who sent the bytes, if that is known.
+# The sender of bytes, where it is known.
 Direction = Literal["client", "server"]
 
 
-# No gap inside a frame is longer: what ASCII promises (serial line, 2.5.2.1) is more than enough
-# for RTU, too.
+# The longest gap inside a frame, in seconds: that of ASCII (serial line, 2.5.2.1), which is more
+# than RTU needs.
 LONGEST_GAP = 1.0
 
 
 class Separator:
     """
-    Says of the bytes on a line what they are.
+    Separates the bytes on a line into requests, responses and damage, and pairs them.
 
     Args:
         framing: "rtu" or "ascii".
-        on_heard: called with each frame as soon as it is named.
+        on_heard: called with a `Heard` for each frame as soon as it is known to be a request or a
+            response, and for damaged bytes.
 
     Attributes:
         quiet: seconds without a byte after which `tick` should be called.
 
     Raises:
-        ValueError: no such framing.
+        ValueError: `framing` is wrong.
     """
 
     def __init__(self, framing: LineFraming, on_heard: OnHeard = lambda heard: None) -> None:
@@ -56,12 +55,12 @@ class Separator:
 
     def feed(self, data: bytes, at: float, direction: Direction | None = None) -> list[Transaction]:
         """
-        Take bytes, give the transactions that have ended, oldest first.
+        Take bytes; return the transactions that have ended, oldest first.
 
         Args:
-            data: in any pieces.
-            at: when they came, in seconds of any clock that only goes forward.
-            direction: who sent them, if that is known; None if it must be found out.
+            data: cut anywhere.
+            at: when they came, in seconds of any clock that never goes back.
+            direction: their sender; None if it is not known.
         """
         self._wait(at)
         if data:
@@ -72,13 +71,13 @@ class Separator:
         return self._given()
 
     def tick(self, at: float) -> list[Transaction]:
-        """Take it that nothing more came until then; as `feed`."""
+        """Note that nothing more came until this time; otherwise as `feed`."""
         self._wait(at)
         self._naming.tick(at)
         return self._given()
 
     def end(self) -> list[Transaction]:
-        """Take it that nothing more will ever come; as `feed`."""
+        """Note that nothing more will come; otherwise as `feed`."""
         for hearing in self._hearings.values():
             self._take(hearing.silence(self._naming.is_awaited, is_long=True))
         self._last.clear()
@@ -86,7 +85,7 @@ class Separator:
         return self._given()
 
     def take(self, found: Candidate | Damage) -> list[Transaction]:
-        """Take what others have cut out, as from a capture; as `feed`."""
+        """Take a frame or damage that was cut before, as in a capture; otherwise as `feed`."""
         self._naming.take(found)
         return self._given()
 

@@ -1,5 +1,5 @@
 """
-Where bytes come from, with the time of each piece: a serial port, or what passes a tap.
+The sources of bytes, with the time of each piece: a serial port, or a tap.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ class TimedBytes(NamedTuple):
     Bytes that came together.
 
     Attributes:
-        link: number of the connection; 0 on a serial line.
-        sender: whose they are; None on a line, where nobody can know.
+        link: the number of the connection; 0 on a serial line.
+        sender: None on a serial line, where it is not known.
         at: when they came, in seconds.
-        data: none where the connection ended.
+        data: empty at the end of a connection.
     """
 
     link: int
@@ -32,16 +32,16 @@ class TimedBytes(NamedTuple):
 
 
 class Source(Protocol):
-    """What sources have in common."""
+    """The common part of all sources."""
 
     @property
     def descriptor(self) -> int:
-        """Readable once there is something to receive."""
+        """A descriptor that is readable when there are bytes to receive."""
         ...
 
     def open(self) -> None:
         """
-        Open it, again if need be.
+        Open the source, or open it again.
 
         Raises:
             ModbusConnectionError: it cannot be opened, with errno.
@@ -50,7 +50,7 @@ class Source(Protocol):
 
     def receive(self) -> list[TimedBytes]:
         """
-        Give what has come, oldest first.
+        Return the bytes that have come, oldest first.
 
         Raises:
             ModbusConnectionError: the port is gone.
@@ -58,7 +58,7 @@ class Source(Protocol):
         ...
 
     def close(self) -> None:
-        """Any number of times."""
+        """Close the source; any number of times."""
         ...
 
 

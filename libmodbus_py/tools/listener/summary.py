@@ -1,5 +1,5 @@
 """
-What was heard, counted.
+Counts of the traffic that was heard.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ __all__ = ["AnswerTimes", "Summary", "UnitSummary"]
 @dataclass
 class AnswerTimes:
     """
-    How long answers took, in seconds.
+    The response times of a unit, in seconds.
 
     Attributes:
-        count: how many there were.
-        shortest, mean, longest: 0.0 as long as there was none.
+        count: the number of responses.
+        shortest, mean, longest: 0.0 before the first response.
     """
 
     count: int = 0
@@ -44,14 +44,14 @@ class AnswerTimes:
 @dataclass
 class UnitSummary:
     """
-    What was heard of one unit.
+    The traffic of one unit.
 
     Attributes:
-        transactions: how many.
-        functions: function code -> how often it was asked.
-        errors: what went wrong -> how often: kinds of transactions, and "exception N".
-        repeats: questions that had been asked before.
-        times: of its answers.
+        transactions: their number.
+        functions: function code -> the number of its requests.
+        errors: kind of transaction, or "exception N" -> the number of such failures.
+        repeats: the number of requests that had been sent before.
+        times: its response times.
     """
 
     transactions: int = 0
@@ -61,7 +61,7 @@ class UnitSummary:
     times: AnswerTimes = field(default_factory=AnswerTimes)
 
     def note(self, transaction: Transaction) -> None:
-        """Count a transaction of this unit; a late answer belongs to one that is counted."""
+        """Count a transaction of this unit; the request of a late response is counted already."""
         if transaction.kind not in ("late", "unasked"):
             self.transactions += 1
             self.repeats += transaction.repeats > 0
@@ -77,11 +77,11 @@ class UnitSummary:
 @dataclass
 class Summary:
     """
-    What was heard so far.
+    The traffic so far.
 
     Attributes:
-        transactions: of all units.
-        damaged: runs of bytes that are no frame, and belong to no question.
+        transactions: the number of all units.
+        damaged: runs of bytes that are no frame and belong to no request.
         units: by unit, 0..255.
     """
 
@@ -100,7 +100,7 @@ class Summary:
         self.transactions += unit.transactions - before
 
     def as_dict(self) -> dict[str, Any]:
-        """Give it as JSON has it; times in seconds."""
+        """Return the counts as JSON has them; times in seconds."""
         return {
             "transactions": self.transactions,
             "damaged": self.damaged,

@@ -1,8 +1,8 @@
 """
-A tap in between: clients connect to it, it connects to the device, and shows what passes.
+A tap between clients and a device: clients connect to it, and it connects to the device.
 
-Every connection has a thread of its own that passes bytes on before it shows them, so that nobody
-waits for whoever listens.
+Every connection has a thread of its own that passes bytes on before it keeps them for the listener,
+so that a slow listener delays no device.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ __all__ = ["MAX_LINKS", "Tap"]
 
 logger: logging.Logger = logging.getLogger(__name__)
 
-# Connections at once; one more is refused.
+# The number of connections at once; more are refused.
 MAX_LINKS = 64
 
-# Bytes that are shown later, while nobody looks; what comes beyond is passed on unseen.
+# Bytes that are kept for the listener; more are passed on without being kept.
 MAX_UNSEEN = 1 << 20
 
-# What a piece costs beside its bytes.
+# The memory of a piece apart from its bytes.
 PIECE_COST = 100
 
 CONNECT_TIMEOUT = 10.0
@@ -43,14 +43,16 @@ READ_SIZE = 65_536
 
 class Tap:
     """
+    A source of the bytes between clients and a device.
+
     Args:
-        endpoint: where clients connect; port 0 for a free one.
-        target: where the device is.
-        clock: gives the time of each piece, in seconds.
+        endpoint: the address for clients; port 0 for a free one.
+        target: the address of the device.
+        clock: returns the time of each piece, in seconds.
 
     Attributes:
-        descriptor: readable once there is something to take.
-        endpoint: as it is, with the port it got.
+        descriptor: readable when there are bytes to receive.
+        endpoint: the address for clients, with its port.
 
     Raises:
         ModbusConnectionError: the endpoint cannot be opened, with errno.
@@ -79,10 +81,10 @@ class Tap:
             ) from error
 
     def open(self) -> None:
-        """It is open, and stays so."""
+        """Do nothing: the tap is open."""
 
     def receive(self) -> list[TimedBytes]:
-        """Give what has passed, oldest first; a piece without bytes ends a connection."""
+        """Return the bytes that have passed, oldest first; an empty piece ends a connection."""
         with self._lock:
             self._waker.clear()
             pieces, self._pieces = self._pieces, deque()
@@ -90,7 +92,7 @@ class Tap:
         return list(pieces)
 
     def close(self) -> None:
-        """End all connections. Any number of times."""
+        """Close all connections; any number of times."""
         with self._lock:
             self._is_closed = True
             for ends in (*self._links.values(), (self._listener,)):

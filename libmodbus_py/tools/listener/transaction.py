@@ -1,5 +1,5 @@
 """
-What a listener gives: a question, its answer, and how it ended.
+The result of listening: a request, its response, and how it ended.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ Kind = Literal[
 ]
 
 KINDS: dict[Kind, str] = {
-    "answered": "the answer fits the question",
-    "exception": "the unit refused",
-    "invalid": "an answer came that does not fit the question",
-    "late": "the answer came when the client had gone on; the question was given as unanswered",
-    "unanswered": "nothing came until the next question, or for long",
-    "broadcast": "to unit 0, or a question that asks for silence: nobody answers",
-    "damaged": "bytes that are no frame, instead of an answer or without a question",
-    "unasked": "an answer that no question is known of, or that it has had",
+    "answered": "the response fits the request",
+    "exception": "the unit answered with an exception",
+    "invalid": "a response came that does not fit the request",
+    "late": "the response came after the request had been reported as unanswered",
+    "unanswered": "no response came before the next request, or for several seconds",
+    "broadcast": "a request to unit 0, or one that asks for silence, which no unit answers",
+    "damaged": "bytes that are no frame, instead of a response or without a request",
+    "unasked": "a response without a known request, or a second one",
 }
 
 Part = Literal["request", "response", "damage"]
@@ -41,10 +41,10 @@ Part = Literal["request", "response", "damage"]
 
 class Heard(NamedTuple):
     """
-    A frame that has been named, or bytes that are none.
+    A request, a response, or bytes that are no frame.
 
     Attributes:
-        began, ended: when its first and its last byte came, in seconds.
+        began, ended: the times of the first and the last byte, in seconds.
         part: "request", "response" or "damage".
         frame: unit and PDU; None for damage.
         data: the bytes of damage; empty for frames.
@@ -63,20 +63,19 @@ OnHeard = Callable[[Heard], object]
 @dataclass(frozen=True, slots=True)
 class Transaction:
     """
-    What passed between a client and a unit.
+    A request and its response, or one of them alone.
 
     Attributes:
-        time: when it began, in seconds since the epoch.
-        kind: how it ended, one of `KINDS`.
-        unit: 0..255; None where only damaged bytes are known.
+        time: of its first byte, in seconds since the epoch.
+        kind: how it ended: one of `KINDS`.
+        unit: 0..255; None for damaged bytes alone.
         function: the function code, 1..127, or None.
-        request: the question, `RawRequest` if it is none that a server would take; None where
-            there is none.
-        response: what the client's method would have returned; None without an answer.
-        error: the refusal (ExceptionResponse), what is wrong with the answer (InvalidResponse),
-            or the damaged bytes (FrameError, `received`); None otherwise.
-        duration: seconds from the end of the question to the end of the answer, or None.
-        repeats: how often the same question had been asked before without an answer.
+        request: a `RawRequest` if a server would refuse to decode it; None without a request.
+        response: the result of the client's method; None without a response.
+        error: the exception response (ExceptionResponse), the mistake in the response
+            (InvalidResponse), or the damaged bytes (FrameError, `received`); None otherwise.
+        duration: seconds from the end of the request to the end of the response, or None.
+        repeats: how often the same request had been sent before without a response.
     """
 
     time: float
@@ -91,7 +90,7 @@ class Transaction:
 
     @property
     def is_good(self) -> bool:
-        """Whether nothing is wrong: answered at once, or a broadcast."""
+        """True if nothing is wrong: answered at the first attempt, or a broadcast."""
         return self.kind in ("answered", "broadcast") and not self.repeats
 
     def __str__(self) -> str:

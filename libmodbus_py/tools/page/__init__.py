@@ -1,18 +1,18 @@
 """
-A live page of a server: what its devices hold, who wrote it, what passed, and what goes wrong.
+A live page of a server: its values, the last writer of each, a log of the traffic, and faults.
 
 ::
 
     page           live_page: a page while a block runs
-    web            HTTP: who may ask, what, and how much of it
-      guard        ... the token, the Host and the Origin
+    web            HTTP: paths, and limits of requests
+      guard        ... the checks of token, Host and Origin
       page.html, page.css, scripts/
-    actions        what a page asks for: to look elsewhere, to set, to switch
-    streams        what every open page is sent, ten times a second at most
-    views          what a page looks at: points by name, or cells; what changed of it
-    refreshing     values that are computed when they are looked at
-    shown          what there is: units, tables, points
-    setting        a value that was typed, into its cells
+    actions        requests of a page: choose another view, set a value, switch a fault
+    streams        the changes that every open page is sent, ten times a second at most
+    views          the points or cells that a page shows, and which of them have changed
+    refreshing     values that a device computes when they are read
+    shown          the units of a server, with their tables and points
+    setting        typed values, into cells
     fault_list     faults on and off
-    log            what passed, as text, and who wrote what last
+    log            transactions as text, and the last write to each address
 """

@@ -1,5 +1,5 @@
 """
-What a page asks for: to look elsewhere, to set a value, to switch a fault.
+The requests of a page: choose another view, set a value, switch a fault.
 """
 
 from __future__ import annotations
@@ -18,16 +18,15 @@ __all__ = ["Actions"]
 
 Given = Mapping[str, Any]
 
-# What of a fault can be given here.
+# The settings of a fault that a page can give.
 SETTINGS = ("kind", "function", "every", "probability", "seconds", "code", "length")
 
 
 class Actions:
     """
-    Each takes what was sent, and gives what is answered.
+    Functions by path: each takes the JSON object of a request, and returns that of the response.
 
-    Raises:
-        TypeError, ValueError, KeyError: what was sent cannot be, or something is missing.
+    They raise TypeError, ValueError or KeyError if the object is wrong or lacks a key.
     """
 
     def __init__(self, streams: Streams) -> None:

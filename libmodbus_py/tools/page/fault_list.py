@@ -22,7 +22,7 @@ class FaultList:
     The faults of one server, with numbers that stay as long as they do; for any thread.
 
     Args:
-        switch: of the server; whatever else changes its faults is followed.
+        switch: that of the server, which others may use, too.
     """
 
     def __init__(self, switch: FaultSwitch) -> None:

@@ -1,8 +1,8 @@
 """
-Who may ask: whoever has the token, came to this address by its own name, and from this page.
+The check of requests: they must have the token, the page's own Host, and its own Origin.
 
-Another program's page in the same browser has none of these: a name that it lets point here
-(DNS rebinding) stands in the Host, its own address in the Origin.
+A page of another program in the same browser has none of these: if its name resolves to this
+address (DNS rebinding), that name is in the Host; its own address is in the Origin.
 """
 
 from __future__ import annotations
@@ -19,9 +19,11 @@ __all__ = ["PageGuard"]
 
 class PageGuard:
     """
+    Checks the requests to one page.
+
     Args:
         host: where the page listens, as it was given: a name or an address.
-        address: the same as an address.
+        address: the address of this host.
         port: where it listens.
     """
 
@@ -36,11 +38,11 @@ class PageGuard:
 
     @property
     def cookie(self) -> str:
-        """What a browser is given with the page: it says the token from then on."""
+        """The value of the Set-Cookie header, with which a browser sends the token from then on."""
         return f"{self._cookie}={self.token}; Path=/; HttpOnly; SameSite=Strict"
 
     def refusal(self, query: str, headers: Message, *, is_change: bool) -> str:
-        """Say why somebody may not; nothing if they may."""
+        """Return why a request is refused; an empty string if it is not."""
         host = headers.get("Host", "")
         if len(headers.get_all("Host", [])) != 1 or not self._is_own(host):
             return "the Host is not the address of this page"
@@ -66,10 +68,10 @@ class PageGuard:
 
     def _kept(self, headers: Message) -> Iterator[str]:
         """
-        What is in the cookie, whatever stands beside it.
+        Yield the values of the page's cookie, and ignore all other cookies.
 
         Pages on all ports of a machine share their cookies, and `http.cookies` stops at the first
-        that it finds odd, such as one with JSON in it.
+        that is not as it expects, such as one that contains JSON.
         """
         for header in headers.get_all("Cookie", []):
             for each in header.split(";"):

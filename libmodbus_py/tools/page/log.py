@@ -158,7 +158,7 @@ def _row(number: int, exchange: Exchange) -> LogRow:
 
 
 def _words(request: Request[Any]) -> str:
-    """Such as ``read holding registers 100..102``, or ``diagnostics: sub function 0, data ...``."""
+    """Return such as ``read holding registers 100..102`` or ``diagnostics: sub function 0``."""
     match request:
         case pdu.WriteCoil() | pdu.WriteRegister():
             return f"write {_place(request)} {request.address}: {int(request.value)}"
@@ -186,7 +186,7 @@ def _span(address: int, count: int) -> str:
 
 
 def _listed(values: Any) -> str:
-    """Bits and registers as numbers, the first few; others as Python has them."""
+    """Return bits and registers as numbers, the first few; other values as Python shows them."""
     if not isinstance(values, list | tuple) or not all(isinstance(each, int) for each in values):
         return _short.repr(values)
     more = "" if len(values) <= MOST_VALUES else f", ... ({len(values)})"

@@ -1,5 +1,5 @@
 """
-A page of a server, while a block runs.
+A live page of a server, while a block runs.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ class Page:
     A live page.
 
     Attributes:
-        url: where it is, with the token that whoever opens it must have.
+        url: its address, with the token without which it cannot be opened.
     """
 
     url: str
@@ -32,18 +32,18 @@ def live_page(server: Server, host: str = "127.0.0.1", port: int = 0) -> Iterato
     """
     Show a server on a live page, over HTTP, while the ``with`` block runs.
 
-    It has a few threads of its own, and does nothing while nobody watches. Values set there are
-    set as by this program: hooks about writes are not called. `before_read` of devices is called
-    from its thread, for what is looked at. Connections that clients made before it began are not
-    in its log.
+    The page has a few threads of its own, which are idle while it is not open in a browser. Values
+    that are set on it are set as by this program: hooks for writes are not called. `before_read` of
+    devices is called from a thread of the page for the values that it shows. Connections that
+    clients made before the page began are not in its log.
 
     Args:
-        host: an address of this machine to listen on. Whoever reaches it and has the URL may
-            change everything, and nothing of it is encrypted.
+        host: an address of this machine to listen on. Anyone who can reach it and has the URL can
+            change everything, and the traffic is not encrypted.
         port: 0 for a free one.
 
     Raises:
-        OSError: the address cannot be had, or no thread.
+        OSError: the address cannot be used, or the system has no thread left.
     """
     streams = Streams(server)
     web = WebServer(host, port, streams)

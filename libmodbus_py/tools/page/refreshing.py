@@ -1,5 +1,5 @@
 """
-Values that a device computes when they are looked at.
+Values that a device computes when they are read.
 """
 
 from __future__ import annotations
@@ -14,15 +14,17 @@ __all__ = ["Refreshing"]
 
 logger: logging.Logger = logging.getLogger(__name__)
 
-# A device may refuse because it is busy. Who refuses each cell costs a call for each.
+# Seconds between two attempts: a device may refuse because it is busy, and one that refuses all
+# cells costs a call for each.
 RETRY = 10.0
 
 
 class Refreshing:
     """
-    Has values computed before they are looked at.
+    Lets a device compute values before they are shown.
 
-    What a device refuses to compute is tried in halves, and left alone for `RETRY` seconds.
+    Ranges that the device refuses are tried in halves, and the refused cells are not tried again
+    for `RETRY` seconds.
     """
 
     def __init__(self, device: Device) -> None:
@@ -42,7 +44,7 @@ class Refreshing:
             self._runs[key] = good
 
     def _refreshed(self, table: str, run: range) -> list[range]:
-        """Give the parts of it that could be."""
+        """Return the parts of a range that were computed."""
         if not run:
             return []
         try:
@@ -51,7 +53,7 @@ class Refreshing:
             middle = len(run) // 2
             parts = [run[:middle], run[middle:]] if middle else []
             return [each for part in parts for each in self._refreshed(table, part)]
-        except BaseException:  # it may mean to end a server, but here is none
+        except BaseException:  # a hook may mean to end a server, but this is none
             if not self._has_failed:
                 self._has_failed = True
                 logger.exception("%s %s: before_read failed", table, run)

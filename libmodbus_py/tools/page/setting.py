@@ -1,8 +1,8 @@
 """
-A value that somebody typed, into its cells: checked, under the lock, and looked at afterwards.
+Typed values, into cells: checked, set under the lock, and compared afterwards.
 
-It is the device's own side that sets it, not a client: whatever clients may not write can be set,
-and hooks about writes are not called. What a point cannot be, is refused.
+They are set by the device's own side, not by a client: cells that clients cannot write can be set,
+and hooks for writes are not called. Values that do not fit a point are refused.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def set_cells(unit: ShownUnit, table: str, address: int, text: str, type: str, o
 
 
 def readings_at(unit: ShownUnit, table: str, address: int) -> list[list[str]]:
-    """Say what the cells from an address on may mean: type, order and value."""
+    """Return type, order and value of each meaning of the cells from an address on."""
     if TABLES[table].is_bits:
         return []
     found = []
@@ -99,4 +99,4 @@ def _set(unit: ShownUnit, table: str, address: int, cells: list[Any]) -> None:
         place[address:stop] = cells
         Refreshing(unit.device).refresh(table, range(address, stop))
         if place[address:stop] != cells:
-            raise ValueError("the device computes it itself: it moves")
+            raise ValueError("the device computes this value itself")

@@ -1,5 +1,5 @@
 """
-What there is to be seen: units, their tables and points.
+The units of a server, with their tables and points, as a page shows them.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ class ShownUnit:
 
     Attributes:
         number: 0..255; None for a device that answers every unit.
-        name, description: what its file says, if anything.
-        points: what has a name.
+        name, description: those of its device file; empty without one.
+        points: its named values.
     """
 
     number: int | None
@@ -71,7 +71,7 @@ class ShownServer:
     All devices of a server.
 
     Attributes:
-        given: what the server was given; another one makes this old.
+        given: the devices of the server; if it has others, this object is out of date.
     """
 
     given: Device | Mapping[int, Device]
@@ -81,7 +81,7 @@ class ShownServer:
         return [unit.as_json() for unit in self.units.values()]
 
     def units_of(self, number: int, *, is_line: bool) -> list[int | None]:
-        """Which of them a request meant, by its unit and its kind of line."""
+        """Return the units that a request is for, by its unit and kind of connection."""
         if is_line and number == 0:
             return list(self.units)
         if None in self.units:
@@ -93,14 +93,14 @@ class ShownServer:
 
 
 def shown_of(server: Server) -> ShownServer:
-    """See what a server has now."""
+    """Return the devices that a server has now."""
     given = server.devices
     devices = {None: given} if isinstance(given, Device) else dict(sorted(given.items()))
     return ShownServer(given, {number: _unit(number, device) for number, device in devices.items()})
 
 
 def _unit(number: int | None, device: Device) -> ShownUnit:
-    """Only some devices have names, such as those of device files."""
+    """Return a unit; only some devices have names, such as those of device files."""
     points = getattr(device, "points", {})
     name, description = (str(getattr(device, key, "")) for key in ("name", "description"))
     return ShownUnit(number, device, name, description, tuple(points.values()))

@@ -1,5 +1,5 @@
 """
-What open pages are sent: only what changed, ten times a second at most.
+The changes that open pages are sent, ten times a second at most.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ logger: logging.Logger = logging.getLogger(__name__)
 
 MOST_STREAMS = 16
 
-# Seconds between two looks. Whatever one costs, the next waits for nine times as long: all of
-# them together take no more than a tenth of one processor.
+# Seconds between two looks for changes. After each, the next waits for at least nine times as long
+# as it took, so that all together take at most a tenth of one processor.
 PERIOD = 0.1
 REST = 9
 
-# What can be chosen; each kind of fault with the setting that it needs, if any.
+# The choices of the page; each kind of fault has the setting that it needs, if any.
 WORDS: dict[str, Any] = {
     "types": list(TYPES),
     "orders": list(ORDERS),
@@ -46,33 +46,33 @@ WORDS: dict[str, Any] = {
     },
 }
 
-# What a page looks at: the unit, a table or "points", the first of them and where they stop.
+# The view of a page: unit, table or "points", the first of them, and the end.
 Key = tuple["int | None", str, int, int]
 
 
-# What has changed of what is looked at, as JSON.
+# The changes of each view, as JSON.
 Texts = dict["Key | None", str]
 
 
 class FullError(Exception):
-    """There are as many open pages as may be."""
+    """`MOST_STREAMS` pages are open."""
 
 
 class PageStream:
     """
-    One open page. It has one message at a time: what it is too slow to take is not kept.
+    One open page. It has one message at a time; changes that it is too slow to take are dropped.
 
     Attributes:
-        name: how it says which one it is.
-        wake: a descriptor that can be read when there is something to take.
-        key: what it looks at.
+        name: identifies the page in its requests.
+        wake: a descriptor that is readable when there is a message.
+        key: its view.
     """
 
     def __init__(self) -> None:
         self.name: str = secrets.token_hex(8)
         self.wake: int = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         self.key: Key | None = None
-        # What it has been sent: everything, of which devices, and all that it looks at.
+        # What the page was sent: whether everything, for which devices, and for which view.
         self.is_behind = True
         self.shown: ShownServer | None = None
         self.told: Key | None = None
@@ -80,7 +80,7 @@ class PageStream:
         self._message = ""
 
     def offer(self, message: str) -> bool:
-        """Give it something to take; False if it has not taken the last one."""
+        """Offer a message; return False if the page has not taken the last one."""
         with self._lock:
             if self._message or self.wake < 0:
                 return False
@@ -107,7 +107,7 @@ class Streams:
     All open pages of a server.
 
     Attributes:
-        log, faults: what they show.
+        log, faults: shown on all pages.
     """
 
     def __init__(self, server: Server) -> None:
@@ -121,21 +121,23 @@ class Streams:
         self._told = (0, 0, -1)  # the last transaction, write and version of the faults
         self._changed = threading.Condition()
         self._is_wanted = True
-        self._is_asked = False  # somebody waits for the first time
+        self._is_asked = False  # a page waits for its first message
         self._has_failed = False
         self._thread = threading.Thread(target=self._run, name="page", daemon=True)
 
     @property
     def shown(self) -> ShownServer:
-        """What the server has now."""
+        """The devices that the server has now."""
         if self._server.devices is not self._shown.given:
             self._shown = shown_of(self._server)
         return self._shown
 
     def unit(self, number: object) -> ShownUnit:
         """
+        Return the unit of a number.
+
         Raises:
-            ValueError: there is none of that number.
+            ValueError: there is no such unit.
         """
         found = self.shown.units.get(number) if isinstance(number, int | None) else None
         if found is None:
@@ -164,7 +166,7 @@ class Streams:
     @contextlib.contextmanager
     def opened(self) -> Iterator[PageStream]:
         """
-        One more, while the block runs.
+        Open one more page while the block runs.
 
         Raises:
             FullError: there are too many.
@@ -185,7 +187,7 @@ class Streams:
 
     def look_at(self, name: object, number: object, what: object, first: int, stop: int) -> None:
         """
-        Say what a page looks at: cells of a table, or "points".
+        Set the view of a page: cells of a table, or "points".
 
         Raises:
             ValueError: there is no such page, unit or table.
@@ -211,7 +213,7 @@ class Streams:
             except Exception:
                 if not self._has_failed:  # once, not ten times a second
                     self._has_failed = True
-                    logger.exception("the page stands still")
+                    logger.exception("the page cannot be updated; this is logged once")
             took = time.thread_time() - before
             with self._changed:
                 self._changed.wait_for(lambda: not self._is_wanted, REST * took)
@@ -220,7 +222,7 @@ class Streams:
                 self._is_asked = False
 
     def _wait(self) -> bool:
-        """Until there is a page; give whether there will be."""
+        """Wait until a page is open; return False at the end."""
         with self._changed:
             self._changed.wait_for(lambda: self._streams or not self._is_wanted)
             return self._is_wanted
@@ -260,7 +262,7 @@ class Streams:
             return self._views[key]
         number, what, first, stop = key
         unit = self._shown.units.get(number)
-        if unit is None:  # there was one
+        if unit is None:  # the unit is gone
             return None
         if what == "points":
             return PointsView(unit, first, stop)
@@ -310,7 +312,7 @@ def _named(key: Key, changes: dict[str, Any]) -> dict[str, Any]:
 
 
 def _encoded(found: dict[str, Any]) -> str:
-    """The inside of a JSON object."""
+    """Return a JSON object without its braces."""
     return json.dumps(found, separators=(",", ":"))[1:-1]
 
 

@@ -1,8 +1,8 @@
 """
-What a page looks at, and what has changed of it since.
+The points or cells that a page shows, and which of them have changed.
 
-What moves by itself is computed when it is looked at, as for clients. What cannot be computed,
-for clients may not read it, is shown as it is.
+Values that a device computes are computed for the page as for clients. Where the device refuses,
+because clients may not read them, the page shows the cells as they are.
 """
 
 from __future__ import annotations
@@ -22,26 +22,26 @@ __all__ = ["MOST_CELLS", "MOST_POINTS", "CellsView", "PageView", "PointsView"]
 MOST_POINTS = 500
 MOST_CELLS = 16_384
 
-# Cells are compared, and sent, by as many as that.
+# Cells are compared and sent in chunks of this size.
 CHUNK = 64
 
-# As much of a value as a row can show.
+# Characters of a value that a row can show.
 MOST_TEXT = 200
 
 Changes = dict[str, Any]
 
 
 class PageView(Protocol):
-    """What one or more pages look at."""
+    """The view of one or more pages."""
 
     unit: ShownUnit
 
     def look(self) -> Changes:
-        """Give what has changed since the last call; everything the first time."""
+        """Return the changes since the last call; everything at the first."""
         ...
 
     def all(self) -> Changes:
-        """Give what was seen last."""
+        """Return everything as of the last `look`."""
         ...
 
 
@@ -50,7 +50,7 @@ class PointsView:
     Points of one unit.
 
     Args:
-        first, stop: which of them.
+        first, stop: the range of their indexes.
     """
 
     def __init__(self, unit: ShownUnit, first: int, stop: int) -> None:
@@ -80,7 +80,7 @@ class PointsView:
             try:
                 table: Table[Any] = getattr(mapping, point.table)
                 cells: list[Any] = table[point.cells.start : point.cells.stop]
-            except IndexError:  # a map may name what the device has not
+            except IndexError:  # a map may have points that the device lacks
                 cells = []
         return cells
 
@@ -110,7 +110,7 @@ class CellsView:
     Cells of one table.
 
     Args:
-        first, stop: their addresses.
+        first, stop: the range of their addresses.
     """
 
     def __init__(self, unit: ShownUnit, table: str, first: int, stop: int) -> None:

@@ -1,5 +1,5 @@
 """
-The page over HTTP: a few paths, each request checked first and bounded in size and time.
+The page over HTTP: a few paths; each request is checked, and limited in size and time.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ FILES = {
     for each in FOLDER.joinpath("scripts").iterdir()
     if each.name.endswith(".js")
 }
-"""Path -> the file here, and its type."""
+"""Path -> file in this folder, and its media type."""
 
 HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self';"
@@ -76,7 +76,7 @@ class WebServer(TimedServer):
 
 
 class Head:
-    """The beginning of a request, which is not longer than it may be."""
+    """The head of a request, of at most `MOST_HEAD` bytes."""
 
     def __init__(self, file: Any) -> None:
         self._file = file
@@ -107,7 +107,7 @@ class Refused(Exception):
 
 
 class Handler(BaseHTTPRequestHandler):
-    """One request, for a connection carries no more than one."""
+    """The one request of a connection."""
 
     server: WebServer
     server_version = "libmodbus-py"
@@ -125,7 +125,7 @@ class Handler(BaseHTTPRequestHandler):
         self._answer(self._post)
 
     def log_message(self, format: str, *args: Any) -> None:
-        """Nobody wants to know."""
+        """Log nothing."""
 
     def end_headers(self) -> None:
         for name, value in HEADERS.items():
@@ -211,13 +211,13 @@ class Handler(BaseHTTPRequestHandler):
             raise Refused(503, str(error)) from None
 
     def _feed(self, stream: PageStream) -> None:
-        """Until it goes away, or does not take what it is sent."""
+        """Send messages until the browser closes the connection or stops reading."""
         poll = select.poll()
         poll.register(self.connection, select.POLLIN | select.POLLHUP)
         poll.register(stream.wake, select.POLLIN)
         while True:
             ready = dict(poll.poll(HEARTBEAT * 1000))
-            if self.connection.fileno() in ready:  # it has nothing to say but goodbye
+            if self.connection.fileno() in ready:  # the browser has closed the connection
                 return
             message = stream.take() if ready else ": \n\n"
             self.wfile.write(message.encode())

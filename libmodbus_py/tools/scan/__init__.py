@@ -1,12 +1,12 @@
 """
-Who answers where, and what they have: found by reading alone.
+Finds the units that answer, and the registers that they have, by reading alone.
 
 ::
 
-    places      the settings that a line may have, and how long an answer takes there
-    probe       one question to one unit, and what its answer says
-    walking     Walker: an iterator that asks, and that can be left
+    places      the settings that a line may have, and how long a response takes there
+    probe       one request to one unit, and what its response says
+    walking     Walker: an iterator that sends requests, and can be left at any time
     scan        Scan: all units at all settings; Found: one that answered
-    halving     which cells of a table exist, told by what a device lets one read; pure
+    halving     which cells of a table exist, from the reads that a device answers; pure
     search      Search: the tables of one unit; Extent: the ranges of one of them
 """

@@ -1,9 +1,10 @@
 """
-Which cells of a table exist, told by what a device lets one read: no I/O.
+Which cells of a table exist, from the reads that a device answers; without I/O.
 
-A read that is answered proves all its cells; one that is refused only that one of them is
-missing, or that it asked for too many. So single cells are tried here and there, and from each
-that is there reads grow in both directions until one is refused; halving it finds the end.
+A read that is answered proves that all its cells exist. One that is refused proves only that one
+of them is missing, or that the read asked for too many. So single cells are tried at intervals;
+from each that exists, reads grow in both directions until one is refused, and halving that one
+finds the end.
 """
 
 from __future__ import annotations
@@ -23,23 +24,23 @@ USUAL = (
     *range(10_000, 65_536, 10_000), *range(0x100, 0x1000, 0x100), *range(0x1000, 0x10000, 0x1000),
 )  # fmt: skip
 
-# Cells between those that are tried in the end.
+# Cells between two that are tried, in the end.
 FINEST = 64
 
-# So far behind and before a range its neighbours are looked for: ranges come in groups, and usual
-# addresses begin them.
+# Distances from a range at which others are looked for: ranges come in groups, and usual addresses
+# begin them.
 BEHIND, BEFORE = (*range(1, 17), 32, 64), (1, 2, 4, 8)
 
-# Sent the read that is asked for, gives whether it was answered.
+# Yields a read; is sent True if it was answered.
 Reads = Generator[range, bool, bool]
 
 
 class Cells:
     """
-    What is known of a table.
+    The cells of one table, as far as they are known.
 
     Attributes:
-        most: how many cells one read may ask for, as far as the device has shown.
+        most: the number of cells that one read may ask for, as far as the device has shown.
     """
 
     def __init__(self, most: int) -> None:
@@ -50,7 +51,7 @@ class Cells:
         return self._states[address]
 
     def note(self, read: range, answered: bool) -> None:
-        """Learn from a read; a refusal tells something of a single cell only."""
+        """Note a read; a refusal proves something only if it was of a single cell."""
         if answered:
             self._states[read.start : read.stop] = bytes([THERE]) * len(read)
         elif len(read) == 1:
@@ -58,12 +59,12 @@ class Cells:
 
     @property
     def ranges(self) -> list[range]:
-        """Give what is there."""
+        """Return the ranges that exist."""
         return list(self._runs(THERE))
 
     @property
     def unseen(self) -> int:
-        """Give how many cells in a row nobody knows anything of, at most."""
+        """Return the length of the longest run of cells that were not tried."""
         return max((len(run) for run in self._runs(UNKNOWN)), default=0)
 
     def _runs(self, state: int) -> Iterator[range]:
@@ -78,10 +79,10 @@ class Cells:
 
 def halving(cells: Cells) -> Generator[range, bool, None]:
     """
-    Yield reads, and be sent whether each was answered, until no more is worth asking.
+    Yield reads until no more are worthwhile; send True for each that was answered.
 
     Args:
-        cells: learns.
+        cells: is told of each read.
     """
     near: deque[int] = deque()
     rest = _places()
@@ -93,7 +94,7 @@ def halving(cells: Cells) -> Generator[range, bool, None]:
             yield from _ask(cells, range(address, address + 1))
         ):
             last = yield from _grow(cells, address, 1)
-            # Where it is found it usually begins: one read tells, and halving takes seven.
+            # A range usually begins where it is found: one read shows that, halving takes seven.
             if address and cells.state(address - 1) == UNKNOWN:
                 yield from _ask(cells, range(address - 1, address))
             first = yield from _grow(cells, address, -1)
@@ -116,12 +117,12 @@ def _ask(cells: Cells, read: range) -> Reads:
 
 
 def _between(near: int, far: int, way: int) -> range:
-    """Give the cells from `near` on up to `far`, which is not among them, whichever the way."""
+    """Return the cells from `near` up to, but without, `far`, in either direction."""
     return range(near, far) if way > 0 else range(far + 1, near + 1)
 
 
 def _grow(cells: Cells, address: int, way: int) -> Generator[range, bool, int]:
-    """Go on from a cell that is there; gives the first that is not."""
+    """Go on from a cell that exists; return the first that does not."""
     near = address + way
     while 0 <= near < TABLE_SIZE and cells.state(near) != MISSING:
         if cells.state(near) == THERE:
@@ -140,7 +141,7 @@ def _grow(cells: Cells, address: int, way: int) -> Generator[range, bool, int]:
 
 
 def _halve(cells: Cells, near: int, far: int, way: int) -> Generator[range, bool, int]:
-    """Find the cell for which a read was refused, or that it was refused for its length."""
+    """Find the cell because of which a read was refused, or that its length was the reason."""
     largest = 1
     while abs(far - near) > 1:
         middle = near + way * (abs(far - near) // 2)
@@ -151,6 +152,6 @@ def _halve(cells: Cells, near: int, far: int, way: int) -> Generator[range, bool
             far = middle
     if cells.state(near) == UNKNOWN:
         yield from _ask(cells, _between(near, far, way))
-    if cells.state(near) == THERE:  # all of them are: it was the length
+    if cells.state(near) == THERE:  # all of them exist: the length was the reason
         cells.most = min(cells.most, largest)
     return near

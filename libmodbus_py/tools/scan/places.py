@@ -1,5 +1,5 @@
 """
-Where to ask: an endpoint with each setting that its line may have.
+The places of a scan: an endpoint with each setting that its line may have.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ PARITIES = ("E", "N", "O")
 # this finds devices with one stop bit as well.
 STOP_BITS = {"E": 1, "N": 2, "O": 1}
 
-# Seconds, unless told otherwise. After a request to another unit a server made with libmodbus
-# takes what comes within 0.5 s for that one's answer: whoever asks sooner finds only every second
-# of them, if any. On a network may be a gateway, which waits for somebody itself.
+# Default timeouts in seconds. After a request to another unit, a server made with libmodbus takes
+# what comes within 0.5 s for that unit's response: a shorter timeout finds only every second such
+# server, if any. On a network there may be a gateway, which waits for its own devices.
 ON_LINES, ON_NETWORKS = 0.6, 1.0
 
-# Bits of the longest character (serial line, 2.5.1), and characters for each byte.
+# Bits of the longest character (serial line, 2.5.1), and characters per byte.
 CHARACTER = 11
 CHARACTERS = {"rtu": 1, "ascii": 2}
 
-# Timeouts in a row mean that units are not there, and a new connection would lose late answers.
+# Many timeouts only mean that units are absent; a new connection would lose late responses.
 NEVER_DEAD = 1_000_000
 
 Item = TypeVar("Item")
@@ -45,8 +45,8 @@ class Place:
     An endpoint with one setting.
 
     Attributes:
-        endpoint: its own options included.
-        timeout: seconds that a unit has for its answer, apart from the time on the line.
+        endpoint: with its own options.
+        timeout: seconds that a unit has for its response, without the time on the line.
         security: for TLS.
     """
 
@@ -76,12 +76,12 @@ class Place:
         return "{baudrate} {data_bits}{parity}{stop_bits}".format(**self.settings)
 
     def url(self, unit: int) -> str:
-        """Give the URL of a client of that unit, as it is asked here."""
+        """Return the URL of a client of a unit, with these settings."""
         others = {**self.endpoint.client_options, "unit": unit}
         return replace(self.endpoint, client_options=others).url
 
     def wait(self, size: int) -> float:
-        """Give the seconds until an answer must be there, if it and its request have that size."""
+        """Return the timeout in seconds for a request and a response of this size together."""
         if not self.is_serial:
             return self.timeout
         characters = size * CHARACTERS[self.endpoint.framing]
@@ -89,15 +89,15 @@ class Place:
 
     def context(self, **options: Any) -> Context:
         """
-        Make a client; it sends nothing by itself, and nothing twice.
+        Make a client that repeats no request and sends none by itself.
 
         Raises:
-            TypeError, ValueError: the URL or its options.
+            TypeError, ValueError: the URL or an option is wrong.
         """
         told: dict[str, Any] = {"retries": 0, "busy_retries": 0, "max_pause": 0}
         told["timeouts_before_reconnect"] = NEVER_DEAD
         if self.endpoint.framing in ("tcp", "udp"):
-            # The transaction id says whose answer it is, also where all are unit 255.
+            # Transaction ids identify responses, even where all come from unit 255.
             told["accept_unit"] = "any"
         if self.security is not None:
             told["security"] = self.security
@@ -112,10 +112,10 @@ def places(
     security: Security | None = None,
 ) -> list[Place]:
     """
-    Give an endpoint with each setting; what its URL says holds unless told otherwise.
+    Return the endpoint with each setting; those of the URL hold unless others are given.
 
     Raises:
-        TypeError, ValueError: a setting that no line has, or any for a network.
+        TypeError, ValueError: a setting is out of range, or is given for a network.
     """
     if timeout is None:
         usual = ON_LINES if endpoint.transport == "serial" else ON_NETWORKS
@@ -147,11 +147,11 @@ def _set(endpoint: Endpoint, baudrate: int, parity: str) -> Endpoint:
 
 def listed(name: str, told: Iterable[Item] | None, usual: Iterable[Item]) -> list[Item]:
     """
-    Give each once, in the order told.
+    Return each value once, in the order given.
 
     Raises:
-        TypeError: no list.
-        ValueError: nothing in it.
+        TypeError: the argument is no list.
+        ValueError: the list is empty.
     """
     chosen = usual if told is None else told
     if not isinstance(chosen, Iterable):

@@ -1,9 +1,10 @@
 """
-One question to one unit, and what its answer says.
+One request to one unit, and what its response says.
 
-The probe is function 3, one register at address 0: the function that most devices have, and
-those that lack function or register answer with an exception, which is an answer (application
-protocol, section 7). Nothing changes in a device by it, and an echo of it is no answer to it.
+The probe reads one holding register at address 0 (function 3): most devices have this function,
+and those that lack the function or the register answer with an exception, which is a response,
+too (application protocol, section 7). The probe changes nothing in a device, and its echo is no
+response to it.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ __all__ = [
 ]
 # fmt: on
 
-# All that ever leaves: nothing that writes has a place here.
+# The only requests that are sent: none of them writes.
 Reading = (
     pdu.ReadCoils
     | pdu.ReadDiscreteInputs
@@ -47,25 +48,25 @@ Reading = (
 
 PROBE = pdu.ReadHoldingRegisters(0, 1)
 
-# Of the probe and its answer, and of the longest request and answer, in RTU frames.
+# Bytes of the probe and its response, and of the longest request and response, as RTU frames.
 PROBE_SIZE, LONGEST_SIZE = 8 + 7, 8 + 256
 
 NO_UNIT_CODES = [each.code for each in NO_UNIT]
 
-# Of identification that are asked for; one has what most devices tell.
+# Pages of identification that are read; most devices have one.
 MOST_PAGES = 4
 
-# A server that ends a connection; all else says that there will not be another one.
+# A server has closed the connection; other errors mean that another one would fail, too.
 ENDINGS = (errno.ECONNRESET, errno.EPIPE, errno.ECONNABORTED)
 
 
 class Answer(NamedTuple):
     """
-    Somebody is there.
+    A unit has answered the probe.
 
     Attributes:
-        took: seconds.
-        exception: its code, or None for a register.
+        took: seconds until the response.
+        exception: the code of an exception response; None if it held a register.
     """
 
     took: float
@@ -74,32 +75,32 @@ class Answer(NamedTuple):
 
 class Nothing(NamedTuple):
     """
-    Nobody is there, or nobody who can be understood.
+    No unit has answered the probe with a valid response.
 
     Attributes:
-        error: what became of the probe.
+        error: raised by the client.
     """
 
     error: ModbusError
 
     @property
     def is_gateway(self) -> bool:
-        """Whether a gateway says so."""
+        """True if a gateway has answered that the unit is absent."""
         return isinstance(self.error, NO_UNIT)
 
     @property
     def is_noise(self) -> bool:
-        """Whether bytes came that were no answer."""
+        """True if bytes came that are no response."""
         return not isinstance(self.error, ExceptionResponse) and bool(self.error.received)
 
     @property
     def is_never_silent(self) -> bool:
-        """Whether the line gave no chance to ask."""
+        """True if the line was never silent, so that the probe was not sent."""
         return isinstance(self.error, FrameError) and not self.error.sent
 
 
 class Late(NamedTuple):
-    """An answer that came while another unit was asked."""
+    """A response that came during the probe of another unit."""
 
     unit: int
     answer: Answer
@@ -107,12 +108,12 @@ class Late(NamedTuple):
 
 class Prober:
     """
-    Asks the units of a place, one at a time.
+    Sends requests to the units of a place, one at a time.
 
     Attributes:
         context: the client.
-        requests: how many were sent.
-        waker: what the client waits with, and its clock.
+        requests: the number of requests sent.
+        waker: wakes the client, and has its clock.
     """
 
     def __init__(self, place: Place) -> None:
@@ -126,14 +127,14 @@ class Prober:
         self.context: Context = place.context(timeout=place.wait(PROBE_SIZE), trace=self._traced)
         self.waker: Waker = self.context._driver.waker
 
-    # --- asking ---------------------------------------------------------------------------
+    # --- requests -------------------------------------------------------------------------
 
     def probe(self, unit: int) -> Answer | Nothing:
         """
-        Ask whether a unit is there.
+        Send the probe to a unit.
 
         Raises:
-            ModbusConnectionError: there is no connection any more.
+            ModbusConnectionError: the connection is lost, and another one cannot be made.
         """
         self._unit = unit
         started = self.waker.now()
@@ -153,12 +154,12 @@ class Prober:
         return Answer(self.waker.now() - started, code)
 
     def server_id(self, unit: int) -> ServerId | None:
-        """Ask for what function 17 tells; None if the unit has nothing to tell."""
+        """Read the server id (function 17); None if the unit has none."""
         told: ServerId | None = self._told(unit, pdu.ReportServerId())
         return told
 
     def identification(self, unit: int) -> DeviceIdentification | None:
-        """Ask for what function 43/14 tells, in a few pages at most; None if there is nothing."""
+        """Read the identification (43/14), `MOST_PAGES` pages at most; None if there is none."""
         steps = identify("regular")
         request = next(steps)
         told: DeviceIdentification | None = None
@@ -188,15 +189,15 @@ class Prober:
 
     def read(self, unit: int, request: Reading) -> Any:
         """
-        Ask anything that reads.
+        Send any request that reads.
 
         Raises:
-            ModbusError: what became of it; ModbusConnectionError if nothing more can be asked.
+            ModbusError: the request failed; ModbusConnectionError if no other can be sent.
         """
         return self._carefully(unit, request, self._place.wait(LONGEST_SIZE))
 
     def _carefully(self, unit: int, request: Reading, timeout: float | None = None) -> Any:
-        """Ask again over another connection, once, if the server ended this one."""
+        """Send a request again, once, over another connection if the server closed this one."""
         handle: Any = self.context.for_unit(unit, timeout=timeout)
         try:
             return handle.execute(request)
@@ -213,10 +214,10 @@ class Prober:
             raise error
         self.context.connect()
 
-    # --- answers that come late ---------------------------------------------------------------
+    # --- late responses -----------------------------------------------------------------------
 
     def late(self) -> list[Late]:
-        """Give what came since this was asked, of units that had been given up."""
+        """Return the late responses since the last call."""
         late, self._late = self._late, []
         return late
 
@@ -238,7 +239,7 @@ class Prober:
 
 
 class _Ended(ModbusError):
-    """The server ended the connection, and another one: it does not want this question."""
+    """The server closed two connections in a row because of this request."""
 
     def __init__(self, reason: str = "", *, errno: int | None = None) -> None:
         super().__init__(reason)

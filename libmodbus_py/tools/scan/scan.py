@@ -1,5 +1,5 @@
 """
-All units at all settings, one after the other.
+A scan: all units at all settings, one after the other.
 """
 
 from __future__ import annotations
@@ -22,26 +22,26 @@ __all__ = ["Found", "Progress", "Scan", "scan"]
 
 UNITS = range(1, 248)
 
-# TCP guide, 4.4.2: what a device directly on a network should be asked as.
+# The unit of a device that is connected to the network itself (messaging guide, 4.4.2).
 DIRECT = 255
 
-# Reserved (serial line, 2.2), and none that devices have for all, as 248, 254 and 255 are.
+# Reserved units (serial line, 2.2), without 248, 254 and 255, which some devices answer for all.
 RESERVED = (249, 252, 250, 251, 253)
 
-# Answers waited for behind a probe: to function 17, without which the line must be silent for as
-# long, and to 43/14.
+# Timeouts after a probe: for function 17, after which the line must be silent for as long, and for
+# function 43/14.
 MORE_ASKED = 2 + MOST_PAGES
 
 
 class Progress(NamedTuple):
     """
-    Where a scan stands.
+    The progress of a scan.
 
     Attributes:
         setting: such as "9600 8E1"; the URL on networks.
-        unit: who is asked now.
-        done, total: how many of all probes.
-        left: seconds that the rest takes at most, if nobody more is found.
+        unit: the unit that is probed now.
+        done, total: numbers of probes.
+        left: seconds that the rest takes at most, if no more units are found.
     """
 
     setting: str
@@ -57,16 +57,16 @@ class Found:
     A unit that answered.
 
     Attributes:
-        unit: who.
-        url: of a client for it, settings included.
-        took: seconds until its answer.
-        exception: the code of that answer; None if it was a register.
+        unit: 0..255.
+        url: for a client of the unit, with all settings.
+        took: seconds until its response.
+        exception: the code of an exception response; None if it held a register.
         baudrate, parity, data_bits, stop_bits: of the serial port; None on networks.
-        is_late: whether the answer came only while others were asked.
-        is_any: whether the server answers all units alike, reserved ones included, and so is one
-            device.
-        server_id: what function 17 tells, or None.
-        identification: what function 43/14 tells, or None.
+        is_late: True if the response came only during the probe of another unit.
+        is_any: True if the server answers all units alike, including reserved ones, so that it is
+            one device.
+        server_id: the result of function 17, or None.
+        identification: the result of function 43/14, or None.
     """
 
     unit: int
@@ -87,19 +87,19 @@ class Scan(Walker[Found]):
     """
     An iterator over `Found`, made by `scan`, which can be left at any time.
 
-    It asks while it is iterated, by one thread, and only reads. `close` may be called from
-    anywhere; it, the end, an exception, Ctrl-C, and dropping it all close the port and restore
-    its settings.
+    It sends requests while it is iterated, by one thread, and only reads. `close` may be called
+    from any thread; `close`, the end, an exception, Ctrl-C and garbage collection close the port
+    and restore its settings.
 
-    Iterating raises ModbusConnectionError if there is no connection, or none any more, and
-    what `on_progress` raises.
+    Iterating raises ModbusConnectionError if the connection cannot be made or is lost, and
+    whatever `on_progress` raises.
 
     Attributes:
-        total: probes, if nobody is found.
-        longest: seconds that it takes at most, if nobody is found.
-        longest_found: seconds that each unit found takes more, at most.
-        notes: what else was seen, a line for each.
-        requests: how many were sent.
+        total: the number of probes, if no unit is found.
+        longest: seconds that the scan takes at most, if no unit is found.
+        longest_found: seconds that each unit found adds at most.
+        notes: other observations, one line each.
+        requests: the number of requests sent.
     """
 
     def __init__(self, scanned: _PlacesScan) -> None:
@@ -111,7 +111,7 @@ class Scan(Walker[Found]):
 
 
 class _PlacesScan(Walk[Found]):
-    """All places."""
+    """The scan of all places."""
 
     def __init__(
         self,
@@ -140,7 +140,7 @@ class _PlacesScan(Walk[Found]):
             except ModbusConnectionError as error:
                 if self.is_closed:
                     return
-                # What this port cannot be set to says nothing of the other settings.
+                # A setting that this port refuses does not affect the others.
                 if not (place.is_serial and error.errno == errno.EINVAL):
                     raise
                 refused.append(error)
@@ -161,7 +161,7 @@ class _PlacesScan(Walk[Found]):
 
 
 class _UnitsScan:
-    """All units at one place."""
+    """The scan of all units at one place."""
 
     def __init__(
         self,
@@ -178,13 +178,13 @@ class _UnitsScan:
         self._skip = skip
         self._nothing: list[tuple[int, Nothing]] = []
         self._latest = 0.0
-        self._is_known = False  # how units are answered that nobody can be
+        self._is_known = False  # the response of units that cannot exist
         self._usual: Answer | None = None
         self._alike: list[tuple[int, Answer]] = []
         self._others = 0
 
     def steps(self, notes: list[str]) -> Generator[Found, None, None]:
-        """Ask; what was seen besides is added to the notes, also when it is left early."""
+        """Probe the units; other observations are added to the notes, even if the scan is left."""
         try:
             yield from self._walk(notes)
         finally:
@@ -198,8 +198,8 @@ class _UnitsScan:
                 self._nothing.append((unit, answer))
                 if answer.is_never_silent:
                     notes.append(
-                        f"{self._place}: the line does not fall silent, so nobody was asked from "
-                        f"unit {unit} on; others talk there, or at another rate or parity"
+                        f"{self._place}: the line is never silent, so units were not probed from "
+                        f"unit {unit} on; others send, perhaps at another rate or parity"
                     )
                     self._skip(self._place, len(self._units) - index - 1)
                     return
@@ -219,13 +219,13 @@ class _UnitsScan:
         if self._alike and not self._others:
             unit, answer = self._alike[0]
             notes.append(
-                f"{self._place}: every unit is answered alike, reserved ones included: "
+                f"{self._place}: all units are answered alike, including reserved ones: "
                 "the server ignores the unit, and is one device"
             )
             yield self._found(unit, answer, is_any=True)
 
     def _learn(self) -> None:
-        """Ask two units that nobody may be: a server that ignores the unit answers as them, too."""
+        """Probe two units that cannot exist: only a server that ignores the unit answers."""
         self._is_known = True
         chosen = [unit for unit in RESERVED if unit not in self._units][:2]
         answers = [self._prober.probe(unit) for unit in chosen]
@@ -260,38 +260,38 @@ class _UnitsScan:
         gateway = [unit for unit, nothing in self._nothing if nothing.is_gateway]
         if gateway:
             yield (
-                f"{self._place}: a gateway says of {len(gateway)} units that nobody is there "
+                f"{self._place}: a gateway reports {len(gateway)} units as absent "
                 "(exception 10 or 11); they are not counted as found"
             )
         noise = [each for each in self._nothing if each[1].is_noise]
         if noise:
             unit, nothing = noise[0]
-            hint = "; something is there at another rate or parity, or others talk"
+            hint = "; a device may use another rate or parity, or others send"
             yield (
-                f"{self._place}: {len(noise)} of the probes brought bytes that are no answer"
+                f"{self._place}: {len(noise)} of the probes brought bytes that are no response"
                 f"{hint * self._place.is_serial} (unit {unit}: {nothing.error.args[0]})"
             )
         if self._latest:
             yield (
-                f"{self._place}: answers came late, after up to {self._latest:.2g} s; "
+                f"{self._place}: responses came late, after up to {self._latest:.2g} s; "
                 "a longer timeout may find more"
             )
         if self._alike and self._others:
             yield (
-                f"{self._place}: {len(self._alike)} units are answered as those that nobody can "
-                f"be (exception {self._alike[0][1].exception}); they are not counted as found"
+                f"{self._place}: {len(self._alike)} units are answered like units that cannot "
+                f"exist (exception {self._alike[0][1].exception}); they are not counted as found"
             )
 
 
 def _each(place: Place) -> float:
-    """Give the seconds that a unit takes which is not there."""
+    """Return the seconds that the probe of an absent unit takes."""
     spacing = float(place.endpoint.client_options.get("request_spacing", 0.0))
     silence = 3.5 * 11 / place.settings["baudrate"] if place.is_serial else 0.0
     return max(place.wait(PROBE_SIZE) + max(0.002, silence), spacing)
 
 
 def _longest(place: Place, units: int) -> float:
-    """With two more that nobody can be, and connecting."""
+    """Return the seconds for all units, two that cannot exist, and connecting."""
     delay = float(place.endpoint.client_options.get("connect_delay", 0.0))
     return (units + 2) * _each(place) + place.timeout + delay
 
@@ -309,30 +309,30 @@ def scan(
     """
     Find the units that answer at a place, by reading alone.
 
-    Each unit is asked for holding register 0 at each setting; an exception is an answer, but
-    for those with which gateways say that nobody is there (10 and 11). Whoever answers is
-    asked for functions 17 and 43/14. Nothing is sent before the result is iterated.
+    Holding register 0 of each unit is read at each setting. An exception is a response, except
+    10 and 11, with which gateways report an absent unit. Units that answer are sent functions 17
+    and 43/14. Nothing is sent before the result is iterated.
 
     Args:
-        url: as of a client. What it says of baud rate, parity, unit and timeout holds unless
-            told otherwise here.
+        url: as for a client. Its baud rate, parity, unit and timeout are used unless the
+            arguments below give others.
         baudrates: for serial ports; 9600, 19200 and 115200.
-        parities: likewise; "E", "N" and "O". Stop bits are those of the URL; else 2 without
-            parity and 1 with it, which finds devices of either kind.
+        parities: for serial ports; "E", "N" and "O". Stop bits are those of the URL, otherwise
+            2 without parity and 1 with parity, which finds devices of either kind.
         units: 0..255; 1..247, and 255 on tcp, tls and udp. Not 0 where it is a broadcast.
-        timeout: seconds for each answer, 0.001..86400; 0.6 on serial ports, 1 elsewhere.
-        security: for "tls", unless the URL says it.
-        on_progress: called with a `Progress` before each unit is asked.
+        timeout: seconds for each response, 0.001..86400; 0.6 on serial ports, 1 elsewhere.
+        security: for "tls", unless the URL has its options.
+        on_progress: called with a `Progress` before each probe.
 
     Raises:
-        TypeError, ValueError: an argument, named with its range.
+        TypeError, ValueError: an argument is wrong; the message names it and its range.
     """
     endpoint = parse(url)
     asked_at = places(endpoint, baudrates, parities, timeout, security)
     if on_progress is not None and not callable(on_progress):
         raise TypeError(f"on_progress must be callable, not {type(on_progress).__name__}")
     for place in asked_at:
-        place.context().close()  # what the URL says else is checked here
+        place.context().close()  # which checks the rest of the URL
     usual = _usual_units(asked_at[0])
     lowest = int(asked_at[0].has_broadcast)
     chosen = [integer("units", unit, lowest, 255) for unit in listed("units", units, usual)]

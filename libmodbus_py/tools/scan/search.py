@@ -1,5 +1,5 @@
 """
-The tables of one unit: which ranges of them exist.
+A search: which ranges of the tables of one unit exist.
 """
 
 from __future__ import annotations
@@ -31,22 +31,22 @@ __all__ = ["MOST_REQUESTS", "Extent", "Search", "Searching", "search"]
 
 MOST_REQUESTS = 2000
 
-# Seconds before a device is asked again that was busy.
+# Seconds before a busy device is sent a request again.
 BUSY_PAUSES = (0.1, 0.2, 0.4, 0.8)
 
-# After so many reads without an answer it is asked whether it is there at all: some say nothing
-# where exception 2 should be.
+# After so many reads without a response the unit is probed: some units do not answer where they
+# should send exception 2.
 SILENT = 4
 
 
 class Searching(NamedTuple):
     """
-    Where a search stands.
+    The progress of a search.
 
     Attributes:
-        unit: who is asked.
-        table: which of its tables.
-        requests, most_requests: how many were sent of those that may be.
+        unit: 0..255.
+        table: the table that is searched now.
+        requests, most_requests: the numbers of requests that were and may be sent.
     """
 
     unit: int
@@ -58,16 +58,16 @@ class Searching(NamedTuple):
 @dataclass(frozen=True, slots=True)
 class Extent:
     """
-    What exists of a table.
+    The ranges of one table that exist.
 
     Attributes:
         table: "coils", "discrete_inputs", "holding_registers" or "input_registers".
         ranges: of addresses that can be read, ascending.
-        unseen: how many addresses in a row were not asked for at most: shorter ranges may
-            have been missed.
-        ended: why not all was asked that was worth it, or empty.
-        most: how many cells a read may ask for, as far as was seen.
-        requests: how many it took.
+        unseen: the length of the longest run of addresses that were not tried: shorter ranges
+            may have been missed.
+        ended: why the search of this table ended early; empty if it did not.
+        most: the number of cells that one read may ask for, as far as the device has shown.
+        requests: the number of requests sent.
     """
 
     table: str
@@ -82,16 +82,17 @@ class Search(Walker[Extent]):
     """
     An iterator over the `Extent` of each table, made by `search`; can be left at any time.
 
-    It asks while it is iterated, by one thread, and only reads. `close` may be called from
-    anywhere; it, the end, an exception, Ctrl-C, and dropping it all close the connection.
+    It sends requests while it is iterated, by one thread, and only reads. `close` may be called
+    from any thread; `close`, the end, an exception, Ctrl-C and garbage collection close the
+    connection.
 
-    Iterating raises ModbusConnectionError if there is no connection, or none any more, and
-    what `on_progress` raises.
+    Iterating raises ModbusConnectionError if the connection cannot be made or is lost, and
+    whatever `on_progress` raises.
 
     Attributes:
-        longest: seconds that it takes at most, if nothing is answered.
-        extents: of the tables so far, that of one which was left in the middle included.
-        requests: how many were sent.
+        longest: seconds that the search takes at most, if nothing is answered.
+        extents: of the tables so far, including one that was left in the middle.
+        requests: the number of requests sent.
     """
 
     def __init__(self, searched: _Tables) -> None:
@@ -101,7 +102,7 @@ class Search(Walker[Extent]):
 
 
 class _Tables(Walk[Extent]):
-    """All tables of a unit."""
+    """The search of all tables of a unit."""
 
     def __init__(
         self,
@@ -111,7 +112,7 @@ class _Tables(Walk[Extent]):
         on_progress: Callable[[Searching], object] | None,
     ) -> None:
         super().__init__()
-        # A line must be silent for as long after a question without an answer.
+        # After a request without a response a line must be silent for as long again.
         self.longest: float = 2 * most_requests * place.wait(LONGEST_SIZE)
         self.extents: list[Extent] = []
         self._place = place
@@ -134,7 +135,7 @@ class _Tables(Walk[Extent]):
                 raise
 
     def _table(self, prober: Prober, table: str, most: int) -> str:
-        """Search a table with so many requests; says why it ended early."""
+        """Search a table with so many requests; return why it ended early."""
         cells = Cells(TABLES[table].most_read)
         begun = prober.requests
         ended = _EARLY
@@ -196,7 +197,7 @@ class _Tables(Walk[Extent]):
         raise AssertionError
 
     def _twice(self, prober: Prober, request: Any) -> None:
-        """Ask again what was lost or damaged, and whether anybody is there after many such."""
+        """Repeat a read that was lost or damaged; after many of them, probe the unit."""
         try:
             prober.read(self._unit, request)
         except (ExceptionResponse, ModbusConnectionError):
@@ -215,15 +216,15 @@ class _Tables(Walk[Extent]):
                 raise _EndedError(_GONE)
 
 
-_EARLY = "whoever searched, or a lost connection"
+_EARLY = "the user, or a lost connection"
 _BOUND = "the bound on requests"
 _BUSY = "the device stays busy"
-_GONE = "the unit answers no more"
+_GONE = "the unit does not answer any more"
 _NO_FUNCTION = "the device lacks the function"
 
 
 class _EndedError(Exception):
-    """Why a table is left."""
+    """The search of a table ends early; the argument is the reason."""
 
 
 def search(
@@ -237,31 +238,32 @@ def search(
     """
     Find the ranges that a unit's tables have, by reading alone.
 
-    Single addresses are tried: usual ones, neighbours of what was found, and halves of halves of
-    the rest; from each that can be read, reads grow until one is refused, and halving it finds
-    the end, or how many cells a read may ask for. Nothing is sent before the result is iterated.
+    Single addresses are tried: usual ones, neighbours of ranges that were found, and the middles of
+    what is left, again and again. From each that can be read, reads grow until one is refused;
+    halving that one finds the end, or the number of cells that a read may ask for. Nothing is sent
+    before the result is iterated.
 
     Args:
-        url: of a client of the unit: that of `Found.url`.
-        timeout: seconds for each answer, 0.001..86400; that of the URL, or 0.6 on serial ports
+        url: for a client of the unit, such as `Found.url`.
+        timeout: seconds for each response, 0.001..86400; that of the URL, or 0.6 on serial ports
             and 1 elsewhere.
-        most_requests: 4..1000000, of all tables; each gets its part of what is left.
-        security: for "tls", unless the URL says it.
+        most_requests: 4..1000000, for all tables; each gets its share of the rest.
+        security: for "tls", unless the URL has its options.
         on_progress: called with a `Searching` before each read.
 
     Raises:
-        TypeError, ValueError: an argument, named with its range.
+        TypeError, ValueError: an argument is wrong; the message names it and its range.
     """
     endpoint = parse(url)
     baudrates = parities = None
     if endpoint.transport == "serial":
-        # As for clients, which have one setting.
+        # One setting, as for clients.
         settings = {**SERIAL_DEFAULTS, **endpoint.options}
         baudrates, parities = [settings["baudrate"]], [settings["parity"]]
     (place,) = places(endpoint, baudrates, parities, timeout, security)
     integer("most_requests", most_requests, len(TABLES), 1_000_000)
     if on_progress is not None and not callable(on_progress):
         raise TypeError(f"on_progress must be callable, not {type(on_progress).__name__}")
-    place.context().close()  # what the URL says else is checked here
+    place.context().close()  # which checks the rest of the URL
     unit = integer("unit", endpoint.client_options.get("unit", 1), int(place.has_broadcast), 255)
     return Search(_Tables(place, unit, most_requests, on_progress))

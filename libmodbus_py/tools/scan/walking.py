@@ -1,5 +1,5 @@
 """
-What scans and searches have in common: an iterator that asks, and that can be left.
+The common part of scans and searches: an iterator that sends requests, and can be left.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ Item = TypeVar("Item")
 
 
 class Walk(ABC, Generic[Item]):
-    """The work; it knows nothing of its `Walker`, which whoever leaves it may just drop."""
+    """The work of a `Walker`; it has no reference to it, so that a walker can be collected."""
 
     def __init__(self) -> None:
         self.is_closed: bool = False
@@ -27,24 +27,24 @@ class Walk(ABC, Generic[Item]):
 
     @property
     def requests(self) -> int:
-        """How many were sent."""
+        """The number of requests sent."""
         return self._asked_before + (self._prober.requests if self._prober else 0)
 
     @abstractmethod
     def steps(self) -> Generator[Item, None, None]:
-        """Ask, and give what was found."""
+        """Send requests, and yield what they find."""
 
     @contextlib.contextmanager
     def _asking(self, place: Place) -> Iterator[Prober]:
         """
-        Connect; the port is closed, and its settings restored, however this ends.
+        Connect while the block runs; then close the port and restore its settings.
 
         Raises:
-            ModbusConnectionError: there is no connection.
+            ModbusConnectionError: the connection cannot be made.
         """
         prober = self._prober = Prober(place)
         try:
-            if self.is_closed:  # before anybody could close this one
+            if self.is_closed:  # before this one could be closed
                 prober.context.close()
             prober.context.connect()
             yield prober
@@ -54,7 +54,7 @@ class Walk(ABC, Generic[Item]):
             self._prober = None
 
     def close(self) -> None:
-        """Have whoever asks fail at once."""
+        """Let the request that is under way fail at once."""
         self.is_closed = True
         if (prober := self._prober) is not None:
             prober.context.close()
@@ -62,10 +62,10 @@ class Walk(ABC, Generic[Item]):
 
 class Walker(Generic[Item]):
     """
-    An iterator that asks while it is iterated, by one thread, and only reads.
+    An iterator that sends requests while it is iterated, by one thread, and only reads.
 
-    `close` may be called from anywhere; it, the end, an exception, Ctrl-C, and dropping it all
-    close the connection, and restore the settings of a serial port.
+    `close` may be called from any thread; `close`, the end, an exception, Ctrl-C and garbage
+    collection close the connection and restore the settings of a serial port.
     """
 
     def __init__(self, walk: Walk[Item]) -> None:
@@ -74,7 +74,7 @@ class Walker(Generic[Item]):
 
     @property
     def requests(self) -> int:
-        """How many were sent."""
+        """The number of requests sent."""
         return self.__walk.requests
 
     def __iter__(self) -> Iterator[Item]:
@@ -86,7 +86,7 @@ class Walker(Generic[Item]):
     def close(self) -> None:
         """Stop; any number of times, from any thread and from signal handlers."""
         self.__walk.close()
-        with contextlib.suppress(ValueError):  # it runs, and fails at once
+        with contextlib.suppress(ValueError):  # it is under way, and fails at once
             self.__steps.close()
 
     def __enter__(self) -> Self:

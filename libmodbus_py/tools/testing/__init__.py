@@ -1,10 +1,10 @@
 """
-What tests and the demo use, and other programs' tests may.
+For tests, those of other programs included, and for the demo.
 
-    wires           a serial line and a TCP relay with a tap, which record what passes
+    wires           a serial line and a TCP relay, which record all bytes
     line_ends       the far ends of lines that are pseudo-terminals
     plugin          for pytest: fixtures, and transactions in the reports of tests that fail
-    recording       servers that are there at once, and keep what passed
+    recording       servers that serve at once, and record their transactions
     fault_switch    the server's own switch of its faults, for imports by tests
-    exchanges       what a server received and sent, as transactions
+    exchanges       the requests and responses of a server, as transactions
 """

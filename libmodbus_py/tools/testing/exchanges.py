@@ -1,5 +1,5 @@
 """
-What a server received and sent, as transactions.
+The requests and responses of a server, as transactions.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """
 The far ends of serial lines that are pseudo-terminals.
 
-Who has the near end open may discard what waits to be read (tcflush), also between a look whether
-something is there and the reading of it. So these never wait to read.
+The program at the near end may discard the bytes that wait to be read (tcflush), even between poll
+and read. So these functions never block in read.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ import tty
 
 __all__ = ["open_line", "read_what_is_there", "write_all"]
 
-# Seconds without room after which bytes are lost, as on a line without flow control.
+# Seconds without room after which bytes are dropped, as on a line without flow control.
 PATIENCE = 1.0
 
 
 def open_line() -> tuple[int, int, str]:
-    """Give the far end of a line that changes no byte, the near end, and the path of that."""
+    """Return the far end of a line that changes no byte, the near end, and the near end's path."""
     far, near = pty.openpty()
     tty.setraw(near)
     os.set_blocking(far, False)
@@ -27,7 +27,7 @@ def open_line() -> tuple[int, int, str]:
 
 
 def read_what_is_there(far: int) -> bytes:
-    """Give nothing if there is nothing."""
+    """Read what is there; return no bytes if there are none."""
     try:
         return os.read(far, 4096)
     except BlockingIOError:
@@ -35,7 +35,7 @@ def read_what_is_there(far: int) -> bytes:
 
 
 def write_all(far: int, data: bytes) -> None:
-    """Wait while there is no room, but not for ever: then the rest is lost."""
+    """Write all bytes; drop the rest if there is no room for `PATIENCE` seconds."""
     while data:
         try:
             data = data[os.write(far, data) :]

@@ -1,8 +1,8 @@
 """
-The pytest plugin: fixtures with servers, and what passed in the reports of tests that fail.
+The pytest plugin: fixtures with servers, and their transactions in the reports of failed tests.
 
-Every run of pytest imports this file, where the package is installed: so it imports nothing but
-pytest, and each fixture what it needs when a test asks for it.
+Every run of pytest imports this file if the package is installed. So the file imports only pytest,
+and each fixture imports the rest when a test uses it.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ if TYPE_CHECKING:
     from .recording import RecordingServer, ServerMaker
     from .wires import SerialWire
 
-# Of a test, while it runs.
+# The servers of a test, while it runs.
 SERVERS = pytest.StashKey["list[RecordingServer]"]()
 
-# Transactions of each server in a report.
+# Transactions of each server that a report shows.
 SHOWN = 50
 
-# Of one transaction there: characters, and seconds from which on it is said how long it took.
+# Characters of one transaction, and the seconds from which on its duration is shown.
 WIDTH = 160
 LATE = 0.05
 
@@ -47,7 +47,7 @@ def modbus_server(make_modbus_server: ServerMaker) -> RecordingServer:
 
 @pytest.fixture
 def modbus_faults(modbus_server: RecordingServer) -> FaultSwitch:
-    """What goes wrong with modbus_server: with modbus_faults.switch_on(Fault("no_answer")): ..."""
+    """Switch on faults of modbus_server: with modbus_faults.switch_on(Fault("no_answer")): ..."""
     return modbus_server.faults
 
 
@@ -75,7 +75,7 @@ def pytest_runtest_makereport(
 
 
 def _told(server: RecordingServer) -> str:
-    """Tell what passed, a line for each; whatever classes of requests do, which users write."""
+    """Return the transactions of a server as lines; classes of users may fail in repr."""
     try:
         lines = [_line(each) for each in server.transactions]
     except Exception as error:

@@ -1,5 +1,5 @@
 """
-Servers for tests: they serve in the background, and keep what passed.
+Servers for tests: they serve in the background, and record their transactions.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ USUAL_URL = "tcp://127.0.0.1:0"
 
 
 class ServerOptions(TypedDict, total=False):
-    """What else `Server` takes, and means there."""
+    """The other arguments of `Server`."""
 
     limits: Limits | None
     unknown_unit: UnknownUnit
@@ -37,18 +37,18 @@ class ServerOptions(TypedDict, total=False):
 
 class RecordingServer:
     """
-    A server, from the moment it is made until `close`.
+    A server that serves from when it is made until `close`.
 
     Args, exceptions: those of `Server` and of its `background`.
 
     Attributes:
-        urls: of its endpoints, in the order given, with the ports they got; a client takes
-            those of networks as they are.
-        url: the first of them.
+        urls: of its endpoints, in the order given, with the ports that the system chose; those of
+            networks are also URLs for clients.
+        url: the first of `urls`.
         host, port: of the first endpoint; "" and 0 for serial ports.
         device: the device that answers, or None if there are several.
-        faults: switches on what goes wrong.
-        statistics: what happened, counted.
+        faults: switches faults of the server on and off.
+        statistics: counters of the server.
     """
 
     def __init__(
@@ -81,7 +81,7 @@ class RecordingServer:
         The four tables of the device.
 
         Raises:
-            AttributeError: there are several devices; each has a mapping.
+            AttributeError: the server has several devices, each with a mapping.
         """
         if self.device is None:
             raise AttributeError("this server has several devices: each has a mapping of its own")
@@ -89,11 +89,11 @@ class RecordingServer:
 
     @property
     def transactions(self) -> list[Transaction]:
-        """The last 10 000 or so transactions, in the order of the requests."""
+        """The last 10 000 or so transactions, in the order in which they began."""
         return self._exchanges.transactions()
 
     def close(self) -> None:
-        """Stop, and close all connections; any number of times. What it recorded stays."""
+        """Stop, and close all connections; any number of times. The transactions are kept."""
         self._stack.close()
 
     @property
@@ -109,10 +109,10 @@ def _only(devices: Device | Mapping[int, Device]) -> Device | None:
 
 class ServerMaker:
     """
-    Makes servers, and closes them all when it is left.
+    Makes servers, and closes all of them at the end of its ``with`` block.
 
     Attributes:
-        servers: those that it made, in order.
+        servers: all that were made, in order.
     """
 
     def __init__(self) -> None:
@@ -126,18 +126,18 @@ class ServerMaker:
         **options: Unpack[ServerOptions],
     ) -> RecordingServer:
         """
-        Make a server, which serves when this returns.
+        Make a server that serves when this method returns.
 
         Args:
-            urls: where to listen, as of `Server.serving`; none for a free port of 127.0.0.1
-                with Modbus/TCP.
-            devices: as of `Server`; None for one that answers every unit and has all four
+            urls: the endpoints, as for `Server.serving`; none for Modbus/TCP on a free port of
+                127.0.0.1.
+            devices: as for `Server`; None for one that answers every unit and has all four
                 tables, addresses 0..65535, all zero.
-            faults: as of `Server`.
-            options: as of `Server`.
+            faults: as for `Server`.
+            options: as for `Server`.
 
         Raises:
-            TypeError, ValueError: an argument of the wrong type or range.
+            TypeError, ValueError: an argument is of the wrong type or out of range.
             ModbusConnectionError: an endpoint cannot be opened, with errno.
         """
         if devices is None:
@@ -147,7 +147,7 @@ class ServerMaker:
         return made
 
     def close(self) -> None:
-        """Close all that were made, the last one first; what they recorded stays."""
+        """Close all servers, the last one first; their transactions are kept."""
         with contextlib.ExitStack() as stack:
             for each in self.servers:
                 stack.callback(each.close)

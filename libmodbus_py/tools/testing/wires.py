@@ -1,5 +1,5 @@
 """
-Wires with a tap: what passes between a client and a server, recorded.
+Wires that record the bytes between a client and a server.
 
 `SerialWire` is a null-modem cable made of two pseudo-terminals; `TcpWire` a relay
 in front of a TCP server. Both are for demonstrations and tests.
@@ -21,7 +21,7 @@ __all__ = ["SerialWire", "TcpWire", "WireBytes"]
 
 
 class WireBytes(NamedTuple):
-    """Some bytes that passed, as they were read from the wire."""
+    """Bytes of one sender, as they were read from the wire."""
 
     sender: Literal["client", "server"]
     data: bytes
@@ -50,15 +50,15 @@ class _Wire:
         self._close()
 
     def clear(self) -> None:
-        """Forget what has passed."""
+        """Forget the recorded bytes."""
         self.passed.clear()
 
     def sent_by(self, sender: Literal["client", "server"]) -> bytes:
-        """Give all that one side has sent, in one piece."""
+        """Return all bytes that one side has sent, in one piece."""
         return b"".join(passed.data for passed in self.passed if passed.sender == sender)
 
     def unplug(self) -> None:
-        """Take both ends away, as pulling a cable does; returns when it is done."""
+        """Take both ends away, as pulling a cable does; return when this is done."""
         self._wake.send(b"u")
         self._unplugged.wait()
 
@@ -76,7 +76,7 @@ class _Wire:
                 elif self._sleep.recv(1):
                     self._unplug()
                     self._unplugged.set()
-                    break  # what else was ready may be gone
+                    break  # the other descriptors may be gone
                 else:
                     return
 
@@ -87,7 +87,7 @@ class SerialWire(_Wire):
 
     Attributes:
         client, server: the paths of the ports.
-        passed: what went through, oldest first.
+        passed: the recorded bytes, oldest first.
     """
 
     def __init__(self) -> None:
@@ -119,7 +119,7 @@ class SerialWire(_Wire):
 
 
 class _RawPort:
-    """A pseudo-terminal that changes no byte; open at both ends, so that users may come and go."""
+    """A pseudo-terminal that changes no byte, open at both ends, so that users can reopen it."""
 
     def __init__(self) -> None:
         self.master, self.slave, self.path = open_line()
@@ -140,7 +140,7 @@ class TcpWire(_Wire):
 
     Attributes:
         port: where clients connect.
-        passed: what went through, oldest first.
+        passed: the recorded bytes, oldest first.
     """
 
     def __init__(self, port: int) -> None:

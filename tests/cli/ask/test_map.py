@@ -119,7 +119,7 @@ def test_wrong_usage_is_one_line(tmp_path: Path, output: list[str], message: str
 def test_nobody_there(url: str, tmp_path: Path) -> None:
     file = tmp_path / "found.csv"
     done = mapped("from-device", url, "--unit", "9", "-o", file, code=1)
-    assert done.err == "libmodbus-py: no table can be read: the unit answers no more\n"
+    assert done.err == "libmodbus-py: no table can be read: the unit does not answer any more\n"
     done = mapped("from-device", "tcp://127.0.0.1:1", "-o", file, code=1)
     assert len(done.err.splitlines()) == 1
     assert not file.exists()
@@ -156,4 +156,4 @@ def test_ctrl_c_keeps_what_was_found(tmp_path: Path) -> None:
     assert made.returncode == 130
     assert "Traceback" not in errors
     assert list(load_map(file)) == [f"coil_{at}" for at in range(10)]
-    assert ": ended by whoever searched" in file.read_text()
+    assert ": ended by the user" in file.read_text()

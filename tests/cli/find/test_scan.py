@@ -47,7 +47,7 @@ def test_who_answers_is_printed_and_the_rest_goes_elsewhere(url: str) -> None:
     estimate, note = done.err.splitlines()
     assert "248 probes" in estimate
     assert "4 min 12 s at most" in estimate
-    assert "a gateway says of 246 units" in note
+    assert "a gateway reports 246 units" in note
 
 
 def test_json_is_one_line(url: str) -> None:
@@ -165,7 +165,7 @@ def test_ctrl_c_in_a_search_prints_what_was_found() -> None:
     assert process.returncode == 130
     assert "Traceback" not in errors
     assert "[[unit.coils]]\naddress = 0\ncount = 65536\n" in output
-    assert "# discrete_inputs: ended by whoever searched" in output
+    assert "# discrete_inputs: ended by the user" in output
 
 
 def _settings(path: str) -> list[object]:

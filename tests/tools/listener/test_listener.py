@@ -492,13 +492,13 @@ class TestArguments:
         [
             ("tcp://127.0.0.1:1502", None, "the scheme must be rtu, ascii"),
             ("tcp://127.0.0.1:1502", "tcp://127.0.0.1:1503", "the scheme must be rtu, ascii"),
-            ("rtu+tcp://127.0.0.1:0", None, "the device is missing"),
+            ("rtu+tcp://127.0.0.1:0", None, "between is missing"),
             ("rtu+tcp://127.0.0.1:0", "ascii+tcp://127.0.0.1:1", "the scheme must be rtu.tcp"),
             ("rtu+tcp://127.0.0.1:0", "rtu+tcp://127.0.0.1:0", "the port of the device"),
             ("rtu:///dev/ttyUSB0", "rtu+tcp://127.0.0.1:1", "a serial port is only read"),
-            ("rtu:///dev/ttyUSB0?timeout=1", None, "timeout is for clients"),
+            ("rtu:///dev/ttyUSB0?timeout=1", None, "timeout is an option of clients"),
             ("rtu:///dev/ttyUSB0?baudrate=0", None, "baudrate must be in 1..4000000"),
-            ("x.pcapng", "rtu+tcp://127.0.0.1:1", "nothing to be between"),
+            ("x.pcapng", "rtu+tcp://127.0.0.1:1", "between cannot be given"),
             ("x.pcap", None, "the scheme must be one of"),
         ],
     )

@@ -302,7 +302,7 @@ def test_a_value_that_the_device_computes_is_told() -> None:
     with live_page(Server({1: Device(mapping, before_read=compute)})) as page:
         visitor = Visitor(page.url)
         body = cell(table="input_registers", address=1, text="7")
-        assert visitor.post("/value", **body) == "the device computes it itself: it moves"
+        assert visitor.post("/value", **body) == "the device computes this value itself"
         assert visitor.post("/value", **{**body, "address": 2}) == {}
     assert mapping.input_registers[:] == [0, 42, 7, 0]
 

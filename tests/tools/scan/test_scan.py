@@ -136,7 +136,7 @@ def test_damaged_bytes_are_a_hint_and_no_unit() -> None:
         scanned = scan(bus.url, baudrates=[19200, 9600], parities=["N"], units=[8, 9], timeout=0.2)
         assert [at(each) for each in all_of(scanned)] == [(9, 9600, "N", 2)]
     (note,) = scanned.notes
-    assert note.startswith("19200 8N2: 1 of the probes brought bytes that are no answer")
+    assert note.startswith("19200 8N2: 1 of the probes brought bytes that are no response")
     assert "unit 9" in note
 
 
@@ -196,7 +196,7 @@ def test_a_line_that_never_falls_silent_is_left_soon() -> None:
         assert all_of(scanned) == []
         assert len(bus.asked) < 2  # of 247
         assert network.events.now - started < 0.02 * scanned.longest
-    assert any("does not fall silent" in note for note in scanned.notes)
+    assert any("is never silent" in note for note in scanned.notes)
 
 
 def test_a_port_that_vanishes_ends_it_with_what_was_found() -> None:
@@ -267,7 +267,7 @@ def test_what_a_gateway_says_of_nobody_is_nobody() -> None:
         scanned = scan(running.urls[0])
         assert [each.unit for each in all_of(scanned)] == [1, 9]
     (note,) = scanned.notes
-    assert "a gateway says of 246 units that nobody is there" in note
+    assert "a gateway reports 246 units as absent" in note
 
 
 @pytest.mark.parametrize("tables", [{"holding_registers": 1}, {"coils": 1}], ids=["3", "83"])
@@ -296,7 +296,7 @@ def test_units_answered_as_nobody_can_be_are_not_counted() -> None:
     with FakeServer(answer) as server:
         scanned = scan(server.url, timeout=PATIENT)
         assert [each.unit for each in all_of(scanned)] == [17]
-    assert any("247 units are answered as those that nobody can be" in n for n in scanned.notes)
+    assert any("247 units are answered like units that cannot exist" in n for n in scanned.notes)
 
 
 def test_a_server_that_hangs_up_on_unknown_units_is_asked_on() -> None:

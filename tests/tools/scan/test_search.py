@@ -194,14 +194,14 @@ def test_a_unit_that_answers_no_more_is_left_with_what_was_found() -> None:
         searched = search(server.url, timeout=0.03)
         found = ranges(searched)
         assert found["holding_registers"] == [range(1 + 125 * 3)]
-        assert searched.extents[-1].ended == "the unit answers no more"
+        assert searched.extents[-1].ended == "the unit does not answer any more"
         assert searched.requests < 30
 
 
 def test_a_gateway_that_says_nobody_is_there_ends_it() -> None:
     with served(lambda *asked: 11) as server:
         (extent,) = search(server.url, timeout=PATIENT)
-        assert (extent.ended, extent.requests) == ("the unit answers no more", 1)
+        assert (extent.ended, extent.requests) == ("the unit does not answer any more", 1)
 
 
 @pytest.mark.parametrize("bound", [4, 5, 100, 1000])
@@ -246,7 +246,7 @@ def test_it_can_be_left_and_tells_what_was_found() -> None:
         with pytest.raises(KeyboardInterrupt):
             next(searched)
         (extent,) = searched.extents
-        assert extent.ended == "whoever searched, or a lost connection"
+        assert extent.ended == "the user, or a lost connection"
         assert extent.ranges == [range(6001)]
 
 

@@ -1,4 +1,4 @@
-// What the server counts.
+// The counters of the server.
 
 import { $, made } from "./elements.js";
 import { known } from "./state.js";

@@ -1,4 +1,4 @@
-// What stands on the page; text is set as text, whoever it comes from.
+// The elements of the page; text is always set as text, never as HTML.
 
 export const $ = (id) => document.getElementById(id);
 

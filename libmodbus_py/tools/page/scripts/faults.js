@@ -1,4 +1,4 @@
-// What goes wrong, on and off.
+// The faults of the server, on and off.
 
 import { $, made } from "./elements.js";
 import { post } from "./requests.js";
@@ -21,7 +21,7 @@ export function showFaults() {
     return row;
   });
   const at = [...$("faults").querySelectorAll("button")].indexOf(document.activeElement);
-  $("faults").replaceChildren(...(rowsNow.length ? rowsNow : [made("li", "Nothing goes wrong.", "none")]));
+  $("faults").replaceChildren(...(rowsNow.length ? rowsNow : [made("li", "No faults.", "none")]));
   if (at >= 0) $("faults").querySelectorAll("button")[at]?.focus();
 }
 

@@ -1,4 +1,4 @@
-// Which cells stand in which row of the list.
+// The cells of each row of the list.
 
 import { $ } from "./elements.js";
 import { isBits, unit, view } from "./state.js";
@@ -11,7 +11,7 @@ function perRow() {
   return [16, 10, 8, 5, 4].find((count) => count * cell <= width) || 4;
 }
 
-// Rows of cells, and of holes none: [address of the first, how many cells there are in it].
+// Rows of cells, without those in gaps: [address of the first, number of cells].
 export let layout = { count: 0, each: 10, runs: [] };
 
 export function layOut() {

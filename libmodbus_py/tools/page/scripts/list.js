@@ -1,4 +1,4 @@
-// The list of points or cells: only what is seen of it is there, and asked for.
+// The list of points or cells; only the visible rows exist, and are requested.
 
 import { $, made } from "./elements.js";
 import { HEIGHT, addressOf, indexOf, layOut, layout } from "./layout.js";
@@ -105,7 +105,7 @@ export function chooseCell(address) {
   }
 }
 
-// Arrows go from cell to cell, over what does not exist.
+// Arrow keys move from cell to cell, across gaps.
 $("list").addEventListener("keydown", (event) => {
   const cell = event.target.closest("[data-cell]");
   if (!cell) return;

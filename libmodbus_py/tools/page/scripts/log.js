@@ -1,4 +1,4 @@
-// What passed.
+// The log of transactions.
 
 import { $, clock, made } from "./elements.js";
 import { known } from "./state.js";

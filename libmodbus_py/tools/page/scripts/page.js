@@ -1,4 +1,4 @@
-// What the server sends is kept, and shown.
+// Messages of the server are kept and shown.
 
 import { showCounters } from "./counters.js";
 import { $, made } from "./elements.js";
@@ -74,6 +74,6 @@ function connect() {
   };
 }
 
-// The token is in a cookie now: it need not stay in the history.
+// The token is in a cookie now, and need not stay in the history.
 history.replaceState(null, "", `/${location.hash}`);
 connect();

@@ -1,4 +1,4 @@
-// What is asked of the server.
+// Requests to the server.
 
 export async function post(path, body) {
   const response = await fetch(path, {

@@ -1,4 +1,4 @@
-// What the server says, and what of it is looked at.
+// The state: what the server has sent, and the view of it.
 
 export const TABLES = {
   points: "Points",
@@ -15,8 +15,8 @@ export const known = {
   units: [], faults: [], counters: {}, log: [], written: new Map(), words: null, stream: "",
 };
 
-// What is looked at: the unit's number, "points" or a table, and its values; what is edited, and the
-// cell that the keyboard is on.
+// The view: the unit's number, "points" or a table, and its values; the value that is edited, and the
+// cell that has the focus.
 export const view = {
   unit: undefined, what: "", points: new Map(), cells: new Map(), asked: "",
   edited: null, chosen: null,
