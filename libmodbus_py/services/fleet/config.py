@@ -133,9 +133,7 @@ class DeviceConfig:
     @property
     def connection_key(self) -> str:
         """Devices with the same one share a connection."""
-        endpoint = self.endpoint
-        place = endpoint.device or f"{endpoint.host}:{endpoint.port}"
-        return f"{endpoint.transport}:{place}"
+        return self.endpoint.place
 
 
 def readable(points: RegisterMap) -> tuple[str, ...]:
