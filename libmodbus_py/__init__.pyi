@@ -52,6 +52,7 @@ from .services.fleet.config import DeviceConfig as DeviceConfig
 from .services.fleet.fleet import Fleet as Fleet
 from .services.gateway.gateway import Gateway as Gateway
 from .services.gateway.routes import Route as Route
+from .services.loading import load as load
 from .tools.files.maps.drafts import MapError as MapError
 from .tools.files.maps.map_file import load_map as load_map
 from .tools.simulator import device_file as device_file

@@ -4,7 +4,9 @@ One named value of a device: where it lies, and what its cells mean.
 
 from __future__ import annotations
 
+import functools
 import reprlib
+import warnings
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -23,7 +25,7 @@ Rights = Literal["read", "write", "read_write"]
 
 ACCESSES = ("read", "write", "read_write")
 
-MAX_NAME, MAX_UNIT, MAX_DESCRIPTION = 100, 50, 2000
+MAX_NAME, MAX_UNITS, MAX_DESCRIPTION = 100, 50, 2000
 
 
 @dataclass(frozen=True)
@@ -42,7 +44,7 @@ class Point:
         scale, offset: value = raw * scale + offset, for numbers, as exact as they are
             written: 2305 times 0.1 is 230.5. Integers stay integers where both are whole.
             Each -1e30..1e30; the scale not nearer to 0 than 1e-30.
-        unit: of the value, such as "V" or "kWh", not a Modbus unit; up to 50 characters.
+        units: of the value, such as "V" or "kWh"; up to 50 characters. `unit` is the old name.
         access: "read", "write" or "read_write": what clients may do. Unless given
             "read_write", and "read" for discrete inputs and input registers, which
             nobody can write.
@@ -68,7 +70,7 @@ class Point:
     padding: str = "\0"
     scale: float = 1
     offset: float = 0
-    unit: str = ""
+    units: str = ""
     access: Rights | None = None
     minimum: float | None = None
     maximum: float | None = None
@@ -79,7 +81,7 @@ class Point:
     def __post_init__(self) -> None:
         for name, least, most in (
             ("name", 1, MAX_NAME),
-            ("unit", 0, MAX_UNIT),
+            ("units", 0, MAX_UNITS),
             ("description", 0, MAX_DESCRIPTION),
         ):
             _check_text(name, getattr(self, name), least, most)
@@ -95,6 +97,12 @@ class Point:
         self._check_bounds()
 
     # --- what it is ----------------------------------------------------------------------
+
+    @property
+    def unit(self) -> str:
+        """The old name of `units`."""
+        warnings.warn("Point.unit is now Point.units", DeprecationWarning, stacklevel=2)
+        return self.units
 
     @property
     def is_readable(self) -> bool:
@@ -295,6 +303,20 @@ class Point:
     @property
     def _is_number(self) -> bool:
         return self.read.kind is not None and self.read.kind.limits is not None
+
+
+_init = Point.__init__
+
+
+@functools.wraps(_init)
+def _renaming(self: Point, *args: Any, **options: Any) -> None:
+    if "unit" in options:
+        warnings.warn("Point(unit=) is now Point(units=)", DeprecationWarning, stacklevel=2)
+        options["units"] = options.pop("unit")
+    _init(self, *args, **options)
+
+
+Point.__init__ = _renaming  # type: ignore[method-assign]
 
 
 def _is_bits(table: object) -> bool:

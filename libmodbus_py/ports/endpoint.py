@@ -82,6 +82,18 @@ class Endpoint:
         return SCHEMES[self.scheme][1]
 
     @property
+    def place(self) -> str:
+        """
+        Where it leads, whatever its options and framing are: endpoints with the same place are
+        one port, or one port of one host. Links and names of hosts are not looked up.
+        """
+        if self.transport == "serial":
+            from os.path import normpath
+
+            return f"serial:{normpath(self.device)}"
+        return f"{self.transport}:{self.host}:{self.port}"
+
+    @property
     def serial_settings(self) -> dict[str, Any]:
         """The options, and the usual settings of the framing that they leave open."""
         defaults = ASCII_DEFAULTS if self.framing == "ascii" else {}

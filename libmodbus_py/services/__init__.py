@@ -8,4 +8,5 @@ Services: programs that run for months, and what connects them with others.
     workers        several machines that share the devices of a fleet
     engine         the connection with NATS, where workers find each other
     integrations   metrics for Prometheus; a backend for Home Assistant's modbus-connection
+    loading        files of any kind: maps, devices, gateways, fleets
 """

@@ -156,7 +156,7 @@ REFUSED = [
     ({"type": "bits16", "minimum": 2}, "minimum must be left out for bits16"),
     ({"minimum": 2, "maximum": 1}, "minimum must not be above maximum, 1: 2"),
     ({"minimum": "2"}, "minimum must be a number, not str"),
-    ({"unit": "V" * 51}, "unit must have 0..50 characters, not 51"),
+    ({"units": "V" * 51}, "units must have 0..50 characters, not 51"),
     ({"access": "RW"}, "access must be one of read, write, read_write, not 'RW'"),
     ({"table": "input_registers", "access": "write"}, "access must be read for input_registers"),
     ({"table": "discrete_inputs", "access": "read_write"}, "access must be read for discrete"),
@@ -214,3 +214,12 @@ def test_a_value_that_a_point_cannot_have(keys: dict[str, Any], value: Any, mess
 def test_cells_that_hold_no_value(keys: dict[str, Any], cells: list[int], message: str) -> None:
     with pytest.raises(ValueError, match=f"^{re.escape(message)}"):
         point(**keys).decode(cells)
+
+
+def test_unit_is_the_old_name_of_units() -> None:
+    with pytest.warns(DeprecationWarning, match=r"Point\(unit=\) is now Point\(units=\)"):
+        point = Point("power", "input_registers", 0, unit="W")  # type: ignore[call-arg]
+    assert point.units == "W"
+    assert point == Point("power", "input_registers", 0, units="W")
+    with pytest.warns(DeprecationWarning, match=r"Point\.unit is now Point\.units"):
+        assert point.unit == "W"

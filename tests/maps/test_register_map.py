@@ -31,12 +31,12 @@ H = "holding_registers"
 
 METER = RegisterMap(
     [
-        Point("setpoint", H, 100, scale=0.1, unit="°C", minimum=5, maximum=30),
-        Point("energy", H, 101, type="uint32", order="CDAB", scale=0.001, unit="kWh"),
+        Point("setpoint", H, 100, scale=0.1, units="°C", minimum=5, maximum=30),
+        Point("energy", H, 101, type="uint32", order="CDAB", scale=0.001, units="kWh"),
         Point("name", H, 103, type="string:6"),
         Point("flow", H, 110, type="float32", access="read"),
         Point("key", H, 120, access="write"),
-        Point("volts", "input_registers", 0, 3, scale=0.1, unit="V"),
+        Point("volts", "input_registers", 0, 3, scale=0.1, units="V"),
         Point("run", "coils", 7),
         Point("alarms", "discrete_inputs", 0, 3),
     ]

@@ -229,7 +229,7 @@ def _look_at_gateway(world: World, gateway: Gateway) -> None:
     """Nothing waits in a gateway whose clients have all been told."""
     if not world.is_calm:
         return
-    for line in gateway.passed.lines.values():
+    for line in gateway.traffic.lines.values():
         if line.waiting or line.in_flight:
             text = f"{line.waiting} wait, {line.in_flight} are in flight"
             world.witness.fail("nothing is left waiting", text)

@@ -20,7 +20,7 @@ from unittest.mock import patch
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.ports.waiting import Woken
 from libmodbus_py.server.serving import Serving
-from libmodbus_py.services.gateway import circles, gateway
+from libmodbus_py.services.gateway import gateway, loops
 
 from .lines import Party, SerialLine
 from .loop import complaints_of
@@ -63,8 +63,8 @@ class Stage(Network):
         # An attribute of a class that is a function gets the server that it is called on.
         background = lambda server, *urls: self._serving(server, *urls)  # noqa: E731
         stack.enter_context(patch.object(Serving, "background", background))
-        stack.enter_context(patch.object(gateway, "check_line", circles.check_line))
-        stack.enter_context(patch.object(circles, "os", SimpleNamespace(path=self._paths())))
+        stack.enter_context(patch.object(gateway, "check_line", loops.check_line))
+        stack.enter_context(patch.object(loops, "os", SimpleNamespace(path=self._paths())))
         return self
 
     def __exit__(self, *raised: Any) -> None:

@@ -170,7 +170,7 @@ class _PointFormatter(Formatter):
         value, point = self._value(cells), self._point
         values = [value] if point.count == 1 else value
         return [
-            FormattedValue(title, *self._texts(each), point.unit)
+            FormattedValue(title, *self._texts(each), point.units)
             for title, each in zip(self.titles(), values, strict=True)
         ]
 

@@ -16,6 +16,7 @@ from ...maps.register_map import PointPlan, RegisterMap
 from ...ports.endpoint import Endpoint, parse
 from ...protocol.checks import integer, seconds
 from ...protocol.mistakes import Path, WrongType, WrongValue, inside
+from ...tools.files.maps.drafts import point_of
 
 __all__ = [
     "DeviceConfig",
@@ -132,9 +133,7 @@ class DeviceConfig:
     @property
     def connection_key(self) -> str:
         """Devices with the same one share a connection."""
-        endpoint = self.endpoint
-        place = endpoint.device or f"{endpoint.host}:{endpoint.port}"
-        return f"{endpoint.transport}:{place}"
+        return self.endpoint.place
 
 
 def readable(points: RegisterMap) -> tuple[str, ...]:
@@ -269,7 +268,7 @@ def _map_to_json(points: RegisterMap) -> str:
 
 @lru_cache(maxsize=4096)
 def _map_from_json(text: str) -> RegisterMap:
-    return RegisterMap([Point(**each) for each in json.loads(text)])
+    return RegisterMap([point_of(**each) for each in json.loads(text)])
 
 
 def _changed(value: object, of: Iterable[Any]) -> dict[str, Any]:

@@ -41,7 +41,7 @@ class Reads:
     def __init__(self, config: DeviceConfig) -> None:
         self.plan: PointPlan = config.plan()
         self.names: tuple[str, ...] = config.names
-        self.units: tuple[str, ...] = tuple(config.map[name].unit for name in config.names)
+        self.units: tuple[str, ...] = tuple(config.map[name].units for name in config.names)
 
 
 class Poller:

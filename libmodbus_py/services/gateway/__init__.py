@@ -6,10 +6,10 @@ In the order in which a request goes through::
     gateway       Gateway: endpoints and lines, routes that change
     switch        which way a request goes, and the sessions that wait for its answer
     config        gateway files: all of it in TOML
-    manner        how requests are dealt with, whatever way they go
+    options       GatewayOptions: how requests wait, whatever line they go to
     routes        Route: units, lines, what may be done; parsed and checked
-    circles       lines that lead back, or nowhere
-    passed        Passed: a request as bytes, judged by what is known of it
+    loops         lines that lead back to the gateway, or to no port
+    raw_request   RequestBytes: a request as bytes, and what is known of it
     own_device    the gateway as a device: its statistics as registers
     line          Line: one AsyncClient, and the requests that wait for it
     silent_units  units that gave no answer, and when they are tried again

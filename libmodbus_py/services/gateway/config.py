@@ -28,9 +28,9 @@ from ...tools.files.file_error import FileError
 from ...tools.files.schema import Key, Keys, keys_of
 from ...tools.files.texts import load_file
 from ...tools.files.toml_text import read_toml
-from .circles import check_line
 from .gateway import Gateway
-from .manner import Manner
+from .loops import check_line
+from .options import GatewayOptions
 from .routes import Route, by_unit
 
 __all__ = ["FILE", "ROUTE", "GatewayFile", "GatewayFileError", "load", "parse"]
@@ -98,7 +98,7 @@ def _parse(text: str, known: Iterable[Route]) -> GatewayFile:
     for at, route in enumerate(routes):
         if route.endpoint.url not in there:
             check_line(("route", at, "to"), route.endpoint, map(parse_url, listen))
-    Manner(**{key.name: given.get(key.name, key.default) for key in OPTIONS.values()})
+    GatewayOptions(**{key.name: given.get(key.name, key.default) for key in OPTIONS.values()})
     if "roles" in given:
         given["authorize"] = given.pop("roles")
     return GatewayFile(listen, routes, given)
@@ -127,7 +127,7 @@ def _routes(path: Path, given: object) -> list[Route]:
     return [ROUTE.read(item(path, at), each) for at, each in enumerate(given)]
 
 
-OPTIONS = keys_of(Gateway).only(*keys_of(Manner))
+OPTIONS = keys_of(Gateway).only(*keys_of(GatewayOptions))
 """Options of `Gateway`, which takes them as they are."""
 
 ROUTE = keys_of(Route, writable=roles.parts)

@@ -8,6 +8,7 @@ import asyncio
 import contextlib
 import logging
 from collections.abc import AsyncIterator, Iterable
+from warnings import warn
 
 from ...device.authorization import Authorize
 from ...ports.endpoint import Endpoint
@@ -16,9 +17,9 @@ from ...security.security import Security
 from ...server.limits import Limits
 from ...server.service import Service
 from ...server.serving import Serving
-from .circles import check_line
 from .line import Line
-from .manner import Manner
+from .loops import check_line
+from .options import GatewayOptions
 from .own_device import own_device
 from .routes import Route, by_unit
 from .statistics import GatewayStatistics, UnitStatistics
@@ -57,7 +58,7 @@ class Gateway(Serving):
 
     Attributes:
         statistics: what happened at all endpoints, kept up to date.
-        passed: what happened to requests: by line, and by unit.
+        traffic: what happened to requests: by line, and by unit.
 
     Raises:
         TypeError, ValueError: an argument is something else; two routes for one unit, or two
@@ -79,18 +80,24 @@ class Gateway(Serving):
     ) -> None:
         super().__init__(limits, security, trace)
         self._routes = _checked(routes)
-        self._manner = Manner(own_units, queue, longest_wait, writes_first)
+        self._options = GatewayOptions(own_units, queue, longest_wait, writes_first)
         if not (authorize is None or callable(authorize)):
             raise TypeError(f"authorize must be a function, not {type(authorize).__name__}")
         self._authorize = authorize
-        self.passed: GatewayStatistics = GatewayStatistics()
+        self.traffic: GatewayStatistics = GatewayStatistics()
         self._answering_now: Answering | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         self._closing: set[asyncio.Task[None]] = set()
 
+    @property
+    def passed(self) -> GatewayStatistics:
+        """The old name of `traffic`."""
+        warn("Gateway.passed is now Gateway.traffic", DeprecationWarning, stacklevel=2)
+        return self.traffic
+
     def change_routes(self, routes: Iterable[Route]) -> None:
         """
-        Have other routes from now on, from any thread.
+        Replace the routes, from any thread.
 
         Connections of clients stay, and those to lines that a route leads to as before.
 
@@ -112,14 +119,14 @@ class Gateway(Serving):
         if self._answering_now is not None:
             raise RuntimeError("this gateway serves already; make one for each")
         self._check_lines(self._routes, endpoints)
-        own = own_device(self.passed, self.statistics, self._unit_statistics, self._authorize)
-        answering = self._answering_now = Answering(own, self._manner.own)
+        own = own_device(self.traffic, self.statistics, self._unit_statistics, self._authorize)
+        answering = self._answering_now = Answering(own, self._options.own)
         self._loop = asyncio.get_running_loop()
         try:
             self._change_lines()
             # As many as may wait, and as many as may be in flight.
-            most = 2 * self._manner.queue + 16
-            yield Switch(answering, most, self._authorize, self.passed)
+            most = 2 * self._options.queue + 16
+            yield Switch(answering, most, self._authorize, self.traffic)
         finally:
             self._loop = self._answering_now = None
             async with contextlib.AsyncExitStack() as stack:  # each, whatever ends this
@@ -145,14 +152,14 @@ class Gateway(Serving):
             for unit, device_unit in route.ways.items():
                 ways[unit] = Way(line, device_unit, route.cache, route.merge, route.allow)
         answering.lines, answering.ways = list(lines.values()), ways
-        self.passed.lines = {line.url: line.statistics for line in lines.values()}
+        self.traffic.lines = {line.url: line.statistics for line in lines.values()}
         for line in before.values():
             closing = asyncio.get_running_loop().create_task(line.close())
             self._closing.add(closing)
             closing.add_done_callback(self._closing.discard)
 
     def _line(self, route: Route) -> Line:
-        return Line(route.endpoint, self._manner)
+        return Line(route.endpoint, self._options)
 
     def _unit_statistics(self, unit: int) -> UnitStatistics | None:
         answering = self._answering_now

@@ -28,8 +28,8 @@ from ...protocol.errors import (
 )
 from ...server.forking import abandoned_in_children
 from .cache import Cache
-from .manner import Manner
-from .passed import Passed
+from .options import GatewayOptions
+from .raw_request import RequestBytes
 from .silent_units import SilentUnits, UnitState
 from .statistics import LineStatistics, UnitStatistics
 
@@ -93,7 +93,7 @@ class Forwarded:
         number: int,
         from_unit: int,
         unit: int,
-        request: Passed,
+        request: RequestBytes,
         since: float,
         age: float = 0.0,
     ) -> None:
@@ -103,7 +103,7 @@ class Forwarded:
         self.number: int = number
         self.from_unit: int = from_unit
         self.unit: int = unit
-        self.request: Passed = request
+        self.request: RequestBytes = request
         self.waits_since: float = since
         self.age: float = age
         self.others: list[Forwarded] = []
@@ -138,26 +138,25 @@ class Line:
 
     Args:
         endpoint: where it leads, with the options of its client.
-        manner: how requests wait.
+        options: how requests wait.
 
     Raises:
         TypeError, ValueError: an option that such a client cannot have.
     """
 
-    def __init__(self, endpoint: Endpoint, manner: Manner) -> None:
-        options = endpoint.client_options
-        pause = options.get("max_pause", MAX_PAUSE)
+    def __init__(self, endpoint: Endpoint, options: GatewayOptions) -> None:
+        pause = endpoint.client_options.get("max_pause", MAX_PAUSE)
         self._client = AsyncClient(endpoint.url, max_pause=pause, on_state=self._note_state)
-        self._longest_wait = manner.longest_wait
+        self._longest_wait = options.longest_wait
         self._loop = asyncio.get_running_loop()
         self.url: str = str(endpoint)
         self.key: str = endpoint.url
         self.has_broadcast: bool = not self._client.has_ids
         self.statistics: LineStatistics = LineStatistics(self.url, self._client.statistics)
-        queues = [FairByHost[Forwarded](manner.queue, MOST_WAITING) for _ in range(2)]
+        queues = [FairByHost[Forwarded](options.queue, MOST_WAITING) for _ in range(2)]
         self._room: WaitingRoom[Forwarded] = WaitingRoom(
             self._client.max_in_flight,
-            Precedence(queues, _reads_last) if manner.writes_first else queues[0],
+            Precedence(queues, _reads_last) if options.writes_first else queues[0],
             timeout=lambda each: self._client.timeout,
             ready_at=self._client.ready_at if self.has_broadcast else None,
         )
@@ -174,7 +173,7 @@ class Line:
 
     # --- requests -----------------------------------------------------------------------------
 
-    def cached(self, unit: int, request: Passed, age: float, now: float) -> bytes | None:
+    def cached(self, unit: int, request: RequestBytes, age: float, now: float) -> bytes | None:
         """Give what was read before, if it is fresh enough."""
         answer = self._cache.get(unit, request.pdu, age, now)
         if answer is not None:

@@ -178,8 +178,7 @@ def by_unit(routes: Iterable[Route], name: str = "routes") -> dict[int, Route]:
         if not isinstance(route, Route):
             raise WrongType((name, at), f"must be a Route, not {type(route).__name__}")
         endpoint = route.endpoint
-        place = endpoint.device or f"{endpoint.transport}:{endpoint.host}:{endpoint.port}"
-        first, url = places.setdefault(place, (at, endpoint.url))
+        first, url = places.setdefault(endpoint.place, (at, endpoint.url))
         if url != endpoint.url:
             reason = f"{name}[{first}] leads there with other options, {url}"
             raise WrongValue.about((name, at, "to"), reason)

@@ -26,7 +26,7 @@ from ...server.framed import AT_ONCE, Framed
 from ...server.limits import ServerStatistics
 from ...server.service import Channel, Later, MakeSession
 from .line import Forwarded, Line
-from .passed import Passed, passed
+from .raw_request import RequestBytes, request_of
 from .statistics import GatewayStatistics
 
 __all__ = ["Answering", "ForwardingSession", "Switch", "Way"]
@@ -121,7 +121,7 @@ class Switch:
             if unit or not answering.lines:
                 return self._refuse_route(session, pdu)
         try:
-            request = passed(pdu)
+            request = request_of(pdu)
         except ExceptionResponse as refusal:
             self.statistics.malformed += 1
             return self._exception(session, pdu, refusal.code)
@@ -155,7 +155,7 @@ class Switch:
         return self._exception(session, pdu, GatewayPathUnavailable.code)
 
     def _check(
-        self, session: ForwardingSession, unit: int, request: Passed, allow: Allow | None
+        self, session: ForwardingSession, unit: int, request: RequestBytes, allow: Allow | None
     ) -> int:
         """Give 0, or the code of the exception that refuses it."""
         who = unit, session.peer, session.role
@@ -184,7 +184,9 @@ class Switch:
 
     # --- broadcasts ---------------------------------------------------------------------------
 
-    def _broadcast(self, session: ForwardingSession, frame: Frame, request: Passed) -> bytes | None:
+    def _broadcast(
+        self, session: ForwardingSession, frame: Frame, request: RequestBytes
+    ) -> bytes | None:
         """What is no write cannot be one: nobody would answer."""
         if not request.is_write:
             return self._refuse_route(session, frame.pdu)
@@ -210,7 +212,7 @@ class Broadcast:
     """
 
     def __init__(
-        self, session: ForwardingSession, frame: Frame, request: Passed, since: float
+        self, session: ForwardingSession, frame: Frame, request: RequestBytes, since: float
     ) -> None:
         self.host: Hashable = session.host
         self._session = session

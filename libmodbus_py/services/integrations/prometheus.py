@@ -62,7 +62,7 @@ Labels = tuple[tuple[str, str], ...]
 
 
 class Counted(Protocol):
-    """A client, a server or a gateway; this has `passed`, too."""
+    """A client, a server or a gateway; the last has `traffic`, too."""
 
     @property
     def statistics(self) -> Any: ...
@@ -328,7 +328,7 @@ class Collector(_Collector):
         watched = [
             (each, statistics)
             for each in objects
-            for statistics in (getattr(each, "statistics", None), getattr(each, "passed", None))
+            for statistics in (getattr(each, "statistics", None), getattr(each, "traffic", None))
             if statistics is not None or not hasattr(each, "statistics")
         ]
         for each, statistics in watched:

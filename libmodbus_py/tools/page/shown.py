@@ -59,7 +59,7 @@ def _point_as_json(point: Point) -> list[Any]:
         point.table,
         point.address,
         kind,
-        point.unit,
+        point.units,
         point.access,
         point.description,
     ]

@@ -18,9 +18,9 @@ from tests.support.scripted import all_accepted
 
 METER = RegisterMap(
     [
-        Point("voltage", "holding_registers", 0, scale=0.1, unit="V", access="read"),
-        Point("power", "holding_registers", 1, type="int16", unit="W", access="read"),
-        Point("setpoint", "holding_registers", 2, minimum=10, maximum=30, unit="C"),
+        Point("voltage", "holding_registers", 0, scale=0.1, units="V", access="read"),
+        Point("power", "holding_registers", 1, type="int16", units="W", access="read"),
+        Point("setpoint", "holding_registers", 2, minimum=10, maximum=30, units="C"),
     ]
 )
 

@@ -345,6 +345,7 @@ def test_bad_device_is_named(keys: Any, named: str) -> None:
     [
         ("tcp://192.0.2.1", "tcp://192.0.2.1:502"),
         ("rtu:///dev/ttyUSB0", "ascii:///dev/ttyUSB0"),
+        ("rtu:///dev/ttyUSB0", "rtu:///dev/../dev//ttyUSB0"),
         ("tcp://[::1]", "tcp://[::1]:502?timeout=3"),
     ],
 )

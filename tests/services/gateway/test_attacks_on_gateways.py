@@ -75,7 +75,7 @@ def test_an_innocent_client_waits_for_few_of_the_others(stage: Stage, attack: At
             assert max(waited.others) <= 2 * IN_FLIGHT + attack.connections
             assert stage.until(lambda: made.statistics.connections == 1)
             assert innocent.poll(3).others == [0] * 3
-            (line,) = made.passed.lines.values()
+            (line,) = made.traffic.lines.values()
             assert line.waiting == line.in_flight == 0
 
 
@@ -219,7 +219,7 @@ def test_floods_from_many_connections_leave_a_line_to_everybody(stage: Stage) ->
         through.context(1, timeout=20) as context,
     ):
         floods = [stage.talk(through.url, "10.0.0.2") for _ in range(8)]
-        (line,) = through.gateway.passed.lines.values()
+        (line,) = through.gateway.traffic.lines.values()
         for _ in range(10):
             for flood in floods:
                 flood.end.send(request * 100)

@@ -144,7 +144,7 @@ def gated(stage: Stage, route: dict[str, Any] | None = None, **options: Any) -> 
     gate = Gate(stage)
     made = Gateway([Route(f"{LINE}?timeout=1000", **(route or {}))], longest_wait=5000, **options)
     with made.background("tcp://10.0.0.1:0") as running:
-        (line,) = made.passed.lines.values()
+        (line,) = made.traffic.lines.values()
         yield Gated(gate, line, running.urls[0])
 
 
@@ -319,8 +319,8 @@ def test_units_go_to_their_lines_and_are_others_there(stage: Stage) -> None:
         with pytest.raises(GatewayTargetFailedToRespond):
             ask(12)
         assert stage.now - asked == pytest.approx(300, abs=0.1)
-        assert made.passed.no_route == 6
-        assert len(made.passed.lines) == 2  # those with one URL share its connection
+        assert made.traffic.no_route == 6
+        assert len(made.traffic.lines) == 2  # those with one URL share its connection
 
 
 def test_the_transaction_id_and_the_unit_come_back(stage: Stage) -> None:
@@ -391,7 +391,7 @@ def test_a_broadcast_reaches_every_unit_of_every_line(stage: Stage, front: str) 
         context.write_registers(2, [8, 9])
         stage.pass_time(0.1)
         assert all(each.mapping.holding_registers[2:4] == [8, 9] for each in devices)
-        assert made.passed.broadcasts == 1
+        assert made.traffic.broadcasts == 1
         if front != "rtu+tcp":  # there a client knows that nobody answers
             with pytest.raises(GatewayPathUnavailable):
                 context.read_holding_registers(0, 1)
@@ -457,7 +457,7 @@ def test_a_silent_unit_costs_its_timeout_once_and_then_nothing(stage: Stage) -> 
             assert good.read_holding_registers(0, 1) == [0]
             with pytest.raises(GatewayTargetFailedToRespond):
                 silent.read_holding_registers(0, 1)
-        (line,) = through.gateway.passed.lines.values()
+        (line,) = through.gateway.traffic.lines.values()
         assert line.units[1].requests == 40
         assert line.units[9].requests <= 6
         assert line.units[9].resting >= 34
@@ -487,7 +487,7 @@ def test_a_silent_unit_is_good_again_when_it_answers(stage: Stage) -> None:
                 stage.pass_time(0.1)
             stage.pass_time(begun + seconds + 0.01 - stage.now)
 
-        (line,) = made.passed.lines.values()
+        (line,) = made.traffic.lines.values()
         assert not answers()
         comes_after(4)
         asked = stage.now
@@ -513,7 +513,7 @@ def test_a_unit_that_is_back_is_found_on_a_line_that_never_rests(stage: Stage) -
     ):
         with pytest.raises(GatewayTargetFailedToRespond):
             context.read_holding_registers(7, 1)
-        (line,) = made.passed.lines.values()
+        (line,) = made.traffic.lines.values()
         poller = stage.talk(url, "10.0.0.2").end
 
         def poll() -> None:
@@ -548,7 +548,7 @@ def test_a_request_that_tries_a_silent_unit_makes_way_for_others(stage: Stage) -
     ):
         with pytest.raises(GatewayTargetFailedToRespond):
             good.for_unit(9).read_holding_registers(0, 1)
-        (line,) = made.passed.lines.values()
+        (line,) = made.traffic.lines.values()
         silent = line.units[9]
         stage.pass_time(201)
         other.sendall(adu(READ_ONE, unit=9))
@@ -590,7 +590,7 @@ def test_late_answers_are_never_anybody_elses(stage: Stage) -> None:
         found = stage.wait(all_of_them())
         assert [right for right, _ in found[::2]] == [60, 60]
         assert sum(failed for _, failed in found[1::2]) > 0
-        (line,) = made.passed.lines.values()
+        (line,) = made.traffic.lines.values()
         assert line.units[2].answers > 0
         stage.pass_time(1)
         assert line.connection.late_answers > 0
@@ -636,7 +636,7 @@ def test_who_asks_again_without_ids_gets_the_answer_to_that_only(stage: Stage) -
         assert client.receive(7)[3:5] == b"\0\4"
         stage.pass_time(3000)
         assert not client.has_input()
-        (line,) = through.gateway.passed.lines.values()
+        (line,) = through.gateway.traffic.lines.values()
         assert line.unwanted == 1
 
 
@@ -877,7 +877,7 @@ def test_read_only_is_read_only(stage: Stage) -> None:
             with pytest.raises(IllegalFunction):
                 write()
         assert device.mapping.holding_registers[100] == 1100
-        assert through.gateway.passed.refused == 11
+        assert through.gateway.traffic.refused == 11
 
 
 def test_what_may_be_written_is_and_nothing_else(stage: Stage) -> None:
@@ -906,7 +906,7 @@ def test_what_cannot_be_passed_on_is_refused_here(stage: Stage) -> None:
                 context.execute(request)
         with pytest.raises(IllegalDataValue):  # of the device
             context.execute(pdu.RawRequest(3, b"\0\0\0\0"))
-        (line,) = through.gateway.passed.lines.values()
+        (line,) = through.gateway.traffic.lines.values()
         assert line.units[1].requests == 1
 
 
@@ -1007,14 +1007,14 @@ def test_routes_change_and_connections_stay(stage: Stage) -> None:
             return context.for_unit(unit).read_holding_registers(0, 1)[0]
 
         assert (ask(1), ask(2)) == (1, 12)
-        connects = made.passed.lines[one.urls[0]].connection
+        connects = made.traffic.lines[one.urls[0]].connection
         made.change_routes([Route(one.urls[0], "1-2"), Route(other.urls[0], "3", "2")])
         assert stage.until(lambda: ask(2) == 2)
         assert (ask(1), ask(3)) == (1, 12)
-        assert made.passed.lines[one.urls[0]].connection is connects
+        assert made.traffic.lines[one.urls[0]].connection is connects
         assert connects.connects == 1
         made.change_routes([Route(one.urls[0], "1")])
-        assert stage.until(lambda: list(made.passed.lines) == [one.urls[0]])
+        assert stage.until(lambda: list(made.traffic.lines) == [one.urls[0]])
         with pytest.raises(GatewayPathUnavailable):
             ask(3)
         for bad in (
@@ -1054,7 +1054,7 @@ def test_who_closes_while_its_request_tries_a_silent_unit_lets_others_try(stage:
         stage.talk(url) as one,
         stage.talk(url) as other,
     ):
-        (line,) = made.passed.lines.values()
+        (line,) = made.traffic.lines.values()
         for unit in (8, 9):
             one.sendall(adu(READ_ONE, unit=unit))
             assert one.receive(9)[7:] == b"\x83\x0b"
@@ -1108,7 +1108,7 @@ def test_a_gateway_of_the_system_that_is_closed_in_the_middle_leaves_no_thread()
         made = Gateway([Route(behind.urls[0])])
         with made.background("tcp://127.0.0.1:0") as running, connected(running.urls[0]) as client:
             client.sendall(adu(READ_ONE) * 8)
-            until(lambda: any(line.in_flight for line in made.passed.lines.values()))
+            until(lambda: any(line.in_flight for line in made.traffic.lines.values()))
         assert threading.active_count() == threads
 
 
@@ -1132,4 +1132,4 @@ def test_as_a_slave_on_a_line_it_is_silent_for_units_it_does_not_have(stage: Sta
         assert context.read_holding_registers(0, 1) == [0]
         with pytest.raises(ModbusTimeoutError):
             context.for_unit(2).read_holding_registers(0, 1)
-        assert through.gateway.passed.no_route == 1
+        assert through.gateway.traffic.no_route == 1

@@ -58,6 +58,12 @@ WRONG: dict[str, tuple[str, int, str]] = {
         5,
         "route[0] leads there with other options",
     ),
+    "two ways to one port": (
+        "[[route]]\nto = 'rtu:///dev/null'\nunits = [1]\n[[route]]\n"
+        "to = 'rtu:///dev/../dev/null?baudrate=9600'\nunits = [2]\n",
+        5,
+        "route[0] leads there with other options",
+    ),
     "device units": (
         f'[[route]]\n{TO}units = "1-3"\ndevice_units = "1-2"\n',
         4,

@@ -15,8 +15,8 @@ from libmodbus_py.client import waiting_room
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.services.gateway import line as gateway_line
 from libmodbus_py.services.gateway.line import BUSY, NO_ANSWER, Forwarded, Line
-from libmodbus_py.services.gateway.manner import Manner
-from libmodbus_py.services.gateway.passed import passed
+from libmodbus_py.services.gateway.options import GatewayOptions
+from libmodbus_py.services.gateway.raw_request import request_of
 from tests.simulation.network import Network
 from tests.simulation.scripted import Scripted, Write
 from tests.support.talk import rtu
@@ -49,10 +49,10 @@ class Plant:
         damaging: units whose answers have wrong check bytes.
     """
 
-    def __init__(self, url: str = "rtu:///dev/line?timeout=0.5", **manner: Any) -> None:
+    def __init__(self, url: str = "rtu:///dev/line?timeout=0.5", **options: Any) -> None:
         self.network = Network()
         self.url = url
-        self.manner = manner
+        self.options = options
         self.asked: list[int] = []
         self.silent: set[int] = set()
         self.refusing: set[int] = set()
@@ -85,7 +85,7 @@ class Plant:
 
     def run(self, main: Callable[[], Awaitable[None]]) -> None:
         async def whole() -> None:
-            self.line = Line(parse(self.url), Manner(**self.manner))
+            self.line = Line(parse(self.url), GatewayOptions(**self.options))
             try:
                 await main()
             finally:
@@ -105,7 +105,7 @@ class Plant:
         return each
 
     def forwarded(self, unit: int, asker: Asker, request: str = READ, age: float = 0) -> Forwarded:
-        given = passed(bytes.fromhex(request))
+        given = request_of(bytes.fromhex(request))
         return Forwarded(asker, 1, unit, unit, given, self.network.events.now, age)
 
     @property
@@ -485,7 +485,7 @@ class TestAnswers:
         plant = Plant()
 
         async def main() -> None:
-            request = passed(bytes.fromhex(READ))
+            request = request_of(bytes.fromhex(READ))
             begun = plant.network.events.now
             plant.ask(2, Asker(), age=1)
             await asyncio.sleep(0.5)
@@ -508,7 +508,7 @@ class TestAnswers:
         async def main() -> None:
             plant.ask(2, Asker())
             await asyncio.sleep(0.5)
-            request = passed(bytes.fromhex(READ))
+            request = request_of(bytes.fromhex(READ))
             assert plant.line.cached(2, request, 9, plant.network.events.now) is None
 
         plant.run(main)
@@ -520,7 +520,7 @@ class TestAnswers:
             plant.ask(2, Asker(), age=1)
             plant.ask(2, Asker(), WRITE)
             await asyncio.sleep(0.5)
-            request = passed(bytes.fromhex(READ))
+            request = request_of(bytes.fromhex(READ))
             assert plant.asked == [2, 2]
             assert plant.line.cached(2, request, 9, plant.network.events.now) is None
 

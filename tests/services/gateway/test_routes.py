@@ -9,13 +9,13 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import Route
+from libmodbus_py import Gateway, Route
 from libmodbus_py.ports.endpoint import Endpoint, parse
-from libmodbus_py.services.gateway import circles
-from libmodbus_py.services.gateway.circles import check_line
+from libmodbus_py.services.gateway import loops
 from libmodbus_py.services.gateway.config import MOST_ROUTES
 from libmodbus_py.services.gateway.config import parse as parse_file
-from libmodbus_py.services.gateway.manner import Manner
+from libmodbus_py.services.gateway.loops import check_line
+from libmodbus_py.services.gateway.options import GatewayOptions
 
 TCP, LINE = "tcp://192.0.2.1", "rtu:///dev/ttyUSB0"
 
@@ -120,21 +120,21 @@ def test_a_file_has_routes_and_not_too_many(text: str) -> None:
 
 @pytest.mark.parametrize("queue", [1, 1024])
 def test_bounds_of_a_queue_are_allowed(queue: int) -> None:
-    assert Manner(queue=queue).queue == queue
+    assert GatewayOptions(queue=queue).queue == queue
 
 
 @pytest.mark.parametrize("queue", [0, 1025])
 def test_what_a_queue_cannot_be(queue: int) -> None:
     with pytest.raises(ValueError, match="queue"):
-        Manner(queue=queue)
+        GatewayOptions(queue=queue)
 
 
 def test_options_of_a_gateway_unless_given() -> None:
-    manner = Manner()
-    assert (manner.own, manner.queue, manner.longest_wait) == (frozenset({255}), 16, 5.0)
-    assert manner.writes_first is False
-    assert Manner(()).own == Manner("").own == frozenset()
-    assert Manner([1, 2]).own == frozenset({1, 2})
+    options = GatewayOptions()
+    assert (options.own, options.queue, options.longest_wait) == (frozenset({255}), 16, 5.0)
+    assert options.writes_first is False
+    assert GatewayOptions(()).own == GatewayOptions("").own == frozenset()
+    assert GatewayOptions([1, 2]).own == frozenset({1, 2})
 
 
 # --- lines that lead back ---------------------------------------------------------------------
@@ -194,7 +194,7 @@ def test_an_address_of_this_machine_is_found_by_binding_to_it(
         def bind(self, address: tuple[str, int]) -> None:
             assert address == (host, 0)
 
-    socket = circles.socket
+    socket = loops.socket
     monkeypatch.setattr(socket, "socket", Probe)
     url = f"tcp://[{host}]:1502" if is_six else f"tcp://{host}:1502"
     assert leads_back(url, "tcp://0.0.0.0:1502")
@@ -218,3 +218,9 @@ def test_an_endpoint_elsewhere_is_fine() -> None:
     given: list[Endpoint] = []
     check_line("to", parse(TCP), given)
     assert given == []
+
+
+def test_passed_is_the_old_name_of_traffic() -> None:
+    gateway = Gateway([Route(TCP)])
+    with pytest.warns(DeprecationWarning, match=r"Gateway\.passed is now Gateway\.traffic"):
+        assert gateway.passed is gateway.traffic

@@ -34,7 +34,7 @@ TABLES = [
         "V,0x10,volts,input_registers,int16,0.1,-5,CDAB,read,of phase 1,3\n"
         ",7,run,coils,,,,,,,\n",
         [
-            Point("volts", I, 16, 3, "int16", "CDAB", scale=0.1, offset=-5, unit="V",
+            Point("volts", I, 16, 3, "int16", "CDAB", scale=0.1, offset=-5, units="V",
                   description="of phase 1"),
             Point("run", "coils", 7),
         ],
@@ -45,8 +45,8 @@ TABLES = [
         "\r\n"
         "30012;Leistung;S32;RO;;W;\r\n",
         [
-            Point("Spannung L1", H, 0, scale=0.1, unit="V", access="read", description='a;b "c"'),
-            Point("Leistung", I, 11, type="int32", unit="W"),
+            Point("Spannung L1", H, 0, scale=0.1, units="V", access="read", description='a;b "c"'),
+            Point("Leistung", I, 11, type="int32", units="W"),
         ],
     ),
     (  # tabs, a comment, function codes, IEC types, a divisor, spaces that do not break
@@ -115,7 +115,7 @@ def test_toml(tmp_path: Path) -> None:
     padding = " "
     """
     assert list(loaded(tmp_path, text, "BOILER.TOML").values()) == [
-        Point("setpoint", H, 16, scale=0.1, minimum=5, unit="°C"),
+        Point("setpoint", H, 16, scale=0.1, minimum=5, units="°C"),
         Point("serial", I, 7, type="string:8", encoding="latin-1", padding=" "),
     ]
 
@@ -262,7 +262,7 @@ POINTS = st.builds(
     order=st.sampled_from(["ABCD", "CDAB", "BADC", "DCBA"]),
     scale=NUMBERS,
     offset=NUMBERS,
-    unit=st.just("") | WORDS,
+    units=st.just("") | WORDS,
     access=st.just("read"),
     minimum=st.none() | st.floats(-1e6, 0),
     maximum=st.none() | st.integers(0, 10**6),

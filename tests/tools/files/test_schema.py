@@ -23,7 +23,6 @@ from libmodbus_py.tools.files.schema import (
     Keys,
     bytes_or_text,
     flag,
-    keys_of,
     one_of,
     table,
     tables,
@@ -45,7 +44,7 @@ OUTER = Keys(
         Key("table", table),
         Key("tables", tables),
         Key("inner", INNER.read),
-        Key("point", keys_of(Point).read),
+        Key("point", POINT.read),
     ]
 )
 
@@ -75,6 +74,8 @@ PLACE = {"table": "coils", "address": 1}
         ({"point": {"name": "a"}}, "point.table is missing"),
         ({"point": {"name": "a", **PLACE, "x": 1}}, "point.x: no such key; allowed are name, "),
         ({"point": {"name": "", **PLACE}}, "point.name must have 1..100 characters, not 0"),
+        ({"point": {"name": "a", **PLACE, "unit": 1}}, "point.unit must be a string, not int"),
+        ({"point": {"name": "a", **PLACE, "unit": "V", "units": "V"}}, "point.unit means nothing"),
         ({"point": {"name": "a", **PLACE, "scale": 2}}, "point.scale must be 1 for coils, which"),
     ],
 )
@@ -117,7 +118,7 @@ def test_every_key_of_every_file_says_what_it_means(table_of_keys: Keys) -> None
 
 
 def test_every_key_can_stand_in_a_cell_that_csv_has_a_column_for() -> None:
-    assert set(READERS) - {"function", "divisor"} == set(POINT) - {"padding"}
+    assert set(READERS) - {"function", "divisor"} == set(POINT) - {"padding", "unit"}
     not_in_cells = {"map", "dead_bands", "labels"}
     columns = {key.name for key in fleet_files.DEVICE.values() if key.kind in CELLS}
     assert columns == set(fleet_files.DEVICE) - not_in_cells
@@ -135,6 +136,7 @@ POINTS = {
     "a hexadecimal address": "address = 0x07",
     "several values": "address = 7\ncount = 3",
     "a scale": 'address = 7\nscale = 0.1\noffset = -5\nunit = "V"',
+    "units": 'address = 7\nunits = "V"',
     "a text": 'address = 7\ntype = "string:5"\nencoding = "latin-1"\npadding = " "',
     "a name of spaces and letters": "address = 7",
 }

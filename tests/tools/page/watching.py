@@ -19,8 +19,8 @@ from libmodbus_py.page import live_page
 __all__ = ["Visitor", "made_server", "shown", "until"]
 
 POINTS = (
-    Point("temperature", "holding_registers", 0, type="float32", order="CDAB", unit="°C"),
-    Point("level", "holding_registers", 2, scale=0.1, unit="m", minimum=0, maximum=100),
+    Point("temperature", "holding_registers", 0, type="float32", order="CDAB", units="°C"),
+    Point("level", "holding_registers", 2, scale=0.1, units="m", minimum=0, maximum=100),
     Point("label", "holding_registers", 3, type="string:8"),
     Point("limits", "holding_registers", 7, count=2, type="int16"),
     Point("pump", "coils", 0),

@@ -769,8 +769,8 @@ BROKEN = [
     (
         "[[unit]]\n[[unit.coils]]\naddress = 0\ntable = 'coils'",
         "unit[0].coils[0].table: no such key; allowed are name, address, count, type, order,"
-        " encoding, padding, scale, offset, unit, access, minimum, maximum, description, value,"
-        " values, counter, sine, random_walk, copy",
+        " encoding, padding, scale, offset, units, access, minimum, maximum, description, unit,"
+        " value, values, counter, sine, random_walk, copy",
     ),
     (
         "[[unit]]\n[[unit.coils]]\naddress = 0\nvalues = [true, 2]",

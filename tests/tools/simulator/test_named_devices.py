@@ -166,7 +166,12 @@ def test_a_device_knows_its_names_and_points() -> None:
         *("flow", "holding_registers_100", "discrete_inputs_3", "input_registers_0")
     }
     flow = boiler.points["flow"]
-    assert (flow.unit, flow.scale, flow.count, flow.description) == ("°C", 0.1, 2, "of the heating")
+    assert (flow.units, flow.scale, flow.count, flow.description) == (
+        "°C",
+        0.1,
+        2,
+        "of the heating",
+    )
     assert flow.decode(holding(boiler, 7, 2)) == [55.5, 45]
     other_point = boiler.points["holding_registers_100"]
     assert (other_point.type, other_point.order, other_point.access) == ("float32", "CDAB", "read")

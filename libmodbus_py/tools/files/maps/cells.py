@@ -69,7 +69,7 @@ READERS: dict[str, Callable[[str], Any]] = {
     "scale": number_in,
     "divisor": number_in,
     "offset": number_in,
-    "unit": str,
+    "units": str,
     "access": _word(ACCESS_WORDS),
     "minimum": number_in,
     "maximum": number_in,

@@ -51,7 +51,7 @@ COLUMNS = _by_word(
         "scale": "factor, multiplier, scaling, scale factor, scaling factor, multiply by",
         "divisor": "divider, divide by",
         "offset": "value offset",
-        "unit": "units, engineering unit, engineering units, eng unit, uom",
+        "units": "unit, engineering unit, engineering units, eng unit, uom",
         "access": "r w, rw, access type, access mode, read write, mode, permission, permissions",
         "minimum": "min, min value, low limit, lower limit",
         "maximum": "max, max value, high limit, upper limit",

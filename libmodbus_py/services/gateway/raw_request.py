@@ -1,5 +1,5 @@
 """
-A request as a gateway passes it on: bytes in, bytes out, judged by what is known of it.
+A request as a gateway forwards it: bytes in, bytes out, and what is known of these bytes.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from ...device.access import Touched, Who, touched
 from ...protocol import pdu
 from ...protocol.errors import ExceptionResponse, IllegalDataValue, IllegalFunction
 
-__all__ = ["Passed", "passed"]
+__all__ = ["RequestBytes", "request_of"]
 
 # Pollers ask the same again and again.
 REMEMBERED = 512
@@ -25,7 +25,7 @@ READS = (
 """What changes nothing, and may be answered with what was read before."""
 
 
-class Passed(pdu.Request[bytes]):
+class RequestBytes(pdu.Request[bytes]):
     """
     Any request PDU, unchanged; its result is the response PDU.
 
@@ -83,23 +83,23 @@ class Passed(pdu.Request[bytes]):
 
 
 @lru_cache(REMEMBERED)
-def passed(data: bytes) -> Passed:
+def request_of(data: bytes) -> RequestBytes:
     """
-    Give a request that can be passed on.
+    Return a request PDU as a request that can be forwarded.
 
-    What is wrong in it but its length is for its device to say: some have more than the
-    specification.
+    Only its length is checked. All else is left to the device, which may have more functions
+    and ranges than the specification.
 
     Raises:
-        IllegalFunction: there can be no function of this code.
-        IllegalDataValue: a known function has no request of this length: on a line nobody
-            would find its end.
+        IllegalFunction: no function can have this code.
+        IllegalDataValue: a known function has no request of this length, so that the end of
+            the request could not be found on a serial line.
     """
     if not 1 <= data[0] <= 0x7F:
         raise IllegalFunction(f"no function {data[0]}", function=data[0])
     if pdu.request_length(data) not in (len(data), 0):
         raise IllegalDataValue(f"a request of {len(data)} bytes", function=data[0])
     try:
-        return Passed(data, pdu.decode_request(data))
+        return RequestBytes(data, pdu.decode_request(data))
     except ExceptionResponse:
-        return Passed(data, None)
+        return RequestBytes(data, None)

@@ -1,5 +1,5 @@
 """
-Lines that lead back to where a gateway listens itself, or to no port at all.
+Lines that lead back to where the gateway itself listens, or to no port at all.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def _is_loopback(host: str) -> bool:
 
 
 def _is_here(host: str) -> bool:
-    """Whether an address is one of this machine; names but localhost are not looked up."""
+    """Return True for an address of this machine; names but localhost are not looked up."""
     if _is_loopback(host):
         return True
     family = socket.AF_INET6 if ":" in host else socket.AF_INET

@@ -1,5 +1,5 @@
 """
-How a gateway deals with requests, whatever way they go.
+Options of a gateway that hold for all of its lines.
 """
 
 from __future__ import annotations
@@ -11,11 +11,11 @@ from ...protocol.checks import integer, seconds
 from ...protocol.mistakes import WrongType
 from .routes import units_of
 
-__all__ = ["Manner"]
+__all__ = ["GatewayOptions"]
 
 
 @dataclass(frozen=True)
-class Manner:
+class GatewayOptions:
     """
     Options of `Gateway`, which says what they mean.
 

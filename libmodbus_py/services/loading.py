@@ -1,0 +1,92 @@
+"""
+Files of any kind: register maps, devices, gateways and fleets.
+"""
+
+from __future__ import annotations
+
+import reprlib
+from collections.abc import Callable
+from os import PathLike, fspath
+from pathlib import PurePath
+from typing import TYPE_CHECKING, Any
+
+from ..tools.files.file_error import FileError, FilePlace
+from ..tools.files.texts import read_text
+from ..tools.files.toml_text import read_toml
+
+if TYPE_CHECKING:
+    from ..maps.register_map import RegisterMap
+    from ..tools.simulator.simulated import Simulation
+    from .fleet.files import FleetFile
+    from .gateway.config import GatewayFile
+
+__all__ = ["load"]
+
+
+def load(path: str | PathLike[str]) -> RegisterMap | Simulation | GatewayFile | FleetFile:
+    """
+    Read a file of any kind that this package has.
+
+    Args:
+        path: of a register map in CSV (its name ends with ``.csv``, ``.tsv`` or ``.txt``) or
+            TOML, or of a device, gateway or fleet file.
+
+    Returns:
+        What the file describes: a `RegisterMap`; a `Simulation`, which ``Server(*simulation)``
+        serves; a `GatewayFile` or a `FleetFile`.
+
+    Raises:
+        FileError: a ValueError: the file cannot be read, is of none of these kinds, or contains
+            a mistake; it names file, line and key.
+    """
+    name = fspath(path)
+    if PurePath(name).suffix.lower() in (".csv", ".tsv", ".txt"):
+        return _map(path)  # type: ignore[no-any-return]
+    try:
+        content = read_toml(read_text(path, FileError))
+    except FileError:
+        raise
+    except ValueError as error:
+        raise FileError.of(error, FilePlace(name)) from None
+    kinds = {load: None for key in content if (load := _LOADERS.get(key)) is not None}
+    if len(kinds) != 1:
+        found = reprlib.repr(list(content))
+        reason = f"must have the keys of one kind of file, {', '.join(_LOADERS)}, not {found}"
+        raise FileError((), reason, place=FilePlace(name))
+    (loader,) = kinds
+    return loader(path)  # type: ignore[no-any-return]
+
+
+def _map(path: str | PathLike[str]) -> Any:
+    from ..tools.files.maps.map_file import load_map
+
+    return load_map(path)
+
+
+def _devices(path: str | PathLike[str]) -> Any:
+    from ..tools.simulator import device_file
+
+    return device_file.load(path)
+
+
+def _gateway(path: str | PathLike[str]) -> Any:
+    from .gateway import config
+
+    return config.load(path)
+
+
+def _fleet(path: str | PathLike[str]) -> Any:
+    from .fleet import files
+
+    return files.load(path)
+
+
+_LOADERS: dict[str, Callable[[str | PathLike[str]], Any]] = {
+    "point": _map,
+    "unit": _devices,
+    "route": _gateway,
+    "listen": _gateway,
+    "device": _fleet,
+    "devices": _fleet,
+}
+"""Key at the top of a file in TOML -> what loads such a file."""

@@ -1,0 +1,66 @@
+"""
+Files of any kind are told apart by what they contain.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from libmodbus_py import RegisterMap
+from libmodbus_py.services.fleet.files import FleetFile
+from libmodbus_py.services.gateway.config import GatewayFile
+from libmodbus_py.services.loading import load
+from libmodbus_py.tools.files.file_error import FileError
+from libmodbus_py.tools.simulator.simulated import Simulation
+from tests.support.cases import each_case
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+
+@each_case(
+    ("name", "kind"),
+    [
+        ("meter.toml", Simulation),
+        ("meter.csv", RegisterMap),
+        ("plant.toml", Simulation),
+        ("gateway.toml", GatewayFile),
+        ("fleet.toml", FleetFile),
+    ],
+)
+def test_a_file_is_what_it_contains(name: str, kind: type, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MQTT_PASSWORD", "secret")
+    assert isinstance(load(EXAMPLES / name), kind)
+
+
+def test_a_map_in_toml_is_a_map(tmp_path: Path) -> None:
+    path = tmp_path / "map.toml"
+    path.write_text('[[point]]\nname = "a"\ntable = "coils"\naddress = 1\n')
+    assert list(load(path)) == ["a"]
+
+
+@each_case(
+    ("text", "message"),
+    [
+        ("", "{}: must have the keys of one kind of file, point, unit, route, listen, device, "),
+        ("x = 1", "{}: must have the keys of one kind of file, "),
+        ("[[unit]]\n[[route]]", "{}: must have the keys of one kind of file, "),
+        ("[[unit]", "{}: Expected ']]'"),
+        ("[[unit]]\nid = 300", "{}, line 2: unit[0].id must be in 0..255, not 300"),
+        ("[[point]]\nname = 1", "{}, line 1: point[0].table is missing"),
+        ("[[device]]\nname = 'a'", "{}, line 1: device[0].url is missing"),
+        ("[[route]]\nto = 1", "{}, line 2: route[0].to: url must be a string"),
+    ],
+)
+def test_a_file_of_no_kind_is_refused(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "file.toml"
+    path.write_text(text)
+    with pytest.raises(FileError) as raised:
+        load(path)
+    assert str(raised.value).startswith(message.format(path))
+
+
+def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
+    with pytest.raises(FileError, match=r"^cannot read .*none\.toml: No such file"):
+        load(tmp_path / "none.toml")
