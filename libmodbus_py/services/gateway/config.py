@@ -28,8 +28,8 @@ from ...tools.files.file_error import FileError
 from ...tools.files.schema import Key, Keys, keys_of
 from ...tools.files.texts import load_file
 from ...tools.files.toml_text import read_toml
-from .circles import check_line
 from .gateway import Gateway
+from .loops import check_line
 from .manner import Manner
 from .routes import Route, by_unit
 

@@ -14,9 +14,9 @@ import pytest
 from libmodbus_py.client import waiting_room
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.services.gateway import line as gateway_line
-from libmodbus_py.services.gateway.line import BUSY, NO_ANSWER, Forwarded, Line
+from libmodbus_py.services.gateway.line import BUSY, NO_ANSWER, Forwarded, GatewayLine
 from libmodbus_py.services.gateway.manner import Manner
-from libmodbus_py.services.gateway.passed import passed
+from libmodbus_py.services.gateway.request import gateway_request
 from tests.simulation.network import Network
 from tests.simulation.scripted import Scripted, Write
 from tests.support.talk import rtu
@@ -59,7 +59,7 @@ class Plant:
         self.damaging: set[int] = set()
         self.delay = 0.05
         self.delays: dict[int, float] = {}
-        self.line: Line
+        self.line: GatewayLine
         peer = Scripted(self.network, url.partition("?")[0], self._answer)
         self.peer = peer
 
@@ -85,7 +85,7 @@ class Plant:
 
     def run(self, main: Callable[[], Awaitable[None]]) -> None:
         async def whole() -> None:
-            self.line = Line(parse(self.url), Manner(**self.manner))
+            self.line = GatewayLine(parse(self.url), Manner(**self.manner))
             try:
                 await main()
             finally:
@@ -105,7 +105,7 @@ class Plant:
         return each
 
     def forwarded(self, unit: int, asker: Asker, request: str = READ, age: float = 0) -> Forwarded:
-        given = passed(bytes.fromhex(request))
+        given = gateway_request(bytes.fromhex(request))
         return Forwarded(asker, 1, unit, unit, given, self.network.events.now, age)
 
     @property
@@ -485,7 +485,7 @@ class TestAnswers:
         plant = Plant()
 
         async def main() -> None:
-            request = passed(bytes.fromhex(READ))
+            request = gateway_request(bytes.fromhex(READ))
             begun = plant.network.events.now
             plant.ask(2, Asker(), age=1)
             await asyncio.sleep(0.5)
@@ -508,7 +508,7 @@ class TestAnswers:
         async def main() -> None:
             plant.ask(2, Asker())
             await asyncio.sleep(0.5)
-            request = passed(bytes.fromhex(READ))
+            request = gateway_request(bytes.fromhex(READ))
             assert plant.line.cached(2, request, 9, plant.network.events.now) is None
 
         plant.run(main)
@@ -520,7 +520,7 @@ class TestAnswers:
             plant.ask(2, Asker(), age=1)
             plant.ask(2, Asker(), WRITE)
             await asyncio.sleep(0.5)
-            request = passed(bytes.fromhex(READ))
+            request = gateway_request(bytes.fromhex(READ))
             assert plant.asked == [2, 2]
             assert plant.line.cached(2, request, 9, plant.network.events.now) is None
 

@@ -11,10 +11,10 @@ import pytest
 
 from libmodbus_py import Route
 from libmodbus_py.ports.endpoint import Endpoint, parse
-from libmodbus_py.services.gateway import circles
-from libmodbus_py.services.gateway.circles import check_line
+from libmodbus_py.services.gateway import loops
 from libmodbus_py.services.gateway.config import MOST_ROUTES
 from libmodbus_py.services.gateway.config import parse as parse_file
+from libmodbus_py.services.gateway.loops import check_line
 from libmodbus_py.services.gateway.manner import Manner
 
 TCP, LINE = "tcp://192.0.2.1", "rtu:///dev/ttyUSB0"
@@ -194,7 +194,7 @@ def test_an_address_of_this_machine_is_found_by_binding_to_it(
         def bind(self, address: tuple[str, int]) -> None:
             assert address == (host, 0)
 
-    socket = circles.socket
+    socket = loops.socket
     monkeypatch.setattr(socket, "socket", Probe)
     url = f"tcp://[{host}]:1502" if is_six else f"tcp://{host}:1502"
     assert leads_back(url, "tcp://0.0.0.0:1502")

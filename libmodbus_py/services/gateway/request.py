@@ -1,5 +1,5 @@
 """
-A request as a gateway passes it on: bytes in, bytes out, judged by what is known of it.
+A request as a gateway forwards it: bytes in, bytes out, decoded where its function is known.
 """
 
 from __future__ import annotations
@@ -11,9 +11,9 @@ from ...device.access import Touched, Who, touched
 from ...protocol import pdu
 from ...protocol.errors import ExceptionResponse, IllegalDataValue, IllegalFunction
 
-__all__ = ["Passed", "passed"]
+__all__ = ["GatewayRequest", "gateway_request"]
 
-# Pollers ask the same again and again.
+# Pollers send the same requests again and again.
 REMEMBERED = 512
 
 READS = (
@@ -22,22 +22,22 @@ READS = (
     pdu.ReadHoldingRegisters,
     pdu.ReadInputRegisters,
 )
-"""What changes nothing, and may be answered with what was read before."""
+"""Requests that change nothing, and may be answered from the cache."""
 
 
-class Passed(pdu.Request[bytes]):
+class GatewayRequest(pdu.Request[bytes]):
     """
     Any request PDU, unchanged; its result is the response PDU.
 
-    A response must be one by the rules of its function, if that is known: else it is an
-    InvalidResponse. Of other functions it is whatever begins with their code.
+    The response to a known function must fit its rules, or it is an InvalidResponse. The response
+    to another function must begin with its code.
 
     Args:
         data: the PDU, 1..253 bytes.
-        known: what it is decoded to; None where it cannot be.
+        known: the decoded request; None if it cannot be decoded.
 
     Attributes:
-        is_read: whether it reads a table and does nothing else.
+        is_read: True if it reads a table and does nothing else.
     """
 
     # fmt: off
@@ -83,7 +83,7 @@ class Passed(pdu.Request[bytes]):
 
 
 @lru_cache(REMEMBERED)
-def passed(data: bytes) -> Passed:
+def gateway_request(data: bytes) -> GatewayRequest:
     """
     Give a request that can be passed on.
 
@@ -100,6 +100,6 @@ def passed(data: bytes) -> Passed:
     if pdu.request_length(data) not in (len(data), 0):
         raise IllegalDataValue(f"a request of {len(data)} bytes", function=data[0])
     try:
-        return Passed(data, pdu.decode_request(data))
+        return GatewayRequest(data, pdu.decode_request(data))
     except ExceptionResponse:
-        return Passed(data, None)
+        return GatewayRequest(data, None)
