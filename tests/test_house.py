@@ -67,11 +67,6 @@ WORDS = {
 }
 """How often docstrings, comments and messages of the package use words that have plainer ones."""
 
-SAME_NAME = {
-    "Line",
-}
-"""Classes whose name another class of the package has, too."""
-
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 
 # Where these come from, seconds are simulated.
@@ -341,8 +336,7 @@ def test_a_class_name_exists_once_in_the_package() -> None:
         for node in ast.walk(module.tree):
             if isinstance(node, ast.ClassDef):
                 places[node.name].append(str(module.path))
-    twice = {name: found for name, found in places.items() if len(found) > 1}
-    assert {name: found for name, found in twice.items() if name not in SAME_NAME} == {}
+    assert {name: found for name, found in places.items() if len(found) > 1} == {}
 
 
 def more_than(allowed: dict[str, int], found: Counter[str]) -> dict[str, str]:

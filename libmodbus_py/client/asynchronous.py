@@ -17,7 +17,6 @@ from ..maps.plan import (
     Strict,
     Tolerant,
     Values,
-    planned,
 )
 from ..ports.endpoint import parse
 from ..protocol import pdu
@@ -137,7 +136,7 @@ class AsyncClient(Handle[AsyncioDriver], Awaiting):
     ) -> Result:
         timeouts = self._timeouts
         if timeout is not None or retries is not None:
-            timeouts = self._timeouts.but(timeout, retries)
+            timeouts = timeouts.but(timeout, retries)
         is_broadcast = self._has_broadcast and self.unit == 0
         batch = Batch(self.unit, [request], timeouts, is_broadcast=is_broadcast)
         await self._driver.run(batch)
@@ -191,19 +190,6 @@ class AsyncClient(Handle[AsyncioDriver], Awaiting):
         """
         return self._matching.ready_at(unit)
 
-    async def execute_many(
-        self,
-        requests: Iterable[pdu.Request[Any]],
-        *,
-        max_in_flight: int = 16,
-        return_exceptions: bool = False,
-    ) -> list[Any]:
-        batch = self._batch(requests, max_in_flight, return_exceptions)
-        if batch.pdus:
-            await self._driver.run(batch)
-        raised(batch.outcomes, self._tolerated(return_exceptions))
-        return batch.outcomes
-
     @overload
     async def read_many(  # type: ignore[overload-overlap]  # mappings first
         self, items: Named[Key], **options: Unpack[Strict]
@@ -230,12 +216,7 @@ class AsyncClient(Handle[AsyncioDriver], Awaiting):
         return_exceptions: bool = False,
         **options: Unpack[PlanOptions],
     ) -> Any:
-        plan = planned(items, options)
-        return plan.results(
-            await self.execute_many(
-                plan.requests, max_in_flight=max_in_flight, return_exceptions=return_exceptions
-            )
-        )
+        return await self._read_many(items, max_in_flight, return_exceptions, options)
 
     async def _follow(self, make: Any, arguments: Any, named: Any) -> Any:
         """Carry out a procedure."""
@@ -252,10 +233,11 @@ class AsyncClient(Handle[AsyncioDriver], Awaiting):
     async def _take(self, step: pdu.Request[Any] | Several) -> Any:
         if not isinstance(step, Several):
             return await self.execute(step)
-        requests, max_in_flight, return_exceptions = step
-        return await self.execute_many(
-            requests, max_in_flight=max_in_flight, return_exceptions=return_exceptions
-        )
+        batch = self._batch(*step)
+        if batch.pdus:
+            await self._driver.run(batch)
+        raised(batch.outcomes, (ModbusError,) if step.return_exceptions else ())
+        return batch.outcomes
 
 
 class Submitted:

@@ -38,7 +38,15 @@ if TYPE_CHECKING:
         """The options of a context of any kind."""
 
 
-__all__ = ["AsciiContext", "Context", "RtuContext", "TcpContext", "TlsContext", "UdpContext"]
+__all__ = [
+    "AsciiContext",
+    "Client",
+    "Context",
+    "RtuContext",
+    "TcpContext",
+    "TlsContext",
+    "UdpContext",
+]
 
 Result = TypeVar("Result")
 
@@ -101,19 +109,10 @@ class Context(Handle[BlockingDriver], Blocking):
         Raises:
             TypeError, ValueError: the URL or an option is wrong.
         """
-        from dataclasses import replace
-
-        from ..ports.endpoint import parse
-
-        endpoint = parse(address)
-        if endpoint.transport == "serial":
-            settings = {**endpoint.options}
-            for name in SERIAL_OPTIONS.keys() & options.keys():
-                settings[name] = options.pop(name)  # type: ignore[misc]
-            endpoint = replace(endpoint, options=settings)
+        endpoint, others = _parsed(address, options)
         kind: type[Context] = _KINDS[endpoint.transport, endpoint.framing]
         context = kind.__new__(kind)
-        Context.__init__(context, endpoint, options)
+        Context.__init__(context, endpoint, others)
         return context
 
     def connect(self) -> None:
@@ -156,23 +155,10 @@ class Context(Handle[BlockingDriver], Blocking):
     ) -> Result:
         timeouts = self._timeouts
         if timeout is not None or retries is not None:
-            timeouts = self._timeouts.but(timeout, retries)
+            timeouts = timeouts.but(timeout, retries)
         is_broadcast = self._has_broadcast and self.unit == 0
         result: Result = self._driver.ask(self.unit, request, timeouts, is_broadcast)
         return result
-
-    def execute_many(
-        self,
-        requests: Iterable[pdu.Request[Any]],
-        *,
-        max_in_flight: int = 16,
-        return_exceptions: bool = False,
-    ) -> list[Any]:
-        batch = self._batch(requests, max_in_flight, return_exceptions)
-        if batch.pdus:
-            self._driver.run(batch)
-        raised(batch.outcomes, self._tolerated(return_exceptions))
-        return batch.outcomes
 
     @overload
     def read_many(  # type: ignore[overload-overlap]  # mappings first
@@ -200,14 +186,7 @@ class Context(Handle[BlockingDriver], Blocking):
         return_exceptions: bool = False,
         **options: Unpack[PlanOptions],
     ) -> Any:
-        from ..maps.plan import planned
-
-        plan = planned(items, options)
-        return plan.results(
-            self.execute_many(
-                plan.requests, max_in_flight=max_in_flight, return_exceptions=return_exceptions
-            )
-        )
+        return self._read_many(items, max_in_flight, return_exceptions, options)
 
     def _follow(self, make: Any, arguments: Any, named: Any) -> Any:
         """Carry out a procedure."""
@@ -224,10 +203,29 @@ class Context(Handle[BlockingDriver], Blocking):
     def _take(self, step: pdu.Request[Any] | Several) -> Any:
         if not isinstance(step, Several):
             return self.execute(step)
-        requests, max_in_flight, return_exceptions = step
-        return self.execute_many(
-            requests, max_in_flight=max_in_flight, return_exceptions=return_exceptions
-        )
+        batch = self._batch(*step)
+        if batch.pdus:
+            self._driver.run(batch)
+        raised(batch.outcomes, (ModbusError,) if step.return_exceptions else ())
+        return batch.outcomes
+
+
+class Client(Context):
+    """
+    A client for any URL: what `AsyncClient` is with ``await``.
+
+    Args:
+        url: such as "tcp://192.0.2.10?unit=17" or "rtu:///dev/ttyUSB0?baudrate=9600"
+            (`libmodbus_py.ports.endpoint`).
+        options: those of `TcpContext`, or on a serial line of `RtuContext`; they take
+            precedence over those of the URL.
+
+    Raises:
+        TypeError, ValueError: the URL or an option is wrong.
+    """
+
+    def __init__(self, url: str, **options: Unpack[UrlOptions]) -> None:
+        super().__init__(*_parsed(url, options))
 
 
 class TcpContext(Context):
@@ -328,6 +326,28 @@ class AsciiContext(Context):
         super().__init__(*_on_line("ascii", device, baudrate, options))
 
 
+def _parsed(url: str, options: UrlOptions) -> tuple[Endpoint, Mapping[str, Any]]:
+    """Return the endpoint of a URL, with the options that are of a serial port, and the others."""
+    from dataclasses import replace
+
+    from ..ports.endpoint import parse
+
+    endpoint = parse(url)
+    if endpoint.transport != "serial":
+        return endpoint, options
+    settings, others = _split(options)
+    return replace(endpoint, options={**endpoint.options, **settings}), others
+
+
+def _split(options: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the options of a serial port, and those of the client."""
+    settings: dict[str, Any] = {}
+    others: dict[str, Any] = {}
+    for name, value in options.items():
+        (settings if name in SERIAL_OPTIONS else others)[name] = value
+    return settings, others
+
+
 def _endpoint(scheme: Any, **where: Any) -> Endpoint:
     from ..ports.endpoint import Endpoint
 
@@ -337,11 +357,8 @@ def _endpoint(scheme: Any, **where: Any) -> Endpoint:
 def _on_line(
     scheme: Literal["rtu", "ascii"], device: str, baudrate: int, options: RtuOptions
 ) -> tuple[Endpoint, Mapping[str, Any]]:
-    settings: dict[str, Any] = {"baudrate": baudrate}
-    others: dict[str, Any] = {}
-    for name, value in options.items():
-        (settings if name in SERIAL_OPTIONS else others)[name] = value
-    return _endpoint(scheme, device=device, options=settings), others
+    settings, others = _split(options)
+    return _endpoint(scheme, device=device, options={"baudrate": baudrate, **settings}), others
 
 
 _KINDS: dict[tuple[str, str], type[Context]] = {

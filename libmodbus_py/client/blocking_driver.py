@@ -11,7 +11,9 @@ import errno
 import os
 import threading
 import weakref
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from functools import update_wrapper
+from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar
 
 from ..ports.waiting import READ, WRITE, Woken, run
 from ..protocol.errors import ModbusConnectionError
@@ -30,10 +32,52 @@ __all__ = ["BlockingDriver"]
 # How long `close` waits for another thread to leave a connection that it was told to leave.
 LEAVING = 1.0
 
+Arguments = ParamSpec("Arguments")
+Result = TypeVar("Result")
+
 FORKED = "this process was forked off"
 
 # Silence on a line is shorter than the milliseconds that poll counts.
 SLEPT = 0.005
+
+
+def _alone(
+    carry: Callable[Concatenate[BlockingDriver, threading.RLock, Arguments], Result],
+) -> Callable[Concatenate[BlockingDriver, Arguments], Result]:
+    """
+    Carry out a request while no other one is under way, and leave nothing of it behind.
+
+    The method raises RuntimeError when it is called from within a request of the same thread.
+    """
+
+    def method(
+        self: BlockingDriver, /, *arguments: Arguments.args, **named: Arguments.kwargs
+    ) -> Result:
+        lock = self._lock
+        with lock:
+            if self._is_busy:
+                raise RuntimeError(
+                    "a request of this thread is under way on the same connection: a signal "
+                    "handler or a callback must not ask here"
+                )
+            # Nothing may come between here and the end that a Ctrl-C could skip.
+            try:
+                self._is_busy = True
+                return carry(self, lock, *arguments, **named)
+            except Exception:  # its caller is gone, so it must not be sent later
+                if self._batch is not None and not self._batch.is_done:
+                    self._conversation.abandon(self._batch, self._now())
+                raise
+            except BaseException:  # Ctrl-C: no one knows what was sent
+                self._interrupt()
+                raise
+            finally:
+                self._batch = None
+                self._is_busy = False
+                if self._closed:
+                    self._shut()
+
+    return update_wrapper(method, carry)
 
 
 class BlockingDriver:
@@ -65,77 +109,47 @@ class BlockingDriver:
         # Reentrant, so that a signal handler that interrupts a request is told, not stuck.
         self._lock = threading.RLock()
         self._is_busy = False
+        self._batch: Batch | None = None
 
     @property
     def closed(self) -> bool:
         """Whether `close` was called."""
         return self._closed
 
-    def run(self, batch: Batch) -> None:
+    @_alone
+    def run(self, lock: threading.RLock, batch: Batch) -> None:
+        """Send the requests of a batch; returns when it is settled."""
+        self._batch = batch
+        self._conversation.add(batch, self._now())
+        self._drive(batch, lock)
+
+    @_alone
+    def ask(
+        self,
+        lock: threading.RLock,
+        unit: int,
+        request: Request[Any],
+        timeouts: Timeouts,
+        is_broadcast: bool,
+    ) -> Any:
         """
-        Ask what a batch holds; returns when it is decided.
+        Send a single request, the short way if that may be, and return its result.
 
         Raises:
-            RuntimeError: from within a request of the same thread.
+            ModbusError: the outcome of the request.
+            TypeError, ValueError: nothing was sent.
         """
-        lock = self._lock
-        with lock:
-            if self._is_busy:
-                raise _under_way()
-            # Nothing may come between here and the end that a Ctrl-C could skip.
-            try:
-                self._is_busy = True
-                self._conversation.add(batch, self._now())
-                self._drive(batch, lock)
-            except Exception:  # nobody waits for it any more, so it must not be sent later
-                self._conversation.abandon(batch, self._now())
-                raise
-            except BaseException:  # Ctrl-C: who knows what went out
-                self._interrupt()
-                raise
-            finally:
-                self._is_busy = False
-                if self._closed:
-                    self._shut()
-
-    def ask(self, unit: int, request: Request[Any], timeouts: Timeouts, broadcast: bool) -> Any:
-        """
-        Ask a single request, the short way if that may be.
-
-        Raises:
-            ModbusError: what became of it.
-            TypeError, ValueError, RuntimeError: nothing was sent.
-        """
-        lock = self._lock
-        with lock:
-            if self._is_busy:
-                raise _under_way()
-            batch = None
-            try:
-                self._is_busy = True
-                if self._shortcut is not None and not broadcast and self._conversation.is_plain:
-                    batch, outcome = self._shortcut.ask(
-                        unit, request, timeouts, self.waker.descriptor
-                    )
-                    if batch is None:
-                        return outcome
-                    if outcome is not None:
-                        self._lose(outcome, by_itself=True)
-                else:
-                    batch = Batch(unit, [request], timeouts, is_broadcast=broadcast)
-                    self._conversation.add(batch, self._now())
-                self._drive(batch, lock)
-            except Exception:
-                if batch is not None:
-                    self._conversation.abandon(batch, self._now())
-                raise
-            except BaseException:
-                self._interrupt()
-                raise
-            finally:
-                self._is_busy = False
-                if self._closed:
-                    self._shut()
+        if self._shortcut is not None and not is_broadcast and self._conversation.is_plain:
+            batch, outcome = self._shortcut.ask(unit, request, timeouts, self.waker.descriptor)
+            if batch is None:
+                return outcome
+            self._batch = batch
+            if outcome is not None:
+                self._lose(outcome, by_itself=True)
+        else:
+            self._batch = batch = Batch(unit, [request], timeouts, is_broadcast=is_broadcast)
+            self._conversation.add(batch, self._now())
+        self._drive(batch, lock)
         raised(batch.outcomes)
         return batch.outcomes[0]
 
@@ -283,13 +297,6 @@ class BlockingDriver:
             if self._connection.state is State.CONNECTING:
                 self._port.close()
                 self._connection.given_up()
-
-
-def _under_way() -> RuntimeError:
-    return RuntimeError(
-        "a request of this thread is under way on the same connection: a signal "
-        "handler or a callback must not ask here"
-    )
 
 
 def _waker(parts: Parts) -> Waker:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Generic, Protocol, Self, TypeVar
 
 from ..protocol import pdu
 from ..protocol.checks import integer, seconds
-from ..protocol.errors import InvalidResponse, ModbusError
+from ..protocol.errors import InvalidResponse
 from .batch import MAX_IN_FLIGHT, Batch
 from .reconnecting import State
 
@@ -127,42 +127,6 @@ class Handle(Generic[Driving]):
         """
         raise NotImplementedError
 
-    def execute_many(self, *args: Any, **kwargs: Any) -> Any:
-        """
-        Send many request objects, several at a time where answers can be told apart.
-
-        On "tcp" and "udp" up to `max_in_flight` of these requests wait for their
-        answers together, and of all requests no more than the client's own; `timeout` counts
-        for each from when it is sent. Other threads wait until all are done, other tasks have
-        their turns. A server may carry them out in any order: writes that depend on each other
-        need ``max_in_flight=1``. Then, on the other framings, and with a request that nobody
-        answers among them, they go one after the other.
-
-        With `return_exceptions` the rest goes on whatever fails. A lost connection fails
-        all that was in flight on it, and a new one carries the rest; an attempt to connect
-        that fails fails the rest.
-
-        A request that is repeated (`retries`, `busy_retries`) keeps its place among
-        those in flight meanwhile, and no other one overtakes it with ``max_in_flight=1``.
-
-        Args:
-            requests: request objects of `libmodbus_py.pdu`; all are checked before the
-                first is sent.
-            max_in_flight: 1..256; servers need not take more than 16 (TCP guide,
-                section 4.3).
-            return_exceptions: whether a ModbusError is given in the place of its
-                result; else the first in the order of requests is raised, nothing more is
-                sent, and answers that are still to come are dropped when they do.
-
-        Returns:
-            The results in the order of the requests.
-
-        Raises:
-            TypeError, ValueError: `max_in_flight`, or a request, which is named
-                by its index (``requests[3]``).
-        """
-        raise NotImplementedError
-
     def read_many(self, *args: Any, **kwargs: Any) -> Any:
         """
         Read many things in few requests.
@@ -208,9 +172,6 @@ class Handle(Generic[Driving]):
             limit=limit,
             go_on=bool(go_on),
         )
-
-    def _tolerated(self, return_exceptions: bool) -> tuple[type[ModbusError], ...]:
-        return (ModbusError,) if return_exceptions else ()
 
     def _named(self, error: InvalidResponse) -> InvalidResponse:
         """Tell an error of a procedure who was asked."""

@@ -34,7 +34,7 @@ Result = TypeVar("Result")
 class Several(NamedTuple):
     """Requests that a procedure makes together, as `execute_many` takes them."""
 
-    requests: Sequence[pdu.Request[Any]]
+    requests: Iterable[pdu.Request[Any]]
     max_in_flight: int
     return_exceptions: bool
 
@@ -43,7 +43,7 @@ Steps = Generator[pdu.Request[Any] | Several, Any, Result]
 
 # What only some methods need is imported by them.
 if TYPE_CHECKING:
-    from ..maps.plan import PlanOptions
+    from ..maps.plan import Items, Plan, PlanOptions
     from ..maps.register_map import RegisterMap
     from ..protocol.tables import RegisterTable, WritableTable
     from ..protocol.type_names import Order, TextOptions, TypeName
@@ -266,6 +266,67 @@ class Requests:
             The data of the answer.
         """
         return pdu.EncapsulatedTransport(mei_type, data)
+
+    # --- many at once ----------------------------------------------------------------
+
+    @follows
+    def execute_many(
+        self,
+        requests: Iterable[pdu.Request[Any]],
+        *,
+        max_in_flight: int = 16,
+        return_exceptions: bool = False,
+    ) -> Steps[list[Any]]:
+        """
+        Send many request objects, several at a time where answers can be told apart.
+
+        On "tcp" and "udp" up to `max_in_flight` of these requests wait for their
+        answers together, and of all requests no more than the client's own; `timeout` counts
+        for each from when it is sent. Other threads wait until all are done, other tasks have
+        their turns. A server may carry them out in any order: writes that depend on each other
+        need ``max_in_flight=1``. Then, on the other framings, and with a request that nobody
+        answers among them, they go one after the other.
+
+        With `return_exceptions` the rest goes on whatever fails. A lost connection fails
+        all that was in flight on it, and a new one carries the rest; an attempt to connect
+        that fails fails the rest.
+
+        A request that is repeated (`retries`, `busy_retries`) keeps its place among
+        those in flight meanwhile, and no other one overtakes it with ``max_in_flight=1``.
+
+        Args:
+            requests: request objects of `libmodbus_py.pdu`; all are checked before the
+                first is sent.
+            max_in_flight: 1..256; servers need not take more than 16 (TCP guide,
+                section 4.3).
+            return_exceptions: whether a ModbusError is given in the place of its
+                result; else the first in the order of requests is raised, nothing more is
+                sent, and answers that are still to come are dropped when they do.
+
+        Returns:
+            The results in the order of the requests.
+
+        Raises:
+            TypeError, ValueError: `max_in_flight`, or a request, which is named
+                by its index (``requests[3]``).
+        """
+        answers: list[Any] = yield Several(requests, max_in_flight, return_exceptions)
+        return answers
+
+    @follows
+    def _read_many(
+        self,
+        items: Plan | Items,
+        max_in_flight: int,
+        return_exceptions: bool,
+        options: PlanOptions,
+    ) -> Steps[Any]:
+        """As of `read_many` of the clients, whose types depend on what is given."""
+        from ..maps.plan import planned
+
+        plan = planned(items, options)
+        answers = yield Several(plan.requests, max_in_flight, return_exceptions)
+        return plan.results(answers)
 
     # --- values ----------------------------------------------------------------------
 

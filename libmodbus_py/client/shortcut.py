@@ -144,7 +144,11 @@ class Shortcut:
                 return self._hand_over(unit, request, timeouts), None
             if answer and not (self._is_line and self._now() < self._port.silence.left_at):
                 outcome = request.decode_response(answer)
-                self._note_success(pdu[0], since)
+                now = self._now()
+                self._statistics.requests += 1
+                self._conversation.note_answer(pdu[0], "ok", now - since, now)
+                if self._is_line:
+                    self._port.silence.heard(now)
                 return None, outcome
         except Exception:
             pass  # the conversation meets it again, and tells it all that was asked
@@ -171,10 +175,3 @@ class Shortcut:
         adu = self._encode(Frame(unit, batch.pdus[0], number))
         self._conversation.adopt(batch, adu, since)
         return batch
-
-    def _note_success(self, function: int, since: float) -> None:
-        now = self._now()
-        self._statistics.requests += 1
-        self._conversation.note_answer(function, "ok", now - since, now)
-        if self._is_line:
-            self._port.silence.heard(now)

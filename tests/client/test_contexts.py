@@ -5,10 +5,12 @@ Contexts against the server of this package, over every transport.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 
 from libmodbus_py import Context, IllegalDataAddress, Mapping
+from libmodbus_py.client.blocking import Client
 
 UNIT = 17
 
@@ -54,3 +56,41 @@ class TestEveryTransport:
             assert "ReadHoldingRegisters(address=399, count=2)" in str(error)
             assert error.sent
             assert error.received
+
+
+def test_a_client_is_a_context_for_any_url(url: str) -> None:
+    with Client(url, unit=UNIT, timeout=2) as client:
+        assert isinstance(client, Context)
+        assert client.read_holding_registers(100, 3) == [1000, 1001, 1002]
+        assert (client.unit, client.timeout) == (UNIT, 2)
+        assert client.url == Context.from_url(url).url
+        assert repr(client) == f"<Client {client.url}, unit {UNIT}, connected>"
+
+
+@pytest.mark.parametrize(
+    ("url", "options", "settings"),
+    [
+        ("rtu:///dev/ttyS0?baudrate=9600", {"parity": "N"}, "parity=N"),
+        ("ascii:///dev/ttyS0?unit=7", {"data_bits": 8, "timeout": 0.5}, "data_bits=8"),
+    ],
+)
+def test_a_client_takes_the_settings_of_serial_ports(
+    url: str, options: dict[str, Any], settings: str
+) -> None:
+    client = Client(url, **options)
+    assert settings in client.url
+    assert client.url == Context.from_url(url, **options).url
+
+
+@pytest.mark.parametrize(
+    ("url", "options", "error"),
+    [
+        ("http://192.0.2.1", {}, ValueError),
+        ("tcp://192.0.2.1", {"unti": 1}, TypeError),
+        ("tcp://192.0.2.1", {"parity": "N"}, TypeError),
+        (5, {}, TypeError),
+    ],
+)
+def test_a_client_refuses_what_is_wrong(url: Any, options: Any, error: type[Exception]) -> None:
+    with pytest.raises(error):
+        Client(url, **options)

@@ -12,7 +12,7 @@ import pytest
 
 from libmodbus_py import Fleet, Point, RegisterMap
 from libmodbus_py.services.fleet.outputs.json_output import JsonOutput
-from libmodbus_py.services.fleet.poller import Standing
+from libmodbus_py.services.fleet.poller import DeviceState
 from tests.faults.injecting import Scenario, Trial, tried
 from tests.faults.test_clients import each_echoed, on_line
 from tests.services.fleet.fleets import meter, until
@@ -52,7 +52,7 @@ def polling(urls: list[str], file: Path) -> Scenario:
 
 
 def is_up(fleet: Fleet) -> bool:
-    return all(each.standing is Standing.UP for each in fleet.devices.values())
+    return all(each.state is DeviceState.UP for each in fleet.devices.values())
 
 
 @pytest.fixture(autouse=True)

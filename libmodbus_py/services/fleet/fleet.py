@@ -18,10 +18,10 @@ from .buffer import MOST_KEPT, Buffer
 from .commands import Commands
 from .config import DeviceConfig, by_connection, checked
 from .files import load
-from .line import Line, MayAsk
+from .line import FleetLine, MayAsk
 from .outputs.output import Commanded, Labelled, Output
 from .outputs.pump import Pump
-from .poller import Poller, Reads, Standing
+from .poller import DeviceState, Poller, Reads
 from .readings import Reading
 from .schedule import Timetable, first_time, next_time
 from .statistics import FleetStatistics
@@ -82,7 +82,7 @@ class Fleet:
         self.statistics: FleetStatistics = FleetStatistics()
         self._pumps: list[Pump] = []
         self._buffers: weakref.WeakSet[Buffer] = weakref.WeakSet()
-        self._lines: dict[str, Line] = {}
+        self._lines: dict[str, FleetLine] = {}
         self._pollers: dict[str, Poller] = {}
         self._timetable: Timetable[Poller] = Timetable()
         # By map and what is read of it; lives as long as a device has it, and with it its map.
@@ -269,7 +269,7 @@ class Fleet:
         line = self._lines.get(device.connection_key)
         if line is not None and device.name in line.pollers:
             line.remove(device.name)
-        self._count(poller.standing, -1)
+        self._count(poller.state, -1)
         self.statistics.devices -= 1
 
     def _end_line(self, key: str) -> None:
@@ -282,11 +282,11 @@ class Fleet:
         self._closing.add(closing)
         closing.add_done_callback(self._closing.discard)
 
-    def _line(self, device: DeviceConfig) -> Line:
+    def _line(self, device: DeviceConfig) -> FleetLine:
         key = device.connection_key
         line = self._lines.get(key)
         if line is None:
-            line = self._lines[key] = Line(
+            line = self._lines[key] = FleetLine(
                 key, device.endpoint, self._may_ask, self.statistics, self._polled, self._back
             )
         return line
@@ -344,19 +344,19 @@ class Fleet:
         statistics.polls += 1
         statistics.failures += poller.misses > 0
         statistics.refusals += poller.is_refused
-        if poller.told_standing is not poller.standing:
-            self._count(poller.told_standing, -1)
-            self._count(poller.standing, 1)
-            poller.told_standing = poller.standing
-            if poller.standing is Standing.DOWN:
+        if poller.told_state is not poller.state:
+            self._count(poller.told_state, -1)
+            self._count(poller.state, 1)
+            poller.told_state = poller.state
+            if poller.state is DeviceState.DOWN:
                 logger.info("%s is down: %s", poller.name, poller.error)
             else:
                 logger.info("%s is up", poller.name)
 
-    def _count(self, standing: Standing, by: int) -> None:
-        if standing is Standing.UP:
+    def _count(self, state: DeviceState, by: int) -> None:
+        if state is DeviceState.UP:
             self.statistics.up += by
-        elif standing is Standing.DOWN:
+        elif state is DeviceState.DOWN:
             self.statistics.down += by
 
     def _let_rest(self, poller: Poller) -> None:

@@ -17,15 +17,15 @@ from ...client.waiting_room import FirstCome, WaitingRoom
 from ...ports.endpoint import Endpoint
 from ...protocol.errors import ModbusConnectionError, ModbusError, ModbusTimeoutError
 from ...server.forking import abandoned_in_children
-from .poller import Poller, Standing
+from .poller import DeviceState, Poller
 from .statistics import FleetStatistics
 
-__all__ = ["Line", "MayAsk"]
+__all__ = ["FleetLine", "MayAsk"]
 
 MayAsk = Callable[[str], bool]
 
 
-class Line:
+class FleetLine:
     """
     Polls the devices of one connection in the order in which they are due.
 
@@ -132,7 +132,7 @@ class Line:
             self._statistics.skipped += 1
             return
         poller.planned = poller.waits_since = planned
-        poller.is_trial = poller.standing is Standing.DOWN
+        poller.is_trial = poller.state is DeviceState.DOWN
         poller.begin()
         if poller.rest_until > self._loop.time():
             self._rest(poller)
@@ -244,7 +244,7 @@ class Line:
             lost = [
                 poller
                 for poller in self.pollers.values()
-                if poller.standing is Standing.DOWN
+                if poller.state is DeviceState.DOWN
                 and poller.planned is None
                 and isinstance(poller.error, ModbusConnectionError)
             ]

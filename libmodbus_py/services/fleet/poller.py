@@ -14,13 +14,13 @@ from ...protocol.errors import ModbusError
 from .config import DeviceConfig
 from .readings import Changes, Quality, Reading, is_down
 
-__all__ = ["LONGEST_REST", "Poller", "Reads", "Standing"]
+__all__ = ["LONGEST_REST", "DeviceState", "Poller", "Reads"]
 
 LONGEST_REST = 60.0
 """Between two trials of a device that does not answer, unless its interval is longer."""
 
 
-class Standing(Enum):
+class DeviceState(Enum):
     """How a device stands."""
 
     NEW = "new"
@@ -53,8 +53,8 @@ class Poller:
         reads: what is read of it.
 
     Attributes:
-        standing: NEW until its first poll is over.
-        told_standing: how it stood when that was counted.
+        state: NEW until its first poll is over.
+        told_state: how it stood when that was counted.
         error: of its last poll, the first one; None if there was none.
         at: when it is to be polled next, or was the last time; its phase.
         planned: when the poll that is on its way was due; None if none is.
@@ -68,15 +68,15 @@ class Poller:
     # fmt: off
     __slots__ = (
         "_answers", "_changes", "asked_at", "at", "config", "error", "is_trial", "misses",
-        "planned", "reads", "rest_until", "standing", "submitted", "told_standing", "waits_since",
+        "planned", "reads", "rest_until", "state", "submitted", "told_state", "waits_since",
     )
     # fmt: on
 
     def __init__(self, config: DeviceConfig, reads: Reads) -> None:
         self.config: DeviceConfig = config
         self.reads: Reads = reads
-        self.standing: Standing = Standing.NEW
-        self.told_standing: Standing = Standing.NEW
+        self.state: DeviceState = DeviceState.NEW
+        self.told_state: DeviceState = DeviceState.NEW
         self.error: Exception | None = None
         self.at: float = 0.0
         self.planned: float | None = None
@@ -129,7 +129,7 @@ class Poller:
         errors = [answer for answer in self._answers if isinstance(answer, ModbusError)]
         self.error = errors[0] if errors else None
         self.misses = 0 if self._has_answered else self.misses + 1
-        self.standing = Standing.DOWN if self.misses else Standing.UP
+        self.state = DeviceState.DOWN if self.misses else DeviceState.UP
         self.rest_until = now + self.config.spacing
 
     def readings(self, time: float) -> list[Reading]:
@@ -150,7 +150,7 @@ class Poller:
     @property
     def is_refused(self) -> bool:
         """Whether the device answered, but not with what was asked for."""
-        return self.standing is Standing.UP and self.error is not None
+        return self.state is DeviceState.UP and self.error is not None
 
 
 def _told(value: Any, unit: str) -> tuple[Any, str, Quality, str]:

@@ -17,13 +17,13 @@ from ...security.security import Security
 from ...server.limits import Limits
 from ...server.service import Service
 from ...server.serving import Serving
-from .line import Line
+from .dispatcher import Answering, Dispatcher, ResolvedRoute
+from .line import GatewayLine
 from .loops import check_line
 from .options import GatewayOptions
 from .own_device import own_device
 from .routes import Route, by_unit
 from .statistics import GatewayStatistics, UnitStatistics
-from .switch import Answering, Switch, Way
 
 __all__ = ["Gateway"]
 
@@ -126,7 +126,7 @@ class Gateway(Serving):
             self._change_lines()
             # As many as may wait, and as many as may be in flight.
             most = 2 * self._options.queue + 16
-            yield Switch(answering, most, self._authorize, self.traffic)
+            yield Dispatcher(answering, most, self._authorize, self.traffic)
         finally:
             self._loop = self._answering_now = None
             async with contextlib.AsyncExitStack() as stack:  # each, whatever ends this
@@ -143,27 +143,27 @@ class Gateway(Serving):
         if answering is None:
             return
         before = {line.key: line for line in answering.lines}
-        lines: dict[str, Line] = {}
-        ways: dict[int, Way] = {}
+        lines: dict[str, GatewayLine] = {}
+        ways: dict[int, ResolvedRoute] = {}
         for route in self._routes:
             key = route.endpoint.url
             line = lines.get(key) or before.pop(key, None) or self._line(route)
             lines[key] = line
             for unit, device_unit in route.ways.items():
-                ways[unit] = Way(line, device_unit, route.cache, route.merge, route.allow)
-        answering.lines, answering.ways = list(lines.values()), ways
+                ways[unit] = ResolvedRoute(line, device_unit, route.cache, route.merge, route.allow)
+        answering.lines, answering.routes = list(lines.values()), ways
         self.traffic.lines = {line.url: line.statistics for line in lines.values()}
         for line in before.values():
             closing = asyncio.get_running_loop().create_task(line.close())
             self._closing.add(closing)
             closing.add_done_callback(self._closing.discard)
 
-    def _line(self, route: Route) -> Line:
-        return Line(route.endpoint, self._options)
+    def _line(self, route: Route) -> GatewayLine:
+        return GatewayLine(route.endpoint, self._options)
 
     def _unit_statistics(self, unit: int) -> UnitStatistics | None:
         answering = self._answering_now
-        way = None if answering is None else answering.ways.get(unit)
+        way = None if answering is None else answering.routes.get(unit)
         return None if way is None else way.line.statistics.units.get(way.unit)
 
 

@@ -33,51 +33,51 @@ from .raw_request import RequestBytes
 from .silent_units import SilentUnits, UnitState
 from .statistics import LineStatistics, UnitStatistics
 
-__all__ = ["Asker", "Forwarded", "Line"]
+__all__ = ["Forwarded", "GatewayLine", "Requester"]
 
 logger: logging.Logger = logging.getLogger(__name__)
 
 NO_ANSWER = GatewayTargetFailedToRespond.code
 BUSY = ServerDeviceBusy.code
 
-# How long the pause between two attempts to open a port grows, unless its URL says it.
+# The longest pause between two attempts to open a port, in seconds, unless its URL sets it.
 MAX_PAUSE = 2.0
 
 # How many timeouts a unit rests at first: its late answer may come within that time.
 FIRST_REST = 2
 
-# Requests that wait, of all clients.
+# The most requests that wait, of all clients.
 MOST_WAITING = 4096
 
 
-class Asker(Hashable, Protocol):
-    """Who waits for an answer."""
+class Requester(Hashable, Protocol):
+    """Waits for a response."""
 
     @property
     def host(self) -> Hashable: ...
 
     def told(self, forwarded: Forwarded, response: bytes | None) -> None:
-        """Take the response PDU; None where nobody answers."""
+        """Take the response PDU; None for a broadcast, which gets none."""
         ...
 
 
 class Forwarded:
     """
-    A request on its way.
+    A request that a gateway forwards.
 
     Args:
-        asker: who wants the answer.
+        asker: takes the response; None once it does not want it any more.
         number: the transaction id of its client.
-        from_unit: who was asked, as the client has it.
-        unit: as the line has it.
-        age: seconds that what was read before may be old, 0 for not at all.
+        from_unit: the unit that the client asked.
+        unit: its number on the line.
+        age: how old a cached response may be, in seconds; 0 for none.
 
     Attributes:
-        waits_since: since when it waits.
+        waits_since: when it began to wait.
         asked_at: when it was sent.
         misses: how many times in a row its unit gave no answer, if this is a trial.
-        others: equal ones that get the same answer.
-        first: the equal one that is asked in place of this one; None for this one itself.
+        others: equal requests that get the same response.
+        first: the equal request that is sent in place of this one; None for this one itself.
     """
 
     # fmt: off
@@ -89,7 +89,7 @@ class Forwarded:
 
     def __init__(
         self,
-        asker: Asker,
+        asker: Requester,
         number: int,
         from_unit: int,
         unit: int,
@@ -97,7 +97,7 @@ class Forwarded:
         since: float,
         age: float = 0.0,
     ) -> None:
-        self.asker: Asker | None = asker
+        self.asker: Requester | None = asker
         self.host: Hashable = asker.host
         self.client: Hashable = asker
         self.number: int = number
@@ -116,11 +116,11 @@ class Forwarded:
 
     @property
     def is_wanted(self) -> bool:
-        """Whether anybody waits for the answer."""
+        """True if a client waits for the response."""
         return any(each.asker is not None for each in (self, *self.others))
 
     def tell(self, response: bytes | None) -> int:
-        """Give how many do not wait any more."""
+        """Pass the response to all that wait for it; return how many do not wait any more."""
         told = 0
         for each in (self, *self.others) if self.others else (self,):
             asker, each.asker = each.asker, None
@@ -132,13 +132,13 @@ class Forwarded:
         return told
 
 
-class Line:
+class GatewayLine:
     """
-    Asks what clients want to know, one request at a time or as many as can be told apart.
+    Sends the requests of clients over one connection.
 
     Args:
-        endpoint: where it leads, with the options of its client.
-        options: how requests wait.
+        endpoint: of the connection, with the options of its client.
+        manner: how requests wait.
 
     Raises:
         TypeError, ValueError: an option that such a client cannot have.
@@ -174,14 +174,14 @@ class Line:
     # --- requests -----------------------------------------------------------------------------
 
     def cached(self, unit: int, request: RequestBytes, age: float, now: float) -> bytes | None:
-        """Give what was read before, if it is fresh enough."""
+        """Return a cached response that is no older than `age` seconds, or None."""
         answer = self._cache.get(unit, request.pdu, age, now)
         if answer is not None:
             self.statistics.unit(unit).cached += 1
         return answer
 
     def put(self, each: Forwarded, *, merge: bool = False) -> int:
-        """Have it asked; gives 0, or the code of the exception that answers it at once."""
+        """Enqueue a request; return 0, or the code of the exception that answers it at once."""
         unit, now = each.unit, each.waits_since
         is_broadcast = unit == 0 and self.has_broadcast
         if self.is_closed or (is_broadcast and not each.request.is_write):
@@ -207,7 +207,7 @@ class Line:
         return 0
 
     def drop(self, each: Forwarded) -> None:
-        """Take back a request whose asker is gone, unless it was sent or others want its answer."""
+        """Drop the request of a client that is gone, unless it was sent or others wait for it."""
         each.asker = None
         each = each.first or each
         if each.submitted is not None or each.is_wanted:
@@ -220,7 +220,7 @@ class Line:
             self._leave(each)
 
     async def close(self) -> None:
-        """For good; who waits is told that there is no answer."""
+        """Close the connection for good, and refuse all requests that wait."""
         self.is_closed = True
         for each in self._room.clear():
             if not each.is_trial:
@@ -244,13 +244,13 @@ class Line:
         return True
 
     def _leave(self, each: Forwarded) -> None:
-        """It does not wait any more."""
+        """Note that a request does not wait any more."""
         self.statistics.waiting -= 1
         if self._joinable:
             self._joinable.pop((each.unit, each.request.pdu), None)
 
     def _note_write(self, unit: int) -> None:
-        """What was read before, and what is to be, is older than what whoever writes will read."""
+        """Forget what was read before a write, and have no later read join an earlier one."""
         self._cache.forget(unit)
         for key in [key for key in self._joinable if unit in (0, key[0])]:
             del self._joinable[key]

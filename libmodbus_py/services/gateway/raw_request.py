@@ -13,7 +13,7 @@ from ...protocol.errors import ExceptionResponse, IllegalDataValue, IllegalFunct
 
 __all__ = ["RequestBytes", "request_of"]
 
-# Pollers ask the same again and again.
+# Pollers send the same requests again and again.
 REMEMBERED = 512
 
 READS = (
@@ -22,22 +22,22 @@ READS = (
     pdu.ReadHoldingRegisters,
     pdu.ReadInputRegisters,
 )
-"""What changes nothing, and may be answered with what was read before."""
+"""Requests that change nothing, and may be answered from the cache."""
 
 
 class RequestBytes(pdu.Request[bytes]):
     """
     Any request PDU, unchanged; its result is the response PDU.
 
-    A response must be one by the rules of its function, if that is known: else it is an
-    InvalidResponse. Of other functions it is whatever begins with their code.
+    The response to a known function must fit its rules, or it is an InvalidResponse. The response
+    to another function must begin with its code.
 
     Args:
         data: the PDU, 1..253 bytes.
-        known: what it is decoded to; None where it cannot be.
+        known: the decoded request; None if it cannot be decoded.
 
     Attributes:
-        is_read: whether it reads a table and does nothing else.
+        is_read: True if it reads a table and does nothing else.
     """
 
     # fmt: off

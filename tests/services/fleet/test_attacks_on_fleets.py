@@ -79,7 +79,7 @@ def test_a_device_of_bad_manners_costs_others_nothing(manners: Any) -> None:
                     ("setpoint", 7, "C", "good"),
                 }
                 assert all(
-                    each.standing.value == "up" and each.misses == 0
+                    each.state.value == "up" and each.misses == 0
                     for each in fleet.devices.values()
                     if each.name != "bad"
                 )

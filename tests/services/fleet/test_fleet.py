@@ -21,7 +21,7 @@ from libmodbus_py import (
     Server,
 )
 from libmodbus_py.services.fleet import poller
-from libmodbus_py.services.fleet.poller import Standing
+from libmodbus_py.services.fleet.poller import DeviceState
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.services.fleet.fleets import (
     NETWORK,
@@ -59,7 +59,7 @@ def test_readings_are_named_scaled_and_timed() -> None:
             assert all(before <= each.time <= time_of_day() for each in readings)
             assert (fleet.statistics.devices, fleet.statistics.up) == (2, 2)
             assert fleet.statistics.readings >= len(readings)
-        assert [each.standing for each in fleet.devices.values()] == []
+        assert [each.state for each in fleet.devices.values()] == []
 
     simulated_run(go())
 
@@ -110,7 +110,7 @@ def test_what_a_device_refuses_is_bad_and_the_rest_good() -> None:
                 ("there", 0, "", "good", "")
             }
             device_now = fleet.devices["a"]
-            assert device_now.standing is Standing.UP
+            assert device_now.state is DeviceState.UP
             assert isinstance(device_now.error, IllegalDataAddress)
             assert fleet.statistics.refusals > 4
             assert fleet.statistics.failures == 0

@@ -13,7 +13,7 @@ import pytest
 
 from libmodbus_py import DeviceConfig, Fleet, Point, RegisterMap
 from libmodbus_py.client import waiting_room
-from libmodbus_py.services.fleet.poller import Standing
+from libmodbus_py.services.fleet.poller import DeviceState
 from tests.simulation.network import Network
 from tests.simulation.scripted import Scripted, Write
 from tests.support.talk import rtu
@@ -173,14 +173,14 @@ class TestSilentDevices:
             assert [round(each) for each in found[:6]] == [2, 3, 5, 9, 17, 33]
             assert max(found) < 65
             poller = plant.fleet.devices["device 1"]
-            assert poller.standing is Standing.DOWN
+            assert poller.state is DeviceState.DOWN
             statistics = plant.fleet.statistics
             assert (statistics.up, statistics.down) == (0, 1)
             assert statistics.failures == statistics.polls
             assert {reading.quality for _, reading in plant.readings} == {"down"}
             plant.silent.clear()
             await asyncio.sleep(65)
-            assert poller.standing is Standing.UP
+            assert poller.state is DeviceState.UP
             assert (statistics.up, statistics.down) == (1, 0)
             # It is polled at its interval again.
             await asyncio.sleep(5)
@@ -216,7 +216,7 @@ class TestSilentDevices:
             await asyncio.sleep(10)
             plant.silent.clear()
             plant.delays[9] = 0.4
-            while plant.fleet.devices["device 9"].standing is not Standing.UP:
+            while plant.fleet.devices["device 9"].state is not DeviceState.UP:
                 await asyncio.sleep(1)
                 assert len(plant.times(9)) <= 7
             assert len(plant.times(9)) == 7
@@ -235,7 +235,7 @@ class TestSilentDevices:
             plant.silent.clear()
             plant.delays[9] = 0.03
             await asyncio.sleep(70)
-            assert plant.fleet.devices["device 9"].standing is Standing.UP
+            assert plant.fleet.devices["device 9"].state is DeviceState.UP
 
         plant.run(main, plant.device(9), plant.device(1, interval=0.05))
 

@@ -14,7 +14,7 @@ import pytest
 from libmodbus_py.client import waiting_room
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.services.gateway import line as gateway_line
-from libmodbus_py.services.gateway.line import BUSY, NO_ANSWER, Forwarded, Line
+from libmodbus_py.services.gateway.line import BUSY, NO_ANSWER, Forwarded, GatewayLine
 from libmodbus_py.services.gateway.options import GatewayOptions
 from libmodbus_py.services.gateway.raw_request import request_of
 from tests.simulation.network import Network
@@ -59,7 +59,7 @@ class Plant:
         self.damaging: set[int] = set()
         self.delay = 0.05
         self.delays: dict[int, float] = {}
-        self.line: Line
+        self.line: GatewayLine
         peer = Scripted(self.network, url.partition("?")[0], self._answer)
         self.peer = peer
 
@@ -85,7 +85,7 @@ class Plant:
 
     def run(self, main: Callable[[], Awaitable[None]]) -> None:
         async def whole() -> None:
-            self.line = Line(parse(self.url), GatewayOptions(**self.options))
+            self.line = GatewayLine(parse(self.url), GatewayOptions(**self.manner))
             try:
                 await main()
             finally:

@@ -1,5 +1,5 @@
 """
-The service of a gateway: each request goes to the line of its unit, and answers come later.
+The service of a gateway: sends each request to the line of its unit; responses come later.
 """
 
 from __future__ import annotations
@@ -25,28 +25,28 @@ from ...protocol.framing import Frame
 from ...server.framed import AT_ONCE, Framed
 from ...server.limits import ServerStatistics
 from ...server.service import Channel, Later, MakeSession
-from .line import Forwarded, Line
+from .line import Forwarded, GatewayLine
 from .raw_request import RequestBytes, request_of
 from .statistics import GatewayStatistics
 
-__all__ = ["Answering", "ForwardingSession", "Switch", "Way"]
+__all__ = ["Answering", "Dispatcher", "ForwardingSession", "ResolvedRoute"]
 
 logger: logging.Logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
-class Way:
+class ResolvedRoute:
     """
-    How a unit is reached.
+    The line and the options of one unit.
 
     Attributes:
-        unit: what it is on the line.
-        cache: seconds that an answer may be old.
-        merge: whether equal reads that wait are asked once.
-        allow: what may be done; None for everything.
+        unit: its number on the line.
+        cache: how old a response may be, in seconds.
+        merge: True to send equal reads that wait only once.
+        allow: the accesses that are allowed; None for all.
     """
 
-    line: Line
+    line: GatewayLine
     unit: int
     cache: float = 0.0
     merge: bool = False
@@ -56,29 +56,29 @@ class Way:
 @dataclass(slots=True)
 class Answering:
     """
-    Who answers which unit; it may be changed while sessions last.
+    The routes of a gateway; they may be changed while sessions last.
 
     Attributes:
-        ways: unit -> how it is reached.
-        lines: all of them, for broadcasts.
-        own: the device that the gateway is, and `own_units`, under which it is.
+        routes: by unit.
+        lines: all lines, for broadcasts.
+        own: the gateway itself as a device; `own_units` are its units.
     """
 
     own: Device
     own_units: frozenset[int]
-    ways: dict[int, Way] = field(default_factory=dict)
-    lines: list[Line] = field(default_factory=list)
+    routes: dict[int, ResolvedRoute] = field(default_factory=dict)
+    lines: list[GatewayLine] = field(default_factory=list)
 
 
-class Switch:
+class Dispatcher:
     """
     See `Service`.
 
     Args:
-        answering: who answers.
-        most_of_session: how many requests of one connection may be unanswered.
-        authorize: says whether a request is allowed; None for all.
-        statistics: where it is counted.
+        answering: the routes.
+        most_of_session: the most unanswered requests of one connection.
+        authorize: raises for a request that is not allowed; None to allow all.
+        statistics: counts requests.
     """
 
     def __init__(
@@ -107,14 +107,14 @@ class Switch:
         return make
 
     def ask(self, session: ForwardingSession, frame: Frame) -> bytes | None:
-        """Give the response PDU; None if it comes later, or never."""
+        """Return the response PDU; None if it comes later, or never."""
         unit, pdu, number = frame
         self.statistics.requests += 1
         if pdu[0] & 0x80:
             return None
         answering = self.answering
-        way = answering.ways.get(unit)
-        if way is None:
+        route = answering.routes.get(unit)
+        if route is None:
             if unit in answering.own_units:
                 caller = Caller(unit, session.peer, role=session.role)
                 return answering.own.answer(pdu, caller) or None
@@ -125,20 +125,22 @@ class Switch:
         except ExceptionResponse as refusal:
             self.statistics.malformed += 1
             return self._exception(session, pdu, refusal.code)
-        if way is None:
+        if route is None:
             return self._broadcast(session, frame, request)
-        if (self._guard or way.allow) and (code := self._check(session, unit, request, way.allow)):
+        if (self._guard or route.allow) and (
+            code := self._check(session, unit, request, route.allow)
+        ):
             return self._exception(session, pdu, code)
         now = self.now()
-        age = way.cache if request.is_read else 0.0
-        if age and (answer := way.line.cached(way.unit, request, age, now)):
+        age = route.cache if request.is_read else 0.0
+        if age and (answer := route.line.cached(route.unit, request, age, now)):
             return answer
         if session.count >= self.most_of_session:
-            way.line.statistics.full += 1
+            route.line.statistics.full += 1
             return self._exception(session, pdu, ServerDeviceBusy.code)
-        forwarded = Forwarded(session, number, unit, way.unit, request, now, age)
-        session.note(forwarded, way.line)
-        code = way.line.put(forwarded, merge=way.merge and request.is_read)
+        forwarded = Forwarded(session, number, unit, route.unit, request, now, age)
+        session.note(forwarded, route.line)
+        code = route.line.put(forwarded, merge=route.merge and request.is_read)
         if not code:
             return None
         session.forget(forwarded)
@@ -148,7 +150,7 @@ class Switch:
         return bytes([pdu[0] | 0x80, code])
 
     def _refuse_route(self, session: ForwardingSession, pdu: bytes) -> bytes | None:
-        """On a serial line the unit may be somebody else, who answers."""
+        """Refuse a unit without a route, except on a serial line, where the unit may be itself."""
         self.statistics.no_route += 1
         if session.is_line:
             return None
@@ -157,7 +159,7 @@ class Switch:
     def _check(
         self, session: ForwardingSession, unit: int, request: RequestBytes, allow: Allow | None
     ) -> int:
-        """Give 0, or the code of the exception that refuses it."""
+        """Return 0, or the code of the exception that refuses a request."""
         who = unit, session.peer, session.role
         touched = request.touches(who)
         asked = Asked(session.role, unit, session.peer, request.function, request.known, *touched)
@@ -190,25 +192,23 @@ class Switch:
         """What is no write cannot be one: nobody would answer."""
         if not request.is_write:
             return self._refuse_route(session, frame.pdu)
-        ways = {way.line: way for way in self.answering.ways.values()}
-        for way in ways.values():
-            if code := self._check(session, 0, request, way.allow):
+        routes = {route.line: route for route in self.answering.routes.values()}
+        for route in routes.values():
+            if code := self._check(session, 0, request, route.allow):
                 return self._exception(session, frame.pdu, code)
         self.statistics.broadcasts += 1
-        Broadcast(session, frame, request, self.now()).ask(list(ways))
+        Broadcast(session, frame, request, self.now()).ask(list(routes))
         return None
 
 
 def _allows(allow: Allow, asked: Asked) -> bool:
-    """What cannot be decoded might be anything."""
+    """Return True if an access is allowed; a request that cannot be decoded is not."""
     return asked.request is not None and allow.allows(asked)
 
 
 class Broadcast:
     """
-    A write to all units of all lines.
-
-    It is done when all lines have sent it.
+    A write to all units of all lines; it is done when all lines have sent it.
     """
 
     def __init__(
@@ -221,7 +221,7 @@ class Broadcast:
         self._left = 0
         self._has_failed = False
 
-    def ask(self, lines: list[Line]) -> None:
+    def ask(self, lines: list[GatewayLine]) -> None:
         self._left = len(lines)
         self._session.note(self._whole, None)
         for line in lines:
@@ -244,18 +244,18 @@ class Broadcast:
 
 class ForwardingSession(Framed):
     """
-    What one client asks, and the answers when they come.
+    The requests of one client that wait for their responses.
 
-    Who writes over TCP or UDP what nobody answers gets the answer of a write when it was sent: no
-    client there knows of broadcasts, and all would wait.
+    Over TCP and UDP a broadcast gets the response to the write once it was sent, because clients
+    there do not know broadcasts and would wait.
 
-    Without transaction ids the client that asks again has given up what it asked before: its
-    answer is dropped, or it would be taken for that to the new request.
+    A client without transaction ids that sends another request has given up the earlier one: the
+    earlier response is dropped, because the client would take it for the response to the new one.
     """
 
     def __init__(
         self,
-        switch: Switch,
+        dispatcher: Dispatcher,
         endpoint: Endpoint,
         channel: Channel,
         statistics: ServerStatistics,
@@ -268,9 +268,9 @@ class ForwardingSession(Framed):
         self.statistics = statistics
         self.has_ids: bool = endpoint.framing in ("tcp", "udp")
         self.is_line: bool = endpoint.transport == "serial"
-        self._switch = switch
-        # What is unanswered, and the line that it goes over.
-        self._asked: dict[Forwarded, Line | None] = {}
+        self._dispatcher = dispatcher
+        # Unanswered requests, and the lines that they were sent to.
+        self._asked: dict[Forwarded, GatewayLine | None] = {}
 
     @property
     def is_owing(self) -> bool:
@@ -278,11 +278,11 @@ class ForwardingSession(Framed):
 
     @property
     def count(self) -> int:
-        """How many requests are unanswered."""
+        """Number of unanswered requests."""
         return len(self._asked)
 
-    def note(self, forwarded: Forwarded, line: Line | None) -> None:
-        """A request waits for its answer."""
+    def note(self, forwarded: Forwarded, line: GatewayLine | None) -> None:
+        """Note that a request waits for its response."""
         self._asked[forwarded] = line
 
     def forget(self, forwarded: Forwarded) -> None:
@@ -310,7 +310,7 @@ class ForwardingSession(Framed):
     def _answer(self, request: Frame) -> Frame | None:
         if self._asked and not self.has_ids:
             self._withdraw_all()
-        response = self._switch.ask(self, request)
+        response = self._dispatcher.ask(self, request)
         return None if response is None else request._replace(pdu=response)
 
     def _withdraw_all(self) -> None:
