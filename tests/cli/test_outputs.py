@@ -70,9 +70,9 @@ SESSIONS = {
         raw URL 3 xyz
     """,
     "scan": """
-        scan URL --units 7,9 --timeout 0.05
-        scan URL --units 7 --json --timeout 0.05
-        scan URL --units 9 --timeout 0.05
+        scan URL --units 7,9 --timeout 5
+        scan URL --units 7 --json --timeout 5
+        scan URL --units 9 --timeout 5
         scan URL --units 9-7
         map check FOLDER/meter.csv
         map check FOLDER/wrong.csv
