@@ -23,6 +23,8 @@ def plain(value: Any) -> Any:
     """
     if isinstance(value, float):
         return value if math.isfinite(value) else str(value)
+    if value is None or isinstance(value, int | str):
+        return value
     if isinstance(value, Request):
         names = [field.name for field in dataclasses.fields(value)]  # type: ignore[arg-type]
         return {

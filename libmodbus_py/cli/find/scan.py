@@ -18,7 +18,7 @@ from ...tools.scan.search import MOST_REQUESTS, Extent, Search, Searching, searc
 from .. import arguments
 from ..connecting import endpoint_of
 from ..main import INTERRUPTED
-from ..output import print_json
+from ..output import counted, print_json
 from ..progress import duration, missing, progress
 from ..status import Status
 
@@ -209,7 +209,7 @@ def _search(report: _Report) -> None:
 def _estimate(scan: Scan, deep: bool) -> str:
     more = f"; then up to {MOST_REQUESTS} requests to each unit found" if deep else ""
     return (
-        f"{scan.total} probes, {duration(scan.longest)} at most, and "
+        f"{counted(scan.total, 'probe')}, {duration(scan.longest)} at most, and "
         f"{duration(scan.longest_found)} more for each unit found{more}; Ctrl-C stops the scan"
     )
 

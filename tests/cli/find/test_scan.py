@@ -76,6 +76,7 @@ def test_what_deep_prints_is_a_device_file(url: str, tmp_path: Path) -> None:
     path = tmp_path / "found.toml"
     path.write_text(text)
     devices, _ = device_file.load(path)
+    assert isinstance(devices, dict)
     assert devices[3].mapping.holding_registers[6:8] == [0, 0]
 
 

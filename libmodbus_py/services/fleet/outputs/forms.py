@@ -7,14 +7,14 @@ from __future__ import annotations
 import csv
 import io
 import json
-import math
 from collections.abc import Iterable
 from functools import lru_cache
 from typing import Any
 
+from ....protocol.plain import plain
 from ..readings import Reading, time_text
 
-__all__ = ["as_csv", "as_json", "payload", "plain_value"]
+__all__ = ["as_csv", "as_json", "payload"]
 
 _encode = json.JSONEncoder(ensure_ascii=False).encode
 
@@ -23,18 +23,11 @@ _quoted = json.encoder.encode_basestring
 _time_text = lru_cache(maxsize=64)(time_text)  # all of a poll have one
 
 
-def plain_value(value: Any) -> Any:
-    """As JSON has it; nan and inf, which it lacks, as text."""
-    if isinstance(value, float) and not math.isfinite(value):
-        return str(value)
-    return [plain_value(each) for each in value] if isinstance(value, list) else value
-
-
 def payload(reading: Reading) -> dict[str, Any]:
     """Give what is told of a reading to who knows already whose it is."""
     told = {
         "time": time_text(reading.time),
-        "value": plain_value(reading.value),
+        "value": plain(reading.value),
         "unit": reading.unit,
         "quality": reading.quality,
     }
@@ -54,7 +47,7 @@ def as_json(readings: Iterable[Reading]) -> bytes:
 
 
 def _number(value: Any) -> str:
-    return repr(value) if type(value) is int else _encode(plain_value(value))
+    return repr(value) if type(value) is int else _encode(plain(value))
 
 
 def as_csv(readings: Iterable[Reading]) -> bytes:
@@ -62,6 +55,6 @@ def as_csv(readings: Iterable[Reading]) -> bytes:
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\n")
     for each in readings:
-        value = json.dumps(plain_value(each.value)) if isinstance(each.value, list) else each.value
+        value = json.dumps(plain(each.value)) if isinstance(each.value, list) else each.value
         writer.writerow((_time_text(each.time), *each[1:3], value, *each[4:]))
     return text.getvalue().encode()

@@ -1,0 +1,42 @@
+"""
+Values as JSON can contain them.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from libmodbus_py import pdu
+from libmodbus_py.protocol.plain import plain
+from tests.support.cases import each_case
+
+
+@each_case(
+    ("value", "made"),
+    [
+        (None, None),
+        (True, True),
+        (7, 7),
+        (0.5, 0.5),
+        (float("nan"), "nan"),
+        (float("-inf"), "-inf"),
+        ("text", "text"),
+        (b"\x01\xff", "01ff"),
+        ([1, (b"\x02", float("inf"))], [1, ["02", "inf"]]),
+        ({1: b"\x03"}, {"1": "03"}),
+        (pdu.ServerId(b"\x01", True, b""), {"identifier": "01", "running": True, "additional": ""}),
+        (pdu.SubFunction.CLEAR_COUNTERS, 10),
+        (
+            pdu.ReadHoldingRegisters(0, 2),
+            {"name": "ReadHoldingRegisters", "address": 0, "count": 2},
+        ),
+        (
+            pdu.WriteFileRecords(((4, 1, (7,)),)),
+            {"name": "WriteFileRecords", "records": [[4, 1, [7]]]},
+        ),
+    ],
+)
+def test_each_value_is_one_that_json_has(value: Any, made: Any) -> None:
+    assert plain(value) == made
+    assert json.loads(json.dumps(plain(value), allow_nan=False)) == made
