@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
     from ..protocol.framing import Framing
 
-__all__ = ["Endpoint", "parse"]
+__all__ = ["Endpoint", "parse", "parse_to_listen"]
 
 # Of no use here, but it may be written, and should be in no log.
 PASSWORD = "(?<=password=)[^&#]+|(?<=:)[^/@:]+(?=@)"
@@ -159,6 +159,20 @@ def parse(url: str) -> Endpoint:
     scheme: Scheme = parts.scheme
     read = _parse_serial if TRANSPORTS[SCHEMES[scheme][1]].is_serial else _parse_network
     return read(url, scheme, parts)
+
+
+def parse_to_listen(url: str) -> Endpoint:
+    """
+    Read the URL of an endpoint that listens, as `parse`.
+
+    Raises:
+        TypeError, ValueError: as `parse`; or the URL has options of clients.
+    """
+    endpoint = parse(url)
+    if endpoint.client_options:
+        names = ", ".join(endpoint.client_options)
+        raise ValueError(f"{url!r}: {names} is for clients, not for an endpoint that listens")
+    return endpoint
 
 
 def _parse_network(url: str, scheme: Scheme, parts: SplitResult) -> Endpoint:
