@@ -8,17 +8,9 @@ import re
 
 from ..protocol.framing import crc16
 
-__all__ = ["explain", "shown"]
-
-MAX_SHOWN = 32
+__all__ = ["explain"]
 
 ASCII_FRAME = rb":[0-9A-Fa-f]{6}"
-
-
-def shown(data: bytes) -> str:
-    """Write at most 32 bytes as hexadecimal digits."""
-    rest = f" ... ({len(data)} bytes)" if len(data) > MAX_SHOWN else ""
-    return data[:MAX_SHOWN].hex(" ") + rest
 
 
 def explain(scheme: str, sent: bytes, received: bytes) -> str:

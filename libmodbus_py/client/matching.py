@@ -10,10 +10,9 @@ from typing import ClassVar
 
 from ..ports.endpoint import Endpoint
 from ..ports.trace import Trace
-from ..protocol.errors import ModbusError, ModbusTimeoutError
+from ..protocol.errors import MAX_RECEIVED, ModbusError, ModbusTimeoutError, in_hex
 from ..protocol.framing import Framer, Framing
 from .batch import Batch, Pending, Reply
-from .hints import shown
 from .statistics import Statistics
 
 __all__ = ["Matching", "Replies", "no_answer"]
@@ -21,7 +20,7 @@ __all__ = ["Matching", "Replies", "no_answer"]
 Replies = list[tuple[Pending, Reply]]
 
 # The most bytes that errors carry; more of the same says no more.
-MAX_KEPT = 600
+MAX_KEPT = MAX_RECEIVED
 
 
 class Matching(ABC):
@@ -136,6 +135,6 @@ def no_answer(timeout: float, received: bytes) -> ModbusTimeoutError:
     """Return the error for a request that got no answer, with what was received instead."""
     if received:
         return ModbusTimeoutError(
-            f"no complete answer within {timeout:g} s, but {shown(received)}", received=received
+            f"no complete answer within {timeout:g} s, but {in_hex(received)}", received=received
         )
     return ModbusTimeoutError(f"no answer within {timeout:g} s")

@@ -11,5 +11,6 @@ In the order in which a request goes through::
     access         what a request touches, as hooks see it
     reply          Replier: libmodbus's modbus_reply in memory, by the chunk
     mapping        Mapping: the four tables that it answers from, with their holes
+    ranges         ranges of addresses, joined
     record_file    RecordFile: the records of functions 20 and 21
 """

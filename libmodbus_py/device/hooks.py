@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 
 from ..protocol.tables import TABLE_SIZE
 from .access import Access
+from .ranges import joined
 
 __all__ = ["EVERYTHING", "SLOW", "Hook", "HookCall", "places", "timed"]
 
@@ -159,16 +160,11 @@ def timed(name: str, call: Callable[[Given], Result]) -> Callable[[Given], Resul
 
 
 def _joined(name: str, given: Any) -> tuple[range, ...]:
-    """In order; what overlaps or touches is one."""
-    joined: list[range] = []
-    for each in sorted(_ranges(name, given), key=lambda each: each.start):
+    ranges = _ranges(name, given)
+    for each in ranges:
         if each.step != 1 or each.start < 0 or (each and each[-1] >= TABLE_SIZE):
             raise ValueError(f"{name} must be within 0..{TABLE_SIZE - 1}, step 1, not {each}")
-        if joined and each.start <= joined[-1].stop:
-            joined[-1] = range(joined[-1].start, max(joined[-1].stop, each.stop))
-        elif each:
-            joined.append(each)
-    return tuple(joined)
+    return tuple(joined(ranges))
 
 
 def _ranges(name: str, given: Any) -> list[range]:

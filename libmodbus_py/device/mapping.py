@@ -24,6 +24,7 @@ from ..binding.library import ffi, lib
 from ..protocol.checks import integer
 from ..protocol.tables import TABLE_SIZE
 from ..protocol.values import Layout, TypeName, value_type
+from .ranges import joined
 
 __all__ = ["TABLE_NUMBERS", "BitTable", "Mapping", "RegisterTable", "Table", "runs"]
 
@@ -402,15 +403,12 @@ def _ranges(name: str, given: Any) -> list[range]:
 
 
 def _joined(name: str, ranges: Iterable[range]) -> tuple[range, ...]:
-    """Those that are not empty, in order; those that touch are one."""
-    joined: list[range] = []
-    for each in sorted(ranges, key=lambda each: each.start):
+    before = range(0)
+    found = sorted(ranges, key=lambda each: each.start)
+    for each in found:
         if each.step != 1 or each.start < 0 or (each and each[-1] >= TABLE_SIZE):
             raise ValueError(f"{name} must be within 0..{TABLE_SIZE - 1}, step 1, not {each}")
-        if joined and each and each.start < joined[-1].stop:
-            raise ValueError(f"{name}: {_span(each)} overlaps {_span(joined[-1])}")
-        if joined and each.start == joined[-1].stop:
-            joined[-1] = range(joined[-1].start, each.stop)
-        elif each:
-            joined.append(each)
-    return tuple(joined)
+        if each and before and each.start < before.stop:
+            raise ValueError(f"{name}: {_span(each)} overlaps {_span(before)}")
+        before = each or before
+    return tuple(joined(found))

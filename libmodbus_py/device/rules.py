@@ -7,6 +7,7 @@ from __future__ import annotations
 import re
 import reprlib
 from bisect import bisect_right
+from collections import defaultdict
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from itertools import starmap
@@ -19,6 +20,7 @@ from ..protocol.tables import TABLE_SIZE
 from ..security.role import check_role
 from .access import ACCESSES, Access
 from .authorization import Asked
+from .ranges import joined
 
 __all__ = ["READABLE", "WRITABLE", "Allow", "Rules"]
 
@@ -155,20 +157,18 @@ class _Places:
         self._whole: set[str] = set()
         # (table, file) -> where runs begin, and where they end; none touches another.
         self._runs: dict[tuple[str, int], tuple[list[int], list[int]]] = {}
-        runs: list[tuple[str, int, int, int]] = []
+        runs: defaultdict[tuple[str, int], list[range]] = defaultdict(list)
         for at, each in enumerate(given):
             if isinstance(each, str):
                 _check_table((name, at), each, sizes)
                 self._whole.add(each)
             else:
-                runs.append(_run((name, at), each, sizes))
-        for table, file, first, stop in sorted(runs):
-            firsts, stops = self._runs.setdefault((table, file), ([], []))
-            if stops and first <= stops[-1]:
-                stops[-1] = max(stops[-1], stop)
-            else:
-                firsts.append(first)
-                stops.append(stop)
+                table, file, run = _run((name, at), each, sizes)
+                runs[table, file].append(run)
+        for place, found in runs.items():
+            together = joined(found)
+            starts, stops = [each.start for each in together], [each.stop for each in together]
+            self._runs[place] = starts, stops
 
     def __bool__(self) -> bool:
         return bool(self._whole or self._runs)
@@ -197,7 +197,7 @@ def _check_table(name: Path, table: object, sizes: Mapping[str, int]) -> None:
         )
 
 
-def _run(name: Path, place: Any, sizes: Mapping[str, int]) -> tuple[str, int, int, int]:
+def _run(name: Path, place: Any, sizes: Mapping[str, int]) -> tuple[str, int, range]:
     if not isinstance(place, Access):
         raise WrongType(
             name, f"must be the name of a table or Access(...), not {reprlib.repr(place)}"
@@ -212,7 +212,7 @@ def _run(name: Path, place: Any, sizes: Mapping[str, int]) -> tuple[str, int, in
     count = integer((*name, "count"), place.count, 1, size - first)
     is_file = place.table == "file"
     file = integer((*name, "file"), place.file, 1 if is_file else 0, 0xFFFF if is_file else 0)
-    return place.table, file, first, first + count
+    return place.table, file, range(first, first + count)
 
 
 def _code(at: int, given: object) -> Code:

@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any, SupportsFloat, SupportsIndex
 
+from ..protocol import checks
 from ..protocol.checks import shown
 from ..protocol.mistakes import WrongType, WrongValue
 
@@ -29,11 +30,8 @@ def number(name: str, value: object) -> int | float:
         TypeError: no int or float; True and False are none here.
         ValueError: not in -1e30..1e30.
     """
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise WrongType(name, f"must be a number, not {type(value).__name__}")
-    if not -LARGEST <= value <= LARGEST:
-        raise WrongValue(name, f"must be in -{LARGEST:g}..{LARGEST:g}, not {shown(value)}")
-    return int(value) if isinstance(value, int) else float(value)
+    found = checks.number(name, value, -LARGEST, LARGEST)
+    return int(found) if isinstance(found, int) else float(found)
 
 
 class Scaling:

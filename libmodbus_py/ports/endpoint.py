@@ -21,6 +21,7 @@ Clients take their own options from every URL: ``tcp://192.0.2.10?unit=7&timeout
 
 from __future__ import annotations
 
+import posixpath
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -29,12 +30,9 @@ from typing import TYPE_CHECKING, Any
 from .schemes import (
     ASCII_DEFAULTS,
     CLIENT_OPTIONS,
-    DEFAULT_PORT,
     OTHER_NAMES,
     SCHEMES,
-    SECURE_PORT,
-    SECURITY_OPTIONS,
-    SERIAL_OPTIONS,
+    TRANSPORTS,
     Option,
     Scheme,
     Transport,
@@ -45,7 +43,7 @@ if TYPE_CHECKING:
 
     from ..protocol.framing import Framing
 
-__all__ = ["Endpoint", "parse"]
+__all__ = ["Endpoint", "parse", "parse_to_listen"]
 
 # Of no use here, but it may be written, and should be in no log.
 PASSWORD = "(?<=password=)[^&#]+|(?<=:)[^/@:]+(?=@)"
@@ -82,16 +80,36 @@ class Endpoint:
         return SCHEMES[self.scheme][1]
 
     @property
-    def place(self) -> str:
-        """
-        Where it leads, whatever its options and framing are: endpoints with the same place are
-        one port, or one port of one host. Links and names of hosts are not looked up.
-        """
-        if self.transport == "serial":
-            from os.path import normpath
+    def is_serial(self) -> bool:
+        """True for a serial port of this machine, False for a host and a port."""
+        return TRANSPORTS[self.transport].is_serial
 
-            return f"serial:{normpath(self.device)}"
-        return f"{self.transport}:{self.host}:{self.port}"
+    @property
+    def is_datagram(self) -> bool:
+        """True if each ADU is a datagram (udp)."""
+        return TRANSPORTS[self.transport].is_datagram
+
+    @property
+    def is_secure(self) -> bool:
+        """True if client and server show each other certificates (tls)."""
+        return TRANSPORTS[self.transport].is_secure
+
+    @property
+    def has_transactions(self) -> bool:
+        """True if ADUs have a transaction id; False for the framings of serial lines."""
+        return self.framing in ("tcp", "udp")
+
+    @property
+    def place(self) -> tuple[str, str, int]:
+        """
+        The same for all endpoints that lead to one port, whatever their options.
+
+        Kind of port, host or device, and number. Neither are names of hosts looked up nor links
+        to a device followed: the place is the same on all machines.
+        """
+        if self.is_serial:
+            return "serial", posixpath.normpath(self.device), 0
+        return "udp" if self.is_datagram else "tcp", self.host.lower(), self.port
 
     @property
     def serial_settings(self) -> dict[str, Any]:
@@ -105,13 +123,13 @@ class Endpoint:
         return self._shown({**self.options, **self.client_options})
 
     def __str__(self) -> str:
-        return self._shown(self.options if self.transport == "serial" else {})
+        return self._shown(self.options if self.is_serial else {})
 
     def _shown(self, options: dict[str, Any]) -> str:
         from urllib.parse import quote
 
         host = f"[{self.host}]" if ":" in self.host else self.host
-        place = self.device if self.transport == "serial" else f"{host}:{self.port}"
+        place = self.device if self.is_serial else f"{host}:{self.port}"
         query = "&".join(f"{name}={quote(_text(value))}" for name, value in options.items())
         return f"{self.scheme}://{place}{'?' if query else ''}{query}"
 
@@ -139,8 +157,22 @@ def parse(url: str) -> Endpoint:
     if parts.fragment or parts.username is not None:
         raise ValueError(f"{url!r}: neither user nor fragment have a meaning here")
     scheme: Scheme = parts.scheme
-    read = _parse_serial if SCHEMES[scheme][1] == "serial" else _parse_network
+    read = _parse_serial if TRANSPORTS[SCHEMES[scheme][1]].is_serial else _parse_network
     return read(url, scheme, parts)
+
+
+def parse_to_listen(url: str) -> Endpoint:
+    """
+    Read the URL of an endpoint that listens, as `parse`.
+
+    Raises:
+        TypeError, ValueError: as `parse`; or the URL has options of clients.
+    """
+    endpoint = parse(url)
+    if endpoint.client_options:
+        names = ", ".join(endpoint.client_options)
+        raise ValueError(f"{url!r}: {names} is for clients, not for an endpoint that listens")
+    return endpoint
 
 
 def _parse_network(url: str, scheme: Scheme, parts: SplitResult) -> Endpoint:
@@ -148,13 +180,12 @@ def _parse_network(url: str, scheme: Scheme, parts: SplitResult) -> Endpoint:
         raise ValueError(f"{url!r}: nothing but options may follow the port")
     if not parts.hostname:
         raise ValueError(f"{url!r}: a host is missing, as in {scheme}://127.0.0.1:502")
-    usual = SECURE_PORT if scheme == "tls" else DEFAULT_PORT
+    rules = TRANSPORTS[SCHEMES[scheme][1]]
     try:
-        port = usual if parts.port is None else parts.port
+        port = rules.port if parts.port is None else parts.port
     except ValueError:
         raise ValueError(f"{url!r}: the port must be in 0..65535") from None
-    own = SECURITY_OPTIONS if scheme == "tls" else {}
-    options, others = _options(url, parts.query, own)
+    options, others = _options(url, parts.query, rules.options)
     return Endpoint(scheme, host=parts.hostname, port=port, options=options, client_options=others)
 
 
@@ -164,7 +195,7 @@ def _parse_serial(url: str, scheme: Scheme, parts: SplitResult) -> Endpoint:
     device = unquote(parts.path)
     if parts.netloc or not device.strip("/"):
         raise ValueError(f"{url!r}: a device is missing, as in {scheme}:///dev/ttyUSB0")
-    options, others = _options(url, parts.query, SERIAL_OPTIONS)
+    options, others = _options(url, parts.query, TRANSPORTS[SCHEMES[scheme][1]].options)
     return Endpoint(scheme, device=device, options=options, client_options=others)
 
 

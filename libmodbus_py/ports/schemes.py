@@ -4,7 +4,8 @@ The schemes and options of URLs of endpoints.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 if TYPE_CHECKING:
@@ -13,8 +14,8 @@ if TYPE_CHECKING:
 # fmt: off
 __all__ = [
     "ASCII_DEFAULTS", "CLIENT_OPTIONS", "DEFAULT_PORT", "OTHER_NAMES", "PARITIES", "SCHEMES",
-    "SECURE_PORT", "SECURITY_OPTIONS", "SERIAL_DEFAULTS", "SERIAL_OPTIONS", "Option", "Scheme",
-    "Transport", "framing_of",
+    "SECURE_PORT", "SECURITY_OPTIONS", "SERIAL_DEFAULTS", "SERIAL_OPTIONS", "TRANSPORTS", "Option",
+    "Scheme", "Transport", "TransportRules", "framing_of",
 ]
 # fmt: on
 
@@ -116,6 +117,33 @@ SECURITY_OPTIONS: dict[str, Option] = {
     "pin": _text("trust only this certificate: a PEM file, or its SHA-256", "FILE"),
     "server_name": _text("name in the server's certificate; unless given, the host", "NAME"),
     "password_env": _text("environment variable that contains the key's password", "NAME"),
+}
+
+
+class TransportRules(NamedTuple):
+    """
+    The properties of a transport.
+
+    Attributes:
+        options: of URLs, besides those of clients.
+        port: the one that a URL means without a port; 0 if there are none.
+        is_serial: True if an endpoint is a device of this machine, not a host and a port.
+        is_datagram: True if each ADU is a datagram, without a connection.
+        is_secure: True if client and server show each other certificates.
+    """
+
+    options: Mapping[str, Option] = MappingProxyType({})
+    port: int = DEFAULT_PORT
+    is_serial: bool = False
+    is_datagram: bool = False
+    is_secure: bool = False
+
+
+TRANSPORTS: dict[Transport, TransportRules] = {
+    "tcp": TransportRules(),
+    "udp": TransportRules(is_datagram=True),
+    "tls": TransportRules(SECURITY_OPTIONS, SECURE_PORT, is_secure=True),
+    "serial": TransportRules(SERIAL_OPTIONS, 0, is_serial=True),
 }
 
 CLIENT_OPTIONS: dict[str, Option] = {

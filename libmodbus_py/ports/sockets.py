@@ -16,7 +16,7 @@ import time
 from typing import Any, ClassVar
 
 from ..protocol.checks import integer
-from ..protocol.errors import ModbusConnectionError
+from ..protocol.errors import MAX_RECEIVED, ModbusConnectionError
 from .port import Port, Silence, lost
 from .waiting import WRITE, Ready, Resolve, Steps
 
@@ -27,9 +27,6 @@ READ_SIZE = 16_384
 
 # Datagrams taken in one turn.
 DATAGRAMS = 64
-
-# Of each, more than a frame has, and no more than an error can carry.
-DATAGRAM_SIZE = 600
 
 
 class SocketPort(Port):
@@ -233,7 +230,7 @@ class UdpPort(SocketPort):
         datagrams: list[bytes] = []
         while len(datagrams) < DATAGRAMS:
             try:
-                datagrams.append(self._socket.recv(DATAGRAM_SIZE))
+                datagrams.append(self._socket.recv(MAX_RECEIVED))
             except BlockingIOError:
                 break
             except OSError as error:

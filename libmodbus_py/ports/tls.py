@@ -18,6 +18,7 @@ from ..security.describing import describe
 from ..security.given import GivenContext
 from ..security.security import Security
 from ..security.tunnel import READ_SIZE, Tunnel
+from ..security.words import in_words
 from .endpoint import Endpoint
 from .sockets import TcpPort
 from .waiting import READ, WRITE, Ready, Steps
@@ -40,13 +41,6 @@ OF_OUR_CERTIFICATE = (
 )
 
 # What else OpenSSL's reasons mean; the rest is said in its own words.
-MEANINGS = {
-    "WRONG_VERSION_NUMBER": "what answers there is no TLS",
-    "UNSUPPORTED_PROTOCOL": "it speaks no TLS 1.2 or newer",
-    "TLSV1_ALERT_PROTOCOL_VERSION": "it speaks no TLS 1.2 or newer",
-    "SSLV3_ALERT_HANDSHAKE_FAILURE": "handshake failure: no cipher in common?",
-}
-
 # So many bytes that carry no answers, and whoever sends them floods: tickets and changes of
 # keys are rare. A byte of an answer pays for a record of its own, with room to spare.
 MAX_CHAFF = 1 << 16
@@ -142,15 +136,13 @@ class TlsPort(TcpPort):
         try:
             yield from _shaking_hands(made, tunnel, deadline)
         except ssl.SSLCertVerificationError as error:
-            raise self._distrusting(error.verify_message, tunnel.certificate) from error
+            raise self._distrusting(in_words(error), tunnel.certificate) from error
         except ssl.SSLError as error:
             raise self._because(error) from error
         except OSError as error:
             raise self._unfinished(error) from error
-        if tunnel.has_expired:
-            raise self._distrusting("certificate has expired", tunnel.certificate)
-        if not self._security.accepts(tunnel.certificate):
-            raise self._distrusting("it is none of the pins", tunnel.certificate)
+        if (reason := self._security.refusal(tunnel)) is not None:
+            raise self._distrusting(reason, tunnel.certificate)
         self._begin()
         self._tunnel, self._owner = tunnel, os.getpid()
 
@@ -167,7 +159,7 @@ class TlsPort(TcpPort):
 
     def _because(self, error: ssl.SSLError) -> ModbusConnectionError:
         reason = error.reason or str(error)
-        words = MEANINGS.get(reason) or reason.lower().replace("_", " ")
+        words = in_words(error, guess=True)
         if reason.endswith(OF_OUR_CERTIFICATE):
             own = f": {describe(self._security.own)}" if self._security.own else ""
             text = f"{self} refused our certificate ({words}){own}"

@@ -10,7 +10,7 @@ from operator import index
 
 from .mistakes import Path, WrongType, WrongValue
 
-__all__ = ["are_registers", "integer", "seconds", "shown"]
+__all__ = ["are_registers", "integer", "number", "seconds", "shown"]
 
 
 def shown(number: object) -> str:
@@ -38,6 +38,21 @@ def integer(name: str | Path, value: object, low: int, high: int) -> int:
     if not low <= number <= high:
         raise WrongValue(name, f"must be in {low}..{high}, not {shown(number)}")
     return number
+
+
+def number(name: str | Path, value: object, low: float, high: float) -> int | float:
+    """
+    Return a number as it is.
+
+    Raises:
+        TypeError: no int or float; True and False are none here.
+        ValueError: not in low..high, or not a number at all (nan).
+    """
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise WrongType(name, f"must be a number, not {type(value).__name__}")
+    if not low <= value <= high:
+        raise WrongValue(name, f"must be in {low}..{high}, not {shown(value)}")
+    return value
 
 
 def are_registers(values: Sequence[object]) -> bool:

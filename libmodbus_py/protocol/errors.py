@@ -46,7 +46,7 @@ MAX_RECEIVED = 600
 
 
 def in_hex(data: bytes, most: int = 32) -> str:
-    """Show the first bytes in hex, and how many there are if these are not all."""
+    """Return the first bytes in hexadecimal, and their number if these are not all."""
     shown = data[:most].hex(" ")
     return shown if len(data) <= most else f"{shown} ... ({len(data)} bytes)"
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import ssl
 
-from .tunnel import Tunnel, name_of
+from .tunnel import Tunnel, expiry, name_of
 
 __all__ = ["GivenContext"]
 
@@ -48,6 +48,6 @@ class GivenContext:
         """
         return Tunnel(self._context, server_name=name_of(host), session=session)
 
-    def accepts(self, certificate: bytes) -> bool:
-        """Return True: the context has checked the certificate in the handshake."""
-        return True
+    def refusal(self, tunnel: Tunnel) -> str | None:
+        """Return why a certificate is refused after a good handshake; None if it is not."""
+        return expiry(tunnel)

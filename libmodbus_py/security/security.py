@@ -11,7 +11,8 @@ import ssl
 from collections.abc import Iterable
 from typing import Any
 
-from .tunnel import Tunnel, name_of
+from .tunnel import Tunnel, expiry, name_of
+from .words import in_words
 
 __all__ = ["Security"]
 
@@ -141,10 +142,12 @@ class Security:
         assert self._server is not None
         return Tunnel(self._server)
 
-    @property
-    def is_pinned(self) -> bool:
-        """True if only pinned certificates are trusted, even expired ones."""
-        return self._pins is not None
+    def refusal(self, tunnel: Tunnel) -> str | None:
+        """Return why a certificate is refused after a good handshake; None if it is not."""
+        if self._pins is None:
+            return expiry(tunnel)
+        # A pinned certificate is trusted even if it has expired.
+        return None if self.accepts(tunnel.certificate) else "it is none of the pins"
 
     def accepts(self, certificate: bytes) -> bool:
         """Return True if a certificate is one of the pins, or there are none."""
@@ -176,7 +179,7 @@ class Security:
         return context
 
     def _what_is_wrong(self, error: ssl.SSLError, *, was_encrypted: bool) -> str:
-        reason = (error.reason or "cannot be read").lower().replace("_", " ")
+        reason = in_words(error) if error.reason else "cannot be read"
         if error.reason in TOO_WEAK:
             return f"{_place('certificate', self._certificate)}: {reason}"
         if error.reason in OF_ANOTHER_CERTIFICATE:

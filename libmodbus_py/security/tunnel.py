@@ -9,7 +9,7 @@ import ssl
 import time
 from collections.abc import Callable
 
-__all__ = ["READ_SIZE", "Records", "Tunnel", "name_of"]
+__all__ = ["READ_SIZE", "Records", "Tunnel", "expiry", "name_of"]
 
 # As much as a record carries.
 READ_SIZE = 16_384
@@ -105,13 +105,6 @@ class Tunnel:
         return ssl.PEM_cert_to_DER_cert(chain[0].public_bytes()) if chain else b""
 
     @property
-    def has_expired(self) -> bool:
-        """True if the peer's certificate has expired since it was checked in an earlier session."""
-        # OpenSSL looks at the dates when a session begins, not when it is resumed.
-        until = self.expires if self.is_resumed else None
-        return until is not None and ssl.cert_time_to_seconds(until) < time.time()
-
-    @property
     def expires(self) -> str | None:
         """When the other side's certificate does, as OpenSSL says it; None if nobody checked it."""
         found = self._tls.getpeercert() or {}
@@ -125,6 +118,18 @@ class Tunnel:
     def session(self) -> ssl.SSLSession | None:
         """The session that a client can resume."""
         return self._tls.session
+
+
+def expiry(tunnel: Tunnel) -> str | None:
+    """
+    Return that the peer's certificate has expired since an earlier session, which is resumed.
+
+    OpenSSL looks at the dates when a session begins, not when it is resumed.
+    """
+    until = tunnel.expires if tunnel.is_resumed else None
+    if until is None or ssl.cert_time_to_seconds(until) >= time.time():
+        return None
+    return "certificate has expired"
 
 
 def name_of(host: str) -> str:

@@ -37,10 +37,10 @@ class Devices:
         def by_frame(units: TcpUnits | SerialUnits, channel: Channel) -> Session:
             return ByFrame(units, framing, channel, statistics, at_once)
 
-        if framing in ("rtu", "ascii"):
+        if not endpoint.has_transactions:
             line = SerialUnits(self._units)
             self._of_endpoints.append(line)
-            if endpoint.transport == "serial":
+            if endpoint.is_serial:
                 return lambda channel: by_frame(line, channel)
             return lambda channel: by_frame(line.of_connection(), channel)
         own = TcpUnits(self._units)

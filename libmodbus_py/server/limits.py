@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from ipaddress import IPv4Network, IPv6Address, IPv6Network, ip_address, ip_network
 from typing import Literal
 
-from ..protocol.checks import integer, seconds
+from ..protocol.checks import integer, number, seconds
 from ..protocol.mistakes import WrongType, WrongValue
 
 __all__ = ["FULL_POLICIES", "Allowance", "Limits", "ServerStatistics", "plain_host"]
@@ -88,7 +88,7 @@ class Limits:
         # Not what was given: a generator is empty now, and a copy would allow everybody.
         object.__setattr__(self, "allow", tuple(map(str, self._networks)))
         if self.requests_per_second is not None:
-            _rate(self.requests_per_second)
+            number("requests_per_second", self.requests_per_second, 0.001, 1_000_000)
 
     def allows(self, host: str) -> bool:
         """Return True if clients at this address are served."""
@@ -128,14 +128,6 @@ def _networks(allow: Iterable[str]) -> tuple[IPv4Network | IPv6Network, ...]:
     except TypeError:
         given = type(allow).__name__
         raise WrongType("allow", f"must be a list of networks, not {given}") from None
-
-
-def _rate(value: object) -> None:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        given = type(value).__name__
-        raise WrongType("requests_per_second", f"must be a number, not {given}")
-    if not 0.001 <= value <= 1_000_000:
-        raise WrongValue("requests_per_second", f"must be in 0.001..1000000, not {value}")
 
 
 class Allowance:

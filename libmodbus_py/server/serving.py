@@ -16,7 +16,7 @@ from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import AbstractAsyncContextManager, AbstractContextManager
 from dataclasses import dataclass
 
-from ..ports.endpoint import Endpoint, parse
+from ..ports.endpoint import Endpoint, parse_to_listen
 from ..ports.tls import security_of
 from ..ports.trace import OnTraced
 from ..protocol.errors import ModbusConnectionError
@@ -99,7 +99,7 @@ class Serving(ABC):
         SystemExit and KeyboardInterrupt that a hook raises close all endpoints, once the requests
         that were read are answered, and leave the loop.
         """
-        endpoints = [_endpoint(url) for url in urls]
+        endpoints = [parse_to_listen(url) for url in urls]
         if not endpoints:
             raise ValueError("urls must name at least one endpoint")
         sources = Sources(self._limits, self.statistics)
@@ -230,11 +230,3 @@ def _checked(trace: OnTraced) -> OnTraced:
     if not callable(trace):
         raise TypeError(f"trace must be a function, not {type(trace).__name__}")
     return trace
-
-
-def _endpoint(url: str) -> Endpoint:
-    endpoint = parse(url)
-    if endpoint.client_options:
-        names = ", ".join(endpoint.client_options)
-        raise ValueError(f"{url!r}: {names} is for clients, and means nothing to a server")
-    return endpoint

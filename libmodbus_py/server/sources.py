@@ -6,11 +6,11 @@ from __future__ import annotations
 
 import asyncio
 from collections import OrderedDict
-from ipaddress import ip_address
 
+from ..ports.hosts import is_loopback
 from ..protocol.pdu import request_length
 from .addresses import Address, Addresses, Paused
-from .limits import Allowance, Limits, ServerStatistics, plain_host
+from .limits import Allowance, Limits, ServerStatistics
 
 __all__ = ["Sources"]
 
@@ -75,7 +75,7 @@ class Sources:
         return False
 
     def _is_too_fast(self, host: str) -> bool:
-        if self._limits.requests_per_second is None and _is_here(host):
+        if self._limits.requests_per_second is None and is_loopback(host):
             return False
         address: Address[Paused] = self._addresses.get(host)
         self._addresses.keep(address)
@@ -83,8 +83,3 @@ class Sources:
             return True
         address.spend(1)
         return False
-
-
-def _is_here(host: str) -> bool:
-    """Whether no other machine can pretend to be it: the system drops such packets."""
-    return host.startswith("127.") or ip_address(plain_host(host).partition("%")[0]).is_loopback

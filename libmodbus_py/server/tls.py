@@ -18,6 +18,7 @@ from ..security.describing import describe
 from ..security.role import mentions_role, role_of
 from ..security.security import Security
 from ..security.tunnel import Records, Tunnel
+from ..security.words import in_words
 from .limits import ServerStatistics
 from .service import Channel, MakeSession, Session, SessionState
 
@@ -199,7 +200,7 @@ class TlsSession:
             is_done = tunnel.handshake()
             refusal = self._check(tunnel) if is_done else None
         except ssl.SSLError as error:
-            is_done, refusal = False, _reason(error)
+            is_done, refusal = False, in_words(error)
         if refusal is not None:
             certificate = tunnel.certificate
             tunnel.end()  # unless OpenSSL sent an alert: Python cannot send one of its own
@@ -212,11 +213,9 @@ class TlsSession:
 
     def _check(self, tunnel: Tunnel) -> str | None:
         """Take the role of an accepted certificate; return why it is refused, or None."""
-        security, certificate = self._handshakes.security, tunnel.certificate
-        if not security.accepts(certificate):
-            return "the certificate is none of the pins"
-        if tunnel.has_expired and not security.is_pinned:
-            return "the certificate has expired"
+        certificate = tunnel.certificate
+        if (refusal := self._handshakes.security.refusal(tunnel)) is not None:
+            return refusal
         if not mentions_role(certificate):
             return None
         try:
@@ -289,7 +288,7 @@ class TlsSession:
         if self._tunnel is not None:
             self._wire.write(self._tunnel.outgoing())  # the alert
         self._tunnel = None
-        self._be_out_of_step(_reason(error))
+        self._be_out_of_step(in_words(error))
 
     def _be_out_of_step(self, reason: str) -> None:
         logger.debug("%s: connection closed: %s", self.address, reason)
@@ -315,9 +314,3 @@ class TlsSession:
     def hang_up(self) -> bool:
         self._finish()
         return True
-
-
-def _reason(error: ssl.SSLError) -> str:
-    if isinstance(error, ssl.SSLCertVerificationError):
-        return str(error.verify_message)
-    return (error.reason or str(error)).lower().replace("_", " ")

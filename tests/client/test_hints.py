@@ -6,7 +6,8 @@ from __future__ import annotations
 
 import pytest
 
-from libmodbus_py.client.hints import explain, shown
+from libmodbus_py.client.hints import explain
+from libmodbus_py.protocol.errors import in_hex
 from tests.support.talk import ascii_frame, rtu
 
 # Read register 6Bh, three of them, and what is answered (application protocol, 6.3).
@@ -63,7 +64,7 @@ def test_the_start_of_an_answer_is_no_noise() -> None:
     assert explain("rtu", SENT["rtu"], bytes.fromhex("FF 11 83")) == ""
 
 
-def test_at_most_32_bytes_are_shown() -> None:
-    assert shown(bytes(32)) == " ".join(["00"] * 32)
-    assert shown(bytes(33)) == " ".join(["00"] * 32) + " ... (33 bytes)"
-    assert len(shown(bytes(600))) < 120
+def test_at_most_32_bytes_are_in_hex() -> None:
+    assert in_hex(bytes(32)) == " ".join(["00"] * 32)
+    assert in_hex(bytes(33)) == " ".join(["00"] * 32) + " ... (33 bytes)"
+    assert len(in_hex(bytes(600))) < 120

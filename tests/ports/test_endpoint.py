@@ -189,3 +189,39 @@ def test_no_error_shows_a_password(url: str) -> None:
 def test_a_url_is_text() -> None:
     with pytest.raises(TypeError, match="url must be a string, not int"):
         parse(502)  # type: ignore[arg-type]
+
+
+# --- places ------------------------------------------------------------------------------------
+
+SAME = [
+    ("tcp://Plant.example", "rtu+tcp://plant.example:502?timeout=2"),
+    ("tcp://192.0.2.10:802", "tls://192.0.2.10"),
+    ("udp://192.0.2.10", "rtu+udp://192.0.2.10:502"),
+    ("rtu:///dev/ttyS0?baudrate=9600", "ascii:///dev/../dev//ttyS0"),
+]
+
+DIFFERENT = [
+    ("tcp://192.0.2.10", "udp://192.0.2.10"),
+    ("tcp://192.0.2.10", "tcp://192.0.2.10:503"),
+    ("tcp://192.0.2.10", "tcp://192.0.2.11"),
+    ("rtu:///dev/ttyS0", "rtu:///dev/ttyS1"),
+]
+
+
+@each_case(("one", "other"), SAME)
+def test_endpoints_at_one_place(one: str, other: str) -> None:
+    assert parse(one).place == parse(other).place
+
+
+@each_case(("one", "other"), DIFFERENT)
+def test_endpoints_at_two_places(one: str, other: str) -> None:
+    assert parse(one).place != parse(other).place
+
+
+@each_case("scheme", SCHEMES)
+def test_every_scheme_has_a_kind_of_port(scheme: str) -> None:
+    endpoint = Endpoint(scheme, "h", 1)  # type: ignore[arg-type]
+    assert endpoint.is_serial is (scheme in ("rtu", "ascii"))
+    assert endpoint.is_datagram is ("udp" in scheme)
+    assert endpoint.is_secure is (scheme == "tls")
+    assert endpoint.has_transactions is (scheme in ("tcp", "tls", "udp"))

@@ -745,7 +745,7 @@ def test_a_reserved_function_gets_no_answer_and_no_fault(stage: Stage) -> None:
         ({"kind": "no_answer", "every": 2, "probability": 0.5}, "probability means nothing"),
         ({"kind": "no_answer", "probability": 1.1}, r"probability must be in 0..1, not 1.1"),
         ({"kind": "no_answer", "probability": float("nan")}, r"probability must be in 0..1"),
-        ({"kind": "no_answer", "probability": True}, r"probability must be a number in 0..1"),
+        ({"kind": "no_answer", "probability": True}, r"probability must be a number, not bool"),
         ({"kind": "no_answer", "seed": 1}, "seed means nothing without probability"),
         ({"kind": "no_answer", "probability": 0.5, "seed": -1}, "seed must be in 0"),
         ({"kind": "disconnect", "length": 513}, r"length must be in 0..512, not 513"),

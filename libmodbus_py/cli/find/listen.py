@@ -13,7 +13,7 @@ import time
 from typing import Any
 
 from ...ports.schemes import SERIAL_OPTIONS
-from ...protocol.errors import ExceptionResponse
+from ...protocol.errors import ExceptionResponse, in_hex
 from ...protocol.plain import plain
 from ...tools.listener.listener import Listener, listen
 from ...tools.listener.transaction import Transaction
@@ -141,11 +141,7 @@ def _answer(transaction: Transaction) -> str:
     text, error = transaction.outcome(_shown.repr), transaction.error
     if error is None or isinstance(error, ExceptionResponse):
         return text
-    return f"{text}: {_hex(error.received)}"
-
-
-def _hex(data: bytes) -> str:
-    return data[:32].hex(" ") + (" ..." if len(data) > 32 else "")
+    return f"{text}: {in_hex(error.received)}"
 
 
 # --- JSON ----------------------------------------------------------------------------------

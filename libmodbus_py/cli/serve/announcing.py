@@ -5,9 +5,9 @@ Messages of a server: where it listens, and who can reach it.
 from __future__ import annotations
 
 from collections.abc import Callable
-from ipaddress import ip_address
 
 from ...ports.endpoint import Endpoint, parse
+from ...ports.hosts import is_loopback
 from ...server.server import Running
 from ..output import complain
 
@@ -36,10 +36,5 @@ def announcing(allowed: list[str] | None) -> Callable[[Running], None]:
 
 
 def _is_open(endpoint: Endpoint) -> bool:
-    """Return True if other machines can reach the endpoint without a certificate."""
-    if endpoint.transport in ("serial", "tls"):
-        return False
-    try:
-        return not ip_address(endpoint.host.partition("%")[0]).is_loopback
-    except ValueError:
-        return endpoint.host != "localhost"
+    """Return True if other machines can reach an endpoint that asks for no certificate."""
+    return not (endpoint.is_serial or endpoint.is_secure or is_loopback(endpoint.host))

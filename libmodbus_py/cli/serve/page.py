@@ -7,8 +7,8 @@ from __future__ import annotations
 import argparse
 import contextlib
 from collections.abc import Callable, Iterator
-from ipaddress import ip_address
 
+from ...ports.hosts import is_loopback
 from ...protocol.errors import ModbusConnectionError
 from ...server.server import Running, Server
 from ..output import complain
@@ -64,17 +64,10 @@ def shown(
         def announce_all(running: Running) -> None:
             announce(running)
             print(f"page on {page.url}", flush=True)
-            if not _is_here(address[0]):
+            if not is_loopback(address[0]):
                 complain(
                     "anyone with the URL of the page can change all devices, and the connection is"
                     " not encrypted"
                 )
 
         yield announce_all
-
-
-def _is_here(host: str) -> bool:
-    try:
-        return ip_address(host.partition("%")[0]).is_loopback
-    except ValueError:
-        return host == "localhost"

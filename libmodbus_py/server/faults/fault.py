@@ -9,10 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 from ...device.access import Touched
-from ...protocol.checks import integer, seconds
+from ...protocol.checks import integer, number, seconds
 from ...protocol.mistakes import WrongType, WrongValue
 from ...protocol.tables import TABLE_SIZE, TABLES, Table
 
@@ -180,18 +180,12 @@ class Fault:
             if self.probability is not None:
                 raise WrongValue("probability", "means nothing beside every")
         if self.probability is not None:
-            self._check_probability(self.probability)
+            number("probability", self.probability, 0, 1)
         if self.seed is not None:
             is_random = self.kind == "garbage" and self.length is not None
             if self.probability is None and not is_random:
                 raise WrongValue("seed", "means nothing without probability")
             integer("seed", self.seed, 0, (1 << 64) - 1)
-
-    def _check_probability(self, given: Any) -> None:
-        if isinstance(given, bool) or not isinstance(given, int | float):
-            raise WrongType("probability", f"must be a number in 0..1, not {type(given).__name__}")
-        if not 0 <= given <= 1:
-            raise WrongValue("probability", f"must be in 0..1, not {given:g}")
 
     @property
     def is_everywhere(self) -> bool:

@@ -84,7 +84,7 @@ class DeviceConfig:
         with inside("url"):
             object.__setattr__(self, "endpoint", _endpoint(self.url))
         integer("unit", self.unit, 0, 255)
-        if self.unit == 0 and self.endpoint.framing in ("rtu", "ascii"):
+        if self.unit == 0 and not self.endpoint.has_transactions:
             raise WrongValue("unit", "must not be 0 there, a broadcast, which nobody answers")
         if not isinstance(self.map, RegisterMap):
             raise WrongType("map", f"must be a RegisterMap, not {type(self.map).__name__}")
@@ -133,7 +133,8 @@ class DeviceConfig:
     @property
     def connection_key(self) -> str:
         """Devices with the same one share a connection."""
-        return self.endpoint.place
+        kind, where, port = self.endpoint.place
+        return f"{kind}:{where}:{port}"
 
 
 def readable(points: RegisterMap) -> tuple[str, ...]:

@@ -20,7 +20,7 @@ from functools import partial
 from os import PathLike
 from typing import Any
 
-from ...ports.endpoint import parse as parse_url
+from ...ports.endpoint import parse_to_listen
 from ...protocol.mistakes import Path, WrongType, WrongValue, inside, item
 from ...server.limits import Limits
 from ...tools.files import roles
@@ -97,7 +97,7 @@ def _parse(text: str, known: Iterable[Route]) -> GatewayFile:
     there = {route.endpoint.url for route in known}
     for at, route in enumerate(routes):
         if route.endpoint.url not in there:
-            check_line(("route", at, "to"), route.endpoint, map(parse_url, listen))
+            check_line(("route", at, "to"), route.endpoint, map(parse_to_listen, listen))
     GatewayOptions(**{key.name: given.get(key.name, key.default) for key in OPTIONS.values()})
     if "roles" in given:
         given["authorize"] = given.pop("roles")
@@ -112,10 +112,7 @@ def _listen(path: Path, given: object) -> tuple[str, ...]:
         raise WrongType(path, f"must be a list of URLs, not {reprlib.repr(given)}")
     for at, url in enumerate(given):
         with inside(*item(path, at)):
-            endpoint = parse_url(url)
-            if endpoint.client_options:
-                names = ", ".join(endpoint.client_options)
-                raise ValueError(f"{url!r}: {names} is for clients")
+            parse_to_listen(url)
     return tuple(given)
 
 

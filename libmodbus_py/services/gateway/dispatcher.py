@@ -98,7 +98,7 @@ class Dispatcher:
     def sessions(
         self, endpoint: Endpoint, statistics: ServerStatistics, later: Later | None = None
     ) -> MakeSession:
-        has_ids = endpoint.framing in ("tcp", "udp")
+        has_ids = endpoint.has_transactions
         at_once = None if has_ids or later is None else AT_ONCE
 
         def make(channel: Channel) -> ForwardingSession:
@@ -266,8 +266,8 @@ class ForwardingSession(Framed):
         self.role: str | None = channel.role
         self.host: Hashable = channel.address.rpartition(":")[0] or channel.address
         self.statistics = statistics
-        self.has_ids: bool = endpoint.framing in ("tcp", "udp")
-        self.is_line: bool = endpoint.transport == "serial"
+        self.has_ids: bool = endpoint.has_transactions
+        self.is_line: bool = endpoint.is_serial
         self._dispatcher = dispatcher
         # Unanswered requests, and the lines that they were sent to.
         self._asked: dict[Forwarded, GatewayLine | None] = {}

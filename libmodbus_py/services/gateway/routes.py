@@ -95,7 +95,7 @@ class Route:
 
     def _units(self, endpoint: Endpoint) -> Sequence[int]:
         if self.units is None:
-            return range(255) if endpoint.framing in ("tcp", "udp") else range(1, 248)
+            return range(255) if endpoint.has_transactions else range(1, 248)
         return units_of("units", self.units)
 
     def _device_units(self, units: Sequence[int]) -> Sequence[int]:
@@ -173,7 +173,7 @@ def by_unit(routes: Iterable[Route], name: str = "routes") -> dict[int, Route]:
         TypeError, ValueError: two of them are for one unit, or lead to one place in two ways.
     """
     found: dict[int, Route] = {}
-    places: dict[str, tuple[int, str]] = {}
+    places: dict[tuple[str, str, int], tuple[int, str]] = {}
     for at, route in enumerate(routes):
         if not isinstance(route, Route):
             raise WrongType((name, at), f"must be a Route, not {type(route).__name__}")

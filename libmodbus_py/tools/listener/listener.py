@@ -15,7 +15,7 @@ from collections import deque
 from functools import partial
 from typing import Self
 
-from ...ports.endpoint import Endpoint, parse
+from ...ports.endpoint import Endpoint, parse_to_listen
 from ...ports.waiting import READ, Ready, Steps, Waker, Woken, run
 from ...ports.waiting_async import run_async
 from ...protocol.errors import ModbusConnectionError
@@ -314,8 +314,10 @@ def listen(
             raise ValueError(f"{url}: a capture cannot be written over itself")
         name, source = url, CaptureReader(url)
     else:
-        endpoint = _endpoint(url)
-        source, endpoint = _source(endpoint, None if between is None else _endpoint(between), clock)
+        endpoint = parse_to_listen(url)
+        source, endpoint = _source(
+            endpoint, None if between is None else parse_to_listen(between), clock
+        )
         name, framing = str(endpoint), "ascii" if endpoint.framing == "ascii" else "rtu"
     try:
         writer = None if capture is None else CaptureWriter(capture, name)
@@ -342,14 +344,6 @@ def _source(endpoint: Endpoint, target: Endpoint | None, clock: Clock) -> tuple[
     port = SerialSource(endpoint, clock)
     port.open()
     return port, endpoint
-
-
-def _endpoint(url: str) -> Endpoint:
-    endpoint = parse(url)
-    if endpoint.client_options:
-        names = ", ".join(endpoint.client_options)
-        raise ValueError(f"{url!r}: {names} is an option of clients, and not of listeners")
-    return endpoint
 
 
 def _check(endpoint: Endpoint, target: Endpoint | None) -> None:

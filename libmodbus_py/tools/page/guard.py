@@ -14,6 +14,8 @@ from email.message import Message
 from ipaddress import ip_address
 from urllib.parse import parse_qs
 
+from ...ports.hosts import is_loopback
+
 __all__ = ["PageGuard"]
 
 
@@ -30,9 +32,8 @@ class PageGuard:
     def __init__(self, host: str, address: str, port: int) -> None:
         self.token: str = secrets.token_urlsafe(24)
         self._port = port
-        found = ip_address(address.partition("%")[0])
-        self._is_any = found.is_unspecified
-        is_here = self._is_any or found.is_loopback
+        self._is_any = ip_address(address.partition("%")[0]).is_unspecified
+        is_here = self._is_any or is_loopback(address)
         self._names = {host.lower(), address.lower()} | ({"localhost"} if is_here else set())
         self._cookie = f"libmodbus_page_{self._port}"
 

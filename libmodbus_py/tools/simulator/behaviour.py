@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from ...protocol.checks import integer, seconds
-from ...protocol.mistakes import WrongType, WrongValue
+from ...protocol.checks import number as check_number
+from ...protocol.mistakes import WrongValue
 from ...protocol.tables import TABLES
 from .simulated_point import Behaviour, Compute, DeviceValues, SimulatedPoint
 
@@ -29,10 +30,7 @@ LARGEST = 1e100
 
 
 def _number(name: str, value: object) -> None:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise WrongType(name, f"must be a number, not {type(value).__name__}")
-    if not -LARGEST <= value <= LARGEST:
-        raise WrongValue(name, f"must be in {-LARGEST:g}..{LARGEST:g}, not {value}")
+    check_number(name, value, -LARGEST, LARGEST)
 
 
 def _check_between(low: Number, high: Number) -> None:

@@ -10,12 +10,13 @@ from typing import Any
 import pytest
 
 from libmodbus_py import Gateway, Route
+from libmodbus_py.ports import hosts
 from libmodbus_py.ports.endpoint import Endpoint, parse
-from libmodbus_py.services.gateway import loops
 from libmodbus_py.services.gateway.config import MOST_ROUTES
 from libmodbus_py.services.gateway.config import parse as parse_file
 from libmodbus_py.services.gateway.loops import check_line
 from libmodbus_py.services.gateway.options import GatewayOptions
+from libmodbus_py.services.gateway.routes import by_unit
 
 TCP, LINE = "tcp://192.0.2.1", "rtu:///dev/ttyUSB0"
 
@@ -194,7 +195,7 @@ def test_an_address_of_this_machine_is_found_by_binding_to_it(
         def bind(self, address: tuple[str, int]) -> None:
             assert address == (host, 0)
 
-    socket = loops.socket
+    socket = hosts.socket
     monkeypatch.setattr(socket, "socket", Probe)
     url = f"tcp://[{host}]:1502" if is_six else f"tcp://{host}:1502"
     assert leads_back(url, "tcp://0.0.0.0:1502")
@@ -224,3 +225,9 @@ def test_passed_is_the_old_name_of_traffic() -> None:
     gateway = Gateway([Route(TCP)])
     with pytest.warns(DeprecationWarning, match=r"Gateway\.passed is now Gateway\.traffic"):
         assert gateway.passed is gateway.traffic
+
+
+def test_two_spellings_of_one_port_are_one_place() -> None:
+    routes = [Route("rtu:///dev/ttyS0", "1"), Route("rtu:///dev/../dev/ttyS0?echo=1", "2")]
+    with pytest.raises(ValueError, match=r"routes\[1\].to: routes\[0\] leads there"):
+        by_unit(routes)

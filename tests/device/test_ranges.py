@@ -1,0 +1,37 @@
+"""
+Ranges that are joined.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from libmodbus_py.device.ranges import joined
+from tests.support.cases import each_case
+
+
+@each_case(
+    ("ranges", "together"),
+    [
+        ([], []),
+        ([range(5, 5)], []),
+        ([range(8, 9), range(3)], [range(3), range(8, 9)]),
+        ([range(3), range(3, 5)], [range(5)]),
+        ([range(9), range(2, 4)], [range(9)]),
+        ([range(2, 4), range(3, 6), range(7, 8)], [range(2, 6), range(7, 8)]),
+    ],
+)
+def test_ranges_are_joined(ranges: list[range], together: list[range]) -> None:
+    assert joined(ranges) == together
+
+
+@given(st.lists(st.tuples(st.integers(0, 50), st.integers(0, 9))))
+def test_joined_ranges_have_the_same_addresses(found: list[tuple[int, int]]) -> None:
+    ranges = [range(first, first + size) for first, size in found]
+    together = joined(ranges)
+    addresses = {at for each in ranges for at in each}
+    assert [at for each in together for at in each] == sorted(addresses)
+    assert all(one.stop < other.start for one, other in pairwise(together))
