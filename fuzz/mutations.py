@@ -282,7 +282,7 @@ def _children(node: ast.AST) -> Iterator[ast.AST]:
             # What is raised is known by its type; texts are free. Places in f-strings are wrong
             # before Python 3.12.
             return
-        case ast.If(test=ast.Name(id="TYPE_CHECKING")):
+        case ast.If(test=ast.Name(id="TYPE_CHECKING")) | ast.keyword(arg="repr"):
             return
         case ast.Assign(targets=[ast.Name(id=name)]) if name.startswith("__") or name in _TUNING:
             return

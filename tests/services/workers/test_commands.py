@@ -124,6 +124,16 @@ def test_a_refusal_in_the_name_of_all_is_answered() -> None:
     run(main())
 
 
+def test_answers_have_letters_as_they_are() -> None:
+    async def main() -> None:
+        trial = Trial(refusal="no worker polls 'kälte' now")
+        await trial.service.begin()
+        await trial.ask(b"20")
+        assert "'kälte'".encode() in trial.client.published[0][1]
+
+    run(main())
+
+
 def test_names_with_special_characters_are_understood() -> None:
     async def main() -> None:
         trial = Trial()

@@ -107,6 +107,28 @@ class TestBlindness:
             assert worker.is_blind(float(at)) == (at >= 60 * LEASE)
 
 
+class TestSilence:
+    def test_others_are_silent_only_while_this_worker_sees_its_own_values(self) -> None:
+        """What was not seen for a while was perhaps lost on its way, and not unwritten."""
+        worker = Worker(lambda: "a.1", {""})
+        worker.begins()
+        worker.saw(Entry(SETTINGS, FleetSettings(LEASE).encode(), 1), 0.0)
+        worker.is_synced(0.0)
+
+        def renewed(at: float, revision: int) -> None:
+            (beat,) = (put for put in worker.step(at) if put.beat)
+            worker.saw(Entry(beat.key, beat.value, revision), at)
+
+        renewed(0.0, 2)
+        worker.saw(Entry("worker.b.2", member(1, id="b.2").encode(), 3), 1.0)
+        renewed(2.0, 4)
+        renewed(30.0, 5)
+        assert [put.key for put in worker.step(30.1)] == []
+        for at in range(31, 41):
+            renewed(float(at), at)
+        assert [put.key for put in worker.step(40.6) if not put.beat] == ["worker.b.2"]
+
+
 class TestView:
     def test_a_worker_that_is_deleted_and_never_ended_has_vanished(self) -> None:
         view = BucketView()

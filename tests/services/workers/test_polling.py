@@ -403,8 +403,14 @@ class TestDevices:
         [
             '{"devices": [{"name": "pump"}]}',
             devices_to_json([DeviceConfig("pump", "tcp://192.0.2.77", MAP)]),
+            devices_to_json(
+                [
+                    DeviceConfig("pump", "tcp://192.0.2.1", MAP),
+                    DeviceConfig("fan", "tcp://192.0.2.77", MAP),
+                ]
+            ),
         ],
-        ids=["no devices", "devices of another connection"],
+        ids=["no devices", "devices of another connection", "one device of another connection"],
     )
     def test_what_cannot_be_read_is_told_and_polled_by_nobody(
         self, devices: str, caplog: pytest.LogCaptureFixture
