@@ -11,7 +11,13 @@ import pytest
 
 from libmodbus_py.services.workers.lease import Lease
 from libmodbus_py.services.workers.pushing import settings_of
-from libmodbus_py.services.workers.records import SETTINGS, FleetSettings, Member
+from libmodbus_py.services.workers.records import (
+    SETTINGS,
+    Connection,
+    FleetSettings,
+    Member,
+    encode_holder,
+)
 from libmodbus_py.services.workers.view import BucketView, Entry
 from libmodbus_py.services.workers.worker import Worker
 
@@ -139,6 +145,24 @@ class TestView:
         view.add(Entry("worker.b.1", None, 4), 7.0)
         assert view.members == {}
         assert list(view.vanished.values()) == [6.0]
+
+    def test_a_slot_that_its_holder_did_not_give_up_must_be_acknowledged(self) -> None:
+        view = BucketView()
+        line = Connection("", "tcp:192.0.2.1:502", 1.0, '{"devices": []}')
+        view.add(Entry(line.bucket_key, line.encode(), 1), 0.0)
+        view.add(Entry("worker.a.1", member(1).encode(), 2), 0.0)
+        view.add(Entry("worker.b.1", member(1, id="b.1").encode(), 3), 0.0)
+
+        def touched(revision: int, holder: str, by: str) -> int:
+            view.add(Entry(line.slot.key, encode_holder(holder, by), revision), 0.0)
+            return view.touched_at(line)
+
+        assert touched(4, "a.1", "a.1") == 4  # Its holder before is unknown.
+        assert touched(5, "b.1", "a.1") == 1  # Handed over.
+        assert touched(6, "a.1", "a.1") == 6  # Taken from a worker that is still there.
+        view.add(Entry("worker.a.1", member(2, "ended").encode(), 7), 0.0)
+        assert touched(8, "b.1", "b.1") == 1  # Taken from a worker that has ended.
+        assert view.last_touched == 6
 
     def test_what_is_known_is_not_taken_again(self) -> None:
         view = BucketView()

@@ -338,6 +338,21 @@ class TestBucket:
 
         run(main())
 
+    def test_a_bucket_that_cannot_be_watched_is_told_and_watched_again(
+        self, caplog: pytest.LogCaptureFixture
+    ) -> None:
+        async def main() -> None:
+            bucket = filled(connection("pump"))
+            bucket.error = EngineGone("no server responds")
+            async with at_work(bucket) as worker:
+                await asyncio.sleep(5.0)
+                assert caplog.messages == ["the engine: no server responds"]
+                assert bucket.puts == []
+                bucket.error = None
+                await until(lambda: names(worker) == ["pump"])
+
+        run(main())
+
     def test_nothing_is_written_while_there_is_no_connection(self) -> None:
         """What is written then comes late: others have heard of its end by then."""
 
