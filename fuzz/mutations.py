@@ -111,13 +111,14 @@ TUNING: dict[str, frozenset[str]] = {
         {
             *("COARSEST", "EXACTNESS", "FADING", "FIRST_PAUSE", "LAST_WAIT", "LEAVING"),
             *("LONGEST_PAUSE", "PAUSE", "RESOLUTION", "SHORTEST_COPY", "SHORTEST_TRIAL"),
-            *("SHORTEST_TRY", "SLEPT"),
+            "SLEPT",
         }
     ),
 }
 """Constants whose exact values no test should repeat, by what they are bounds of."""
 
 _TUNING = frozenset().union(*TUNING.values())
+_LEFT_ALONE = _TUNING | {"TYPE_CHECKING"}
 
 # A kind of change, and the text that stands for the node.
 _Change = tuple[str, str]
@@ -170,6 +171,8 @@ def _called(node: ast.Call) -> Iterator[_Change]:
 
 def _decided(node: ast.If | ast.While | ast.IfExp) -> Iterator[_Change]:
     """Negate a condition that no other operator changes; `_replaced` puts it into its place."""
+    if isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING":
+        return
     if isinstance(node.test, (ast.Name, ast.Attribute, ast.Call, ast.NamedExpr, ast.Await)):
         yield "condition", f"(not ({_text(node.test)}))"
 
@@ -282,9 +285,11 @@ def _children(node: ast.AST) -> Iterator[ast.AST]:
             # What is raised is known by its type; texts are free. Places in f-strings are wrong
             # before Python 3.12.
             return
-        case ast.If(test=ast.Name(id="TYPE_CHECKING")):
+        case ast.If(test=ast.Name(id="TYPE_CHECKING")) | ast.keyword(arg="repr"):
             return
-        case ast.Assign(targets=[ast.Name(id=name)]) if name.startswith("__") or name in _TUNING:
+        case ast.Assign(targets=[ast.Name(id=name)]) if (
+            name.startswith("__") or name in _LEFT_ALONE
+        ):
             return
         case ast.Assign(targets=[ast.Tuple(elts=names)], value=ast.Tuple(elts=values)) if (
             _TUNING & _defined(node)

@@ -1,5 +1,5 @@
 """
-Key-value buckets and streams of JetStream: made, checked, watched, written to on conditions.
+Key-value buckets and streams of JetStream: create, check, watch and conditionally write them.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ if TYPE_CHECKING:
 
 __all__ = ["Bucket", "Change", "Watch", "keep_stream", "make_bucket", "open_bucket"]
 
-# Seconds until the server forgets who watched and is gone.
+# Seconds after which the server forgets a consumer whose client is gone.
 FORGOTTEN = 30.0
 
-# Seconds for an answer of the server.
+# Seconds before a request to the server times out.
 PATIENCE = 2.0
 
-# A server alone takes one, and says so.
+# A single server supports one replica, and refuses more with this code.
 REPLICAS = 3
 NOT_IN_A_CLUSTER = 10074
 
@@ -36,8 +36,8 @@ class Change(NamedTuple):
     A change of a key.
 
     Attributes:
-        value: None when it was deleted.
-        revision: of the bucket.
+        value: the new value; None if the key was deleted.
+        revision: the revision of the bucket.
     """
 
     key: str
@@ -50,9 +50,9 @@ class Bucket:
     A key-value bucket.
 
     Args:
-        client: connected.
-        keys: the bucket, as nats-py has it.
-        name: of it.
+        client: a connection to NATS.
+        keys: the bucket of nats-py.
+        name: the name of the bucket.
     """
 
     def __init__(self, client: Client, js: JetStreamContext, keys: KeyValue, name: str) -> None:
@@ -63,11 +63,14 @@ class Bucket:
 
     async def put(self, key: str, value: bytes | None, last: int) -> int:
         """
-        Write, if the key still has the revision `last`; 0 if it must not be there. Gives the
-        new revision; 0 if it was not written. Deletions have none: 1.
+        Write a value if the key still has the revision `last`: 0 for a key that must not exist.
+
+        Returns:
+            The new revision; 0 if another value was found and nothing was written; 1 for a
+            deletion.
 
         Raises:
-            EngineError: it may have been, or not.
+            EngineError: the request failed; the value may have been written.
         """
         import nats.js.errors as js
 
@@ -80,7 +83,7 @@ class Bucket:
             except js.KeyWrongLastSequenceError:
                 return 0
             except js.BadRequestError as error:
-                # A deletion does not tell it apart.
+                # A deletion reports a wrong revision as a bad request.
                 if error.err_code not in (10071, 10164):
                     raise
         return 0
@@ -91,14 +94,15 @@ class Bucket:
         on_gap: Callable[[], None] = lambda: None,
     ) -> Watch:
         """
-        Tell of all keys, then None, then of each change.
+        Watch the bucket.
 
         Args:
-            on_change: called with each change, and with None.
-            on_gap: called when a change was missed. The watch tells nothing more then.
+            on_change: called with the current value of each key, then with None, then with each
+                change.
+            on_gap: called when a change was missed. `on_change` is not called any more then.
 
         Raises:
-            EngineError
+            EngineError: the watch cannot begin.
         """
         watch = Watch(self.name, on_change, on_gap)
         try:
@@ -112,15 +116,15 @@ class Bucket:
 
 class Watch:
     """
-    All changes of a bucket, in their order; without a gap, or it says so.
+    Reports the changes of a bucket in order, and detects gaps.
 
     Args:
-        name: of the bucket.
-        on_change: called with each; with None when all that was there has been told.
-        on_gap: called when something is missing.
+        name: the name of the bucket.
+        on_change: called with each change; with None after the current values.
+        on_gap: called when a change was missed.
 
     Attributes:
-        is_broken: whether something is missing: begin another one.
+        is_broken: True if a change was missed, or the watch was ended.
     """
 
     def __init__(
@@ -141,7 +145,7 @@ class Watch:
     async def begin(self, js: JetStreamContext) -> None:
         from nats.js import api
 
-        # No consumer that nats-py keeps in order: what it mends in silence, we must know of.
+        # No ordered consumer of nats-py: it repairs gaps silently, but workers must know of them.
         config = api.ConsumerConfig(
             deliver_policy=api.DeliverPolicy.LAST_PER_SUBJECT,
             ack_policy=api.AckPolicy.NONE,
@@ -177,12 +181,12 @@ class Watch:
             self._on_change(None)
 
     async def end(self) -> None:
-        """Tell no more."""
+        """End the watch."""
         self.is_broken = True
         if self._subscription is not None:
             with contextlib.suppress(Exception):
                 await asyncio.wait_for(self._subscription.unsubscribe(), PATIENCE)
-            # nats-py forgets its tasks where the connection is closed already.
+            # nats-py does not cancel these tasks if the connection is closed already.
             watching: Any = getattr(self._subscription._sub, "_jsi", None)
             for task in (getattr(watching, "_hbtask", None), getattr(watching, "_fctask", None)):
                 if task is not None:
@@ -191,10 +195,10 @@ class Watch:
 
 async def open_bucket(client: Client, name: str) -> Bucket:
     """
-    Give a bucket that is there.
+    Return a bucket that exists.
 
     Raises:
-        EngineError: it is not, or has other settings than `make_bucket` gives it.
+        EngineError: it does not exist, or has other settings than those of `make_bucket`.
     """
     js = client.jetstream(timeout=PATIENCE)
     with explained(name):
@@ -211,16 +215,16 @@ async def open_bucket(client: Client, name: str) -> Bucket:
         if value != wanted
     ]
     if wrong:
-        raise EngineError(f"bucket {name} has other settings than ours: {', '.join(wrong)}")
+        raise EngineError(f"bucket {name} has unexpected settings: {', '.join(wrong)}")
     return Bucket(client, js, keys, name)
 
 
 async def make_bucket(client: Client, name: str) -> Bucket:
     """
-    Give a bucket, and make it if it is not there: on three servers, or on the only one.
+    Return a bucket. Create it if it does not exist: on three servers, or on the only one.
 
     Raises:
-        EngineError
+        EngineError: it cannot be created or opened.
     """
     import nats.js.errors as js_errors
     from nats.js import api
@@ -240,13 +244,13 @@ async def make_bucket(client: Client, name: str) -> Bucket:
 
 async def keep_stream(client: Client, name: str, subjects: str, limits: dict[str, Any]) -> None:
     """
-    Have a stream that drops the oldest beyond its limits.
+    Create a stream that drops the oldest messages beyond its limits, or change its limits.
 
     Args:
-        limits: as nats-py has them, such as max_age in seconds and max_bytes.
+        limits: options of nats-py's `StreamConfig`, such as max_age in seconds and max_bytes.
 
     Raises:
-        EngineError
+        EngineError: it cannot be created or changed.
     """
     import nats.js.errors as js_errors
     from nats.js import api

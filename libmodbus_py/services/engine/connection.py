@@ -1,9 +1,9 @@
 """
 A connection to NATS. Needs nats-py (the extra ``nats``).
 
-Who one is, and whom one trusts, stands in the environment, as the tools of NATS have it, where
-other users of the machine do not see it: NATS_USER, NATS_PASSWORD, NATS_TOKEN; NATS_CREDS and
-NATS_NKEY, files; NATS_CA, NATS_CERT and NATS_KEY, files for TLS.
+Credentials come from environment variables, as for the tools of NATS; other users of the machine
+cannot read them: NATS_USER, NATS_PASSWORD, NATS_TOKEN; NATS_CREDS and NATS_NKEY, files; NATS_CA,
+NATS_CERT and NATS_KEY, files for TLS.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ if TYPE_CHECKING:
 __all__ = ["OLDEST", "connected", "disconnect", "parse_servers", "shown"]
 
 OLDEST = (2, 9)
-"""Version of nats-server; older ones lack what watching needs."""
+"""The oldest version of nats-server with the features that watches need."""
 
 SCHEMES = ("nats", "tls")
 
-# Seconds for one server; and between two tries when a connection was lost.
+# Seconds before connecting to a server times out; and between attempts to reconnect.
 PATIENCE = 3.0
 PAUSE = 0.25
 
@@ -40,7 +40,7 @@ TIMES: dict[str, Any] = {
     "max_reconnect_attempts": 1,
     "ping_interval": PATIENCE,
     "max_outstanding_pings": 1,
-    # What was not sent is old when it could be.
+    # Nothing is buffered while the connection is lost: it would be sent too late.
     "pending_size": -1,
 }
 
@@ -49,10 +49,10 @@ MOST_SERVERS = 32
 
 def parse_servers(text: str) -> list[str]:
     """
-    Read where an engine is: URLs with commas between them, ``nats://HOST[:4222]`` or ``tls://``.
+    Parse the URLs of NATS servers, separated by commas: ``nats://HOST[:4222]`` or ``tls://``.
 
     Raises:
-        ValueError: it says what cannot be.
+        ValueError: a URL is invalid, or there are none or more than 32.
     """
     servers = [part.strip() for part in text.split(",") if part.strip()]
     if not 1 <= len(servers) <= MOST_SERVERS:
@@ -77,7 +77,7 @@ def _check(server: str) -> None:
 
 
 def shown(servers: list[str]) -> str:
-    """Where an engine is, without passwords."""
+    """Return the URLs of servers without passwords."""
     return ",".join(_bare(server) for server in servers)
 
 
@@ -94,15 +94,16 @@ async def connected(
     environment: Mapping[str, str] = os.environ,
 ) -> Client:
     """
-    Connect; what is lost later is connected again for ever, to any of the servers.
+    Return a client that is connected, and reconnects to any of the servers without limit.
 
     Args:
         servers: URLs.
-        name: what the servers call this client.
-        on_change: called when the connection was lost, stands again, or is over for good.
+        name: the name of this client on the servers.
+        on_change: called when the connection was lost, established again, or closed.
+        environment: environment variables with the credentials.
 
     Raises:
-        EngineError: nobody is there, or not with these credentials; it is too old.
+        EngineError: no server responds, the credentials are refused, or the server is too old.
     """
     try:
         from nats.aio.client import Client
@@ -146,7 +147,7 @@ async def _connect(
         async with asyncio.timeout(PATIENCE * (len(servers) + 1)):
             await client.connect(servers, error_cb=note, **told, **TIMES, **options)
     except BaseException as error:
-        # nats-py leaves its socket open when its connect() ends too early.
+        # nats-py does not close its socket when connect() fails.
         await disconnect(client)
         if not isinstance(error, Exception):
             raise
@@ -155,7 +156,7 @@ async def _connect(
 
 
 async def disconnect(client: Client) -> None:
-    """Close a connection, within a second whatever its server does."""
+    """Close a connection within a second."""
     with contextlib.suppress(Exception):
         async with asyncio.timeout(1.0):
             await client.close()

@@ -1,5 +1,5 @@
 """
-What is wrong with an engine, in one line.
+The errors of NATS, each explained in one line.
 """
 
 from __future__ import annotations
@@ -12,30 +12,30 @@ from typing import Any
 
 __all__ = ["EngineError", "EngineGone", "NothingThere", "explained", "what"]
 
-# Errors of JetStream, by their numbers, that pass: no leader is elected, servers are not up yet.
+# Codes of temporary JetStream errors: no leader is elected, or servers are not up yet.
 NO_PEERS, NO_LEADER, NOT_LEADER, NO_ROOM = 10005, 10008, 10009, 10023
 TRANSIENT = (NO_PEERS, NO_LEADER, NOT_LEADER, NO_ROOM)
 
 
 class EngineError(Exception):
-    """An engine that cannot be used as it is; the message says where it is and what is wrong."""
+    """NATS cannot be used. The message begins with the URL or the name of the bucket."""
 
 
 class NothingThere(EngineError):
-    """There is no such bucket."""
+    """The bucket does not exist."""
 
 
 class EngineGone(EngineError):
-    """It gives no answer now, and may later."""
+    """NATS does not respond now, but may do so later."""
 
 
 @contextlib.contextmanager
 def explained(where: str) -> Iterator[None]:
     """
-    Turn whatever nats-py raises into an `EngineError`.
+    Raise an `EngineError` in place of the exceptions of nats-py.
 
     Args:
-        where: what the message begins with.
+        where: the beginning of the message: a URL or the name of a bucket.
     """
     import nats.errors
     import nats.js.errors as js
@@ -70,7 +70,7 @@ def _away(errors: Any) -> tuple[type[Exception], ...]:
 
 
 def what(error: BaseException) -> str:
-    """Say what nats-py means."""
+    """Return the explanation of an exception of nats-py."""
     import nats.errors
 
     if isinstance(error, ssl.SSLCertVerificationError):
@@ -82,7 +82,7 @@ def what(error: BaseException) -> str:
     if isinstance(error, ConnectionError) and not error.args:
         return "the connection was lost"
     if isinstance(error, _away(nats.errors)):
-        return "nobody answers there"
+        return "no server responds"
     if "authorization violation" in str(error).lower():
         return "it refuses these credentials; see NATS_USER, NATS_PASSWORD, NATS_CREDS"
     if isinstance(error, OSError) and error.errno:

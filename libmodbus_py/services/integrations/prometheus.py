@@ -8,17 +8,17 @@ The statistics of clients, servers, gateways and fleets as metrics of Prometheus
     collect(server, plc)                  # in prometheus_client's own REGISTRY
     prometheus_client.start_http_server(9400)
 
-Statistics are read when somebody scrapes; requests cost nothing more than without.
+Statistics are read when the metrics are scraped. Requests cost nothing more.
 
-* ``modbus_client_requests_total{endpoint,function,result}``: what became of requests;
-* ``modbus_client_request_duration_seconds{endpoint}``: how long answers took, a histogram;
-* ``modbus_client_last_success_timestamp_seconds{endpoint}``: when the last answer came;
+* ``modbus_client_requests_total{endpoint,function,result}``: the outcomes of requests;
+* ``modbus_client_request_duration_seconds{endpoint}``: response times, a histogram;
+* ``modbus_client_last_success_timestamp_seconds{endpoint}``: the time of the last response;
 * ``modbus_client_..._total{endpoint}`` and ``modbus_server_..._total``: the counters of
   `Statistics` (`requests` is ``modbus_client_requests_sent_total``) and `ServerStatistics`;
-* ``modbus_server_connections``: those open now;
+* ``modbus_server_connections``: the open connections;
 * ``modbus_gateway_..._total``: the counters of `GatewayStatistics`, those of its lines with
   the label ``line``, and those of their units with ``line`` and ``unit``; the lines' own
-  connections are clients, ``endpoint`` being where they lead;
+  connections are clients, whose ``endpoint`` is the URL of the line;
 * ``modbus_fleet_...``: the counters of `FleetStatistics`, those of its outputs with the label
   ``output``, and how late polls began, a histogram;
 * ``modbus_fleet_value{device,name,unit}``: the last values of a fleet that are numbers and good
@@ -69,17 +69,17 @@ class Counted(Protocol):
 
 
 class Family(NamedTuple):
-    """One metric: its name, "counter", "gauge" or "histogram", and what it tells."""
+    """A metric: its name, its type ("counter", "gauge" or "histogram") and its help text."""
 
     name: str
     type: str
     text: str
-    # Makes one value of those of two objects with the same labels.
+    # Combines the values of two objects with the same labels.
     together: Callable[[float, float], float] = add
 
 
 class Sample(NamedTuple):
-    """Which value of which metric; equal ones add up."""
+    """One value of a metric; values of equal samples are combined."""
 
     family: Family
     suffix: str
@@ -91,12 +91,12 @@ Values = dict[Sample, float]
 
 class MetricKind(NamedTuple):
     """
-    How objects with one kind of statistics become metrics.
+    Makes metrics of one class of statistics.
 
     Attributes:
-        families: all that it has.
-        read: gives the values of statistics.
-        labels: gives those that all values of an object have; takes its name, too.
+        families: its metrics.
+        read: returns the values of statistics.
+        labels: returns the labels of all values of an object, from the object and its name.
     """
 
     families: list[Family]
@@ -108,14 +108,14 @@ class MetricKind(NamedTuple):
 
 
 def _texts(kind: type) -> dict[str, str]:
-    """What the docstring says of each attribute: that, and nothing else, is the help."""
+    """Return the help texts of attributes: their descriptions in the docstring of a class."""
     section = re.split(r"\nAttributes:\n", inspect.getdoc(kind) or "")[-1]
     found = re.findall(r"^ {4}(\w+): (.*(?:\n {8}.*)*)", section, re.MULTILINE)
     return {name: text[0].upper() + re.sub(r"\s+", " ", text[1:]) for name, text in found}
 
 
 def _counters(prefix: str, kind: type, others: Iterable[str]) -> dict[str, Family]:
-    """Attribute -> metric, for those that only count up."""
+    """Return the metrics of the attributes that are counters, by attribute."""
     texts = _texts(kind)
     names = [each.name for each in fields(kind) if each.name not in others]
     return {name: Family(f"{prefix}_{name}", "counter", texts.get(name, name)) for name in names}
@@ -123,20 +123,20 @@ def _counters(prefix: str, kind: type, others: Iterable[str]) -> dict[str, Famil
 
 # fmt: off
 REQUESTS = Family(
-    "modbus_client_requests", "counter", "What became of requests, each repetition for itself."
+    "modbus_client_requests", "counter", "Outcomes of requests; each repetition counts."
 )
 DURATION = Family(
-    "modbus_client_request_duration_seconds", "histogram", "From sending to the answer that fits."
+    "modbus_client_request_duration_seconds", "histogram", "Response times, in seconds."
 )
 LAST_SUCCESS = Family(
-    "modbus_client_last_success_timestamp_seconds", "gauge", "When the last answer that fits came.",
+    "modbus_client_last_success_timestamp_seconds", "gauge", "Time of the last response.",
     max,
 )
 CLIENT = _counters("modbus_client", Statistics, (
     "results", "answer_times", "answer_seconds", "last_success",
 ))
 # fmt: on
-# The name is that of what became of them.
+# "modbus_client_requests" is the metric of outcomes.
 CLIENT["requests"] = CLIENT["requests"]._replace(name="modbus_client_requests_sent")
 SERVER = _counters("modbus_server", ServerStatistics, ())
 SERVER["connections"] = SERVER["connections"]._replace(type="gauge")
@@ -152,9 +152,13 @@ FLEET = _counters(
     ),
 )
 OUTPUT = _counters("modbus_fleet_output", OutputStatistics, ("buffer", "trouble"))
-OUTPUT["dropped"] = Family("modbus_fleet_output_dropped", "counter", "For too many waited.")
-OUTPUT["waiting"] = Family("modbus_fleet_output_waiting", "gauge", "Those that wait now.")
-LATENESS = Family("modbus_fleet_lateness_seconds", "histogram", "How late polls began.")
+OUTPUT["dropped"] = Family(
+    "modbus_fleet_output_dropped", "counter", "Readings dropped because the buffer was full."
+)
+OUTPUT["waiting"] = Family("modbus_fleet_output_waiting", "gauge", "Readings in the buffer.")
+LATENESS = Family(
+    "modbus_fleet_lateness_seconds", "histogram", "Seconds by which polls began late."
+)
 VALUE = Family("modbus_fleet_value", "gauge", "The last value of a point.", max)
 LINE = _counters("modbus_gateway_line", LineStatistics, ("url", "connection", "units"))
 UNIT = _counters("modbus_gateway_unit", UnitStatistics, ())
@@ -176,7 +180,7 @@ def _attributes(families: dict[str, Family], statistics: Any) -> Values:
 
 def _of_client(statistics: Statistics) -> Values:
     values = _attributes(CLIENT, statistics)
-    # Copies, for another thread may count meanwhile.
+    # Copies, because another thread may count at the same time.
     for (function, result), count in statistics.results.copy().items():
         labels = (("function", str(function)), ("result", result))
         values[Sample(REQUESTS, "_total", labels)] = count
@@ -235,7 +239,7 @@ def _of_gateway(statistics: GatewayStatistics) -> Values:
 
 
 def _label(values: Values, more: Values, *labels: tuple[str, str]) -> None:
-    """Take these, too, with these labels before their own."""
+    """Add values, with labels before their own."""
     _add(
         values,
         {sample._replace(labels=labels + sample.labels): more[sample] for sample in more},
@@ -246,7 +250,7 @@ KINDS: dict[type, MetricKind] = {
     Statistics: MetricKind(
         [REQUESTS, DURATION, LAST_SUCCESS, *CLIENT.values()],
         _of_client,
-        # Settings of serial ports are of no interest here.
+        # The endpoint without the settings of its serial port.
         lambda client, name: (("endpoint", client.url.partition("?")[0]),),
     ),
     ServerStatistics: MetricKind(
@@ -266,14 +270,14 @@ KINDS: dict[type, MetricKind] = {
     ),
     KeptReadings: MetricKind([VALUE], _of_readings, lambda values, name: ()),
 }
-"""Class of statistics -> what is made of them."""
+"""The metrics of each class of statistics."""
 
 
 # --- the collector --------------------------------------------------------------------------
 
 
 class _Watched:
-    """Statistics as long as somebody has them, and what they were when last looked at."""
+    """A weak reference to statistics, and their values when last read."""
 
     def __init__(self, statistics: Any, kind: MetricKind, labels: Labels) -> None:
         self._statistics = weakref.ref(statistics)
@@ -289,7 +293,7 @@ class _Watched:
         return self._statistics() is None
 
     def look(self) -> None:
-        """Read the values; those of what is gone stay as they were."""
+        """Read the values. Those of deleted statistics stay as they were."""
         statistics = self._statistics()
         if statistics is not None:
             self.values = {
@@ -302,9 +306,9 @@ class Collector(_Collector):
     """
     Gives metrics of clients, servers, gateways and fleets to a registry. Safe from any thread.
 
-    Objects are held weakly: one that nobody has any more disappears. Clients of the same
-    endpoint, and servers of the same name, add up; what those that disappeared have
-    counted remains as long as there is another one, for a counter must not fall.
+    Objects are referenced weakly: deleted ones disappear. Values of clients of the same endpoint,
+    and of servers of the same name, are added up. The counts of deleted ones remain while there
+    is another one, because a counter must not fall.
     """
 
     def __init__(self) -> None:
@@ -314,7 +318,7 @@ class Collector(_Collector):
 
     def add(self, *objects: Counted, name: str = "") -> None:
         """
-        Have them among the metrics; once, however often they are added.
+        Add objects to the metrics. Adding one again has no effect.
 
         Args:
             objects: clients, whose handles (`for_unit`) are one, servers, gateways, fleets, and

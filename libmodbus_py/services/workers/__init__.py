@@ -1,19 +1,19 @@
 """
-Workers on several machines that share the devices of a fleet: each is polled by one.
+Workers on several machines that share the devices of a fleet: each device is polled by one worker.
 
 ::
 
-    polling        a worker with its clock, its bucket and its fleet
-    pushing        a fleet file into the bucket: only what changed
-    commands       writes by name, answered by who has the device
-    status         who is there, who has what, and what nobody serves
+    polling        runs a worker: its clock, its bucket and its fleet
+    pushing        writes a fleet file to the bucket: only what changed
+    commands       writes to points by name, answered by the worker that polls the device
+    status         the workers, their slots, and the parts of the fleet that no worker serves
 
-Decided without sockets and clocks::
+Decisions, without sockets and clocks::
 
-    worker         its lease, its slots, and whom it may ask; and why none is asked by two
-    locations    where a device is that one does not have
-    sharing        who should have which slots
-    lease          how a worker counts its own lease
-    view           what one has seen of the bucket, and when
-    records        what stands in the bucket: keys and values
+    worker         its lease, its slots, the connections that it may poll; why no two poll one
+    locations      which worker polls a device
+    sharing        which worker should hold each slot
+    lease          the lease of a worker, as the worker itself counts it
+    view           the contents of the bucket as far as they are known, with times
+    records        the keys and values of the bucket
 """

@@ -1,5 +1,5 @@
 """
-Writes by name, answered by the worker that has the device; by another one if nobody has it.
+Commands to write points, answered by the worker that polls the device; if none does, by another.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 __all__ = ["CommandService"]
 
-# Those beyond are dropped: a flood must not fill the memory.
+# Commands beyond this are dropped, so that a flood cannot fill the memory.
 MOST_WAITING = 256
 
 
@@ -30,10 +30,10 @@ class CommandService:
     Answers what comes to ``modbus.write.DEVICE.POINT``.
 
     Args:
-        client: connected.
-        commands: carries them out.
-        refusal: of a device, why this worker must refuse in the name of all; None if it has
-            the device itself, and "" if another one answers.
+        client: a connection to NATS.
+        commands: executes the commands.
+        refusal: returns why a command to a device is refused; None if this worker polls the
+            device, and "" if another worker answers.
     """
 
     def __init__(
@@ -45,7 +45,7 @@ class CommandService:
         self._tasks: set[asyncio.Task[None]] = set()
 
     async def begin(self) -> None:
-        """Listen; the client does so again whenever it is connected again."""
+        """Subscribe to commands. The client subscribes again after each reconnection."""
         await self._client.subscribe(f"{WRITE}.*.*", cb=self._note)
 
     async def end(self) -> None:

@@ -1,5 +1,5 @@
 """
-The lease of a worker, as it counts it itself. No socket, no clock.
+The lease of a worker, as the worker itself counts it. No socket, no clock.
 """
 
 from __future__ import annotations
@@ -11,26 +11,27 @@ from .records import Member
 __all__ = ["OTHERS_PART", "OWN_PART", "Lease"]
 
 OWN_PART = 0.9
-"""Of a lease: how long its holder uses it, from before it sent for it."""
+"""The part of a lease that its holder uses, counted from before the renewal was sent."""
 
 OTHERS_PART = 1.05
-"""Of a lease: how long others wait, from when they saw it."""
+"""The part of a lease that others wait, counted from when they saw the renewal."""
 
-# Of a lease: when to ask for it again; when it was not granted yet; and when there are news.
+# Parts of a lease after which it is renewed: usually; while the last renewal is not confirmed;
+# and when other workers wait for an acknowledgement.
 BEAT, AGAIN, SOON = 0.1, 0.2, 0.01
 
 
 class Lease:
     """
-    Begins anew with each value of this worker that comes back.
+    A lease, which each confirmed value of its worker extends.
 
     Args:
-        id: of the worker; never used before.
+        id: the id of the worker, which must be new.
 
     Attributes:
-        until: when it ends.
-        joined: whether the others know of this worker.
-        revision: of its last value that was confirmed.
+        until: the time at which the lease expires.
+        joined: True once a value of this worker was seen in the bucket.
+        revision: the revision of the last confirmed value.
     """
 
     def __init__(self, id: str) -> None:
@@ -46,11 +47,11 @@ class Lease:
 
     def next_beat(self, now: float, lease: float, hurry: bool) -> int | None:
         """
-        Give the number of the value to send now, if it is time.
+        Return the number of the value to send now; None before it is due.
 
         Args:
-            lease: seconds.
-            hurry: whether others wait for what it says.
+            lease: the length of a lease in seconds.
+            hurry: True if other workers wait for an acknowledgement.
         """
         if now < self.next_at(lease, hurry):
             return None
@@ -67,12 +68,12 @@ class Lease:
         return SOON if hurry else AGAIN if self._sent else BEAT
 
     def came_back(self, member: Member) -> None:
-        """This value stands in the bucket."""
+        """Extend the lease: this value was seen in the bucket."""
         self.joined = True
         self._extend(member.beat)
 
     def is_confirmed(self, beat: int, revision: int) -> None:
-        """A value was written, at that revision; who has not joined waits until it sees it."""
+        """Extend the lease if this worker has joined: a value was written, with that revision."""
         self.revision = max(self.revision, revision)
         if self.joined:
             self._extend(beat)

@@ -1,5 +1,5 @@
 """
-Where a device is that this worker does not have; and whether it answers for it in the name of all.
+Which worker polls a device, and which one answers commands to devices that no worker polls.
 """
 
 from __future__ import annotations
@@ -14,23 +14,23 @@ __all__ = ["Locations"]
 
 class Locations:
     """
-    What the bucket says of devices.
+    Finds devices in the bucket.
 
     Args:
-        worker: what it has seen counts.
+        worker: its view of the bucket is searched.
     """
 
     def __init__(self, worker: Worker) -> None:
         self._worker = worker
-        # Those of all devices, and the last change that they rest on.
+        # The connection of each device, as of this revision.
         self._places: dict[str, Connection] = {}
         self._as_of = -1
 
     def refusal(self, device: str, now: float) -> str:
         """
-        Give what to say of a device that is not here; "" if another worker says it.
+        Return why a command to a device of another worker is refused; "" if another worker answers.
 
-        One of all workers, the first by its id, speaks for devices that nobody has.
+        The worker with the lowest id answers for devices that no worker polls.
         """
         worker = self._worker
         living = {each.id for each in worker.view.members.values() if worker.is_heard(each, now)}
@@ -43,7 +43,7 @@ class Locations:
         holder = worker.view.holder(connection.slot)
         if holder is not None and holder.id in living - {me}:
             return ""
-        return f"nobody polls {device!r} now"
+        return f"no worker polls {device!r} now"
 
     def _connection_of(self, device: str) -> Connection | None:
         view = self._worker.view

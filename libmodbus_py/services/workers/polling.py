@@ -1,5 +1,5 @@
 """
-A worker with its clock, its bucket and its fleet: what `worker` decides is done here.
+Runs a worker: executes what `worker` decides, with a clock, a bucket and a fleet.
 """
 
 from __future__ import annotations
@@ -37,41 +37,41 @@ logger: logging.Logger = logging.getLogger(__name__)
 
 BUCKET = "modbus-fleet"
 
-# Of a lease, and in seconds: how exactly a worker looks at its clock when something is due.
+# The precision of timers: a part of a lease, and at most so many seconds.
 EXACTNESS, COARSEST = 0.01, 0.1
 
-# Seconds; no timer is set for longer.
+# No timer is set for more seconds than this.
 LONGEST_PAUSE = 60.0
 
-# Writes that are on their way; what is beyond them waits for the next turn.
+# Pending writes at most; those beyond are repeated later.
 MOST_WRITES = 512
 
-# Seconds until a new try to watch.
+# Seconds before the bucket is watched again.
 PAUSE = 0.25
 
-# Seconds for the bucket to be told whole; and to say that a worker has ended.
+# Seconds within which the whole bucket must arrive; and for a worker to announce its end.
 PATIENCE = 3.0
 
-# Seconds between two lines about the same trouble.
+# Seconds before the same line is logged again.
 SAID_AGAIN = 60.0
 
 
 def clock() -> float:
-    """Seconds that go on while the machine sleeps: a lease does so, too."""
+    """Return seconds of a clock that continues while the machine is suspended, as leases do."""
     return time.clock_gettime(time.CLOCK_BOOTTIME)
 
 
 class Polling:
     """
-    Polls the devices that fall to this worker.
+    Polls the devices that are assigned to this worker.
 
     Args:
-        client: connected; its changes must come to `engine_changed`.
-        bucket: with the fleet.
-        settings: of the fleet, as they are now.
-        name: of this worker; the name of the machine unless given.
-        zones: whose devices it takes, besides those without a zone.
-        outputs: that are given all readings, besides the stream.
+        client: a connection to NATS. Call `engine_changed` when its state changes.
+        bucket: the bucket of the fleet.
+        settings: the current settings of the fleet.
+        name: the name of this worker; empty for the name of the machine.
+        zones: zones whose devices this worker polls, besides devices without a zone.
+        outputs: outputs that get all readings, besides the stream of NATS.
         clock: returns the time in seconds, for leases.
     """
 
@@ -96,7 +96,7 @@ class Polling:
         self._service: CommandService | None = None
         if settings.commands:
             self._service = CommandService(client, Commands(self.fleet), self._refusal)
-        # Set when a turn is due before it was planned; and when the watch may be of no use.
+        # Set when a step is due before it was planned; and when the watch may be useless.
         self._woken = asyncio.Event()
         self._planned = math.inf
         self._doubted = asyncio.Event()
@@ -124,10 +124,10 @@ class Polling:
 
     async def run(self) -> None:
         """
-        Poll until `leave` was called, and the others know.
+        Poll until `leave` was called and the bucket says so, or three seconds have passed.
 
         Raises:
-            OutputError: an output is gone for good.
+            OutputError: an output failed and cannot be opened again.
         """
         polling = asyncio.create_task(self.fleet.run())
         watching = asyncio.create_task(self._keep_watching())
@@ -150,7 +150,7 @@ class Polling:
                 task.result()
 
     def leave(self) -> None:
-        """Ask nobody any more, tell the others, and end; within seconds, whatever they say."""
+        """Stop polling, announce it to the other workers, and end within three seconds."""
         self.worker.leave()
         self._woken.set()
         self._late = asyncio.get_running_loop().call_later(PATIENCE, self._end)
@@ -160,7 +160,7 @@ class Polling:
         self._woken.set()
 
     def engine_changed(self) -> None:
-        """The connection to the engine was lost, or stands again: what was missed is unknown."""
+        """Watch the bucket anew: the connection to NATS was lost or established."""
         self._is_unsettled = True
         self._doubted.set()
 
@@ -177,7 +177,7 @@ class Polling:
             await asyncio.sleep(PAUSE)
 
     async def _until_useless(self, watch: Watch) -> None:
-        """Wait until a watch must be replaced, and end it."""
+        """Wait until a watch must be replaced, then end it."""
         timer = asyncio.get_running_loop().call_later(PATIENCE, self._demand_all)
         try:
             while not (watch.is_broken or self._is_unsettled or self.worker.is_blind(self.now())):
@@ -191,18 +191,18 @@ class Polling:
         if self.worker.is_reading:
             self.engine_changed()
 
-    def heed(self, entry: Entry) -> None:
-        """A change of the bucket."""
+    def changed(self, entry: Entry) -> None:
+        """Process a change of the bucket."""
         self.worker.saw(entry, self.now())
         self._look()
 
     def synced(self) -> None:
-        """All of the bucket was told."""
+        """Process the end of the snapshot: the whole bucket has arrived."""
         self.worker.is_synced(self.now())
         self._look()
 
     def _look(self) -> None:
-        """Wake the turns if one is due before it was planned."""
+        """Wake `_keep_turning` if a step is due before the planned time."""
         if self.worker.due < self._planned:
             self._woken.set()
 
@@ -210,7 +210,7 @@ class Polling:
         while not (self.worker.left or self._has_ended):
             now = self.now()
             puts = self.worker.step(now, self._report)
-            # Before anything is written: others may ask as soon as that is.
+            # Before anything is written: other workers may poll as soon as it is.
             self._poll()
             for put in puts:
                 self._write(put)
@@ -220,7 +220,7 @@ class Polling:
             await self._until_due()
 
     async def _until_due(self) -> None:
-        """Wait until the worker may have something to decide: once at least."""
+        """Wait until a step of the worker is due."""
         loop, settings = asyncio.get_running_loop(), self.worker.view.settings
         shortest = min(COARSEST, EXACTNESS * settings.lease if settings else COARSEST)
         while True:
@@ -254,7 +254,7 @@ class Polling:
     # --- devices --------------------------------------------------------------------------------
 
     def _poll(self) -> None:
-        """Have the fleet poll what is active."""
+        """Give the fleet the devices of the active connections."""
         active = self.worker.active
         if active is self._active:
             return
@@ -278,9 +278,9 @@ class Polling:
         try:
             devices = devices_from_json(connection.devices)
             if any(each.connection_key != connection.key for each in devices):
-                raise ValueError("a device that is elsewhere")
+                raise ValueError("a device belongs to another connection")
         except (TypeError, ValueError) as error:
-            self._say(f"{connection.key}: what the bucket has of it cannot be read: {error}")
+            self._say(f"{connection.key}: its devices in the bucket are invalid: {error}")
             return []
         return devices
 
@@ -305,7 +305,7 @@ class Polling:
         }
 
     def _refusal(self, device: str) -> str | None:
-        """See `CommandService`."""
+        """Return the refusal of a command, as `CommandService` needs it."""
         if device in self.fleet.devices:
             return None
         return self._locations.refusal(device, self.now())
@@ -317,14 +317,14 @@ class Polling:
         if is_valid != self._was_valid and self.worker.lease.joined:
             self._was_valid = is_valid
             if is_valid:
-                logger.warning("%s: the lease stands again", self._name)
+                logger.warning("%s: the lease is valid again", self._name)
             else:
-                logger.warning("%s: the lease has ended: the engine is not heard", self._name)
+                logger.warning("%s: the lease has expired: NATS does not respond", self._name)
         for key, problem in self.worker.view.unreadable.items():
             self._say(f"the bucket: {problem or key}")
 
     def _say(self, text: str) -> None:
-        """Once a minute at most."""
+        """Log a line, unless it was logged within the last minute."""
         now = self.now()
         if now > self._told.get(text, -SAID_AGAIN) + SAID_AGAIN:
             if len(self._told) > 100:
@@ -335,10 +335,10 @@ class Polling:
 
 class _Told:
     """
-    What a watch tells goes to the worker; that begins when the first of it comes.
+    Hands the changes of a watch to a worker; the first one begins a snapshot.
 
     Args:
-        polling: whose worker it is.
+        polling: runs the worker.
     """
 
     def __init__(self, polling: Polling) -> None:
@@ -353,4 +353,4 @@ class _Told:
         if change is None:
             self._polling.synced()
         else:
-            self._polling.heed(Entry(*change))
+            self._polling.changed(Entry(*change))

@@ -1,5 +1,5 @@
 """
-A fleet file into the bucket: only what is other than what stands there.
+Writes a fleet file to the bucket: only what differs from its contents.
 """
 
 from __future__ import annotations
@@ -31,22 +31,22 @@ if TYPE_CHECKING:
 
 __all__ = ["Pushed", "changes", "connections_of", "push", "seen_now", "settings_of"]
 
-# As often others may push at the same time.
+# Attempts while others push at the same time.
 MOST_TRIES = 5
 
 AT_ONCE = 64
 
-# Seconds for the whole of a bucket.
+# Seconds within which the whole bucket must arrive.
 PATIENCE = 10.0
 
-# Of a lease: how long an answer may be waited for.
+# The part of a lease that the timeout of a device may take.
 LONGEST_ANSWER = 0.3
 
 KEYS = ("lease", "on_engine_loss", "commands", "max_age", "max_bytes")
 
 
 class Pushed(NamedTuple):
-    """How many connections are new, other than before, and gone."""
+    """The numbers of connections that were added, changed and deleted."""
 
     new: int
     changed: int
@@ -55,10 +55,10 @@ class Pushed(NamedTuple):
 
 def settings_of(given: Mapping[str, Any]) -> FleetSettings:
     """
-    Read the table ``[engine]`` of a fleet file.
+    Return the settings in the table ``[engine]`` of a fleet file.
 
     Raises:
-        TypeError, ValueError: the message begins with its key.
+        TypeError, ValueError: a value is invalid; the message begins with its key.
     """
     for key in given:
         if key not in KEYS:
@@ -87,11 +87,11 @@ def settings_of(given: Mapping[str, Any]) -> FleetSettings:
 
 def connections_of(devices: Iterable[DeviceConfig], lease: float) -> list[Connection]:
     """
-    What stands in the bucket for devices.
+    Return the connections of devices, as the bucket holds them.
 
     Raises:
-        ValueError: devices of one connection are in two zones; an answer may take too much
-            of the lease.
+        ValueError: devices of one connection are in different zones; or a timeout is more than
+            0.3 of the lease.
     """
     return [_connection(key, group, lease) for key, group in by_connection(devices).items()]
 
@@ -118,10 +118,10 @@ def _connection(key: str, devices: list[DeviceConfig], lease: float) -> Connecti
 def changes(
     view: BucketView, settings: FleetSettings, connections: Iterable[Connection]
 ) -> Iterator[Put]:
-    """What to write: what is new or other first, then what is gone."""
+    """Yield the writes that make the bucket match: first additions and changes, then deletions."""
     if view.settings != settings:
         yield Put(SETTINGS, settings.encode(), view.seen_at(SETTINGS).revision)
-    # Compared as they are written: the order of keys means nothing.
+    # Compared as encoded: the order of keys has no meaning.
     wanted = {each.bucket_key: each.encode() for each in connections}
     known = {each.bucket_key: each.encode() for each in view.all_connections}
     for key, value in wanted.items():
@@ -133,10 +133,10 @@ def changes(
 
 async def push(bucket: Bucket, settings: FleetSettings, connections: list[Connection]) -> Pushed:
     """
-    Have the bucket say what a fleet file says.
+    Make the bucket match a fleet file.
 
     Raises:
-        EngineError: it cannot be written, or others write it all the time.
+        EngineError: the bucket cannot be written, or others keep changing it.
     """
     biggest = max((len(each.encode()) for each in connections), default=0)
     if biggest > bucket.client.max_payload - 1024:
@@ -150,7 +150,7 @@ async def push(bucket: Bucket, settings: FleetSettings, connections: list[Connec
         puts = list(changes(view, settings, connections))
         if not puts:
             return total
-        # The revision of a key does not say it: what was deleted before has one, too.
+        # A revision does not tell new keys: deleted ones have a revision, too.
         known = {each.bucket_key for each in view.all_connections}
         told = [put for put in puts if put.key != SETTINGS]
         total = Pushed(
@@ -160,7 +160,7 @@ async def push(bucket: Bucket, settings: FleetSettings, connections: list[Connec
         )
         await _written(bucket, [put for put in puts if put.value is not None])
         await _written(bucket, [put for put in puts if put.value is None])
-    raise EngineError(f"{bucket.name}: others change it all the time")
+    raise EngineError(f"{bucket.name}: others keep changing it")
 
 
 async def _written(bucket: Bucket, puts: list[Put]) -> None:
@@ -172,10 +172,10 @@ async def _written(bucket: Bucket, puts: list[Put]) -> None:
 
 async def seen_now(bucket: Bucket) -> BucketView:
     """
-    Read all of a bucket.
+    Return the current contents of a bucket.
 
     Raises:
-        EngineError
+        EngineError: the bucket cannot be read, or did not arrive within 10 s.
     """
     view = BucketView()
     is_whole = asyncio.Event()
@@ -191,7 +191,9 @@ async def seen_now(bucket: Bucket) -> BucketView:
         async with asyncio.timeout(PATIENCE):
             await is_whole.wait()
     except TimeoutError:
-        raise EngineGone(f"{bucket.name}: it was not told whole in {PATIENCE:g} s") from None
+        raise EngineGone(
+            f"{bucket.name}: its contents did not arrive within {PATIENCE:g} s"
+        ) from None
     finally:
         await watch.end()
     return view

@@ -1,12 +1,12 @@
 """
-What stands in the bucket: keys and values, in and out. No socket, no clock.
+The keys and values of the bucket. No socket, no clock.
 
 ::
 
-    settings                        of the whole fleet: lease, what to do when the engine is gone
-    connection.ZONE.DIGEST          a connection and its devices, as `push` wrote them
-    slot.ZONE.NUMBER                who has the connections whose digests begin with that number
-    worker.NAME.NONCE               the lease of a worker, and what it says of itself
+    settings                        of the fleet: the lease, the policy when NATS is lost
+    connection.ZONE.DIGEST          a connection and its devices, written by `push`
+    slot.ZONE.NUMBER                the worker for connections whose digests begin with NUMBER
+    worker.NAME.NONCE               the lease of a worker, and its report
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ __all__ = [
 ]
 
 FORMAT = 1
-"""Of all of it; a bucket of another one is refused."""
+"""The version of all records. A bucket with another one is refused."""
 
 SETTINGS = "settings"
 
@@ -53,11 +53,11 @@ SHORTEST_LEASE, LONGEST_LEASE = 0.5, 60.0
 
 
 class RecordError(ValueError):
-    """A value that no worker wrote, or one of another version; it begins with the key."""
+    """A record is invalid, or of another version. The message begins with its key."""
 
 
 class Slot(NamedTuple):
-    """A part of the connections of a zone: those whose digest begins with one byte."""
+    """The connections of a zone whose digests begin with the same byte."""
 
     zone: str
     number: int
@@ -70,13 +70,13 @@ class Slot(NamedTuple):
 @dataclass(frozen=True)
 class FleetSettings:
     """
-    What all workers must agree on.
+    The settings of a fleet, which are the same for all workers.
 
     Attributes:
-        lease: seconds; 0.5..60.
-        on_engine_loss: whether polling goes on without a lease.
-        commands: whether devices may be written to over the engine.
-        results: the limits of the stream of results, by name.
+        lease: the length of a lease in seconds, 0.5..60.
+        on_engine_loss: "stop" or "continue" polling when the lease has expired.
+        commands: True if points may be written through NATS.
+        results: the limits of the stream of readings, by name.
     """
 
     lease: float = 10.0
@@ -100,9 +100,9 @@ class Connection:
     A connection and its devices.
 
     Attributes:
-        key: as `DeviceConfig.connection_key` has it.
-        timeout: seconds; the longest that an answer is waited for there.
-        devices: JSON, as `devices_to_json` wrote it.
+        key: the `DeviceConfig.connection_key` of its devices.
+        timeout: the longest timeout of its devices, in seconds.
+        devices: JSON, written by `devices_to_json`.
     """
 
     zone: str
@@ -125,15 +125,15 @@ class Connection:
 @dataclass(frozen=True)
 class Member:
     """
-    A worker, as it wrote of itself; its lease begins anew with each such value.
+    A worker, written by itself. Each new value renews its lease.
 
     Attributes:
-        id: its name, and what tells it from others of that name: its key after `worker.`.
-        zones: whose devices it takes.
-        lease: seconds that this value is good for.
-        beat: counts up.
-        seen: all that stands in the bucket up to this revision is heeded.
-        report: what it says of its devices, for people.
+        id: ``NAME.NONCE``: its key without ``worker.``.
+        zones: the zones whose devices it polls.
+        lease: the length of the lease in seconds.
+        beat: the number of this value; increments.
+        seen: the revision up to which it has applied the changes of the bucket.
+        report: numbers about its devices, for `fleet status`.
     """
 
     id: str
@@ -168,7 +168,7 @@ class Member:
 
 
 def digest_of(connection: str) -> str:
-    """What stands for a connection in keys, which take few characters."""
+    """Return the digest of a connection, which stands for it in keys."""
     return hashlib.sha256(connection.encode()).hexdigest()[:32]
 
 
@@ -177,7 +177,7 @@ def slot_of(zone: str, digest: str) -> Slot:
 
 
 class Holding(NamedTuple):
-    """Who has a slot, and who said so."""
+    """The holder of a slot, and the worker that wrote it."""
 
     slot: Slot
     holder: str
@@ -185,16 +185,17 @@ class Holding(NamedTuple):
 
 
 def encode_holder(worker: str, by: str) -> bytes:
-    """The value of a slot that a worker has, as another or itself writes it."""
+    """Encode the holder of a slot, and the worker that writes it."""
     return _encode(holder=worker, by=by)
 
 
 def in_key(zone: str) -> str:
     """
-    A zone as keys have it; that of devices without one is "_".
+    Return the form of a zone in keys: "_" for that of devices without a zone.
 
     Raises:
-        ValueError: it has other characters than letters, digits, - and _, or more than 60.
+        ValueError: the zone is longer than 60 characters, or contains others than letters,
+            digits, - and _.
     """
     if zone and not _TOKEN.fullmatch(zone):
         raise ValueError(f"zone {zone[:80]!r} must be 1..60 letters, digits, - or _")
@@ -206,10 +207,10 @@ Record = FleetSettings | Connection | Member | Holding
 
 def decode(key: str, value: bytes) -> Record:
     """
-    Read what stands in the bucket.
+    Decode a value of the bucket.
 
     Raises:
-        RecordError: no worker and no `push` of this version wrote it.
+        RecordError: the key is unknown, or its value is invalid.
     """
     kind, *rest = key.split(".")
     reader = _READERS.get((kind, len(rest)))

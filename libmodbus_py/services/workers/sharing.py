@@ -1,6 +1,6 @@
 """
-Who should have which slots: all of a zone have about equally many, and few move. Whoever sees
-the same comes to the same answer.
+The assignment of slots to workers. Within a zone all have about equally many, and few slots move.
+Workers with the same view of the bucket compute the same assignment.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ def share(
     slots: Collection[Slot], holders: Mapping[Slot, str], zones: Mapping[str, Collection[str]]
 ) -> dict[Slot, str]:
     """
-    Give each slot a worker; those that nobody may take are left out.
+    Return the worker of each slot. Slots that no worker may hold are left out.
 
     Args:
-        holders: who has them now; others than in `zones` do not count.
-        zones: the workers that may have slots, and whose devices each of them takes.
+        holders: the current holders; those that `zones` does not contain are ignored.
+        zones: the workers that may hold slots, each with its zones.
     """
     pools: defaultdict[tuple[str, ...], list[Slot]] = defaultdict(list)
     for slot in sorted(slots):
@@ -41,7 +41,7 @@ def _pool(
     for slot in slots:
         has.get(holders.get(slot, ""), homeless).append(slot)
     least, more = divmod(len(slots), len(workers))
-    # Who has most may keep one more, so that fewer move.
+    # The workers with the most slots get the larger quotas, so that fewer slots move.
     by_size = sorted(workers, key=lambda worker: (-len(has[worker]), worker))
     quota = {worker: least + (at < more) for at, worker in enumerate(by_size)}
     for worker, its in has.items():

@@ -1,5 +1,5 @@
 """
-What workers do, for people: who is there, who has what, and what nobody serves.
+The status of a fleet: its workers, their slots, and the zones that no worker serves.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ from .view import BucketView
 
 __all__ = ["fleet_status", "tables"]
 
-# Of a lease: two values of each worker that is there.
+# The part of a lease between two looks, in which each live worker renews its lease twice.
 LOOK = 0.25
 
-# Of what workers report, for all of them.
+# Numbers of the reports that are added up.
 SUMS = ("connections", "devices", "up", "down", "polls")
 
 
 async def fleet_status(bucket: Bucket) -> dict[str, Any]:
     """
-    Look twice, and say what became of the workers between; takes a quarter of a lease.
+    Return the status of a fleet. Reads the bucket twice, a quarter of a lease apart.
 
     Raises:
-        EngineError: the bucket cannot be read, or holds no fleet of this version.
+        EngineError: the bucket cannot be read, or contains no fleet of this version.
     """
     before = await seen_now(bucket)
     if before.settings is None:
@@ -57,7 +57,7 @@ def _document(before: BucketView, view: BucketView) -> dict[str, Any]:
 
 
 def _state(member: Member, before: BucketView, view: BucketView) -> str:
-    """A worker that is there has told of itself since."""
+    """Return "here" if a worker renewed its lease between the two looks, "silent" or "ended"."""
     known = before.seen.get(member.bucket_key)
     is_new = known is None or known.revision < view.seen[member.bucket_key].revision
     return member.state if member.state == "ended" or is_new else "silent"
@@ -75,7 +75,7 @@ def _worker(member: Member, state: str, slots: int) -> dict[str, Any]:
 
 
 def _zones(view: BucketView, here: set[str]) -> dict[str, Any]:
-    """By zone; the empty one is that of devices without."""
+    """Return numbers by zone; the empty zone is that of devices without one."""
     connections = Counter(each.zone for each in view.connections)
     used, served = Counter[str](), Counter[str]()
     for slot in view.used_slots:
@@ -107,7 +107,7 @@ ZONES = "{:<28} {:>7} {:>11} {:>5} {:>6}  {}"
 
 
 def tables(status: dict[str, Any]) -> str:
-    """The same, to be read."""
+    """Format a status as tables."""
     lines = [
         WORKERS.format(
             "worker", "state", "slots", "connections", "devices", "up", "down", "polls/s", "zones"
@@ -122,7 +122,7 @@ def tables(status: dict[str, Any]) -> str:
     lines += ["", ZONES.format("zone", "workers", "connections", "slots", "served", "").rstrip()]
     for name, each in status["zones"].items():
         missing = each["slots"] - each["served_slots"]
-        remark = "" if not missing else "nobody serves it" if not each["workers"] else "moving"
+        remark = "" if not missing else "no worker" if not each["workers"] else "moving"
         lines.append(
             ZONES.format(
                 name[:28] or "(none)",

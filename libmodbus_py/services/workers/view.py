@@ -1,7 +1,8 @@
 """
-What one has seen of the bucket, and when, on one's own clock. No socket, no clock.
+The contents of the bucket as far as they are known, with the times of changes. No socket, no clock.
 
-The bucket is one stream: all see its changes in the same order, if not at the same time.
+The bucket is one stream: all workers see its changes in the same order, though not at the same
+time.
 """
 
 from __future__ import annotations
@@ -29,8 +30,8 @@ class Entry(NamedTuple):
     A change of the bucket.
 
     Attributes:
-        value: None when the key was deleted.
-        revision: of the bucket; counts up with each change of any key.
+        value: the new value; None if the key was deleted.
+        revision: of the bucket; each change of any key increments it.
     """
 
     key: str
@@ -39,7 +40,7 @@ class Entry(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """When a key became what it is: which revision, and the first time that one saw it."""
+    """The last change of a key: its revision, and the time at which it was first seen."""
 
     revision: int
     at: float
@@ -53,17 +54,16 @@ class BucketView:
     The bucket, up to a revision.
 
     Attributes:
-        revision: of the last change that is in here.
-        last_touched: the last revision that all should say they have heeded.
-        settings, members, holders: what is known; members by their ids, holders by slots.
-        seen: when each key became what it is.
-        vanished: workers that are not there any more, but never said that they ended; and when.
-        uncertain: the keys of slots that changed hands although nobody who had them is known
-            to have given them up; and when, as a revision.
-        unreadable: the keys whose values nobody can read, with the reason; those that told
-            of others before are forgotten.
-        changes: counts all changes but those by which a known worker merely tells that it is
-            still there.
+        revision: the revision of the last change in this view.
+        last_touched: the last revision that all workers must acknowledge.
+        settings, members, holders: the records; members by their ids, holders by slots.
+        seen: the last change of each key.
+        vanished: workers whose keys were deleted although they had not ended; with the time.
+        uncertain: the keys of slots that changed hands although no holder gave them up; with
+            the revision of that change.
+        unreadable: the keys with invalid values, each with the reason. Their previous values
+            are forgotten.
+        changes: the number of changes, without those that only renew the lease of a worker.
     """
 
     def __init__(self) -> None:
@@ -75,7 +75,7 @@ class BucketView:
         self.vanished: dict[str, float] = {}
         self.unreadable: dict[str, str] = {}
         self.uncertain: dict[str, int] = {}
-        # By digest and zone: nearly always there is one zone.
+        # By digest and zone; a digest has nearly always one zone.
         self._connections: dict[str, dict[str, tuple[int, Connection]]] = {}
         self._touched: dict[str, int] = {}
         self.last_touched: int = 0
@@ -84,10 +84,10 @@ class BucketView:
 
     def add(self, entry: Entry, at: float) -> bool:
         """
-        Heed a change, unless it is known; says whether it was new.
+        Apply a change unless it is known. Return True if it was new.
 
         Args:
-            at: when it was seen, in seconds of any one clock.
+            at: the time at which it was seen, in seconds of one clock.
         """
         if entry.revision <= self.seen.get(entry.key, NEVER).revision:
             return False
@@ -102,11 +102,11 @@ class BucketView:
         return True
 
     def keep_times(self, before: BucketView, at: float) -> None:
-        """Take over when things were first seen from a view that this one replaces."""
+        """Take the times of changes from the view that this one replaces."""
         for key, seen in before.seen.items():
             mine = self.seen.get(key)
             if mine is None:
-                # Gone, and nobody said when.
+                # Deleted at an unknown time.
                 self.seen[key] = Seen(0, at)
                 self._touch(key, self.revision)
             elif mine.revision == seen.revision:
@@ -120,33 +120,33 @@ class BucketView:
 
     @property
     def connections(self) -> Iterator[Connection]:
-        """Of a connection that stands in two zones, the newer one counts."""
+        """Yield the connections. Of one that exists in two zones, the newer one counts."""
         return (max(zones.values(), key=_first)[1] for zones in self._connections.values())
 
     @property
     def all_connections(self) -> Iterator[Connection]:
-        """Also those that stand in two zones."""
+        """Yield the connections; one that exists in two zones comes twice."""
         return (pair[1] for zones in self._connections.values() for pair in zones.values())
 
     def touched_at(self, connection: Connection) -> int:
-        """The revision that others must have heeded before a connection is asked anew."""
+        """Return the revision that others must acknowledge before a connection is polled."""
         touched = self._touched.get(digest_of(connection.key), 0)
         return max(touched, self.uncertain.get(connection.slot.key, 0))
 
     @property
     def used_slots(self) -> list[Slot]:
-        """Those that have connections."""
+        """The slots with connections."""
         return [slot for slot, count in self._in_slot.items() if count]
 
     def holder(self, slot: Slot) -> Member | None:
-        """Who has a slot, if it is a worker that is known."""
+        """Return the holder of a slot; None if it is no known worker."""
         return self.members.get(self.holders.get(slot, ""))
 
     def seen_at(self, key: str) -> Seen:
         return self.seen.get(key, NEVER)
 
     def _forget(self, entry: Entry, at: float) -> str:
-        """Gives who had the slot, if it is one."""
+        """Forget the value of a key. Return the previous holder, if the key is that of a slot."""
         self.unreadable.pop(entry.key, None)
         kind, _, rest = entry.key.partition(".")
         if kind == "worker":

@@ -1,24 +1,24 @@
 """
-What a worker does: its lease, its slots, and whom it may ask. No socket, no clock: told what
-it sees and what time it is, it says what to write.
+The decisions of a worker: its lease, its slots, and the connections that it may poll. No socket, no
+clock: it is told what was seen and at what time, and returns what to write.
 
-Why no connection is asked by two
----------------------------------
-All that workers know comes from the bucket, whose changes all see in one order. Writes go out
-on condition that their key has not changed.
+Why no two workers poll one connection
+--------------------------------------
+All that workers know comes from the bucket, whose changes all of them see in the same order. A
+write succeeds only if its key has not changed.
 
-* A worker has its slots as long as it has its lease. It counts that from before it sent the
-  value that it sees, or that was confirmed, and uses `OWN_PART` of it, less the time that an
-  answer may take. Others count it from when they saw the value, and wait for `OTHERS_PART`:
-  each by its own clock, which may go wrong by 7 %. Only then they write that it has ended, on
-  condition that its value is still the one they saw. That worker sees this, and begins anew
-  under another id.
-* A slot passes to another worker when its holder writes that, having closed it before; or
-  when its holder has ended, by its own word or that of the others. What nobody is known to
-  hold was perhaps held by somebody who was deleted: it is taken after the longest lease.
-* A connection that appears in a slot may have been in another one: it is asked when all
-  workers have heeded the revision that brought it. So is a slot that changed hands in no such
-  way: because somebody else wrote in the bucket, or it lost what it had confirmed.
+* A worker holds its slots while its lease is valid. It counts the lease from before it sent the
+  value that it sees, or that was confirmed, and uses `OWN_PART` of it, less the timeout of the
+  device. Others count the lease from when they saw the value, and wait for `OTHERS_PART`. Each
+  uses its own clock, which may be wrong by 7 %. Only then do they write that the worker has
+  ended, on condition that its value is still the one they saw. That worker sees this, and begins
+  anew with another id.
+* A slot passes to another worker when its holder writes that, after closing its connections; or
+  when its holder has ended, by its own word or that of the others. A slot without a known holder
+  may be held by a worker whose key was deleted: it is taken after the longest lease.
+* A connection that appears in a slot may have been in another one. It is polled when all workers
+  have acknowledged the revision that brought it. The same holds for a slot that changed hands in
+  any other way: because another program wrote to the bucket, or the bucket lost confirmed writes.
 """
 
 from __future__ import annotations
@@ -35,30 +35,30 @@ from .view import BucketView, Entry
 
 __all__ = ["Put", "Worker"]
 
-# Of a lease: who was silent for longer is given nothing.
+# The part of a lease after which a worker without a new value gets no slots.
 FRESH = 0.5
 
-# Of a lease: who does not see its own values sees nothing.
+# The part of a lease after which a worker that does not see its own values reads the bucket again.
 BLIND = 0.3
 
-# Of a lease: keys that somebody purges are gone without a word.
+# Leases after which the bucket is read again: purged keys vanish without a change.
 READ_AGAIN = 60
 
-# What was written so often for nothing rests on something that is not so.
+# Failed attempts to write a key after which the bucket is read again.
 MOST_TRIES = 3
 
-# Seconds; for people who ask what became of a worker.
+# Seconds for which ended workers stay in the bucket, for `fleet status`.
 REMEMBERED = 60.0
 
 
 class Put(NamedTuple):
     """
-    Something to write.
+    A write to the bucket.
 
     Attributes:
-        value: None to delete the key.
-        last: the revision that the key must still have; 0 if it never was.
-        beat: of this worker's own value; else 0.
+        value: the new value; None to delete the key.
+        last: the revision that the key must still have; 0 if it must not exist.
+        beat: the number of a value of this worker itself; 0 for other keys.
     """
 
     key: str
@@ -69,20 +69,20 @@ class Put(NamedTuple):
 
 class Worker:
     """
-    One of those who share the connections.
+    One of the workers that share the connections of a fleet.
 
     Args:
-        new_id: gives an id that nobody has or had: ``NAME.NONCE``.
-        zones: whose connections it takes; "" is that of devices without a zone.
+        new_id: returns a new id: ``NAME.NONCE``.
+        zones: the zones whose connections it polls; "" is that of devices without a zone.
 
     Attributes:
-        view: the bucket, as far as it is known.
-        lease: its own.
-        active: the connections that it asks, by their keys, as of the last step.
-        waiting: those that wait until all others have heeded that they are here.
-        left: whether it has ended after `leave`.
-        due: when the next `step` may decide something, unless the worker is told of something
-            before: that may make it due at once.
+        view: the known contents of the bucket.
+        lease: its own lease.
+        active: the connections that it polls, by their keys, as of the last step.
+        waiting: keys of connections that other workers have not acknowledged yet.
+        left: True once it has ended after `leave`.
+        due: the time at which the next `step` may decide something. Changes of the bucket and
+            confirmed writes may lower it.
     """
 
     def __init__(self, new_id: Callable[[], str], zones: Collection[str]) -> None:
@@ -92,35 +92,36 @@ class Worker:
         self._new_id = new_id
         self._zones = tuple(sorted(zones))
         self._snapshot: BucketView | None = None
-        # When it began to see the bucket without a break that matters.
+        # When the last snapshot of the bucket was complete.
         self._since = math.inf
-        # When it heard itself, and since when without a break: others are silent only then.
+        # When it last saw its own value, and since when without a gap: only then can it tell
+        # that others are silent.
         self._heard_at = self._hears_since = -math.inf
         self._longest_lease = 0.0
         self._leaving = False
         self._goes_on = False
-        # Who should have each slot whose holder is another one, and what that rests on.
+        # The slots that must change hands, each with its new holder, and what that depends on.
         self._shared_before: tuple[tuple[Any, ...], dict[Slot, str]] | None = None
         self._silent: set[str] = set()
         self.active: dict[str, Connection] = {}
         self.waiting: set[str] = set()
         self._join()
 
-    # What it is told
+    # Input
 
     def begins(self) -> None:
-        """All of the bucket comes now, from its beginning."""
+        """Begin a snapshot: the whole bucket follows."""
         self._snapshot = BucketView()
 
     def saw(self, entry: Entry, now: float) -> None:
-        """A key has this value now."""
+        """Apply a change of the bucket."""
         if self._snapshot is not None:
             self._snapshot.add(entry, now)
             return
         changes = self.view.changes
         if self.view.add(entry, now):
             self._is_old |= not entry.key.startswith("worker.")
-            self._heed()
+            self._follow_own_record()
             if entry.key == self.lease.key:
                 self._hear(now)
                 self._was_heard()
@@ -128,13 +129,13 @@ class Worker:
                 self._due_at(-math.inf)
 
     def is_synced(self, now: float) -> None:
-        """That was all; changes come from now on."""
+        """End the snapshot: changes follow."""
         if self._snapshot is None:
             return
         view, before, self._snapshot = self._snapshot, self.view, None
         self.view = view
         if view.revision < before.revision:
-            # It is another bucket, or has forgotten what it had confirmed.
+            # This is another bucket, or it has lost confirmed writes.
             self._join()
         else:
             view.keep_times(before, now)
@@ -142,49 +143,49 @@ class Worker:
         self._since = now
         self._tries = 0
         self._asked.clear()
-        self._heed()
+        self._follow_own_record()
         self._due_at(-math.inf)
 
     def was_written(self, put: Put, revision: int) -> None:
         """
-        The bucket confirmed a write. Of its own value this worker hears so although it may see
-        nothing else: nobody had said that it has ended. It heeds no more than it has seen.
+        Apply the confirmation of a write. It extends the lease even if this worker sees no
+        changes: no other worker had written that it has ended.
         """
         if put.beat and put.key == self.lease.key and not self._leaving:
             self.lease.is_confirmed(put.beat, revision)
             self._was_heard()
 
     def leave(self) -> None:
-        """Ask nobody any more, and say that it has ended: others take its slots at once."""
+        """Stop polling, and write that this worker has ended: others take its slots at once."""
         self._leaving = True
         self.active = {}
         self._due_at(-math.inf)
 
-    # What it says
+    # State
 
     @property
     def heard_at(self) -> float:
-        """When it saw its own value in the bucket the last time."""
+        """The time at which it last saw its own value in the bucket."""
         return self.view.seen_at(self.lease.key).at
 
     @property
     def is_reading(self) -> bool:
-        """Whether all of the bucket comes, and has not come yet."""
+        """True while a snapshot is incomplete."""
         return self._snapshot is not None
 
     def is_heard(self, member: Member, now: float) -> bool:
-        """Whether a worker, perhaps this one, told of itself a short while ago."""
+        """Return True if a worker, perhaps this one, has renewed its lease recently."""
         return member.state != "ended" and now < self._heard_until(member)
 
     def is_blind(self, now: float) -> bool:
-        """Whether all of the bucket should be read again: it is not what it seems to be."""
+        """Return True if the bucket should be read again, because changes may be missing."""
         settings = self.view.settings
         if self._snapshot is not None or settings is None:
             return False
         return now >= self._blind_at(settings.lease) or self._tries >= MOST_TRIES
 
     def may_ask(self, connection: str, now: float) -> bool:
-        """Whether bytes may go there right now."""
+        """Return True if a request may be sent over a connection now."""
         known = self.active.get(connection)
         if known is None:
             return False
@@ -192,11 +193,11 @@ class Worker:
 
     def step(self, now: float, report: Callable[[], Mapping[str, Any]] = dict) -> list[Put]:
         """
-        Decide what to write. `active` is up to date then; what is not in it any more must not
-        be asked before any of this is written.
+        Return what to write, and update `active`. Stop polling connections that it does not
+        contain any more before writing.
 
         Args:
-            report: returns what it says of its devices, for people.
+            report: returns numbers about the devices, for `fleet status`.
         """
         self.due = math.inf
         settings = self.view.settings
@@ -214,25 +215,25 @@ class Worker:
             puts += self._slots(self._shared(now), now)
             puts += self._forgotten(now)
         self._choose(now)
-        # Last: it says up to where everything is heeded.
+        # Last, because it acknowledges all changes up to the revision of the view.
         puts += self._beats(now, settings.lease, report)
         self._is_before(self._blind_at(settings.lease), now)
         return puts
 
-    # When it decides
+    # When a step is due
 
     def _due_at(self, at: float) -> None:
         self.due = min(self.due, at)
 
     def _is_before(self, at: float, now: float) -> bool:
-        """Tell whether a time is still to come; if so, a step is due then."""
+        """Return True if a time is in the future; a step is due then."""
         if now < at:
             self._due_at(at)
             return True
         return False
 
     def _was_heard(self) -> None:
-        """A value of this worker's own has come back: the next one is due sooner."""
+        """Update `due` after a value of this worker was seen or confirmed."""
         settings = self.view.settings
         if settings is not None:
             self._due_at(self.lease.next_at(settings.lease, hurry=False))
@@ -240,7 +241,7 @@ class Worker:
             self._due_at(-math.inf)
 
     def _awaits(self, key: str) -> bool:
-        """Tell whether even a sign of life of a known worker may change what is decided."""
+        """Return True if even the renewal of a lease may change the next decision."""
         return bool(self.waiting) or not self._is_valid or key in self._silent
 
     def _heard_until(self, member: Member) -> float:
@@ -253,7 +254,7 @@ class Worker:
     # Its lease
 
     def _join(self) -> None:
-        """Nothing is its own."""
+        """Begin anew with another id, without slots."""
         self.lease: Lease = Lease(self._new_id())
         self.active = {}
         self.waiting = set()
@@ -264,7 +265,7 @@ class Worker:
         self._is_valid = False
         self._due_at(-math.inf)
 
-    def _heed(self) -> None:
+    def _follow_own_record(self) -> None:
         settings = self.view.settings
         self._goes_on = settings is not None and settings.on_engine_loss == "continue"
         me = self.view.members.get(self.lease.id)
@@ -299,12 +300,12 @@ class Worker:
 
     @property
     def _others(self) -> Iterator[Member]:
-        """Those who may have slots."""
+        """The other workers that may hold slots."""
         members = self.view.members.values()
         return (each for each in members if each.id != self.lease.id and each.state != "ended")
 
     def _ends(self, now: float) -> Iterator[Put]:
-        """Say of those whose lease is over that they have ended."""
+        """Yield writes that workers have ended whose leases have expired."""
         for member in self._others:
             at = max(self._hears_since, self.view.seen_at(member.bucket_key).at)
             if not self._is_before(at + member.lease * OTHERS_PART, now):
@@ -313,7 +314,7 @@ class Worker:
                 )
 
     def _forgotten(self, now: float) -> Iterator[Put]:
-        """Delete what tells of those who ended long ago; the first worker does it for all."""
+        """Yield deletions of workers that ended long ago; the first worker does it for all."""
         ended = [each for each in self.view.members.values() if self._is_forgotten(each, now)]
         if not ended or any(each.id < self.lease.id for each in self._others):
             return
@@ -334,9 +335,8 @@ class Worker:
 
     def _shared(self, now: float) -> dict[Slot, str]:
         """
-        Give who should have each slot that this worker has and should not have, or should have
-        and has not; and each that it has closed. Those of workers who fell silent wait for
-        their end.
+        Return the new holders of slots that this worker must hand over or take, and of those
+        that it has closed. Slots of silent workers wait for the end of their leases.
         """
         view, me = self.view, self.lease.id
         eligible = {
@@ -346,7 +346,7 @@ class Worker:
         }
         silent = {each.id for each in self._others} - set(eligible)
         eligible[me] = self._zones
-        # It is asked for several times a second, and hardly ever changes.
+        # Computed only after a change: steps are frequent, changes are rare.
         rests_on = (view, view.changes, eligible, silent, len(self._closed))
         if self._shared_before is None or self._shared_before[0] != rests_on:
             holders = view.holders
@@ -361,7 +361,7 @@ class Worker:
         return self._shared_before[1]
 
     def _slots(self, shared: Mapping[Slot, str], now: float) -> Iterator[Put]:
-        """Take what is free, and hand over what others should have."""
+        """Yield writes that take free slots, and hand over those that others should hold."""
         me = self.lease.id
         for slot, heir in shared.items():
             revision = self.view.seen_at(slot.key).revision
@@ -374,7 +374,7 @@ class Worker:
             yield from self._put(slot.key, encode_holder(heir, me), now)
 
     def _close(self, slot: Slot, revision: int) -> None:
-        """What was promised to another worker stays so until the bucket tells."""
+        """Stop polling a slot that is handed over, until its key changes."""
         if self._closed.get(slot) != revision:
             self._closed[slot] = revision
             self._is_old = True
@@ -385,11 +385,11 @@ class Worker:
         if holder is not None:
             return holder.state == "ended"
         key = f"worker.{view.holders.get(slot)}"
-        nobody_since = max(self._since, view.seen_at(slot.key).at, view.seen_at(key).at)
-        return not self._is_before(nobody_since + self._longest_lease * OTHERS_PART, now)
+        free_since = max(self._since, view.seen_at(slot.key).at, view.seen_at(key).at)
+        return not self._is_before(free_since + self._longest_lease * OTHERS_PART, now)
 
     def _put(self, key: str, value: bytes | None, now: float) -> Iterator[Put]:
-        """Write it; again only after a while, or when the key has changed."""
+        """Yield a write; repeat it only after a pause, or when the key has changed."""
         settings = self.view.settings
         revision = self.view.seen_at(key).revision
         last, at, tries = self._asked.get(key, (-1, 0.0, 0))
@@ -405,7 +405,7 @@ class Worker:
     # Connections
 
     def _choose(self, now: float) -> None:
-        """Find the connections of its slots, and those that may be asked."""
+        """Update `active` and `waiting`: the connections in the slots of this worker."""
         if self._leaving or not (self._is_old or self.waiting):
             return
         self._is_old = False
@@ -414,11 +414,11 @@ class Worker:
             for connection in self.view.connections
             if self._is_mine(connection.slot)
         }
-        heeded = self._heeded_by_all(now)
+        acknowledged = self._acknowledged_by_all(now)
         self.waiting = {
             key
             for key, connection in mine.items()
-            if key not in self.active and self.view.touched_at(connection) > heeded
+            if key not in self.active and self.view.touched_at(connection) > acknowledged
         }
         self.active = {key: mine[key] for key in mine if key not in self.waiting}
 
@@ -427,8 +427,8 @@ class Worker:
             return False
         return self._closed.get(slot) != self.view.seen_at(slot.key).revision
 
-    def _heeded_by_all(self, now: float) -> float:
-        """The revision up to which nobody does anything else any more."""
+    def _acknowledged_by_all(self, now: float) -> float:
+        """Return the highest revision that all live workers have acknowledged."""
         wait = self._longest_lease * OTHERS_PART
         if any(self._is_before(at + wait, now) for at in self.view.vanished.values()):
             return 0

@@ -112,14 +112,24 @@ def test_a_device_that_another_worker_has_is_left_to_that() -> None:
 
 def test_a_refusal_in_the_name_of_all_is_answered() -> None:
     async def main() -> None:
-        trial = Trial(refusal="nobody polls 'pump' now")
+        trial = Trial(refusal="no worker polls 'pump' now")
         await trial.service.begin()
         await trial.ask(b'{"value": 20, "id": 7}')
-        refused = {"ok": False, "error": "nobody polls 'pump' now", "id": 7}
+        refused = {"ok": False, "error": "no worker polls 'pump' now", "id": 7}
         assert trial.answers[0] == ("reply", refused)
         await trial.ask(b"20")
-        assert trial.answers[2] == ("reply", {"ok": False, "error": "nobody polls 'pump' now"})
+        assert trial.answers[2] == ("reply", {"ok": False, "error": "no worker polls 'pump' now"})
         assert trial.devices.values == []
+
+    run(main())
+
+
+def test_answers_have_letters_as_they_are() -> None:
+    async def main() -> None:
+        trial = Trial(refusal="no worker polls 'kälte' now")
+        await trial.service.begin()
+        await trial.ask(b"20")
+        assert "'kälte'".encode() in trial.client.published[0][1]
 
     run(main())
 

@@ -155,7 +155,7 @@ def test_the_reason_that_came_first_is_told(client: type[Client]) -> None:
     with pytest.raises(EngineGone, match=r"^nats://192.0.2.1: Connection refused$"):
         connect()
     client.errors_before = ()
-    assert refused(client) == "nats://192.0.2.1: nobody answers there"
+    assert refused(client) == "nats://192.0.2.1: no server responds"
 
 
 def test_who_stops_it_leaves_nothing_open(client: type[Client]) -> None:

@@ -11,7 +11,13 @@ import pytest
 
 from libmodbus_py.services.workers.lease import Lease
 from libmodbus_py.services.workers.pushing import settings_of
-from libmodbus_py.services.workers.records import SETTINGS, FleetSettings, Member
+from libmodbus_py.services.workers.records import (
+    SETTINGS,
+    Connection,
+    FleetSettings,
+    Member,
+    encode_holder,
+)
 from libmodbus_py.services.workers.view import BucketView, Entry
 from libmodbus_py.services.workers.worker import Worker
 
@@ -107,6 +113,28 @@ class TestBlindness:
             assert worker.is_blind(float(at)) == (at >= 60 * LEASE)
 
 
+class TestSilence:
+    def test_others_are_silent_only_while_this_worker_sees_its_own_values(self) -> None:
+        """What was not seen for a while was perhaps lost on its way, and not unwritten."""
+        worker = Worker(lambda: "a.1", {""})
+        worker.begins()
+        worker.saw(Entry(SETTINGS, FleetSettings(LEASE).encode(), 1), 0.0)
+        worker.is_synced(0.0)
+
+        def renewed(at: float, revision: int) -> None:
+            (beat,) = (put for put in worker.step(at) if put.beat)
+            worker.saw(Entry(beat.key, beat.value, revision), at)
+
+        renewed(0.0, 2)
+        worker.saw(Entry("worker.b.2", member(1, id="b.2").encode(), 3), 1.0)
+        renewed(2.0, 4)
+        renewed(30.0, 5)
+        assert [put.key for put in worker.step(30.1)] == []
+        for at in range(31, 41):
+            renewed(float(at), at)
+        assert [put.key for put in worker.step(40.6) if not put.beat] == ["worker.b.2"]
+
+
 class TestView:
     def test_a_worker_that_is_deleted_and_never_ended_has_vanished(self) -> None:
         view = BucketView()
@@ -117,6 +145,24 @@ class TestView:
         view.add(Entry("worker.b.1", None, 4), 7.0)
         assert view.members == {}
         assert list(view.vanished.values()) == [6.0]
+
+    def test_a_slot_that_its_holder_did_not_give_up_must_be_acknowledged(self) -> None:
+        view = BucketView()
+        line = Connection("", "tcp:192.0.2.1:502", 1.0, '{"devices": []}')
+        view.add(Entry(line.bucket_key, line.encode(), 1), 0.0)
+        view.add(Entry("worker.a.1", member(1).encode(), 2), 0.0)
+        view.add(Entry("worker.b.1", member(1, id="b.1").encode(), 3), 0.0)
+
+        def touched(revision: int, holder: str, by: str) -> int:
+            view.add(Entry(line.slot.key, encode_holder(holder, by), revision), 0.0)
+            return view.touched_at(line)
+
+        assert touched(4, "a.1", "a.1") == 4  # Its holder before is unknown.
+        assert touched(5, "b.1", "a.1") == 1  # Handed over.
+        assert touched(6, "a.1", "a.1") == 6  # Taken from a worker that is still there.
+        view.add(Entry("worker.a.1", member(2, "ended").encode(), 7), 0.0)
+        assert touched(8, "b.1", "b.1") == 1  # Taken from a worker that has ended.
+        assert view.last_touched == 6
 
     def test_what_is_known_is_not_taken_again(self) -> None:
         view = BucketView()

@@ -59,7 +59,7 @@ def test_a_device_that_nobody_has_is_refused(bucket: Bucket) -> None:
 
 
 def test_a_device_whose_slot_is_free_is_refused(bucket: Bucket) -> None:
-    assert bucket.refusal() == "nobody polls 'pump' now"
+    assert bucket.refusal() == "no worker polls 'pump' now"
 
 
 def test_the_holder_of_its_slot_answers_itself(bucket: Bucket) -> None:
@@ -71,13 +71,13 @@ def test_the_holder_of_its_slot_answers_itself(bucket: Bucket) -> None:
 def test_a_slot_of_this_worker_does_not_keep_it_from_speaking(bucket: Bucket) -> None:
     """It has the slot, and does not poll the device: nobody else will answer."""
     bucket.is_held(PUMP, "b.1")
-    assert bucket.refusal() == "nobody polls 'pump' now"
+    assert bucket.refusal() == "no worker polls 'pump' now"
 
 
 def test_a_holder_that_has_ended_does_not_answer(bucket: Bucket) -> None:
     bucket.is_here("c.1", state="ended")
     bucket.is_held(PUMP, "c.1")
-    assert bucket.refusal() == "nobody polls 'pump' now"
+    assert bucket.refusal() == "no worker polls 'pump' now"
 
 
 def test_the_first_of_all_workers_speaks_for_them(bucket: Bucket) -> None:
@@ -105,11 +105,11 @@ def test_a_worker_that_hears_nothing_not_even_itself_is_silent(bucket: Bucket) -
 
 
 def test_devices_that_come_and_go_are_noticed(bucket: Bucket) -> None:
-    assert bucket.refusal("pump") == "nobody polls 'pump' now"
+    assert bucket.refusal("pump") == "no worker polls 'pump' now"
     bucket.has(PUMP.bucket_key, None)
     assert bucket.refusal("pump") == "there is no device 'pump'"
     bucket.has(PUMP.bucket_key, PUMP.encode())
-    assert bucket.refusal("pump") == "nobody polls 'pump' now"
+    assert bucket.refusal("pump") == "no worker polls 'pump' now"
 
 
 def test_places_are_not_read_again_for_each_question(
@@ -118,4 +118,4 @@ def test_places_are_not_read_again_for_each_question(
     """A flood of questions for thousands of devices must not read them all each time."""
     assert bucket.refusal("pump")
     monkeypatch.setattr("libmodbus_py.services.workers.locations.json.loads", None)
-    assert bucket.refusal("pump") == "nobody polls 'pump' now"
+    assert bucket.refusal("pump") == "no worker polls 'pump' now"

@@ -167,7 +167,7 @@ class TestLife:
             bucket = filled(connection("pump"))
             async with at_work(bucket) as worker:
                 await until(lambda: names(worker))
-                bucket.error = EngineGone("nobody answers there")
+                bucket.error = EngineGone("no server responds")
                 begun = now()
             assert not worker.worker.left
             return now() - begun
@@ -321,20 +321,35 @@ class TestBucket:
             async with at_work(bucket, name="a") as worker:
                 await until(lambda: names(worker))
                 assert caplog.messages == []
-                bucket.error = EngineGone("nobody answers there")
+                bucket.error = EngineGone("no server responds")
                 worker.engine_changed()
                 key = connection("pump").key
                 assert await until(lambda: not worker._may_ask(key)) < LEASE
                 await asyncio.sleep(SAID_AGAIN - 15.0)
-                gone = "the engine: nobody answers there"
-                ended = "a: the lease has ended: the engine is not heard"
+                gone = "the engine: no server responds"
+                ended = "a: the lease has expired: NATS does not respond"
                 assert sorted(caplog.messages) == [ended, gone]
                 await asyncio.sleep(25.0)
                 assert caplog.messages.count(gone) == 2
                 bucket.error = None
                 await until(lambda: worker._may_ask(key))
                 await asyncio.sleep(1.0)
-                assert caplog.messages[-1] == "a: the lease stands again"
+                assert caplog.messages[-1] == "a: the lease is valid again"
+
+        run(main())
+
+    def test_a_bucket_that_cannot_be_watched_is_told_and_watched_again(
+        self, caplog: pytest.LogCaptureFixture
+    ) -> None:
+        async def main() -> None:
+            bucket = filled(connection("pump"))
+            bucket.error = EngineGone("no server responds")
+            async with at_work(bucket) as worker:
+                await asyncio.sleep(5.0)
+                assert caplog.messages == ["the engine: no server responds"]
+                assert bucket.puts == []
+                bucket.error = None
+                await until(lambda: names(worker) == ["pump"])
 
         run(main())
 
@@ -403,8 +418,14 @@ class TestDevices:
         [
             '{"devices": [{"name": "pump"}]}',
             devices_to_json([DeviceConfig("pump", "tcp://192.0.2.77", MAP)]),
+            devices_to_json(
+                [
+                    DeviceConfig("pump", "tcp://192.0.2.1", MAP),
+                    DeviceConfig("fan", "tcp://192.0.2.77", MAP),
+                ]
+            ),
         ],
-        ids=["no devices", "devices of another connection"],
+        ids=["no devices", "devices of another connection", "one device of another connection"],
     )
     def test_what_cannot_be_read_is_told_and_polled_by_nobody(
         self, devices: str, caplog: pytest.LogCaptureFixture
@@ -415,7 +436,7 @@ class TestDevices:
             async with at_work(bucket) as worker:
                 await until(lambda: names(worker))
                 assert names(worker) == ["valve"]
-                told = "tcp:192.0.2.1:502: what the bucket has of it cannot be read: "
+                told = "tcp:192.0.2.1:502: its devices in the bucket are invalid: "
                 assert [text for text in caplog.messages if text.startswith(told)]
 
         run(main())

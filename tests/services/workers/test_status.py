@@ -102,7 +102,7 @@ silent.2                     silent      1           2       3      2      1    
 zone                         workers connections slots served
 (none)                             1           1     1      1
 north                              1           1     1      0  moving
-{"z" * 28}       0           1     1      0  nobody serves it
+{"z" * 28}       0           1     1      0  no worker
 unreadable: worker.odd.4: zones is missing"""
     )
 
@@ -144,7 +144,7 @@ def test_a_bucket_that_is_not_told_whole() -> None:
         bucket = MemoryBucket()
         bucket.is_mute = True
         began = now()
-        with pytest.raises(EngineGone, match="it was not told whole in 10 s"):
+        with pytest.raises(EngineGone, match="its contents did not arrive within 10 s"):
             await seen_now(cast(Any, bucket))
         assert bucket.watches == []
         return now() - began

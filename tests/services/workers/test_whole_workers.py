@@ -368,10 +368,10 @@ def test_one_worker_answers_for_a_device_that_nobody_has() -> None:
         await push_fleet(trial.engine, trial.devices(zone="north"), trial.settings)
         await asyncio.sleep(1)
         lost = await ask("d0-1.setpoint", 20)
-        assert lost == {"ok": False, "error": "nobody polls 'd0-1' now"}
+        assert lost == {"ok": False, "error": "no worker polls 'd0-1' now"}
         await asyncio.sleep(1)
         # Two workers heard of both.
-        assert answers == ["there is no device 'no.one'", "nobody polls 'd0-1' now"]
+        assert answers == ["there is no device 'no.one'", "no worker polls 'd0-1' now"]
         await listener.close()
 
     asked_to_write(trial, main)
@@ -388,7 +388,7 @@ def test_a_command_for_a_dead_workers_device_is_refused_until_another_one_has_it
         # Whoever speaks for all may be the dead one as long as it was heard a moment ago.
         await asyncio.sleep(0.6 * LEASE)
         outcome = await ask(f"{device}.setpoint", 20)
-        assert outcome == {"ok": False, "error": f"nobody polls {device!r} now"}
+        assert outcome == {"ok": False, "error": f"no worker polls {device!r} now"}
         await trial.all_asked(60)
         assert await ask(f"{device}.setpoint", 20) == {"ok": True}
 

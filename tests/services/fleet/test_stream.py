@@ -1,0 +1,68 @@
+"""
+The stream of readings on a simulated server of NATS.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from typing import Any, cast
+
+import pytest
+
+from libmodbus_py.services.fleet.outputs.stream import Stream
+from libmodbus_py.services.fleet.readings import Reading
+from tests.simulation.engine import Engine
+from tests.simulation.network import Network
+
+
+def reading(name: str, value: Any, *, time: float = 100.0) -> Reading:
+    return Reading(time, "kälte", name, value, "m", "good", "")
+
+
+def test_the_readings_of_a_poll_are_one_message_and_a_repeated_one_is_dropped() -> None:
+    network = Network()
+    engine = Engine(network)
+
+    async def main() -> None:
+        client = engine.client()
+        stream = Stream(cast(Any, client), {})
+        await stream.open()
+        poll = [reading("level", 1.5), reading("höhe", 2)]
+        await stream.write(poll)
+        await stream.write([])
+        await stream.write([*poll, reading("level", 3, time=101.0)])
+        await client.close()
+
+    network.run(main)
+    first, second = (json.loads(data) for _, _, data in engine.stream)
+    assert first["device"] == "kälte"
+    assert {name: each["value"] for name, each in first["values"].items()} == {
+        "level": 1.5,
+        "höhe": 2,
+    }
+    assert {name: each["value"] for name, each in second["values"].items()} == {"level": 3}
+    assert "kälte".encode() in engine.stream[0][2]
+
+
+def test_a_server_that_does_not_respond_is_an_error_of_the_system() -> None:
+    network = Network()
+    engine = Engine(network)
+
+    async def main() -> None:
+        client = engine.client()
+        stream = Stream(cast(Any, client), {})
+        await stream.open()
+        engine.losses = 1.0
+        with pytest.raises(OSError, match="modbus-readings: no answer"):
+            await stream.write([reading("level", 1.5)])
+        engine.losses = 0.0
+        engine.stop()
+        await asyncio.sleep(0.1)
+        with pytest.raises(OSError, match="modbus-readings: "):
+            await stream.write([reading("level", 1.5)])
+        with pytest.raises(OSError, match="modbus-readings: "):
+            await stream.open()
+        await client.close()
+
+    network.run(main)
