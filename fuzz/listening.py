@@ -1,11 +1,11 @@
 """
-How much a listener names right: python -m fuzz.listening [TRANSACTIONS] [SEED]
+The share that a listener names right: python -m fuzz.listening [TRANSACTIONS] [SEED]
 
-As many transactions of a client with three units, 100000 unless told otherwise, on a line whose
-clock is counted and not waited for, with 0, 1 and 5 % of the frames damaged as `bad_line` does
-it. Lost frames and damaged ones are asked again, up to twice. Bytes come in pieces cut anywhere,
-or glued, each with the time at which an adapter would give it. Prints how many transactions and
-frames were named as what they were; exits with 1 below 100, 99 and 95 % of transactions.
+A client sends so many requests, 100000 by default, to three units on a line with simulated time.
+0, 1 and 5 % of the frames are damaged as `bad_line` does it. A request without a valid response is
+repeated up to twice. Bytes come in pieces that are cut anywhere or joined, each with the time at
+which an adapter would deliver it. The program prints the shares of transactions and frames that
+were named right, and exits with 1 if those of transactions are below 100, 99 and 95 %.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ Framing = Literal["rtu", "ascii"]
 TIMEOUT = 0.3
 RETRIES = 2
 CHARACTER = 11 / 115200
-LATENCY = 0.001  # of an adapter that collects bytes
-SLOW_LATENCY = 0.016  # and of one that does it for as long as some do
+LATENCY = 0.001  # seconds that an adapter collects bytes
+SLOW_LATENCY = 0.016  # seconds that slow adapters do
 
-# Faults after which the frame is whole, with something beside it or a pause inside it.
+# Faults that leave the frame whole, with bytes beside it or a pause inside it.
 HARMLESS = ("delay", "merge", "noise")
 
 
@@ -46,7 +46,7 @@ class Told(NamedTuple):
 
 @dataclass
 class Result:
-    """What was sent and heard: how many, and how many right; examples of what was not."""
+    """The numbers of transactions and frames, of those named right, and examples of the others."""
 
     transactions: int = 0
     right_transactions: int = 0
@@ -67,11 +67,11 @@ class Sent(NamedTuple):
 
 class Line:
     """
-    A client, its units, and what is on the line between them; a clock that is only counted.
+    A client, its units, and the line between them, in simulated time.
 
     Attributes:
-        pieces: bytes and when they came.
-        told: for each transaction the frames that came whole, and whether something was damaged.
+        pieces: bytes with their times.
+        told: for each transaction the frames that came whole, and whether any was damaged.
     """
 
     def __init__(self, framing: Framing, faults: float, seed: int, latency: float) -> None:
@@ -90,9 +90,9 @@ class Line:
         self._request: pdu.Request[Any] = pdu.ReadCoils(0, 1)
 
     def transaction(self) -> None:
-        """Ask until there is an answer, or often enough."""
+        """Send a request until it is answered, or `RETRIES` times more."""
         choose = self._random
-        if choose.random() > 0.3:  # else what was asked is asked again, as polls do
+        if choose.random() > 0.3:  # otherwise a former request is repeated, as polls do
             self._request = choose.choice(REQUESTS)(choose)
         unit = 0 if self._request.is_write and choose.random() < 0.02 else choose.choice(UNITS)
         for _ in range(1 + RETRIES):
@@ -101,7 +101,7 @@ class Line:
             if self._ask(unit, told):
                 break
             self.now += TIMEOUT
-        # The client thinks, for no time or for long.
+        # The client pauses, briefly or for long.
         self.now += max(0.00175, choose.choice([0.0, 0.002, 0.05, choose.expovariate(5)]))
 
     def _ask(self, unit: int, told: list[Told]) -> bool:
@@ -120,7 +120,7 @@ class Line:
         return self._send("response", Frame(unit, answer), told)
 
     def _send(self, part: str, frame: Frame, told: list[Told]) -> bool:
-        """Put a frame on the line, damaged or not; whether it arrives."""
+        """Put a frame on the line, damaged or not; return True if it arrives whole."""
         data = self._framer.encode(frame)
         if self._random.random() >= self._share:
             told.append(Told(part, frame))
@@ -137,7 +137,7 @@ class Line:
         return True
 
     def _put(self, data: bytes) -> None:
-        """As adapters do: in pieces that are cut anywhere, late, and several frames in one."""
+        """Deliver bytes as adapters do: cut anywhere, late, and several frames in one piece."""
         while data:
             size = self._random.choice([len(data), len(data), self._random.randint(1, len(data))])
             self.now += size * CHARACTER
@@ -179,7 +179,7 @@ REQUESTS = [
 
 
 def line(framing: Framing, count: int, faults: float, seed: int, latency: float = LATENCY) -> Line:
-    """Let a client ask so many questions, repeats included."""
+    """Let a client send so many requests, including repeats."""
     made = Line(framing, faults, seed, latency)
     while len(made.told) < count:
         made.transaction()
@@ -198,7 +198,7 @@ def _glued(pieces: list[Sent], latency: float) -> list[Sent]:
 
 
 def heard(framing: Framing, pieces: list[Sent]) -> tuple[list[Told], list[Transaction]]:
-    """Have a listener separate them."""
+    """Let a listener separate the pieces."""
     named: list[Told] = []
 
     def note(each: Heard) -> None:
@@ -213,7 +213,7 @@ def heard(framing: Framing, pieces: list[Sent]) -> tuple[list[Told], list[Transa
 
 
 class Pair(NamedTuple):
-    """A question, and whether it had an answer."""
+    """A request, and whether it was answered."""
 
     unit: int
     question: bytes
@@ -231,7 +231,7 @@ def _pairs(done: list[Transaction]) -> list[Pair]:
 
 
 def _as_pair(frames: list[Told]) -> Pair | None:
-    """None for a lone answer, whose question did not come whole."""
+    """None for a response whose request did not come whole."""
     asked = frames[0].frame
     return Pair(asked.unit, asked.pdu, len(frames) > 1) if frames[0].part == "request" else None
 

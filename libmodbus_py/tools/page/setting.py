@@ -11,6 +11,7 @@ from typing import Any
 
 from ...maps.point import Point
 from ...maps.typed import typed_register, typed_value
+from ...protocol.mistakes import WrongType, WrongValue
 from ...protocol.spelling import shown
 from ...protocol.tables import TABLES
 from ...protocol.values import readings, value_type
@@ -85,8 +86,8 @@ def _check_length(text: str) -> None:
 def _set_value(unit: ShownUnit, point: Point, value: Any) -> None:
     try:
         cells = point.encode(value)
-    except (TypeError, ValueError) as error:
-        raise ValueError(str(error).removeprefix(f"{point.name}: ")) from None
+    except (WrongType, WrongValue) as error:  # whose path is the name, which the page shows
+        raise ValueError(error.reason) from None
     _set(unit, point.table, point.address, cells)
 
 

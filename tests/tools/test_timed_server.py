@@ -1,0 +1,91 @@
+"""
+TCP connections that are closed after a time, however their clients behave.
+"""
+
+from __future__ import annotations
+
+import socket
+import socketserver
+from collections.abc import Iterator
+
+import pytest
+
+from libmodbus_py.tools import timed_server
+from libmodbus_py.tools.timed_server import TimedServer
+
+FOREVER = 60.0
+
+
+class Reading(socketserver.BaseRequestHandler):
+    """Read until the connection ends; "k" keeps it without a limit."""
+
+    server: TimedServer
+
+    def handle(self) -> None:
+        while data := self.request.recv(1):
+            if data == b"k":
+                self.server.keep(self.request)
+            self.request.sendall(data)
+
+
+@pytest.fixture(autouse=True)
+def short_sweeps(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(timed_server, "SWEEP", 0.01)
+
+
+@pytest.fixture
+def limit() -> float:
+    return FOREVER
+
+
+@pytest.fixture
+def server(limit: float) -> Iterator[TimedServer]:
+    with TimedServer("127.0.0.1", 0, Reading, limit).serving("timed") as made:
+        yield made
+
+
+def connected(server: TimedServer) -> socket.socket:
+    return socket.create_connection(server.server_address[:2], 20)  # type: ignore[arg-type]
+
+
+def is_answered(connection: socket.socket, data: bytes = b"x") -> bool:
+    try:
+        connection.sendall(data)
+        return connection.recv(1) == data
+    except OSError:
+        return False
+
+
+@pytest.mark.parametrize("limit", [0.05])
+def test_a_connection_is_closed_when_its_time_is_over(server: TimedServer) -> None:
+    with connected(server) as silent, connected(server) as kept:
+        assert is_answered(kept, b"k")
+        assert silent.recv(1) == b""
+        assert is_answered(kept)
+
+
+def test_the_oldest_makes_room(server: TimedServer, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(timed_server, "MOST_CONNECTIONS", 2)
+    with connected(server) as kept, connected(server) as oldest:
+        assert is_answered(kept, b"k")
+        assert is_answered(oldest)
+        with connected(server) as latest:
+            assert is_answered(latest)
+            assert oldest.recv(1) == b""
+            assert is_answered(kept)
+
+
+def test_all_connections_are_closed_at_the_end() -> None:
+    with TimedServer("localhost", 0, Reading, FOREVER).serving("timed") as server:
+        first, second = connected(server), connected(server)
+        assert is_answered(first)
+        assert is_answered(second, b"k")
+    with first, second:
+        assert not is_answered(first)
+        assert not is_answered(second)
+
+
+def test_its_place_is_a_url() -> None:
+    server = TimedServer("::1", 0, Reading, FOREVER)
+    server.server_close()
+    assert server.place == f"http://[::1]:{server.server_address[1]}"
