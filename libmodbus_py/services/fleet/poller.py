@@ -156,5 +156,7 @@ class Poller:
 def _told(value: Any, unit: str) -> tuple[Any, str, Quality, str]:
     if isinstance(value, Exception):
         quality: Quality = "down" if is_down(value) else "bad"
-        return None, unit, quality, type(value).__name__
+        # Consumers of readings know the reasons by these names; a ValueError may be of any class.
+        reason = "ValueError" if isinstance(value, ValueError) else type(value).__name__
+        return None, unit, quality, reason
     return value, unit, "good", ""
