@@ -48,8 +48,8 @@ class AsyncClient(Handle[AsyncioDriver], Awaiting):
     On "tcp" and "udp" up to `max_in_flight` requests wait for their answers together,
     which come in any order. On serial lines, and these over TCP, it is one request
     at a time, and after a failure the line must be silent for `timeout` before the same unit
-    is asked again: an answer that is still to come would be taken for its own. Whoever
-    waits for a slot gets it in the order of asking.
+    is asked again: an answer that is still to come would be taken for its own. Requests
+    get a slot in the order in which they were made.
 
     A request may be cancelled at any time, by ``asyncio.timeout`` for one. Its answer is
     dropped when it comes, and the others notice nothing.
@@ -169,7 +169,7 @@ class AsyncClient(Handle[AsyncioDriver], Awaiting):
 
     @property
     def max_in_flight(self) -> int:
-        """How many requests may wait for their answers together."""
+        """The most requests that wait for their answers together."""
         return self._limit
 
     @property
@@ -255,7 +255,7 @@ class Submitted:
         return self._batch.outcomes[0]
 
     def withdraw(self) -> None:
-        """Nobody waits for it any more: `on_done` is not called, and its answer dropped."""
+        """Drop the request: `on_done` is not called, and a later answer is dropped."""
         self._driver.withdraw(self._batch)
 
 

@@ -111,7 +111,7 @@ class AsyncioDriver:
             await asyncio.wait([self._attempt])
 
     def forget(self) -> None:
-        """The last handle was forgotten: give the port back, as nobody else will."""
+        """Close the port after the last handle was garbage collected."""
         if self._connection.state not in (State.CONNECTING, State.CONNECTED):
             self._in_loop(self._cancel_timers)
             return
@@ -123,7 +123,7 @@ class AsyncioDriver:
             self._in_loop(self._abandon)
 
     def _in_loop(self, call: Callable[[], None]) -> None:
-        """Another thread may collect the garbage."""
+        """Call a function in the event loop: another thread may collect the garbage."""
         if self._loop is not None and self._loop.is_running():
             self._loop.call_soon_threadsafe(call)
         else:
@@ -143,11 +143,11 @@ class AsyncioDriver:
         self._timer_at = math.inf
 
     def leave(self) -> None:
-        """In a forked child: the connection is the parent's, who goes on with it."""
+        """Forget the connection in a forked child: it belongs to the parent."""
         self._port.abandon()
 
     def change_timeout(self) -> None:
-        """Some `Timeouts` has changed."""
+        """Note that some `Timeouts` were changed."""
         self._conversation.change_timeout(self._now())
         if self._loop is not None:
             self._set_timer()
@@ -197,7 +197,7 @@ class AsyncioDriver:
             self._lose(error)
 
     def _set_timer(self) -> None:
-        """Only if it must ring sooner: one that rings too early does no harm."""
+        """Set the timer if it must ring sooner; ringing too early does no harm."""
         at = self._conversation.alarm
         if at < self._timer_at and self._connection.state is not State.CLOSED:
             assert self._loop is not None
@@ -240,7 +240,7 @@ class AsyncioDriver:
         return conversation.settle(now)
 
     def _pause_reading(self) -> None:
-        """Until somebody asks: an idle client must not be kept busy by whoever floods it."""
+        """Stop reading until the next request: a flood must not keep an idle client busy."""
         assert self._loop is not None
         self._is_reading = False
         self._loop.remove_reader(self._port.descriptor)
@@ -252,7 +252,7 @@ class AsyncioDriver:
         self._watch(self._loop.add_reader, self._readable)
 
     def _watch(self, add: Callable[..., None], call: Callable[[], None]) -> None:
-        """Have the loop call this. Raises ModbusConnectionError: the system has no room for it."""
+        """Register a callback. Raises ModbusConnectionError if the system cannot watch more."""
         try:
             add(self._port.descriptor, call)
         except OSError as error:
@@ -260,7 +260,7 @@ class AsyncioDriver:
             raise ModbusConnectionError(reason, errno=error.errno) from error
 
     def _follow_port(self, now: float) -> None:
-        """Go on when the port takes bytes again, or its pause is over."""
+        """Continue to send when the port takes bytes again, or its pause is over."""
         assert self._loop is not None
         if self._port.has_unsent != self._is_writing:
             self._is_writing = self._port.has_unsent
@@ -304,7 +304,7 @@ class AsyncioDriver:
     # --- connecting ---------------------------------------------------------------------------
 
     def _seek_connection(self, now: float) -> None:
-        """Have it opened, now or when the next attempt is due, if anybody waits for it."""
+        """Connect, now or when the next attempt is due, if a caller waits for it."""
         assert self._loop is not None
         if not self._conversation.is_wanted or self._connection.state is not State.DISCONNECTED:
             return
@@ -326,7 +326,7 @@ class AsyncioDriver:
             return
         opening = self._port.opening(self._now() + self._timeouts.timeout)
         self._attempt = self._loop.create_task(run_async(opening))
-        # Not in the task itself, for one that is cancelled early never begins.
+        # Not in the task itself, because a task that is cancelled early never begins.
         self._attempt.add_done_callback(self._end_attempt)
         self._connection.connecting()
 
@@ -345,7 +345,7 @@ class AsyncioDriver:
             self._give_up(error)
 
     def _begin(self) -> None:
-        """The port is open."""
+        """Read from the port, which was opened."""
         try:
             self._read_on()
         except ModbusConnectionError as error:
@@ -357,7 +357,7 @@ class AsyncioDriver:
 
     def _fail(self, error: ModbusConnectionError) -> None:
         self._conversation.failed(error, self._now())
-        if not self._conversation.is_wanted:  # whoever waited was told, and nothing is in flight
+        if not self._conversation.is_wanted:  # all callers were told, and nothing is in flight
             self._cancel_timers()
 
     def _give_up(self, error: ModbusConnectionError) -> None:

@@ -1,5 +1,5 @@
 """
-What one caller asks, and what became of it.
+The requests of one caller, and their outcomes.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ NOT_ASKED: Final = object()
 # more, both sides might wait for the other to read before they go on.
 MAX_IN_FLIGHT = 256
 
-# The PDU that answers a request, or why there is none.
+# The PDU that answers a request, or the error that says why there is none.
 Reply = bytes | ModbusError
 
 
@@ -39,9 +39,9 @@ class Pending:
 
     Attributes:
         index: of the request in its batch.
-        adu: what went out.
-        sent: when.
-        since: the same; earlier by what waiting for the connection took of its timeout.
+        adu: the frame.
+        sent: when it was sent.
+        since: when its timeout began: earlier, if it waited for the connection.
     """
 
     __slots__ = ("adu", "batch", "index", "sent", "since")
@@ -59,7 +59,7 @@ class Pending:
 
     @property
     def deadline(self) -> float:
-        """Computed anew each time, for a client's timeout may change meanwhile."""
+        """When the timeout ends; computed each time, because it may be changed meanwhile."""
         return self.since + self.batch.timeouts.timeout
 
 
@@ -67,27 +67,27 @@ class Batch:
     """
     Requests of one caller to one unit, which start in their order; often a single one.
 
-    It is decided as soon as everything before its first failure is; with `go_on` when
-    every request has its outcome. One without requests asks for the connection alone.
+    A batch is settled as soon as everything before its first failure is; with `go_on` when
+    every request has its outcome. A batch without requests only waits for the connection.
 
     Args:
         name: of a request in messages; braces stand for its index.
-        is_broadcast: whether nobody answers.
+        is_broadcast: True if the requests get no answer.
 
     Attributes:
-        silent: whether nobody answers, for each request; None where all are answered.
+        silent: True for each request that gets no answer; None if all are answered.
         limit: how many may be in flight.
-        go_on: whether the others are asked after one failed.
+        go_on: True to send the other requests after one failed.
         outcomes: the result of each or its exception.
         started: how many were sent.
-        end: what comes from here on does not matter any more.
-        repeated: how often each was, by index and whether the device was busy.
-        sent: what went out of those that are repeated, by index.
-        in_flight: how many are waited for, or will be repeated.
-        queued: whether it stands in the queue for its next request.
-        since: since when it waits for a connection; then `used`: for how long it did.
-        refusal: why there is no connection.
-        on_done: called once when it is decided.
+        end: requests from this index on are ignored.
+        repeated: the number of repetitions, by index and by True if the device was busy.
+        sent: the frames of requests that are repeated, by index.
+        in_flight: how many requests are pending, or will be repeated.
+        queued: True while the batch is in the queue.
+        since: when the batch began to wait for a connection; `used`: for how long it did.
+        refusal: the error that says why there is no connection, or None.
+        on_done: called once when the batch is settled.
 
     Raises:
         TypeError, ValueError: a request that cannot be sent, by its name.
@@ -143,11 +143,11 @@ class Batch:
         return self.started < self.end
 
     def matters(self, index: int) -> bool:
-        """Whether it has not been decided without this request."""
+        """Return True if the outcome of this request can still change that of the batch."""
         return index < self.end
 
     def settle(self, index: int, outcome: Any) -> None:
-        """Note what became of a request; not of one that does not matter any more."""
+        """Set the outcome of a request, unless it is ignored."""
         if index >= self.end or self.is_done:
             return
         self.outcomes[index] = outcome
@@ -160,12 +160,12 @@ class Batch:
             self.finish()
 
     def _cut(self, end: int) -> None:
-        """What comes from here on does not matter any more."""
+        """Ignore the requests from this index on."""
         self._open -= sum(each is NOT_ASKED for each in self.outcomes[end : self.end])
         self.end = end
 
     def finish(self) -> None:
-        """Decide it; nothing of it matters any more."""
+        """End the batch: outcomes that are still open stay open."""
         if not self.is_done:
             self.is_done = True
             self.end = 0

@@ -131,7 +131,7 @@ class Context(Handle[BlockingDriver], Blocking):
         """
         Close for good; any number of times, from any thread and from signal handlers.
 
-        Whoever waits for an answer or a connection fails at once.
+        Requests that wait for an answer or a connection fail at once.
         """
         self._driver.close()
 

@@ -86,11 +86,11 @@ class BlockingDriver:
 
     Args:
         parts: of the client.
-        native: whether C carries what may go the short way.
-        is_short: whether anything may.
+        native: True to let C carry requests that may go the short way.
+        is_short: True if any request may.
 
     Attributes:
-        waker: what it waits with; its clock is that of the port.
+        waker: waits, on the clock of the port.
     """
 
     def __init__(self, parts: Parts, native: bool, is_short: bool) -> None:
@@ -113,7 +113,7 @@ class BlockingDriver:
 
     @property
     def closed(self) -> bool:
-        """Whether `close` was called."""
+        """True once `close` was called."""
         return self._closed
 
     @_alone
@@ -154,11 +154,11 @@ class BlockingDriver:
         return batch.outcomes[0]
 
     def change_timeout(self) -> None:
-        """Some `Timeouts` has changed."""
+        """Note that some `Timeouts` were changed."""
         self._conversation.change_timeout(self._now())
 
     def close(self) -> None:
-        """Close for good, from anywhere. Whoever waits fails at once."""
+        """Close for good, from any thread or signal handler. Requests that wait fail at once."""
         self._closed = True
         self.waker.wake()
         if self._lock.acquire(timeout=LEAVING):
@@ -169,7 +169,7 @@ class BlockingDriver:
                 self._lock.release()
 
     def forget(self) -> None:
-        """After a fork, in the child: the connection is the parent's."""
+        """Forget the connection in a forked child: it belongs to the parent."""
         self._port.abandon()
         self.waker.renew()
         self._start_anew()
@@ -222,7 +222,7 @@ class BlockingDriver:
             self._lose(conversation.broken, by_itself=False)
 
     def _turn_line(self) -> None:
-        """An answer may come while RTS is still set, as on a pseudo-terminal."""
+        """Finish sending: an answer may come while RTS is still set, as on a pseudo-terminal."""
         while self._port.resume_at is not None:
             now = self._now()
             self.waker.sleep(max(0.0, self._port.resume_at - now))
@@ -233,7 +233,7 @@ class BlockingDriver:
             self._port.send(adus, now)
 
     def _look(self, now: float) -> None:
-        """Read what nobody asked for, or the end of the connection, before asking."""
+        """Read unasked bytes, or the end of the connection, before a request is sent."""
         conversation = self._conversation
         while self._port.has_input() and not conversation.broken:
             conversation.take(self._port.receive(), now)

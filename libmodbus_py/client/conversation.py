@@ -225,7 +225,7 @@ class Conversation:
             return False  # what came on a line belongs to the request that it answers
         matching = self._matching
         is_dead = self._is_socket and matching.unanswered >= self._pace.timeouts_before_reconnect
-        # The next answer would be taken into half a frame that nobody waits for.
+        # The next answer would be taken into half a frame that no pending request expects.
         has_leftover = matching.rest and self.in_flight == len(self._silent)
         if not is_dead and not has_leftover:
             return True

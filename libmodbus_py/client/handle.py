@@ -23,7 +23,7 @@ __all__ = ["Handle"]
 
 
 class Driver(Protocol):
-    """What handles need of theirs."""
+    """The part of a driver that handles use."""
 
     def change_timeout(self) -> None: ...
 
@@ -33,10 +33,10 @@ Driving = TypeVar("Driving", bound=Driver)
 
 class Handle(Generic[Driving]):
     """
-    What both clients are: a unit, its timeouts, and the connection that it shares.
+    The base of both clients: a unit, its timeouts, and the connection that it shares.
 
     Attributes:
-        unit: who is asked.
+        unit: the unit that is asked.
     """
 
     unit: int
@@ -60,7 +60,7 @@ class Handle(Generic[Driving]):
         self, unit: int, *, timeout: float | None = None, retries: int | None = None
     ) -> Self:
         """
-        Give a handle to another unit, 0..255, on the same connection.
+        Return a handle to another unit, 0..255, on the same connection.
 
         Unit 0 is a broadcast on serial lines: writes only, which return after
         the turnaround. Closing either handle closes the connection of both.
@@ -76,7 +76,7 @@ class Handle(Generic[Driving]):
 
     @property
     def url(self) -> str:
-        """Where it leads."""
+        """The URL of the connection."""
         return str(self._endpoint)
 
     @property
@@ -91,22 +91,22 @@ class Handle(Generic[Driving]):
 
     @property
     def state(self) -> State:
-        """Where the connection stands."""
+        """The state of the connection."""
         return self._connection.state
 
     @property
     def closed(self) -> bool:
-        """Whether `close` was called."""
+        """True once `close` was called."""
         return self.state is State.CLOSED
 
     @property
     def statistics(self) -> Statistics:
-        """What happened on the connection; live."""
+        """The statistics of the connection; live."""
         return self._statistics
 
     @property
     def late_answers(self) -> int:
-        """How many answers came after their request had been given up, and were dropped."""
+        """Number of answers that were dropped, because their request had been given up."""
         return self._statistics.late_answers
 
     def __repr__(self) -> str:
@@ -174,6 +174,6 @@ class Handle(Generic[Driving]):
         )
 
     def _named(self, error: InvalidResponse) -> InvalidResponse:
-        """Tell an error of a procedure who was asked."""
+        """Return an error of a procedure with its unit and endpoint."""
         error.unit, error.endpoint = self.unit, self.url
         return error

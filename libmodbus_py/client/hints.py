@@ -1,5 +1,5 @@
 """
-What bytes that answer nothing look like: the usual mistakes, told by their traces.
+Likely causes of bytes that are no answer: the usual mistakes, recognised by their traces.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ ASCII_FRAME = rb":[0-9A-Fa-f]{6}"
 
 def explain(scheme: str, sent: bytes, received: bytes) -> str:
     """
-    Say what may be wrong, or nothing.
+    Return what may be wrong; an empty string if nothing is known.
 
     Args:
         scheme: of the endpoint's URL.
         sent: the request as it went out.
-        received: what came back and was no answer.
+        received: the bytes that came and were no answer.
     """
     framing = scheme.partition("+")[0]
     if framing in ("rtu", "ascii") and received.startswith(sent):
@@ -52,7 +52,7 @@ _LOOKS = {_looks_ascii: "ascii", _looks_tcp: "tcp", _looks_rtu: "rtu"}
 
 
 def _has_start(sent: bytes, received: bytes) -> bool:
-    """Whether unit and function that were asked stand somewhere in it."""
+    """Return True if the bytes contain the unit and the function of the request."""
     unit, function = sent[0], sent[1]
     starts = (bytes([unit, function]), bytes([unit, function | 0x80]))
     return any(start in received for start in starts)

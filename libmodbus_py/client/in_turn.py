@@ -64,7 +64,7 @@ class InTurn(Matching):
         # Since when a batch waits for silence.
         self._waiting: dict[Batch, float] = {}
         self._is_noisy = False  # something came on this connection that was no answer
-        self._doubled_until = 0.0  # so long as answers came that nobody asked for or owed
+        self._doubled_until = 0.0  # answers came twice recently, and may do so until then
 
     def _make_framer(self) -> Framer:
         framer = make_framer(self._framing, "client")

@@ -55,5 +55,5 @@ class NativeCarrier:
 
 
 def pdu_on_line(data: bytes, unit: int) -> bytes:
-    """Give the PDU, if the bytes are one RTU frame of this unit."""
+    """Return the PDU of one RTU frame of this unit; nothing if the bytes are none."""
     return data[1:-2] if len(data) > 4 and data[0] == unit and not crc16(data) else b""

@@ -1,5 +1,5 @@
 """
-What every client takes, checked once, and the parts made of it.
+The options of clients, checked once, and the parts made of them.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Options(TypedDict, total=False):
     The options that all clients have; times are in seconds.
 
     Keys:
-        unit: 0..255, who is asked; 1 by default. 0 is a broadcast on serial lines:
+        unit: 0..255, the unit that is asked; 1 by default. 0 is a broadcast on serial lines:
             writes only, which return after the turnaround.
         timeout: 0.001..86400, for one request from the call to the end of its answer,
             connecting included; waiting for others' requests does not count. 1 by default.
@@ -50,7 +50,7 @@ class Options(TypedDict, total=False):
         max_in_flight: 1..256 requests that wait for their answers together, at most; 16 by
             default for `AsyncClient` (TCP guide, 4.3.3), as `execute_many` says for contexts,
             and 1 where frames carry no transaction id.
-        turnaround: that a request takes which nobody answers (serial line, 2.4.1); 0.1.
+        turnaround: duration of a request that gets no answer (serial line, 2.4.1); 0.1.
         request_spacing: between the starts of two requests, at least, for devices that
             need a rest; 0.
         connect_delay: between connecting and the first request, for devices that need to
@@ -63,7 +63,7 @@ class Options(TypedDict, total=False):
         keepalive: of silence after which TCP probes whether the other side is there,
             1..32767; None for never. 30 by default.
         accept_unit: "any" takes answers from another unit than the one asked, as some
-            devices on TCP are unit 255 whoever was asked; "same" by default.
+            devices on TCP are unit 255 for every request; "same" by default.
         delimiter: the byte behind CR in ASCII frames, LF (10) unless the device was told
             otherwise; `diagnostics(3, ...)` is followed.
         security: who one is and whom one trusts, for "tls" and only there; the URL may say
@@ -207,7 +207,7 @@ def _check_security(security: object) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Parts:
-    """What a client is made of, beside its driver."""
+    """The parts of a client, its driver excepted."""
 
     endpoint: Endpoint
     port: Port

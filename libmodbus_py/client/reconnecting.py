@@ -22,7 +22,7 @@ FIRST_PAUSE = 0.1
 
 
 class State(enum.Enum):
-    """Where the connection of a client stands."""
+    """The state of a client's connection."""
 
     DISCONNECTED = "disconnected"
     CONNECTING = "connecting"
@@ -37,10 +37,10 @@ class Reconnecting:
     """
     After an attempt that failed, or a connection that ended before it was any good,
     the next attempt waits: 0.1 s, doubled each time up to `max_pause`, and up to a fifth
-    less at random, for a hundred clients should not come back at once.
+    less at random, so that a hundred clients do not come back at once.
 
     Args:
-        place: where it leads, for messages.
+        place: the other side, for messages.
         max_pause: seconds; 0 for no pause at all.
         on_state: told of every change of `state`.
 
@@ -63,7 +63,7 @@ class Reconnecting:
         self._last_failure: ModbusConnectionError | None = None
 
     def refusal(self, now: float, deadline: float) -> ModbusConnectionError | None:
-        """Say why there will be no connection before the deadline, if that is known."""
+        """Return why there will be no connection before the deadline; None if it is not known."""
         if self.state is State.CLOSED:
             return ModbusConnectionError("this client is closed", errno=errno.EBADF)
         last = self._last_failure
@@ -72,7 +72,7 @@ class Reconnecting:
         return _because_of(last, f"{last.args[0]}; next attempt in {self.next_attempt - now:.1f} s")
 
     def not_in_time(self, timeout: float) -> ModbusConnectionError:
-        """Tell somebody who has waited for too long, with what is known of the reason."""
+        """Return the error for a caller that has waited too long, with its reason if known."""
         reason = f"no connection to {self._place} within {timeout:g} s"
         last = self._last_failure
         if last is None:
@@ -80,33 +80,33 @@ class Reconnecting:
         return _because_of(last, f"{reason}; {last.args[0]}")
 
     def connecting(self) -> None:
-        """An attempt begins."""
+        """Note that an attempt begins."""
         self.fruitless += 1
         self._change(State.CONNECTING)
 
     def opened(self) -> None:
-        """It succeeded."""
+        """Note that an attempt succeeded."""
         self._statistics.connects += 1
         self._change(State.CONNECTED)
 
     def failed(self, error: ModbusConnectionError, now: float) -> None:
-        """It failed."""
+        """Note that an attempt failed."""
         self._statistics.failed_connects += 1
         self._back_off(error, now)
         self._change(State.DISCONNECTED, error)
 
     def given_up(self) -> None:
-        """It was cancelled or interrupted, which says nothing of the other side."""
+        """Note that an attempt was cancelled, which says nothing about the other side."""
         self.fruitless -= 1
         self._change(State.DISCONNECTED)
 
     def prove(self) -> None:
-        """Something good came over the connection."""
+        """Note that an answer came over the connection."""
         self.fruitless = 0
         self._last_failure = None
 
     def lost(self, error: ModbusConnectionError, now: float, *, by_itself: bool) -> None:
-        """It ended; with a pause if it went away and was no good."""
+        """Note that the connection ended; pause if it ended by itself and brought no answer."""
         self._statistics.lost += 1
         if by_itself and self.fruitless:
             self._back_off(error, now)

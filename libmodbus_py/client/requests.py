@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from ..protocol.type_names import Order, TextOptions, TypeName
 
     class _Method(Generic[Arguments, Result]):
-        """How type checkers see a method of both: it gives a result, or one to await."""
+        """A method of both clients, for type checkers: returns a result, or one to await."""
 
         @overload
         def __get__(self, client: Blocking, owner: object) -> Callable[Arguments, Result]: ...
@@ -176,7 +176,7 @@ class Requests:
 
         Returns:
             The data of the answer; `data` for "force listen only", which
-            nobody answers. `execute(pdu.Diagnostics(0, data))` echoes up to 250 bytes.
+            is not answered. `execute(pdu.Diagnostics(0, data))` echoes up to 250 bytes.
         """
         word = integer("data", data, 0, 0xFFFF).to_bytes(2, "big")
         answer = yield pdu.Diagnostics(sub_function, word)
@@ -195,7 +195,7 @@ class Requests:
     @asks
     def report_server_id(self) -> pdu.Request[pdu.ServerId]:
         """
-        Read what the device is and whether it runs (function 17, modbus_report_slave_id).
+        Read the identifier and the run status of the device (function 17, modbus_report_slave_id).
 
         Returns:
             With an identifier of one byte; ``pdu.ServerId.split(answer.data, length)``
@@ -284,8 +284,8 @@ class Requests:
         answers together, and of all requests no more than the client's own; `timeout` counts
         for each from when it is sent. Other threads wait until all are done, other tasks have
         their turns. A server may carry them out in any order: writes that depend on each other
-        need ``max_in_flight=1``. Then, on the other framings, and with a request that nobody
-        answers among them, they go one after the other.
+        need ``max_in_flight=1``. Then, on the other framings, and with a request
+        without an answer among them, they go one after the other.
 
         With `return_exceptions` the rest goes on whatever fails. A lost connection fails
         all that was in flight on it, and a new one carries the rest; an attempt to connect
@@ -299,7 +299,7 @@ class Requests:
                 first is sent.
             max_in_flight: 1..256; servers need not take more than 16 (TCP guide,
                 section 4.3).
-            return_exceptions: whether a ModbusError is given in the place of its
+            return_exceptions: True to return a ModbusError in the place of its
                 result; else the first in the order of requests is raised, nothing more is
                 sent, and answers that are still to come are dropped when they do.
 
@@ -415,8 +415,8 @@ class Requests:
             names: of points; None for all that can be read. A program that polls some of
                 them at a high rate makes a `RegisterMap` of these.
             max_in_flight: as for `execute_many`.
-            return_exceptions: whether a point that could not be read has its ModbusError
-                in place of a value, and one whose registers hold no such value a ValueError;
+            return_exceptions: True to return the ModbusError of a point that could not be read in
+                place of its value, and a ValueError if its registers hold no such value;
                 else the first of them is raised.
             options: of `Plan`: `gap`, `forbidden`, `max_registers`, `max_bits`.
 
@@ -446,7 +446,7 @@ class Requests:
             map: such as `load_map` gives it.
             values: by name, such as ``{"setpoint": 21.5}``; each becomes the nearest that its
                 scale can tell (`Point.encode`).
-            multiple: whether single coils and registers are written with functions 15 and
+            multiple: True to write single coils and registers with functions 15 and
                 16, too, for devices that lack 5 and 6.
 
         Raises:

@@ -33,10 +33,10 @@ LEAST_AROUND = 3
 
 class Carrier(Protocol):
     """
-    Looks for bytes that nobody asked for, sends a request, waits, and reads once.
+    Looks for unasked bytes, sends a request, waits, and reads once.
 
     Attributes:
-        received: all that came, datagram by datagram.
+        received: the bytes that came, datagram by datagram.
         error: why the connection is lost, or None.
     """
 
@@ -48,7 +48,7 @@ class Carrier(Protocol):
 
     def carry(self, unit: int, number: int, pdu: bytes, timeout: float, waker: int) -> bytes | None:
         """
-        Give the PDU that plainly answers; nothing if what came must be looked at, or
+        Return the PDU of the answer; an empty one if the conversation must look at what came, or
         nothing did; None if nothing was sent.
 
         Args:
@@ -92,7 +92,7 @@ class Shortcut:
 
     Args:
         parts: of the client.
-        native: whether C does it, where it can.
+        native: True to let C do it, where it can.
         waker: what the other way waits with.
     """
 
@@ -152,7 +152,7 @@ class Shortcut:
                 return None, outcome
         except Exception:
             pass  # the conversation meets it again, and tells it all that was asked
-        except BaseException:  # Ctrl-C: it was sent, and nobody waits any more
+        except BaseException:  # Ctrl-C: it was sent, and its caller is gone
             batch = self._adopted(unit, number, request, timeouts, since)
             self._conversation.abandon(batch, since)
             raise

@@ -1,5 +1,5 @@
 """
-What happened on a connection, counted.
+Counters of a connection.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ TIME_BOUNDS: tuple[float, ...] = (
 """Answers are counted by how many seconds they took at most; the last count is of the rest."""
 
 RESULTS = ("ok", "exception", "timeout", "invalid", "lost", "cancelled", "silent", "unsent")
-"""What becomes of requests; see `Statistics`."""
+"""The results of requests; see `Statistics`."""
 
 
 @dataclass(slots=True, weakref_slot=True)
 class Statistics:
     """
-    What happened on a connection since the client was made; read only.
+    Counters of a connection since the client was made; read only.
 
     Attributes:
         requests: sent, repetitions included.
@@ -46,8 +46,8 @@ class Statistics:
         last_success: when the last answer that fits came (time.monotonic), or None.
         results: ``{(function, result): requests}`` of those that are over, each repetition
             for itself. Results are "ok"; "exception", a refusal; "timeout"; "invalid", the
-            answer was none; "lost", the connection was; "cancelled", nobody waited any more;
-            "silent", which nobody answers; and "unsent", for there was no connection, or the
+            answer was none; "lost", the connection was; "cancelled", its caller left;
+            "silent", a request without an answer; and "unsent", there was no connection, or the
             line did not fall silent.
         answer_times: how many of the `responses` took up to the first of
             `client.statistics.TIME_BOUNDS` seconds, longer and up to the second, and so on;
@@ -75,7 +75,7 @@ class Statistics:
     answer_seconds: float = field(default=0.0, repr=False)
 
     def note(self, function: int, result: str) -> None:
-        """Count what became of a request."""
+        """Count the result of a request."""
         self.results[function, result] += 1
 
     def note_answer(self, function: int, result: str, seconds: float, now: float) -> None:
@@ -88,7 +88,7 @@ class Statistics:
 
 
 def result_of(error: Exception) -> str:
-    """The result of a request that failed."""
+    """Return the result of a request that failed."""
     for kind, result in _FAILURES:
         if isinstance(error, kind):
             return result

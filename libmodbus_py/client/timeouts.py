@@ -27,7 +27,7 @@ class Timeouts:
     busy_retries: int
 
     def but(self, timeout: float | None, retries: int | None) -> Timeouts:
-        """Give one like it, with what is not None in place of its own."""
+        """Return a copy with the values that are not None."""
         timeouts = self
         if timeout is not None:
             timeouts = replace(timeouts, timeout=seconds("timeout", timeout))

@@ -1,5 +1,5 @@
 """
-One connection, and the devices that share it: whose poll is next.
+One connection, and the devices that share it.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ class FleetLine:
     """
     Polls the devices of one connection in the order in which they are due.
 
-    A device that is down is tried when no other waits, one at a time, and such a try makes way:
-    it costs others no more than one of their own answers takes.
+    A device that is down is tried when no other waits, one at a time; such a trial costs others
+    no more than one of their own answers takes.
 
     Args:
         key: of the connection.
-        endpoint: where it leads, with the options of its client.
+        endpoint: of the connection, with the options of its client.
         may_ask: as of `Fleet`.
         statistics: of the fleet.
-        on_polled: told of each poll that is over; not of those that were not sent.
-        on_back: told of the devices that may be there again, as the connection is.
+        on_polled: called after each poll, and with False for a poll that was not sent.
+        on_back: called with the devices that were down, once the connection is established again.
     """
 
     def __init__(
@@ -84,7 +84,7 @@ class FleetLine:
         self.pollers[poller.name] = poller
 
     def remove(self, name: str) -> Poller:
-        """Nothing more is asked of it."""
+        """Remove a device, and withdraw its request."""
         poller = self.pollers.pop(name)
         if poller.submitted is not None:
             self._withdraw(poller)
@@ -96,7 +96,7 @@ class FleetLine:
         return poller
 
     def client_of(self, poller: Poller) -> AsyncClient:
-        """Give what asks it, as long as it may take."""
+        """Return a client with the timeout of a device."""
         timeout = poller.config.timeout
         client = self._clients.get(timeout)
         if client is None:
@@ -104,7 +104,7 @@ class FleetLine:
         return client
 
     def stop(self) -> None:
-        """Nothing more is asked."""
+        """Withdraw all requests, and send no more."""
         self._is_closed = True
         for poller in self.pollers.values():
             if poller.submitted is not None:
@@ -117,7 +117,7 @@ class FleetLine:
         self._room.clear()
 
     async def close(self) -> None:
-        """For good."""
+        """Close the connection for good."""
         self.stop()
         await self.client.close()
 
@@ -127,7 +127,7 @@ class FleetLine:
     # --- polls --------------------------------------------------------------------------------
 
     def due(self, poller: Poller, planned: float) -> None:
-        """Have it polled, unless it still is."""
+        """Poll a device, unless its last poll is still under way."""
         if poller.planned is not None:
             self._statistics.skipped += 1
             return
@@ -217,7 +217,7 @@ class FleetLine:
         self._go_on()
 
     def _conclude(self, poller: Poller, outcome: Any) -> None:
-        """Take what came of a request; its poll goes on, or is over."""
+        """Take the outcome of a request; its poll continues, or is over."""
         if self._was_held(outcome):
             poller.planned = None
             self._statistics.held += 1

@@ -1,5 +1,5 @@
 """
-One device while it is polled: where its poll stands, and how it stands itself.
+One device while it is polled: the state of its poll, and of the device.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ LONGEST_REST = 60.0
 
 
 class DeviceState(Enum):
-    """How a device stands."""
+    """The state of a device."""
 
     NEW = "new"
     UP = "up"
@@ -30,10 +30,10 @@ class DeviceState(Enum):
 
 class Reads:
     """
-    What is read of a kind of device; thousands share one.
+    The requests and points of a kind of device; thousands of devices share one object.
 
     Args:
-        config: of one of them.
+        config: of one of these devices.
     """
 
     __slots__ = ("__weakref__", "names", "plan", "units")
@@ -46,23 +46,23 @@ class Reads:
 
 class Poller:
     """
-    Asks for nothing itself: it knows what is to be asked next, and what came of it.
+    Knows the next request of a device, and takes its outcome; sends nothing itself.
 
     Args:
         config: of the device.
-        reads: what is read of it.
+        reads: the requests and points of the device.
 
     Attributes:
         state: NEW until its first poll is over.
-        told_state: how it stood when that was counted.
-        error: of its last poll, the first one; None if there was none.
-        at: when it is to be polled next, or was the last time; its phase.
-        planned: when the poll that is on its way was due; None if none is.
+        told_state: the state that the statistics count.
+        error: the first error of the last poll; None if there was none.
+        at: when the device is polled next, or was polled last; its phase.
+        planned: when the current poll was due; None without one.
         misses: polls in a row without an answer.
         submitted: the request that is in flight, or None.
-        asked_at: when that was sent.
+        asked_at: when the request was sent.
         rest_until: when its next request may be sent.
-        waits_since: when the poll that is on its way was due.
+        waits_since: when the current poll was due.
     """
 
     # fmt: off
@@ -104,12 +104,12 @@ class Poller:
 
     @property
     def next_request(self) -> Any:
-        """None when the poll is over."""
+        """The next request; None when the poll is over."""
         asked = len(self._answers)
         return self.reads.plan.requests[asked] if asked < len(self.reads.plan.requests) else None
 
     def begin(self) -> None:
-        """A poll begins."""
+        """Begin a poll."""
         self._answers = []
 
     def take(self, outcome: Any) -> None:
@@ -125,7 +125,7 @@ class Poller:
         )
 
     def conclude(self, now: float) -> None:
-        """A poll is over."""
+        """End a poll."""
         errors = [answer for answer in self._answers if isinstance(answer, ModbusError)]
         self.error = errors[0] if errors else None
         self.misses = 0 if self._has_answered else self.misses + 1
@@ -133,7 +133,7 @@ class Poller:
         self.rest_until = now + self.config.spacing
 
     def readings(self, time: float) -> list[Reading]:
-        """Give what is told of the poll."""
+        """Return the readings of the poll."""
         reads, device = self.reads, self.config.name
         values = list(reads.plan.results(self._answers, return_exceptions=True).values())
         self._answers = []
@@ -144,17 +144,19 @@ class Poller:
 
     @property
     def pause(self) -> float:
-        """How long it rests after its last poll, which got no answer."""
+        """Seconds that the device rests after a poll without an answer."""
         return rest_after(self.misses, self.config.interval, LONGEST_REST)
 
     @property
     def is_refused(self) -> bool:
-        """Whether the device answered, but not with what was asked for."""
+        """True if the device answered, but refused a request."""
         return self.state is DeviceState.UP and self.error is not None
 
 
 def _told(value: Any, unit: str) -> tuple[Any, str, Quality, str]:
     if isinstance(value, Exception):
         quality: Quality = "down" if is_down(value) else "bad"
-        return None, unit, quality, type(value).__name__
+        # Consumers of readings know the reasons by these names; a ValueError may be of any class.
+        reason = "ValueError" if isinstance(value, ValueError) else type(value).__name__
+        return None, unit, quality, reason
     return value, unit, "good", ""

@@ -13,8 +13,8 @@ __all__ = ["Timetable", "first_time", "next_time"]
 
 def first_time(name: str, interval: float, now: float, wall: float) -> float:
     """
-    Give the first time of a device: its phase comes of its name and of the time of day, so it
-    is polled at the same moments by whatever machine does, and thousands never all at once.
+    Return the first time of a device. Its phase is derived from its name and the time of day, so
+    that every machine polls it at the same moments, and thousands are never polled at once.
 
     Args:
         now: the time now.
@@ -26,7 +26,7 @@ def first_time(name: str, interval: float, now: float, wall: float) -> float:
 
 
 def next_time(planned: float, interval: float, now: float) -> tuple[float, int]:
-    """Give the first time after now, and how many before it are skipped, for they have passed."""
+    """Return the first time after now, and how many earlier times are skipped."""
     missed = max(0, int((now - planned) // interval))
     return planned + (missed + 1) * interval, missed
 
@@ -35,7 +35,7 @@ Each = TypeVar("Each")
 
 
 class Timetable(Generic[Each]):
-    """What is due when, for thousands: one heap, and one place in it for each."""
+    """A priority queue of thousands of members by time; each has one place in it."""
 
     def __init__(self) -> None:
         self._heap: list[tuple[float, int, Each]] = []
@@ -46,13 +46,13 @@ class Timetable(Generic[Each]):
         return len(self._places)
 
     def put(self, each: Each, at: float) -> None:
-        """Have it due then, and not when it was to be before."""
+        """Add a member, or move it to another time."""
         self._number += 1
         self._places[each] = self._number
         heappush(self._heap, (at, self._number, each))
 
     def remove(self, each: Each) -> None:
-        """It is not due any more, if it was."""
+        """Remove a member, if it is there."""
         self._places.pop(each, None)
         if len(self._heap) > 2 * len(self._places) + 100:
             self._heap = [entry for entry in self._heap if self._places.get(entry[2]) == entry[1]]
@@ -60,12 +60,12 @@ class Timetable(Generic[Each]):
 
     @property
     def next_at(self) -> float | None:
-        """When somebody is due."""
+        """The earliest time; None without members."""
         self._drop_old()
         return self._heap[0][0] if self._heap else None
 
     def due(self, now: float, most: int) -> list[tuple[float, Each]]:
-        """Take out who is due, so many at most, with their times."""
+        """Remove and return up to `most` members that are due, with their times."""
         found: list[tuple[float, Each]] = []
         while self._heap and self._heap[0][0] <= now and len(found) < most:
             at, number, each = heappop(self._heap)

@@ -1,5 +1,5 @@
 """
-What a fleet would do: whether each device answers, and what serial lines can carry.
+Checks before a fleet runs: which devices answer, and which serial lines are overloaded.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class Overload:
 
 
 def overloads(devices: Iterable[DeviceConfig]) -> list[Overload]:
-    """Find the serial lines that cannot keep the intervals of their devices, whoever answers."""
+    """Return the serial lines that cannot keep the intervals of their devices."""
     found: list[Overload] = []
     for group in by_connection(devices).values():
         endpoint = group[0].endpoint
@@ -86,7 +86,7 @@ def _port(endpoint: Endpoint) -> SerialPort:
 
 
 def _seconds(device: DeviceConfig) -> float:
-    """What a poll takes on a serial line: characters, and the silence around frames."""
+    """Return the seconds of a poll on a serial line: characters, and silence between frames."""
     endpoint = device.endpoint
     character = _port(endpoint).character
     framer = make_framer(endpoint.framing, "client")
@@ -105,7 +105,7 @@ def _count(request: Any) -> int:
 
 
 async def trying(devices: Sequence[DeviceConfig]) -> AsyncGenerator[Tried, None]:
-    """Ask each device once, those of a line one after the other; gives them as they come."""
+    """Poll each device once, those of a line one after the other; yield results as they come."""
     found: asyncio.Queue[Tried] = asyncio.Queue()
     free = asyncio.Semaphore(MOST_AT_ONCE)
     tasks = [

@@ -189,7 +189,7 @@ class Dispatcher:
     def _broadcast(
         self, session: ForwardingSession, frame: Frame, request: RequestBytes
     ) -> bytes | None:
-        """What is no write cannot be one: nobody would answer."""
+        """Send a write to all lines; refuse other requests, which would get no response."""
         if not request.is_write:
             return self._refuse_route(session, frame.pdu)
         routes = {route.line: route for route in self.answering.routes.values()}

@@ -339,7 +339,7 @@ class GatewayLine:
             if each.age:
                 self._cache.keep(each.unit, each.request.pdu, outcome, each.asked_at, each.state)
             self.statistics.unwanted += each.tell(outcome)
-        elif outcome is None:  # nobody answers
+        elif outcome is None:  # a broadcast
             if each.is_trial:
                 self._silent.cancel_trial(each.unit, now)
             each.tell(None)

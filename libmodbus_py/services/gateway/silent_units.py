@@ -15,7 +15,7 @@ LONGEST_REST = 30.0
 
 
 class UnitState(Enum):
-    """What a request to a unit may do: be asked, be answered at once, or try the unit."""
+    """Decides about a request: send it, answer it at once, or let it try the unit."""
 
     GOOD = "good"
     RESTING = "resting"
@@ -48,7 +48,7 @@ class SilentUnits:
         return UnitState.RESTING if now < self._units[unit][1] else UnitState.DUE
 
     def start_trial(self, unit: int) -> int:
-        """Have the unit rest while a request tries it; return how often it gave no answer."""
+        """Let a request try the unit, while others are refused; return the misses so far."""
         misses, _ = self._units[unit]
         self._units[unit] = misses, math.inf
         return misses
