@@ -84,9 +84,9 @@ def _check_length(text: str) -> None:
 
 def _set_value(unit: ShownUnit, point: Point, value: Any) -> None:
     try:
-        cells = point.encode(value)
-    except (TypeError, ValueError) as error:
-        raise ValueError(str(error).removeprefix(f"{point.name}: ")) from None
+        cells = point.cells_of(value)
+    except TypeError as error:
+        raise ValueError(str(error)) from None
     _set(unit, point.table, point.address, cells)
 
 
