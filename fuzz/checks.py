@@ -29,16 +29,24 @@ from libmodbus_py.protocol.framing import (
     UdpFramer,
 )
 from libmodbus_py.security.role import RoleError, decode_role, encode_role, role_of
+from libmodbus_py.services.fleet import files as fleet_files
+from libmodbus_py.services.fleet.devices_csv import device_rows
+from libmodbus_py.services.gateway import config as gateway_file
+from libmodbus_py.tools.files.file_error import FileError
+from libmodbus_py.tools.files.maps import map_file
+from libmodbus_py.tools.files.toml_text import read_toml
 from libmodbus_py.tools.listener.separator import LineFraming, Separator
 from libmodbus_py.tools.listener.transaction import Heard
 
 __all__ = [
+    "FILES",
     "FRAMERS",
     "REQUEST_OBJECTS",
     "check_certificate",
     "check_datagrams",
     "check_device",
     "check_device_file",
+    "check_file",
     "check_listening",
     "check_request",
     "check_response",
@@ -179,6 +187,33 @@ def check_device_file(text: str) -> None:
                     # are no value (4).
                     answer = device.answer(request)
                     assert answer[0] == function or answer[1] in (1, 2, 4), answer
+
+
+FILES: dict[str, Callable[[str], list[Exception]]] = {
+    "map.toml": lambda text: list(map_file.FORMS[".toml"](text, 20).mistakes),
+    "map.csv": lambda text: list(map_file.FORMS[".csv"](text, 20).mistakes),
+    "gateway.toml": lambda text: _mistakes(lambda: gateway_file.parse(text)),
+    "fleet.toml": lambda text: _mistakes(lambda: fleet_files.FILE.read((), read_toml(text))),
+    "devices.csv": lambda text: _mistakes(
+        lambda: list(device_rows(text, fleet_files.DEVICE, FileError))
+    ),
+}
+"""Kind of file -> returns what is wrong in a text."""
+
+
+def _mistakes(read: Callable[[], object]) -> list[Exception]:
+    try:
+        read()
+    except (TypeError, ValueError) as error:
+        return [error]
+    return []
+
+
+def check_file(kind: str, text: str) -> None:
+    """It is read, or each mistake is one line that is not long."""
+    for error in FILES[kind](text):
+        assert "\n" not in str(error)
+        assert len(str(error)) < 2000
 
 
 def check_request(data: bytes) -> None:

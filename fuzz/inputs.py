@@ -9,12 +9,14 @@ from pathlib import Path
 from typing import NamedTuple
 
 from fuzz.checks import (
+    FILES,
     FRAMERS,
     REQUEST_OBJECTS,
     check_certificate,
     check_datagrams,
     check_device,
     check_device_file,
+    check_file,
     check_listening,
     check_request,
     check_response,
@@ -97,6 +99,21 @@ def some_device_files() -> list[bytes]:
     return [text, *(b"[[unit]]\n[" + table for table in tables)]
 
 
+def files(data: bytes) -> None:
+    """Which kind of file, and its text."""
+    kind = sorted(FILES)[data[0] % len(FILES)] if data else "map.toml"
+    check_file(kind, data[1:].decode("utf-8", "replace"))
+
+
+def some_files() -> list[bytes]:
+    """The examples, and a list of devices, as every kind of file."""
+    folder = Path(__file__).parents[1] / "examples"
+    texts = [(folder / name).read_bytes() for name in ("gateway.toml", "fleet.toml", "meter.csv")]
+    texts.append(b"name;url;unit;map;labels.site\na;tcp://192.0.2.1;1;meter.csv;here\n")
+    texts.append(b'[[point]]\nname = "a"\ntable = "coils"\naddress = 1\n')
+    return [bytes([kind]) + text for text in texts for kind in range(len(FILES))]
+
+
 def lines(data: bytes) -> None:
     """The framing, the sizes and gaps of eight pieces, what is on the line."""
     framing: LineFraming = "ascii" if data[:1] > b"\x7f" else "rtu"
@@ -167,5 +184,6 @@ TARGETS = {
     "device": Target(devices, some_devices),
     "certificates": Target(certificates, some_certificates),
     "device_file": Target(device_files, some_device_files),
+    "files": Target(files, some_files),
     "chunk": Target(None, some_chunks),
 }

@@ -15,11 +15,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fuzz.checks import (
+    FILES,
     FRAMERS,
     REQUEST_OBJECTS,
     check_datagrams,
     check_device,
     check_device_file,
+    check_file,
     check_listening,
     check_request,
     check_response,
@@ -98,6 +100,16 @@ WORDS += [
 def test_device_files(words: list[str]) -> None:
     """Parts of the example in any order."""
     check_device_file("[[unit]]\n" + "\n".join(words))
+
+
+TEXTS = ["[[point]]", "[[route]]", "[[device]]", "[output.json]", "name;url;unit", "name,address"]
+TEXTS += ["name = 'a'", "to = 1", "unit = 300", "a;tcp://h;1", "a,40001", '"', "\0", "\n", "# x"]
+
+
+@settings(max_examples=60)
+@given(st.sampled_from(sorted(FILES)), st.lists(st.sampled_from(TEXTS) | st.text(max_size=3)))
+def test_files_of_all_kinds(kind: str, lines: list[str]) -> None:
+    check_file(kind, "\n".join(lines))
 
 
 ODD_VALUES = ["9" * 400, "9" * 5000, "0x" + "f" * 5000, "-1", "0", "1e400", "inf", "nan", "true"]

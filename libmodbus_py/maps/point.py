@@ -174,7 +174,9 @@ class Point:
                 raise WrongValue("cells", f"must be {len(self.cells)}, not {len(cells)}")
             values = self.values_in(cells)
         except (TypeError, ValueError) as error:
-            raise _named(self.name, error) from None
+            # A plain error: readings of fleets have the name of its class as their reason.
+            kind = TypeError if isinstance(error, TypeError) else ValueError
+            raise kind(f"{self.name}: {error}") from None
         return values[0] if self.count == 1 else values
 
     def values_in(self, cells: Sequence[Any]) -> list[Any]:

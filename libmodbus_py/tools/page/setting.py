@@ -85,7 +85,7 @@ def _check_length(text: str) -> None:
 
 def _set_value(unit: ShownUnit, point: Point, value: Any) -> None:
     try:
-        cells = point.encode(value)
+        cells = point.cells_of(value)
     except (WrongType, WrongValue) as error:  # whose path is the name, which the page shows
         raise ValueError(error.reason) from None
     _set(unit, point.table, point.address, cells)

@@ -4,6 +4,7 @@ Register maps from files.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from os import PathLike, fspath
 from pathlib import PurePath
 
@@ -13,7 +14,7 @@ from ..texts import read_text
 from . import csv_form, toml_form
 from .drafts import Contents, MapError, collected
 
-__all__ = ["contents_of", "load_map"]
+__all__ = ["FORMS", "contents_of", "load_map"]
 
 
 def load_map(path: str | PathLike[str]) -> RegisterMap:
@@ -42,9 +43,9 @@ def contents_of(path: str | PathLike[str], most: int) -> Contents:
     Raises:
         MapError: it cannot be read.
     """
-    form = _FORMS.get(PurePath(path).suffix.lower())
+    form = FORMS.get(PurePath(path).suffix.lower())
     if form is None:
-        reason = f"a register map must end with one of {', '.join(_FORMS)}"
+        reason = f"a register map must end with one of {', '.join(FORMS)}"
         raise MapError((), reason, place=FilePlace(fspath(path)))
     contents = form(read_text(path, MapError), most)
     contents.mistakes = [mistake.in_file(fspath(path)) for mistake in contents.mistakes]
@@ -65,4 +66,10 @@ def _from_csv(text: str, most: int) -> Contents:
     return collected(contents, csv_form.drafts(opened, columns), most)
 
 
-_FORMS = {".toml": _from_toml, ".csv": _from_csv, ".tsv": _from_csv, ".txt": _from_csv}
+FORMS: dict[str, Callable[[str, int], Contents]] = {
+    ".toml": _from_toml,
+    ".csv": _from_csv,
+    ".tsv": _from_csv,
+    ".txt": _from_csv,
+}
+"""How a file ends -> reads a text up to the mistake with a number."""
