@@ -86,6 +86,7 @@ def test_a_port_that_has_the_settings_already_but_no_parity() -> None:
     for _ in range(2):
         port = ReadOnlySerialPort(path, baudrate=38400, parity="E")
         port.open()
+        assert termios.tcgetattr(port.descriptor)[4:6] == [termios.B38400] * 2
         port._restored = None  # as if the program had died
         port.close()
     os.close(master)

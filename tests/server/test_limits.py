@@ -111,11 +111,18 @@ def test_networks_that_are_none_are_named(networks: object) -> None:
         {"max_unsent": 2**30},
         {"requests_per_second": 0.001},
         {"requests_per_second": 1_000_000},
-        {"allow": iter(["::1", "10.0.0.0/8", "192.0.2.7/24"])},
     ],
 )
 def test_limits_reach_to_their_ends(limits: dict[str, Any]) -> None:
-    Limits(**limits)
+    made = Limits(**limits)
+    assert {name: getattr(made, name) for name in limits} == limits
+
+
+def test_networks_may_come_from_an_iterator() -> None:
+    limits = Limits(allow=iter(["::1", "10.0.0.0/8", "192.0.2.7/24"]))
+    for host in ("::1", "10.1.2.3", "192.0.2.9"):
+        assert limits.allows(host)
+    assert not limits.allows("192.0.3.9")
 
 
 @pytest.mark.parametrize("limits", [5, {}, {"max_connections": 2}, Limits])
