@@ -222,7 +222,9 @@ class ByChunk:
 
     def _rest(self) -> ByFrame:
         if self._by_frame is None:
-            self._by_frame = ByFrame(self._units, "tcp", self, self._statistics)
+            # pyright takes a function in a slot for a method.
+            channel: Channel = self  # pyright: ignore
+            self._by_frame = ByFrame(self._units, "tcp", channel, self._statistics)
         return self._by_frame
 
     def _set_state(self) -> None:

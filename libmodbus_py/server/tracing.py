@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import NoReturn
 
 from ..device.hooks import timed
@@ -80,15 +80,22 @@ class TracedService:
 class TracedChannel:
     """The channel of a session that tells `trace` of its ADUs. See `Channel`."""
 
-    __slots__ = ("address", "follow", "hang_up", "role", "trace", "write")
+    __slots__ = ("_channel", "address", "role", "trace")
 
     def __init__(self, channel: Channel, trace: Trace) -> None:
+        self._channel = channel
         self.address: str = channel.address
         self.role: str | None = channel.role
         self.trace: Trace | None = trace
-        self.write: Callable[[bytes], None] = channel.write
-        self.follow: Callable[[], None] = channel.follow
-        self.hang_up: Callable[[], bool] = channel.hang_up
+
+    def write(self, data: bytes) -> None:
+        self._channel.write(data)
+
+    def follow(self) -> None:
+        self._channel.follow()
+
+    def hang_up(self) -> bool:
+        return self._channel.hang_up()
 
 
 class Harmless:

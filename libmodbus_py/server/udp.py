@@ -124,7 +124,7 @@ class _Datagram:
         self.address = f"{source[0]}:{source[1]}"
         self.session: Session | None = None
         self._sources = sources
-        self._framing = framing
+        self._framing: Framing = framing
         self._waiting = waiting
         self._local = local
         self._source = source

@@ -29,6 +29,7 @@ from libmodbus_py import (
     framing,
     pdu,
 )
+from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.protocol.pdu import SubFunction
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.support.cases import each_case
@@ -91,7 +92,8 @@ def send(context: Context, data: bytes) -> None:
 
 
 def frame(context: Context, unit: int, body: bytes) -> bytes:
-    return context._driver._conversation._framer.encode(framing.Frame(unit, body))
+    made = framing.make_framer(parse(context.url).framing, "client")
+    return made.encode(framing.Frame(unit, body))
 
 
 def test_every_counter_counts_what_it_should(line: Context) -> None:
