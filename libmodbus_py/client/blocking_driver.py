@@ -13,7 +13,7 @@ import threading
 import weakref
 from collections.abc import Callable
 from functools import update_wrapper
-from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar, TypeVarTuple
 
 from ..ports.waiting import READ, WRITE, Woken, run
 from ..protocol.errors import ModbusConnectionError
@@ -32,7 +32,7 @@ __all__ = ["BlockingDriver"]
 # How long `close` waits for another thread to leave a connection that it was told to leave.
 LEAVING = 1.0
 
-Arguments = ParamSpec("Arguments")
+Arguments = TypeVarTuple("Arguments")
 Result = TypeVar("Result")
 
 FORKED = "this process was forked off"
@@ -42,17 +42,15 @@ SLEPT = 0.005
 
 
 def _alone(
-    carry: Callable[Concatenate[BlockingDriver, threading.RLock, Arguments], Result],
-) -> Callable[Concatenate[BlockingDriver, Arguments], Result]:
+    carry: Callable[[BlockingDriver, threading.RLock, *Arguments], Result],
+) -> Callable[[BlockingDriver, *Arguments], Result]:
     """
     Carry out a request while no other one is under way, and leave nothing of it behind.
 
     The method raises RuntimeError when it is called from within a request of the same thread.
     """
 
-    def method(
-        self: BlockingDriver, /, *arguments: Arguments.args, **named: Arguments.kwargs
-    ) -> Result:
+    def method(self: BlockingDriver, /, *arguments: *Arguments) -> Result:
         lock = self._lock
         with lock:
             if self._is_busy:
@@ -63,7 +61,7 @@ def _alone(
             # Nothing may come between here and the end that a Ctrl-C could skip.
             try:
                 self._is_busy = True
-                return carry(self, lock, *arguments, **named)
+                return carry(self, lock, *arguments)
             except Exception:  # its caller is gone, so it must not be sent later
                 if self._batch is not None and not self._batch.is_done:
                     self._conversation.abandon(self._batch, self._now())
