@@ -85,7 +85,7 @@ class Plant:
 
     def run(self, main: Callable[[], Awaitable[None]]) -> None:
         async def whole() -> None:
-            self.line = GatewayLine(parse(self.url), GatewayOptions(**self.manner))
+            self.line = GatewayLine(parse(self.url), GatewayOptions(**self.options))
             try:
                 await main()
             finally:
