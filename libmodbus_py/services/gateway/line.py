@@ -138,7 +138,7 @@ class GatewayLine:
 
     Args:
         endpoint: of the connection, with the options of its client.
-        manner: how requests wait.
+        options: how requests wait.
 
     Raises:
         TypeError, ValueError: an option that such a client cannot have.
