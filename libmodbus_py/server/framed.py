@@ -58,7 +58,7 @@ class Framed(ABC):
     @property
     def state(self) -> SessionState:
         if not self._has_ended:
-            if self._found or self._unsearched or self._is_quiet or not self._framer.in_step:
+            if self._is_behind:
                 return SessionState.BEHIND
             if self.is_held:
                 return SessionState.HELD
@@ -66,6 +66,11 @@ class Framed(ABC):
             if self._framer.quiet is None and self._framer.pending:
                 return SessionState.UNFINISHED
         return SessionState.OWING if self.is_owing else SessionState.READING
+
+    @property
+    def _is_behind(self) -> bool:
+        is_lost = not self._framer.in_step
+        return bool(self._found or self._unsearched or self._is_quiet or is_lost)
 
     @property
     def is_held(self) -> bool:
@@ -94,7 +99,7 @@ class Framed(ABC):
             self._unsearched = b""
             if not requests:  # else they count first
                 raise FrameError("stream out of step")
-        if self.state is SessionState.BEHIND:
+        if self._is_behind:
             self._channel.follow()
         elif self._framer.quiet and self._framer.pending and not self._is_heard:
             self._is_heard = True
