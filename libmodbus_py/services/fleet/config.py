@@ -132,9 +132,14 @@ class DeviceConfig:
 
     @property
     def connection_key(self) -> str:
-        """Devices with the same one share a connection."""
-        kind, where, port = self.endpoint.place
-        return f"{kind}:{where}:{port}"
+        """
+        Devices with the same key share a connection.
+
+        Workers of other versions read the key, so that its form does not change.
+        """
+        _, where, port = self.endpoint.place
+        place = where if self.endpoint.is_serial else f"{where}:{port}"
+        return f"{self.endpoint.transport}:{place}"
 
 
 def readable(points: RegisterMap) -> tuple[str, ...]:

@@ -11,7 +11,6 @@ from typing import Any
 
 from ...maps.point import Point
 from ...maps.typed import typed_register, typed_value
-from ...protocol.mistakes import WrongType, WrongValue
 from ...protocol.spelling import shown
 from ...protocol.tables import TABLES
 from ...protocol.values import readings, value_type
@@ -86,8 +85,8 @@ def _check_length(text: str) -> None:
 def _set_value(unit: ShownUnit, point: Point, value: Any) -> None:
     try:
         cells = point.cells_of(value)
-    except (WrongType, WrongValue) as error:  # whose path is the name, which the page shows
-        raise ValueError(error.reason) from None
+    except TypeError as error:
+        raise ValueError(str(error)) from None
     _set(unit, point.table, point.address, cells)
 
 
