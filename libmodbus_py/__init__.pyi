@@ -5,6 +5,7 @@ The public names of the package, each once: type checkers read this file, and so
 from .binding import low_level as low_level
 from .client.asynchronous import AsyncClient as AsyncClient
 from .client.blocking import AsciiContext as AsciiContext
+from .client.blocking import Client as Client
 from .client.blocking import Context as Context
 from .client.blocking import RtuContext as RtuContext
 from .client.blocking import TcpContext as TcpContext

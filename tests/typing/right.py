@@ -13,6 +13,7 @@ from libmodbus_py import (
     Access,
     AsciiContext,
     AsyncClient,
+    Client,
     Context,
     Device,
     Gateway,
@@ -50,6 +51,8 @@ AsciiContext("/dev/ttyUSB0", delimiter=0x0A)
 RtuContext("/dev/ttyUSB0", rs485=None, rts_delay=None, echo=True, busy_retries=3, turnaround=0.2)
 Context.from_url("tcp://192.0.2.10?unit=17", timeout=0.5, retries=1)
 Context.from_url("rtu:///dev/ttyUSB0", baudrate=9600, parity="N", native=False)
+Client("tcp://192.0.2.10?unit=17", timeout=0.5, retries=1)
+Client("rtu:///dev/ttyUSB0", baudrate=9600, parity="N", native=False)
 AsyncClient("tcp://192.0.2.10", unit=17, max_in_flight=4, on_state=print)
 AsyncClient("tcp://192.0.2.10", may_send=lambda: True)
 AsyncClient("tcp://192.0.2.10", retries=2, trace=print)
