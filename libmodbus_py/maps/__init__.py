@@ -1,5 +1,5 @@
 """
-What registers a device has, by name, and what to ask for all of them. No I/O.
+The registers of a device, by name, and the requests that read and write them. No I/O.
 
 ::
 

@@ -1,8 +1,8 @@
 """
 A poll plan: many small reads merged into few requests, made once and run often.
 
-Only numbers; no I/O. The clients run a plan (``read_many``); who has a transport
-of their own sends ``plan.requests`` and gives the answers to ``plan.results``.
+Only numbers; no I/O. The clients run a plan (``read_many``); a program with its own transport sends
+``plan.requests`` and passes the answers to ``plan.results``.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ class Read:
 
     @cached_property
     def size(self) -> int:
-        """The cells of one value."""
+        """The number of cells of one value."""
         return 1 if self.kind is None else self.kind.registers
 
     @cached_property
@@ -88,10 +88,11 @@ class Read:
 
     def decode(self, cells: Sequence[Any]) -> list[Any]:
         """
-        Turn all cells into values.
+        Return the values of all cells.
 
         Raises:
-            TypeError, ValueError: not as many as `cells`, or such that hold no such value.
+            TypeError, ValueError: there are not as many as in `cells`, or they hold no value of
+                this type.
         """
         if len(cells) != len(self.cells):
             raise WrongValue("cells", f"must be {len(self.cells)}, not {len(cells)}")
@@ -115,7 +116,7 @@ Values = list[Any]
 
 
 class PlanOptions(TypedDict, total=False):
-    """How a `Plan` merges; see there."""
+    """The options of a `Plan` that control how it merges reads; see there."""
 
     gap: int
     forbidden: Forbidden
@@ -124,21 +125,21 @@ class PlanOptions(TypedDict, total=False):
 
 
 class Strict(PlanOptions, total=False):
-    """What `read_many` takes where each failure is raised."""
+    """The options of `read_many` when every failure is raised."""
 
     max_in_flight: int
     return_exceptions: Literal[False]
 
 
 class Tolerant(PlanOptions, total=False):
-    """And where it gives a ModbusError in place."""
+    """The options of `read_many` when a failed item gets a ModbusError in place of its values."""
 
     max_in_flight: int
     return_exceptions: Required[Literal[True]]
 
 
 class _Part(NamedTuple):
-    """Where a piece of an item lies: answers[request][start:stop]."""
+    """The location of a piece of an item in the answers: answers[request][start:stop]."""
 
     request: int
     start: int
@@ -146,7 +147,7 @@ class _Part(NamedTuple):
 
 
 class _Piece(NamedTuple):
-    """What is left of an item; `step` cells of it must stay together."""
+    """The rest of an item; groups of `step` cells in it must stay together."""
 
     start: int
     stop: int
@@ -167,20 +168,19 @@ class Plan:
     Reads of one unit, merged.
 
     Items of a table become one request where they touch or overlap, or lie no
-    further apart than `gap`, and as few requests as that allows. What one request
-    can hold is never torn: all cells of such an item are of one moment. A larger
-    item is split, but never inside of a typed value, half of which would
-    then be older than the other.
+    further apart than `gap`, and as few requests as that allows. An item that
+    fits into one request is never split: all its cells are read at one moment. A larger
+    item is split, but never inside a typed value, because its halves would then be read at
+    different moments.
 
-    A device may refuse a request for cells that it lacks or hides, and with it all that
-    was merged into it. A smaller `gap`, or the cells named in `forbidden`, is the cure.
+    A device may refuse a request that covers cells which it lacks or hides; then all items
+    merged into that request fail. Use a smaller `gap`, or name such cells in `forbidden`.
 
     Args:
         items: each a `Read`, or a tuple of its arguments, such as
             ("coils", 10, 3) or ("holding_registers", 100, 2, "float32"); or a
             mapping of names to such.
-        gap: how many cells in a row that nobody asked for may be read to save a
-            request, 0..2000.
+        gap: how many consecutive cells outside the items may be read to save a request, 0..2000.
         forbidden: pairs (table, range of addresses) that must never be read,
             such as ("holding_registers", range(40, 50)).
         max_registers: the most a request may ask of this device, 1..125.
@@ -221,15 +221,15 @@ class Plan:
 
     def results(self, answers: Iterable[Sequence[Any] | ModbusError]) -> Any:
         """
-        Give what was asked for.
+        Return the values of the items.
 
         Args:
-            answers: what came back for each of `requests`, in their order: a list
-                of cells, or a ModbusError in place of one.
+            answers: the answer to each of `requests`, in their order: a list
+                    of cells, or a ModbusError.
 
-        Returns:
+            Returns:
             The values of each item, always a list, in the order of the items; a dict
-            by name where they have names. An item that was to come with a failed
+            by name where they have names. An item that was part of a failed
             request has the ModbusError instead.
 
         Raises:
@@ -322,10 +322,10 @@ class Plan:
 
 def planned(items: Plan | Items, options: PlanOptions) -> Plan:
     """
-    Give the plan itself, or make one of items.
+    Return the plan itself, or a new plan made of the items.
 
     Raises:
-        TypeError, ValueError: as of `Plan`; options beside a plan, which has its own.
+        TypeError, ValueError: as `Plan`; or options were passed beside a plan, which has its own.
     """
     if not isinstance(items, Plan):
         return Plan(items, **options)

@@ -1,5 +1,5 @@
 """
-One named value of a device: where it lies, and what its cells mean.
+One named value of a device: its location and the meaning of its cells.
 """
 
 from __future__ import annotations
@@ -38,22 +38,21 @@ class Point:
         table: "coils", "discrete_inputs", "holding_registers" or "input_registers".
         address: its first cell, 0..65535.
         count: how many values; 1 for the value itself, more for a list of them.
-        type: what registers mean, such as "float32" (`libmodbus_py.values`), uint16 unless
-            given; None in tables of bits, whose values are True and False.
+        type: how registers are interpreted, such as "float32" (`libmodbus_py.values`), uint16
+            unless given; None in tables of bits, whose values are True and False.
         order, encoding, padding: of the type, as for `values.value_type`.
         scale, offset: value = raw * scale + offset, for numbers, as exact as they are
             written: 2305 times 0.1 is 230.5. Integers stay integers where both are whole.
             Each -1e30..1e30; the scale not nearer to 0 than 1e-30.
         units: of the value, such as "V" or "kWh"; up to 50 characters. `unit` is the old name.
         access: "read", "write" or "read_write": what clients may do. Unless given
-            "read_write", and "read" for discrete inputs and input registers, which
-            nobody can write.
+            "read_write", and "read" for discrete inputs and input registers.
         minimum, maximum: what may be written, both included, in scaled values; None for
             no bound but the type's.
         description: up to 2000 characters.
 
     Attributes:
-        read: what to ask for, as a `Plan` takes it.
+        read: the `Read` of all cells, for a `Plan`.
 
     Raises:
         TypeError, ValueError: an argument of the wrong type or range; the message begins
@@ -96,7 +95,7 @@ class Point:
         store(self, access=self._checked_access(), _scaling=self._checked_scaling())
         self._check_bounds()
 
-    # --- what it is ----------------------------------------------------------------------
+    # --- properties ----------------------------------------------------------------------
 
     @property
     def unit(self) -> str:
@@ -106,27 +105,27 @@ class Point:
 
     @property
     def is_readable(self) -> bool:
-        """Whether clients may read it."""
+        """True if clients may read the point."""
         return self.access != "write"
 
     @property
     def is_writable(self) -> bool:
-        """Whether clients may write it."""
+        """True if clients may write the point."""
         return self.access != "read"
 
     @property
     def cells(self) -> range:
-        """The addresses of all its cells."""
+        """The addresses of all cells of the point."""
         return self.read.cells
 
     @property
     def to_value(self) -> Callable[[Any], Any] | None:
-        """What makes its value of a raw one; None where they are the same."""
+        """The function that converts a raw value to a scaled one; None where they are the same."""
         return None if self._scaling is None else self._scaling.to_value
 
     @property
     def type_name(self) -> str:
-        """Its type; its table where that holds bits."""
+        """The type of the values; the name of the table where that holds bits."""
         return self.type or self.table
 
     @property
@@ -147,16 +146,16 @@ class Point:
 
     @property
     def step(self) -> float:
-        """The distance of two values; 0 for floats, and for what is no number."""
+        """The distance between two adjacent values; 0 for floats and where there are no numbers."""
         limits = (0, 1) if self.read.kind is None else self.read.kind.limits
         is_whole = limits is not None and isinstance(limits[0], int)
         return abs(self.scale) if is_whole else 0
 
-    # --- what its cells mean ---------------------------------------------------------------
+    # --- cells and values ------------------------------------------------------------------
 
     def decode(self, cells: Sequence[Any]) -> Any:
         """
-        Turn its cells into its value.
+        Return the value that the cells of the point hold.
 
         Args:
             cells: True and False, or registers 0..65535: as many as `cells`.
@@ -166,8 +165,8 @@ class Point:
             a list of such unless `count` is 1.
 
         Raises:
-            TypeError, ValueError: other cells, or such that hold no such value; it names
-                the point.
+            TypeError, ValueError: the number of cells is wrong, or they hold no value of this
+                    type; the message names the point.
         """
         try:
             if len(cells) != len(self.cells):
@@ -181,10 +180,10 @@ class Point:
 
     def values_in(self, cells: Sequence[Any]) -> list[Any]:
         """
-        Turn the cells of some of its values into these values.
+        Return the values that the cells of some values of the point hold.
 
         Raises:
-            TypeError, ValueError: the cells hold no such values.
+            TypeError, ValueError: the cells hold no values of this type.
         """
         values = list(cells) if self.read.kind is None else self.read.kind.decode_many(cells)
         if self._scaling is None:
@@ -193,17 +192,17 @@ class Point:
 
     def encode(self, value: Any) -> list[Any]:
         """
-        Turn a value into its cells.
+        Return the cells of a value.
 
-        Of scaled integers the nearest one is taken, of two the even one: 21.57 at a scale of
-        0.1 is 216. Where nothing is scaled an integer must be one.
+        A scaled value is rounded to the nearest raw integer, a tie to the even one: 21.57 at a
+        scale of 0.1 is 216. Without scaling, the value of an integer type must be whole.
 
         Args:
-            value: as `decode` gives it; numbers may be of any kind.
+            value: as `decode` returns it; numbers may be of any numeric type.
 
         Raises:
-            TypeError, ValueError: it does not fit the type, `count`, `minimum` or `maximum`; it
-                names the point.
+            TypeError, ValueError: the value does not fit the type, `count`, `minimum` or
+                    `maximum`; the message names the point.
         """
         try:
             return self.cells_of(value)
@@ -212,7 +211,7 @@ class Point:
 
     def cells_of(self, value: Any) -> list[Any]:
         """
-        Turn a value into its cells, as `encode` does.
+        Return the cells of a value, as `encode` does.
 
         Raises:
             TypeError, ValueError: as `encode`; the message begins with "value", not with the
@@ -223,7 +222,7 @@ class Point:
 
     def cells_of_one(self, value: Any) -> list[Any]:
         """
-        Turn one of its values into cells.
+        Return the cells of one of the values of the point.
 
         Raises:
             TypeError, ValueError: as `cells_of`.
@@ -235,7 +234,7 @@ class Point:
 
     def cells_for(self, values: Iterable[Any]) -> list[Any]:
         """
-        Turn some of its values into cells; `minimum` and `maximum` are not looked at.
+        Return the cells of some of the values; `minimum` and `maximum` are not checked.
 
         Raises:
             TypeError, ValueError: a value does not fit the type; the message begins with "value".
@@ -322,7 +321,7 @@ Point.__init__ = _renaming  # type: ignore[method-assign]
 
 
 def _is_bits(table: object) -> bool:
-    """Whether it is one of bits; what is no table is refused elsewhere."""
+    """Return True for a table of bits; an unknown table is refused elsewhere."""
     return not isinstance(table, str) or table not in TABLES or TABLES[table].is_bits
 
 

@@ -1,5 +1,5 @@
 """
-The points of a device by name, what to ask for them, and what the answers mean.
+The points of a device by name: the requests that read them, and the values of the answers.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class RegisterMap(Mapping[str, Point]):
         points: each with a name of its own.
 
     Raises:
-        TypeError, ValueError: something else than points, or a name twice.
+        TypeError, ValueError: an argument is no Point, or a name occurs twice.
     """
 
     __slots__ = ("_kept", "_points")
@@ -58,21 +58,21 @@ class RegisterMap(Mapping[str, Point]):
 
     def plan(self, names: Iterable[str] | None = None, **options: Unpack[PlanOptions]) -> PointPlan:
         """
-        Make the plan that reads points; the one asked for last is kept.
+        Return the plan that reads points; the plan made last is cached.
 
         Args:
-            names: of the points, in the order of the results; None for all that can be read.
+            names: names of points, in the order of the results; None for all readable points.
             options: of `Plan`: `gap`, `forbidden`, `max_registers`, `max_bits`.
 
         Raises:
-            TypeError, ValueError: no such point, or one that cannot be read; as of `Plan`.
+            TypeError, ValueError: there is no such point, or it cannot be read; or as `Plan`.
         """
         wanted = None if names is None else tuple(_checked_names(names))
         asked = (wanted, options)
         if (kept := self._kept) is not None and kept[0] == asked:
             return kept[1]
         made = PointPlan(self._readable(wanted), **options)
-        # Whoever gave a list of forbidden ranges may change it.
+        # The caller may change the list of forbidden ranges later.
         if "forbidden" not in options:
             self._kept = (asked, made)
         return made
@@ -81,19 +81,19 @@ class RegisterMap(Mapping[str, Point]):
         self, values: Mapping[str, Any], *, multiple: bool = False
     ) -> list[pdu.Request[None]]:
         """
-        Make the requests that write values to points; all is checked here.
+        Return the requests that write values to points; all values are checked here.
 
-        They are in the order of the map, whatever that of the values. Points of which each
-        begins where the one before ends go together in one request.
+        Requests follow the order of the map, not that of the values. Points that lie directly
+        behind each other are written with one request.
 
         Args:
             values: by names of points, as `Point.encode` takes them.
-            multiple: whether single coils and registers are written with functions 15 and
-                16, too, for devices that lack 5 and 6.
+            multiple: True to write single coils and registers with functions 15 and 16,
+                    too, for devices that lack 5 and 6.
 
         Raises:
-            TypeError, ValueError: no such point, or one that cannot be written; a value that
-                it cannot have; points that share cells. They are named.
+            TypeError, ValueError: there is no such point, or it cannot be written; a value does
+                    not fit its point; points share cells. The message names the points.
         """
         if not isinstance(values, Mapping):
             raise WrongType("values", f"must be by names, not {type(values).__name__}")
@@ -128,7 +128,7 @@ def close_to(name: object, known: Iterable[str]) -> str:
 
 
 class _Quick(NamedTuple):
-    """A point with one value in registers, all in one answer: where, and what makes it of them."""
+    """A point with one value in registers of one answer: their location, and their decoder."""
 
     request: int
     start: int
@@ -141,7 +141,7 @@ class PointPlan(Plan):
     """
     A `Plan` for points of a map, whose results are their values by name.
 
-    ``plc.read_many(plan)`` gives these, too.
+    ``plc.read_many(plan)`` returns the same dict.
     """
 
     def __init__(self, points: Iterable[Point], **options: Unpack[PlanOptions]) -> None:
@@ -150,7 +150,7 @@ class PointPlan(Plan):
         self._quick = dict(self._quick_ones())
 
     def _quick_ones(self) -> Iterator[tuple[str, _Quick]]:
-        """Most points are so: ten times as fast as those that are not."""
+        """The points that can be decoded directly, which is ten times as fast; most can."""
         for name, point in self._points.items():
             parts, kind = self._parts[name], point.read.kind
             if kind is not None and point.count == len(parts) == 1:
@@ -162,16 +162,16 @@ class PointPlan(Plan):
         self, answers: Iterable[Sequence[Any] | ModbusError], *, return_exceptions: bool = False
     ) -> dict[str, Any]:
         """
-        Give the values.
+        Return the values of the points.
 
         Args:
-            answers: what came back for each of `requests`, in their order: a list
-                of cells, or a ModbusError in place of one.
-            return_exceptions: whether a ValueError stands in the place of a value that the
-                registers do not hold, such as a bcd16 with the digit F; else it is raised.
+            answers: the answer to each of `requests`, in their order: a list
+                    of cells, or a ModbusError.
+            return_exceptions: True to return a ValueError in place of a value that the
+                    registers do not hold, such as a bcd16 with the digit F; False to raise it.
 
         Returns:
-            Values by name. A point that was to come with a failed request has the
+            Values by name. A point that was part of a failed request has the
             ModbusError instead.
 
         Raises:
@@ -197,7 +197,9 @@ class PointPlan(Plan):
         try:
             raw = quick.from_bytes(packed[quick.start : quick.stop])
         except ValueError:
-            return self._values(name, answers)  # which says what is wrong
+            return self._values(
+                name, answers
+            )  # `Plan.results` raises the error that says what is wrong
         return raw if quick.to_value is None else quick.to_value(raw)
 
     def _decoded(self, name: str, cells: list[Any]) -> Any:
@@ -205,7 +207,7 @@ class PointPlan(Plan):
 
 
 def _packed(answer: Any) -> bytes | None:
-    """The bytes of registers; None for bits, errors, and what are no registers."""
+    """Return the bytes of registers; None for bits, errors and values out of 0..65535."""
     try:
         return struct.pack(f">{len(answer)}H", *answer)
     except (TypeError, struct.error):

@@ -1,5 +1,5 @@
 """
-Raw numbers and what they stand for, without the noise of binary fractions: 2305 * 0.1 is 230.5.
+Scaling of raw numbers without the noise of binary fractions: 2305 * 0.1 is 230.5.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Scaling", "exact", "number"]
 
-# Far beyond what anything is measured in, and small enough to compute with exactly.
+# Far beyond any measured quantity, and small enough for exact arithmetic.
 LARGEST = 1e30
 SMALLEST = 1e-30
 
@@ -60,7 +60,7 @@ class Scaling:
         self._shift = int(plus * self._divisor)
 
     def to_value(self, raw: float) -> int | float:
-        """Give what a raw number stands for; infinity and nan stand for such."""
+        """Return the scaled value of a raw number; infinity and nan stay what they are."""
         if not isinstance(raw, float):
             scaled = raw * self._factor + self._shift
             # Python divides integers exactly, and rounds once.
@@ -76,7 +76,7 @@ class Scaling:
 
     def to_whole(self, value: object) -> int:
         """
-        Give the nearest raw number, of two the even one.
+        Return the nearest raw number; of two equally near ones, the even one.
 
         Raises:
             TypeError, ValueError: no number, or not a finite one.
@@ -85,7 +85,7 @@ class Scaling:
 
     def to_float(self, value: object) -> float:
         """
-        Give the raw number as a float; infinity and nan for such.
+        Return the raw number as a float; infinity and nan stay what they are.
 
         Raises:
             TypeError: no number.
@@ -116,7 +116,7 @@ def exact(value: Any) -> Fraction:
         return Fraction(value.__index__())
     if not math.isfinite(value):
         raise WrongValue("value", f"must be a finite number, not {value}")
-    # Decimals are written so, too; and Fractions have a numerator.
+    # str() of a Decimal is exact, too; Fractions have a numerator.
     return Fraction(str(value) if _is_exact(value) else repr(float(value)))
 
 

@@ -1,5 +1,5 @@
 """
-What to send so that points have their new values: few requests, checked before the first.
+Few requests that write values to points; all values are checked before the first is sent.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from .point import Point
 
 __all__ = ["write_requests"]
 
-# Table -> what writes one cell, and several.
+# Table -> the requests that write one cell, and several.
 _WRITES: dict[str, tuple[Any, Any]] = {
     "coils": (pdu.WriteCoil, pdu.WriteCoils),
     "holding_registers": (pdu.WriteRegister, pdu.WriteRegisters),
@@ -24,7 +24,7 @@ _WRITES: dict[str, tuple[Any, Any]] = {
 
 @dataclass
 class _Run:
-    """Cells in a row, which one request writes."""
+    """Consecutive cells that one request writes."""
 
     table: str
     address: int
@@ -48,13 +48,13 @@ class _Run:
 
 def write_requests(changes: Iterable[tuple[Point, Any]], multiple: bool) -> list[pdu.Request[None]]:
     """
-    Make the requests that write values to points, in their order.
+    Return the requests that write values to points, in their order.
 
-    Points of which each begins where the one before ends go together.
+    Points that lie directly behind each other are written with one request.
 
     Raises:
-        TypeError, ValueError: a value that its point cannot have, or that no request can
-            carry; points that share cells. Points are named.
+        TypeError, ValueError: a value does not fit its point or a request, or points share cells.
+            The message names the points.
     """
     encoded = [(point, point.encode(value)) for point, value in changes]
     _check_overlaps([point for point, _ in encoded])
@@ -69,7 +69,7 @@ def write_requests(changes: Iterable[tuple[Point, Any]], multiple: bool) -> list
 
 
 def _pieces(point: Point, cells: list[Any]) -> Iterator[_Run]:
-    """What must stay together: a whole point where one request holds it, else each value."""
+    """Yield cells that must stay together: a whole point if one request holds it, else a value."""
     most, size = TABLES[point.table].most_written, point.read.size
     if size > most:
         raise ValueError(
