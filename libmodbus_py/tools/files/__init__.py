@@ -1,5 +1,5 @@
 """
-Files that describe devices, gateways and fleets, and register maps: how they are read.
+Files that describe devices, gateways and fleets, and register maps: readers and checks.
 
 ::
 

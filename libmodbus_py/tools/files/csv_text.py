@@ -1,8 +1,8 @@
 """
-CSV as people and programs write it: one line with headings, then a row in a line.
+CSV as people and programs write it: one line with headings, then one row per line.
 
-Cells are separated by commas, semicolons, tabs or bars; empty lines and those that begin with
-``#`` say nothing, nor does a byte order mark.
+Cells are separated by commas, semicolons, tabs or bars; empty lines, lines that begin with ``#``
+and a byte order mark are ignored.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ __all__ = ["CELLS", "CsvRow", "CsvText", "number_in", "whole_in"]
 
 DELIMITERS = ",;\t|"
 
-# What editors and terminals obey, and no table holds.
+# Control characters, which editors and terminals obey and no table contains.
 _CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]")
 
 
@@ -37,17 +37,17 @@ class CsvText:
     A text in CSV.
 
     Args:
-        text: all of it.
-        is_known: returns whether a heading means something. The delimiter is the one with the
+        text: the whole content.
+        is_known: returns True for a known heading. The delimiter is the one with the
             most of these.
-        kind: of the errors.
+        kind: the class of the errors.
 
     Attributes:
         head: the row with the headings; without cells if there is none.
         delimiter: between cells.
 
     Raises:
-        FileError: of `kind`: the text has characters that no text has, or is no CSV.
+        FileError: of `kind`: the text contains control characters, or is no CSV.
     """
 
     def __init__(self, text: str, is_known: Callable[[str], bool], kind: type[FileError]) -> None:
@@ -56,7 +56,7 @@ class CsvText:
             reason = f"no text: it has a character {ord(found[0]):#04x}"
             raise kind((), reason, place=FilePlace(line=line))
         self._kind = kind
-        # Excel begins a file with a mark of order.
+        # Excel begins a file with a byte order mark.
         self._text = text.removeprefix("\ufeff")
         heads = [(delimiter, self._head(delimiter)) for delimiter in DELIMITERS]
         self.delimiter, head = max(heads, key=lambda each: _known(each[1], is_known))
@@ -69,7 +69,7 @@ class CsvText:
         Yield the rows below the headings.
 
         Raises:
-            FileError: the text is no CSV from there on.
+            FileError: the rest of the text is no CSV.
         """
         rows = self._rows(self.delimiter)
         next(rows, None)
@@ -77,10 +77,10 @@ class CsvText:
 
     def cells(self, row: CsvRow) -> list[str]:
         """
-        Return the cells of a row, as many as there are headings at most.
+        Return the cells of a row, at most as many as there are headings.
 
         Raises:
-            WrongValue: it has more.
+            WrongValue: the row has more cells.
         """
         width = len(self.head.cells)
         if any(row.cells[width:]):

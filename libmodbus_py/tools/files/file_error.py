@@ -1,5 +1,5 @@
 """
-Mistakes in files: what is wrong, and where it stands.
+Mistakes in files: the reason, and the place in the file.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ class FilePlace(NamedTuple):
 
 class FileError(WrongValue):
     """
-    A file does not contain what it must.
+    The content of a file is wrong.
 
     Attributes:
-        place: where the mistake stands.
+        place: the place of the mistake.
         path: the key that is wrong, such as ("unit", 0, "id").
-        reason: what is wrong, and what is allowed.
+        reason: the mistake, and the values that are allowed.
     """
 
     def __init__(

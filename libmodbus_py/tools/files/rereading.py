@@ -1,5 +1,5 @@
 """
-A file that is read again while a program uses what it said before.
+A file that is read again while a program uses its former content.
 """
 
 from __future__ import annotations

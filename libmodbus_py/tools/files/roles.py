@@ -1,7 +1,7 @@
 """
-The tables ``[roles.NAME]`` of files: who may read and write what.
+The tables ``[roles.NAME]`` of files: the access rights of clients by role.
 
-What stands in them is what `Allow` takes; parts of tables are TOML tables with what an
+Their keys are the arguments of `Allow`; parts of tables are TOML tables with the attributes an
 `Access` has.
 """
 
@@ -20,9 +20,9 @@ __all__ = ["parts", "rules"]
 
 def rules(path: Path, given: object) -> Rules:
     """
-    Make the rules of all roles; the empty name is that of clients without a role.
+    Return the rules of all roles; the empty name stands for clients without a role.
 
-    Rules that were made already, those of the file, are those of a unit that has none.
+    A unit without rules of its own has those of the file, which are passed ready-made.
 
     Raises:
         TypeError, ValueError: a table is no rule; with the path of the key.
@@ -39,10 +39,10 @@ def rules(path: Path, given: object) -> Rules:
 
 def parts(path: Path, given: object) -> Any:
     """
-    Make a list of names of tables, and of an `Access` for each part of a table.
+    Return names of tables, and an `Access` for each part of a table.
 
     Raises:
-        TypeError, ValueError: a part has a key missing, or one that means nothing.
+        TypeError, ValueError: a part has a missing or an unknown key.
     """
     if not isinstance(given, list):
         return given

@@ -1,7 +1,7 @@
 """
 The keys of files: one row for each, whatever the format of the file.
 
-A table of keys is written out, or made of a class whose arguments are the keys; then names and
+A table of keys is written out, or derived from a class whose arguments are the keys; then names and
 defaults come from the signature of the class, and texts from its docstring.
 """
 
@@ -26,14 +26,14 @@ __all__ = [
 # fmt: on
 
 Check = Callable[[Path, object], Any]
-"""Checks the value of a key, whose path is given, and returns what it stands for."""
+"""Function that checks the value of the key at a path, and returns the converted value."""
 
 REQUIRED: Any = inspect.Parameter.empty
-"""The default of a key that must be there."""
+"""The default of a required key."""
 
 
 def anything(path: Path, value: object) -> object:
-    """Return a value that is checked elsewhere."""
+    """Return a value unchecked, because it is checked elsewhere."""
     return value
 
 
@@ -46,7 +46,7 @@ class Key:
         name: the key.
         check: checks the value.
         text: what the key means.
-        default: what holds without the key; `REQUIRED` if it must be there.
+        default: the value if the key is missing; `REQUIRED` if the key is required.
         kind: the annotation of its value, such as "int"; empty if that is not known.
     """
 
@@ -63,7 +63,7 @@ class Keys(Mapping[str, Key]):
 
     Args:
         keys: in the order in which errors name them.
-        make: what is made of the values; a dict of what is there by default.
+        make: called with the values; by default they become a dict.
     """
 
     def __init__(self, keys: Iterable[Key], make: Callable[..., Any] = dict) -> None:
@@ -80,15 +80,15 @@ class Keys(Mapping[str, Key]):
         return len(self._keys)
 
     def but(self, *names: str) -> Keys:
-        """Return all keys but these, of which a dict is made."""
+        """Return all keys but these; reading them returns a dict."""
         return Keys(key for key in self.values() if key.name not in names)
 
     def only(self, *names: str) -> Keys:
-        """Return these of the keys, as far as they are there; a dict is made of them."""
+        """Return those of these keys that exist; reading them returns a dict."""
         return Keys(key for key in self.values() if key.name in names)
 
     def optional(self) -> Keys:
-        """Return the same keys, none of which must be there; a dict is made of them."""
+        """Return the same keys, none of them required; reading them returns a dict."""
         return Keys(
             replace(key, default=None) if key.default is REQUIRED else key for key in self.values()
         )
@@ -98,11 +98,11 @@ class Keys(Mapping[str, Key]):
 
     def read(self, path: Path, given: object) -> Any:
         """
-        Check a table, and make of it what is to be made.
+        Check a table, and return the result of `make` for its values.
 
         Raises:
-            TypeError, ValueError: `given` is no table, a key is missing or unknown, or has a
-                value that it cannot have; with the path of the key.
+            TypeError, ValueError: `given` is no table, a key is missing or unknown, or has
+                    a wrong value; with the path of the key.
         """
         found = self.checked(path, table(path, given))
         with inside(*path):
@@ -148,7 +148,7 @@ def keys_of(make: Callable[..., Any], **checks: Check) -> Keys:
 
 
 def _texts(docstring: str) -> dict[str, str]:
-    """Return what a section says of each argument; several share one text."""
+    """Return the text of each argument in a section; several arguments may share one text."""
     found: dict[str, str] = {}
     section = re.search(r"^(?:Args|Attributes):\n((?:    .*\n?|\n)*)", docstring, re.MULTILINE)
     for entry in re.split(r"\n(?=    \w)", section[1] if section else ""):
@@ -188,7 +188,7 @@ def tables(path: Path, value: object) -> list[dict[str, object]]:
 
 
 def text(most: int) -> Check:
-    """Return a check for texts of so many characters."""
+    """Return a check for texts of at most this many characters."""
 
     def check(path: Path, value: object) -> str:
         if not isinstance(value, str):
@@ -201,7 +201,7 @@ def text(most: int) -> Check:
 
 
 def bytes_or_text(low: int, high: int) -> Check:
-    """Return a check for so many bytes: ASCII text, or a list of numbers."""
+    """Return a check for bytes within a length: ASCII text, or a list of numbers."""
 
     def check(path: Path, value: object) -> bytes:
         if isinstance(value, list):

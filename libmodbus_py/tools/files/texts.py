@@ -1,5 +1,5 @@
 """
-Reading files: a text within bounds, and what is made of a text in TOML.
+Reading files: a text within bounds, and a TOML document.
 """
 
 from __future__ import annotations
@@ -24,10 +24,11 @@ def load_file(
     path: str | PathLike[str], parse: Callable[[str], Made], kind: type[FileError]
 ) -> Made:
     """
-    Read a file in TOML and make something of its text.
+    Read a file in TOML and return its parsed content.
 
     Args:
-        parse: makes it; raises TypeErrors and ValueErrors, with the path of the key.
+        parse: returns the content of a text; raises TypeErrors and ValueErrors, with the path of
+            the key.
 
     Raises:
         FileError: of `kind`: the file cannot be read, or `parse` raised an error, with the file
@@ -43,7 +44,7 @@ def load_file(
 
 def read_text(path: str | PathLike[str], kind: type[FileError], most: int = MAX_SIZE) -> str:
     """
-    Read a text of at most so many bytes.
+    Read a text of at most a number of bytes.
 
     Raises:
         FileError: of `kind`: the file cannot be read, is no regular file, is longer, or no UTF-8.

@@ -1,5 +1,5 @@
 """
-Where a key stands in a TOML text: tomllib tells lines of syntax errors only.
+The line of a key in a TOML text; tomllib reports lines of syntax errors only.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from ...protocol.mistakes import Path
 __all__ = ["line_of", "shown_key"]
 
 _PART = r"""(?:[\w\-]+|"[^"\n]*"|'[^'\n]*')"""
-# Deeper ones mean nothing here, and would cost the square of their depth.
+# No deeper key is known here, and its cost would grow with the square of the depth.
 _NAME = rf"{_PART}(?:[ \t]*\.[ \t]*{_PART}){{0,9}}"
 _HEADER = re.compile(rf"[ \t]*(\[\[?)[ \t]*({_NAME})[ \t]*\]\]?")
 _KEY = re.compile(rf"[ \t]*({_NAME})[ \t]*=")
@@ -22,13 +22,13 @@ _PARTS = re.compile(_PART)
 
 
 def shown_key(key: str) -> str:
-    """Return a key as a file has it: quoted where it must be, and short."""
+    """Return a key as it is written in a file: quoted where necessary, and shortened."""
     return key if re.fullmatch("[A-Za-z0-9_-]{1,40}", key) else reprlib.repr(key)
 
 
 def line_of(text: str, path: Path) -> int | None:
     """
-    Find the line that says something about a key.
+    Return the line of a key.
 
     Args:
         text: a TOML document with one key or header in a line.
@@ -36,9 +36,9 @@ def line_of(text: str, path: Path) -> int | None:
             returns them; tables in arrays and items are counted from 0.
 
     Returns:
-        The line, from 1, of the key or header; where only what lies below the key is in the
-        text, the first line of that; else that of the nearest table or key around the key;
-        None if there is none.
+        The line, from 1, of the key or header; where the text contains only keys below it, the
+        first line of that; else that of the nearest table or key around the key; None if there is
+        none.
     """
     around: tuple[int, int] | None = None
     beneath: int | None = None
@@ -53,10 +53,10 @@ def line_of(text: str, path: Path) -> int | None:
 
 
 def _places(text: str) -> Iterator[tuple[int, Path]]:
-    """Yield each line that has a header or a key, and the path that it stands for."""
+    """Yield each line that contains a header or a key, with the path of that."""
     seen: Counter[Path] = Counter()
     table: Path = ()
-    # Not splitlines, which knows more ends of lines than TOML.
+    # Not splitlines, which accepts more line endings than TOML.
     for line, content in enumerate(text.split("\n"), start=1):
         if found := _HEADER.match(content):
             table = _table(_names(found[2]), found[1] == "[[", seen)
@@ -70,7 +70,7 @@ def _names(dotted: str) -> list[str]:
 
 
 def _table(names: list[str], is_array: bool, seen: Counter[Path]) -> Path:
-    """Number the tables in arrays; those around a table are the last ones so far."""
+    """Return the path of a table with indices; arrays around the table are at their last item."""
     path: Path = ()
     for depth, name in enumerate(names, start=1):
         path = (*path, name)

@@ -1,5 +1,5 @@
 """
-TOML that costs what its size lets expect: the bounds that tomllib leaves to its caller.
+TOML with bounded cost: the limits that tomllib leaves to its caller.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ MAX_SIZE = 1 << 19
 # unit[0].holding_registers[0].values[0][0] is the deepest that means anything: 7.
 MAX_DEPTH = 10
 
-# Each takes tomllib a kilobyte for each of its levels.
+# tomllib needs a kilobyte for each level of each header.
 MAX_TABLES = 10_000
 
 # The description of a point may be as long; other texts have bounds of their own.
@@ -30,14 +30,14 @@ MAX_TEXT = 2000
 # TOML has integers of 64 bits (1.0.0, "Integer"); uint64 is one of our types.
 LOWEST, HIGHEST = -(1 << 63), (1 << 64) - 1
 
-# tomllib takes the square of their depth. Possessive, and none begins within another: so
-# this looks at each character a few times at most.
+# The time of tomllib grows with the square of their depth. Possessive, and none begins within
+# another: so this looks at each character a few times at most.
 _PART = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')"""
 _DEEP_KEY = re.compile(rf"(?<![\w-])(?:{_PART}[ \t]*+\.[ \t]*+){{{MAX_DEPTH}}}")
 
 _HEADER = re.compile(r"^[ \t]*\[", re.MULTILINE)
 
-# More digits Python does not read.
+# Python refuses to read more digits.
 _LONG_NUMBER = re.compile(r"[0-9][0-9_]{4300}")
 
 

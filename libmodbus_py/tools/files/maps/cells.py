@@ -1,5 +1,5 @@
 """
-Cells of vendors' tables: what each becomes, by what its column holds.
+Readers for the cells of vendors' tables, one for each kind of column.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def _order(text: str) -> str:
 
 
 def _function(text: str) -> str:
-    """The table of "3", "03/06/16", "0x04" or "FC 3"."""
+    """Return the table of "3", "03/06/16", "0x04" or "FC 3"."""
     codes = [int(code) for code in _FUNCTION.findall(text.casefold())]
     tables = {FUNCTION_TABLES.get(code) for code in codes}
     if len(tables) != 1 or None in tables:
@@ -75,4 +75,4 @@ READERS: dict[str, Callable[[str], Any]] = {
     "maximum": number_in,
     "description": str,
 }
-"""What a column holds -> what makes the argument of a cell; WrongValue says what is allowed."""
+"""Kind of a column -> the reader that returns the argument of `Point`, or raises WrongValue."""

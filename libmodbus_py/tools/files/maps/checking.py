@@ -1,5 +1,5 @@
 """
-What a file with a register map says that is right, but may not be meant.
+Doubts about a register map that is valid, but may not be what its author meant.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ _REFERENCES = {"holding_registers": range(40001, 50000), "input_registers": rang
 
 
 def remarks(contents: Contents) -> Iterator[str]:
-    """Give each of them as a line."""
+    """Yield each doubt about the content of a file as a line."""
     if contents.ignored:
         yield f"columns that mean nothing here: {', '.join(contents.ignored)}"
     yield from _references(list(contents.points.values()))

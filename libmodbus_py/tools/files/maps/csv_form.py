@@ -1,8 +1,8 @@
 """
-Register maps in CSV, as vendors give them.
+Register maps in CSV, as vendors publish them.
 
-The headings name the columns, in any order, by `words.COLUMNS`. A cell that is empty says
-nothing. Where no column tells the table, addresses are references, such as 40123.
+The headings name the columns, in any order, by `words.COLUMNS`. Empty cells are
+ignored. Without a column for the table, addresses are references, such as 40123.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ MAX_HEADING = 60
 
 class Columns(NamedTuple):
     """
-    What the headings of a file say.
+    The columns of a file, found by their headings.
 
     Attributes:
-        places: what a column holds -> (its index, its heading).
-        ignored: headings that mean nothing here.
+        places: kind of a column -> (its index, its heading).
+        ignored: headings without a known meaning.
     """
 
     places: dict[str, tuple[int, str]]
@@ -43,17 +43,17 @@ def opened(text: str) -> CsvText:
     Return a text as CSV with headings.
 
     Raises:
-        MapError: the text is none.
+        MapError: the text is no CSV.
     """
     return CsvText(text, lambda heading: plain(heading) in COLUMNS, MapError)
 
 
 def columns_of(head: CsvRow) -> Columns:
     """
-    Return what the columns hold.
+    Return the columns by their kinds.
 
     Raises:
-        MapError: a column is missing, two hold the same, or one may mean this or that.
+        MapError: a column is missing, two are of one kind, or a heading is ambiguous.
     """
     place = FilePlace(line=head.line)
     columns = Columns({}, [])
@@ -81,16 +81,16 @@ def columns_of(head: CsvRow) -> Columns:
 
 
 def _rank(column: tuple[int, str]) -> bool:
-    """Words that are keys themselves go before others."""
+    """Return the rank of a heading: names of keys come before other words."""
     return plain(column[1]) not in READERS
 
 
 def drafts(text: CsvText, columns: Columns) -> Iterator[Draft]:
     """
-    Yield what each row says of a point.
+    Yield the point of each row as a draft.
 
     Raises:
-        MapError: the text is no CSV from there on, or has too many rows.
+        MapError: the rest of the text is no CSV, or there are too many rows.
     """
     for count, row in enumerate(text.rows()):
         if count == MAX_POINTS:
@@ -119,7 +119,7 @@ def _draft(text: CsvText, columns: Columns, row: CsvRow) -> Draft:
 
 def _settled(keys: dict[str, Any], given: dict[str, str]) -> dict[str, Any]:
     """
-    Settle what several columns say together.
+    Resolve arguments that depend on several columns.
 
     Raises:
         WrongValue: they contradict each other.

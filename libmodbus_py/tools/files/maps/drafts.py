@@ -1,5 +1,5 @@
 """
-What a file says of points, before they are points; every mistake is collected with its place.
+Points of a file before they are checked; every mistake is collected with its place.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ MAX_POINTS = 10_000
 
 def point_of(**keys: Any) -> Point:
     """
-    Make a point of the keys that a file has, of which `unit` is the old name of `units`.
+    Return the point with these keys of a file; `unit` is the old name of `units`.
 
     Raises:
         TypeError, ValueError: as `Point`.
@@ -46,18 +46,18 @@ POINT = Keys((keys_of(Point) | _OLD_NAMES).values(), point_of)
 
 
 class MapError(FileError):
-    """A file is no register map; it names file, line, column or key, and what is allowed."""
+    """A file is no register map; the message names file, line, column or key, and valid values."""
 
 
 class Draft(NamedTuple):
     """
-    What a file says of one point.
+    One point of a file, not yet checked.
 
     Attributes:
-        path: of the point in the file; empty in CSV, where a row is a point.
-        place: returns where a path stands.
-        keys: returns the arguments of `Point`; raises a TypeError or ValueError if the file says
-            what cannot be.
+        path: path of the point in the file; empty in CSV, where a row is a point.
+        place: returns the place of a path.
+        keys: returns the arguments of `Point`; raises a TypeError or ValueError if the file
+            contains a mistake.
     """
 
     path: Path
@@ -68,13 +68,13 @@ class Draft(NamedTuple):
 @dataclass
 class Contents:
     """
-    What a file holds.
+    The content of a file.
 
     Attributes:
-        points: all that are right, by name.
-        drafts: what each of them was made of, by name.
-        mistakes: the file is no map if there are any.
-        ignored: headings of columns that mean nothing here.
+        points: all valid points, by name.
+        drafts: the draft of each of these points, by name.
+        mistakes: all mistakes; the file is no map if there are any.
+        ignored: headings of columns without a known meaning.
     """
 
     points: dict[str, Point] = field(default_factory=dict)
@@ -83,13 +83,13 @@ class Contents:
     ignored: list[str] = field(default_factory=list)
 
     def place(self, name: str) -> FilePlace:
-        """Return where a point stands."""
+        """Return the place of a point in the file."""
         draft = self.drafts[name]
         return draft.place(draft.path)
 
 
 def collected(contents: Contents, drafts: Iterable[Draft], most: int) -> Contents:
-    """Make points of drafts, up to the mistake with the number `most`."""
+    """Return the points of drafts, up to the mistake with the number `most`."""
     try:
         for draft in drafts:
             _take(contents, draft)
@@ -103,7 +103,7 @@ def collected(contents: Contents, drafts: Iterable[Draft], most: int) -> Content
 
 
 def _take(contents: Contents, draft: Draft) -> None:
-    """Take a point, or what is wrong with it."""
+    """Add a point, or the mistake in its draft."""
     try:
         point: Point = POINT.read(draft.path, draft.keys())
         if point.name in contents.points:

@@ -22,13 +22,13 @@ def load_map(path: str | PathLike[str]) -> RegisterMap:
     Read a register map from a file of up to 512 KiB, with up to 10000 points.
 
     Args:
-        path: it ends with ``.toml`` (a table ``[[point]]`` for each, with the arguments of
+        path: a path that ends with ``.toml`` (a table ``[[point]]`` for each, with the arguments of
             `Point` as keys) or ``.csv``, ``.tsv`` or ``.txt`` (columns as vendors name them,
             found by their headings).
 
     Raises:
-        MapError: it cannot be read, or the first mistake in it, with file, line, column and
-            what is allowed.
+        MapError: the file cannot be read, or is wrong: its first mistake, with file, line, column
+            and what is allowed.
     """
     contents = contents_of(path, most=1)
     if contents.mistakes:
@@ -41,7 +41,7 @@ def contents_of(path: str | PathLike[str], most: int) -> Contents:
     Read a file up to the mistake with the number `most`.
 
     Raises:
-        MapError: it cannot be read.
+        MapError: the file cannot be read.
     """
     form = FORMS.get(PurePath(path).suffix.lower())
     if form is None:
@@ -72,4 +72,4 @@ FORMS: dict[str, Callable[[str, int], Contents]] = {
     ".tsv": _from_csv,
     ".txt": _from_csv,
 }
-"""How a file ends -> reads a text up to the mistake with a number."""
+"""Suffix of a file -> function that reads its text, up to the mistake with a given number."""

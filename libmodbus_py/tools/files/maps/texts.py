@@ -19,7 +19,7 @@ _DEFAULTS = {each.name: each.default for each in fields(Point) if each.init}
 
 
 def toml_text(points: Iterable[Point]) -> str:
-    """Give a table for each, with what differs from what `Point` takes unless told."""
+    """Return points as TOML: a table for each, with the arguments that are not defaults."""
     return "\n".join(
         "\n".join(["[[point]]", *(f"{key} = {_shown(value)}" for key, value in _said(point)), ""])
         for point in points
@@ -27,7 +27,7 @@ def toml_text(points: Iterable[Point]) -> str:
 
 
 def csv_text(points: Iterable[Point]) -> str:
-    """Give a line for each; a padding cannot be told in CSV."""
+    """Return points as CSV: a line for each, without paddings, which have no column in CSV."""
     said = [dict(_said(point)) for point in points]
     used = [key for key in _DEFAULTS if key != "padding" and any(key in keys for keys in said)]
     text = io.StringIO(newline="")
@@ -46,5 +46,5 @@ def _said(point: Point) -> list[tuple[str, Any]]:
 
 
 def _shown(value: Any) -> str:
-    # What JSON says of printable text and of numbers, TOML reads, too.
+    # Printable text and numbers are written alike in JSON and TOML.
     return json.dumps(value, ensure_ascii=False)

@@ -21,7 +21,7 @@ FILE = Keys([Key("point", tables, "a table for each point: [[point]]", ())])
 
 def drafts(text: str) -> Iterator[Draft]:
     """
-    Yield what a text says of each point.
+    Yield each point of a text as a draft.
 
     Raises:
         MapError: the text is no TOML, or has other keys.

@@ -1,5 +1,5 @@
 """
-The words of vendors' tables, and what they mean here.
+The words of vendors' tables, and their meanings.
 
 Only words that every vendor means alike are here: a "gain" multiplies with some and divides
 with others, a "long" has 32 bits or 64, and a wrong guess would be a wrong value.
@@ -22,12 +22,12 @@ __all__ = [
 
 
 def plain(text: str) -> str:
-    """A word as the tables below have it: "Data_Type " is "data type"."""
+    """Return a word in the form of the tables below: "Data_Type " is "data type"."""
     return " ".join(re.split(r"[\s_./()\[\]-]+", text.casefold())).strip()
 
 
 def _by_word(meanings: dict[str, str]) -> dict[str, str]:
-    """Turn meaning -> words, with commas, into word -> meaning; each means itself, too."""
+    """Invert meaning -> words, with commas, to word -> meaning; a meaning is a word for itself."""
     return {
         word: meaning
         for meaning, words in meanings.items()
@@ -58,13 +58,13 @@ COLUMNS = _by_word(
         "description": "comment, comments, remark, remarks, note, notes, details, meaning",
     }
 )
-"""Heading of a column -> what it holds."""
+"""Heading of a column -> kind of the column."""
 
 DOUBTFUL_COLUMNS = {
     "gain": "scale (raw values are multiplied by it) or divisor",
     "sf": "scale, and write the factor itself: some write the power of ten, or its register",
 }
-"""Heading -> what it must be called instead, for what it means differs from vendor to vendor."""
+"""Ambiguous heading -> names to use instead, because its meaning differs between vendors."""
 
 TABLE_WORDS = _by_word(
     {
@@ -85,7 +85,7 @@ FUNCTION_TABLES = {
 }
 """Function code -> the table that it reads or writes."""
 
-# int, dint, word and their like as in IEC 61131-3; acc, enum, bitfield and sunssf of SunSpec.
+# int, dint, word and similar names as in IEC 61131-3; acc, enum, bitfield and sunssf of SunSpec.
 TYPE_WORDS = _by_word(
     {
         "int16": "int, i16, s16, sint16, signed16, signed int16, signed 16, sunssf",
