@@ -6,10 +6,10 @@ Simulated devices, described in a file.
     reloading      a file that is read again while its devices are served
     device_file    TOML to devices and faults; DeviceFileError
     units          one unit of it: a device
-    simulated      SimulatedDevice: a device that knows its names, and goes on from another
-    access_rules   what clients may not do, and what moves when they read
+    simulated      SimulatedDevice: a device with named points, which can take over values of
+    another access_rules   hooks that refuse accesses, and compute moving values when they are read
     mapped         points from register maps
-    own_points     points that the file itself describes
+    own_points     points described in the device file itself
     keys           all keys of device files
     clockwork      computes values that move when they are read
     behaviour      ... by counters, waves, walks, copies

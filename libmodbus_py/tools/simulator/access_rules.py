@@ -1,5 +1,5 @@
 """
-What clients may not do in a simulated device, and what moves when they read.
+Hooks of a simulated device: they refuse accesses, and compute moving values when they are read.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ class AccessRules:
     The hooks of a device.
 
     Attributes:
-        before_read, before_write: for the accesses that they are about, all others are answered
-            without them; None if there are none.
+        before_read, before_write: hooks for the accesses that need them; all others are answered
+            without them. None if no access needs one.
     """
 
     def __init__(self, points: list[SimulatedPoint], clockwork: Clockwork) -> None:
@@ -70,7 +70,9 @@ def _by_place(points: Iterable[SimulatedPoint]) -> _ByPlace:
 def _check(forbidden: _ByPlace, access: Access, what: str) -> None:
     points = forbidden.get((access.table, access.file), [])
     stop = access.address + access.count
-    at = bisect_left(points, stop, key=lambda each: each.first) - 1  # the last that begins before
+    at = (
+        bisect_left(points, stop, key=lambda each: each.first) - 1
+    )  # the last that begins before `stop`
     if at >= 0 and access.address < points[at].stop:
         span = f"{access.table} {access.address}..{stop - 1}"
         raise IllegalDataAddress(f"{span} cannot all be {what}")

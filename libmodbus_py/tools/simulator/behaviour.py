@@ -19,13 +19,13 @@ __all__ = ["BEHAVIOURS", "Copy", "Counter", "RandomWalk", "Sine"]
 
 Number = int | float
 
-# With more of them a walk would go on for longer than any clock.
+# More waves would make a walk longer than any clock runs.
 MOST_WAVES = 16
 
-# Each copy of a copy is computed when the last one is read.
+# Reading the last copy computes all copies before it.
 MOST_COPIES = 8
 
-# So that sums and products of them are numbers, too.
+# Bounded, so that sums and products are finite, too.
 LARGEST = 1e100
 
 
@@ -41,7 +41,7 @@ def _check_between(low: Number, high: Number) -> None:
 
 
 def _limits(simulated: SimulatedPoint, **numbers: Number) -> tuple[Number, Number]:
-    """Return the limits of a point's values; the numbers, which are named, must lie within."""
+    """Return the limits of a point's values; raise WrongValue for a named number outside."""
     point = simulated.point
     low, high = point.limits
     if low is None or high is None:
@@ -55,14 +55,14 @@ def _limits(simulated: SimulatedPoint, **numbers: Number) -> tuple[Number, Numbe
 @dataclass(frozen=True)
 class Counter:
     """
-    Goes up (or down) by a step at each interval.
+    Increases (or decreases) by a step at each interval.
 
     Attributes:
-        step: how far; may be negative.
+        step: the change at each interval; may be negative.
         interval: seconds from one step to the next, 0.001..86400.
         start: the first value.
-        wrap: where it begins again at `start`, which it never reaches; what
-            the last step goes beyond it is kept. None is the end of the type;
+        wrap: the value, never reached, at which it restarts from `start`; the excess of the
+            last step over it is kept. None is the end of the type;
             a float then stays at its end.
     """
 
@@ -171,7 +171,7 @@ class RandomWalk:
             seed = _mixed(others.seed, place) if self.seed is None else self.seed
             moves = int(now / self.interval)
             ways = [span / 2 + _way(_mixed(seed, index), moves, waves) for index in indices]
-            # At the limits it turns round, as often as it must.
+            # It turns round at the limits, as often as necessary.
             turned = [low + abs((way + span) % (2 * span) - span) for way in ways]
             return [min(max(value, low), high) for value in turned]
 
@@ -180,12 +180,12 @@ class RandomWalk:
 
 def _way(seed: int, moves: int, waves: list[float]) -> float:
     """
-    How far a walk has come after so many moves, counted from the start.
+    Return the distance of a walk from its start after a number of moves.
 
     Random points, joined by straight lines: in the first wave one at each move, and in each
     next one, which is four times as high, one at every 16th of those before. So it gets four
     times as far in 16 times the moves, as a walk of single steps does; no move is longer than
-    8/3 of the first wave, and it costs the same however long nobody looked.
+    8/3 of the first wave, and the cost does not depend on the time since the last read.
     """
     way = 0.0
     for wave, height in enumerate(waves):
@@ -198,12 +198,12 @@ def _way(seed: int, moves: int, waves: list[float]) -> float:
 
 
 def _point(seed: int, wave: int, at: int) -> float:
-    """A number in -1..1; 0 at the start."""
+    """Return a number in -1..1; 0 at the start."""
     return _mixed(seed + wave, at) / (1 << 63) - 1 if at else 0.0
 
 
 def _mixed(seed: int, number: int) -> int:
-    """Make a random number of 64 bits of two numbers: SplitMix64."""
+    """Return a random number of 64 bits made of two numbers: SplitMix64."""
     bits = (seed + (number + 1) * 0x9E3779B97F4A7C15) & 0xFFFFFFFFFFFFFFFF
     bits = (bits ^ bits >> 30) * 0xBF58476D1CE4E5B9 & 0xFFFFFFFFFFFFFFFF
     bits = (bits ^ bits >> 27) * 0x94D049BB133111EB & 0xFFFFFFFFFFFFFFFF
@@ -213,16 +213,16 @@ def _mixed(seed: int, number: int) -> int:
 @dataclass(frozen=True)
 class Copy:
     """
-    Follows other values, one for each of the run.
+    Follows other values: each value of the point is a copy of one of them.
 
-    The number is rounded, and stops at the ends of its type. Function 23 reads the
-    copies of what was there before it wrote.
+    The number is rounded, and limited to the range of its type. Function 23 reads copies of
+    the values before its own write.
 
     Attributes:
-        address: where the first of the other values begins, 0..65535.
-        table: where it is: "coils", "discrete_inputs", "holding_registers",
+        address: the address of the first of the other values, 0..65535.
+        table: the table of the other values: "coils", "discrete_inputs", "holding_registers",
             "input_registers".
-        scale: what the other value is multiplied with.
+        scale: the factor by which the other value is multiplied.
     """
 
     address: int
@@ -271,10 +271,10 @@ class Copy:
         self, indices: range, others: DeviceValues
     ) -> Iterator[tuple[SimulatedPoint, range]]:
         """
-        Find the values that some of the point follow: points, and indices in them.
+        Return the sources of some values of the point: points, and indices in them.
 
         Raises:
-            ValueError: there is none.
+            ValueError: a value has no source.
         """
         first = others.find(self.table, self.address)
         width = first.size if first is not None else 1
@@ -285,7 +285,8 @@ class Copy:
                 raise ValueError(f"in {self.table} no value begins at {address}")
             at = (address - source.first) // source.size
             stride, rest = divmod(indices.step * width, source.size)
-            # In another rhythm than that of these values only the first is sure to be one.
+            # If the source is longer or shorter than these values, only the first surely begins
+            # there.
             end = at + 1 if rest else source.point.count
             places = range(at, end, stride or 1)[: len(indices)]
             yield source, places

@@ -1,7 +1,7 @@
 """
-The clockwork of a device: what is read is computed in that moment, from the time since the start.
+The clockwork of a device: moving values are computed from the time since the start when read.
 
-So a simulator that nobody asks does nothing.
+So an idle simulator takes no processor time.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ __all__ = ["Clockwork"]
 
 class Clockwork:
     """
-    Keeps the moving values of a mapping up to date: those that are looked at.
+    Keeps the moving values of a mapping up to date, as far as they are read.
 
     Args:
-        mapping: holds the values.
-        points: all values of it, which do not overlap.
-        clock: gives seconds; the time of the call is the start.
+        mapping: the mapping that contains the values.
+        points: all points of the mapping; they do not overlap.
+        clock: returns seconds; the time of the call is the start.
 
     Attributes:
-        seed: what random moves begin with that have no seed of their own.
+        seed: the seed of random moves without a seed of their own.
     """
 
     def __init__(
@@ -50,16 +50,16 @@ class Clockwork:
 
     def start(self, point: SimulatedPoint) -> None:
         """
-        Let the values of a point move, if they have a behaviour.
+        Start the behaviour of a point, if it has one.
 
         Raises:
-            ValueError: the behaviour does not go with them.
+            ValueError: the behaviour does not suit the values of the point.
         """
         if point.behaviour is not None:
             self._moving[point.table, point.first] = point.behaviour.begin(point, self)
 
     def go_on_from(self, before: Clockwork) -> None:
-        """Move on as another one began."""
+        """Continue with the start and the seed of another clockwork."""
         self._start, self.seed = before._start, before.seed
 
     def find(self, table: str, address: int) -> SimulatedPoint | None:
@@ -70,10 +70,10 @@ class Clockwork:
 
     def refresh(self, table: str, address: int, count: int) -> None:
         """
-        Compute what is about to be read.
+        Compute the values that are about to be read.
 
         Raises:
-            ServerDeviceFailure: what is copied is no value of its type.
+            ServerDeviceFailure: the source of a copy contains no value of its type.
         """
         if not self._moving:
             return

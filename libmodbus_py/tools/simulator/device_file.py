@@ -6,7 +6,7 @@ Device files: whole simulated devices, written in TOML.
 
     [[unit]]                            one or more; without id: any unit
       id, name, description, exception_status
-      map                               register maps, whose points all exist
+      map                     register maps; all their points exist
       [unit.values], [unit.moves]       what the points are, and how they move, by name
       [unit.defaults]                   what ranges have unless they say something else
       [unit.server_id]                  identifier, running, additional
@@ -24,12 +24,12 @@ Device files: whole simulated devices, written in TOML.
     [defaults]                          of all units
     [roles.NAME]                        read, write, functions, as `Allow`; "" without a role
 
-What lies in no range does not exist: it is answered with exception 2, as is what a
-range does not allow.
+Addresses in no range do not exist: they are answered with exception 2, as are accesses that a range
+does not allow.
 
 A file takes up to 512 KiB, 1000 faults, 10000 named ranges and points of register maps, and
 524288 cells, where cells are the records of each file from 0 to its last one, and what is not 0
-in the tables; a value with a scale counts as 16. Whatever it says, there are devices or a
+in the tables; a value with a scale counts as 16. Whatever the file says, there are devices or a
 `DeviceFileError` within a second, without the time to read register maps.
 """
 
@@ -55,13 +55,13 @@ from .units import made_unit
 
 __all__ = ["DeviceFileError", "SimulatedDevice", "Simulation", "load", "parse"]
 
-# All of them are looked at for each request.
+# All faults are checked for each request.
 MAX_FAULTS = 1000
 
 
 class DeviceFileError(FileError):
     """
-    A file describes no devices; it names file, line and key, and what is allowed.
+    A device file is wrong; the message names file, line and key, and what is allowed.
 
     Attributes:
         files: the register maps that were read, or could not be.
@@ -72,14 +72,14 @@ class DeviceFileError(FileError):
 
 def load(path: str | PathLike[str], *, clock: Callable[[], float] = time.monotonic) -> Simulation:
     """
-    Read a device file. Its values begin to move now.
+    Read a device file. Its values begin to move at once.
 
     Args:
-        path: of the file; those of register maps in it begin in its folder.
-        clock: gives seconds.
+        path: path of the file; paths of register maps in the file are relative to its folder.
+        clock: returns seconds.
 
     Raises:
-        DeviceFileError: it cannot be read, is no TOML, or says what cannot be.
+        DeviceFileError: the file cannot be read, is no TOML, or contains a mistake.
     """
     maps = Maps(dirname(fspath(path)))
     try:
@@ -99,10 +99,10 @@ def parse(
     Read the text of a device file.
 
     Args:
-        folder: where the paths of register maps in it begin.
+        folder: the folder to which paths of register maps are relative.
 
     Raises:
-        DeviceFileError: it is no TOML, or says what cannot be.
+        DeviceFileError: the text is no TOML, or contains a mistake.
     """
     try:
         return _parse(text, maps=Maps(fspath(folder)), clock=clock)

@@ -9,22 +9,22 @@ import os
 
 __all__ = ["DEVICES", "described", "map_of", "path_of"]
 
-# The other files there are of gateways and fleets.
+# The other files in the folder describe gateways and fleets.
 DEVICES = ("iem3155", "meter", "plant", "sdm630", "victron_gx")
 
 
 def described() -> dict[str, str]:
-    """Give the name of each, and what its first line says of it."""
+    """Return the name of each example with the description in its first line."""
     folder = _folder()
     return {name: _first_line(os.path.join(folder, f"{name}.toml")) for name in DEVICES}
 
 
 def path_of(name: str) -> str:
     """
-    Give the file of an example.
+    Return the path of the device file of an example.
 
     Raises:
-        ValueError: there is none of that name.
+        ValueError: there is no example of that name.
     """
     if name not in (known := described()):
         raise ValueError(f"there is no example {name!r}; there are {', '.join(known)}")
@@ -33,10 +33,10 @@ def path_of(name: str) -> str:
 
 def map_of(name: str) -> str:
     """
-    Give the register map of an example.
+    Return the path of the register map of an example.
 
     Raises:
-        ValueError: there is none of that name.
+        ValueError: there is no example of that name.
     """
     folder = _folder()
     known = [each for each in DEVICES if os.path.exists(os.path.join(folder, f"{each}.csv"))]
@@ -49,7 +49,7 @@ def map_of(name: str) -> str:
 
 
 def _folder() -> str:
-    # None is in a zip: the compiled modules of the package cannot be either.
+    # The files are never in a zip, because the compiled modules of the package cannot be either.
     here = os.path.dirname(__file__)
     built = os.path.join(here, "examples")
     return built if os.path.isdir(built) else os.path.join(here, *[".."] * 3, "examples")

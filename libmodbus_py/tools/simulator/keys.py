@@ -1,5 +1,5 @@
 """
-The keys of device files, and what may stand behind each.
+The keys of device files, and the checks of their values.
 
 ``docs/how-to/simulator.md`` explains them all; a test holds it to these tables.
 """
@@ -36,7 +36,7 @@ __all__ = [
 
 
 def unit_id(path: Path, value: object) -> int:
-    """Check a unit that devices can have."""
+    """Check the id of a unit."""
     number = integer(path, value, 0, 255)
     if 247 < number < 255:
         raise WrongValue(path, f"must be in 0..247, or 255, not {number}")
@@ -72,12 +72,12 @@ VALUES = Keys(
 )
 
 POINT_KEYS = POINT.but("table")
-"""The keys of a point; its table is the name of the list."""
+"""The keys of a point; the name of the list is its table."""
 
 TYPING = POINT.only("type", "order", "encoding", "padding")
 
 NAMING = POINT.only("name", "description", "units", "unit", "scale", "offset")
-"""The keys that make a point one of those of which a file may have 10000."""
+"""The keys that give a point a name or a unit of measurement; a file may have 10000 such points."""
 
 DEFAULTS = (TYPING | POINT.only("access")).optional()
 
@@ -100,7 +100,7 @@ CONTENTS: dict[str, Keys] = {
     | TYPING
     | POINT.only("access"),
 }
-"""Table -> the keys of what it holds."""
+"""Table -> the keys of its points or records."""
 
 SERVER_ID = Keys(
     [

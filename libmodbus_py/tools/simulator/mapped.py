@@ -21,7 +21,7 @@ from .simulated_point import Behaviour, SimulatedPoint
 
 __all__ = ["Maps", "mapped_contents", "mapped_points"]
 
-# Different ones of one device file; each takes as long as it.
+# Different maps of one device file; reading each takes as long as reading the device file.
 MAX_MAPS = 50
 
 
@@ -30,10 +30,10 @@ class Maps:
     The register maps of one device file, each read once.
 
     Args:
-        folder: where their paths begin.
+        folder: the folder to which their paths are relative.
 
-    Attributes:
-        files: those that were read, or could not be.
+        Attributes:
+            files: paths of the maps that were read, or could not be.
     """
 
     def __init__(self, folder: str) -> None:
@@ -49,10 +49,10 @@ class Maps:
         Return a register map.
 
         Args:
-            where: the path of the key that names it.
+            where: the path of the key that names the map.
 
-        Raises:
-            WrongValue: it cannot be read, or there are too many.
+            Raises:
+                WrongValue: the map cannot be read, or there are too many.
         """
         path = os.path.normpath(os.path.join(self._folder, name))
         if path not in self._maps:
@@ -86,16 +86,16 @@ def mapped_contents(
     path: Path, unit: Mapping[str, Any], points: Mapping[str, Point], budget: Budget
 ) -> list[SimulatedPoint]:
     """
-    Return what a device has of the points of its maps.
+    Return the points of a device that come from its maps, with values and moves.
 
-    Points may share cells. A point that moves is one whole then, and those that can be written
-    come before others; cells of a point that no other has are registers or bits of their own.
+    Points may share cells. Then a moving point stays whole, and writable points come
+    before others; the remaining cells of a point become registers or bits of their own.
 
     Args:
-        path: of the unit.
+        path: path of the unit.
 
     Raises:
-        TypeError, ValueError: `values` or `moves` of the unit say what cannot be.
+        TypeError, ValueError: `values` or `moves` of the unit contain a mistake.
     """
     moves = {
         name: _behaviour(place, raw) for name, place, raw in _by_name(path, "moves", unit, points)
@@ -151,7 +151,7 @@ def _image(
     moves: Mapping[str, object],
     budget: Budget,
 ) -> dict[str, array[int]]:
-    """Return what is in the tables at first, by table."""
+    """Return the initial content of the tables, by table."""
     zeros = bytes(2 * TABLE_SIZE)
     image: dict[str, array[int]] = {each.table: array("H", zeros) for each in points.values()}
     for name, place, value in _by_name(path, "values", unit, points):
@@ -182,7 +182,7 @@ def _content(
 
 
 def _free(used: bytearray, cells: range) -> Iterator[tuple[int, int]]:
-    """What nobody has of these cells: from, to."""
+    """Yield the free ranges of these cells: from, to."""
     start = used.find(0, cells.start, cells.stop)
     while start >= 0:
         end = used.find(1, start, cells.stop)

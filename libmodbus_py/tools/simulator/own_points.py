@@ -1,5 +1,5 @@
 """
-The points that a device file itself describes: where they lie, and what they hold.
+The points that a device file itself describes: their locations and initial values.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ __all__ = ["Budget", "check_overlaps", "checked_defaults", "initial_cells", "own
 # Eight units with full tables that are not 0; more would take seconds and memory to write.
 MAX_CELLS = 1 << 19
 
-# How many cells a value with a scale counts as: it is computed exactly.
+# A value with a scale counts as this many cells, because it is computed exactly.
 SCALED_CELLS = 16
 
 
 class Budget:
-    """How many cells and points a file may still have."""
+    """The number of cells and points that a file may still have."""
 
     def __init__(self) -> None:
         self._cells = MAX_CELLS
@@ -45,7 +45,7 @@ class Budget:
 
     def spend_values(self, path: Path, point: Point, values: int) -> None:
         """
-        Count the values of a point that are computed.
+        Count the values of a point; scaled ones count as several cells.
 
         Raises:
             WrongValue: the file has too many cells.
@@ -67,13 +67,13 @@ def own_points(
     path: Path, table: str, unit: Mapping[str, Any], defaults: dict[str, Any], budget: Budget
 ) -> list[SimulatedPoint]:
     """
-    Make the points of one table of a unit, or the records of its files.
+    Return the points of one table of a unit, or the records of its files.
 
     Args:
-        path: of the unit.
+        path: path of the unit.
 
     Raises:
-        TypeError, ValueError: the device file says what cannot be.
+        TypeError, ValueError: the device file contains a mistake.
     """
     return [
         _point((*path, table, at), table, given, defaults, budget)
@@ -84,7 +84,7 @@ def own_points(
 def check_overlaps(found: Iterable[SimulatedPoint]) -> None:
     """
     Raises:
-        WrongValue: two of them share something.
+        WrongValue: two of the points share cells or records.
     """
     in_order = sorted(found, key=lambda each: (*each.place, each.first))
     for before, after in pairwise(in_order):
@@ -95,13 +95,13 @@ def check_overlaps(found: Iterable[SimulatedPoint]) -> None:
 
 def checked_defaults(path: Path, given: Mapping[str, Any]) -> dict[str, Any]:
     """
-    Check what points have unless they say something else.
+    Check the defaults of points.
 
     Args:
-        path: of the table around that of the defaults.
+        path: path of the table around that of the defaults.
 
     Raises:
-        TypeError, ValueError: no point could have it.
+        TypeError, ValueError: no point could have such a default.
     """
     path = (*path, "defaults")
     found: dict[str, Any] = DEFAULTS.read(path, given.get("defaults", {}))
@@ -139,13 +139,13 @@ def _point(
 
 
 def _source(path: Path, given: Mapping[str, Any]) -> str:
-    """Return the key that says what the values are; empty for none."""
+    """Return the key that sets the values; empty if there is none."""
     sources = [key for key in given if key in VALUES or key in MOVES]
     if len(sources) > 1:
         raise WrongValue((*path, sources[1]), f"means nothing beside {sources[0]}")
     source = sources[0] if sources else ""
     if source in MOVES and given.get("access", "read") != "read":
-        # What a client wrote would be gone at the next read.
+        # A value written by a client would be lost at the next read.
         raise WrongValue((*path, "access"), "must be read for what moves by itself")
     return source
 
@@ -161,7 +161,7 @@ def _fitting(table: str, is_moving: bool, defaults: dict[str, Any]) -> dict[str,
 
 
 def _count(given: Mapping[str, Any]) -> int:
-    """Return how many values there are."""
+    """Return the number of values of a point."""
     if "values" not in given:
         return int(given.get("count", 1))
     if "count" in given:
@@ -172,7 +172,7 @@ def _count(given: Mapping[str, Any]) -> int:
 
 
 def _read_point(table: str, count: int, given: Mapping[str, Any]) -> Point:
-    """Return the point; records are taken for registers, which they are but for their place."""
+    """Return the point; records are read like registers, from which only their place differs."""
     first = given["record" if table == "file" else "address"]
     keys = {key: value for key, value in given.items() if key in POINT_KEYS}
     keys["count"] = count
@@ -190,11 +190,11 @@ def _check_end(path: Path, table: str, point: Point) -> None:
 
 def initial_cells(path: Path, point: Point, values: list[Any]) -> array[int]:
     """
-    Return what a point holds at first; the cells of one value, if all are the same.
+    Return the initial cells of a point; those of one value if all values are the same.
 
     Args:
-        path: of the values, which ends with "value" if there is only one.
-        values: one, or all; none for what a device has that nobody wrote to.
+        path: path of the values, which ends with "value" if there is only one.
+        values: one value, or all; none for the content of a device before the first write.
 
     Raises:
         TypeError, ValueError: the point cannot have such a value.

@@ -18,11 +18,11 @@ from .simulated import Simulation
 
 __all__ = ["Reloader"]
 
-# Seconds between two looks at the files, of which two must see the same: who writes a file
-# takes a while.
+# Seconds between two checks of the files. Two checks in a row must see the same, because
+# writing a file takes a while.
 LOOK_EVERY = 0.5
 
-# What changes when a file is written, or another one is put in its place.
+# The attributes that change when a file is written or replaced.
 Signature = tuple[int, int, int] | None
 
 
@@ -30,14 +30,14 @@ class Reloader:
     """
     Reads a device file again when it is asked to, or when the file or a register map of it changes.
 
-    It is read in a thread, so clients are answered meanwhile, and their connections stay. A
-    mistake in it leaves the devices as they were. See `Simulation.going_on_from` for what
-    becomes of values that clients wrote.
+    The file is read in a thread, so clients are answered meanwhile, and their connections stay. A
+    mistake in the file leaves the devices as they were. See `Simulation.going_on_from` for the fate
+    of values that clients wrote.
 
     Args:
-        server: serves `simulation`.
-        path: of the file.
-        is_watching: whether to look for changes.
+        server: the server of `simulation`.
+        path: path of the file.
+        is_watching: True to check the files for changes.
         tell: called in the thread with one line about each reading, or mistake.
     """
 
@@ -63,16 +63,16 @@ class Reloader:
         self._read_signatures = self._signatures()
 
     def start(self) -> None:
-        """Begin, in the loop of the server."""
+        """Start the thread; call it in the loop of the server."""
         self._loop = asyncio.get_running_loop()
         self._thread.start()
 
     def ask(self) -> None:
-        """Have the file read again, soon; in any thread, and from signal handlers of the loop."""
+        """Request another reading of the file; from any thread or a signal handler of the loop."""
         self._asked.set()
 
     def close(self) -> None:
-        """End. Any number of times, and also if it never began."""
+        """Stop the thread; any number of times, and also if it was never started."""
         self._is_closed = True
         self._asked.set()
         if self._thread.ident is not None:
@@ -98,7 +98,7 @@ class Reloader:
     def _read_again(self) -> None:
         self._read_signatures = self._signatures()
         reread(self._load, self._exchanged, self._tell)
-        gc.collect()  # old devices are circles, and their tables larger than they look
+        gc.collect()  # old devices are reference cycles, and their tables larger than they look
 
     def _load(self) -> Simulation:
         try:
@@ -110,7 +110,7 @@ class Reloader:
         return simulation
 
     def _follow(self, maps: tuple[str, ...]) -> None:
-        """Look at these maps from now on; those that are new are as they were just read."""
+        """Watch these maps from now on; new maps count as unchanged since they were just read."""
         self._files = (self._path, *maps)
         known = self._read_signatures
         self._read_signatures = {
@@ -118,7 +118,7 @@ class Reloader:
         }
 
     def _exchanged(self, simulation: Simulation) -> list[str]:
-        """Serve the new devices, in the loop, where no client writes meanwhile."""
+        """Serve the new devices; this runs in the loop, so that no client writes meanwhile."""
         done = threading.Event()
         outcome: list[str] = []
 
@@ -141,7 +141,7 @@ class Reloader:
 
     def _exchange(self, simulation: Simulation) -> str:
         try:
-            # Before values are taken over: nothing may be changed if it cannot be served.
+            # Before values are taken over, because nothing may change if the file cannot be served.
             self._server.replace(*simulation)
         except ValueError as error:
             return f"nothing is changed: {self._path}: {error}"

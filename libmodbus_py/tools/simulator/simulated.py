@@ -1,5 +1,5 @@
 """
-Simulated devices: they know the names of what they have, and go on from those before them.
+Simulated devices: they have named points, and can take over the values of former devices.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class SimulatedDevice(Device):
     A device of a device file.
 
     Attributes:
-        name, description: as the file says them; "" unless it does.
+        name, description: as in the file; "" if missing.
     """
 
     def __init__(
@@ -53,9 +53,9 @@ class SimulatedDevice(Device):
     @cached_property
     def points(self) -> RegisterMap:
         """
-        What its tables hold, by name: the points of its register maps, and its own.
+        The points of the tables, by name: those of its register maps, and its own.
 
-        Points without a name are called after their table and address, such as
+        Points without a name are named after their table and address, such as
         "holding_registers_100".
         """
         points = dict(self._mapped)
@@ -68,11 +68,11 @@ class SimulatedDevice(Device):
         return RegisterMap(points.values())
 
     def is_as(self, other: SimulatedDevice) -> bool:
-        """Whether a file says the same of both."""
+        """Return True if the file describes both devices alike."""
         return self._definition == other._definition
 
     def go_on_from(self, before: SimulatedDevice) -> None:
-        """Have what clients wrote into ranges and queues that both files have alike."""
+        """Take over values that clients wrote into ranges and queues alike in both files."""
         self._clockwork.go_on_from(before._clockwork)
         self.diagnostic_register: int = before.diagnostic_register
         known = {each.identity for each in before._contents}
@@ -90,7 +90,7 @@ class SimulatedDevice(Device):
         old = getattr(before.mapping, each.table)
         new = getattr(self.mapping, each.table)
         first, stop = each.first, each.stop
-        # What is the same is not written: pages of zeros take no memory.
+        # Equal cells are not written, because untouched pages of zeros take no memory.
         if _cells(old, first, stop) != _cells(new, first, stop):
             new[first:stop] = old[first:stop]
 
@@ -106,7 +106,7 @@ def _cells(table: Any, first: int, stop: int) -> bytes:
 
 
 class Served(NamedTuple):
-    """What a `Server` serves."""
+    """The devices and faults that a `Server` serves."""
 
     devices: SimulatedDevice | dict[int, SimulatedDevice]
     faults: dict[int | None, list[Fault]]
@@ -114,22 +114,24 @@ class Served(NamedTuple):
 
 class Simulation(Served):
     """
-    What a device file describes; ``Server(*load("plant.toml"))`` serves it.
+    The content of a device file; ``Server(*load("plant.toml"))`` serves it.
 
     Attributes:
-        devices: by unit, or one that answers every unit.
-        faults: by unit; those of None are for every unit.
-        files: the register maps that it was made of.
+        devices: devices by unit, or one device that answers every unit.
+        faults: faults by unit; those of None are for every unit.
+        files: paths of the register maps used.
     """
 
     files: tuple[str, ...] = ()
 
     def going_on_from(self, before: Simulation) -> Simulation:
         """
-        Give the same devices as another simulation has, where the files say the same of a unit.
+        Return a simulation that keeps the devices of another one where the files describe a unit
+        alike.
 
-        Of other units values stay that clients wrote into ranges whose place, type and first
-        values both files have alike; what moves goes on. The other one is used no more.
+        In other units, values that clients wrote are kept in ranges whose place, type and first
+        values are alike in both files; moving values continue. The other one must not be used any
+        more.
         """
         known = dict(before._by_unit())
         devices: dict[int | None, SimulatedDevice] = {}
@@ -155,7 +157,7 @@ def simulation(
     faults: dict[int | None, list[Fault]],
     files: tuple[str, ...],
 ) -> Simulation:
-    """Make it of devices by unit; None is every unit."""
+    """Return a simulation of devices by unit; None stands for every unit."""
     by_unit = {unit: device for unit, device in devices.items() if unit is not None}
     made = Simulation(devices.get(None, by_unit), faults)
     made.files = files

@@ -1,5 +1,5 @@
 """
-The points of a simulated device: what each holds at first, and how its values move.
+The points of a simulated device: their initial values, and how these move.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from ...protocol.mistakes import Path
 
 __all__ = ["Behaviour", "Compute", "DeviceValues", "SimulatedPoint", "fitting"]
 
-# Computes the values with these indices in their point at a time, in seconds since the start.
+# Function that returns the values with these indices in a point, at seconds since the start.
 Compute = Callable[[range, float], list[Any]]
 
 
@@ -25,15 +25,15 @@ class SimulatedPoint:
     A point of a simulated device, or some records of a file.
 
     Attributes:
-        path: where the device file describes it.
-        point: its place, and what its cells mean. Of records its table means nothing, and its
-            address is the number of the first record.
-        cells: what it holds at first; the values of only one if all are the same.
+        path: path of the point in the device file.
+        point: its place, and the meaning of its cells. For records its table has no meaning, and
+            its address is the number of the first record.
+        cells: its initial cells; those of one value if all values are the same.
         behaviour: how its values move; None if they do not.
-        moved_by: where the device file describes the behaviour.
-        file: the number of the file of which these are records; 0 for a table.
-        is_named: True if the point has its own name, False if it is to be called after its place.
-        is_mapped: True if it comes from a register map, which has its points.
+        moved_by: path of the behaviour in the device file.
+        file: the number of the file that contains these records; 0 for a table.
+        is_named: True if the point has its own name, False if it is named after its place.
+        is_mapped: True if it comes from a register map.
     """
 
     path: Path
@@ -67,8 +67,8 @@ class SimulatedPoint:
 
     @property
     def access(self) -> Rights | None:
-        """What clients may do: "read", "write" or "read_write"."""
-        # What a client wrote to a value that moves would be gone at the next read.
+        """The access that clients have: "read", "write" or "read_write"."""
+        # A moving value written by a client would be lost at the next read.
         return "read" if self.behaviour else self.point.access
 
     @property
@@ -78,19 +78,19 @@ class SimulatedPoint:
 
     @property
     def all_cells(self) -> array[int]:
-        """What all its cells hold at first."""
+        """The initial content of all its cells."""
         return self.cells * (len(self.point.cells) // len(self.cells))
 
     @property
     def identity(self) -> tuple[object, ...]:
-        """What two points have alike that mean the same, and begin with the same values."""
+        """The key by which points compare equal that have the same meaning and initial values."""
         point = self.point
         meaning = (point.type, point.order, point.scale, point.offset)
         moves = type(self.behaviour).__name__
         return (*self.place, self.first, self.stop, meaning, moves, self.cells.tobytes())
 
     def slice_of(self, indices: range) -> slice:
-        """Return the addresses from the first of these values to the last."""
+        """Return the addresses from the first of some values to the last."""
         return slice(
             self.first + indices[0] * self.size, self.first + (indices[-1] + 1) * self.size
         )
@@ -113,7 +113,7 @@ class DeviceValues(Protocol):
 
     @property
     def seed(self) -> int:
-        """The seed of random moves that have none of their own."""
+        """The seed of random moves without a seed of their own."""
         ...
 
     def find(self, table: str, address: int) -> SimulatedPoint | None:
@@ -126,13 +126,13 @@ class DeviceValues(Protocol):
 
 
 class Behaviour(Protocol):
-    """How the values of a point move. TypeError, ValueError: an attribute that cannot be."""
+    """The movement of a point's values. TypeError, ValueError: an attribute is wrong."""
 
     def begin(self, point: SimulatedPoint, others: DeviceValues) -> Compute:
         """
-        Return what computes the values of a point.
+        Return the function that computes the values of a point.
 
         Raises:
-            ValueError: the point has no such values.
+            ValueError: the values of the point cannot move this way.
         """
         ...

@@ -1,5 +1,5 @@
 """
-The units of a device file: of what it says of one, a device.
+The units of a device file, each made into a device.
 """
 
 from __future__ import annotations
@@ -39,16 +39,17 @@ def made_unit(
     budget: Budget,
 ) -> tuple[int | None, SimulatedDevice]:
     """
-    Make the device of a unit.
+    Return the device of a unit.
 
     Args:
-        path: of the unit in the file.
-        said: what makes it another one than before, besides `defaults` and register maps.
-        defaults: of points, as the file says them.
-        maps: where register maps come from.
+        path: path of the unit in the file.
+        said: the content of the file that identifies the unit, besides `defaults` and register
+            maps.
+        defaults: defaults of points, as in the file.
+        maps: the source of register maps.
 
     Raises:
-        TypeError, ValueError: it says what cannot be.
+        TypeError, ValueError: the file contains a mistake.
     """
     given = UNIT.read(path, raw)
     defaults = defaults | checked_defaults(path, given)
@@ -105,14 +106,14 @@ def _mapping(points: list[SimulatedPoint], budget: Budget) -> Tables:
         places[each.table].append(range(each.first, each.stop))
     mapping = Tables(**places)
     for each in points:
-        if any(each.cells):  # zeros are there already, and take no memory
+        if any(each.cells):  # new tables contain zeros, which take no memory
             budget.spend(each.path, each.stop - each.first)
             getattr(mapping, each.table)[each.first : each.stop] = each.all_cells
     return mapping
 
 
 def _files(points: list[SimulatedPoint], budget: Budget) -> Iterator[tuple[int, RecordFile]]:
-    """One after the other, for its records take more memory while they are put together."""
+    """Yield the files one by one, because records need more memory while they are built."""
     in_order = sorted(points, key=lambda each: (each.file, each.first))
     for number, parts in groupby(in_order, key=lambda each: each.file):
         records: dict[int, int] = {}
