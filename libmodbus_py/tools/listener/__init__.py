@@ -4,7 +4,7 @@ Listens to what others say on a line, and pairs it into transactions.
 ::
 
     transaction    the result: a request, its response, and how it ended
-    outcome        what a frame says, once it is known to be a request or a response
+    outcome       frames decoded, once they are known to be requests or responses
     pairing        which response belongs to which request; for all that shows or records traffic
     traces         ... from the trace of a server or a client
     hearing        bytes and times in; frames that may be either, and bytes that are none, out

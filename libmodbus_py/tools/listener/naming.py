@@ -19,16 +19,16 @@ from .transaction import Heard, OnHeard
 
 __all__ = ["LearntTimes", "Naming"]
 
-# What comes so soon behind bytes that are no frame was sent together with them; in seconds.
+# A frame that follows damaged bytes within this time was sent together with them; in seconds.
 GLUED = 0.001
 
 
 class LearntTimes:
     """
-    How long the units of a line take to respond, and how soon its clients send the next request.
+    Recent response times of the units of a line, and times until its clients send the next request.
 
-    The last few times of each. Before there are some, the usual ones hold: clients wait for half
-    a second (libmodbus) or longer, and adapters keep responses back for up to 20 ms.
+    Only the last few of each are kept. Until some are known, usual ones are assumed: clients wait
+    for half a second (libmodbus) or longer, and adapters delay responses by up to 20 ms.
     """
 
     USUAL_PATIENCE = 0.5
@@ -79,7 +79,7 @@ class Naming:
         return asked is not None and asked.frame.unit == unit and asked.frame.pdu[0] == function
 
     def take(self, found: Candidate | Damage) -> None:
-        """Take what was heard next."""
+        """Take the next frame or damage."""
         self.pairing.tick(found.began)
         if isinstance(found, Candidate) and not _has_function(found):
             found = Damage(found.began, found.ended, bytes([found.frame.unit]) + found.frame.pdu)
@@ -93,17 +93,17 @@ class Naming:
             self._take_response(found)
 
     def tick(self, at: float) -> None:
-        """Take it that nothing more came until this time."""
+        """Note that nothing more came until this time."""
         self.pairing.tick(at)
         self._release()
 
     def end(self) -> None:
-        """Take it that nothing more will come."""
+        """Note that nothing more will come."""
         self.pairing.end()
         self._release()
 
     def _release(self) -> None:
-        """A request that was given up cannot turn out to be a response any more."""
+        """Release the held request: once given up, it cannot turn out to be a response."""
         if self.pairing.due is None:
             self._note(None)
 

@@ -1,5 +1,5 @@
 """
-What a frame says, once it is known to be a request or a response.
+Decoding of frames that are known to be requests or responses.
 """
 
 from __future__ import annotations

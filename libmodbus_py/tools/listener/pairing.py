@@ -43,12 +43,12 @@ MOST = 256
 
 class Spoiled(NamedTuple):
     """
-    What came instead of a response.
+    A frame or damaged bytes that came instead of a response.
 
     Attributes:
-        ended: when, in seconds.
-        outcome: how the request ends if its response does not follow.
-        alone: the transaction that it is by itself if the response does follow.
+        ended: the time of its last byte, in seconds.
+        outcome: the outcome of the request if its response does not follow.
+        alone: the separate transaction that is reported if the response does follow.
     """
 
     ended: float
@@ -122,7 +122,7 @@ class Pairing:
         """Return the last request to a unit of a line whose response may come late."""
         return self._late.get((unit, 0))
 
-    # --- what passed ----------------------------------------------------------------------
+    # --- traffic ---------------------------------------------------------------------------
 
     def ask(self, began: float, ended: float, frame: Frame) -> None:
         """Take a request; its function code is in 1..127."""
@@ -172,13 +172,13 @@ class Pairing:
         self.done.append(unasked(asked.began, asked.frame))
 
     def tick(self, at: float) -> None:
-        """Give up the requests that have been open for too long at this time."""
+        """End the requests that have been open for too long at this time."""
         if self._open:
             for each in [each for each in self._open if self._is_over(each, at)]:
                 self._give_up(each)
 
     def end(self) -> None:
-        """Give up all open requests, because nothing more will come."""
+        """End all open requests, because nothing more will come."""
         for each in self._open.copy():
             self._give_up(each)
 
@@ -186,7 +186,7 @@ class Pairing:
         """Return True if nothing that came before can be answered any more."""
         return not self._open and all(at - each.ended > LATEST for each in self._late.values())
 
-    # --- how it is found ------------------------------------------------------------------
+    # --- finding the request --------------------------------------------------------------
 
     def _answered(self, frame: Frame) -> tuple[OpenRequest | None, Ending]:
         """Return the request that a response answers, and how; preferably not as invalid."""
@@ -212,7 +212,7 @@ class Pairing:
         return True
 
     def _put_aside(self, began: float, ended: float, frame: Frame) -> None:
-        """Take a response that no request has: of a server it spoils the one that is due."""
+        """Take a response without a request; if a server sent it, it spoils the request due."""
         alone = unasked(began, frame)
         if not self._is_server or (asked := self.due) is None:
             self.done.append(alone)
@@ -227,10 +227,10 @@ class Pairing:
             self.done.append(asked.spoiled.alone)
         asked.spoiled = spoiled
 
-    # --- how it ends ----------------------------------------------------------------------
+    # --- ending a request -----------------------------------------------------------------
 
     def _end_earlier(self, frame: Frame) -> int:
-        """End what a new request ends; return how often the same request was sent before."""
+        """End the requests that a new one replaces; return the number of earlier attempts."""
         repeats = 0
         for each in self._open.copy():
             is_same = each.frame.transaction == frame.transaction or each.spoiled is not None

@@ -52,7 +52,7 @@ class TracePairing:
 
     def take(self, traced: Traced, at: float | None = None) -> None:
         """
-        Take what the trace was called with.
+        Take an ADU that the trace was called with.
 
         Args:
             at: the time on another clock than that of `Traced.time`, in seconds.
@@ -74,7 +74,7 @@ class TracePairing:
         self._collect(traced.peer, pairing)
 
     def tick(self, at: float) -> None:
-        """Give up the requests that have been open for too long at this time."""
+        """End the requests that have been open for too long at this time."""
         for key, pairing in list(self._connections.items()):
             pairing.tick(at)
             self._collect(key[1], pairing)
@@ -82,7 +82,7 @@ class TracePairing:
                 del self._connections[key]
 
     def end(self) -> None:
-        """Give up all open requests, because nothing more will come."""
+        """End all open requests, because nothing more will come."""
         for (_, peer), pairing in self._connections.items():
             pairing.end()
             self._collect(peer, pairing)
