@@ -11,7 +11,7 @@ In the order in which a request goes through::
     tcp          takes connections and hands them to `peers`; udp answers datagrams,
                  serial a port
     peers        Peers: TCP connections within their limits (limits), all in one epoll;
-                 addresses and idle say who of them has had enough
+                 addresses and idle choose which of them are paused or closed
     tls          TlsSession: what a connection says within TLS, and the role of who asks
     sources      whose datagrams are answered
     tracing      who is told of every ADU that sessions receive and send

@@ -14,16 +14,16 @@ from .limits import Allowance, plain_host
 
 __all__ = ["Address", "Addresses", "Paused"]
 
-# How many are remembered that have no connection: they may come back to ask too much, but a
-# sender of datagrams can pretend to be as many as it likes.
+# The number of addresses without a connection that are remembered, so that they cannot evade
+# their limit. It is bounded because a sender of datagrams can forge any number of addresses.
 REMEMBERED_MAX = 4096
 
-# Who is read again and sends no request lets the next one of its address wait so long.
+# Seconds that a resumed connection without a request delays the next one of its address.
 LONGEST_TURN = 0.05
 
 
 class Paused(Protocol):
-    """A connection that is not read while its address has asked too much."""
+    """A connection that is not read while its address exceeds its limit of requests."""
 
     def resume(self) -> None: ...
 
@@ -36,11 +36,11 @@ class Address(Generic[Each]):
     One address, and all its connections.
 
     Args:
-        rate: how many requests are answered in a second.
+        rate: the number of requests that are answered in a second.
 
-    Attributes:
-        host: without the IPv6 around IPv4.
-        idle: its connections.
+        Attributes:
+            host: the address; an IPv4 address inside an IPv6 one is extracted.
+            idle: the connections of the address, in the order in which they became idle.
     """
 
     __slots__ = ("_allowance", "_loop", "_paused", "_rate", "_timer", "host", "idle")
@@ -55,7 +55,7 @@ class Address(Generic[Each]):
         self._timer: asyncio.TimerHandle | None = None
 
     def is_overspent(self) -> bool:
-        """Return True if it has sent too many requests for now."""
+        """Return True if the address has sent too many requests for now."""
         return self._allowance.wait(self._loop.time()) > 0
 
     def spend(self, requests: int) -> None:
@@ -78,7 +78,7 @@ class Address(Generic[Each]):
         self._timer = self._loop.call_later(seconds, self._release)
 
     def _release(self) -> None:
-        """Resume one connection: it spends only when it has been read."""
+        """Resume one connection only, because its requests are counted after it is read."""
         self._timer = None
         wait = self._allowance.wait(self._loop.time())
         if not wait:
@@ -91,10 +91,10 @@ class Address(Generic[Each]):
 
 class Addresses(Generic[Each]):
     """
-    The addresses that are connected, and the latest that were.
+    The connected addresses, and those that were connected most recently.
 
     Args:
-        rate: how many requests of each are answered in a second; infinite for all.
+        rate: the number of requests of each that are answered in a second; may be infinite.
     """
 
     def __init__(self, rate: float = math.inf) -> None:
@@ -110,7 +110,7 @@ class Addresses(Generic[Each]):
         return address or Address(host, self._rate, self._loop)
 
     def keep(self, address: Address[Each]) -> None:
-        """Remember it, as long as it has connections, or is one of the last that came."""
+        """Remember an address while it has connections or is one of the latest."""
         if address.idle:
             self._connected[address.host] = address
             self._others.pop(address.host, None)

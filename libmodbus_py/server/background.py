@@ -1,5 +1,5 @@
 """
-A server in a thread of its own, which ends whatever happens to who started it.
+A server in a thread of its own, which ends even if the starting thread is interrupted.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ Running = TypeVar("Running")
 
 class Background(Generic[Running]):
     """
-    Serves in a thread of its own while the ``with`` block runs.
+    A server in a thread of its own that serves while the ``with`` block runs.
 
     When the block is left, by Ctrl-C too, the thread has ended and all is closed.
 
     Args:
-        serving: makes what serves while it is entered.
+        serving: returns a context manager that serves while it is entered.
     """
 
     def __init__(self, serving: Callable[[], AbstractAsyncContextManager[Running]]) -> None:
@@ -49,7 +49,7 @@ class Background(Generic[Running]):
 
     def __del__(self) -> None:
         # Ctrl-C may have come before __exit__ began. At the end of the program its thread does
-        # not run any more, and nobody could wait for it.
+        # not run any more, and waiting for it would never end.
         thread = vars(self).get("_thread")
         if thread is not None and not sys.is_finalizing():
             thread.finish()
@@ -63,11 +63,11 @@ class Background(Generic[Running]):
 
 class InThread(Generic[Running]):
     """
-    What the thread knows, too: so it is not that which is forgotten when the block is left.
+    The state that both threads share, so that it outlives the block.
 
     Ctrl-C comes before, in and between the calls of the main thread. So each step leaves a
-    note before it does something; `finish` may be called at any time, and again. What
-    waits here waits for bare locks: Ctrl-C in `threading.Thread.start`, or in any other that takes
+    note before it does something; `finish` may be called at any time, and again. All
+    waiting here uses bare locks: Ctrl-C in `threading.Thread.start`, or in any other that takes
     a Condition, may leave that locked for ever. So a third thread starts the one that serves.
     """
 
@@ -76,7 +76,7 @@ class InThread(Generic[Running]):
         self._thread = threading.Thread(target=self._run, name="modbus server", daemon=True)
         self._is_starting = self._has_begun = False
         self._is_wanted = True
-        # The main thread takes each once; it has been released when what it waits for is noted.
+        # The main thread acquires each lock once; it is released when the awaited note is made.
         self._begun = _taken_lock()
         self._ready = _taken_lock()
         self._running: Running | None = None
@@ -85,10 +85,10 @@ class InThread(Generic[Running]):
 
     def start(self) -> Running:
         """
-        Wait until it serves.
+        Wait until the thread serves.
 
         Raises:
-            whatever kept it from it.
+            the exception that prevented this.
         """
         self._is_starting = True
         try:
@@ -104,10 +104,10 @@ class InThread(Generic[Running]):
 
     def finish(self) -> None:
         """
-        Wait until nothing of it is left; Ctrl-C is raised only then.
+        Wait until the thread has ended; Ctrl-C is raised only then.
 
         Raises:
-            what ended it before.
+            the exception that ended the server before.
         """
         try:
             self._end()
@@ -135,7 +135,7 @@ class InThread(Generic[Running]):
     def _begin(self) -> None:
         try:
             self._thread.start()
-        except RuntimeError as error:  # there are too many
+        except RuntimeError as error:  # there are too many threads
             self._failure = error
             self._ready.release()
         finally:
@@ -145,7 +145,7 @@ class InThread(Generic[Running]):
     def _run(self) -> None:
         try:
             with asyncio.Runner() as runner:
-                runner.get_loop()  # what the system may refuse, before there is a coroutine
+                runner.get_loop()  # the system may refuse this, before there is a coroutine
                 runner.run(self._serve())
         except asyncio.CancelledError:
             pass
@@ -162,7 +162,7 @@ class InThread(Generic[Running]):
         task = asyncio.current_task()
         assert task is not None
         self._stop = partial(_cancel, asyncio.get_running_loop(), task)
-        if self._is_wanted:  # else nobody may have seen that it can be stopped
+        if self._is_wanted:  # else the main thread may not know yet that the server can be stopped
             async with self._serving() as running:
                 self._running = running
                 self._ready.release()
@@ -170,7 +170,7 @@ class InThread(Generic[Running]):
 
 
 def _cannot_serve(error: OSError) -> ModbusConnectionError:
-    """Explain what an event loop, or what else a server is made of, could not have."""
+    """Return the error for a resource that the system refused to the event loop or the server."""
     made = ModbusConnectionError(f"cannot serve: {error.strerror or error}", errno=error.errno)
     made.__cause__ = error
     return made
@@ -183,5 +183,5 @@ def _taken_lock() -> threading.Lock:
 
 
 def _cancel(loop: asyncio.AbstractEventLoop, task: asyncio.Task[None]) -> None:
-    with contextlib.suppress(RuntimeError):  # it has ended by itself
+    with contextlib.suppress(RuntimeError):  # the server has ended by itself
         loop.call_soon_threadsafe(task.cancel)

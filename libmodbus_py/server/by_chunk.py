@@ -1,7 +1,7 @@
 """
-The sessions of Modbus/TCP connections: requests by the chunk, in C where it can be.
+The sessions of Modbus/TCP connections: requests by the chunk, in C where possible.
 
-They say on the wire what `ByFrame` says, several times faster.
+Their answers are the same bytes as those of `ByFrame`, several times faster.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ _request = itemgetter(1)
 
 class Singles:
     """
-    The requests of connections that sent one each: together they are a chunk, too.
+    The single requests of several connections, answered together like one chunk.
 
     Args:
-        units: who answers.
-        later: has a function called when all connections have been read.
+        units: the units that answer.
+        later: calls a function when all connections have been read.
     """
 
     def __init__(
@@ -44,7 +44,7 @@ class Singles:
         self._waiting: list[tuple[ByChunk, bytes]] = []
 
     def add(self, session: ByChunk, request: bytes) -> None:
-        """Take a whole frame, which is answered this turn."""
+        """Add a whole frame, which is answered in this turn."""
         if not self._waiting:
             self._later(self._answer)
         self._waiting.append((session, request))
@@ -67,7 +67,9 @@ class Singles:
                 session, request = waiting[first]
                 try:
                     session.take_one(request, 0)
-                except BaseException as error:  # of a hook; the others want their answers
+                except (
+                    BaseException
+                ) as error:  # raised by a hook; the other requests are still answered
                     raised = raised or error
                 start += len(request)
                 count = 1
@@ -78,7 +80,7 @@ class Singles:
     def _answer_run(
         self, waiting: list[tuple[ByChunk, bytes]], first: int, chunk: bytes, start: int
     ) -> tuple[int, int]:
-        """Answer those of one unit that follow each other, in C; return how many, and the rest."""
+        """Answer the first requests, all of one unit, in C; return their number, and the rest."""
         unit = chunk[start + UNIT]
         device = self._units.without_faults(unit)
         if device is None or chunk[start + FUNCTION] not in device.in_c:
@@ -97,12 +99,12 @@ class Singles:
 
 class ByChunk:
     """
-    Arguments as for `ByFrame`, whose framing is "tcp" here.
+    A session of Modbus/TCP. Arguments as for `ByFrame`, whose framing is "tcp" here.
 
-    It is the channel of the session that answers what C leaves.
+    It is the channel of the inner session that answers requests which C leaves.
 
     Args:
-        singles: where requests go that come alone.
+        singles: takes requests that come alone.
     """
 
     # fmt: off
@@ -118,9 +120,9 @@ class ByChunk:
         self._units = units
         self._statistics = statistics
         self._singles = singles
-        # Answers what C leaves, from the first time on.
+        # The session for requests that C leaves; made when the first such request comes.
         self._by_frame: ByFrame | None = None
-        self._pending = b""  # the beginning of a frame, or what was not looked at yet
+        self._pending = b""  # the beginning of a frame, or bytes that were not searched yet
         self._is_behind = False
         self.state: SessionState = SessionState.READING
         self._channel = channel
@@ -134,7 +136,9 @@ class ByChunk:
         if not self._pending and is_one_frame(data) and self.trace is None:
             self._singles.add(self, data)
             return 1
-        if before := self._singles.take_back(self):  # it must not be overtaken, and is counted
+        if before := self._singles.take_back(
+            self
+        ):  # the single request must not be overtaken, and is counted
             return self.take(b"".join([*before, data])) - len(before)
         return self.take(data)
 
@@ -169,10 +173,10 @@ class ByChunk:
         Answer the request that begins at `start`, without C, and return where it ends.
 
         Returns:
-            `start`, if it is not complete.
+            `start`, if the request is not complete.
 
-        Raises:
-            FrameError: what begins there is no frame, and the stream must be closed.
+            Raises:
+                FrameError: the bytes at `start` are no frame, and the stream must be closed.
         """
         found: list[Frame | FrameError] = []
         if (end := cut(data, start, found, 1)) > start:
@@ -180,7 +184,7 @@ class ByChunk:
         return end
 
     def follow(self) -> None:
-        """An answer is kept back from now on, or no longer."""
+        """Note that an answer is delayed from now on, or no longer."""
         self._set_state()
         self._channel.follow()
 

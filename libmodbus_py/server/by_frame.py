@@ -1,5 +1,5 @@
 """
-Devices answer what one connection or one port received, frame by frame.
+Sessions in which devices answer the requests of one connection or port, frame by frame.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ __all__ = ["ByFrame"]
 
 class ByFrame(Framed):
     """
-    Any framing, frame by frame.
+    A session of any framing, which answers frame by frame.
 
     Args:
         units: the devices.
@@ -35,7 +35,7 @@ class ByFrame(Framed):
     ) -> None:
         super().__init__(framing, channel, statistics, at_once)
         self._units = units
-        self._faulty: FaultyAnswers | None = None  # until a fault may happen here
+        self._faulty: FaultyAnswers | None = None  # None until a fault may happen on this channel
         self._is_ascii = isinstance(self._framer, AsciiFramer)
         self._follow_delimiter()
 
@@ -60,7 +60,7 @@ class ByFrame(Framed):
 
     def _take_one(self, request: Frame) -> None:
         faults = self._units.faults
-        # Once a fault has kept an answer back, all that follow go behind it.
+        # Once a fault has delayed an answer, all later answers go behind it.
         if self._faulty is not None or (faults is not None and faults.concern(request.unit)):
             if not self.is_over:
                 self._faulty_answers().answer(request)
@@ -81,6 +81,6 @@ class ByFrame(Framed):
         return self._faulty
 
     def _follow_delimiter(self) -> None:
-        """Another delimiter counts from the frame behind the answer on, both ways."""
+        """Use a changed delimiter from the frame after the answer on, in both directions."""
         if isinstance(self._framer, AsciiFramer) and self._units.delimiter is not None:
             self._framer.delimiter = self._units.delimiter

@@ -1,7 +1,7 @@
 """
 A forked child closes its copies of a server's descriptors.
 
-As long as it has one, no client sees the end of a connection that its parent closes, and no
+While a child holds a copy, no client sees the end of a connection that the parent closes, and no
 port is free again.
 """
 
@@ -22,7 +22,7 @@ class Holder(Protocol):
         """
         In a forked child: close the descriptors, and be closed.
 
-        Without a word to loops and epolls, nor to lines and their locks: the parent
+        This changes neither loops and epolls, nor lines and their locks: the parent
         shares them.
         """
         ...

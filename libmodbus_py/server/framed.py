@@ -18,8 +18,8 @@ __all__ = ["AT_ONCE", "FOUND_AT_ONCE", "Framed"]
 
 logger: logging.Logger = logging.getLogger(__name__)
 
-# What one connection of many may have done for it before others have their turn: eight of the
-# requests that are most; what costs is not to search 64 bytes, but to answer what is found.
+# Limits for one of many connections before others have their turn: bytes that are searched, and
+# requests that are answered. Searching 64 bytes is cheap; answering the requests in them is not.
 AT_ONCE = 64
 FOUND_AT_ONCE = 4
 
@@ -30,10 +30,10 @@ class Framed(ABC):
 
     Args:
         framing: "tcp", "rtu", "ascii" or "udp".
-        channel: of the client.
-        statistics: where requests are counted.
-        at_once: how many bytes are searched for frames in one `receive`; of what is found
-            then `FOUND_AT_ONCE` is answered. None for all, where no other client waits.
+        channel: channel of the client.
+        statistics: the counters of requests.
+        at_once: the number of bytes searched for frames in one `receive`; of these frames,
+            `FOUND_AT_ONCE` are answered. None for no limit, where no other client waits.
     """
 
     def __init__(
@@ -51,7 +51,7 @@ class Framed(ABC):
         self._timer: asyncio.TimerHandle | None = None
         self._unsearched = b""
         self._is_quiet = False  # True if silence followed the unsearched bytes
-        self._is_heard = True  # False until the silence after the latest bytes is waited for
+        self._is_heard = True  # True once the silence after the latest bytes is awaited
         self._found: list[Frame | FrameError] = []
         self._has_ended = False
 
@@ -62,7 +62,7 @@ class Framed(ABC):
                 return SessionState.BEHIND
             if self.is_held:
                 return SessionState.HELD
-            # A line has noise on it, and silence ends what began.
+            # A line has noise, and silence ends a frame that has begun.
             if self._framer.quiet is None and self._framer.pending:
                 return SessionState.UNFINISHED
         return SessionState.OWING if self.is_owing else SessionState.READING
@@ -74,7 +74,7 @@ class Framed(ABC):
 
     @property
     def is_held(self) -> bool:
-        """True while an answer is kept back, and those that follow with it."""
+        """True while an answer is delayed, and with it all that follow."""
         return False
 
     @property
@@ -97,7 +97,7 @@ class Framed(ABC):
         requests = self.take(now)
         if not (self._found or self._framer.in_step):
             self._unsearched = b""
-            if not requests:  # else they count first
+            if not requests:  # else the silence counts first
                 raise FrameError("stream out of step")
         if self._is_behind:
             self._channel.follow()
@@ -108,7 +108,7 @@ class Framed(ABC):
         return requests
 
     def take(self, found: Iterable[Frame | FrameError]) -> int:
-        """Answer what was found, and return the number of requests."""
+        """Answer the frames that were found, and return the number of requests."""
         requests = 0
         for each in found:
             if isinstance(each, FrameError):
@@ -147,7 +147,7 @@ class Framed(ABC):
         self.tell_received(self._found)
 
     def tell_received(self, found: Iterable[Frame | FrameError]) -> None:
-        """Report what was found to the trace."""
+        """Report the frames and damage that were found to the trace."""
         if self._trace is not None:
             for each in found:
                 if isinstance(each, FrameError):
@@ -157,7 +157,7 @@ class Framed(ABC):
                     self._trace.tell("received", adu, each.unit, each.pdu[0])
 
     def tell_rest(self, unsearched: bytes) -> None:
-        """Report what was received and is not answered any more to the trace."""
+        """Report received bytes that are not answered any more to the trace."""
         if self._trace is not None:
             if self._framer.in_step:
                 self.tell_received(self._framer.scan(unsearched))
@@ -187,4 +187,4 @@ class Framed(ABC):
 
     @abstractmethod
     def _answer(self, request: Frame) -> Frame | None:
-        """Return the answer, if there is one now."""
+        """Return the answer, or None if there is none yet."""

@@ -14,12 +14,12 @@ Each = TypeVar("Each")
 
 class Idle(Generic[Each]):
     """
-    Connections in the order in which they are closed to make room: those that never sent a
-    request, then the others, the longest idle of each first.
+    Connections in the order in which they are closed to make room: those that never
+    sent a request, then the others; the longest idle first in each group.
 
     Attributes:
-        strangers: those that never did, and when they came.
-        known: the others, and when they last did.
+        strangers: connections without a request -> the time at which they came.
+        known: the others -> the time of their last request.
     """
 
     __slots__ = ("known", "strangers")
@@ -39,7 +39,7 @@ class Idle(Generic[Each]):
         self.strangers[each] = now
 
     def note_request(self, each: Each, now: float) -> None:
-        """Make it the latest of all."""
+        """Make a connection the latest of all."""
         self.remove(each)
         self.known[each] = now
 
@@ -48,7 +48,7 @@ class Idle(Generic[Each]):
         self.known.pop(each, None)
 
     def due(self, until: float) -> list[Each]:
-        """Return those that have been idle since then, or before."""
+        """Return the connections that have been idle since a time, or longer."""
         return [*due(self.strangers, until), *due(self.known, until)]
 
 

@@ -1,5 +1,5 @@
 """
-Limits of what clients may cost a server, and statistics of what they did.
+Limits of the resources that clients take from a server, and statistics of their requests.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from ..protocol.mistakes import WrongType, WrongValue
 
 __all__ = ["FULL_POLICIES", "Allowance", "Limits", "ServerStatistics", "plain_host"]
 
-# Descriptors that are left to the rest of the process, unless max_connections is given.
+# Descriptors that are reserved for the rest of the process, unless max_connections is given.
 SPARE_DESCRIPTORS = 64
 
-# What a program may open to one server, though it has few connections in all.
+# The least number of connections per address, even if there are few in all.
 LEAST_OF_ADDRESS = 8
 
 FULL_POLICIES = ("close-idle", "refuse")
@@ -27,7 +27,7 @@ FULL_POLICIES = ("close-idle", "refuse")
 @dataclass(frozen=True)
 class Limits:
     """
-    Limits of what clients may cost a server; all but `allow` and `requests_per_second` are of TCP.
+    Limits of the resources that clients take; all but `allow` and `requests_per_second` are of TCP.
 
     Args:
         max_connections: 1 or more, over all endpoints; None for what the process's
@@ -85,7 +85,7 @@ class Limits:
             seconds("idle_timeout", self.idle_timeout)
         integer("max_unsent", self.max_unsent, 0, 2**30)
         object.__setattr__(self, "_networks", _networks(self.allow))
-        # Not what was given: a generator is empty now, and a copy would allow everybody.
+        # A tuple, because a generator is exhausted now, and its copy would allow every client.
         object.__setattr__(self, "allow", tuple(map(str, self._networks)))
         if self.requests_per_second is not None:
             number("requests_per_second", self.requests_per_second, 0.001, 1_000_000)
@@ -141,7 +141,7 @@ class Allowance:
         self._at = now
 
     def wait(self, now: float) -> float:
-        """Seconds until it is not overspent any more."""
+        """Return the seconds until the allowance is not overspent any more."""
         self._left = min(self._most, self._left + (now - self._at) * self._rate)
         self._at = now
         return max(0.0, -self._left / self._rate)
@@ -159,24 +159,24 @@ class ServerStatistics:
         connections: TCP connections that are open now.
         accepted: TCP connections that ever were.
         disallowed: connections and datagrams from networks that are not served.
-        refused_full: connections closed at once, for there were too many.
-        refused_address: those closed at once, for their address had too many.
+        refused_full: connections closed at once because there were too many.
+        refused_address: those closed at once because their address had too many.
         closed_for_others: idle connections closed to make room.
         closed_idle: connections closed after `idle_timeout`.
-        closed_slow: connections closed for a frame, or a TLS handshake, that took too long.
-        closed_out_of_step: connections closed for a header that made no sense.
+        closed_slow: connections closed because a frame or a TLS handshake took too long.
+        closed_out_of_step: connections closed because of an invalid header.
         paused: how often a client was not read because it did not take its answers.
         throttled: how often a client exceeded `requests_per_second`.
-        reflected: datagrams not answered, for they came from where servers are, or were
-            answers of this one that came back.
-        requests: frames that were for this server to look at, other units' included.
+        reflected: datagrams not answered because they came from a port of servers, or were answers
+            of this server that came back.
+        requests: frames that this server received, those for other units included.
         refused: requests that got an exception.
         unauthorized: requests that `authorize` of a device did not allow, a broadcast for each.
         bad_frames: runs of bytes that were no frame.
-        handshakes: TLS connections on which both sides took the other's certificate.
+        handshakes: TLS connections on which both sides accepted the other's certificate.
         handshakes_resumed: those of them that resumed a session.
-        handshakes_refused: TLS connections closed, for a certificate was not good or
-            what came was no TLS.
+        handshakes_refused: TLS connections closed because a certificate was refused or the bytes
+            were no TLS.
     """
 
     connections: int = 0

@@ -25,10 +25,10 @@ async def bound(
     endpoint: Endpoint, kind: socket.SocketKind, make: Make
 ) -> tuple[list[socket.socket], Endpoint]:
     """
-    Make a socket for each address of an endpoint's host; give the endpoint with its port, too.
+    Return a socket for each address of an endpoint's host, and the endpoint with its port.
 
     Raises:
-        ModbusConnectionError: the host is unknown, or an address cannot be had.
+        ModbusConnectionError: the host is unknown, or an address cannot be bound.
     """
     port = endpoint.port
     sockets: list[socket.socket] = []
@@ -36,7 +36,7 @@ async def bound(
         for family, host in await _addresses(endpoint, kind):
             sockets.append(make(family, (host, port)))
             sockets[-1].setblocking(False)
-            if not port:  # a free one is free on one address; on the next it may be taken
+            if not port:  # a port that is free on one address may be taken on the next
                 port = sockets[0].getsockname()[1]
                 break
     except OSError as error:
@@ -51,7 +51,7 @@ async def bound(
 async def _addresses(
     endpoint: Endpoint, kind: socket.SocketKind
 ) -> list[tuple[socket.AddressFamily, str]]:
-    try:  # an address needs no look-up, and so no thread
+    try:  # a numeric address needs no look-up, and so no thread
         found = socket.getaddrinfo(
             endpoint.host,
             endpoint.port,
@@ -69,11 +69,11 @@ async def _looked_up(endpoint: Endpoint, kind: socket.SocketKind) -> list[Any]:
         return await loop.getaddrinfo(
             endpoint.host, endpoint.port, type=kind, flags=socket.AI_PASSIVE
         )
-    except RuntimeError as error:  # the loop looks up in a thread, and there are too many
+    except RuntimeError as error:  # the loop looks up in a thread, and there are too many threads
         raise no_thread(error) from error
 
 
 def reason(error: OSError) -> str:
-    """The system's own words; getaddrinfo's numbers are negative."""
+    """Return the system's text for an error; numbers of getaddrinfo are negative."""
     number = error.errno or 0
     return os.strerror(number) if number > 0 else str(error.strerror or error)

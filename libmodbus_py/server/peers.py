@@ -1,10 +1,11 @@
 """
-The TCP connections of a server: who may come, who may stay, who must go.
+The TCP connections of a server: which are accepted, kept and closed.
 
-asyncio's transports buffer what they like and accept whoever comes; here every
-connection costs what `Limits` says at most. All of them wait in one epoll, and it alone
+asyncio's transports buffer without limit and accept every connection; here each connection costs
+at most what `Limits` allows. All of them wait in one epoll, and it alone
 in the loop. In a turn each is read once, and then all answers are sent: requests of many
-connections can be answered together, and who has many is woken once, not for each answer.
+connections can be answered together, and a
+client with many connections is woken once, not for each answer.
 """
 
 from __future__ import annotations
@@ -34,25 +35,25 @@ __all__ = ["MakePeerSession", "Peer", "Peers"]
 
 logger: logging.Logger = logging.getLogger(__name__)
 
-# How much of one client is read in a turn: the others wait while it is answered. One that
-# sends more than the first is read only when all others are answered, and then more of it.
+# Bytes read from one client in a turn, during which the others wait. A client that sends more
+# than the first number is read only when all others are answered, and then up to the second.
 FAIR_SIZE = 256
 READ_SIZE = 1024
 
-# How many of them in a turn: serial ports and newcomers have theirs.
+# Clients served in a turn, because serial ports and new connections wait for their own turn.
 EVENTS_MAX = 128
 
-# How many of those that send more than FAIR_SIZE.
+# Clients served in a turn that send more than FAIR_SIZE.
 GREEDY_AT_ONCE = 2
 
-# How many of those that sent more than is searched or answered at once.
+# Clients served in a turn that sent more than is searched or answered at once.
 BEHIND_AT_ONCE = 8
 
-# Room for more descriptors than that is made when they come.
+# Room for more descriptors is made when they are needed.
 ROOM_AT_MOST = 16_384
 
-# What is idle is known that exactly: to note it for each request would cost more
-# than to read the request.
+# The resolution of idle times: noting the time of each request would cost more than reading
+# the request.
 RESOLUTION = 0.05
 
 UNFINISHED = SessionState.UNFINISHED
@@ -69,9 +70,9 @@ class Peers:
     The connections of all TCP endpoints, within the limits.
 
     Args:
-        end: closes all endpoints of the server, when a hook ends the program; None for no more
-            than the connections.
-        make_epoll: makes what tells of connections that can be read or written.
+        end: closes all endpoints of the server when a hook ends the program; None to close
+            only the connections.
+        make_epoll: returns an epoll object.
     """
 
     def __init__(
@@ -90,17 +91,19 @@ class Peers:
         self._make_peer = Peer if limits.requests_per_second is None else LimitedPeer
         self._idle: Idle[Peer] = Idle()
         self._known = self._idle.known
-        # Connections that must get on with something, and until when.
+        # Connections with a deadline -> the time of the deadline.
         self._deadlines: dict[Peer, float] = {}
-        # Those that have something to send when all have been read.
+        # Connections that have something to send when all have been read.
         self._sending: list[Peer] = []
-        # What is to be done before that.
+        # Functions to call before that.
         self._calls: list[Callable[[], None]] = []
-        # Those that have something to do without having received anything more.
+        # Connections that have something to do without having received anything more.
         self._behind: deque[Peer] = deque()
         self._next_turn: asyncio.Handle | None = None
         self._end = end or self.close
-        self._ending: BaseException | None = None  # what a hook raised to end the program
+        self._ending: BaseException | None = (
+            None  # the exception that a hook raised to end the program
+        )
         self._in_turn = False
         self._turns = 0
         self._now = 0.0  # the time of this turn
@@ -138,7 +141,7 @@ class Peers:
             self._add(client, f"{host}:{port}", shared, make)
 
     def close(self) -> None:
-        """Any number of times."""
+        """Close all connections; any number of times."""
         if self._epoll.closed:
             return
         for peer in list(self._idle):
@@ -158,7 +161,7 @@ class Peers:
     def _add(
         self, client: socket.socket, address: str, shared: Address[Peer], make: MakePeerSession
     ) -> None:
-        with contextlib.suppress(OSError):  # it may be gone already
+        with contextlib.suppress(OSError):  # the descriptor may be gone already
             client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             client.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
         self.statistics.accepted += 1
@@ -216,7 +219,7 @@ class Peers:
             self._call_turn()
 
     def end_after_turn(self, error: BaseException) -> None:
-        """A hook wants to end the program; those that were read in this turn get their answers."""
+        """End the program for a hook, after all requests read in this turn are answered."""
         self._ending = self._ending or error
 
     def _call_turn(self) -> None:
@@ -231,7 +234,7 @@ class Peers:
         self._now = self.loop.time()
         greedy = []
         for descriptor, events in self._epoll.poll(0, EVENTS_MAX):
-            # Another one's turn may have closed it.
+            # The turn of another connection may have closed this one.
             if peer := self._by_descriptor.get(descriptor):
                 if peer.is_greedy:
                     greedy.append((peer, events))
@@ -275,7 +278,7 @@ class Peers:
         for peer in sending:
             peer.send()
 
-    # --- who is idle, who is late --------------------------------------------------------
+    # --- idle times and deadlines --------------------------------------------------------
 
     def note_request(self, peer: Peer) -> None:
         """Make a peer the latest of all, with no frame begun."""
@@ -285,7 +288,7 @@ class Peers:
             peer.shared.idle.note_request(peer, self._now)
 
     def set_deadline(self, peer: Peer) -> None:
-        """From now on, unless there is one already."""
+        """Set the deadline of a peer, unless it has one already."""
         self._deadlines.setdefault(peer, self.loop.time() + self.limits.frame_timeout)
 
     def drop_deadline(self, peer: Peer) -> None:
@@ -307,8 +310,8 @@ class Peers:
 
 def _make_room_for_descriptors(descriptor: int, most: int) -> None:
     """
-    Let the system's table grow now: while it grows in a process with threads, whoever
-    needs a new descriptor waits 10 ms (synchronize_rcu), and all clients with it.
+    Make the system's table of descriptors grow now. Growth in a process with threads delays
+    a new descriptor by 10 ms (synchronize_rcu), and with it all clients.
     """
     highest = min(most, ROOM_AT_MOST) + SPARE_DESCRIPTORS // 2
     with contextlib.suppress(OSError):
@@ -341,30 +344,30 @@ class Peer:
         make: MakePeerSession,
     ) -> None:
         self.address: str = address
-        self.role: str | None = None  # known to a session within TLS only
-        self.shared: Address[Peer] = shared  # with all others of its host
+        self.role: str | None = None  # set by a session within TLS only
+        self.shared: Address[Peer] = shared  # shared with all other connections of its host
         self._peers = peers
         self._socket = client
         self._descriptor = client.fileno()
         # bytes as long as the client takes them at once: mostly one answer, never copied.
         self._unsent: bytes | bytearray = b""
-        self.is_greedy: bool = False  # whether there was more than was read
+        self.is_greedy: bool = False  # True if more bytes are available than were read
         self.latest_turn: int = 0
         self._is_sending = self._is_full = self._is_throttled = self._is_closing = False
         self._is_reading = True
-        self._is_behind = False  # in its turn to catch up
+        self._is_behind = False  # True while it waits for its turn to catch up
         self._session = make(self)
         peers.watch(self, self._descriptor, EPOLLIN)
 
     def close(self) -> None:
-        """Close at once. Any number of times."""
+        """Close the connection at once; any number of times."""
         if self._descriptor < 0:
             return
         self._session.close()
-        del self._session  # which knows us: a circle would have to be looked for (gc)
+        del self._session  # a reference cycle, which only the garbage collector would find
         self._peers.forget(self._descriptor)
         self._descriptor = -1
-        if self._unsent:  # its last words, if they go
+        if self._unsent:  # its last bytes, if the client takes them
             with contextlib.suppress(OSError):
                 self._socket.send(self._unsent)
         self._socket.close()
@@ -375,7 +378,7 @@ class Peer:
         self._socket.close()
 
     def act(self, events: int) -> None:
-        """Do what can be done now; without events, what was left for later."""
+        """Handle events; without events, do work that was left for later."""
         try:
             if events & EPOLLIN:
                 self._take()
@@ -398,14 +401,14 @@ class Peer:
             self.follow()
 
     def resume(self) -> None:
-        """Read again: the address may ask."""
+        """Read again, because the address may send requests again."""
         self._is_throttled = False
         self.follow()
 
     def _take(self, data: bytes | None = None) -> int:
         """
-        Read and take what came, or take b"", for what was left for later; give how many requests
-        there were. One function, for every request passes it.
+        Read bytes and pass them on, or pass b"" to continue earlier work; return the number
+        of requests. One function only, because every request passes through it.
         """
         if data is None:
             size = READ_SIZE if self.is_greedy else FAIR_SIZE
@@ -416,7 +419,7 @@ class Peer:
             except OSError:
                 self.close()
                 return 0
-            if not data:  # it will not ask any more, but may still listen
+            if not data:  # the client sends no more requests, but may still read answers
                 self.end()
                 return 0
             self.is_greedy = len(data) == size
@@ -446,7 +449,7 @@ class Peer:
             self._pause_if_full()
 
     def send(self) -> None:
-        """Send what the client takes, and the rest when it takes more."""
+        """Send as much as the client takes, and the rest when it takes more."""
         if self._descriptor < 0:
             return
         try:
@@ -484,14 +487,14 @@ class Peer:
         self.follow()
 
     def end(self) -> None:
-        """Close when what was asked is answered, and sent."""
+        """Close the connection when all requests are answered, and the answers sent."""
         if self._descriptor < 0:
             return
         self._is_closing = True
         self._session.end()
         self.follow()
         self._peers.set_deadline(self)
-        # What came in this turn is answered by then, unless the answer must be waited for.
+        # Requests of this turn are answered by then, unless their answers are delayed.
         self._peers.loop.call_soon(self._close_if_done)
 
     def hang_up(self) -> bool:
@@ -504,14 +507,14 @@ class Peer:
         if self._session.state is not SessionState.OWING:
             self.close()
 
-    # --- reading or not -------------------------------------------------------------------
+    # --- reading and pausing --------------------------------------------------------------
 
     @property
     def _is_held(self) -> bool:
         return self._is_full or self._is_throttled or self._is_closing
 
     def follow(self) -> None:
-        """Read, or do not read, as things are now."""
+        """Read or pause, depending on the present state."""
         if self._descriptor < 0:
             return
         is_held, state = self._is_held, self._session.state
@@ -522,7 +525,7 @@ class Peer:
         if read != self._is_reading:
             self._is_reading = read
             self._watch()
-            # The time of a frame is not running while nobody reads it.
+            # The timeout of a frame is suspended while its connection is not read.
             if not read:
                 self._peers.drop_deadline(self)
             elif state is UNFINISHED:
@@ -551,7 +554,7 @@ class LimitedPeer(Peer):
         super().act(events)
 
     def _may_ask(self, events: int) -> bool:
-        """Not in a handshake, nor to say goodbye."""
+        """Return True if requests may be read, which is not so in a handshake or while closing."""
         if self._descriptor < 0 or self._session.state is SessionState.HANDSHAKE:
             return False
         with contextlib.suppress(OSError):

@@ -21,7 +21,7 @@ __all__ = ["SerialServer"]
 
 logger: logging.Logger = logging.getLogger(__name__)
 
-# How long an unplugged serial port is left alone before the next attempt.
+# Seconds between two attempts to open a serial port that was unplugged.
 REOPEN_AFTER = 1.0
 
 
@@ -30,11 +30,11 @@ class SerialServer:
     Answers on one port, which is opened again when it was unplugged and comes back.
 
     Args:
-        service: who answers.
+        service: the service that answers.
         end: closes all endpoints of the server, when a hook ends the program; None for this one.
 
     Attributes:
-        address, role, trace: for its session, whose channel it is.
+        address, role, trace: for its session; this object is the channel of the session.
 
     Raises:
         TypeError, ValueError: an option of the endpoint is wrong.
@@ -107,7 +107,7 @@ class SerialServer:
             raise
 
     def follow(self) -> None:
-        """Silence has completed a frame; or there is an answer that a fault keeps back."""
+        """Note that silence has completed a frame, or that a fault delays an answer."""
         if self._session.state is SessionState.BEHIND:
             self._receive()
 
@@ -122,7 +122,7 @@ class SerialServer:
             self._retry = self._loop.call_later(REOPEN_AFTER, self._reopen)
 
     def write(self, data: bytes) -> None:
-        """Answer after the silence that ends the request (serial line, 2.5.1.1)."""
+        """Send an answer after the silence that ends the request (serial line, 2.5.1.1)."""
         self._unsent += data
         if self._timer is None:
             wait = self._port.silence.over_at - self._loop.time()
@@ -133,7 +133,7 @@ class SerialServer:
 
     def _send_unsent(self) -> None:
         data, self._unsent = bytes(self._unsent), bytearray()
-        # A port that is gone shows in the next read.
+        # The next read fails if the port is gone.
         with contextlib.suppress(ModbusConnectionError):
             self._port.send([data], self._loop.time())
         self._follow_port()
@@ -144,7 +144,7 @@ class SerialServer:
         self._follow_port()
 
     def _follow_port(self) -> None:
-        """Go on after the port's pause: others are served while the line is turned round."""
+        """Continue after the port's pause; others are served while the line is turned round."""
         self._timer = None
         if self._port.resume_at is not None:
             pause = self._port.resume_at - self._loop.time()

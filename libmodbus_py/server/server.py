@@ -3,7 +3,7 @@ The server: many clients, many units, many endpoints, in one asyncio loop.
 
 An endpoint (`tcp`, `udp`, `serial`) takes bytes to a session (`by_chunk`, `by_frame`),
 which takes requests to the device of their unit, and the answers go back in order of
-arrival. Nobody waits for anybody.
+arrival. No client waits for another one.
 """
 
 from __future__ import annotations
@@ -34,32 +34,33 @@ class Server(Serving):
     Serves devices to any number of clients.
 
     On serial lines, and such lines over TCP, a unit without a device is silent, and unit 0
-    is a broadcast: writes go to every device, nobody answers.
+    is a broadcast: writes go to every device, none answers.
 
     Args:
         devices: ``{unit 0..255: device}``, or one device that answers every unit.
-        faults: ``{unit 0..255: faults}``, what goes wrong with the answers of a unit;
+        faults: ``{unit 0..255: faults}``, mistakes in the answers of a unit;
             None is every unit.
-        limits: what clients may cost; None for the defaults of `Limits`.
-        unknown_unit: what a unit without a device gets on TCP and UDP: "refuse", exception
+        limits: limits of connections and requests; None for the defaults of `Limits`.
+        unknown_unit: the answer for a unit without a device on TCP and UDP: "refuse", exception
             11; "silent", nothing.
         own_unit: which of several devices the server itself is: on TCP and UDP it answers
             units 0 and 255, too, unless they have devices of their own. One device alone
             always does. None: none of them.
-        security: who it is and whom it trusts, for tls; the URLs may say it instead.
+        security: the certificates of the server and of trusted clients, for tls; URLs may contain
+            them instead.
         trace: called in the server's loop with a `Traced` for every ADU received and sent; the
-            logger ``libmodbus_py.wire`` has the same at DEBUG. Whether anybody wants to see
-            them is asked when a connection is made, or a port opened. One that fails or takes
+            logger ``libmodbus_py.wire`` has the same at DEBUG. Whether tracing is on is
+                checked when a connection is made, or a port opened. One that fails or takes
             long is logged once, and harms no request; SystemExit and KeyboardInterrupt end the
             server.
 
     Attributes:
-        statistics: what happened at all endpoints, kept up to date.
-        devices, faults: as given, or as put in their place by `replace`.
+        statistics: counters of all endpoints, kept up to date.
+        devices, faults: as passed, or as set by `replace`.
         fault_switch: switches more faults on and off while the server runs; all who do share it.
 
     Raises:
-        TypeError, ValueError: an argument is something else.
+        TypeError, ValueError: an argument is wrong.
     """
 
     def __init__(
@@ -89,17 +90,16 @@ class Server(Serving):
         Replace devices and faults, from any thread, also while it serves.
 
         Connections stay. In the server's own loop this holds from the next request on; from
-        elsewhere it does as soon as the requests are answered that were read already. Answers
-        that a fault keeps back still come. `own_unit` and all other arguments are as when the
-        server was made. Faults that are equal to those before go on counting, notes about a
-        serial line (functions 8, 11 and 12) stay with their unit, and what `fault_switch` has
-        switched on stays on.
+        elsewhere, as soon as the requests already read are answered. Answers that a fault keeps
+        back still come. `own_unit` and all other arguments are as when the server was made. Faults
+        that are equal to those before go on counting, notes about a serial line (functions 8, 11
+        and 12) stay with their unit, and what `fault_switch` has switched on stays on.
 
         Args:
             devices, faults: as for `Server`; None is no faults.
 
         Raises:
-            TypeError, ValueError: as when it was made. Then nothing changes.
+            TypeError, ValueError: as for `Server`. Then nothing changes.
         """
         self._put(devices, faults)
 
@@ -125,7 +125,7 @@ class Server(Serving):
             if loop is _running_loop():
                 answering.change(self._units)
             else:
-                with contextlib.suppress(RuntimeError):  # it has just ended
+                with contextlib.suppress(RuntimeError):  # the loop has just ended
                     loop.call_soon_threadsafe(self._renew, answering)
 
     def _renew(self, answering: Devices) -> None:
@@ -133,7 +133,7 @@ class Server(Serving):
 
     @contextlib.asynccontextmanager
     async def _answering(self, endpoints: list[Endpoint]) -> AsyncIterator[Service]:
-        replier()  # its descriptors, before clients take the last ones
+        replier()  # creates its descriptors, before clients take the last ones
         answering = Devices(self._units)
         now = asyncio.get_running_loop(), answering
         self._answering_now.append(now)

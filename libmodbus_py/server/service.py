@@ -1,5 +1,5 @@
 """
-The interface between endpoints and what answers: sessions, and services that make them.
+The interface between endpoints and devices or gateways: sessions, and services that make them.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from .limits import ServerStatistics
 
 __all__ = ["ENDS", "Channel", "Later", "MakeSession", "Service", "Session", "SessionState"]
 
-# What a hook raises to end the program; any other exception is an answer, or a mistake of ours.
+# Raised by a hook to end the program; any other exception is an answer, or a defect of ours.
 ENDS = (SystemExit, KeyboardInterrupt)
 
 
@@ -23,9 +23,9 @@ class Channel(Protocol):
     The connection, datagram or port that a session belongs to.
 
     Attributes:
-        address: of the client: "192.0.2.7:51234", or the serial port.
+        address: address of the client: "192.0.2.7:51234", or the serial port.
         role: the role in the client's certificate, if any.
-        trace: is told of every ADU; None if nobody wants to see them.
+        trace: called with every ADU; None if tracing is off.
     """
 
     address: str
@@ -38,10 +38,10 @@ class Channel(Protocol):
         """Send answers, in the order of the calls."""
 
     def follow(self) -> None:
-        """Look again at the state of the session, which may have changed."""
+        """Check the state of the session again, because it may have changed."""
 
     def hang_up(self) -> bool:
-        """Close the connection when what was written is sent; False if there is none."""
+        """Close the connection when all answers are sent; return False if there is none."""
         ...
 
 
@@ -86,16 +86,16 @@ class Session(Protocol):
         ...
 
     def end(self) -> None:
-        """Nothing more is received, and what was not looked at is dropped."""
+        """Note that nothing more is received, and drop bytes that were not searched."""
 
     def close(self) -> None:
-        """Forget everything, answers that are kept back included."""
+        """Drop everything, delayed answers included."""
 
 
 MakeSession = Callable[[Channel], Session]
 
 Later = Callable[[Callable[[], None]], None]
-"""Calls a function when all connections have been read, before answers are sent."""
+"""Function that calls another when all connections have been read, before answers are sent."""
 
 
 class Service(Protocol):
@@ -108,7 +108,7 @@ class Service(Protocol):
         Return a function that makes the session of each connection, datagram or port.
 
         Args:
-            statistics: where requests are counted.
-            later: of an endpoint whose connections are read together; else None.
+            statistics: the counters of requests.
+                later: for an endpoint whose connections are read together; else None.
         """
         ...

@@ -1,7 +1,7 @@
 """
 Serving: endpoints from URLs, in a loop, in a thread, or for ever.
 
-Who answers there is said by who derives from `Serving`.
+Subclasses of `Serving` choose the service that answers there.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ logger: logging.Logger = logging.getLogger(__name__)
 @dataclass(frozen=True)
 class Running:
     """
-    A server that serves.
+    A running server.
 
     Attributes:
         urls: its endpoints, in the order given, with the ports they got.
@@ -53,18 +53,19 @@ class Running:
 class Serving(ABC):
     """
     Args:
-        limits: what clients may cost; None for the defaults of `Limits`.
-        security: who it is and whom it trusts, for tls; the URLs may say it instead.
+        limits: limits of connections and requests; None for the defaults of `Limits`.
+        security: the certificates of the server and of trusted clients, for tls; URLs may contain
+            them instead.
         trace: called in the loop with a `Traced` for every ADU received and sent; the logger
-            ``libmodbus_py.wire`` has the same at DEBUG. Whether anybody wants to see them is
-            asked when a connection is made, or a port opened. One that fails or takes long is
+            ``libmodbus_py.wire`` has the same at DEBUG. Whether tracing is on is
+                checked when a connection is made, or a port opened. One that fails or takes long is
             logged once, and harms no request; SystemExit and KeyboardInterrupt end the server.
 
     Attributes:
-        statistics: what happened at all endpoints, kept up to date.
+        statistics: counters of all endpoints, kept up to date.
 
     Raises:
-        TypeError: an argument is something else.
+        TypeError: an argument has the wrong type.
     """
 
     def __init__(
@@ -89,7 +90,7 @@ class Serving(ABC):
         Serve while the ``async with`` block runs.
 
         Args:
-            urls: where to listen: tcp, rtu+tcp, ascii+tcp, udp, tls with port 0 for a free
+            urls: the endpoints: tcp, rtu+tcp, ascii+tcp, udp, tls with port 0 for a free
                 one; rtu, ascii for serial ports with their settings.
 
         Raises:
@@ -126,7 +127,7 @@ class Serving(ABC):
         """
         Serve in a thread of its own while the ``with`` block runs.
 
-        When it is left, by Ctrl-C too, the thread has ended and all is closed.
+        When the block is left, also by Ctrl-C, the thread has ended and all is closed.
 
         Arguments and exceptions as for `serving`, when the block is entered. SystemExit and
         KeyboardInterrupt that a hook raises end the server at once, and are raised here when
@@ -143,9 +144,9 @@ class Serving(ABC):
         """
         Serve until SIGTERM or Ctrl-C: for a program that does nothing else.
 
-        Both end it well: it sees the clients off and returns. In another thread than
-        the main one no signal comes, and it serves as long as the process lives (daemon=True).
-        Nothing is printed; the log has ``listening on URL`` at INFO.
+        Both close all connections in order, and the method returns. In another thread than the main
+        one no signal comes, and it serves as long as the process lives (daemon=True). Nothing is
+        printed; the log has ``listening on URL`` at INFO.
 
         Args:
             urls: as for `serving`.
@@ -170,7 +171,7 @@ class Serving(ABC):
             with signal_handlers(handlers):
                 async with self.serving(*urls) as running:
                     # Else every full search for garbage looks through all that was
-                    # imported: 5 ms in which nobody is answered.
+                    # imported: 5 ms in which no client is answered.
                     gc.collect()
                     gc.freeze()
                     on_listening(running)
@@ -182,14 +183,14 @@ class Serving(ABC):
         """
         Call another function with every ADU, as `trace`, while the ``with`` block runs.
 
-        It sees connections that are made meanwhile, and those before only if somebody traced
-        them already.
+        It traces connections that are made meanwhile; earlier connections only if they were
+        traced already.
 
         Args:
             callback: called in the server's loop with a `Traced`.
 
         Raises:
-            TypeError: it is no function.
+            TypeError: the callback is no function.
         """
         return self._traces.with_another(_checked(callback))
 
@@ -217,7 +218,7 @@ class Serving(ABC):
 
 @contextlib.contextmanager
 def _explained(what: str) -> Iterator[None]:
-    """Turn any other OSError, as of epoll, into a ModbusConnectionError that says what failed."""
+    """Convert any other OSError, as of epoll, to a ModbusConnectionError that names the cause."""
     try:
         yield
     except ModbusConnectionError:

@@ -14,15 +14,15 @@ from .limits import Allowance, Limits, ServerStatistics
 
 __all__ = ["Sources"]
 
-# Where servers are: what comes from there is an answer, or pretends to be a request.
+# Ports of servers: a datagram from there is an answer, or a forged request.
 SERVER_PORTS = (502, 802)
 
-# An answer may be a request again, as that to function 8 is; so two servers, or one and itself,
-# would go on for ever. A client repeats itself seldom, and gives up.
+# An answer may be a valid request, as for function 8; so two servers, or one and itself, would
+# answer each other for ever. A client repeats a request seldom, and gives up.
 RETURNS_PER_SECOND = 10
 RETURNS_REMEMBERED = 16_384
 
-# An answer can be seven times as long as its request, and go to somebody who never asked.
+# An answer can be seven times as long as its request, and go to a host that never asked.
 USUAL_RATE = 1000.0
 
 
@@ -31,7 +31,7 @@ class Sources:
     The clients at all UDP endpoints of a server.
 
     Attributes:
-        ports: where the server itself listens; what comes from there was never a client's.
+        ports: the ports of the server itself; datagrams from there are never from a client.
     """
 
     def __init__(self, limits: Limits, statistics: ServerStatistics) -> None:
@@ -43,7 +43,7 @@ class Sources:
         self._returns: OrderedDict[int, Allowance] = OrderedDict()
 
     def admit(self, datagram: bytes, source: tuple[str, int]) -> bool:
-        """Return True if a datagram is to be answered; if not, it is counted."""
+        """Return True if a datagram is to be answered; count it if not."""
         host, port = source[:2]
         if not self._limits.allows(host):
             self._statistics.disallowed += 1

@@ -1,5 +1,5 @@
 """
-A TCP endpoint of a server: it listens, and hands over who connects.
+A TCP endpoint of a server: it listens, and passes on new connections.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ __all__ = ["TcpServer"]
 
 logger: logging.Logger = logging.getLogger(__name__)
 
-# As many as the system lets wait; and how many of them become clients in a turn
-# of the loop, for the others want theirs.
+# Connections that may wait in the system; and how many are accepted in a turn of the loop,
+# so that other clients have their turn.
 BACKLOG = 4096
 ACCEPTED_AT_ONCE = 16
 
-# How long nobody is accepted when the process has no descriptors left.
+# Seconds without accepting when the process has no descriptors left.
 RETRY_AFTER = 0.1
 
 
@@ -35,11 +35,11 @@ class TcpServer:
     Listens on all addresses of a host.
 
     Args:
-        service: who answers.
+        service: the service that answers.
         security: for TLS; else None.
 
     Raises:
-        ModbusConnectionError: it cannot, with errno.
+        ModbusConnectionError: an address cannot be bound, with errno.
     """
 
     def __init__(
@@ -51,7 +51,7 @@ class TcpServer:
         self._secured = _plain if security is None else _within_tls(security, peers)
         self._listeners: list[socket.socket] = []
         self._retries: dict[socket.socket, asyncio.TimerHandle] = {}
-        self._is_short = False  # of descriptors or memory, as a rule
+        self._is_short = False  # mostly a lack of descriptors or memory
         self._endpoint = endpoint
         abandoned_in_children(self)
 
@@ -91,7 +91,7 @@ class TcpServer:
             self._peers.admit(client, address, self._make_session)
 
     def _pause(self, listener: socket.socket, error: OSError) -> None:
-        """No descriptors, no memory: what waits to be accepted would wake the loop for ever."""
+        """Stop accepting for a while, because connections not accepted keep waking the loop."""
         if not self._is_short:
             logger.warning("%s: cannot accept: %s", self._endpoint, reason(error))
         self._is_short = True

@@ -1,8 +1,8 @@
 """
-Modbus Security at the server's end: a session inside TLS, and the role of who asks.
+Modbus Security at the server's end: a session inside TLS, and the role of the client.
 
 The handshakes of all connections wait in one line, and one step of one of them is done at a
-time, between the turns of those that are through: a step takes up to a millisecond.
+time, between the turns of established connections: a step takes up to a millisecond.
 """
 
 from __future__ import annotations
@@ -26,22 +26,22 @@ __all__ = ["Handshakes", "TlsSession"]
 
 logger: logging.Logger = logging.getLogger(__name__)
 
-# How many handshakes may have begun and not ended; each takes about 50 kB. One more, and the
-# oldest is given up.
+# The number of unfinished handshakes; each takes about 50 kB. With one more, the oldest is
+# given up.
 HALF_OPEN = 1000
 
-# How much of what one record carries is answered in a turn.
+# Bytes of one record that are answered in a turn.
 READ_SIZE = 1024
 
 WAITING = (SessionState.BEHIND, SessionState.HELD)
-"""States in which the session inside takes nothing."""
+"""States in which the session inside accepts no bytes."""
 
 
 class Wire(Channel, Protocol):
-    """A connection of its own."""
+    """The channel of a TCP connection, which can be closed."""
 
     def end(self) -> None:
-        """Close when what was asked is answered, and sent."""
+        """Close the connection when all requests are answered, and the answers sent."""
 
 
 class Handshakes:
@@ -49,8 +49,8 @@ class Handshakes:
     The handshakes of a server.
 
     Args:
-        security: who the server is, and whom it trusts.
-        timeout: seconds that one may take from the connection on.
+        security: the certificates of the server and of trusted clients.
+        timeout: seconds from the connection to the end of its handshake.
     """
 
     def __init__(self, security: Security, timeout: float, statistics: ServerStatistics) -> None:
@@ -64,7 +64,7 @@ class Handshakes:
         self._next_step: asyncio.Handle | None = None
 
     def begin(self, session: TlsSession) -> Tunnel:
-        """Make the tunnel of a connection that has sent something."""
+        """Return the tunnel of a connection that has sent its first bytes."""
         if len(self._half_open) >= HALF_OPEN:
             self.statistics.closed_for_others += 1
             next(iter(self._half_open)).give_up()
@@ -102,11 +102,11 @@ class TlsSession:
 
     Args:
         wire: the connection.
-        handshakes: those of the server.
-        make: makes the session inside, when it is known who asks.
+        handshakes: the handshakes of the server.
+        make: makes the session inside, when the client is known.
 
-    Attributes:
-        address, role: who asks, for the session inside.
+        Attributes:
+            address, role: those of the client, for the session inside.
     """
 
     trace: Trace | None = None
@@ -127,7 +127,7 @@ class TlsSession:
         self._tunnel: Tunnel | None = None
         self._records = Records()
         self._inner: Session | None = None
-        self._has_more = False  # whether something was received that nobody has looked at
+        self._has_more = False  # True if bytes were received that were not processed yet
         self._timer = handshakes.loop.call_later(handshakes.timeout, self._be_late)
 
     # --- the session of the connection --------------------------------------------------------
@@ -136,7 +136,7 @@ class TlsSession:
     def state(self) -> SessionState:
         inner = self._inner
         if inner is None:
-            # The handshake has a time of its own.
+            # The handshake has a timeout of its own.
             is_lined_up = self._handshakes.is_lined_up(self)
             return SessionState.HELD if is_lined_up else SessionState.HANDSHAKE
         state = inner.state
@@ -185,11 +185,11 @@ class TlsSession:
     # --- the handshake --------------------------------------------------------------------------
 
     def take_step(self) -> None:
-        """Go on as far as what was received allows."""
+        """Continue the handshake as far as the received bytes allow."""
         assert self._tunnel is not None
         try:
             self._shake_hands(self._tunnel)
-        except Exception:  # a mistake of ours must not cost the others their steps
+        except Exception:  # a defect of ours must not stop the handshakes of others
             logger.exception("%s: connection closed", self.address)
             self._finish()
         self._wire.follow()
@@ -212,7 +212,7 @@ class TlsSession:
             self._open(tunnel)
 
     def _check(self, tunnel: Tunnel) -> str | None:
-        """Take the role of an accepted certificate; return why it is refused, or None."""
+        """Store the role of an accepted certificate; return the reason for a refusal, or None."""
         certificate = tunnel.certificate
         if (refusal := self._handshakes.security.refusal(tunnel)) is not None:
             return refusal
@@ -245,7 +245,7 @@ class TlsSession:
         self._finish()
 
     def give_up(self) -> None:
-        """Others need the room."""
+        """Close the connection, because other handshakes need the room."""
         self._finish()
 
     def _finish(self) -> None:
@@ -256,10 +256,10 @@ class TlsSession:
 
     def _take(self, tunnel: Tunnel, inner: Session, *, is_one: bool) -> int:
         """
-        Pass a slice of what was received to the session inside.
+        Pass a slice of the received bytes to the session inside.
 
         Args:
-            is_one: whether that is one record, in which case nothing is behind it.
+            is_one: True if the slice is one record, with nothing behind it.
         """
         requests, left = 0, READ_SIZE
         self._has_more = False
@@ -275,12 +275,12 @@ class TlsSession:
                     return requests
         except ssl.SSLError as error:
             self._fail(error)
-        except FrameError as error:  # not to the wire: what came before it counts
+        except FrameError as error:  # not to the wire, because requests before it count
             self._be_out_of_step(str(error))
         else:
             if answer := tunnel.outgoing():  # a change of keys
                 self._wire.write(answer)
-            if data is not None:  # it will not ask any more, but may still listen
+            if data is not None:  # the client sends no more requests, but may still read answers
                 self._finish()
         return requests
 
@@ -300,7 +300,7 @@ class TlsSession:
     def write(self, data: bytes) -> None:
         tunnel = self._tunnel
         if tunnel is None:
-            return  # it ended while the answer was made
+            return  # the connection ended while the answer was made
         try:
             tunnel.send(data)
         except ssl.SSLError as error:

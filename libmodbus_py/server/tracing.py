@@ -1,7 +1,7 @@
 """
 Traces: functions that are called with every ADU that a server receives and sends.
 
-The sessions tell of what they have framed themselves; without a trace they do not.
+The sessions report the frames that they have cut themselves, if there is a trace.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class Traces:
     The functions that are called with ADUs; they can change, in any thread.
 
     Args:
-        first: called with a `Traced`; None for nobody.
+        first: called with a `Traced`; or None.
     """
 
     def __init__(self, first: OnTraced | None) -> None:
@@ -54,9 +54,9 @@ class Traces:
 
 class TracedService:
     """
-    Another service, whose sessions tell a trace of their ADUs. See `Service`.
+    A wrapper of a service whose sessions report their ADUs to a trace. See `Service`.
 
-    Whether anybody wants to see the ADUs is asked when a session is made.
+    Whether tracing is on is checked when a session is made.
     """
 
     def __init__(self, service: Service, traces: Traces) -> None:
@@ -78,7 +78,7 @@ class TracedService:
 
 
 class TracedChannel:
-    """The channel of a session that tells `trace` of its ADUs. See `Channel`."""
+    """The channel of a session that reports its ADUs to `trace`. See `Channel`."""
 
     __slots__ = ("_channel", "address", "role", "trace")
 
@@ -100,9 +100,9 @@ class TracedChannel:
 
 class Harmless:
     """
-    A callback that costs no client an answer, whatever it raises.
+    A callback whose exceptions cost no client an answer.
 
-    One that fails is logged, and one that takes long, once each: a client must not be able to
+    A failure is logged once, and a long duration once: a client must not be able to
     fill the log. SystemExit and KeyboardInterrupt leave the loop when this turn is over.
     """
 

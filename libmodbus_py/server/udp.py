@@ -25,7 +25,7 @@ READ_SIZE = 512
 
 ANSWERED_AT_ONCE = 16
 
-# How many answers may be kept back; what comes meanwhile is lost.
+# The number of delayed answers; further requests are dropped.
 WAITING_MAX = 1024
 
 
@@ -34,12 +34,12 @@ class UdpServer:
     Answers the datagrams to one address.
 
     Args:
-        service: who answers.
-        sources: who is answered, at this endpoint and the others.
+        service: the service that answers.
+        sources: the known clients of all UDP endpoints.
         end: closes all endpoints of the server, when a hook ends the program.
 
     Raises:
-        ModbusConnectionError: it cannot, with errno.
+        ModbusConnectionError: the address cannot be bound, with errno.
     """
 
     def __init__(
@@ -57,7 +57,7 @@ class UdpServer:
         self._end = end
         self._loop = asyncio.get_running_loop()
         self._sockets: list[socket.socket] = []
-        # Those whose answer is kept back.
+        # Datagrams whose answers are delayed.
         self._waiting: set[Session] = set()
         abandoned_in_children(self)
 
@@ -143,7 +143,7 @@ class _Datagram:
 
     def write(self, data: bytes) -> None:
         self._sources.note_answer(data, pdu_of(self._framing, data), self._source)
-        # An answer that does not get away is one that got lost on the way.
+        # An answer that cannot be sent counts as lost on the way.
         with contextlib.suppress(OSError):
             self._local.sendto(data, self._source)
 

@@ -20,10 +20,10 @@ from .faults.due import Faults
 
 __all__ = ["UNKNOWN_UNIT_POLICIES", "SerialUnits", "TcpUnits", "Units", "UnknownUnit"]
 
-# A device, and what it notes about a line.
+# A device, and its notes about a line.
 Station = tuple[Device, EventLog]
 
-# Whom the one device is kept as that answers all; no unit has that number.
+# The key of a single device that answers every unit; no unit has this number.
 EVERY_UNIT = -1
 
 UnknownUnit = Literal["refuse", "silent"]
@@ -40,7 +40,7 @@ class Units:
     The devices, by unit, and their faults, None if there are none.
 
     Args:
-        own_unit: whose device the units `SERVER_ITSELF` are, unless they have their own.
+        own_unit: the unit whose device answers `SERVER_ITSELF`, unless these have their own.
         on_unauthorized: called for each request that a device does not allow.
     """
 
@@ -60,7 +60,7 @@ class Units:
         self.unknown = unknown
         self.any: Device | None = devices if isinstance(devices, Device) else None
         self.devices: dict[int, Device] = {}
-        # The device that the server itself is, on TCP and UDP; None if it is none or all.
+        # The device of the server itself, on TCP and UDP; None if there is none, or one for all.
         self.own: Device | None = None
         if self.any is not None:
             if own_unit is not None:
@@ -147,7 +147,7 @@ class TcpUnits:
         return Frame(unit, response, transaction) if response else None
 
     def note_damage(self, *, overrun: bool) -> None:
-        """TCP has no counters of a line."""
+        """Do nothing, because TCP has no counters of a line."""
 
 
 class SerialLine:
@@ -170,8 +170,9 @@ class SerialLine:
 
 class SerialUnits:
     """
-    The units of a serial line, or of one over TCP: silence for others, broadcasts,
-    and what every device notes about the line.
+    The units of a serial line, or of one over TCP: silence for other units, broadcasts,
+    and the
+    notes of every device about the line.
     """
 
     def __init__(self, units: Units) -> None:
@@ -187,7 +188,7 @@ class SerialUnits:
     def of_connection(self) -> SerialUnits:
         """
         Return the units as one connection has them: with counters and events of the line, but
-        nobody else is silenced, or has to find another delimiter, because it wants that.
+        listen-only mode and a changed delimiter affect this connection only.
         """
         made = copy(self)
         made._own = {}

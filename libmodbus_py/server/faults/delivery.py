@@ -1,5 +1,5 @@
 """
-Answers as faults make them, on their way to one client: each byte in its time.
+Delivery of faulty answers to one client: each byte at its time.
 """
 
 from __future__ import annotations
@@ -16,22 +16,22 @@ from .fault import Fault
 
 __all__ = ["Delivery", "Fragment", "fragments"]
 
-# Answers that wait on a connection are no more than those to one read, which is
-# less; on a serial line, those to a client that does not wait for answers.
+# On a connection, fewer bytes wait: the answers to one read. On a serial line this limits the
+# answers to a client that does not wait for them.
 MAX_WAITING = 1 << 17
 
 
 Told = tuple[bytes, Frame | None]
-"""Bytes that are sent, for a trace, and the frame that they are; None for no frame."""
+"""Bytes that are sent, for a trace, and their frame; None if they are no frame."""
 
 
 class Fragment(NamedTuple):
     """
-    Bytes to send, and the seconds to wait before, once those before it are gone.
+    Bytes to send, and the seconds to wait after the previous fragment.
 
     Attributes:
         is_last: True if the connection is closed behind them.
-        told: what a trace is told when they are sent.
+        told: the arguments of the trace when they are sent.
     """
 
     wait: float
@@ -41,7 +41,7 @@ class Fragment(NamedTuple):
 
 
 def fragments(fault: Fault | None, answer: Frame, framer: Framer) -> list[Fragment]:
-    """Return what is sent in place of an answer; of garbage `data` must be given."""
+    """Return the fragments sent in place of an answer; for garbage `data` is required."""
     if fault is None:
         data = framer.encode(answer)
         return [Fragment(0, data, told=((data, answer),))]
@@ -59,7 +59,7 @@ def _unchanged(frame: Frame) -> Frame:
 
 # Kind -> the frame that is sent in place of the answer.
 _FRAMES: dict[str, Callable[[Frame], Frame]] = {
-    # Never that of the next request, whose answer this one would then be.
+    # Never that of the next request, because this would then count as its answer.
     "wrong_transaction": lambda frame: frame._replace(transaction=frame.transaction - 1 & 0xFFFF),
     # 1..247, that of a unit which a serial line can have.
     "wrong_unit": lambda frame: frame._replace(unit=frame.unit % 247 + 1),
@@ -75,7 +75,7 @@ def _spoil_crc(adu: bytes) -> bytes:
 
 
 def _spoil_lrc(adu: bytes) -> bytes:
-    # Before CR and delimiter, two digits.
+    # The two digits before CR and delimiter.
     return adu[:-4] + b"%02X" % (int(adu[-4:-2], 16) ^ 0xFF) + adu[-2:]
 
 
@@ -94,7 +94,7 @@ def _with_garbage(adu: bytes, fault: Fault, _: Framer) -> Parts:
 
 Parts = tuple[bytes, ...]
 
-# Kind -> what is sent in place of the bytes of the answer.
+# Kind -> the bytes sent in place of the answer.
 _PARTS: dict[str, Callable[[bytes, Fault, Framer], Parts]] = {
     "wrong_check": lambda adu, fault, framer: (_SPOILS[type(framer)](adu),),
     "truncate": lambda adu, fault, framer: (adu[: min(fault.length or 0, len(adu) - 1)],),
@@ -112,7 +112,7 @@ def _byte_by_byte(data: bytes, fault: Fault) -> list[Fragment]:
     return [Fragment(wait if at else 0, data[at : at + 1]) for at in range(len(data))]
 
 
-# Kind -> when they are sent.
+# Kind -> the fragments in which they are sent.
 _IN_TIME: dict[str, Callable[[bytes, Fault], list[Fragment]]] = {
     "no_answer": lambda data, fault: [],
     "trickle": _byte_by_byte,
@@ -122,15 +122,15 @@ _IN_TIME: dict[str, Callable[[bytes, Fault], list[Fragment]]] = {
 
 class Delivery:
     """
-    Bytes on their way to one client, in order, each in its time. For one loop only.
+    Sends bytes to one client, in order, each at its time. For one loop only.
 
     Args:
-        channel: of the client; `follow` is called whenever `is_waiting` has changed.
-        trace: is told of what is sent; None for nobody.
+        channel: channel of the client; `follow` is called whenever `is_waiting` has changed.
+        trace: called with all that is sent, or None.
 
     Attributes:
         is_waiting: True while something is to be sent later.
-        is_over: True once the connection was closed, and nothing is sent any more.
+        is_over: True once the connection was closed; nothing more is sent.
     """
 
     def __init__(self, channel: Channel, trace: Trace | None = None) -> None:
@@ -144,7 +144,7 @@ class Delivery:
         self._timer: asyncio.TimerHandle | None = None
 
     def send(self, answer: list[Fragment]) -> None:
-        """Send an answer after those before it; it is lost where too much waits already."""
+        """Send an answer after the previous ones; it is dropped if too much waits already."""
         if self._queued >= MAX_WAITING or self.is_over:
             return
         self._queue += answer
@@ -153,7 +153,7 @@ class Delivery:
             self._go_on()
 
     def close(self) -> None:
-        """Forget what was not sent."""
+        """Drop all fragments that were not sent."""
         self._queue.clear()
         self._queued = 0
         if self._timer is not None:
@@ -161,7 +161,7 @@ class Delivery:
             self._timer = None
 
     def _go_on(self) -> None:
-        """Send what needs no wait, then wait for the next."""
+        """Send the fragments that are due, then wait for the next."""
         while self._queue:
             if self._queue[0].wait:
                 self._timer = self._loop.call_later(self._queue[0].wait, self._send_next)

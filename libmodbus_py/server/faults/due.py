@@ -17,7 +17,7 @@ __all__ = ["Faults"]
 
 
 class _Counted:
-    """A fault, and how far it is."""
+    """A fault, and its count of requests."""
 
     def __init__(self, fault: Fault) -> None:
         self.fault = fault
@@ -32,7 +32,7 @@ class _Counted:
         return self._count % self._every == 0
 
     def happening(self) -> Fault:
-        """The fault as it happens this time: with the bytes that chance gives."""
+        """The fault as it happens this time: with its random bytes."""
         fault = self.fault
         if fault.kind != "garbage" or fault.length is None:
             return fault
@@ -45,10 +45,10 @@ class Faults:
 
     Args:
         faults: ``{unit 0..255: faults}``; None is every unit.
-        before: those of the same server until now: equal ones go on counting.
+        before: the previous faults of the same server: equal ones go on counting.
 
-    Raises:
-        TypeError, ValueError: a unit or a fault is none.
+        Raises:
+            TypeError, ValueError: a unit or a fault is wrong.
     """
 
     def __init__(
@@ -78,11 +78,11 @@ class Faults:
         Count a request that is going to be answered.
 
         Args:
-            request: as it came in.
-            has_transaction: whether its line has transactions.
+            request: the request as it was received.
+                has_transaction: True if frames of its line have transactions.
 
-        Returns:
-            The fault that happens to it.
+            Returns:
+                The fault that happens to the request, or None.
         """
         touched: Touched | None = None
         first: _Counted | None = None
@@ -109,7 +109,7 @@ def _checked(fault: object) -> Fault:
 
 
 def _counted(fault: Fault, known: list[_Counted]) -> _Counted:
-    """Take it from those that are known, each once."""
+    """Return the known counter of an equal fault, each once, or a new one."""
     for at, each in enumerate(known):
         if each.fault == fault:
             return known.pop(at)

@@ -1,8 +1,7 @@
 """
-A fault: what goes wrong with the answers of a server, with which of them, and how often.
+A fault: a mistake in answers of a server, the requests concerned, and its frequency.
 
-`faults_due` counts the requests of a server and says which fault is due, `delivery` makes
-it happen.
+`due` counts the requests of a server and returns the fault that is due, `delivery` makes it happen.
 """
 
 from __future__ import annotations
@@ -41,7 +40,7 @@ OPTIONAL: dict[str, tuple[str, ...]] = {
 Place = Literal["before", "instead", "behind"]
 
 PLACES: tuple[Place, ...] = get_args(Place)
-"""Where garbage comes, seen from the answer."""
+"""The places of garbage relative to the answer."""
 
 LONGEST = 512
 """More bytes than any frame has."""
