@@ -23,12 +23,12 @@ class Access:
         table: "coils", "discrete_inputs", "holding_registers", "input_registers",
             "fifo" or "file".
         address: the first one, 0-based; the first record of a file.
-        count: how many.
-        values: what is to be written, or was; empty for reads.
+        count: the number of items.
+        values: the values to write, or written; empty for reads.
         file: the number of the file, else 0.
-        unit: who was asked.
-        peer: who asks: "192.0.2.7:51234", or the serial port.
-        role: what their certificate says of them; None for nothing, or without TLS.
+        unit: the unit of the request.
+        peer: the client: "192.0.2.7:51234", or the serial port.
+        role: the role in the client's certificate; None without a role, or without TLS.
     """
 
     table: str
@@ -42,13 +42,13 @@ class Access:
 
 
 class Touched(NamedTuple):
-    """What one request writes and reads; it writes first."""
+    """The accesses of one request; it writes first."""
 
     writes: tuple[Access, ...] = ()
     reads: tuple[Access, ...] = ()
 
 
-# Who asks: unit, peer and role of an `Access`.
+# Unit, peer and role of an `Access`.
 Who = tuple[int, str, "str | None"]
 
 
@@ -57,7 +57,7 @@ class TouchRule(NamedTuple):
     The accesses of the requests of one class.
 
     Attributes:
-        find: says what one of them does.
+        find: returns the accesses of a request.
         reads, writes: the table (`Access.table`) that they read or write; "" for none.
     """
 
@@ -140,14 +140,14 @@ ACCESSES: dict[type[pdu.Request[Any]], TouchRule] = {
     pdu.WriteFileRecords: TouchRule(_write_files, writes="file"),
     pdu.ReadFifoQueue: TouchRule(_read_fifo, reads="fifo"),
 }
-"""Request class -> what its requests touch."""
+"""Request class -> the rule for the accesses of its requests."""
 
-# What a masked write changes is not known without the device.
+# The result of a masked write is not known without the device.
 _NOWHERE = Mapping()
 
 
 def touched(request: pdu.Request[Any] | None, who: Who = (0, "", None)) -> Touched:
-    """Return the accesses of a request to any device; None has none."""
+    """Return the accesses of a request; empty for None."""
     kind = ACCESSES.get(type(request))  # type: ignore[arg-type]
     return Touched() if kind is None else kind.find(request, _NOWHERE, who)
 

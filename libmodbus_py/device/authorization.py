@@ -1,6 +1,5 @@
 """
-Who may do what: asked before anything else about every request (MB-TCP-Security-v36, R-24 to
-R-31).
+Authorization of every request, before anything else is done (MB-TCP-Security-v36, R-24 to R-31).
 """
 
 from __future__ import annotations
@@ -23,23 +22,23 @@ logger: logging.Logger = logging.getLogger(__name__)
 MINUTE = 60.0
 
 MOST_LINES = 20
-"""How many lines the log gets in a minute; 1 of each role on each host."""
+"""The most lines of log in a minute; 1 for each role on each host."""
 
 
 @dataclass(frozen=True, slots=True)
 class Asked:
     """
-    A request, and who sends it: what authorisation decides on.
+    A request and its client, about which authorization decides.
 
     Attributes:
-        role: what the certificate of the client says of it; None for nothing, or without TLS.
-        unit: who is asked, 0..255; 0 on serial lines are all.
-        peer: who asks: "192.0.2.7:51234", or the serial port.
+        role: the role in the client's certificate; None without a role, or without TLS.
+        unit: the unit of the request, 0..255; on serial lines 0 stands for all units.
+        peer: the client: "192.0.2.7:51234", or the serial port.
         function: the function code, 0..127.
-        request: what is asked; None for what no request can be decoded from: an unknown
-            function, or wrong lengths, quantities and constants.
-        writes: what it writes in tables, files and queues, with the values.
-        reads: what it reads in them.
+        request: the decoded request; None if it cannot be decoded: an unknown function, or wrong
+            lengths, quantities and constants.
+        writes: its writes to tables, files and queues, with the values.
+        reads: its reads from them.
     """
 
     role: str | None
@@ -60,12 +59,12 @@ class UnauthorizedError(IllegalFunction):
 
 class Authorization:
     """
-    Asks about each request, and says in the log who was refused, but not more often than
+    Decides about each request, and logs refusals, but not more often than
     `MOST_LINES` times a minute: a client must not be able to fill the log.
 
     Args:
-        authorize: says True for what may be done, False for what may not.
-        clock: gives seconds.
+        authorize: returns True to allow a request, False to refuse it.
+        clock: returns seconds.
     """
 
     def __init__(
@@ -82,14 +81,14 @@ class Authorization:
     def check(self, asked: Asked) -> None:
         """
         Raises:
-            UnauthorizedError: it is not allowed.
-            TypeError: the answer was neither True nor False, such as a coroutine's.
+            UnauthorizedError: the request is not allowed.
+                TypeError: `authorize` returned neither True nor False, such as a coroutine.
         """
         allowed = self._authorize(asked)
         if allowed is True:
             return
         if allowed is not False:
-            # What counts as true might be a mistake, and a mistake must not open doors.
+            # A truthy value may be a mistake, and a mistake must not allow access.
             given = type(allowed).__name__
             raise TypeError(f"authorize must give True or False, not {given}")
         self._tell(asked)
@@ -102,7 +101,7 @@ class Authorization:
                 logger.warning("%d more requests were refused like this", self._untold)
             self._minute, self._untold = now, 0
             self._told.clear()
-        # A client has as many ports as it likes.
+        # A client can use any number of ports, so only the host counts.
         who = asked.peer.rpartition(":")[0] or asked.peer, asked.role
         if who in self._told or len(self._told) >= MOST_LINES:
             self._untold += 1

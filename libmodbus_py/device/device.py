@@ -1,9 +1,9 @@
 """
 A device: request PDU in, response PDU out.
 
-What libmodbus knows is answered from the mapping by its modbus_reply (`replier`),
-behind the exact checks that it lacks; the rest by the methods here. All state is
-the device's own: two devices share nothing.
+Functions of libmodbus are answered from the mapping by its modbus_reply (`reply`), after the exact
+checks that it lacks; the rest by the methods here. All state is the device's own: two devices share
+nothing.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ DEFAULT_IDENTIFICATION: dict[str | int, str | bytes] = {
 
 class Caller(NamedTuple):
     """
-    Where a request comes from.
+    The origin of a request.
 
     Attributes:
         unit: the unit that was addressed, 0..255.
@@ -95,11 +95,10 @@ class Device:
     Answers the requests of one unit. Safe from any thread.
 
     Hooks are called with an `Access`, while the mapping is locked; they run in the
-    server's loop, so they should be quick: the first time that one takes 0.1 s or more is
-    logged. One that raises an ExceptionResponse class refuses the request with it; any
-    other exception is answered with 4 and logged once, but for SystemExit and
-    KeyboardInterrupt, which go on. They see only accesses to what exists. The same holds
-    for `canopen` and `handlers`.
+    server's loop, so they should be quick: the first time that one takes 0.1 s or more is logged. A
+    hook that raises an ExceptionResponse class refuses the request with it; any other exception is
+    answered with 4 and logged once, except SystemExit and KeyboardInterrupt, which are passed on.
+    Hooks see only accesses to existing addresses. The same holds for `canopen` and `handlers`.
 
     With `authorize`, every request is asked about first, while the mapping is locked: before
     the hooks, and before anything is said of what exists. It gives True, or False: exception 1
@@ -115,15 +114,15 @@ class Device:
             text. The three mandatory objects have defaults.
         server_id: the answer to function 17.
         exception_status: the answer to function 7, 0..255.
-        canopen: called with the data of function 43/13, gives the data of the answer.
+        canopen: called with the data of function 43/13, returns the data of the answer.
         handlers: ``{request class: function}`` for classes that were registered
-            with `pdu.register`: called with the request, gives its result.
+            with `pdu.register`: called with the request, returns its result.
         before_write: may refuse a write.
         after_write: told of a write that was done.
         before_read: may refresh the values, or refuse; of function 23 it is
             called before the write, as all that may refuse comes before any change.
-        authorize: says whether a request is allowed, such as `Rules`; called with an `Asked`.
-            None allows all.
+        authorize: returns True if a request is allowed, such as `Rules`; called with an
+            `Asked`. None allows all.
 
     Attributes:
         mapping, server_id, exception_status: as given, and assignable.
@@ -175,7 +174,7 @@ class Device:
         self._before_write = _listener("before_write", before_write)
         self._after_write = _listener("after_write", after_write)
         self._before_read = _listener("before_read", before_read)
-        # Request class -> how to find what hooks want to be told of.
+        # Request class -> the rule that finds the accesses for hooks.
         reads, writes = places(self._before_read), places(self._before_write, self._after_write)
         self._finds = {
             request: kind.find
@@ -201,7 +200,7 @@ class Device:
 
         Args:
             pdu: the request, 1..253 bytes.
-            caller: who asks.
+            caller: the origin of the request.
 
         Returns:
             The response, an exception response included; nothing for function
@@ -234,7 +233,7 @@ class Device:
         """
         Execute requests of Modbus/TCP, all in one call of C; those of functions `in_c`.
 
-        What it leaves is for `answer`: functions that libmodbus lacks, what hooks and
+        Other requests are left for `answer`: functions that libmodbus lacks, those that hooks and
         handlers want, other frames.
 
         Args:
@@ -267,7 +266,8 @@ class Device:
         """
         Call `before_read`, for a program that looks at values without a request.
 
-        It is called in this thread, with an `Access` of nobody. Without one nothing happens.
+        It is called in this thread, with an `Access` without unit, peer and role. Nothing happens
+        if the device has no `before_read`.
 
         Args:
             table: "coils", "discrete_inputs", "holding_registers" or "input_registers".
@@ -282,7 +282,7 @@ class Device:
                 self._before_read.tell((Access(table, address, count),))
 
     def _own_log(self) -> EventLog:
-        """The notes about TCP, with those that were made in C."""
+        """Return the notes about TCP, including those made in C."""
         with self.mapping.lock:
             tally = self._tally
             if requests := tally.requests:
@@ -299,10 +299,10 @@ class Device:
             if isinstance(refusal.code, int) and 1 <= refusal.code <= 0xFF:
                 return bytes([pdu[0] | 0x80, refusal.code])
             self._log_failure(pdu)
-        except (SystemExit, KeyboardInterrupt):  # whoever raises them wants the process to end
+        except (SystemExit, KeyboardInterrupt):  # raised to end the process
             raise
-        # CancelledError, GeneratorExit and their like, too: whatever a hook raises is about this
-        # request, and further up it would cost others theirs.
+        # CancelledError, GeneratorExit and similar ones, too: an exception of a hook concerns this
+        # request only, and must not reach the requests of others.
         except BaseException:
             self._log_failure(pdu)
         return bytes([pdu[0] | 0x80, ServerDeviceFailure.code])
@@ -311,7 +311,7 @@ class Device:
         try:
             return decode_request(pdu)
         except Exception:
-            # Who may not use this function is not told what is wrong with it.
+            # A client without the right to this function learns nothing else about the request.
             with self.mapping:
                 self._authorize(pdu[0], None, caller)
             raise
@@ -353,7 +353,7 @@ class Device:
         return response
 
     def _log_failure(self, pdu: bytes) -> None:
-        """Once for each function: a client must not be able to fill the log."""
+        """Log a failure once for each function: a client must not be able to fill the log."""
         if pdu[0] not in self._failed:
             self._failed.add(pdu[0])
             logger.exception("request %s failed; answered with exception 4", pdu.hex(" "))
@@ -454,7 +454,7 @@ class Device:
             raise IllegalDataValue(f"delimiter {request.data.hex()}")
         log.delimiter = delimiter
 
-    # Request class -> its result; what is missing here is libmodbus's.
+    # Request class -> the method that answers it; libmodbus answers all others.
     _own: ClassVar[dict[type[Request[Any]], Callable[..., Any]]] = {
         ReadFileRecords: _read_file_records,
         WriteFileRecords: _write_file_records,
@@ -473,14 +473,14 @@ _RESTART = Diagnostics(SubFunction.RESTART_COMMUNICATIONS).encode()[:3]
 
 _SILENCING = (SubFunction.RESTART_COMMUNICATIONS, SubFunction.FORCE_LISTEN_ONLY)
 
-# What data a sub-function takes; None for any. All others take 0000.
+# Sub-function -> the data that it accepts; None for any. All others accept 0000.
 _DATA: dict[SubFunction, tuple[bytes, ...] | None] = {
     SubFunction.RETURN_QUERY_DATA: None,
     SubFunction.CHANGE_ASCII_DELIMITER: None,
     SubFunction.RESTART_COMMUNICATIONS: (b"\0\0", b"\xff\0"),
 }
 
-# Sub-functions that echo their data, and what they do; a restart comes after its echo.
+# Sub-functions that echo their data, and their effects; a restart comes after its echo.
 _ACTIONS: dict[SubFunction, Callable[[Device, Diagnostics, EventLog], None]] = {
     SubFunction.RETURN_QUERY_DATA: lambda device, request, log: None,
     SubFunction.RESTART_COMMUNICATIONS: lambda device, request, log: None,
@@ -522,7 +522,7 @@ def _handler(
 
 
 def _checked_identification(given: MappingABC[Any, str | bytes]) -> dict[int, bytes]:
-    """Object id -> value, in ascending order."""
+    """Return object id -> value, in ascending order."""
     numbers = {name: number for number, name in OBJECT_NAMES.items()}
     objects: dict[int, bytes] = {}
     for key, value in [*DEFAULT_IDENTIFICATION.items(), *given.items()]:

@@ -41,7 +41,7 @@ COUNTERS = (
 )
 
 
-# Stands among the counters; no sub-function gives it.
+# Kept among the counters; no sub-function reads it.
 EVENT_COUNT = -1
 
 
@@ -64,7 +64,7 @@ class Event(IntFlag):
     RESTARTED = 0x00
 
 
-# Plain numbers of what every request needs: enumerations take most of the time of a note.
+# Plain numbers, because enumerations would take most of the time of a note.
 RECEIVED, BROADCAST, SENT = int(Event.RECEIVED), int(Event.BROADCAST), int(Event.SENT)
 SERVER_MESSAGES = int(SubFunction.SERVER_MESSAGE_COUNT)
 BUS_MESSAGES = int(SubFunction.BUS_MESSAGE_COUNT)
@@ -92,8 +92,8 @@ class EventLog:
     The notes of one device on one line.
 
     Attributes:
-        is_serial: whether it is a serial line, where a device can be silenced.
-        listen_only: whether the device neither executes nor answers.
+        is_serial: True for a serial line, where a device can be silenced.
+        listen_only: True while the device neither executes nor answers requests.
         delimiter: the end of ASCII frames on this line, a code 0..127.
     """
 
@@ -125,12 +125,12 @@ class EventLog:
     # --- what happens on the line --------------------------------------------------------
 
     def note_frame(self) -> None:
-        """A good frame passed, for whatever unit."""
+        """Count a valid frame, for any unit."""
         counters = self._counters
         counters[BUS_MESSAGES] = counters[BUS_MESSAGES] + 1 & 0xFFFF
 
     def note_damage(self, *, overrun: bool) -> None:
-        """Bytes passed that are no frame."""
+        """Count bytes that are no frame."""
         event = Event.RECEIVED | Event.COMMUNICATION_ERROR
         if overrun:
             self._count(SubFunction.BUS_CHARACTER_OVERRUN_COUNT)
@@ -139,19 +139,19 @@ class EventLog:
         self._log(event)
 
     def note_request(self, *, broadcast: bool) -> None:
-        """A request for this device came in, and is processed next."""
+        """Count a request for this device, which is processed next."""
         counters = self._counters
         counters[SERVER_MESSAGES] = counters[SERVER_MESSAGES] + 1 & 0xFFFF
         self._log(RECEIVED | BROADCAST if broadcast else RECEIVED)
 
     def note_response(self, request: bytes, response: bytes, *, silent: bool) -> None:
         """
-        A request has been processed.
+        Note that a request has been processed.
 
         Args:
-            request: its PDU.
-            response: the response PDU, or nothing if it was not executed.
-            silent: whether nothing is sent.
+            request: the request PDU.
+                response: the response PDU; empty if the request was not executed.
+                silent: True if no response is sent.
         """
         refused = len(response) == 2 and response[0] & 0x80
         if refused:
@@ -167,12 +167,12 @@ class EventLog:
 
     def note_exchanges(self, requests: int, refused: int, latest: Iterable[int]) -> None:
         """
-        Frames came with requests that have been processed, whose answers were sent.
+        Note several requests that have been processed, with their answers sent.
 
         Args:
-            requests: how many.
-            refused: how many of them got one of the exceptions 1..3.
-            latest: whether each of the latest ones did, oldest first.
+            requests: the number of requests.
+            refused: the number of those answered with an exception 1..3.
+            latest: for each of the latest requests, True if it was refused; oldest first.
         """
         self._count(SubFunction.BUS_MESSAGE_COUNT, requests)
         self._count(SubFunction.SERVER_MESSAGE_COUNT, requests)
@@ -188,23 +188,23 @@ class EventLog:
     def _log(self, event: int) -> None:
         self._events.appendleft(event | Event.LISTEN_ONLY if self.listen_only else event)
 
-    # --- what functions 8, 11 and 12 do -----------------------------------------------------
+    # --- functions 8, 11 and 12 -------------------------------------------------------------
 
     def counter(self, counter: SubFunction) -> int:
         """Return a counter, 0..65535."""
         return self._counters[counter]
 
     def clear_counters(self) -> None:
-        """Sub-function 10: all counters; neither the log nor listen-only mode."""
-        # In place: other connections of the line count there, too.
+        """Clear all counters, but neither the log nor listen-only mode (sub-function 10)."""
+        # In place, because other connections of the line share the counters.
         self._counters.update(dict.fromkeys((*map(int, COUNTERS), EVENT_COUNT), 0))
 
     def clear_overrun(self) -> None:
-        """Sub-function 20."""
+        """Clear the overrun counter (sub-function 20)."""
         self._counters[SubFunction.BUS_CHARACTER_OVERRUN_COUNT] = 0
 
     def restart(self, *, clear_log: bool) -> None:
-        """Sub-function 1: as after power-up, but for the log if it is kept."""
+        """Reset to the state after power-up, except for the log if it is kept (sub-function 1)."""
         self.clear_counters()
         self.listen_only = False
         self.delimiter = LINE_FEED
@@ -213,12 +213,12 @@ class EventLog:
         self._events.appendleft(Event.RESTARTED)
 
     def enter_listen_only(self) -> None:
-        """Sub-function 4."""
+        """Enter listen-only mode (sub-function 4)."""
         self._events.appendleft(Event.ENTERED_LISTEN_ONLY)
         self.listen_only = True
 
     def read_event_counter(self) -> CommEventCounter:
-        """Function 11; no program command ever runs here, so the status is 0."""
+        """Answer function 11; no program command ever runs here, so the status is 0."""
         return CommEventCounter(0, self.event_count)
 
     def read_event_log(self) -> CommEventLog:

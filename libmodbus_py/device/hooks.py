@@ -1,5 +1,5 @@
 """
-The functions of the application that a device calls: for which accesses, and how long they take.
+Functions of the application that a device calls: the accesses they are for, and their duration.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ __all__ = ["EVERYTHING", "SLOW", "Hook", "HookCall", "places", "timed"]
 logger: logging.Logger = logging.getLogger(__name__)
 
 SLOW = 0.1
-"""Seconds that no function of the application should take: no client is answered meanwhile."""
+"""Seconds after which a function of the application is slow: no client is answered meanwhile."""
 
 Given = TypeVar("Given")
 Result = TypeVar("Result")
@@ -40,9 +40,9 @@ class Hook:
     """
     A function that is called for some accesses only.
 
-    The server answers all others as if there were no hook, Modbus/TCP in C. An access that
-    touches one address of these is given whole. With no addresses at all it is
-    called for every access, as the function alone would be.
+    The server answers all others as if there were no hook, Modbus/TCP in C. An access that touches
+    one of these addresses is passed whole. Without any addresses the function is called for every
+    access, as it would be without a `Hook`.
 
     Args:
         call: called with an `Access`.
@@ -52,12 +52,12 @@ class Hook:
         fifos: pointer addresses of queues.
 
     Attributes:
-        call: as given.
+        call: the function.
         places: ``{Access.table: ranges}``, in order and without overlaps; of "file" the
             numbers of the files. None for every access.
 
     Raises:
-        TypeError, ValueError: an argument is something else.
+        TypeError, ValueError: an argument is wrong.
     """
 
     def __init__(
@@ -93,17 +93,17 @@ class Hook:
         return f"Hook({self.call!r}, places={self.places})"
 
     def in_table(self, table: str) -> tuple[range, ...]:
-        """Return the addresses of a table for which it is called."""
+        """Return the addresses of a table for which the hook is called."""
         return EVERYTHING if self.places is None else self.places.get(table, ())
 
     def wants(self, access: Access) -> bool:
-        """Return True if it is called for an access."""
+        """Return True if the hook is called for an access."""
         if self.places is None:
             return True
         is_file = access.table == "file"
         first, count = (access.file, 1) if is_file else (access.address, access.count)
         ranges = self.places.get(access.table, ())
-        # The last one that begins before the access ends.
+        # The last range that begins before the access ends.
         at = bisect_left(ranges, first + count, key=lambda each: each.start) - 1
         return at >= 0 and first < ranges[at].stop
 
@@ -119,7 +119,7 @@ class HookCall:
         self._call = timed(name, self.hook.call)
 
     def tell(self, accesses: tuple[Access, ...]) -> None:
-        """Call it for those of these that it wants."""
+        """Call the hook for those accesses that it wants."""
         for access in accesses:
             if self._hears_all or self.hook.wants(access):
                 self._call(access)
@@ -143,7 +143,7 @@ def timed(name: str, call: Callable[[Given], Result]) -> Callable[[Given], Resul
         start = time.monotonic()
         try:
             return call(given)
-        finally:  # one that fails may have taken long, too
+        finally:  # a call that fails may have taken long, too
             took = time.monotonic() - start
             if took >= SLOW and not is_known:
                 is_known = True

@@ -1,8 +1,8 @@
 """
 The four tables of a device, inside a modbus_mapping_t that libmodbus answers from.
 
-The tables are anonymous memory of our own, so a view outlives the mapping, and
-pages that nobody wrote to take no memory.
+The tables are anonymous memory of our own, so a view outlives the mapping, and pages that were
+never written take no memory.
 """
 
 from __future__ import annotations
@@ -34,15 +34,15 @@ TABLE_NUMBERS: dict[str, int] = {
     "holding_registers": lib.HOLDING_REGISTERS,
     "input_registers": lib.INPUT_REGISTERS,
 }
-"""Where C has what concerns a table."""
+"""The names of the C struct members of a table."""
 
-# Of a table with holes, in its repr.
+# The most ranges of a table with holes that its repr shows.
 SHOWN_RANGES = 8
 
 Cell = TypeVar("Cell", bool, int)
 
 Contents = int | range | Iterable[range] | MappingABC[int, Iterable[int]]
-"""How many cells, or where they are, or what is in them."""
+"""The number of cells, or their addresses, or their values."""
 
 
 class Table(ABC, Generic[Cell]):
@@ -55,13 +55,12 @@ class Table(ABC, Generic[Cell]):
 
     Attributes:
         name: "coils", "discrete_inputs", "holding_registers" or "input_registers".
-        addresses: 0-based, from the first to the last one; holes lie between.
-        ranges: the addresses it has, in order; ranges that touch are one.
+        addresses: 0-based, from the first to the last one, holes included.
+        ranges: the existing addresses, in order; ranges that touch are one.
 
     Raises:
         IndexError: an address that the table does not have; a hole is named.
-        TypeError, ValueError: a value that is none of the table's, or too
-            many or too few of them.
+        TypeError, ValueError: a wrong value, or too many or too few values.
     """
 
     typecode: ClassVar[Literal["B", "H"]]
@@ -89,10 +88,10 @@ class Table(ABC, Generic[Cell]):
     @abstractmethod
     def view(self) -> memoryview:
         """
-        The cells themselves, not a copy; item 0 is the first address. Those of holes
-        are there, and nobody sees them.
+        The cells themselves, not a copy; item 0 is the first address. Cells of holes
+        are included, but no client sees them.
 
-        Valid as long as it is kept, whatever becomes of the mapping. It does
+        Valid as long as it is kept, whatever becomes of the mapping. The view does
         not take the lock: write through it inside ``with mapping:``.
         """
 
@@ -148,7 +147,7 @@ class Table(ABC, Generic[Cell]):
             self._cells[place] = memoryview(cells)
 
     def _place(self, key: int | slice) -> slice:
-        """Return the places of addresses among the cells."""
+        """Return the positions of addresses among the cells."""
         first, end = self.addresses.start, self.addresses.stop
         if isinstance(key, slice):
             start = first if key.start is None else self._address(key.start)
@@ -165,7 +164,7 @@ class Table(ABC, Generic[Cell]):
         return slice(address - first, address - first + 1)
 
     def _hole_from(self, address: int) -> int:
-        """The first address from this one on that does not exist."""
+        """Return the first address from this one on that does not exist."""
         return max(address, self.ranges[bisect_right(self._starts, address) - 1].stop)
 
     def _address(self, value: object) -> int:
@@ -180,8 +179,8 @@ class BitTable(Table[bool]):
     """
     Coils or discrete inputs: values are True and False.
 
-    Whatever number is assigned, the cell becomes 0 or 1: libmodbus packs cells
-    without looking, and any other value would spill into its neighbours.
+    An assigned number is stored as 0 or 1, because libmodbus packs cells without a check, and any
+    other value would spill into its neighbours.
     """
 
     typecode: ClassVar[Literal["B", "H"]] = "B"
@@ -207,8 +206,8 @@ class RegisterTable(Table[int]):
     Holding or input registers: values are 0..65535.
 
     `read` and `write` take one value of any type (`values`), `read_values` and
-    `write_values` a list of them at consecutive addresses. Each is one access:
-    no request sees half of it, and an error changes nothing. The layout is `order`,
+    `write_values` a list of them at consecutive addresses. Each call is one access: no request sees
+    half of it, and an error changes nothing. The layout is `order`,
     `encoding` and `padding`, as of `values.value_type`.
 
     Raises, apart from what every table does:
@@ -270,12 +269,12 @@ class Mapping:
     """
     The tables of one device, zero unless values are given.
 
-    ``with mapping:`` makes several accesses one: no answer is given and nothing
-    is written by a client in between.
+    ``with mapping:`` makes several accesses one: no request is answered and no client writes in
+    between.
 
     Attributes:
-        lock: what ``with mapping:`` holds. After a fork the child may have another one, and
-            has tables of its own, with what was in them.
+        lock: the lock that ``with mapping:`` holds. After a fork the child may have another lock,
+            and has its own copies of the tables.
 
     Args:
         coils, discrete_inputs, holding_registers, input_registers: how many
@@ -322,8 +321,8 @@ class Mapping:
         return f"Mapping({', '.join(repr(table) for table in tables)})"
 
     def _renew_lock(self) -> None:
-        """In a forked child: a lock that another thread held is free there, for there is none."""
-        if self.lock.acquire(blocking=False):  # nobody has it, or this thread
+        """Free the lock in a forked child, where a thread that held it does not exist."""
+        if self.lock.acquire(blocking=False):  # the lock is free, or this thread holds it
             self.lock.release()
             return
         self.lock = threading.RLock()
@@ -347,7 +346,7 @@ class Mapping:
         ):
             setattr(struct.tables, f"nb_{suffix}", len(table.addresses))
             setattr(struct.tables, f"start_{suffix}", table.addresses.start)
-            # Not the cells: a memoryview that is looked into and part of a circle makes
+            # Not the cells: a memoryview that is visited and part of a reference cycle makes
             # the garbage collector of Python 3.11 crash (gh-77894).
             pointer = ffi.from_buffer(item, table._memory)
             setattr(struct.tables, f"tab_{suffix}", pointer)
@@ -369,7 +368,7 @@ os.register_at_fork(after_in_child=_renew_locks)
 
 
 def runs(ranges: Sequence[range]) -> Any:
-    """Make the edges of a runs_t, which somebody must keep; ranges in order, none empty."""
+    """Return the edges of a runs_t, which the caller keeps alive; ranges in order, none empty."""
     return ffi.new("uint16_t[]", [edge for each in ranges for edge in (each[0], each[-1])])
 
 
@@ -378,7 +377,7 @@ def _span(addresses: range) -> str:
 
 
 def _values(name: str, given: MappingABC[Any, Any]) -> dict[int, list[Any]]:
-    """The first address -> what is there, and behind it."""
+    """Return first address -> the values from there on."""
     values: dict[int, list[Any]] = {}
     for key, items in given.items():
         address = integer(f"{name}: an address", key, 0, TABLE_SIZE - 1)

@@ -1,5 +1,5 @@
 """
-File records: what functions 20 and 21 read and write.
+Records of files, which functions 20 and 21 read and write.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class RecordFile:
         records: the values 0..65535 from record 0 on, or ``{record: value}``.
 
     Raises:
-        TypeError, ValueError: a record or value that cannot be.
+        TypeError, ValueError: a record or value out of range.
         IndexError: a record that does not exist.
     """
 

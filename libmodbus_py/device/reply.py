@@ -21,18 +21,18 @@ _HEADER = struct.Struct(">HHHB")
 
 _NOWHERE: dict[str, Sequence[range]] = {}
 
-# For the answers to one chunk; what finds no room is answered in a further call.
+# Bytes for the answers to one chunk; requests without room are answered in a further call.
 ROOM = 65536
 
 
-# What became of a chunk: where the first byte is that was not used; the answers, whole
+# The outcome of a chunk: the index of the first unused byte; the answers, whole
 # frames in the order of the requests; how many requests there were; how many of them got
 # an exception. A plain tuple: a class would take as long as the rest of Python here.
 Answered = tuple[int, bytes, int, int]
 
 
 def make_tally() -> Any:
-    """Make a tally_t: what the replier notes about the requests of one device."""
+    """Return a tally_t: the notes of the replier about the requests of one device."""
     return ffi.new("tally_t *")
 
 
@@ -41,9 +41,9 @@ class Watched:
     The requests that the replier leaves to Python.
 
     Args:
-        functions: the codes, 1..31, that it answers.
-        reads, writes: where in a table, ``{table: ranges}``, it answers no reads or writes;
-            ranges in order, none empty.
+        functions: the codes, 1..31, that the replier answers.
+        reads, writes: the addresses, ``{table: ranges}``, of which it answers no reads or
+            writes; ranges in order, none empty.
     """
 
     def __init__(
@@ -66,8 +66,8 @@ class Replier:
     """
     modbus_reply on a socketpair (answer_chunk.c).
 
-    libmodbus 3.1.6 sends and receives on it like on any socket; both ends are
-    non-blocking, for it would wait for ever on a full one.
+    libmodbus 3.1.6 sends and receives on it like on any socket; both ends are non-blocking, because
+    it would wait for ever on a full one.
     """
 
     _pair: tuple[socket.socket, ...] = ()
@@ -91,7 +91,7 @@ class Replier:
         outer.setblocking(False)
         self._context = make(lib.modbus_new_tcp(b"127.0.0.1", 0))
         check(lib.modbus_set_socket(self._context, inner.fileno()))
-        # It sleeps that long after what it finds illegal; 0 is refused.
+        # libmodbus sleeps for this time after an illegal request; 0 is refused.
         check(lib.modbus_set_response_timeout(self._context, 0, 1))
         self._struct = ffi.new("replier_t *")
         self._struct.context = self._context
@@ -137,7 +137,7 @@ def replier() -> Replier:
 
 
 def _renew_repliers() -> None:
-    """A child must not answer through the socketpair of its parent."""
+    """Make new repliers in a forked child, which must not use the socketpair of its parent."""
     global _local
     _local = threading.local()
 

@@ -1,5 +1,5 @@
 """
-Rules for roles, as a table: who may read and write what. What no rule allows is refused.
+Access rights of roles, as a table. A request that no rule allows is refused.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ READABLE = {
     "fifo": TABLE_SIZE,
     "file": pdu.RECORDS_PER_FILE,
 }
-"""Table -> how many items it has; each file for itself."""
+"""Table -> the number of its items; for "file", of each file."""
 
 WRITABLE = {table: READABLE[table] for table in ("coils", "holding_registers", "file")}
 
 # The highest sub-function and MEI type.
 SUB_FUNCTIONS = {pdu.Diagnostics.function: 0xFFFF, pdu.EncapsulatedTransport.function: 0xFF}
 
-# A function, and its sub-function or MEI type; None is all of them.
+# A function, and its sub-function or MEI type; None stands for all of these.
 Code = tuple[int, int | None]
 
 
@@ -68,7 +68,7 @@ class Allow:
     _codes: frozenset[Code] | None = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        # Not what was given: a generator is empty the second time.
+        # A tuple, because a generator is empty the second time.
         read = _listed("read", self.read, READABLE)
         write = _listed("write", self.write, WRITABLE)
         functions = _listed("functions", self.functions, ("all",))
@@ -83,10 +83,10 @@ class Allow:
 
     def allows(self, asked: Asked) -> bool:
         """
-        Whether a request is allowed, with all that it touches.
+        Return True if a request is allowed, with all its accesses.
 
-        What cannot be decoded is if any request of its function could be: then the client
-        is told what is wrong with it.
+        A request that cannot be decoded is allowed if any request of its function could be;
+        then the client learns what is wrong with it.
         """
         if asked.request is None:
             return self._allows_some(asked.function)
@@ -123,8 +123,8 @@ class Rules:
         })
 
     Args:
-        roles: ``{role: what it may do}``; None are clients without a role, which all are
-            without TLS.
+        roles: ``{role: Allow(...)}``; None stands for clients without a role, such as all
+            clients without TLS.
 
     Raises:
         TypeError, ValueError: no such table, or a role that no certificate can have.
@@ -155,7 +155,7 @@ class _Places:
 
     def __init__(self, name: str, given: Iterable[Any], sizes: Mapping[str, int]) -> None:
         self._whole: set[str] = set()
-        # (table, file) -> where runs begin, and where they end; none touches another.
+        # (table, file) -> the first addresses of runs, and their ends; no two runs touch.
         self._runs: dict[tuple[str, int], tuple[list[int], list[int]]] = {}
         runs: defaultdict[tuple[str, int], list[range]] = defaultdict(list)
         for at, each in enumerate(given):
@@ -174,7 +174,7 @@ class _Places:
         return bool(self._whole or self._runs)
 
     def cover(self, access: Access) -> bool:
-        """Return True if the ranges contain all of it."""
+        """Return True if the ranges contain the whole access."""
         if access.table in self._whole:
             return True
         firsts, stops = self._runs.get((access.table, access.file), ((), ()))
@@ -216,7 +216,7 @@ def _run(name: Path, place: Any, sizes: Mapping[str, int]) -> tuple[str, int, ra
 
 
 def _code(at: int, given: object) -> Code:
-    """A function, as given; those that touch tables have rules of their own."""
+    """Return a function code and its sub-function; functions that touch tables are refused."""
     name = ("functions", at)
     code, sub = given, None
     if isinstance(given, str):
