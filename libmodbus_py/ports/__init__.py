@@ -9,7 +9,7 @@ Ports: TCP, TLS, UDP and serial, and how to wait for them.
     waiting_async  and by an event loop
     sockets        TCP connections and UDP sockets
     tls            TLS connections: the handshake, and what it refuses
-    trace          every ADU that passes, for whoever wants to see it
+    trace          every ADU that passes, for callbacks and the log
     serial         serial ports, which libmodbus opens and configures; RS-485, echo, locks
-    read_only      serial ports that are only read, beside whoever talks
+    read_only      serial ports that are only read, beside other users
 """

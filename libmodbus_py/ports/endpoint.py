@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Endpoint", "parse", "parse_to_listen"]
 
-# Of no use here, but it may be written, and should be in no log.
+# A password has no use here, but a URL may contain one, which must not be logged.
 PASSWORD = "(?<=password=)[^&#]+|(?<=:)[^/@:]+(?=@)"
 
 
@@ -113,7 +113,7 @@ class Endpoint:
 
     @property
     def serial_settings(self) -> dict[str, Any]:
-        """The options, and the usual settings of the framing that they leave open."""
+        """The options, with the usual settings of the framing for those that are missing."""
         defaults = ASCII_DEFAULTS if self.framing == "ascii" else {}
         return {**defaults, **self.options}
 
@@ -151,7 +151,7 @@ def parse(url: str) -> Endpoint:
     from urllib.parse import urlsplit
 
     parts = urlsplit(url)
-    url = re.sub(PASSWORD, "***", url)  # from here on it is for errors only
+    url = re.sub(PASSWORD, "***", url)  # from here on the text is for error messages only
     if parts.scheme not in SCHEMES:
         raise ValueError(f"{url!r}: the scheme must be one of {', '.join(SCHEMES)}")
     if parts.fragment or parts.username is not None:

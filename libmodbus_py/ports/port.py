@@ -19,14 +19,14 @@ class Silence:
     The silence that a line needs before a frame is sent; times are those of time.monotonic().
 
     Args:
-        seconds: without a byte.
+        seconds: the time without a byte.
         character: seconds that one byte takes on the line.
-        turn: seconds before and after what is sent, for turning the line round; else 0.
+        turn: seconds before and after each frame sent, for turning the line round; else 0.
 
     Attributes:
-        over_at: when the line may be sent on.
-        left_at: when the last byte that was sent has left: no answer comes sooner.
-        is_timed: whether bytes take the time that the settings say; not on pseudo-terminals.
+        over_at: the time from which frames may be sent.
+        left_at: the time when the last byte sent has left: no answer comes sooner.
+        is_timed: True if bytes take the time given by the settings; not on pseudo-terminals.
     """
 
     def __init__(self, seconds: float = 0.0, character: float = 0.0, turn: float = 0.0) -> None:
@@ -39,11 +39,11 @@ class Silence:
         self._turned_at = 0.0
 
     def heard(self, now: float) -> None:
-        """A byte came; if it is an answer, all that was sent has left."""
+        """Note that a byte came; if it belongs to an answer, all bytes sent have left."""
         self.over_at = max(now + self.seconds, self._turned_at)
 
     def sent(self, size: int, now: float) -> None:
-        """The driver takes the bytes at once; the last one leaves later."""
+        """Note bytes that were passed to the driver; the last one leaves later."""
         gone_at = now + size * self.character + 2 * self._turn
         self.over_at = gone_at + self.seconds
         self.left_at = gone_at - self._turn if self.is_timed else now
@@ -55,11 +55,11 @@ class Port(ABC):
     A TCP connection, a UDP socket or a serial port; nothing here waits.
 
     Attributes:
-        descriptor: for whoever waits; -1 while closed.
-        context: libmodbus's, where it opens the port; else None.
-        silence: what must pass before sending.
-        resume_at: when `go_on` should be called (time.monotonic), or None.
-        has_unsent: whether `go_on` should be called once the port takes bytes again.
+        descriptor: the descriptor to wait for; -1 while closed.
+        context: the context of libmodbus, where that opens the port; else None.
+        silence: the silence that must pass before sending.
+        resume_at: the time when `go_on` should be called (time.monotonic), or None.
+        has_unsent: True if `go_on` should be called once the port takes bytes again.
     """
 
     descriptor: int = -1
@@ -71,14 +71,14 @@ class Port(ABC):
     @abstractmethod
     def opening(self, deadline: float) -> Steps[None]:
         """
-        Open it.
+        Open the port.
 
         Raises:
-            ModbusConnectionError: with errno.
+            ModbusConnectionError: the port cannot be opened, with errno.
         """
 
     def waker(self) -> Waker:
-        """Return what a blocking client waits with."""
+        """Return the waker of a blocking client."""
         return Waker()
 
     def has_input(self) -> bool:
@@ -93,7 +93,7 @@ class Port(ABC):
     @abstractmethod
     def receive(self) -> list[bytes]:
         """
-        Return what was received, one item for each datagram; an empty list if there is nothing.
+        Return received bytes, one item for each datagram; an empty list if there are none.
 
         Raises:
             ModbusConnectionError: the other side closed, or the port is gone.
@@ -102,28 +102,28 @@ class Port(ABC):
     @abstractmethod
     def send(self, adus: list[bytes], now: float) -> None:
         """
-        Send as much as goes at once; `has_unsent` and `resume_at` tell of a rest.
+        Send as much as possible at once; `has_unsent` and `resume_at` are set if a rest remains.
 
         Raises:
-            ModbusConnectionError: it is gone.
+            ModbusConnectionError: the port is gone.
         """
 
     def go_on(self, now: float) -> None:  # noqa: B027  # most ports have sent all
-        """Send what is left. Raises ModbusConnectionError."""
+        """Send the rest. Raises ModbusConnectionError."""
 
-    def discard_input(self) -> None:  # noqa: B027  # on a network each byte is somebody's
-        """Throw away what has come."""
+    def discard_input(self) -> None:  # noqa: B027  # on a network no byte is noise
+        """Discard received bytes."""
 
     def acknowledge(self) -> None:  # noqa: B027  # only TCP does
-        """Let the system acknowledge what was received at once, so that more is sent."""
+        """Make the system acknowledge received bytes at once, so that the peer sends more."""
 
     @abstractmethod
     def close(self) -> None:
-        """Put the line back as it was and close. Any number of times."""
+        """Restore the settings of the line and close the port; any number of times."""
 
     @abstractmethod
     def abandon(self) -> None:
-        """Forget the descriptor without a trace on the line: it is a parent process's."""
+        """Close the descriptor without an effect on the line, which belongs to a parent process."""
 
 
 def lost(error: OSError) -> ModbusConnectionError:

@@ -27,17 +27,17 @@ class ReadOnlySerialPort(SerialPort):
     """
     A serial port to listen at; arguments as for `SerialPort`.
 
-    It gets the settings, and its own ones back when it is closed. If another program has it
-    open it keeps those of that program: the log says so, for what is read here that program does
-    not get. To listen without harm takes a port of its own.
+    The settings are applied, and restored on closing. If another program has the port open, that
+    program's settings stay, and a warning is logged, because bytes read here are missing there.
+    Use a separate port to listen without side effects.
     """
 
     def open(self) -> None:
         """
-        Open it for reading, and set it unless another program has.
+        Open the port for reading, and apply the settings unless another program uses it.
 
         Raises:
-            ModbusConnectionError: with errno.
+            ModbusConnectionError: the port cannot be opened, with errno.
         """
         self._restored: list[Any] | None = None
         flags = os.O_RDONLY | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC
@@ -104,13 +104,13 @@ class ReadOnlySerialPort(SerialPort):
         self.abandon()
 
     def abandon(self) -> None:
-        # Nothing is libmodbus's here; and where garbage is collected its context may have gone.
+        # libmodbus holds nothing here, and its context may be gone during garbage collection.
         self.descriptor = -1
         self._release()
 
 
 def _other_user(device: str, descriptor: int) -> str | None:
-    """Name who else has the port open, as far as this user may know it."""
+    """Return the name of another process that has the port open, as far as this user may know."""
     number = os.fstat(descriptor).st_rdev
     for link in Path("/proc").glob("[0-9]*/fd/*"):
         process = link.parts[2]

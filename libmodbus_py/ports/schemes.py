@@ -21,7 +21,7 @@ __all__ = [
 
 DEFAULT_PORT = 502
 
-# Of Modbus Security.
+# The port of Modbus Security.
 SECURE_PORT = 802
 
 Scheme = Literal["tcp", "rtu+tcp", "ascii+tcp", "udp", "rtu+udp", "tls", "rtu", "ascii"]
@@ -38,7 +38,7 @@ SCHEMES: dict[Scheme, tuple[Framing, Transport]] = {
     "rtu": ("rtu", "serial"),
     "ascii": ("ascii", "serial"),
 }
-"""Scheme -> framing, and what carries the bytes."""
+"""Scheme -> framing and transport."""
 
 
 def framing_of(url: str) -> Framing:
@@ -107,7 +107,7 @@ SERIAL_OPTIONS: dict[str, Option] = {
 
 SERIAL_DEFAULTS: dict[str, Any] = {"baudrate": 19200, "parity": "E", "data_bits": 8, "stop_bits": 1}
 
-# ASCII frames are text, and have marks of their own.
+# ASCII frames are text with delimiters.
 ASCII_DEFAULTS: dict[str, Any] = {"data_bits": 7, "silence": 0.0}
 
 SECURITY_OPTIONS: dict[str, Option] = {

@@ -31,12 +31,12 @@ READ_SIZE = 4096
 # The major numbers of their slaves (the kernel's devices.txt): bytes take no time there.
 PSEUDO_TERMINALS = range(136, 144)
 
-# st_rdev of the ports that this process has open: the lock says only that somebody has.
+# st_rdev of the ports that this process has open: the lock does not show which process has it.
 _open_here: set[int] = set()
 
 
 class LineSettings(TypedDict, total=False):
-    """The settings of a `SerialPort` but its speed, and of whatever is made on one."""
+    """The settings of a `SerialPort` except its speed."""
 
     parity: Parity
     data_bits: int
@@ -48,7 +48,7 @@ class LineSettings(TypedDict, total=False):
 
 
 class SerialSettings(LineSettings, total=False):
-    """All of them."""
+    """All settings of a `SerialPort`."""
 
     baudrate: int
 
@@ -69,8 +69,8 @@ class SerialPort(Port):
             or "rts-down" (RTS is set or cleared while we send).
         rts_delay: seconds between RTS and the first bit, and after the last, 0..1;
             None for the length of one character.
-        echo: whether all that is sent comes back, as from some two-wire
-            transceivers; it is taken out of what is received.
+        echo: True if all bytes sent come back, as from some two-wire transceivers; the echo is
+            removed from received bytes.
         silence: seconds without a byte before anything is sent, 0..1; None for the 3.5
             characters of the specification (1.75 ms above 19200 bit/s).
 
@@ -158,10 +158,10 @@ class SerialPort(Port):
 
     def open(self) -> None:
         """
-        Open and configure it, which takes no time.
+        Open and configure the port, without waiting.
 
         Raises:
-            ModbusConnectionError: with errno.
+            ModbusConnectionError: the port cannot be opened, with errno.
         """
         try:
             self._take_port()
@@ -202,15 +202,15 @@ class SerialPort(Port):
 
     def _change_something(self) -> None:
         settings = termios.tcgetattr(self._guards[0])
-        settings[0] ^= termios.IGNBRK  # which libmodbus clears
+        settings[0] ^= termios.IGNBRK  # libmodbus clears this
         termios.tcsetattr(self._guards[0], termios.TCSANOW, settings)
 
     def _take_port(self) -> None:
-        """Lock the port: libmodbus would share it, and change the settings under the other."""
+        """Lock the port, because libmodbus would change the settings of another program."""
         flags = os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC
         self._release()
         try:
-            # In one call, for a Ctrl-C behind os.open would leave the port locked for ever.
+            # In one call, because a Ctrl-C after os.open would leave the port locked for ever.
             self._guards.extend(map(os.open, [self.device], [flags]))
         except PermissionError as error:
             raise OSError(
@@ -219,7 +219,7 @@ class SerialPort(Port):
         (guard,) = self._guards
         self._number = os.fstat(guard).st_rdev
         try:
-            termios.tcgetattr(guard)  # before libmodbus may touch what is no port
+            termios.tcgetattr(guard)  # before libmodbus touches a file that is no port
             fcntl.flock(guard, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except (OSError, termios.error) as error:
             refusal = self._refusal(error)
@@ -250,7 +250,7 @@ class SerialPort(Port):
             lib.modbus_rtu_set_rts_delay(self.context, round(self.rts_delay * 1_000_000))
 
     def close(self) -> None:
-        """Also what a process does that inherited the port: it leaves its parent's settings."""
+        """Close the port; a process that inherited it leaves its parent's settings."""
         self._sending = iter(())  # RTS goes back while the port is still open
         self.resume_at = None
         if self._process != os.getpid():
@@ -269,7 +269,7 @@ class SerialPort(Port):
         self._release()
 
     def _release(self) -> None:
-        # No call between these and os.close, for a signal handler may raise behind any.
+        # No call between these and os.close, because a signal handler may raise after any call.
         guards, self._guards = self._guards, []
         for guard in guards:
             os.close(guard)
@@ -291,12 +291,12 @@ class SerialPort(Port):
         return [data] if data else []
 
     def _is_gone(self) -> bool:
-        """A read of nothing may only mean that there was nothing: libmodbus sets VMIN to 0."""
+        """Return True if the port is gone; an empty read does not prove it, because VMIN is 0."""
         events = dict(self._poll.poll(0)).get(self.descriptor, 0)
         return bool(events & (select.POLLHUP | select.POLLERR))
 
     def _without_echo(self, data: bytes) -> bytes:
-        """Hold bytes back until they are the whole echo, or no echo at all."""
+        """Return bytes without the echo; hold them back until they are the whole echo, or none."""
         self._held += data
         echo, size = self._awaited_echo, min(len(self._held), len(self._awaited_echo))
         is_echo = self._held[:size] == echo[:size]
@@ -329,7 +329,7 @@ class SerialPort(Port):
         self.resume_at = None if pause is None else now + pause
 
     def _steps(self, data: bytes) -> Iterator[float]:
-        """Send, and give the seconds to wait before it goes on."""
+        """Send a frame, and yield the seconds to wait before each next step."""
         if self.rs485 not in self.rts_modes:
             self._write(data)
             return
@@ -342,7 +342,7 @@ class SerialPort(Port):
             self._set_rts(self.rs485 != "rts-up")
 
     def _write(self, data: bytes) -> None:
-        """A port takes a whole frame, or nobody reads at its other end: the answer will tell."""
+        """Write a frame; if the port takes only a part, the answer will be missing."""
         try:
             os.write(self.descriptor, data)
         except BlockingIOError:
@@ -351,7 +351,7 @@ class SerialPort(Port):
             raise lost(error) from error
 
     def _set_rts(self, on: bool) -> None:
-        """As libmodbus does it, errors included: a port without RTS has nothing to turn round."""
+        """Set RTS as libmodbus does, ignoring errors: a port without RTS needs no turning."""
         request = termios.TIOCMBIS if on else termios.TIOCMBIC
         # A ValueError is a port that was abandoned meanwhile, by a forked child.
         with contextlib.suppress(OSError, ValueError):
@@ -366,7 +366,7 @@ _CBAUD, _BOTHER = 0o010017, 0o010000
 
 
 def set_odd_baudrate(descriptor: int, baudrate: int) -> None:
-    """Set a rate that has no constant of its own, and see whether the port took it."""
+    """Set a rate without a constant of its own, and check that the port accepted it."""
     try:
         fields = list(_TERMIOS2.unpack(fcntl.ioctl(descriptor, _TCGETS2, bytes(_TERMIOS2.size))))
         fields[2] = fields[2] & ~(_CBAUD | _CBAUD << 16) | _BOTHER

@@ -22,7 +22,7 @@ from .waiting import WRITE, Ready, Resolve, Steps
 
 __all__ = ["SocketPort", "TcpPort", "UdpPort"]
 
-# The answers to all requests that are usually in flight, and little enough for one turn.
+# Room for the answers to all requests usually in flight, and small enough for one turn.
 READ_SIZE = 16_384
 
 # Datagrams taken in one turn.
@@ -77,7 +77,7 @@ class SocketPort(Port):
         yield from ()
 
     def _connected(self, deadline: float) -> Steps[socket.socket]:
-        """Try one address after the other; each gets its share of the time."""
+        """Connect to one address after the other; each gets its share of the time."""
         addresses = yield from self._addresses(deadline)
         last: OSError | None = None
         for number, (family, kind, protocol, _, address) in enumerate(addresses):
@@ -118,7 +118,7 @@ class SocketPort(Port):
         return found
 
     def close(self) -> None:
-        """A process that only inherited the connection must leave its parent's alone."""
+        """Close the connection; a process that only inherited it leaves that of its parent open."""
         self.abandon()
 
     def abandon(self) -> None:
@@ -212,10 +212,10 @@ class TcpPort(SocketPort):
 
 class UdpPort(SocketPort):
     """
-    A UDP socket that hears one host only; one ADU in each datagram.
+    A UDP socket that receives from one host only; one ADU in each datagram.
 
-    A port where nobody listens is a ModbusConnectionError as soon as its host says
-    so (ICMP).
+    A port without a listener raises a ModbusConnectionError as soon as its host reports
+    it (ICMP).
     """
 
     kind = socket.SOCK_DGRAM
@@ -242,7 +242,7 @@ class UdpPort(SocketPort):
             # more: the news that the port is closed now comes with the next look.
             if not datagrams:
                 raise _refused(self._refusal)
-            self._socket.shutdown(socket.SHUT_RD)  # whoever waits has it at once
+            self._socket.shutdown(socket.SHUT_RD)  # a waiting program is told at once
         return datagrams
 
     def send(self, adus: list[bytes], now: float) -> None:

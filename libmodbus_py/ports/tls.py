@@ -41,21 +41,21 @@ OF_OUR_CERTIFICATE = (
 )
 
 # What else OpenSSL's reasons mean; the rest is said in its own words.
-# So many bytes that carry no answers, and whoever sends them floods: tickets and changes of
+# The number of bytes without answers that counts as a flood: tickets and changes of
 # keys are rare. A byte of an answer pays for a record of its own, with room to spare.
 MAX_CHAFF = 1 << 16
 CHAFF_OF_BYTE = 64
 
-# What it is called in URLs -> what in `Security`.
+# Name of an option in URLs -> argument of `Security`.
 NAMES = {"cert": "certificate", "key": "key", "ca": "trust", "server_name": "server_name"}
 
 
 def security_of(endpoint: Endpoint, given: Given | None) -> Security | Given:
     """
-    Find who we are at a `tls://` endpoint: in its URL or as given.
+    Return the security of a `tls://` endpoint, from its URL or the argument.
 
     Raises:
-        TypeError, ValueError: in neither or in both; or as of `Security`.
+        TypeError, ValueError: neither or both contain it; or as `Security`.
     """
     if not endpoint.options:
         if given is None:
@@ -70,13 +70,13 @@ def security_of(endpoint: Endpoint, given: Given | None) -> Security | Given:
 
 def named_security(place: str, options: Mapping[str, str]) -> Security:
     """
-    Make it of the options that URLs have.
+    Return the security described by options of URLs.
 
     Args:
-        place: where they stand, for errors.
+        place: the place of the options, for error messages.
 
     Raises:
-        TypeError, ValueError: an option is missing; or as of `Security`.
+        TypeError, ValueError: an option is missing; or as `Security`.
     """
     if "cert" not in options:
         raise ValueError(f"{place} lacks cert, the file with one's own certificate")
@@ -99,13 +99,13 @@ def _from_environment(name: str) -> str:
 
 class TlsPort(TcpPort):
     """
-    A TLS connection; it is open when each side has seen the other's certificate.
+    A TLS connection; it is open when each side has accepted the other's certificate.
 
-    The next one resumes its session, if the server is so minded (R-42).
+    The next connection resumes its session, if the server allows that (R-42).
 
     Args:
         host, port, keepalive: as for `TcpPort`.
-        security: who we are, and whom we trust.
+        security: the own certificate, and the trusted ones.
     """
 
     def __init__(
@@ -146,7 +146,7 @@ class TlsPort(TcpPort):
         self._begin()
         self._tunnel, self._owner = tunnel, os.getpid()
 
-    # --- what is wrong ------------------------------------------------------------------------
+    # --- errors -------------------------------------------------------------------------------
 
     def _distrusting(self, reason: str, certificate: bytes) -> ModbusConnectionError:
         shown = f": {describe(certificate)}" if certificate else ""
@@ -170,7 +170,7 @@ class TlsPort(TcpPort):
         return made
 
     def _suspecting(self, error: ModbusConnectionError) -> ModbusConnectionError:
-        """Some servers refuse a certificate without a word, when the handshake is over for us."""
+        """Add a hint to an error: some servers refuse a certificate silently, and late."""
         if not self._has_answered:
             error.args = (f"{error.args[0]}; it may have refused our certificate",)
         return error
@@ -227,7 +227,7 @@ class TlsPort(TcpPort):
         return found
 
     def _go_on_encrypting(self, tunnel: Tunnel) -> None:
-        """Send what had to wait, and what OpenSSL has to say: a change of keys, an alert."""
+        """Send delayed requests, and records of OpenSSL itself: a change of keys, an alert."""
         if self._plain:
             plain, self._plain = bytes(self._plain), bytearray()
             self._encrypt(tunnel, plain)
@@ -254,7 +254,7 @@ class TlsPort(TcpPort):
             super().send([tunnel.outgoing()], 0.0)
 
     def _be_ready(self) -> None:
-        """Let whoever waits for more of the descriptor look here once more."""
+        """Make the descriptor readable, so that a waiting program reads here once more."""
         with contextlib.suppress(OSError):
             self._socket.shutdown(socket.SHUT_RD)
 
@@ -281,7 +281,7 @@ class TlsPort(TcpPort):
             raise self._suspecting(error) from error.__cause__
 
     def close(self) -> None:
-        # A goodbye in the name of the parent, of its connection, would end that.
+        # A close_notify would end the connection of the parent process.
         if self._tunnel is not None and self._owner == os.getpid():
             self._session = self._tunnel.session
             self._tunnel.end()
@@ -300,7 +300,7 @@ def _shaking_hands(made: socket.socket, tunnel: Tunnel, deadline: float) -> Step
         try:
             is_done = tunnel.handshake()
         except ssl.SSLError:
-            with contextlib.suppress(OSError):  # the alert, if anybody listens
+            with contextlib.suppress(OSError):  # send the alert, if the peer still receives
                 made.send(tunnel.outgoing())
             raise
         yield from _sending(made, tunnel.outgoing(), deadline)
@@ -322,7 +322,7 @@ def _sending(made: socket.socket, data: bytes, deadline: float) -> Steps[None]:
 
 
 def _ready(made: socket.socket, events: int, deadline: float) -> Steps[None]:
-    # Whoever floods is always ready.
+    # A flooding peer always has bytes ready.
     in_time = time.monotonic() < deadline and (yield Ready(made.fileno(), events, deadline))
     if not in_time:
         raise TimeoutError(errno.ETIMEDOUT, os.strerror(errno.ETIMEDOUT))

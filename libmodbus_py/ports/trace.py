@@ -1,5 +1,5 @@
 """
-Every ADU that a client or a server sends and receives, for whoever wants to see it.
+Every ADU that a client or a server sends and receives, for callbacks and the log.
 """
 
 from __future__ import annotations
@@ -122,8 +122,8 @@ def _is_logged() -> bool:
     """
     Return True if the logger is at DEBUG.
 
-    It is imported no sooner than by the program, for that takes an eighth of what the whole
-    client takes: where nobody has it, nobody has asked for DEBUG.
+    logging is not imported here, because that takes an eighth of the time of importing the whole
+    client: a program that has not imported it cannot have set DEBUG.
     """
     global _wire
     if _wire is None:

@@ -1,8 +1,8 @@
 """
-Steps that wait: a generator yields what it waits for, and whoever runs it decides how.
+Steps that wait: a generator yields the event to wait for, and its caller decides how.
 
-`run` polls, for blocking clients; `waiting_async` has the event loop wait. What the steps
-do is so written once: connecting, and whatever else takes turns with the other side.
+`run` polls, for blocking clients; `waiting_async` waits in the event loop. So
+connecting, and everything else that alternates with the peer, is written once.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class Ready(NamedTuple):
 
 
 class Resolve(NamedTuple):
-    """Look up a name; gives what getaddrinfo gives, or raises its OSError or TimeoutError."""
+    """Look up a name; yields the result of getaddrinfo, or raises its OSError or TimeoutError."""
 
     host: str
     port: int
@@ -75,8 +75,8 @@ class Waker:
         self.renew()
 
     def renew(self) -> None:
-        """Begin anew, as in a forked child, where another thread may have held the lock."""
-        # Reentrant, for a signal handler may wake while its own thread does.
+        """Reset the waker, as in a forked child, where another thread may have held the lock."""
+        # Reentrant, because a signal handler may call `wake` while its own thread does.
         self._lock = threading.RLock()
         self.close()
         self.descriptor = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
@@ -87,7 +87,7 @@ class Waker:
                 os.eventfd_write(self.descriptor, 1)
 
     def clear(self) -> None:
-        """Take it as seen that `wake` was called."""
+        """Reset the descriptor after a call of `wake`."""
         with self._lock, contextlib.suppress(BlockingIOError):
             if self.descriptor >= 0:
                 os.eventfd_read(self.descriptor)
@@ -110,7 +110,7 @@ class Waker:
 
     def is_ready(self, seconds: float) -> bool:
         """
-        Wait until there is something to read; False if there is not in time.
+        Wait until there is something to read; return False if the time is over first.
 
         Raises:
             Woken: by `wake`.
@@ -137,7 +137,7 @@ class Waker:
 
 
 def milliseconds(seconds: float) -> int:
-    """Round up, for poll would spin on 0 until the deadline; a day is as good as for ever."""
+    """Return milliseconds, rounded up, because poll would spin on 0; at most a day."""
     return -int(-min(max(0.0, seconds), 86_400.0) * 1000 // 1)
 
 
@@ -171,9 +171,9 @@ def _wait(wanted: Ready | Resolve, waker: Waker) -> Any:
 
 
 def numeric(wanted: Resolve) -> list[Any]:
-    """An address needs no look-up, and so no thread."""
+    """Return the result for a numeric address, which needs no look-up and no thread; else None."""
     try:
-        # As bytes, for Python would import what knows of names in other scripts.
+        # As bytes, because for text Python would import its codec for international names.
         return socket.getaddrinfo(
             wanted.host.encode(), wanted.port, type=wanted.kind, flags=socket.AI_NUMERICHOST
         )
@@ -182,7 +182,7 @@ def numeric(wanted: Resolve) -> list[Any]:
 
 
 def _look_up(wanted: Resolve, waker: Waker) -> list[Any]:
-    """In a thread of its own: nothing else ends a look-up before the system gives up."""
+    """Look up a name in a thread, because a look-up cannot be ended before the system gives up."""
     done = Waker()
     found: list[Any] = []
 

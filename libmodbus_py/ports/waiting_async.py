@@ -1,5 +1,5 @@
 """
-Steps that wait, run by the event loop: apart, for blocking clients need no asyncio.
+Steps that wait, run by the event loop; separate, because blocking clients need no asyncio.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ async def _look_up_async(wanted: Resolve) -> list[Any]:
             return await loop.getaddrinfo(wanted.host, wanted.port, type=wanted.kind)
     except UnicodeError as error:
         raise as_os_error(error) from error
-    except RuntimeError as error:  # the loop looks up in a thread, and there are too many
+    except RuntimeError as error:  # the loop looks up in a thread, and there are too many threads
         raise no_thread(error) from error
 
 
