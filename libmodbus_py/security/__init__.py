@@ -1,13 +1,13 @@
 """
-Modbus Security: who may talk, proven by certificates. No socket.
+Modbus Security: TLS with certificates on both sides. No socket.
 
 ::
 
-    security      Security: who one is, and whom one trusts
-    given        GivenContext: a context of Python's ssl that somebody else has made
+    security      Security: the own certificate, and the trusted ones
+    given        GivenContext: a context of Python's ssl that the application has made
     tunnel        Tunnel: one TLS connection, bytes in and bytes out; Records: where they end
-    role          what a certificate says its holder is
-    describing    what a certificate says of itself, for error messages
+    role          the role in a certificate
+    describing    a certificate as text, for error messages
     words         errors of OpenSSL in words
-    extra         the package cryptography, which this folder asks for when it is needed
+    extra         the package cryptography, imported when it is needed
 """

@@ -1,8 +1,8 @@
 """
 A certificate in one line of an error message.
 
-Certificates come from peers that nobody trusts yet: what they say is cut, and what no
-terminal or log should see is escaped.
+Certificates come from peers that are not trusted yet: texts are cut, and characters that could harm
+a terminal or log are escaped.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def describe(certificate: bytes) -> str:
     """
     Return subject, issuer, validity and SHA-256 of a certificate.
 
-    Without cryptography it is the SHA-256 alone, and how to see more. Never raises,
+    Without cryptography the result is the SHA-256, with a hint how to see more. Never raises,
     whatever the bytes are.
 
     Args:

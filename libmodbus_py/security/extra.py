@@ -1,5 +1,5 @@
 """
-The package cryptography: an extra, for Python's own ssl does not read extensions.
+The package cryptography: an extra, needed because Python's own ssl does not read extensions.
 
 It takes 35 ms to import, so it is imported where it is used.
 """

@@ -1,5 +1,5 @@
 """
-A context of Python's ssl that somebody else has made.
+A context of Python's ssl that the application has made.
 """
 
 from __future__ import annotations
@@ -13,20 +13,20 @@ __all__ = ["GivenContext"]
 
 class GivenContext:
     """
-    A client's context as it is, for programs that get one from elsewhere and must use it.
+    A client's context used as it is, for programs that must use an existing one.
 
-    What it demands of a server, who made it has decided: it may be nothing at all. Whoever
-    may choose takes `Security`, which asks for what Modbus Security does.
+    The checks of a server are those of the context, which may be none at all. Prefer `Security`,
+    which makes the checks that Modbus Security requires.
 
     Args:
-        context: a client's; it may serve any number of connections.
+        context: a context for clients; it may serve any number of connections.
 
     Attributes:
-        own: nothing: no context says which certificate it shows.
+        own: empty, because a context does not tell which certificate it shows.
 
     Raises:
-        TypeError: no SSLContext.
-        ValueError: a server's.
+        TypeError: the argument is no SSLContext.
+        ValueError: the context is for servers.
     """
 
     own: bytes = b""
@@ -40,11 +40,11 @@ class GivenContext:
 
     def to_server(self, host: str, session: ssl.SSLSession | None = None) -> Tunnel:
         """
-        Make the client's end.
+        Return the client's end of a tunnel.
 
         Args:
-            host: where it leads, which is the name that the server's certificate must have.
-            session: of an earlier tunnel there, to resume.
+            host: the host of the server, which is the name that its certificate must have.
+            session: the session of an earlier tunnel to it, to resume.
         """
         return Tunnel(self._context, server_name=name_of(host), session=session)
 

@@ -1,8 +1,8 @@
 """
-Roles: what a certificate says its holder is (MB-TCP-Security-v36, R-21, R-22, R-65).
+Roles of the holders of certificates (MB-TCP-Security-v36, R-21, R-22, R-65).
 
-Some peers take other strings, and bytes that are no DER, for roles. Here they are errors: a
-role is what rights hang on, so that all who read a certificate must read the same one.
+Some peers take other strings, and bytes that are no DER, for roles. Here these are
+errors: access rights depend on a role, so that all programs must read the same role.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _ENCODED_OID = bytes.fromhex("060b2b06010401 83890c 8622 01")
 
 
 class RoleError(ValueError):
-    """A certificate whose role nobody can tell: it is refused, rather than taken without one."""
+    """The role in a certificate is invalid: the certificate is refused, not used without a role."""
 
 
 def mentions_role(certificate: bytes) -> bool:
@@ -46,7 +46,7 @@ def mentions_role(certificate: bytes) -> bool:
 
 def role_of(certificate: bytes) -> str | None:
     """
-    Read the role in a certificate, which was found good otherwise.
+    Return the role in a certificate that was accepted otherwise.
 
     Args:
         certificate: X.509 in DER, as ``ssl.SSLSocket.getpeercert(True)`` gives it.
@@ -87,7 +87,7 @@ def encode_role(role: str) -> bytes:
         role: 1..255 bytes of UTF-8, without control characters.
 
     Raises:
-        RoleError: it is no such role.
+        RoleError: the text is no such role.
     """
     check_role(role)
     text = role.encode()
@@ -97,10 +97,10 @@ def encode_role(role: str) -> bytes:
 
 def decode_role(value: bytes) -> str:
     """
-    Read what the extension holds.
+    Return the role that an extension contains.
 
     Raises:
-        RoleError: it is no UTF8String in DER and nothing else, or no role.
+        RoleError: the extension is not exactly one UTF8String in DER, or contains no role.
     """
     if value[:1] != bytes([_UTF8_STRING]):
         tag = f"tag {value[0]:02X}h" if value else "no tag"

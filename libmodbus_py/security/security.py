@@ -28,10 +28,10 @@ NO_CHECK_TIME = 0x200000
 # Of a PEM file: five hundred authorities have room.
 MAX_FILE = 1_000_000
 
-# What OpenSSL says of a key that is not the certificate's; the latter of one of another kind.
+# Errors of OpenSSL for a key that does not match the certificate; the second: of another kind.
 OF_ANOTHER_CERTIFICATE = ("KEY_VALUES_MISMATCH", "NO_CERTIFICATE_ASSIGNED")
 
-# And of a certificate that is too weak for its security level.
+# Errors of OpenSSL for a certificate that is too weak for its security level.
 TOO_WEAK = ("EE_KEY_TOO_SMALL", "CA_KEY_TOO_SMALL", "CA_MD_TOO_WEAK")
 
 CERTIFICATE = re.compile("-----BEGIN CERTIFICATE-----.+?-----END CERTIFICATE-----", re.DOTALL)
@@ -40,21 +40,21 @@ PRIVATE_KEY = re.compile("-----BEGIN [A-Z ]*PRIVATE KEY-----")
 
 FINGERPRINT = re.compile("[0-9a-f]{64}")
 
-# What somebody meant for one: no file is called so.
+# A text that was meant as a SHA-256, because no file has such a name.
 LIKE_A_FINGERPRINT = re.compile("[0-9a-f]{32,}")
 
-# As much as OpenSSL takes.
+# The length that OpenSSL accepts.
 MAX_PASSWORD = 1024
 
 
 class Security:
     """
-    Who one is, and whom one trusts, for `tls://` at either end: Modbus/TCP Security v36.
+    The own certificate and the trusted ones, for `tls://` at either end: Modbus/TCP Security v36.
 
-    Both sides show a certificate and check the other's, TLS 1.2 or newer. With `trust` it must be
-    signed by one of these authorities, in its time, and a server's must have its name. With
-    `pin` it must be one of these very certificates, whoever signed it and however old it
-    is: most devices in the field have made their own.
+    Both sides show a certificate and check the other's, TLS 1.2 or newer. With `trust` the other
+    side's certificate must be signed by one of these authorities and valid now, and a server's must
+    have its name. With `pin` it must be one of exactly these certificates, with any signature and
+    age: most devices in the field have signed their own.
 
     Args:
         certificate: a PEM file with one's own certificate, and behind it the others
@@ -65,13 +65,13 @@ class Security:
             of its SHA-256, with or without colons. A server needs files: Python's ssl can
             only take a certificate that it knows.
         server_name: the name or address that a server's certificate must have (`trust`);
-            None for the host that a client connects to. Servers take no notice.
+            None for the host that a client connects to. Servers ignore it.
         password: of an encrypted key.
         cert, ca: `certificate` and `trust` under the names that they have in URLs.
 
     Raises:
-        TypeError, ValueError: a file that cannot be read or is none, a key that is not the
-            certificate's or has another password, both or none of `trust` and `pin`.
+        TypeError, ValueError: a file that cannot be read or has wrong content, a key that is not
+            the certificate's or has another password, both or none of `trust` and `pin`.
     """
 
     def __init__(
@@ -118,27 +118,27 @@ class Security:
 
     def to_server(self, host: str, session: ssl.SSLSession | None = None) -> Tunnel:
         """
-        Make the client's end.
+        Return the client's end of a tunnel.
 
         Args:
-            host: where it leads.
-            session: of an earlier tunnel there, to resume.
+            host: the host of the server.
+            session: the session of an earlier tunnel to it, to resume.
         """
         name = host if self._server_name is None else self._server_name
         return Tunnel(self._client, server_name=name_of(name), session=session)
 
     def check_server(self) -> None:
         """
-        Make ready for `to_client`.
+        Check that `to_client` can be called.
 
         Raises:
-            ValueError: a pin without its certificate.
+            ValueError: a pin is given without its certificate.
         """
         if self._server is None:
             self._server = self._make_server()
 
     def to_client(self) -> Tunnel:
-        """Make the server's end; see `check_server`."""
+        """Return the server's end of a tunnel; see `check_server`."""
         assert self._server is not None
         return Tunnel(self._server)
 
@@ -163,7 +163,7 @@ class Security:
         was_asked = False
 
         def password() -> str:
-            # Asked only if the key is encrypted; without an answer OpenSSL would ask the user.
+            # Called only if the key is encrypted; without a password OpenSSL would ask the user.
             nonlocal was_asked
             was_asked = True
             if self._password is None:
@@ -174,7 +174,7 @@ class Security:
             context.load_cert_chain(self._certificate, self._key, password)
         except ssl.SSLError as error:
             raise ValueError(self._what_is_wrong(error, was_encrypted=was_asked)) from None
-        except OSError as error:  # it was there a moment ago
+        except OSError as error:  # the file was there a moment ago
             raise ValueError(f"{self._key_place()}: {error.strerror}") from None
         return context
 
@@ -242,7 +242,7 @@ def _either(name: str, value: File | None, other_name: str, other: File | None) 
 
 
 def _certificates(name: str, file: File) -> list[bytes]:
-    """The certificates of a PEM file, one at least."""
+    """Return the certificates of a PEM file, at least one."""
     found = CERTIFICATE.findall(_text(name, file))
     try:
         certificates = [ssl.PEM_cert_to_DER_cert(pem) for pem in found]
@@ -277,7 +277,7 @@ def _place(name: str, file: File) -> str:
 
 
 def _pins(given: Any) -> dict[str, bytes]:
-    """SHA-256 -> the certificate, or nothing where only that is known."""
+    """Return SHA-256 -> certificate; empty bytes where only the SHA-256 is known."""
     several = isinstance(given, Iterable) and not isinstance(given, str)
     each: object
     pins: dict[str, bytes] = {}

@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 __all__ = ["READ_SIZE", "Records", "Tunnel", "expiry", "name_of"]
 
-# As much as a record carries.
+# The most bytes that a record carries.
 READ_SIZE = 16_384
 
 
@@ -19,8 +19,8 @@ class Tunnel:
     """
     One end of a TLS connection.
 
-    `feed` takes what came over the wire, `outgoing` gives what must go there, after every
-    call, and `send` takes what is to be encrypted.
+    `feed` takes bytes from the wire, `outgoing` returns bytes that must go there, after every
+    call, and `send` takes bytes to encrypt.
 
     Args:
         context: a client's, if it gets a name, else a server's.
@@ -55,10 +55,10 @@ class Tunnel:
 
     def handshake(self) -> bool:
         """
-        Go on with the handshake as far as what came allows; say whether it is over.
+        Continue the handshake as far as received bytes allow; return True when it is over.
 
         Raises:
-            ssl.SSLError: it failed; `outgoing` has the alert that says so.
+            ssl.SSLError: the handshake failed; `outgoing` returns the alert for the other side.
         """
         try:
             self._tls.do_handshake()
@@ -68,10 +68,10 @@ class Tunnel:
 
     def receive(self, most: int = READ_SIZE) -> bytes | None:
         """
-        Return what was received, decrypted; None if there is nothing, b"" at the end.
+        Return received bytes, decrypted; None if there are none, b"" at the end.
 
         Raises:
-            ssl.SSLError: the other side refused, or what came is no TLS.
+            ssl.SSLError: the other side refused, or sent bytes that are no TLS.
         """
         try:
             return self._tls.read(most)
@@ -80,17 +80,17 @@ class Tunnel:
 
     def end(self) -> None:
         """Prepare the close_notify alert."""
-        with contextlib.suppress(ssl.SSLError):  # it was refused before, or says nothing more
+        with contextlib.suppress(ssl.SSLError):  # it was refused before
             self._tls.unwrap()
 
     @property
     def has_more(self) -> bool:
-        """True if something was received that `receive` has not returned."""
+        """True if bytes were received that `receive` has not returned."""
         return bool(self._incoming.pending or self._tls.pending())
 
     @property
     def certificate(self) -> bytes:
-        """The other side's, in DER; also of a resumed session, and one that was refused."""
+        """The other side's certificate in DER; also if refused, or if the session is resumed."""
         try:
             return self._tls.getpeercert(True) or b""
         except ValueError:  # the handshake is not over, and will never be
@@ -106,7 +106,7 @@ class Tunnel:
 
     @property
     def expires(self) -> str | None:
-        """When the other side's certificate does, as OpenSSL says it; None if nobody checked it."""
+        """The expiry of the other side's certificate, in OpenSSL's format; None if unchecked."""
         found = self._tls.getpeercert() or {}
         return found.get("notAfter")  # type: ignore[return-value]
 
@@ -122,9 +122,9 @@ class Tunnel:
 
 def expiry(tunnel: Tunnel) -> str | None:
     """
-    Return that the peer's certificate has expired since an earlier session, which is resumed.
+    Return an error text if the peer's certificate has expired since the resumed session began.
 
-    OpenSSL looks at the dates when a session begins, not when it is resumed.
+    OpenSSL checks the dates when a session begins, not when it is resumed.
     """
     until = tunnel.expires if tunnel.is_resumed else None
     if until is None or ssl.cert_time_to_seconds(until) >= time.time():
@@ -134,7 +134,7 @@ def expiry(tunnel: Tunnel) -> str | None:
 
 def name_of(host: str) -> str:
     """Return the name that a host's certificate must have."""
-    return host.partition("%")[0]  # an IPv6 address's zone is no part of it
+    return host.partition("%")[0]  # the zone of an IPv6 address is no part of the name
 
 
 class Records:
@@ -142,7 +142,7 @@ class Records:
     Finds the ends of the records of a stream, which OpenSSL does not report.
 
     Attributes:
-        is_midway: whether one has begun and not ended.
+        is_midway: True if a record has begun and not ended.
     """
 
     __slots__ = ("_header", "_left", "is_midway")
@@ -153,14 +153,14 @@ class Records:
         self.is_midway: bool = False
 
     def follow(self, data: bytes) -> bool:
-        """Take what came; say whether it is one record and nothing else, as it mostly is."""
+        """Take received bytes; return True if they are exactly one record, as they mostly are."""
         start, size = self._left, len(data)
         if not self.is_midway and size >= 5 and size == 5 + (data[3] << 8 | data[4]):
             return True
         if self._header:
             data = self._header + data
             size = len(data)
-        # Type, version and length, which does not count these (RFC 8446, 5.1).
+        # Type, version and length; the length excludes these bytes (RFC 8446, 5.1).
         while size - start >= 5:
             start += 5 + (data[start + 3] << 8 | data[start + 4])
         self._left = max(0, start - size)

@@ -14,15 +14,15 @@ MEANINGS = {
     "TLSV1_ALERT_PROTOCOL_VERSION": "it speaks no TLS 1.2 or newer",
     "SSLV3_ALERT_HANDSHAKE_FAILURE": "handshake failure: no cipher in common?",
 }
-"""Reason -> what is probably wrong at the other side of a client."""
+"""Reason -> the probable cause at the server of a client."""
 
 
 def in_words(error: ssl.SSLError, *, guess: bool = False) -> str:
     """
-    Return what is wrong.
+    Return an error as text.
 
     Args:
-        guess: for an error that a client meets, return what is probably wrong with the server.
+        guess: True to add the probable cause at the server, for the error of a client.
     """
     if isinstance(error, ssl.SSLCertVerificationError):
         return str(error.verify_message)
