@@ -1,5 +1,5 @@
 """
-Frames on a line that one only listens to: nobody says whether one is a request or a response.
+Frames heard on a line, of which it is not known whether they are requests or responses.
 
 Bytes only; no clock. `RtuEitherWay` finds frames by both length rules of `pdu` and the CRC;
 `may_be` asks the same rules about a frame that is already cut out, as in ASCII.

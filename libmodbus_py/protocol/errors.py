@@ -207,7 +207,7 @@ class GatewayTargetFailedToRespond(ExceptionResponse):
 
 
 NO_UNIT = (GatewayPathUnavailable, GatewayTargetFailedToRespond)
-"""What a gateway answers in place of a unit that it cannot reach (application protocol, 7)."""
+"""The exceptions of a gateway in place of a unit that it cannot reach (application protocol, 7)."""
 
 
 _BY_CODE: dict[int, type[ExceptionResponse]] = {

@@ -38,7 +38,7 @@ __all__ = [
 
 Role = Literal["client", "server"]
 Framing = Literal["tcp", "rtu", "ascii", "udp"]
-"""What is put around a PDU."""
+"""The bytes around a PDU."""
 
 # In a row, in one scan: who floods a line must not be answered with a flood of errors.
 MOST_ERRORS = 8
@@ -181,7 +181,7 @@ def _note(found: list[Frame | FrameError], error: FrameError) -> None:
 
 
 UNIT, FUNCTION = 6, 7
-"""Where unit and function code are in a frame with an MBAP header."""
+"""The positions of unit and function code in a frame with an MBAP header."""
 
 _HEADER = struct.Struct(">HHH")
 _PREFIX = struct.Struct(">HHHB")
@@ -200,11 +200,11 @@ def cut(data: bytes | bytearray, start: int, found: list[Frame | FrameError], mo
         found: takes the frames, and a FrameError for one with a protocol other than 0.
 
     Returns:
-        Where the next frame begins; `start` if not even the first one is complete.
+        The index at which the next frame begins; `start` if not even the first one is complete.
 
     Raises:
-        FrameError: a length is not in 2..254, so that nobody can know where the next frame
-            begins. What `found` has taken before is good.
+        FrameError: a length is not in 2..254, so that the start of the next frame is unknown.
+                Frames that `found` has taken before are valid.
 
     Source: MODBUS Messaging on TCP/IP V1.0b, 3.1.3.
     """

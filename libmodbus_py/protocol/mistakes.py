@@ -1,9 +1,9 @@
 """
-Values that cannot be what they are given for, as errors that know where the value stands.
+Errors about wrong values that contain the path of the value.
 
 An argument, or a key of a file, is found by its path: names and 0-based indices, such as
-``("route", 0, "units")``. Whoever calls a check adds what lies around it; the path becomes text
-when the error is printed.
+``("route", 0, "units")``. The caller of a check adds the outer part of the path; the path becomes
+text when the error is printed.
 """
 
 from __future__ import annotations

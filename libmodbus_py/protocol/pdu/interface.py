@@ -231,7 +231,7 @@ class DeviceIdentification(NamedTuple):
         conformity: 1 basic, 2 regular, 3 extended; 81h..83h if single objects
             can be read, too.
         objects: object id -> value.
-        complete: False if the device led in circles, or promised objects that did
+        complete: False if the device led in loops, or promised objects that did
             not fit its message; the objects that every device has are there.
     """
 
@@ -254,7 +254,7 @@ LEVELS = {
     "regular": ReadDeviceIdCode.REGULAR,
     "extended": ReadDeviceIdCode.EXTENDED,
 }
-"""What `read_device_identification` takes -> the code."""
+"""Argument of `read_device_identification` -> the code."""
 
 
 def identify(
@@ -297,7 +297,7 @@ def _first_request(level: str | int) -> ReadDeviceIdentification:
 
 
 def _trouble(request: ReadDeviceIdentification, page: IdentificationPage) -> str:
-    """Why nobody can go on after this page; empty if one can, or need not."""
+    """The reason why reading cannot continue after this page; empty if it can, or need not."""
     following = page.next_object
     if not page.complete:
         return "more objects are promised than came"
