@@ -149,14 +149,15 @@ class AsyncClient(Handle[AsyncioDriver], Awaiting):
         self, unit: int, request: pdu.Request[Any], on_done: Callable[[], object]
     ) -> Submitted:
         """
-        Send a request, and do not wait: for programs that pass on requests by the thousand, to
-        whom a task for each would be dear.
+        Send a request, and do not wait: for programs that forward thousands of requests, because a
+        task for each would be expensive.
 
         Args:
-            unit: 0..255, who is asked.
-            request: any object of `libmodbus_py.pdu`.
-            on_done: called once when its outcome is known, perhaps from here. It must neither
-                block nor raise, nor use this client: it has its reader wait.
+            unit: 0..255, the unit of the request.
+                request: any object of `libmodbus_py.pdu`.
+                on_done: called once when the outcome is known, perhaps before this method returns.
+                It
+                    must neither block nor raise, nor use this client, whose reader waits for it.
 
         Raises:
             TypeError, ValueError: the request cannot be sent.

@@ -185,7 +185,7 @@ def encoded(request: object, name: str, index: int, is_broadcast: bool) -> bytes
         raise TypeError(f"{name.format(index)} must be one of pdu, not {given}")
     if is_broadcast and not request.is_write:
         raise ValueError(
-            f"{name.format(index)}: unit 0 is a broadcast, which nobody answers, "
+            f"{name.format(index)}: unit 0 is a broadcast, which no unit answers, "
             f"and {request} is no write"
         )
     pdu = request.encode()

@@ -48,7 +48,7 @@ LOSSES_BEFORE_END = 3
 @dataclass(frozen=True, slots=True)
 class Pace:
     """
-    How fast requests follow each other; seconds.
+    The pace at which requests follow each other, in seconds.
 
     Attributes:
         turnaround: duration of a request that is not answered.
@@ -485,7 +485,7 @@ class Conversation:
         if not self._matching.is_in_step:
             self._break("closed, because what came cannot be understood")
         elif self._is_socket:
-            self._break("flooded with what nobody asked for")
+            self._break("flooded with frames that answer no request")
 
     def _note_ends(self, replies: Replies) -> None:
         """

@@ -22,13 +22,13 @@ MAX_ABANDONED = 0x8000
 
 class InFlight(Matching):
     """
-    See `Matching`. An id is used again after all others were, and not while its late
-    answer may come.
+    See `Matching`. An id is used again after all others, and not while a late answer to it
+    may come.
 
     Args:
-        limit: how many requests may be in flight.
-        any_unit: True if an answer may come from another unit than the one asked, as from
-            devices that are 255 to everybody.
+        limit: the number of requests that may be in flight.
+        any_unit: True if an answer may come from another unit than that of its request, as from
+            devices that always answer as unit 255.
     """
 
     has_ids = True

@@ -66,7 +66,7 @@ class Options(TypedDict, total=False):
             devices on TCP are unit 255 for every request; "same" by default.
         delimiter: the byte behind CR in ASCII frames, LF (10) unless the device was told
             otherwise; `diagnostics(3, ...)` is followed.
-        security: who one is and whom one trusts, for "tls" and only there; the URL may say
+        security: the own certificate and the trusted ones, only for "tls"; the URL may say
             it instead. `GivenContext` is for programs that must use a context of theirs.
         trace: called with a `Traced` for every ADU sent and received; the logger
             ``libmodbus_py.wire`` has the same at DEBUG.

@@ -1,5 +1,5 @@
 """
-How long a caller waits.
+Timeouts and retries of a request.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ __all__ = ["Timeouts"]
 @dataclass(slots=True)
 class Timeouts:
     """
-    How long to wait, and how often to ask again.
+    The timeout of a request, and its retries.
 
     Attributes:
         timeout: seconds for one request.

@@ -1,9 +1,9 @@
 """
-Who may ask next on a connection that many share: no socket, no clock.
+The order of requests on a shared connection: no socket, no clock.
 
 A discipline decides in which order requests are asked: `FirstCome`, or `FairByHost`. The
-`WaitingRoom` adds what holds for every connection: how many may be in flight, when a unit that gave
-no answer is tried again, and what such a trial may cost the others.
+`WaitingRoom` adds rules for all connections: the number of requests in flight, the time at which a
+silent unit is tried again, and the delay that such a trial may cause for others.
 """
 
 from __future__ import annotations
@@ -48,11 +48,11 @@ class Waiting(Hashable, Protocol):
     A request that waits, or is in flight.
 
     Attributes:
-        unit: whom it asks.
-        is_trial: True if its unit gave no answer the last time.
-        misses: how many times in a row it gave none.
-        waits_since: since when it waits.
-        asked_at: when it was sent.
+        unit: the unit of the request.
+        is_trial: True if the unit did not answer the previous request.
+        misses: the number of requests in a row that the unit did not answer.
+        waits_since: the time since which the request waits.
+        asked_at: the time at which it was sent.
     """
 
     @property
