@@ -9,7 +9,7 @@ From the caller to the wire:
     asynchronous       AsyncClient
     options            the options of both, and the parts made of them
     batch              the requests of one caller, and their outcomes
-    timeouts           how long a caller waits
+    timeouts           timeouts and retries of a request
     blocking_driver    waits by polling, for any thread; forks, Ctrl-C
     asyncio_driver     waits in an event loop, with one reader and one timer
     shortcut           the short way, when nothing needs deciding
@@ -19,7 +19,7 @@ From the caller to the wire:
       in_flight        ... by transaction ids
       in_turn          ... and on lines without them
       hints            likely causes of bytes that are no answer
-    waiting_room       who may ask next on a line of a gateway or a fleet
-    reconnecting       when to connect again; State
+    waiting_room       order of requests on a line of a gateway or a fleet
+    reconnecting       times of attempts to connect again; State
     statistics         what happened, counted; Statistics
 """

@@ -113,7 +113,7 @@ class AsyncClient(Handle[AsyncioDriver], Awaiting):
         await self._driver.close()
 
     def abandon(self) -> None:
-        """In a forked child: close its descriptors without a word to the line, for the parent."""
+        """In a forked child: close its descriptors, with no effect on the parent's connection."""
         self._driver.leave()
 
     async def __aenter__(self) -> Self:
@@ -261,7 +261,7 @@ class Submitted:
 
 
 class _Life:
-    """Lives as long as any handle does; what it leaves open it says and closes."""
+    """Lives as long as any handle; warns about a connection left open, and closes it."""
 
     def __init__(self, driver: AsyncioDriver) -> None:
         self._driver = driver

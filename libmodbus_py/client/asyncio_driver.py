@@ -32,7 +32,7 @@ class AsyncioDriver:
 
     Args:
         parts: of the client.
-        timeouts: whose timeout an attempt to connect has.
+        timeouts: the timeouts that limit an attempt to connect.
     """
 
     def __init__(self, parts: Parts, timeouts: Timeouts) -> None:
@@ -88,7 +88,7 @@ class AsyncioDriver:
             return
         if not conversation.in_flight:
             self._turn(now)
-        elif not self._is_due:  # what is asked in this turn of the loop goes out together
+        elif not self._is_due:  # requests of this turn of the loop are sent together
             self._is_due = True
             assert self._loop is not None
             self._loop.call_soon(self._turn)
@@ -231,7 +231,7 @@ class AsyncioDriver:
             self._lose(error)
             return False
         adus = conversation.start(now) if conversation.take(chunks, now) else []
-        if adus:  # with which what came is acknowledged
+        if adus:  # sending also acknowledges received bytes
             self._send(adus, now)
         elif conversation.in_flight:
             self._port.acknowledge()
@@ -276,7 +276,7 @@ class AsyncioDriver:
     def _go_on(self) -> None:
         now = self._now()
         if self._port.has_unsent and not self._conversation.is_allowed():
-            self._lose(forbidden(), by_itself=False)  # and what it had not sent with it
+            self._lose(forbidden(), by_itself=False)  # and with it the bytes that it had not sent
             return
         try:
             self._port.go_on(now)

@@ -66,7 +66,7 @@ def _alone(
                 if self._batch is not None and not self._batch.is_done:
                     self._conversation.abandon(self._batch, self._now())
                 raise
-            except BaseException:  # Ctrl-C: no one knows what was sent
+            except BaseException:  # Ctrl-C: it is unknown which bytes were sent
                 self._interrupt()
                 raise
             finally:
@@ -200,7 +200,7 @@ class BlockingDriver:
         self._conversation.interrupted(interrupted, self._now())
 
     def _step(self, batch: Batch) -> None:
-        """Connect; or send what may be sent, wait for what comes, and look at it."""
+        """Connect; or send requests that may be sent, wait for bytes, and process them."""
         conversation = self._conversation
         now = self._now()
         if not self._connection.is_open:
@@ -264,7 +264,7 @@ class BlockingDriver:
         now = self._now()
         # Sent before the replies are decoded, so that the server has work meanwhile.
         adus = conversation.start(now) if conversation.take(port.receive(), now) else []
-        if adus:  # with which what came is acknowledged
+        if adus:  # sending also acknowledges received bytes
             port.send(adus, now)
         elif conversation.in_flight:
             port.acknowledge()

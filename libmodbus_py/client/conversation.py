@@ -222,7 +222,7 @@ class Conversation:
         if self.broken is not None or not self.connection.is_open:
             return False
         if self._replies and self.limit == 1:
-            return False  # what came on a line belongs to the request that it answers
+            return False  # bytes that came on a line belong to the request that they answer
         matching = self._matching
         is_dead = self._is_socket and matching.unanswered >= self._pace.timeouts_before_reconnect
         # The next answer would be taken into half a frame that no pending request expects.
@@ -400,7 +400,7 @@ class Conversation:
             self.connection.given_up()
 
     def _reset(self, now: float) -> list[Pending]:
-        """Return what was in flight, and forget the state of the previous connection."""
+        """Return the requests in flight, and reset the state of the previous connection."""
         pending = [*self._matching.reset(now), *(pending for _, pending in self._silent)]
         self.broken = None
         self.is_flooded = False
@@ -450,7 +450,7 @@ class Conversation:
     def _completed(
         self, error: ModbusError, batch: Batch, index: int | None, sent: bytes
     ) -> ModbusError:
-        """Return an error with what was asked, and a hint at the cause."""
+        """Return an error with its request, and a hint at the cause."""
         error.unit, error.endpoint, error.sent = batch.unit, self._place, sent
         if index is not None:
             request = batch.requests[index]

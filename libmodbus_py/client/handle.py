@@ -113,7 +113,7 @@ class Handle(Generic[Driving]):
         name = type(self).__name__
         return f"<{name} {self._endpoint}, unit {self.unit}, {self.state.value}>"
 
-    # --- what each client does in its own way; here are the texts ---------------------------
+    # --- implemented by each client; documented here ------------------------------------------
 
     def execute(self, *args: Any, **kwargs: Any) -> Any:
         """

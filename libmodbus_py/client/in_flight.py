@@ -49,7 +49,7 @@ class InFlight(Matching):
         self._pending: dict[int, Pending] = {}
         self._abandoned: dict[int, None] = {}
         self._strays = b""
-        # Id -> what came in place of its answer; the right one may still follow.
+        # Id -> the frame that came in place of its answer; the right one may still follow.
         self._wrong: dict[int, FrameError] = {}
         # Id -> the unit that answered, with `any_unit`.
         self._units: dict[int, int] = {}

@@ -3,7 +3,7 @@ Bytes and values, for both ends. No socket, no clock, no event loop, no libmodbu
 
 Bottom up:
 
-    errors     whose fault it was: the exceptions
+    errors     the exceptions, grouped by cause
     mistakes   errors that know where the wrong value stands
     checks     numbers that callers give
     pdu        one class for each function: encode and decode, request and response

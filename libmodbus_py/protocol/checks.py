@@ -14,7 +14,7 @@ __all__ = ["are_registers", "integer", "number", "seconds", "shown"]
 
 
 def shown(number: object) -> str:
-    """A number for a message; Python writes none of more than 4300 digits."""
+    """Return a number as text for a message; Python formats at most 4300 digits."""
     if isinstance(number, int) and number.bit_length() > 128:
         return f"one of {number.bit_length()} bits"
     return str(number) if hasattr(number, "as_tuple") else reprlib.repr(number)

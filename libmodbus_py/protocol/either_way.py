@@ -38,7 +38,7 @@ class NoFrame(NamedTuple):
 
 
 def may_be(pdu: bytes) -> tuple[bool, bool]:
-    """Return whether a PDU can be a request, and whether it can be a response, by its length."""
+    """Return two bools by length: the PDU can be a request, and it can be a response."""
     size = len(pdu)
     may_ask = pdu[0] < 0x80 and request_length(pdu) in (size, 0)
     return may_ask, response_length(pdu) in (size, 0)
@@ -53,7 +53,7 @@ class RtuEitherWay:
 
     Attributes:
         quiet: seconds without a byte after which `silence` should be called.
-        offset: where in the stream the bytes begin that are still looked at.
+        offset: the position in the stream of the first byte that is still searched.
     """
 
     quiet: ClassVar[float] = RtuFramer.quiet
@@ -72,10 +72,10 @@ class RtuEitherWay:
 
     def silence(self, *, is_long: bool = False) -> None:
         """
-        Take it that the line is quiet: see what `take` makes of it.
+        Note that the line is quiet; afterwards `take` may return more.
 
         Args:
-            is_long: so long that nothing will be completed any more.
+            is_long: True if the silence is so long that no frame will be completed any more.
         """
         self._is_quiet = True
         self._is_over = is_long
@@ -89,10 +89,11 @@ class RtuEitherWay:
 
     def take(self, is_awaited: Callable[[int, int], bool]) -> EitherWay | NoFrame | None:
         """
-        Return what comes next; None if that takes more bytes, or silence.
+        Return the next frame or damage; None if more bytes, or silence, are needed.
 
         Args:
-            is_awaited: whether a unit was asked for a function, so that a response is likely.
+            is_awaited: returns True if a request with a unit and function is open, so that a
+                response is likely.
         """
         data = bytes(self._buffer)
         if not data:

@@ -1,5 +1,5 @@
 """
-The exceptions, cut by whose fault it is.
+The exceptions, grouped by cause.
 
 ::
 
@@ -42,7 +42,7 @@ class _Transaction(TypedDict, total=False):
 
 
 MAX_RECEIVED = 600
-"""Bytes that an error keeps of what came in: more than the longest frame of any line has."""
+"""The most received bytes that an error keeps: more than the longest frame of any line has."""
 
 
 def in_hex(data: bytes, most: int = 32) -> str:
@@ -53,7 +53,7 @@ def in_hex(data: bytes, most: int = 32) -> str:
 
 class ModbusError(Exception):
     """
-    Anything that went wrong after the arguments were found good.
+    Any failure after the arguments were checked.
 
     Attributes:
         unit: the unit that was asked, or None where there is none.

@@ -40,7 +40,7 @@ Role = Literal["client", "server"]
 Framing = Literal["tcp", "rtu", "ascii", "udp"]
 """The bytes around a PDU."""
 
-# In a row, in one scan: who floods a line must not be answered with a flood of errors.
+# In a row, in one scan: a flood of bytes must not cause a flood of errors.
 MOST_ERRORS = 8
 
 
@@ -81,7 +81,7 @@ def _check(frame: Frame) -> Frame:
 class Framer(ABC):
     """The base of all framers, which keeps frames and errors in the order of their bytes."""
 
-    # Whether unit 0 addresses every unit, as on a serial line.
+    # True if unit 0 addresses every unit, as on a serial line.
     has_broadcast = True
     # Seconds without a byte after which `silence` should be called; None for never.
     quiet: ClassVar[float | None] = None
@@ -115,7 +115,7 @@ class Framer(ABC):
 
     def silence(self) -> list[Frame]:
         """
-        Take it that the line is quiet, as `quiet` says.
+        Note that the line has been quiet for `quiet` seconds.
 
         Raises:
             FrameError: as in `feed`.
@@ -123,7 +123,7 @@ class Framer(ABC):
         return self._frames(self.scan_silence())
 
     def scan(self, data: bytes) -> list[Frame | FrameError]:
-        """Take received bytes, give what they turn out to be, in their order."""
+        """Take received bytes; return frames and errors, in the order of the bytes."""
         self._buffer += data
         self._scan()
         found, self._found = self._found, []
@@ -137,7 +137,7 @@ class Framer(ABC):
     @abstractmethod
     def encode(self, frame: Frame) -> bytes:
         """
-        Put around the PDU what the framing wants.
+        Return the bytes of a frame: its PDU, with the header and check bytes of the framing.
 
         Raises:
             ValueError: unit, transaction or length out of range.
@@ -323,7 +323,7 @@ class RtuFramer(Framer):
             raise ValueError(f'role must be "client" or "server", not {role!r}')
         super().__init__()
         self._scanner = scanner(role)
-        self._in_run = False  # whether the bytes before the buffer were no frame
+        self._in_run = False  # True if the bytes before the buffer were no frame
 
     def encode(self, frame: Frame) -> bytes:
         unit, pdu, _ = _check(frame)
@@ -359,7 +359,7 @@ class RtuFramer(Framer):
             scan.fresh = len(data)
 
     def _skip(self, data: bytes, begin: int, end: int) -> None:
-        """A run of bytes that are no frame is one error, however they come in."""
+        """Skip bytes that are no frame; a run of them is one error, in any number of pieces."""
         fresh = self._scanner.fresh
         if begin < fresh < end:
             self._skip(data, begin, fresh)
@@ -390,7 +390,7 @@ def _in_c(request: type[pdu.Request[Any]], is_client: bool) -> tuple[int, int, i
 
 
 LINE_FEED = 0x0A
-"""The last byte of ASCII frames, unless the device was told otherwise."""
+"""The last byte of ASCII frames, unless the device was set to another one."""
 
 _RESTART_COMMUNICATIONS = b"\x08\0\x01"
 _CHANGE_DELIMITER = b"\x08\0\x03"

@@ -22,9 +22,9 @@ class Mistake(Exception):
     An argument, or a key of a file, has a value that it cannot have.
 
     Args:
-        path: of the value; a text is the name of an argument.
-        reason: what is wrong, and what is allowed. It follows the path in the message, such as
-            "must be in 0..255, not 300".
+        path: path of the value; a text is the name of an argument.
+        reason: the mistake, and the values that are allowed. It follows the path in the message,
+            such as "must be in 0..255, not 300".
         between: stands between the path and the reason.
 
     Attributes:

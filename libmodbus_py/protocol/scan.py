@@ -1,5 +1,5 @@
 """
-The only import of scan.c: CRCs, and where RTU frames begin and end.
+The only import of scan.c: CRCs, and the limits of RTU frames.
 """
 
 from __future__ import annotations

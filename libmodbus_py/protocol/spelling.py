@@ -119,7 +119,7 @@ PARSERS: dict[str, Callable[[str], Any]] = {"float": decimal_of, "bits": _bits, 
 
 def value_of(text: str, kind: ValueType) -> Any:
     """
-    Read a value of a type, as `shown` gives it; text without quotes.
+    Read a value of a type, as `shown` returns it; text without quotes.
 
     Raises:
         ValueError: it is none; the message begins with "value".

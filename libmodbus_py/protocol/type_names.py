@@ -1,5 +1,5 @@
 """
-The names of types and orders, as `values` explains them, for type checkers: a typo is theirs.
+The names of types and orders, as `values` explains them; type checkers find wrong names.
 """
 
 from __future__ import annotations

@@ -473,7 +473,7 @@ def readings(registers: Iterable[int]) -> list[Interpretation]:
                 value = value_type(name, order=order).decode(cells)
             except ValueError:
                 continue
-            # By repr, for a nan is not equal to itself.
+            # By repr, because a nan is not equal to itself.
             found.setdefault((name, repr(value)), Interpretation(name, order, value))
     return list(found.values())
 

@@ -203,7 +203,7 @@ class ReadDeviceIdentification(_Encapsulated[IdentificationPage]):
         return list(objects) == [self.object_id] if single else True
 
     def _decode_misfit(self, pdu: bytes, length: int | None) -> IdentificationPage:
-        """Some devices promise all they have, and send what a message can hold."""
+        """Decode a page of a device that announces all objects, but sends only those that fit."""
         if len(pdu) < FULL_MESSAGE or (length is not None and length < len(pdu)):
             raise self._invalid(f"a response of {len(pdu)} bytes")
         return self._decode_response(pdu)._replace(complete=False)
@@ -310,7 +310,7 @@ def _trouble(request: ReadDeviceIdentification, page: IdentificationPage) -> str
 
 def pages(request: ReadDeviceIdentification, objects: Mapping[int, bytes]) -> IdentificationPage:
     """
-    Choose what a device with these objects answers; conformity is left 0.
+    Return the answer of a device with these objects; its conformity is 0.
 
     Args:
         request: a stream; an object that is not in it starts it over (section 6.21).

@@ -20,9 +20,9 @@ class Request(Generic[Result]):
     Class attributes:
         function: the function code, 1..127.
         request_length, response_length: length rules of the two PDUs.
-        is_write: whether a broadcast of it makes sense (it changes the
+        is_write: True if a broadcast of it makes sense (it changes the
             device and its answer carries nothing new).
-        repeatable: whether it may be sent again when its answer was lost: a
+        repeatable: True if it may be sent again when its answer was lost: a
             device that gets it twice ends as if it had got it once.
 
     Constructors raise TypeError or ValueError, naming the argument and its

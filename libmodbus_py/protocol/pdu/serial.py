@@ -215,7 +215,7 @@ class ServerId(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class ReportServerId(Bare[ServerId]):
-    """Function 17, section 6.13: what the device is, and whether it runs."""
+    """Function 17, section 6.13: the identifier of the device, and its run indicator."""
 
     function = 0x11
     response_length: ClassVar[LengthRule] = counted(2, at=1)
