@@ -1,12 +1,12 @@
 """
-Services: programs that run for months, and what connects them with others.
+Services: programs that run for months, and connections with other software.
 
 ::
 
-    gateway        requests passed on from any endpoint to the devices of any line
-    fleet          many devices polled, and their readings given to outputs
+    gateway        forwards requests from any endpoint to the devices of any line
+    fleet          polls many devices and passes their readings to outputs
     workers        several machines that share the devices of a fleet
-    engine         the connection with NATS, where workers find each other
+    engine         the connection with NATS, which workers use to coordinate
     integrations   metrics for Prometheus; a backend for Home Assistant's modbus-connection
     loading        files of any kind: maps, devices, gateways, fleets
 """

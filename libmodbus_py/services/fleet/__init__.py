@@ -1,19 +1,19 @@
 """
-Polls many devices, each at its interval, and gives what is read to outputs.
+Polls many devices, each at its interval, and writes the readings to outputs.
 
-From the file to the wire, and back::
+From the fleet file to the wire, and back::
 
     files          fleet files in TOML
       devices_csv  ... and devices in CSV, for thousands
-    config         what they hold: DeviceConfig; as JSON, too
-    fleet          who is polled, and who is told; Fleet
-      schedule     when; no clock
-      line         one connection: whose poll is next
-        poller     ... one device: what is asked next, what came of it
-    readings       what was read, and which of it is told; Reading
-    buffer         readings that wait for an output, the oldest of which are dropped
-    outputs        where they go, a folder of its own
-    commands       writes by name that come over an output
-    statistics     what happened, counted
-    trial          who answers, and what lines can carry, before anything is polled
+    config         the options of a device: DeviceConfig; also as JSON
+    fleet          polls devices and passes readings to outputs: Fleet
+      schedule     the times of polls; no clock
+      line         one connection: the order in which its devices are polled
+        poller     ... one device: its next request, and the outcome of the last one
+    readings       values of devices, and the choice of those that are reported: Reading
+    buffer         readings that wait for an output; the oldest are dropped if there are too many
+    outputs        the destinations of readings, a folder of its own
+    commands       writes to named points that are received over an output
+    statistics     counters
+    trial          checks before polling: the devices that answer, and overloaded serial lines
 """

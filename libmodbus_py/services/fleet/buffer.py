@@ -1,5 +1,5 @@
 """
-Readings that wait for an output: so many at most, then the oldest are dropped.
+Readings that wait for an output; the oldest are dropped if there are too many.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ MOST_KEPT = 100_000
 
 class Buffer:
     """
-    Takes readings at once, whoever reads them how slowly ever. One reads.
+    A queue of readings for one consumer. Adding readings never blocks.
 
     Args:
-        most: readings that wait, 1..10000000; then the oldest are dropped.
+        most: the most readings that wait, 1..10000000; the oldest are dropped beyond.
 
     Attributes:
-        dropped: how many were.
+        dropped: number of dropped readings.
 
     Raises:
-        TypeError, ValueError: by name.
+        TypeError, ValueError: `most` has the wrong type or range.
     """
 
     def __init__(self, most: int = MOST_KEPT) -> None:
@@ -42,7 +42,7 @@ class Buffer:
         return len(self._kept)
 
     def put(self, readings: Sequence[Reading]) -> None:
-        """Take readings; none after `close`."""
+        """Add readings; they are ignored after `close`."""
         if self._is_closed:
             return
         self.dropped += max(0, len(self._kept) + len(readings) - self._most)
@@ -50,7 +50,7 @@ class Buffer:
         self._filled.set()
 
     def put_back(self, readings: Sequence[Reading]) -> None:
-        """Take back what was taken from it, as far as there is room: it is the oldest."""
+        """Return readings that could not be written; the oldest are dropped if there is no room."""
         room = self._most - len(self._kept)
         self.dropped += max(0, len(readings) - room)
         self._kept.extendleft(reversed(readings[-room:] if room else ()))
@@ -58,23 +58,23 @@ class Buffer:
             self._filled.set()
 
     def close(self) -> None:
-        """Nothing will come any more."""
+        """Accept no more readings; those that wait can still be taken."""
         self._is_closed = True
         self._filled.set()
 
     def give_up(self) -> None:
-        """Nobody takes what is left."""
+        """Close the buffer and drop the readings that are left."""
         self.close()
         self.dropped += len(self._kept)
         self._kept.clear()
 
     @property
     def is_over(self) -> bool:
-        """Whether there is nothing left, and nothing will come."""
+        """True if the buffer is closed and empty."""
         return self._is_closed and not self._kept
 
     async def take(self, most: int, patience: float | None = None) -> list[Reading]:
-        """Wait for readings, no longer than told, and give so many of them at most."""
+        """Wait for readings; return up to `most`, none after the time or when closed."""
         if not self._kept and not self._is_closed:
             self._filled.clear()
             with contextlib.suppress(TimeoutError):

@@ -1,5 +1,5 @@
 """
-Writes by name that come over an output, answered with their outcome.
+Writes to named points that are received over an output, and their outcomes.
 """
 
 from __future__ import annotations
@@ -17,21 +17,21 @@ __all__ = ["Commands", "Wanted", "Writing", "wanted_of"]
 
 logger: logging.Logger = logging.getLogger(__name__)
 
-# Those beyond are refused: a flood must neither stop polling nor fill the memory.
+# More writes at once are refused: a flood must neither stop polling nor fill the memory.
 MOST_AT_ONCE = 32
 
-# A value for 125 registers, written as a list, is smaller.
+# Bytes of a command; a list of 125 registers is smaller.
 LONGEST = 4096
 
 
 class Wanted(NamedTuple):
     """
-    What somebody wants written.
+    A received command.
 
     Attributes:
-        value: for the point.
-        id: what the outcome carries, too, so that it is told from others; None for nothing.
-        problem: why it is nothing that can be written; else empty.
+        value: the value to write.
+        id: repeated in the outcome, so that a sender recognizes it; None without one.
+        problem: the reason why the command is invalid; empty if it is valid.
     """
 
     value: Any = None
@@ -41,8 +41,8 @@ class Wanted(NamedTuple):
 
 def wanted_of(data: bytes) -> Wanted:
     """
-    Read what was sent: a value in JSON (21.5, true, [1, 2], "text"), or an object with `value`
-    and, if one likes, an `id`.
+    Read a command: a value in JSON (21.5, true, [1, 2], "text"), or an object with `value` and
+    optionally `id`.
     """
     if len(data) > LONGEST:
         return Wanted(problem=f"it must have at most {LONGEST} bytes, not {len(data)}")
@@ -61,7 +61,7 @@ def wanted_of(data: bytes) -> Wanted:
 
 
 class Writing(Protocol):
-    """What can write to devices by name: a `Fleet`."""
+    """Writes to points of devices by name: a `Fleet`."""
 
     statistics: FleetStatistics
 
@@ -70,14 +70,14 @@ class Writing(Protocol):
 
 class Commands:
     """
-    Carries out writes, and says what became of each: ``{"ok": true}``, or ``{"ok": false,
+    Carries out writes and returns their outcomes: ``{"ok": true}``, or ``{"ok": false,
     "error": "setpoint: value must be in 10..30, not 99"}``, with the time.
 
-    Checked against the access, the type and the range of the map before anything is sent. So
-    many at once; those beyond are refused.
+    Values are checked against the access, the type and the range of the map before anything is
+    sent. More than 32 writes at once are refused.
 
     Args:
-        fleet: whose devices they are for.
+        fleet: writes to the devices.
     """
 
     def __init__(self, fleet: Writing) -> None:
@@ -85,7 +85,7 @@ class Commands:
         self._count = 0
 
     async def answer(self, device: str, name: str, wanted: Wanted) -> dict[str, Any]:
-        """Write a value, and give the outcome; for JSON."""
+        """Write a value, and return the outcome as an object for JSON."""
         problem = await self._carry_out(device, name, wanted)
         statistics = self._fleet.statistics
         statistics.commands += not problem
@@ -100,7 +100,7 @@ class Commands:
         if wanted.problem:
             return wanted.problem
         if self._count >= MOST_AT_ONCE:
-            return f"{MOST_AT_ONCE} writes are on their way already"
+            return f"{MOST_AT_ONCE} writes are already under way"
         self._count += 1
         try:
             await self._fleet.write(device, {name: wanted.value})

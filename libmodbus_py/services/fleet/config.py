@@ -1,5 +1,5 @@
 """
-What a fleet is made of: its devices, as frozen values, and as text that can be kept anywhere.
+The devices of a fleet, as frozen values, and as JSON that can be stored.
 """
 
 from __future__ import annotations
@@ -30,32 +30,32 @@ SHORTEST_INTERVAL = 0.01
 
 LONGEST_NAME = 100
 
-# Beyond it an interval of seconds has no meaning to anybody.
+# Seconds; a longer interval is taken to be a mistake.
 LONGEST_INTERVAL = 86_400.0
 
 
 @dataclass(frozen=True, slots=True)
 class DeviceConfig:
     """
-    One device: where it is, what is read of it, and how often.
+    One device: its connection, the points that are read, and the interval.
 
     Args:
-        name: 1 to 100 characters that can be printed; no other device of the fleet has it.
-        url: of its connection, with its options, but without `unit`.
-        map: what it has.
-        unit: 0..255.
-        items: names of the map that are read; all that can be read unless given.
-        gap: how many registers or bits in a row that nobody asked for may be read to save a
-            request, 0..2000.
-        max_registers: the most a request may ask of it, 1..125.
+        name: 1 to 100 printable characters, unique in the fleet.
+        url: the URL of the connection, with its options, but without `unit`.
+        map: the points of the device.
+        unit: the unit of the device, 0..255.
+        items: names of the points that are read; all readable points of the map unless given.
+        gap: the most unneeded registers or bits in a row that are read to save a request, 0..2000.
+        max_registers: the most registers that one request may read from the device, 1..125.
         interval: seconds from one poll to the next, 0.01..86400.
-        timeout: seconds for one request; None for that of the URL.
-        spacing: seconds that it rests between an answer and its next request; a pause for
-            all on a line is ``request_spacing`` in its URL.
-        on_change: whether only values are told that changed.
-        dead_bands: by name, how far a value must be from what was told last to be told again.
-        labels: of its metrics, and for templates of topics.
-        zone: of the workers that may poll it; empty for any.
+        timeout: seconds for one request; None for the timeout of the URL.
+        spacing: seconds between a response of the device and the next request to it; a pause
+            for all devices of a line is ``request_spacing`` in its URL.
+        on_change: True to report only values that changed.
+        dead_bands: by name of a point, by how much a value must differ from the last one
+            reported.
+        labels: labels of the metrics of the device.
+        zone: the zone of the device; workers poll the devices of their zones only. Empty for none.
 
     Raises:
         TypeError, ValueError: an argument of the wrong type or range; the message begins with
@@ -85,7 +85,9 @@ class DeviceConfig:
             object.__setattr__(self, "endpoint", _endpoint(self.url))
         integer("unit", self.unit, 0, 255)
         if self.unit == 0 and not self.endpoint.has_transactions:
-            raise WrongValue("unit", "must not be 0 there, a broadcast, which nobody answers")
+            raise WrongValue(
+                "unit", "must not be 0 on this transport: no device answers a broadcast"
+            )
         if not isinstance(self.map, RegisterMap):
             raise WrongType("map", f"must be a RegisterMap, not {type(self.map).__name__}")
         object.__setattr__(self, "items", _items(self.items, self.map))
@@ -109,21 +111,21 @@ class DeviceConfig:
             raise WrongType("dead_bands", f"must be a table, not {type(self.dead_bands).__name__}")
         for name, band in self.dead_bands.items():
             if name not in self.names:
-                raise WrongValue.about(("dead_bands", name), "nothing of this name is read")
+                raise WrongValue.about(("dead_bands", name), "no point of this name is read")
             if isinstance(band, bool) or not isinstance(band, int | float) or not band >= 0:
                 raise WrongValue(("dead_bands", name), f"must be a number, 0 or more, not {band!r}")
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of what is read."""
+        """The names of the points that are read."""
         return self.items or readable(self.map)
 
     def plan(self) -> PointPlan:
         """
-        Make the requests of a poll.
+        Return the requests of a poll.
 
         Raises:
-            ValueError: a value takes more than `max_registers`.
+            ValueError: a value has more registers than `max_registers`.
         """
         try:
             return self.map.plan(self.names, gap=self.gap, max_registers=self.max_registers)
@@ -143,7 +145,7 @@ class DeviceConfig:
 
 
 def readable(points: RegisterMap) -> tuple[str, ...]:
-    """Names of all that can be read."""
+    """Return the names of all points that can be read."""
     return tuple(name for name, point in points.items() if point.access != "write")
 
 
@@ -160,7 +162,7 @@ def _items(given: object, points: RegisterMap) -> tuple[str, ...]:
         if name in items[:at]:
             raise WrongValue.about(("items", at), f"{name!r} is given twice")
     if not (items or readable(points)):
-        raise WrongValue.about("map", "nothing in it can be read")
+        raise WrongValue.about("map", "the map has no point that can be read")
     return items
 
 
@@ -181,14 +183,14 @@ def _text(name: str | Path, value: object, least: int) -> None:
 def _endpoint(url: str) -> Endpoint:
     endpoint = parse(url)
     if "unit" in endpoint.client_options:
-        raise ValueError(f"{url!r}: the unit stands beside it: unit = ...")
-    # What a client cannot have is refused now, not when it is made.
+        raise ValueError(f"{url!r} must not contain unit; write it as a key: unit = ...")
+    # Invalid options of the client are refused now, not when the client is made.
     assembled(endpoint, CheckedOptions.of(endpoint, {}), 1)
     return endpoint
 
 
 def by_connection(devices: Iterable[DeviceConfig]) -> dict[str, list[DeviceConfig]]:
-    """Connection key -> its devices, in their order."""
+    """Return the devices of each connection, by connection key, in their order."""
     found: dict[str, list[DeviceConfig]] = {}
     for device in devices:
         found.setdefault(device.connection_key, []).append(device)
@@ -202,12 +204,12 @@ def checked(
     Return the devices of one fleet as a list.
 
     Args:
-        called: returns what an error calls the device with an index, if it names it besides
-            the one that is wrong.
+        called: returns the name, for errors, of the device with an index.
 
     Raises:
-        TypeError, ValueError: two have one name, or lead to one place in two ways; the path of
-            the error begins with "devices" and the index.
+        TypeError, ValueError: two devices have the same name, or the same host and port or
+            serial port with different options; the path of the error begins with "devices" and
+            the index.
     """
     found = list(devices)
     names: dict[str, int] = {}
@@ -218,12 +220,12 @@ def checked(
             raise WrongType(("devices", at), reason)
         first = names.setdefault(device.name, at)
         if first != at:
-            reason = f"{device.name!r} is that of {called(first)}"
+            reason = f"{device.name!r} is also the name of {called(first)}"
             raise WrongValue.about(("devices", at, "name"), reason)
         first = places.setdefault(device.connection_key, at)
         url = found[first].endpoint.url
         if url != device.endpoint.url:
-            reason = f"{called(first)} leads there with {url}"
+            reason = f"{called(first)} has other options for the same connection: {url}"
             raise WrongValue.about(("devices", at, "url"), reason)
     return found
 
@@ -236,7 +238,7 @@ POINT = tuple(each for each in fields(Point) if each.init)
 
 
 def devices_to_json(devices: Iterable[DeviceConfig]) -> str:
-    """Write devices, with their maps, as JSON; equal ones give equal text."""
+    """Return devices, with their maps, as JSON; equal devices give equal text."""
     maps: dict[str, int] = {}
     seen: dict[int, int] = {}  # most devices share a map: each is written once
     told = []
@@ -249,17 +251,17 @@ def devices_to_json(devices: Iterable[DeviceConfig]) -> str:
 
 def devices_from_json(text: str) -> list[DeviceConfig]:
     """
-    Read what `devices_to_json` wrote. Equal maps become one.
+    Read devices from the JSON of `devices_to_json`. Equal maps become one object.
 
     Raises:
-        ValueError: it is nothing of this kind.
+        ValueError: the text is not valid.
     """
     try:
         content = json.loads(text)
         maps = [_map_from_json(json.dumps(each)) for each in content["maps"]]
         return [_device(each, maps) for each in content["devices"]]
     except (TypeError, LookupError, AttributeError, ValueError, RecursionError) as error:
-        raise ValueError(f"this is no text of devices: {error}") from None
+        raise ValueError(f"the text does not describe devices: {error}") from None
 
 
 def _device(given: dict[str, Any], maps: list[RegisterMap]) -> DeviceConfig:
@@ -278,7 +280,7 @@ def _map_from_json(text: str) -> RegisterMap:
 
 
 def _changed(value: object, of: Iterable[Any]) -> dict[str, Any]:
-    """Those of its fields that are not as they would be anyway."""
+    """Return the fields of a value that differ from their defaults."""
     told: dict[str, Any] = {}
     for each in of:
         given = getattr(value, each.name)

@@ -1,8 +1,8 @@
 """
-Devices in CSV: a line for each, for fleets of thousands.
+Devices in CSV: a row for each device, for fleets of thousands.
 
 The headings are keys of ``[[device]]``, in any order, and ``labels.NAME``. Several items are
-separated by semicolons; a cell that is empty says nothing.
+separated by semicolons; for an empty cell the default is used.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ class DeviceRow(NamedTuple):
     A row of a file.
 
     Attributes:
-        keys: what it says of a device.
-        line: from 1.
-        headings: of all columns.
+        keys: the keys of the device.
+        line: the line number in the file, from 1.
+        headings: the headings of all columns.
     """
 
     keys: dict[str, Any]
@@ -38,21 +38,21 @@ class DeviceRow(NamedTuple):
     headings: list[str]
 
     def place(self, path: Path) -> FilePlace:
-        """Return where a key stands."""
+        """Return the line and the column of a key."""
         heading = ".".join(map(str, path[:2])) if path[:1] == ("labels",) else str(*path[:1])
         return FilePlace(line=self.line, column=heading if heading in self.headings else "")
 
 
 def device_rows(text: str, keys: Keys, kind: type[FileError]) -> Iterator[DeviceRow]:
     """
-    Yield what each row says of a device.
+    Yield the rows, with the keys of the device of each.
 
     Args:
-        keys: of a device. Those whose values fit into a cell are columns.
-        kind: of the errors.
+        keys: the keys of a device. Those whose values fit into a cell are columns.
+        kind: the class of the errors.
 
     Raises:
-        FileError: of `kind`: the text is no CSV, or a row says what cannot be.
+        FileError: of class `kind`: the text is not CSV, or a row contains a mistake.
     """
     columns = [key.name for key in keys.values() if key.kind in CELLS or key.name == "map"]
     opened = CsvText(text, lambda heading: _is_column(heading, columns), kind)

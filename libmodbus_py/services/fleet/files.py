@@ -4,9 +4,9 @@ Fleet files: devices and outputs, described in TOML.
 ``examples/fleet.toml`` of the source tree has every key once, explained. In short::
 
     devices                     a file of devices in CSV, see `devices_csv`
-    [defaults]                  what devices have that do not say it themselves
-    [[device]]                  as `DeviceConfig`; map is a file, or [[device.point]] tables
-                                stand in its place, with what a `Point` has
+    [defaults]                  keys of devices, used where a device does not set them
+    [[device]]                  as `DeviceConfig`; map is a file; instead of it there may be
+                                [[device.point]] tables with the keys of `Point`
     [engine]                    for several machines, see `workers.pushing`
     [output.json] [output.csv] [output.mqtt] ...
                                 as `outputs.kinds`; [[output.json]] for several of a kind;
@@ -50,51 +50,51 @@ __all__ = ["DEVICE", "FILE", "FleetFile", "FleetFileError", "load"]
 # A line of 150 characters for each of 100000 devices.
 MOST_OF_CSV = 1 << 24
 
-# What must not stand in a file that many can read.
+# Keys whose values must not be written in the fleet file, which many can read.
 SECRET = ("password",)
 
 _NAME = re.compile(r"\$\{(\w*)\}")
 
 
 class FleetFileError(FileError):
-    """A file describes no fleet; it names file, line and key, and what is allowed."""
+    """A mistake in a fleet file; it names the file, the line, the key and the allowed values."""
 
 
 @dataclass(frozen=True)
 class FleetFile:
     """
-    What a fleet file describes.
+    The contents of a fleet file.
 
     Attributes:
-        devices: for `Fleet`.
-        outputs: of each the kind, and the arguments of its class, with secrets.
+        devices: the devices of the fleet.
+        outputs: the kind of each output, and the arguments of its class, secrets included.
     """
 
     devices: list[DeviceConfig]
     outputs: list[tuple[str, dict[str, Any]]] = field(default_factory=list, repr=False)
 
     def made_outputs(self) -> list[Output]:
-        """Make the outputs; each is for one fleet."""
+        """Return new outputs; each can be used by one fleet only."""
         return [made(kind, keys) for kind, keys in self.outputs]
 
 
 def load(path: str | PathLike[str]) -> FleetFile:
     """
-    Read a fleet file, and the files that it names: beside it, unless it says where.
+    Read a fleet file, and the files that it names, whose paths are relative to its folder.
 
     Raises:
-        FleetFileError: one of them cannot be read, or says what cannot be.
+        FleetFileError: a file cannot be read or contains a mistake.
     """
     return load_file(path, _Reader(FilePath(path)).parse, FleetFileError)
 
 
 class _Origin(NamedTuple):
     """
-    Where a device stands.
+    The place where a device is described.
 
     Attributes:
-        path: the table, or the key that names a file in CSV.
-        file, row: in CSV; empty and None for a table.
+        path: the path of the table, or of the key that names a CSV file.
+        file, row: the CSV file and the row; empty and None for a table.
     """
 
     path: Path
@@ -106,7 +106,7 @@ class _Origin(NamedTuple):
         return f"{path_text(self.path)}{line}"
 
     def of(self, error: Exception) -> Mistake:
-        """Return an error about the device as one about the file."""
+        """Return an error about the device with its place in the file."""
         mistake = placed(error, ())
         if self.row is None:
             return mistake.under(self.path)
@@ -119,7 +119,7 @@ class _Reader:
     Reads one fleet file.
 
     Args:
-        path: of the file.
+        path: the path of the file.
     """
 
     def __init__(self, path: FilePath) -> None:
@@ -129,7 +129,7 @@ class _Reader:
         self._defaults: dict[str, Any] = {}
 
     def parse(self, text: str) -> FleetFile:
-        """Return what a text describes."""
+        """Return the contents of a text in TOML."""
         given = FILE.read((), read_toml(text))
         self._defaults = given.get("defaults", {})
         devices = [*self._of_toml(given.get("device", [])), *self._of_csv(given.get("devices"))]
@@ -154,7 +154,7 @@ class _Reader:
             path = ("device", at)
             keys = TABLE.read(path, raw)
             if "point" in keys and "map" in keys:
-                raise WrongValue.about((*path, "point"), "there is a map already")
+                raise WrongValue.about((*path, "point"), "the device has a map already")
             if "point" in keys:
                 keys["map"] = keys.pop("point")
             yield self._device(keys, self._folder, _Origin(path))
@@ -217,7 +217,7 @@ class _Reader:
                 keys[key] = self._secret_of(f"{key}_file", file)
             elif isinstance(keys.get(key), str) and not _NAME.search(keys[key]):
                 wanted = f"${{NAME}}, a variable of the environment, or {key}_file"
-                raise WrongValue(key, f"must not stand here: write {wanted}")
+                raise WrongValue(key, f"must not be written in the file: use {wanted}")
         return keys
 
     def _secret_of(self, key: str, file: object) -> str:
@@ -228,7 +228,7 @@ class _Reader:
 
 
 def _filled(key: str, value: Any) -> Any:
-    """Return a value with the variables of the environment that a text names."""
+    """Replace ``${NAME}`` in a text by the variable of the environment; return other values."""
 
     def variable(found: re.Match[str]) -> str:
         if found[1] not in os.environ:
@@ -239,14 +239,14 @@ def _filled(key: str, value: Any) -> Any:
 
 
 def _with_defaults(defaults: Mapping[str, Any], keys: dict[str, Any]) -> dict[str, Any]:
-    """Tables are put together: labels of both, bands of both."""
+    """Return the keys of a device with the defaults; labels and dead bands are merged."""
     merged = {**defaults, **keys}
     for key in ("labels", "dead_bands"):
         ours, own = defaults.get(key), keys.get(key)
         if isinstance(ours, dict) and isinstance(own, dict):
             merged[key] = {**ours, **own}
     if "dead_bands" in defaults and "items" in keys and isinstance(merged["dead_bands"], dict):
-        items = keys["items"]  # bands of what this one does not read
+        items = keys["items"]  # default bands of points that this device does not read are left out
         own = keys.get("dead_bands", {})
         merged["dead_bands"] = {
             name: band
@@ -289,20 +289,20 @@ def _one_or_several(path: Path, given: object) -> list[tuple[Path, dict[str, Any
 
 DEVICE = keys_of(DeviceConfig, map=_file_name)
 
-POINTS = Key("point", _points, "a table for each point: [[device.point]], in place of a map")
+POINTS = Key("point", _points, "a table for each point, [[device.point]], instead of a map")
 
 TABLE = (DEVICE | Keys([POINTS])).optional()
 
 FILE = Keys(
     [
         Key("devices", _file_name, "a file of devices in CSV"),
-        Key("defaults", DEVICE.but("name").optional().read, "what devices have unless they say it"),
+        Key("defaults", DEVICE.but("name").optional().read, "defaults of the keys of devices"),
         Key("device", tables, "a table for each device: [[device]]"),
         Key(
             "output",
             _output_tables,
             "a table for each output: [output.KIND], or several: [[output.KIND]]",
         ),
-        Key("engine", text="what several machines share"),
+        Key("engine", text="options of several machines that share a fleet"),
     ]
 )

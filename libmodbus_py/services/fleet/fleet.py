@@ -1,5 +1,5 @@
 """
-The fleet: devices on many lines, polled when they are due, and what is read told to outputs.
+The fleet: devices on many lines, polled when they are due; readings are passed to outputs.
 """
 
 from __future__ import annotations
@@ -30,24 +30,25 @@ __all__ = ["Fleet", "Readings"]
 
 logger: logging.Logger = logging.getLogger(__name__)
 
-# What is due within so many seconds is polled together: a timer for each would be dear.
+# Polls due within this many seconds share a timer, because a timer for each would be expensive.
 TOGETHER = 0.002
 
-# Polls that begin before others have their turn in the event loop.
+# The most polls that begin in one iteration of the event loop.
 MOST_AT_ONCE = 200
 
-# How many devices are asked a second at most, where each is asked once.
+# The most devices per second that are polled if each is polled once only.
 ONCE_A_SECOND = 1000.0
 
 
 class Fleet:
     """
-    Polls many devices, each at its interval, for asyncio.
+    Polls many devices, each at its interval, with asyncio.
 
-    Devices with the same URL share a connection. Their phases are spread: thousands do not
-    begin at once. One that gives no answer rests, longer each time up to a minute, and costs
-    the others of its line no more than one answer. A poll whose time comes while the one
-    before is still on its way is skipped and counted.
+    Devices with the same URL share a connection. Their phases are spread, so that thousands of
+    polls do not begin at once. A device that does not answer rests, longer each time up to a
+    minute, and delays the other devices of its line by no more than the time of one answer. A
+    poll that is due while the previous poll of the device is still under way is skipped and
+    counted.
 
     ::
 
@@ -56,17 +57,18 @@ class Fleet:
                 print(reading.device, reading.name, reading.value)
 
     Args:
-        devices: to begin with.
-        outputs: that are given all readings.
-        may_ask: called with the `connection_key` of a device right before bytes go out to
-            it, and before it is connected; while it gives False nothing does, and polls are
-            counted as `held`. It must not block.
+        devices: the first devices; `add`, `remove` and `replace` change them.
+        outputs: receive all readings.
+        may_ask: called with the `connection_key` of a device before the fleet connects to the
+            device, and before each request is sent. While it returns False, nothing is sent, and
+            polls are counted as `held`. It must not block.
 
     Attributes:
-        statistics: what happened.
+        statistics: counters of polls, readings and outputs.
 
     Raises:
-        TypeError, ValueError: two devices of one name, or one place with two URLs.
+        TypeError, ValueError: two devices have the same name, or two URLs with different
+            options lead to the same host and port or serial port.
     """
 
     def __init__(
@@ -85,7 +87,7 @@ class Fleet:
         self._lines: dict[str, FleetLine] = {}
         self._pollers: dict[str, Poller] = {}
         self._timetable: Timetable[Poller] = Timetable()
-        # By map and what is read of it; lives as long as a device has it, and with it its map.
+        # (map, items, gap, max_registers) -> requests; each lives as long as a device uses it.
         self._reads: weakref.WeakValueDictionary[tuple[Any, ...], Reads] = (
             weakref.WeakValueDictionary()
         )
@@ -95,16 +97,18 @@ class Fleet:
         self._timer_at = 0.0
         self._once: set[str] | None = None
         self._all_once: asyncio.Event | None = None
-        # So that phases are the same on all machines, and a clock that is set moves nothing.
+        # Seconds from the time of the event loop to the time of day when the fleet started:
+        # phases are the same on all machines, and setting the clock moves no poll.
         self._wall = 0.0
 
     @classmethod
     def from_file(cls, path: str | PathLike[str], *, may_ask: MayAsk | None = None) -> Self:
         """
-        Make the fleet that a file describes, with its outputs.
+        Return the fleet that a file describes, with its outputs.
 
         Raises:
-            FleetFileError: a ValueError, with file, line, key and what is allowed.
+            FleetFileError: a ValueError that names the file, the line, the key and the allowed
+                values.
         """
         file = load(path)
         return cls(file.devices, outputs=file.made_outputs(), may_ask=may_ask)
@@ -123,10 +127,10 @@ class Fleet:
         Poll until cancelled.
 
         Args:
-            once: whether each device is polled once, and that is all.
+            once: True to poll each device once and return.
 
         Raises:
-            OutputError: an output is gone for good.
+            OutputError: an output failed permanently.
         """
         if once:
             self._once = set(self._devices)
@@ -152,7 +156,7 @@ class Fleet:
 
     async def _start(self) -> None:
         if self._loop is not None:
-            raise RuntimeError("this fleet polls already; make one for each")
+            raise RuntimeError("this fleet is already polling; make another one")
         self._loop = asyncio.get_running_loop()
         self._wall = time.time() - self._loop.time()
         self._label()
@@ -186,7 +190,7 @@ class Fleet:
         for pump in self._pumps:
             pump.close()
         try:
-            # Whoever cancels this a second time has no more patience.
+            # A second cancellation ends the outputs at once.
             await _all([*self._closing, *(pump.task for pump in self._pumps)])
         finally:
             for pump in self._pumps:
@@ -198,30 +202,30 @@ class Fleet:
 
     @property
     def devices(self) -> Mapping[str, Poller]:
-        """How each device stands, by name, while it is polled."""
+        """The state of each device that is polled, by the name of the device."""
         return self._pollers
 
     def add(self, devices: Iterable[DeviceConfig]) -> None:
         """
-        Poll these, too.
+        Add devices to those that are polled.
 
         Raises:
-            TypeError, ValueError: as when it was made; then nothing changes.
+            TypeError, ValueError: as for `Fleet`; the devices do not change then.
         """
         self.replace([*self._devices.values(), *devices])
 
     def remove(self, connection_key: str) -> None:
-        """Poll the devices of a connection no more; when this returns nothing is sent there."""
+        """Remove the devices of a connection. Nothing is sent to them after this returns."""
         self.replace(
             [each for each in self._devices.values() if each.connection_key != connection_key]
         )
 
     def replace(self, devices: Iterable[DeviceConfig]) -> None:
         """
-        Poll these, and no others. What has not changed is not touched.
+        Replace all devices. Polling of devices that are equal to existing ones is not interrupted.
 
         Raises:
-            TypeError, ValueError: as when it was made; then nothing changes.
+            TypeError, ValueError: as for `Fleet`; the devices do not change then.
         """
         after = {each.name: each for each in checked(devices)}
         before, self._devices = self._devices, after
@@ -240,7 +244,7 @@ class Fleet:
             self._end_line(key)
 
     def _moved(self, devices: Mapping[str, DeviceConfig]) -> set[str]:
-        """Connections that have other options now."""
+        """End the connections whose options changed, and return their keys."""
         moved: set[str] = set()
         for key, group in by_connection(devices.values()).items():
             if key in self._lines and self._lines[key].url != group[0].endpoint.url:
@@ -369,7 +373,7 @@ class Fleet:
                 self._put(poller)
 
     def _back(self, pollers: list[Poller]) -> None:
-        """Their connection stands again: they need not rest any more."""
+        """Poll devices again after their connection was established; they need not rest."""
         assert self._loop is not None
         if self._once is None:
             for poller in pollers:
@@ -377,7 +381,7 @@ class Fleet:
                 poller.at -= max(0, (poller.at - now) // interval) * interval
                 self._put(poller)
 
-    # --- what is read ----------------------------------------------------------------------
+    # --- readings ----------------------------------------------------------------------------
 
     def _tell(self, readings: list[Reading]) -> None:
         self.statistics.readings += len(readings)
@@ -388,13 +392,14 @@ class Fleet:
 
     def readings(self, buffer: int = MOST_KEPT) -> Readings:
         """
-        Give what is read from now on, until the fleet stops: ``async for``.
+        Return the readings from now on, until the fleet stops, for ``async for``.
 
         Args:
-            buffer: readings that wait for whoever iterates; then the oldest are dropped.
+            buffer: the most readings that wait for the iteration, 1..10000000; the oldest are
+                dropped beyond.
 
         Raises:
-            TypeError, ValueError: by name.
+            TypeError, ValueError: `buffer` has the wrong type or range.
         """
         kept = Buffer(buffer)
         self._buffers.add(kept)
@@ -405,10 +410,10 @@ class Fleet:
         Write values to points of a device, by their names.
 
         Raises:
-            KeyError: no such device.
-            TypeError, ValueError: no such point, or one that cannot be written; a value that
-                it cannot have. Nothing was sent.
-            ModbusError: as `AsyncClient`.
+            KeyError: the fleet has no device of this name.
+            TypeError, ValueError: the device has no such point, the point is read-only, or it
+                cannot have this value. Nothing was sent.
+            ModbusError: as for `AsyncClient`.
         """
         poller = self._pollers[device]
         requests = poller.config.map.writes(values)
@@ -419,10 +424,10 @@ class Fleet:
 
 class Readings(AsyncIterator[Reading]):
     """
-    What a fleet reads, one after the other.
+    An asynchronous iterator over the readings of a fleet.
 
     Args:
-        buffer: where they wait.
+        buffer: contains the readings that wait.
     """
 
     def __init__(self, buffer: Buffer) -> None:
@@ -430,7 +435,7 @@ class Readings(AsyncIterator[Reading]):
 
     @property
     def dropped(self) -> int:
-        """How many were, for too many waited."""
+        """Number of readings dropped because the buffer was full."""
         return self._buffer.dropped
 
     def __aiter__(self) -> Self:
@@ -444,6 +449,6 @@ class Readings(AsyncIterator[Reading]):
 
 
 async def _all(tasks: Iterable[asyncio.Task[None]]) -> None:
-    """Wait for them, however they end."""
+    """Wait for tasks; their errors are ignored."""
     with contextlib.suppress(asyncio.InvalidStateError):
         await asyncio.gather(*tasks, return_exceptions=True)

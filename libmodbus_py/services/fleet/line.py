@@ -217,7 +217,7 @@ class FleetLine:
         self._go_on()
 
     def _conclude(self, poller: Poller, outcome: Any) -> None:
-        """Take the outcome of a request; its poll continues, or is over."""
+        """Pass the outcome of a request to its poll, which continues or is over."""
         if self._was_held(outcome):
             poller.planned = None
             self._statistics.held += 1
@@ -233,7 +233,7 @@ class FleetLine:
             poller.rest_until = now + poller.config.spacing
             self._rest(poller)
         else:
-            self._queue.put_first(poller)  # all of a poll should be of one moment
+            self._queue.put_first(poller)  # the values of a poll should be read together
 
     def _was_held(self, outcome: Any) -> bool:
         is_lost = isinstance(outcome, ModbusConnectionError)

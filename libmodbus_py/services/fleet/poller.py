@@ -17,7 +17,7 @@ from .readings import Changes, Quality, Reading, is_down
 __all__ = ["LONGEST_REST", "DeviceState", "Poller", "Reads"]
 
 LONGEST_REST = 60.0
-"""Between two trials of a device that does not answer, unless its interval is longer."""
+"""Seconds between two trials of a device that does not answer, unless its interval is longer."""
 
 
 class DeviceState(Enum):
@@ -46,7 +46,7 @@ class Reads:
 
 class Poller:
     """
-    Knows the next request of a device, and takes its outcome; sends nothing itself.
+    Produces the requests of a device and takes their outcomes; sends nothing itself.
 
     Args:
         config: of the device.
@@ -56,12 +56,12 @@ class Poller:
         state: NEW until its first poll is over.
         told_state: the state that the statistics count.
         error: the first error of the last poll; None if there was none.
-        at: when the device is polled next, or was polled last; its phase.
+        at: when the device is polled next, or was polled last.
         planned: when the current poll was due; None without one.
         misses: polls in a row without an answer.
         submitted: the request that is in flight, or None.
-        asked_at: when the request was sent.
-        rest_until: when its next request may be sent.
+        asked_at: when the request in flight was sent.
+        rest_until: when the next request may be sent to the device.
         waits_since: when the current poll was due.
     """
 
@@ -109,11 +109,11 @@ class Poller:
         return self.reads.plan.requests[asked] if asked < len(self.reads.plan.requests) else None
 
     def begin(self) -> None:
-        """Begin a poll."""
+        """Begin a poll; earlier responses are dropped."""
         self._answers = []
 
     def take(self, outcome: Any) -> None:
-        """Take an answer, or the error in its place; silence at its beginning ends the poll."""
+        """Take a response or an error; a poll ends if its first request is not answered."""
         self._answers.append(outcome)
         if isinstance(outcome, ModbusError) and is_down(outcome) and not self._has_answered:
             self._answers = [outcome] * len(self.reads.plan.requests)
@@ -125,7 +125,7 @@ class Poller:
         )
 
     def conclude(self, now: float) -> None:
-        """End a poll."""
+        """End a poll: set the state of the device, its error and its rest."""
         errors = [answer for answer in self._answers if isinstance(answer, ModbusError)]
         self.error = errors[0] if errors else None
         self.misses = 0 if self._has_answered else self.misses + 1

@@ -1,5 +1,5 @@
 """
-What was read, and which of it is told.
+Readings, and the choice of those that are reported.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ Quality = Literal["good", "bad", "down"]
 
 class Reading(NamedTuple):
     """
-    A value of a device, or why there is none.
+    A value of a device, or the reason why it could not be read.
 
     Attributes:
-        time: of the answer, in seconds since the epoch.
-        device: its name.
-        name: of the point in its map.
-        value: scaled; None unless the quality is good.
-        unit: of the value, such as "V".
-        quality: "good"; "bad" if the device refused, or what it answered is no such value;
-            "down" if it gave no answer.
-        reason: what went wrong, as the error is called: "IllegalDataAddress",
-            "ModbusTimeoutError"; empty if the quality is good.
+        time: when the poll was completed, in seconds since the epoch.
+        device: the name of the device.
+        name: the name of the point in the map of the device.
+        value: the scaled value; None unless the quality is "good".
+        unit: the unit of the value, such as "V".
+        quality: "good"; "bad" if the device refused the request or the value is invalid; "down"
+            if the device did not answer.
+        reason: the name of the error, such as "IllegalDataAddress" or "ModbusTimeoutError";
+            empty if the quality is "good".
     """
 
     time: float
@@ -48,16 +48,16 @@ class Reading(NamedTuple):
 
 
 def time_text(time: float) -> str:
-    """Write a time as ISO 8601 has it, in UTC, to the millisecond."""
+    """Return a time in ISO 8601, in UTC, with milliseconds."""
     return f"{datetime.fromtimestamp(time, UTC).isoformat(timespec='milliseconds')[:-6]}Z"
 
 
-# Somebody is there, and says so.
+# Errors after which the device is not down, because it sent something.
 ANSWERS = (ExceptionResponse, FrameError, InvalidResponse)
 
 
 def is_down(error: BaseException) -> bool:
-    """Whether an error means that the device gave no answer."""
+    """Return True if an error means that the device did not answer."""
     return isinstance(error, NO_UNIT) or (
         isinstance(error, ModbusError) and not isinstance(error, ANSWERS)
     )
@@ -65,14 +65,14 @@ def is_down(error: BaseException) -> bool:
 
 class Changes:
     """
-    Which values of one device are told.
+    Picks the values of one device that are reported.
 
-    What is not good is told once, when it begins; then the first good value is.
+    An error is reported once, when it begins; the first good value after it is reported always.
 
     Args:
-        on_change: whether good values are told only if they changed.
-        bands: for each point how far its value must be from what was told last; None for
-            any change, or for each value without `on_change`.
+        on_change: True to report good values only if they changed.
+        bands: for each point, by how much a value must differ from the last one reported; None
+            for any change with `on_change`, and for every value without.
     """
 
     __slots__ = ("_are_good", "_bands", "_last", "_on_change", "_reasons")
@@ -87,7 +87,7 @@ class Changes:
         self._are_good = False
 
     def pick(self, values: Sequence[Any]) -> Sequence[int]:
-        """Give which are told; an exception stands in place of a value that is none."""
+        """Return the indexes of the values to report; exceptions stand for missing values."""
         are_good = not any(isinstance(value, Exception) for value in values)
         if self._last is None and are_good and self._are_good:
             return range(len(values))

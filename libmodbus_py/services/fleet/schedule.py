@@ -1,5 +1,5 @@
 """
-When devices are polled. No clock of its own: times are seconds of any steady one.
+The times of polls. There is no clock here: times are seconds of any monotonic clock.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ def first_time(name: str, interval: float, now: float, wall: float) -> float:
 
     Args:
         now: the time now.
-        wall: and the same moment in seconds since the epoch.
+        wall: the same moment in seconds since the epoch.
     """
     digest = blake2b(name.encode(), digest_size=8).digest()
     phase = int.from_bytes(digest, "big") / 2**64 * interval

@@ -1,5 +1,5 @@
 """
-What happened in a fleet, counted.
+Counters of a fleet and of its outputs.
 """
 
 from __future__ import annotations
@@ -12,19 +12,19 @@ from .buffer import Buffer
 __all__ = ["LATENESS_BOUNDS", "FleetStatistics", "OutputStatistics"]
 
 LATENESS_BOUNDS: tuple[float, ...] = (*(0.001, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 5.0),)
-"""Polls are counted by how many seconds they were late at most; the last count is of the rest."""
+"""Upper bounds of the classes in which polls are counted by their lateness, in seconds."""
 
 
 @dataclass(slots=True)
 class OutputStatistics:
     """
-    What became of the readings for one output.
+    Counters of one output.
 
     Attributes:
-        buffer: where they wait.
-        written: that it took.
-        failures: how often it could not take any.
-        trouble: why it takes none now; empty if it does.
+        buffer: contains the readings that wait for the output.
+        written: readings written to the output.
+        failures: failed attempts to open the output or to write to it.
+        trouble: the error of the output now; empty if it works.
     """
 
     buffer: Buffer = field(repr=False)
@@ -34,37 +34,37 @@ class OutputStatistics:
 
     @property
     def dropped(self) -> int:
-        """Those that it did not take, for too many waited."""
+        """Readings dropped because the buffer was full."""
         return self.buffer.dropped
 
     @property
     def waiting(self) -> int:
-        """Those that wait now."""
+        """Readings in the buffer."""
         return len(self.buffer)
 
 
 @dataclass(slots=True, weakref_slot=True)
 class FleetStatistics:
     """
-    What happened in a fleet since it was made.
+    Counters of a fleet since it was made.
 
     Attributes:
-        devices: that there are now.
-        up: those of them that answered the last time.
-        down: those that did not.
-        polls: that are over, whatever came of them.
-        failures: those that got no answer.
-        refusals: those in which the device refused something, or answered what is no value.
-        skipped: those whose time passed while the one before was still on its way.
-        held: those that might not be sent (`may_ask`).
-        readings: that were told.
-        commands: that were carried out.
-        refused_commands: that were not.
-        lateness: how many polls began up to the first of `LATENESS_BOUNDS` seconds after
-            their time, longer and up to the second, and so on.
-        late_seconds: what all of them were late together.
-        outputs: by name.
-        worst: the longest that a poll was late since `take_worst` was called.
+        devices: devices in the fleet now.
+        up: devices that answered their last poll.
+        down: devices that did not answer their last poll.
+        polls: completed polls, failed ones included.
+        failures: polls without an answer.
+        refusals: polls in which a device refused a request or returned an invalid value.
+        skipped: polls skipped because the previous poll of the device was still under way.
+        held: polls not sent because `may_ask` did not allow them.
+        readings: readings passed to outputs.
+        commands: writes carried out for outputs.
+        refused_commands: writes refused or failed.
+        lateness: number of polls by how late they began: up to the first of `LATENESS_BOUNDS`
+            seconds, up to the second, and so on; the last number is of all others.
+        late_seconds: the lateness of all polls together, in seconds.
+        outputs: the counters of each output, by its name.
+        worst: the greatest lateness since `take_worst` was called, in seconds.
     """
 
     devices: int = 0
@@ -86,18 +86,18 @@ class FleetStatistics:
     worst: float = field(default=0.0, repr=False)
 
     def note_start(self, late: float) -> None:
-        """Count how late a poll began."""
+        """Count a poll that began `late` seconds after its time."""
         self.lateness[bisect_left(LATENESS_BOUNDS, late)] += 1
         self.late_seconds += late
         if late > self.worst:
             self.worst = late
 
     def take_worst(self) -> float:
-        """Give the worst lateness since this was asked last."""
+        """Return the greatest lateness since the last call, in seconds, and reset it."""
         worst, self.worst = self.worst, 0.0
         return worst
 
     def within(self, seconds: float) -> float:
-        """Give the share of polls that were no later, 0..1; a bound of `LATENESS_BOUNDS`."""
+        """Return the share of polls, 0..1, no later than one of the `LATENESS_BOUNDS`."""
         total = sum(self.lateness)
         return sum(self.lateness[: bisect_left(LATENESS_BOUNDS, seconds) + 1]) / (total or 1)

@@ -18,7 +18,7 @@ from .config import DeviceConfig, by_connection
 
 __all__ = ["Overload", "Tried", "overloads", "trying"]
 
-# Lines that are tried together.
+# Connections that are tried at the same time.
 MOST_AT_ONCE = 64
 
 # Serial line, 2.5.1.1: frames are this many characters apart.
@@ -28,13 +28,13 @@ SILENCE = 3.5
 @dataclass(frozen=True, slots=True)
 class Tried:
     """
-    How a device answered when it was asked once.
+    The result of one poll of a device.
 
     Attributes:
-        device: which.
-        requests: that a poll takes.
-        seconds: that this one took.
-        problem: what failed first; empty if nothing did.
+        device: the device that was polled.
+        requests: number of requests of a poll.
+        seconds: duration of this poll.
+        problem: the first error; empty if there was none.
     """
 
     device: DeviceConfig
@@ -46,13 +46,13 @@ class Tried:
 @dataclass(frozen=True, slots=True)
 class Overload:
     """
-    A serial line on which more is to be read than it can carry.
+    A serial line that cannot carry all polls of its devices.
 
     Attributes:
-        url: of the line.
+        url: the URL of the line.
         baudrate: bits per second.
-        needed: seconds of requests and answers in each `interval`, answered at once.
-        interval: the shortest one of its devices, in seconds.
+        needed: seconds of requests and responses in each `interval`, if devices respond at once.
+        interval: the shortest interval of the devices on the line, in seconds.
     """
 
     url: str

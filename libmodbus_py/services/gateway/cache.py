@@ -1,5 +1,5 @@
 """
-What was read before, for as long as it is fresh enough. No socket, no clock.
+A cache of responses to reads. No socket, no clock.
 """
 
 from __future__ import annotations
@@ -13,30 +13,33 @@ MOST = 4096
 
 class Cache:
     """
-    Answers to reads, by unit and request.
+    Responses to reads, by unit and request.
 
-    What was asked before a write of its unit is never kept: it may be older than that.
+    The response to a request that was sent before a write to the same unit is never kept, because
+    it may contain older values.
     """
 
     def __init__(self) -> None:
         self._answers: OrderedDict[tuple[int, bytes], tuple[float, bytes]] = OrderedDict()
-        # Unit -> how many writes there were.
+        # Unit -> number of writes.
         self._writes: Counter[int] = Counter()
 
     def get(self, unit: int, request: bytes, age: float, now: float) -> bytes | None:
-        """Give an answer that is at most `age` seconds old."""
+        """Return a response that is at most `age` seconds old, or None."""
         found = self._answers.get((unit, request))
         return found[1] if found is not None and now - found[0] <= age else None
 
     def state(self, unit: int) -> int:
-        """Give what `keep` wants of the time when a request is asked."""
+        """Return the state of a unit when a request is sent, for `keep`."""
         return self._writes[unit]
 
     def keep(self, unit: int, request: bytes, answer: bytes, asked: float, state: int) -> None:
         """
+        Keep a response.
+
         Args:
-            asked: when it was asked: the answer is no older than that.
-            state: as `state` gave it then.
+            asked: when the request was sent; the response is no older.
+            state: the result of `state` at that time.
         """
         if state != self._writes[unit]:
             return
@@ -47,7 +50,7 @@ class Cache:
             self._answers.popitem(last=False)
 
     def forget(self, unit: int) -> None:
-        """Something is written there, or may be; on unit 0 to all."""
+        """Drop the responses of a unit that may be written to; those of all units for unit 0."""
         self._writes[unit] += 1
         if unit == 0:
             self._writes.update(range(1, 256))

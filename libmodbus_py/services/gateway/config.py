@@ -35,23 +35,23 @@ from .routes import Route, by_unit
 
 __all__ = ["FILE", "ROUTE", "GatewayFile", "GatewayFileError", "load", "parse"]
 
-# 256 units can have no more.
+# There are 256 units, and each has one route.
 MOST_ROUTES = 256
 
 
 class GatewayFileError(FileError):
-    """A file describes no gateway; it names file, line and key, and what is allowed."""
+    """A mistake in a gateway file; it names the file, the line, the key and the allowed values."""
 
 
 @dataclass(frozen=True)
 class GatewayFile:
     """
-    What a gateway file describes.
+    The contents of a gateway file.
 
     Attributes:
-        listen: URLs, for `Gateway.serving`.
-        routes: for `Gateway` and `Gateway.change_routes`.
-        options: of `Gateway`, by name.
+        listen: the URLs for `Gateway.serving`.
+        routes: the routes for `Gateway` and `Gateway.change_routes`.
+        options: the other arguments of `Gateway`, by name.
     """
 
     listen: tuple[str, ...]
@@ -64,10 +64,10 @@ def load(path: str | PathLike[str], known: Iterable[Route] = ()) -> GatewayFile:
     Read a gateway file.
 
     Args:
-        known: routes whose ports may be gone now: they were there, and may come back.
+        known: earlier routes; their serial ports may be missing now, because they may come back.
 
     Raises:
-        GatewayFileError: the file cannot be read, is no TOML, or says what cannot be.
+        GatewayFileError: the file cannot be read, is not TOML, or contains a mistake.
     """
     return load_file(path, partial(_parse, known=known), GatewayFileError)
 
@@ -80,7 +80,7 @@ def parse(text: str, known: Iterable[Route] = ()) -> GatewayFile:
         known: as for `load`.
 
     Raises:
-        GatewayFileError: the text is no TOML, or says what cannot be.
+        GatewayFileError: the text is not TOML, or contains a mistake.
     """
     try:
         return _parse(text, known)
@@ -125,7 +125,7 @@ def _routes(path: Path, given: object) -> list[Route]:
 
 
 OPTIONS = keys_of(Gateway).only(*keys_of(GatewayOptions))
-"""Options of `Gateway`, which takes them as they are."""
+"""Options of `Gateway` that are passed to it unchanged."""
 
 ROUTE = keys_of(Route, writable=roles.parts)
 
@@ -134,9 +134,9 @@ FILE = (
     | OPTIONS
     | Keys(
         [
-            Key("limits", keys_of(Limits).read, "what clients may cost, as `Limits`"),
+            Key("limits", keys_of(Limits).read, "limits for clients, as `Limits`"),
             Key("route", _routes, "a table for each line and its units: [[route]]"),
-            Key("roles", roles.rules, "who may read and write what: [roles.NAME]"),
+            Key("roles", roles.rules, "the accesses that each role allows: [roles.NAME]"),
         ]
     )
 )

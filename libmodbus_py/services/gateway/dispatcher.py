@@ -298,7 +298,7 @@ class ForwardingSession(Framed):
             self._channel.follow()
 
     def end(self) -> None:
-        """A client that is gone must not cost the others turns."""
+        """Withdraw requests that wait, because the client is gone."""
         super().end()
         for forwarded in [each for each in self._asked if each.submitted is None]:
             self._withdraw(forwarded)

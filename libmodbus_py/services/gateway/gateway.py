@@ -1,5 +1,5 @@
 """
-The gateway: clients on any endpoints, devices behind any lines.
+The gateway: clients on any endpoints, devices on any lines.
 """
 
 from __future__ import annotations
@@ -32,37 +32,39 @@ logger: logging.Logger = logging.getLogger(__name__)
 
 class Gateway(Serving):
     """
-    Passes requests on to the devices of other lines, and their answers back.
+    Forwards requests to the devices of lines, and their responses to the clients.
 
-    Any function goes through, as bytes. A client gets exception 10 for a unit without a route,
-    11 for one that gives no answer, 6 when too many requests wait. Clients take turns. A unit
-    that gave no answer is left alone for a while, for longer each time, and tried when nobody
-    else waits; until then its requests get 11 at once.
+    Requests of any function are forwarded, as bytes. A client gets exception 10 for a unit without
+    a route, 11 for a unit that does not answer, 6 if too many requests wait. Clients take turns.
+    A unit that does not answer rests, longer each time, and is then tried when no other request
+    waits; until it answers, requests to it get exception 11 at once.
 
-    Unit 0 is a broadcast where it has no route: writes go to every line.
+    Unit 0 is a broadcast unless it has a route: writes are sent to every line.
 
     Args:
-        routes: which units are reached over which lines.
-        own_units: under which units the gateway itself is found, with its statistics as input
-            registers, where there is no route for them.
-        queue: how many requests of one client may wait, 1..1024.
-        longest_wait: seconds after which a request does not wait for its turn any more and gets
-            exception 6, 0.001..86400.
-        writes_first: whether requests that may write overtake those that only read.
-        limits: what clients may cost; None for the defaults of `Limits`.
-        security: who the gateway is and whom it trusts, for tls; the URLs may say it instead.
-        authorize: says whether a request is allowed, such as `Rules`; called with an `Asked`,
-            whose `unit` is the client's, in the loop of the gateway; about requests to the
-            gateway itself, too. Refused is answered with exception 1.
-        trace: called with a `Traced` for every ADU that clients send and get, as of `Server`.
+        routes: the lines, and the units that are reached over each.
+        own_units: the units of the gateway itself, whose input registers contain its statistics;
+            units with a route are excepted.
+        queue: waiting requests per client, 1..1024.
+        longest_wait: seconds that a request may wait, 0.001..86400; then it gets exception 6.
+        writes_first: True to let writes overtake waiting reads.
+        limits: limits for clients; None for the defaults of `Limits`.
+        security: the certificate of the gateway and those it trusts, for tls; the options of the
+            URLs may contain them instead.
+        authorize: decides whether a request is allowed, such as `Rules`. It is called in the
+            event loop of the gateway with an `Asked`, whose `unit` is the one that the client
+            sent, also for requests to the gateway itself. A request that is not allowed gets
+            exception 1.
+        trace: called with a `Traced` for every ADU received from clients and sent to them, as
+            for `Server`.
 
     Attributes:
-        statistics: what happened at all endpoints, kept up to date.
-        traffic: what happened to requests: by line, and by unit.
+        statistics: counters of all endpoints, kept up to date.
+        traffic: counters of requests, by line and by unit.
 
     Raises:
-        TypeError, ValueError: an argument is something else; two routes for one unit, or two
-            with other options to one place.
+        TypeError, ValueError: an argument of the wrong type or range; two routes for one unit;
+            two routes to the same host and port or serial port with different options.
     """
 
     def __init__(
@@ -99,11 +101,11 @@ class Gateway(Serving):
         """
         Replace the routes, from any thread.
 
-        Connections of clients stay, and those to lines that a route leads to as before.
+        Connections of clients are kept, and so are connections to lines whose URL does not change.
 
         Raises:
-            TypeError, ValueError: as when it was made; a new line leads to no port, or to
-                where the gateway listens. Then nothing changes.
+            TypeError, ValueError: as for `Gateway`, or a new line leads to no serial port or to
+                an endpoint of the gateway itself. The routes do not change then.
         """
         checked = _checked(routes)
         before = {route.endpoint.url for route in self._routes}
@@ -117,19 +119,21 @@ class Gateway(Serving):
     @contextlib.asynccontextmanager
     async def _answering(self, endpoints: list[Endpoint]) -> AsyncIterator[Service]:
         if self._answering_now is not None:
-            raise RuntimeError("this gateway serves already; make one for each")
+            raise RuntimeError("this gateway is already serving; make another one")
         self._check_lines(self._routes, endpoints)
         own = own_device(self.traffic, self.statistics, self._unit_statistics, self._authorize)
         answering = self._answering_now = Answering(own, self._options.own)
         self._loop = asyncio.get_running_loop()
         try:
             self._change_lines()
-            # As many as may wait, and as many as may be in flight.
+            # As many requests as may wait, and as many as may be in flight.
             most = 2 * self._options.queue + 16
             yield Dispatcher(answering, most, self._authorize, self.traffic)
         finally:
             self._loop = self._answering_now = None
-            async with contextlib.AsyncExitStack() as stack:  # each, whatever ends this
+            async with (
+                contextlib.AsyncExitStack() as stack
+            ):  # close each, even if another one fails
                 stack.push_async_callback(_all, list(self._closing))
                 for line in answering.lines:
                     stack.push_async_callback(line.close)
@@ -178,5 +182,5 @@ def _checked(routes: Iterable[Route]) -> list[Route]:
 
 
 async def _all(tasks: list[asyncio.Task[None]]) -> None:
-    """Wait for them, however they end."""
+    """Wait for tasks; their errors are ignored."""
     await asyncio.gather(*tasks, return_exceptions=True)

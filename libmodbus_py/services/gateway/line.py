@@ -66,7 +66,7 @@ class Forwarded:
     A request that a gateway forwards.
 
     Args:
-        asker: takes the response; None once it does not want it any more.
+        asker: takes the response; None after the client is gone or was answered.
         number: the transaction id of its client.
         from_unit: the unit that the client asked.
         unit: its number on the line.
@@ -124,7 +124,7 @@ class Forwarded:
         told = 0
         for each in (self, *self.others) if self.others else (self,):
             asker, each.asker = each.asker, None
-            each.first = None  # which knows this one, too
+            each.first = None  # breaks a reference cycle
             if asker is None:
                 told += 1
             else:
@@ -255,7 +255,7 @@ class GatewayLine:
         for key in [key for key in self._joinable if unit in (0, key[0])]:
             del self._joinable[key]
 
-    # --- asking -----------------------------------------------------------------------------
+    # --- sending ----------------------------------------------------------------------------
 
     def _go_on(self) -> None:
         now = self._loop.time()
@@ -288,7 +288,7 @@ class GatewayLine:
         self._done.append(each)
 
     def _make_way(self, each: Forwarded, now: float) -> None:
-        """End a trial: it costs others no more than one of their own requests."""
+        """End a trial of a silent unit, because other requests waited for long enough."""
         if each in self._done:
             return
         assert each.submitted is not None
@@ -311,7 +311,7 @@ class GatewayLine:
         self._timer, self._timer_at = None, math.inf
         self._go_on()
 
-    # --- answers ------------------------------------------------------------------------------
+    # --- responses ----------------------------------------------------------------------------
 
     def _finish(self) -> None:
         done, self._done = self._done, []
@@ -379,7 +379,7 @@ class GatewayLine:
             return
         if self._silent.note_silence(unit, now):
             self.statistics.unit(unit).is_silent = True
-            logger.info("%s: unit %d gives no answer", self.url, unit)
+            logger.info("%s: unit %d does not answer", self.url, unit)
         for each in self._room.others:
             if each.unit == unit:
                 self._room.remove(each)

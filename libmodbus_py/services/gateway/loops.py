@@ -1,5 +1,5 @@
 """
-Lines that lead back to where the gateway itself listens, or to no port at all.
+Checks for lines that lead back to an endpoint of the gateway itself, or to no serial port.
 """
 
 from __future__ import annotations
@@ -16,17 +16,18 @@ __all__ = ["check_line"]
 
 def check_line(name: Path, line: Endpoint, listening: Iterable[Endpoint]) -> None:
     """
-    Check that a line leads somewhere else.
+    Check that a line does not lead to the gateway itself.
 
     Args:
-        name: of it, for the error.
-        listening: where the gateway listens.
+        name: the path of the line, for errors.
+        line: the endpoint of the line.
+        listening: the endpoints that the gateway listens on.
 
     Raises:
-        ValueError: there is no such port, or the gateway itself listens there.
+        ValueError: there is no such serial port, or the gateway itself listens on this endpoint.
     """
     if line.is_serial and not os.path.exists(line.device):
-        raise WrongValue.about(name, f"there is no port {line.device}")
+        raise WrongValue.about(name, f"there is no serial port {line.device}")
     for own in listening:
         if _is_same(line, own):
             raise WrongValue.about(name, f"the gateway itself listens on {own}")
@@ -37,7 +38,7 @@ def _is_same(line: Endpoint, own: Endpoint) -> bool:
         return True
     if line.is_serial and own.is_serial:
         return os.path.realpath(line.device) == os.path.realpath(own.device)
-    if line.place[::2] != own.place[::2]:  # of another kind, or another port
+    if line.place[::2] != own.place[::2]:  # another transport or port
         return False
     if own.host in EVERYWHERE:
         return is_this_machine(line.host)

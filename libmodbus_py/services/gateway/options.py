@@ -17,7 +17,7 @@ __all__ = ["GatewayOptions"]
 @dataclass(frozen=True)
 class GatewayOptions:
     """
-    Options of `Gateway`, which says what they mean.
+    Options of a gateway; the documentation of `Gateway` describes them.
 
     Raises:
         TypeError, ValueError: an argument of the wrong type or range.

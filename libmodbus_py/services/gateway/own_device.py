@@ -1,27 +1,27 @@
 """
-The device that a gateway is itself: its statistics as input registers.
+The gateway itself as a device: its statistics as input registers.
 
-Every number takes two registers, the high word first, and is the rest of a division by 2^32::
+Every number has two registers, the high word first, and wraps around at 2^32::
 
     0       version of this layout, 1        2   lines
-    4       seconds since it was made        6   connections now
-    8       requests                         10  exceptions given
+    4       seconds since the start          6   connections now
+    8       requests                         10  exception responses
     12      no route (0A)                    14  not allowed
     16      malformed                        18  broadcasts
-    20      bytes that were no frame
+    20      invalid frames
 
     100 + 20 * line, lines in the order of the routes, 0..39:
     +0      waiting now                      +2  in flight now
-    +4      got 06                           +6  late answers dropped
-    +8      answers nobody waited for        +10 timeouts
-    +12     connections made                 +14 connections lost, or not made
+    +4      refused with exception 6         +6  late responses dropped
+    +8      responses without a client       +10 timeouts
+    +12     connections established          +14 connections lost or failed
 
-    1000 + 20 * unit, units as clients have them, 0..255:
-    +0      requests sent                    +2  answers
-    +4      exceptions among them            +6  timeouts
-    +8      answers that were none           +10 no connection
-    +12     0B at once, for it was silent    +14 cached or merged
-    +16     mean time of an answer, in us    +18 1 if it is silent
+    1000 + 20 * unit, units as clients address them, 0..255:
+    +0      requests sent                    +2  responses
+    +4      exception responses              +6  timeouts
+    +8      invalid responses                +10 no connection
+    +12     exception 11 while silent        +14 cached or merged
+    +16     mean response time, in us        +18 1 if the unit is silent
 """
 
 from __future__ import annotations
@@ -52,11 +52,12 @@ def own_device(
     authorize: Authorize | None = None,
 ) -> Device:
     """
-    Make it.
+    Return the device.
 
     Args:
-        clients: what happened at the endpoints.
-        unit_of: gives the statistics of a unit as clients have it.
+        statistics: the statistics of the gateway.
+        clients: the statistics of its endpoints.
+        unit_of: returns the statistics of a unit by the number that clients use.
         authorize: as for `Device`.
     """
     mapping = Mapping(input_registers=SIZE)
@@ -84,7 +85,7 @@ def _blocks(
     unit_of: UnitOf,
     age: float,
 ) -> Iterable[tuple[int, list[int]]]:
-    """Give what is read, and no more: a request must not cost what all of them would."""
+    """Yield only the blocks that an access reads, with their first addresses."""
     first, last = access.address, access.address + access.count - 1
     if first < LINES:
         yield 0, _of_gateway(statistics, clients, age)

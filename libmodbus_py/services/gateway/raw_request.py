@@ -1,5 +1,5 @@
 """
-A request as a gateway forwards it: bytes in, bytes out, and what is known of these bytes.
+A request as a gateway forwards it: its bytes, and its decoded form if its function is known.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ class RequestBytes(pdu.Request[bytes]):
     """
     Any request PDU, unchanged; its result is the response PDU.
 
-    The response to a known function must fit its rules, or it is an InvalidResponse. The response
-    to another function must begin with its code.
+    The response to a known function must be valid, or InvalidResponse is raised. The response to
+    another function must begin with the code of the function.
 
     Args:
         data: the PDU, 1..253 bytes.
@@ -58,7 +58,7 @@ class RequestBytes(pdu.Request[bytes]):
         return self._is_answered
 
     def touches(self, who: Who) -> Touched:
-        """What it writes and reads in tables."""
+        """Return the addresses in tables that the request writes and reads."""
         return touched(self.known, who)
 
     def encode(self) -> bytes:
@@ -72,7 +72,7 @@ class RequestBytes(pdu.Request[bytes]):
         return pdu
 
     def response_to_broadcast(self) -> bytes:
-        """What a device answers to this write when it is not a broadcast."""
+        """Return the response of a device to this write if it were not a broadcast."""
         assert self.known is not None
         return self.known.encode_response(None)
 

@@ -1,5 +1,5 @@
 """
-Routes: which unit is reached over which line, and what may be done there.
+Routes: the line of each unit, and the requests that are allowed.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from ...protocol.spelling import units_of as units_in
 
 __all__ = ["Route", "by_unit", "parse_route", "units_of"]
 
-# What neither changes a device nor may do what nobody knows.
+# Functions that are forwarded although they access no table: they do not change a device.
 HARMLESS: tuple[int | str, ...] = (
     7,
     11,
@@ -40,17 +40,16 @@ class Route:
         to: the URL of the line, with its settings and the options of clients, such as
             "rtu:///dev/ttyUSB0?baudrate=19200&timeout=0.5". Routes with the same URL share one
             connection.
-        units: those of clients: numbers 0..255, or text such as "1-10,17"; None for 1..247, and
-            for 0..254 where the line is Modbus/TCP or UDP.
-        device_units: what they are on the line, as many, in the same order; one for all of them;
-            None for the same.
-        cache: seconds that an answer to a read (functions 1 to 4) may be old, 0..86400; 0 to ask
-            each time.
-        merge: whether equal reads (functions 1 to 4) that wait are asked once.
-        read_only: whether only what reads is passed on.
-        writable: what may be written, and nothing else: as `write` of `Allow`; None for all.
-            Functions that may write and nobody knows where are not passed on then, nor if
-            `read_only`.
+        units: the units that clients use: numbers 0..255, or text such as "1-10,17"; None for
+            1..247, or 0..254 if the line is Modbus/TCP or UDP.
+        device_units: the units of the devices on the line, as many, in the same order; or one
+            for all; None for the same as `units`.
+        cache: the greatest age of a cached response to a read (functions 1 to 4), in seconds,
+            0..86400; 0 for no cache.
+        merge: True to send equal waiting reads (functions 1 to 4) only once.
+        read_only: True to forward only requests that do not write.
+        writable: the addresses that may be written, as `write` of `Allow`; None for all. With it,
+            and with `read_only`, requests that may write to unknown places are refused.
 
     Raises:
         TypeError, ValueError: an argument of the wrong type or range.
@@ -74,7 +73,7 @@ class Route:
             if not isinstance(getattr(self, name), bool):
                 raise WrongType(name, f"must be True or False, not {getattr(self, name)!r}")
         if self.read_only and self.writable is not None:
-            raise WrongValue.about("writable", "there is nothing to write, for read_only is set")
+            raise WrongValue.about("writable", "must not be given with read_only")
         seconds("cache", self.cache, low=0)
         units = self._units(endpoint)
         for name, value in (
@@ -88,8 +87,8 @@ class Route:
     def _checked_endpoint(self) -> Endpoint:
         endpoint = parse(self.to)
         if "unit" in endpoint.client_options:
-            raise ValueError(f"{self.to!r}: unit means nothing here; device_units does")
-        # What a client cannot have is refused now, not when it is made.
+            raise ValueError(f"{self.to!r} must not contain unit; use device_units")
+        # Invalid options of the client are refused now, not when the client is made.
         assembled(endpoint, CheckedOptions.of(endpoint, {}), 1)
         return endpoint
 
@@ -130,7 +129,7 @@ def units_of(name: str, given: object, *, distinct: bool = True) -> list[int]:
     Read units: numbers, or text such as "1-10,17".
 
     Raises:
-        TypeError, ValueError: by name.
+        TypeError, ValueError: `given` is not valid; the message begins with `name`.
     """
     if isinstance(given, str):
         try:
@@ -150,10 +149,10 @@ def units_of(name: str, given: object, *, distinct: bool = True) -> list[int]:
 
 def parse_route(text: str) -> Route:
     """
-    Read what stands on a command line: a URL, or ``UNITS=URL``, or ``UNITS:DEVICE_UNITS=URL``.
+    Read a route of a command line: a URL, or ``UNITS=URL``, or ``UNITS:DEVICE_UNITS=URL``.
 
     Raises:
-        ValueError: it is none.
+        ValueError: the text is not a valid route.
     """
     before, equals, url = text.partition("=")
     if not equals or "://" in before:
@@ -167,10 +166,11 @@ def by_unit(routes: Iterable[Route], name: str = "routes") -> dict[int, Route]:
     Return the route of each unit.
 
     Args:
-        name: of the list, for errors.
+        name: the name of the list, for errors.
 
     Raises:
-        TypeError, ValueError: two of them are for one unit, or lead to one place in two ways.
+        TypeError, ValueError: two routes are for the same unit, or lead to the same host and port
+            or serial port with different options.
     """
     found: dict[int, Route] = {}
     places: dict[tuple[str, str, int], tuple[int, str]] = {}
@@ -180,11 +180,11 @@ def by_unit(routes: Iterable[Route], name: str = "routes") -> dict[int, Route]:
         endpoint = route.endpoint
         first, url = places.setdefault(endpoint.place, (at, endpoint.url))
         if url != endpoint.url:
-            reason = f"{name}[{first}] leads there with other options, {url}"
+            reason = f"{name}[{first}] has other options for the same connection: {url}"
             raise WrongValue.about((name, at, "to"), reason)
         for unit in route.ways:
             if unit in found:
-                reason = f"there is a route for unit {unit} before this"
+                reason = f"an earlier route has unit {unit} already"
                 raise WrongValue.about((name, at, "units"), reason)
             found[unit] = route
     return found

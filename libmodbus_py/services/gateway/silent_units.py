@@ -1,5 +1,5 @@
 """
-Units that gave no answer: when they may be asked again. No socket, no clock.
+Units that do not answer, and when requests may be sent to them again. No socket, no clock.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ LONGEST_REST = 30.0
 
 
 class UnitState(Enum):
-    """Decides about a request: send it, answer it at once, or let it try the unit."""
+    """GOOD: send a request; RESTING: refuse it at once; DUE: let it try the unit."""
 
     GOOD = "good"
     RESTING = "resting"
@@ -24,16 +24,16 @@ class UnitState(Enum):
 
 class SilentUnits:
     """
-    A unit that gave no answer rests: for `first_rest` seconds, then twice as long, and so on up
-    to `LONGEST_REST`, until it answers. Between two rests it is due: one request tries it.
+    A unit that does not answer rests: for `first_rest` seconds, then twice as long, and so on up
+    to `LONGEST_REST`, until it answers. Between two rests the unit is due: one request tries it.
 
     Args:
-        first_rest: seconds; no less than a late answer may take.
+        first_rest: seconds; no shorter than the delay of a late response.
     """
 
     def __init__(self, first_rest: float) -> None:
         self._first = first_rest
-        # Unit -> how many times in a row it gave no answer, and when its rest is over.
+        # Unit -> number of missing responses in a row, and the end of its rest.
         self._units: dict[int, tuple[int, float]] = {}
 
     def __len__(self) -> int:
@@ -54,7 +54,7 @@ class SilentUnits:
         return misses
 
     def cancel_trial(self, unit: int, now: float) -> None:
-        """The request that was to try the unit was not sent: the next one may."""
+        """Let the next request try the unit, because the last one was not sent."""
         if unit in self._units:
             self._units[unit] = self._units[unit][0], now
 
@@ -66,6 +66,6 @@ class SilentUnits:
         """Note that a request got no answer in time; return True if the unit was not silent yet."""
         misses, until = self._units.get(unit, (0, 0.0))
         if now < until < math.inf:
-            return False  # another request, asked before the unit rested
+            return False  # another request, sent before the unit rested
         self._units[unit] = misses + 1, now + rest_after(misses + 1, self._first, LONGEST_REST)
         return not misses

@@ -1,5 +1,5 @@
 """
-What happened in a gateway: in all, by line, and by unit.
+Counters of a gateway: of all requests, by line, and by unit.
 """
 
 from __future__ import annotations
@@ -14,21 +14,21 @@ __all__ = ["GatewayStatistics", "LineStatistics", "UnitStatistics"]
 @dataclass(slots=True)
 class UnitStatistics:
     """
-    What became of the requests for one unit of a line.
+    Counters of the requests to one unit of a line.
 
     Attributes:
-        requests: that were sent to it.
-        answers: that came and fit, refusals included.
-        exceptions: refusals among them.
-        timeouts: requests that it did not answer in time.
-        invalid: those whose answer was none.
-        lost: those for which there was no connection, or not to the end.
-        resting: those answered with 0B at once, for it gave no answer before.
-        given_up: those that tried whether it is back, and made way for others.
-        cached: those answered with what was read before.
-        merged: those answered with an equal one.
-        seconds: that its answers took, in all.
-        is_silent: whether it gave no answer the last time.
+        requests: requests sent to the unit.
+        answers: valid responses of the unit, exceptions included.
+        exceptions: exception responses of the unit.
+        timeouts: requests without a response in time.
+        invalid: requests with an invalid response.
+        lost: requests without a connection, or whose connection was lost.
+        resting: requests answered with exception 11 at once because the unit was silent.
+        given_up: trials of a silent unit that were ended because other requests waited.
+        cached: requests answered from the cache.
+        merged: requests answered with the response to an equal request.
+        seconds: total response time, in seconds.
+        is_silent: True if the unit did not answer the last request.
     """
 
     requests: int = 0
@@ -48,16 +48,16 @@ class UnitStatistics:
 @dataclass(slots=True)
 class LineStatistics:
     """
-    What happened on one line.
+    Counters of one line.
 
     Attributes:
-        url: where it leads.
-        connection: of its connection; `late_answers` are those that were dropped.
-        units: by unit, as the line has them; those that were asked.
-        waiting: requests that wait for their turn now.
-        in_flight: those that wait for their answer now.
-        full: those that got 06: too many waited, or they waited for too long.
-        unwanted: answers that came when nobody waited any more, and were not passed on.
+        url: the URL of the line.
+        connection: the statistics of its client; `late_answers` were dropped.
+        units: the counters of each unit that requests were sent to, by its number on the line.
+        waiting: requests in the queue now.
+        in_flight: requests that wait for their response now.
+        full: requests refused with exception 6 because the queue was full, or after a long wait.
+        unwanted: responses dropped because the client did not wait any more.
     """
 
     url: str
@@ -69,7 +69,7 @@ class LineStatistics:
     unwanted: int = 0
 
     def unit(self, number: int) -> UnitStatistics:
-        """Give those of a unit."""
+        """Return the counters of a unit."""
         found = self.units.get(number)
         if found is None:
             found = self.units[number] = UnitStatistics()
@@ -79,15 +79,15 @@ class LineStatistics:
 @dataclass(slots=True, weakref_slot=True)
 class GatewayStatistics:
     """
-    What happened in a gateway since it was made.
+    Counters of a gateway since it was made.
 
     Attributes:
-        lines: by URL; those that there are now.
-        requests: that came from clients and were looked at.
-        no_route: those that got 0A.
-        refused: those that a route, or `authorize`, does not allow.
-        malformed: those that cannot be passed on: no function, or a wrong length.
-        broadcasts: writes for all units of a line.
+        lines: the counters of the current lines, by URL.
+        requests: requests received from clients.
+        no_route: requests refused because there is no route for their unit.
+        refused: requests not allowed by a route or by `authorize`.
+        malformed: requests refused because of an invalid function code or a wrong length.
+        broadcasts: writes to unit 0, sent to all lines.
     """
 
     lines: dict[str, LineStatistics] = field(default_factory=dict)

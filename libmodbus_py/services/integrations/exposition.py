@@ -1,5 +1,5 @@
 """
-Metrics over HTTP: for the command line, and programs that have no web server of their own.
+Metrics over HTTP: for the command line, and for programs without a web server.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ LIMIT = 3.0
 @contextlib.contextmanager
 def exposing(host: str, port: int, registry: CollectorRegistry = REGISTRY) -> Iterator[str]:
     """
-    Answer GET with the metrics of a registry, while the ``with`` block runs.
+    Serve the metrics of a registry over HTTP while the ``with`` block runs.
 
     Args:
-        host: an address to listen on.
-        port: 0 for a free one.
+        host: the address to listen on.
+        port: the port to listen on; 0 for any free port.
 
     Returns:
-        The URL, with the port it got.
+        The URL of the metrics, with the port.
 
     Raises:
-        OSError: the address cannot be had.
+        OSError: the address or the port cannot be used.
     """
     server = TimedServer(host, port, MetricsHandler.factory(registry), LIMIT)
     with server.serving("metrics"):

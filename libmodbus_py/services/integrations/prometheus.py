@@ -62,7 +62,7 @@ Labels = tuple[tuple[str, str], ...]
 
 
 class Counted(Protocol):
-    """A client, a server or a gateway; the last has `traffic`, too."""
+    """A client, a server, a gateway or a fleet; a gateway also has `traffic`."""
 
     @property
     def statistics(self) -> Any: ...
@@ -91,10 +91,10 @@ Values = dict[Sample, float]
 
 class MetricKind(NamedTuple):
     """
-    Makes metrics of one class of statistics.
+    The metrics of one class of statistics.
 
     Attributes:
-        families: its metrics.
+        families: the metrics.
         read: returns the values of statistics.
         labels: returns the labels of all values of an object, from the object and its name.
     """
@@ -304,11 +304,11 @@ class _Watched:
 
 class Collector(_Collector):
     """
-    Gives metrics of clients, servers, gateways and fleets to a registry. Safe from any thread.
+    Provides the metrics of clients, servers, gateways and fleets to a registry. Thread-safe.
 
-    Objects are referenced weakly: deleted ones disappear. Values of clients of the same endpoint,
-    and of servers of the same name, are added up. The counts of deleted ones remain while there
-    is another one, because a counter must not fall.
+    Objects are referenced weakly: deleted objects disappear. Values of clients of the same
+    endpoint, and of servers of the same name, are added up. The counts of a deleted object remain
+    while another object has the same labels, because a counter must not fall.
     """
 
     def __init__(self) -> None:
@@ -321,13 +321,13 @@ class Collector(_Collector):
         Add objects to the metrics. Adding one again has no effect.
 
         Args:
-            objects: clients, whose handles (`for_unit`) are one, servers, gateways, fleets, and
-                what keeps the `LastValues` of one.
+            objects: clients, servers, gateways, fleets, and `LastValues` of fleets. Handles of
+                a client (`for_unit`) count as that client.
             name: the label ``server`` of servers and gateways, ``fleet`` of fleets; empty for
                 none.
 
         Raises:
-            TypeError: an object is none of them.
+            TypeError: an object of another class.
         """
         watched = [
             (each, statistics)
@@ -338,23 +338,23 @@ class Collector(_Collector):
         for each, statistics in watched:
             if type(statistics) not in KINDS:
                 given = type(each).__name__
-                raise TypeError(f"objects must be clients, servers and gateways, not {given}")
+                raise TypeError(f"objects must be clients, servers or gateways, not {given}")
         with self._lock:
             for each, statistics in watched:
                 if not any(other.of(statistics) for other in self._watched):
                     kind = KINDS[type(statistics)]
                     labels = kind.labels(each, name)
                     self._watched.append(_Watched(statistics, kind, labels))
-            self._forget_gone()  # nobody may ever scrape
+            self._forget_gone()  # here, too, because the metrics may never be scraped
 
     def describe(self) -> Iterator[Metric]:
-        """All metrics there may be, for a registry to know their names."""
+        """Yield all possible metrics without values, so that a registry knows their names."""
         for kind in KINDS.values():
             for family in kind.families:
                 yield Metric(family.name, family.text, family.type)
 
     def collect(self) -> Iterator[Metric]:
-        """The metrics as they are now, for a registry."""
+        """Yield the metrics with their current values, for a registry."""
         with self._lock:
             values = self._values()
         metrics: dict[Family, Metric] = {}
@@ -400,16 +400,16 @@ _collectors_lock = threading.Lock()
 
 def collect(*objects: Counted, name: str = "", registry: CollectorRegistry = REGISTRY) -> Collector:
     """
-    Have clients, servers, gateways and fleets among the metrics of a registry.
+    Add clients, servers, gateways and fleets to the metrics of a registry.
 
     Args:
         objects, name: as for `Collector.add`.
-        registry: prometheus_client's default one unless given. It has one collector,
-            which is registered with the first objects.
+        registry: the default registry of prometheus_client unless given. Each registry has one
+            collector, which is registered by the first call.
 
     Raises:
-        TypeError: an object is none of them.
-        ValueError: the registry has metrics of these names from elsewhere.
+        TypeError: an object of another class.
+        ValueError: another collector of the registry has metrics of the same names.
     """
     with _collectors_lock:
         collector = _collectors.get(registry)

@@ -254,7 +254,7 @@ class Polling:
     # --- devices --------------------------------------------------------------------------------
 
     def _poll(self) -> None:
-        """Give the fleet the devices of the active connections."""
+        """Set the devices of the fleet to those of the active connections."""
         active = self.worker.active
         if active is self._active:
             return

@@ -89,10 +89,13 @@ def test_hangup_has_the_file_read_again_and_nobody_notices(behind: str, tmp_path
         (["tcp://127.0.0.1:0"], "either --to or --config must say"),
         (
             ["tcp://127.0.0.1:0", "--to", "1=tcp://b", "--to", "1=tcp://c"],
-            "a route for unit 1 before this",
+            "an earlier route has unit 1 already",
         ),
         (["tcp://127.0.0.1:5020", "--to", "tcp://127.0.0.1:5020"], "the gateway itself listens"),
-        (["tcp://127.0.0.1:0", "--to", "rtu:///dev/nowhere"], "there is no port /dev/nowhere"),
+        (
+            ["tcp://127.0.0.1:0", "--to", "rtu:///dev/nowhere"],
+            "there is no serial port /dev/nowhere",
+        ),
         (["--to", "tcp://192.0.2.1"], "urls must name at least one endpoint"),
         (["tcp://127.0.0.1:0", "--to", "tcp://b", "--queue", "0"], "queue must be in 1..1024"),
         (["--config", "/nowhere/gateway.toml"], "cannot read /nowhere/gateway.toml"),

@@ -35,7 +35,7 @@ def test_commands_beyond_those_that_may_wait_are_refused_until_others_end() -> N
 
         waiting = [asyncio.create_task(write()) for _ in range(100)]
         refused = await next(asyncio.as_completed(waiting))
-        assert refused == f"{devices.begun} writes are on their way already"
+        assert refused == f"{devices.begun} writes are already under way"
         assert 1 < devices.begun < 100
         devices.may_end.set()
         ends = await asyncio.gather(*waiting)

@@ -429,15 +429,18 @@ def test_what_cannot_be_changes_nothing() -> None:
     async def go() -> None:
         async with Peer() as peer, polling(meter("a", peer.url)) as (fleet, _):
             for bad, text in (
-                (meter("a", peer.url, unit=5), "'a' is that of devices"),
-                (meter("b", f"{peer.url}?timeout=3", unit=5), "leads there with"),
+                (meter("a", peer.url, unit=5), "'a' is also the name of devices"),
+                (
+                    meter("b", f"{peer.url}?timeout=3", unit=5),
+                    "has other options for",
+                ),
             ):
                 with pytest.raises(ValueError, match=text):
                     fleet.add([bad])
             with pytest.raises(TypeError, match=r"devices\[0\] must be a DeviceConfig, not str"):
                 fleet.replace(["a"])  # type: ignore[list-item]
             assert set(fleet.devices) == {"a"}
-            with pytest.raises(RuntimeError, match="polls already"):
+            with pytest.raises(RuntimeError, match="already polling"):
                 await fleet.run()
             await until(lambda: fleet.statistics.up == 1)
 

@@ -138,25 +138,25 @@ SIMPLE = '[[device]]\nname = "a"\nurl = "tcp://h"\nmap = "meter.csv"\n'
         (SIMPLE + "items = ['reset']", 5, "device[0].items[0]: 'reset' can only be written"),
         (SIMPLE + "items = ['power', 'power']", 5, "device[0].items[1]: 'power' is given twice"),
         (SIMPLE + "items = 'power'", 5, "device[0].items must be a list of names, not str"),
-        (SIMPLE + "dead_bands = {x = 1}", 5, "device[0].dead_bands.x: nothing of this name"),
+        (SIMPLE + "dead_bands = {x = 1}", 5, "device[0].dead_bands.x: no point of this name"),
         (SIMPLE + "dead_bands = {power = -1}", 5, "device[0].dead_bands.power must be a number"),
         (SIMPLE + "labels = {x = 1}", 5, "device[0].labels.x must be text, not int"),
         (SIMPLE + "max_registers = 1", 5, "device[0].max_registers: items['power']: float32 takes"),
         (SIMPLE.replace("tcp://h", "http://h"), 3, "device[0].url: 'http://h': the scheme must"),
-        (SIMPLE.replace("tcp://h", "tcp://h?unit=3"), 3, "the unit stands beside it"),
+        (SIMPLE.replace("tcp://h", "tcp://h?unit=3"), 3, "must not contain unit"),
         (SIMPLE.replace("tcp://h", "rtu://h"), 3, "a device is missing"),
         (
             SIMPLE.replace("tcp://h", "rtu+tcp://h?max_in_flight=4"),
             3,
             "device[0].url: max_in_flight must be 1",
         ),
-        (SIMPLE.replace('"tcp://h"', '"rtu:///dev/x"\nunit = 0'), 4, "unit must not be 0 there"),
+        (SIMPLE.replace('"tcp://h"', '"rtu:///dev/x"\nunit = 0'), 4, "unit must not be 0 on this"),
         (SIMPLE.replace("meter", "metre"), 4, "device[0].map: cannot read"),
         (SIMPLE.replace('"meter.csv"', "7"), 4, "device[0].map must be the name of a file, not 7"),
         (
             SIMPLE + "[[device.point]]\nname='x'\ntable='coils'\naddress=1",
             5,
-            "device[0].point: there is a map already",
+            "device[0].point: the device has a map already",
         ),
         (
             SIMPLE.replace('map = "meter.csv"\n', "")
@@ -164,11 +164,11 @@ SIMPLE = '[[device]]\nname = "a"\nurl = "tcp://h"\nmap = "meter.csv"\n'
             7,
             "device[0].point[0].address must be in 0..65535",
         ),
-        (SIMPLE + SIMPLE, 6, "device[1].name: 'a' is that of device[0]"),
+        (SIMPLE + SIMPLE, 6, "device[1].name: 'a' is also the name of device[0]"),
         (
             SIMPLE + SIMPLE.replace('"a"', '"b"').replace("//h", "//h?timeout=3"),
             7,
-            "device[1].url: device[0] leads there with tcp://h:502",
+            "device[1].url: device[0] has other options for the same connection: tcp://h:502",
         ),
         ("[defaults]\nname = 'x'\n" + SIMPLE, 2, "defaults.name: no such key"),
         (
@@ -192,7 +192,7 @@ SIMPLE = '[[device]]\nname = "a"\nurl = "tcp://h"\nmap = "meter.csv"\n'
         (
             "[output.mqtt]\nurl = 'mqtt://x'\npassword = 'secret'\n" + SIMPLE,
             3,
-            "output.mqtt.password must not stand here: write ${NAME}",
+            "output.mqtt.password must not be written in the file: use ${NAME}",
         ),
         (
             "[output.mqtt]\nurl = 'mqtt://x'\npassword = '${NOT_THERE}'\n" + SIMPLE,
@@ -249,7 +249,7 @@ ROWS = "name,url,unit,map\na,tcp://h,1,meter.csv\n"
         (ROWS + "b,tcp://i,1,none.csv\n", "line 3, column map: map: cannot read"),
         (
             ROWS + "\n# x\na,tcp://i,1,meter.csv\n",
-            "line 5, column name: name: 'a' is that of devices: ",
+            "line 5, column name: name: 'a' is also the name of devices: ",
         ),
         (ROWS + "b,tcp://i,1,meter.csv,more\n", "line 3: 5 cells below 4 headings"),
         (ROWS + 'b,"tcp\n', "line 3: no CSV"),
@@ -313,7 +313,7 @@ def test_devices_come_back_from_json_as_they_were() -> None:
     ],
 )
 def test_other_text_is_refused(text: str) -> None:
-    with pytest.raises(ValueError, match="this is no text of devices"):
+    with pytest.raises(ValueError, match="the text does not describe devices"):
         devices_from_json(text)
 
 
@@ -332,7 +332,7 @@ def test_other_text_is_refused(text: str) -> None:
         ({"dead_bands": 3}, "dead_bands must be a table"),
         ({"dead_bands": {"power": float("nan")}}, "dead_bands.power must be a number"),
         ({"url": None}, "url: url must be a string"),
-        ({"map": RegisterMap([Point("x", "coils", 0, access="write")])}, "nothing in it can be"),
+        ({"map": RegisterMap([Point("x", "coils", 0, access="write")])}, "map has no point that"),
     ],
 )
 def test_bad_device_is_named(keys: Any, named: str) -> None:

@@ -233,7 +233,7 @@ def test_a_broker_that_dies_and_returns_loses_little_and_stops_nobody(
             assert statistics.dropped == 0
 
     run(go())
-    assert "takes readings again" in caplog.text
+    assert "accepts readings again" in caplog.text
     assert "Traceback" not in caplog.text
 
 
@@ -416,13 +416,13 @@ def test_a_flood_of_commands_is_bounded(broker: Broker) -> None:
     ("options", "named"),
     [
         ({"url": 7}, "url must be text"),
-        ({"url": "mqtt://u:p@h"}, "url: user and password stand beside it"),
+        ({"url": "mqtt://u:p@h"}, "url: write user and password as keys"),
         ({"url": "mqtt://h:99999"}, "url: the port"),
         ({"url": "mqtt://h/x"}, "url must be such as"),
         ({"password": "x"}, "user must be given"),
         ({"retain": 1}, "retain must be true or false"),
         ({"qos": 3}, "qos must be in 0..1"),
-        ({"ca": "x"}, "ca is for mqtts"),
+        ({"ca": "x"}, "ca can only be used with mqtts"),
         ({"topic": "x/{device}"}, "topic must hold"),
         ({"topic": "x/{device}/{name}/{zone}"}, "topic must hold"),
         ({"topic": "x/{device}{name}"}, "must stand apart"),

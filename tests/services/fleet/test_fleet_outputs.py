@@ -115,7 +115,7 @@ def test_one_that_fails_is_opened_again_and_loses_nothing(caplog: Any) -> None:
     told = [each.getMessage() for each in warned]
     assert told.count("odd: no") == 1  # each trouble once
     assert "odd: a bug" in told
-    assert told.count("odd takes readings again") == 2
+    assert told.count("odd accepts readings again") == 2
 
 
 @pytest.mark.parametrize("error", [OutputError("gone"), SystemError("?"), GeneratorExit()])

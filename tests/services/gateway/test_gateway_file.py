@@ -43,26 +43,30 @@ WRONG: dict[str, tuple[str, int, str]] = {
     "no URL": ('[[route]]\nto = "192.0.2.1"\n', 2, "the scheme must be one of tcp"),
     "no such option": ('[[route]]\nto = "tcp://192.0.2.1?speed=1"\n', 2, "'speed' must be one of"),
     "bad option": ('[[route]]\nto = "tcp://192.0.2.1?timeout=0"\n', 2, "timeout must be in"),
-    "unit of a client": ('[[route]]\nto = "tcp://192.0.2.1?unit=3"\n', 2, "device_units does"),
-    "unknown port": ('[[route]]\nto = "rtu:///dev/nowhere"\n', 2, "there is no port /dev/nowhere"),
+    "unit of a client": ('[[route]]\nto = "tcp://192.0.2.1?unit=3"\n', 2, "use device_units"),
+    "unknown port": (
+        '[[route]]\nto = "rtu:///dev/nowhere"\n',
+        2,
+        "there is no serial port /dev/nowhere",
+    ),
     "units": (f'[[route]]\n{TO}units = "1-300"\n', 3, "route[0].units: '1-300' must go up, within"),
     "units, downwards": (f"[[route]]\n{TO}units = '10-1,5'\n", 3, "units: '10-1' must go up"),
     "units, twice": (f"[[route]]\n{TO}units = [4, 4]\n", 3, "units: 4 is given twice"),
     "two routes": (
         f"[[route]]\n{TO}units = [4]\n[[route]]\n{TO}units = [5, 4]\n",
         6,
-        "route[1].units: there is a route for unit 4 before this",
+        "route[1].units: an earlier route has unit 4 already",
     ),
     "two ways to one place": (
         f'[[route]]\n{TO}units = [1]\n[[route]]\nto = "tcp://192.0.2.1?timeout=2"\nunits = [2]\n',
         5,
-        "route[0] leads there with other options",
+        "route[0] has other options for the same",
     ),
     "two ways to one port": (
         "[[route]]\nto = 'rtu:///dev/null'\nunits = [1]\n[[route]]\n"
         "to = 'rtu:///dev/../dev/null?baudrate=9600'\nunits = [2]\n",
         5,
-        "route[0] leads there with other options",
+        "route[0] has other options for the same",
     ),
     "device units": (
         f'[[route]]\n{TO}units = "1-3"\ndevice_units = "1-2"\n',
@@ -82,7 +86,11 @@ WRONG: dict[str, tuple[str, int, str]] = {
         3,
         "route[0].writable[0].count is missing",
     ),
-    "both": (f"[[route]]\n{TO}read_only = true\nwritable = []\n", 4, "read_only is set"),
+    "both": (
+        f"[[route]]\n{TO}read_only = true\nwritable = []\n",
+        4,
+        "writable: must not be given with read_only",
+    ),
     "queue": (f"queue = 0\n[[route]]\n{TO}", 1, "queue must be in 1..1024, not 0"),
     "wait": (f'longest_wait = "x"\n[[route]]\n{TO}', 1, "longest_wait must be a number"),
     "own units": (f"own_units = [256]\n[[route]]\n{TO}", 1, "own_units[0] must be in 0..255"),

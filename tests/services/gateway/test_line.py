@@ -234,7 +234,7 @@ class TestSilentUnits:
             assert first.answers[1:] == [answer_of(9, 2)]
             assert not plant.unit(9).is_silent
             texts = [text.partition(": ")[2] for text in caplog.messages]
-            assert texts == ["unit 9 gives no answer", "unit 9 answers again"]
+            assert texts == ["unit 9 does not answer", "unit 9 answers again"]
 
         plant.run(main)
 

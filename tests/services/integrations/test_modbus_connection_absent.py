@@ -19,6 +19,6 @@ def test_import_says_in_one_line_what_is_needed(monkeypatch: pytest.MonkeyPatch)
     with pytest.raises(ImportError) as caught:
         importlib.import_module(NAME)
     assert str(caught.value) == (
-        "the backend of modbus-connection needs Python 3.13 or newer, and it: "
+        "the backend of modbus-connection needs modbus-connection and Python 3.13 or newer: "
         "pip install 'libmodbus-py[homeassistant]'"
     )

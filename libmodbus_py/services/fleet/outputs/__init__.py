@@ -1,19 +1,19 @@
 """
-Where readings go. Each is one file, and imports what it needs when it is used.
+Outputs: the destinations of readings. Each is one file, and imports its libraries when opened.
 
 ::
 
-    kinds          what files and options call them
+    kinds          the names of outputs in fleet files and options
     json_output    a line of JSON for each reading
     csv_output     a row of CSV for each reading
-    mqtt           a topic for each value, retained; writes by name
-    nats           a message for each poll, in a stream that keeps them
-    stream         that stream; of workers on several machines, too
-    subjects       what its messages are about
-    last_values    the last value of each, for metrics
-    forms          what readings look like as text
+    mqtt           a topic for each value, retained; writes to named points
+    nats           a message for each poll, kept in a stream, from one machine
+    stream         ... the stream, also used by workers on several machines
+    subjects       the subjects of messages
+    last_values    the last reading of each point, for metrics
+    forms          readings as JSON and CSV
     text_file      a file or the standard output
     writer_thread  a thread that writes, so that nothing else waits for a disk
     pump           moves readings from a buffer to an output
-    output         the face that all have
+    output         the protocols that outputs implement
 """

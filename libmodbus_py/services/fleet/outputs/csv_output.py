@@ -16,13 +16,13 @@ HEADER = f"{','.join(Reading._fields)}\n".encode()
 
 class CsvOutput(TextFile):
     """
-    Appends readings to a file, which begins with the names of its columns.
+    Appends readings to a file; the first line of a new file contains the names of the columns.
 
     Args:
         path, buffer: as for `JsonOutput`.
 
     Raises:
-        TypeError: `path` is no text.
+        TypeError: `path` is not text.
     """
 
     def __init__(self, path: str = "-", buffer: int = MOST_KEPT) -> None:

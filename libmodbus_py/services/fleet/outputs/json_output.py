@@ -13,15 +13,16 @@ __all__ = ["JsonOutput"]
 
 class JsonOutput(TextFile):
     """
-    Appends readings to a file: time (ISO 8601, UTC), device, name, value, unit, quality, and
-    the reason where there is no value.
+    Appends readings to a file: device, name, time (ISO 8601, UTC), value, unit, quality, and
+    the reason if there is no value.
 
     Args:
-        path: of the file; "-" for the standard output, whose end is that of the fleet.
-        buffer: readings that wait for it, at most; then the oldest are dropped.
+        path: the path of the file; "-" for the standard output. The fleet ends when the standard
+            output is closed.
+        buffer: the most readings that wait for the file; the oldest are dropped beyond.
 
     Raises:
-        TypeError: `path` is no text.
+        TypeError: `path` is not text.
     """
 
     def __init__(self, path: str = "-", buffer: int = MOST_KEPT) -> None:

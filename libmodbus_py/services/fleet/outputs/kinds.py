@@ -39,7 +39,7 @@ KINDS: dict[str, OutputKind] = {
 
 
 def output_keys(kind: str) -> Keys:
-    """Return the keys of a kind of outputs, of which an output is made."""
+    """Return the keys that a kind of outputs has in a fleet file."""
     row = KINDS[kind]
     return keys_of(getattr(import_module(f".{row.module}", __package__), row.name))
 

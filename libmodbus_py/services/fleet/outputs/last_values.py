@@ -1,5 +1,5 @@
 """
-The last reading of each point, for whoever asks: metrics do.
+The last reading of each point, for metrics.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class LastValues:
     Keeps the last reading of each point of a fleet.
 
     Attributes:
-        statistics: where they are.
+        statistics: the last readings.
     """
 
     name = "metrics"
@@ -44,11 +44,11 @@ class LastValues:
         self.statistics.labels = {**self.statistics.labels, **labels}
 
     async def open(self) -> None:
-        """There is nothing to open."""
+        """Do nothing: there is no connection."""
 
     async def write(self, readings: Sequence[Reading]) -> None:
         for each in readings:
             self.statistics.by_name[each.device, each.name] = each
 
     async def close(self) -> None:
-        """There is nothing to close."""
+        """Do nothing: there is no connection."""

@@ -1,5 +1,5 @@
 """
-Readings to an MQTT broker, and writes by name from it. Needs aiomqtt (the extra ``mqtt``).
+An output to an MQTT broker, which also receives writes. It needs aiomqtt (the extra ``mqtt``).
 """
 
 from __future__ import annotations
@@ -32,36 +32,39 @@ logger: logging.Logger = logging.getLogger(__name__)
 
 SCHEMES = {"mqtt": 1883, "mqtts": 8883}
 
-# Seconds for an answer of the broker.
+# Seconds for a response of the broker.
 PATIENCE = 5.0
 
 # Publishes with QoS 1 that wait for their acknowledgement together.
 TOGETHER = 8
 
-# Messages that wait to be looked at; paho drops what comes beyond.
+# The most received messages that wait; paho drops further ones.
 MOST_MESSAGES = 100
 
 
 class Mqtt:
     """
-    Publishes each reading to a topic of its own, retained, so that whoever subscribes has the
-    last values at once: ``{"time": ..., "value": 230.5, "unit": "V", "quality": "good"}``.
+    Publishes each reading to its own topic, retained, so that a new subscriber receives the last
+    values at once: ``{"time": ..., "value": 230.5, "unit": "V", "quality": "good"}``.
 
-    `status` says "online" while this is connected, and "offline" when it is not: the broker
-    does (last will).
+    The topic `status` contains "online" while this output is connected, and "offline" otherwise,
+    which the broker publishes when the connection is lost (last will).
 
     Args:
-        url: such as "mqtt://192.0.2.1" or "mqtts://broker.example:8883" (TLS).
-        user, password: None for none.
-        topic: with {device} and {name}, whose characters ``/ + # %`` become %2F and so on.
-        status: the topic of the last will; empty for none.
-        retain: whether the broker keeps the last value of each topic.
+        url: the URL of the broker, such as "mqtt://192.0.2.1" or "mqtts://broker.example:8883"
+            (TLS).
+        user, password: credentials of the broker; None for none.
+        topic: the topic of a reading, with {device} and {name}; in both, the characters
+            ``/ + # %`` are written %2F and so on.
+        status: the topic of the status; empty for none.
+        retain: True if the broker keeps the last value of each topic.
         qos: 0, or 1 for readings that the broker must acknowledge.
-        ca: a file of authorities to trust, for mqtts; those of the system unless given.
-        client_id: None for one made up by the broker.
-        commands: whether what is published to `topic` + "/set" is written to the device; see
-            `Commands`. Its outcome is published to `topic` + "/set/result".
-        buffer: readings that wait for the broker, at most; then the oldest are dropped.
+        ca: a file with the certificate authorities to trust, for mqtts; those of the system
+            unless given.
+        client_id: the client identifier; None to have the broker assign one.
+        commands: True to write the values published to `topic` + "/set" to the device; see
+            `Commands`. The outcome is published to `topic` + "/set/result".
+        buffer: the most readings that wait for the broker; the oldest are dropped beyond.
 
     Raises:
         TypeError, ValueError: an argument of the wrong type or range.
@@ -95,7 +98,7 @@ class Mqtt:
         self._retain = retain
         self._qos = integer("qos", qos, 0, 1)
         if ca is not None and not self._is_secure:
-            raise WrongValue("ca", "is for mqtts://, and means nothing here")
+            raise WrongValue("ca", "can only be used with mqtts://")
         self._ca = ca
         self._options = {"username": user, "password": password, "identifier": client_id}
         self.takes_commands: bool = commands
@@ -105,7 +108,7 @@ class Mqtt:
         self._answering: set[asyncio.Task[None]] = set()
 
     def attach(self, commands: Commands) -> None:
-        """Have these carry out what is wanted."""
+        """Set the object that carries out commands."""
         self._commands = commands
 
     async def open(self) -> None:
@@ -171,10 +174,10 @@ class Mqtt:
     # --- commands ---------------------------------------------------------------------------
 
     async def _listen(self, client: aiomqtt.Client) -> None:
-        """Until the connection is lost."""
+        """Answer commands until the connection is lost."""
         with contextlib.suppress(OSError), _as_os_error():
             async for message in client.messages:
-                if self._commands is not None and not message.retain:  # that is one of yesterday
+                if self._commands is not None and not message.retain:  # a retained one is old
                     answering = self._answer(client, self._commands, message)
                     task = asyncio.create_task(answering)
                     self._answering.add(task)
@@ -195,7 +198,7 @@ class Mqtt:
 
 
 def _let_go(client: aiomqtt.Client) -> None:
-    """Close the socket of a client that could not connect: aiomqtt 2.5 keeps it, and a task."""
+    """Close the socket of a client that could not connect; aiomqtt 2.5 leaves it open."""
     paho = client._client
     if paho.socket() is not None:
         paho._sock_close()
@@ -215,7 +218,7 @@ def _place(url: object) -> tuple[str, int, bool]:
         raise WrongType("url", f"must be text, not {type(url).__name__}")
     parts = urlsplit(url)
     if parts.username is not None or parts.password is not None:
-        raise WrongValue.about("url", "user and password stand beside it")
+        raise WrongValue.about("url", "write user and password as keys of their own")
     if parts.scheme not in SCHEMES or not parts.hostname or parts.path not in ("", "/"):
         raise WrongValue("url", f'must be such as "mqtt://192.0.2.1:1883", not {url!r}')
     try:
@@ -244,12 +247,12 @@ def _plain_topic(key: str, topic: object) -> str:
 
 
 def _part(name: str) -> str:
-    """A name as one level of a topic; no two names have the same."""
+    """Return a name as one level of a topic; different names have different levels."""
     return re.sub(r"[/+#%\0]", lambda found: quote(found[0], safe=""), name)
 
 
 def _filter(topic: str) -> str:
-    """What subscribes to all topics of a template: each level with a name is any."""
+    """Return the topic filter that matches all topics of a template."""
     return "/".join("+" if "{" in level else level for level in topic.split("/"))
 
 
@@ -274,7 +277,7 @@ def _trust(ca: str | None) -> ssl.SSLContext:
 
 
 class _Handshaking(ssl.SSLSocket):
-    """Closed when its handshake fails, as of a certificate that is refused: paho forgets it."""
+    """A socket that is closed when its handshake fails; paho leaves it open."""
 
     def do_handshake(self, block: bool = False) -> None:
         try:
@@ -286,7 +289,7 @@ class _Handshaking(ssl.SSLSocket):
 
 @contextlib.contextmanager
 def _as_os_error() -> Iterator[None]:
-    """What aiomqtt raises, as what an output does."""
+    """Raise errors of aiomqtt as OSError."""
     import aiomqtt
 
     try:

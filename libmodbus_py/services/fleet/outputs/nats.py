@@ -1,6 +1,6 @@
 """
-Readings to NATS from one machine. Needs nats-py (the extra ``nats``); several machines that
-share a fleet have `workers`.
+An output to NATS, for one machine. It needs nats-py (the extra ``nats``). Several machines that
+share a fleet use `workers`.
 """
 
 from __future__ import annotations
@@ -22,14 +22,15 @@ MOST_BYTES = 1 << 40
 class Nats(Stream):
     """
     Publishes one message for each poll of a device to ``modbus.readings.DEVICE``, in a stream
-    of JetStream that keeps them for whoever comes.
+    of JetStream, which keeps the messages for later consumers.
 
     Args:
-        url: of its servers, with commas between them: "nats://192.0.2.1,nats://192.0.2.2".
-            Credentials come from the environment, as of the engine of several machines.
-        max_age: for how many seconds the stream keeps a message, 1 to 1e8.
-        max_bytes: how much it keeps, 1 MiB or more; then the oldest go.
-        buffer: readings that wait for the servers, at most; then the oldest are dropped.
+        url: the URLs of the servers, separated by commas: "nats://192.0.2.1,nats://192.0.2.2".
+            Credentials are taken from the environment, as by workers.
+        max_age: seconds for which the stream keeps a message, 1 to 1e8.
+        max_bytes: the most bytes that the stream keeps, 1 MiB or more; the oldest messages are
+            deleted beyond.
+        buffer: the most readings that wait for the servers; the oldest are dropped beyond.
 
     Raises:
         TypeError, ValueError: an argument of the wrong type or range.
@@ -58,7 +59,7 @@ class Nats(Stream):
             self._client = await connected(self._servers, name="libmodbus-py poll")
         except EngineGone as error:
             raise OSError(str(error)) from None
-        except EngineError as error:  # wrong credentials, an old server: waiting mends nothing
+        except EngineError as error:  # wrong credentials, or an old server
             raise OutputError(str(error)) from None
         await super().open()
 

@@ -1,5 +1,5 @@
 """
-What takes readings away: the face that all outputs have.
+The protocols that outputs implement.
 """
 
 from __future__ import annotations
@@ -14,65 +14,67 @@ __all__ = ["Commanded", "Labelled", "Output", "OutputError"]
 
 
 class OutputError(Exception):
-    """An output is gone for good: there is nobody left to tell anything."""
+    """An output failed permanently: it will not accept readings again."""
 
 
 class Output(Protocol):
     """
-    Somewhere that readings go. One task calls it, one call at a time.
+    A destination of readings. One task calls its methods, one call at a time.
 
-    OSError from `open` or `write` means that it takes nothing now: both are tried again, with
-    pauses. OutputError means that it is over.
+    OSError from `open` or `write` is temporary: both are tried again, after pauses. OutputError
+    is permanent.
     """
 
     @property
     def name(self) -> str:
-        """What it is called in statistics and messages."""
+        """The name of the output in statistics and messages."""
         ...
 
     async def open(self) -> None:
         """
-        Get ready; also after a failure, and then anew.
+        Connect; called again after each failure, once `close` was called.
 
         Raises:
-            OSError, OutputError
+            OSError: the output cannot be reached now.
+            OutputError: the output failed permanently.
         """
         ...
 
     async def write(self, readings: Sequence[Reading]) -> None:
         """
-        Take readings; what was not taken when this fails is given again. From time to time
-        there are none: only to say whether it is still there.
+        Write readings; they are passed again if this fails. From time to time the list is empty,
+        so that a lost connection is noticed.
 
         Raises:
-            OSError, OutputError
+            OSError: the readings cannot be written now.
+            OutputError: the output failed permanently.
         """
         ...
 
     async def close(self) -> None:
-        """For good, or until `open`. It must not raise, and be over in a second."""
+        """Disconnect, until `open` is called again; raise nothing, take a second at most."""
         ...
 
 
 @runtime_checkable
 class Commanded(Protocol):
     """
-    An output that takes commands as well.
+    An output that also receives commands.
 
     Attributes:
-        takes_commands: whether it was told to.
+        takes_commands: True if commands are enabled.
     """
 
     takes_commands: bool
 
     def attach(self, commands: Commands) -> None:
-        """Have these carry out what is asked; called before `Output.open`."""
+        """Set the object that carries out commands; called before `Output.open`."""
         ...
 
 
 @runtime_checkable
 class Labelled(Protocol):
-    """An output that wants to know the labels of devices as well."""
+    """An output that also uses the labels of devices."""
 
     def label(self, labels: Mapping[str, Mapping[str, str]]) -> None:
         """

@@ -1,5 +1,5 @@
 """
-What moves readings from a buffer to an output, whatever becomes of that.
+The task that moves readings from a buffer to an output, and opens the output again if it fails.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ MOST_AT_ONCE = 500
 
 FIRST_PAUSE, LONGEST_PAUSE = 0.5, 30.0
 
-# Without readings an output is asked so often whether it is still there.
+# Seconds after which an output without readings is checked by an empty write.
 LONGEST_SILENCE = 1.0
 
-# How long the end of a program may take, for outputs that are slow.
+# Seconds that a slow output may take for its last readings when the fleet stops.
 LAST_WORDS = 2.0
 
 
 class Pump:
     """
-    Gives an output what waits for it.
+    Writes the readings of a buffer to an output.
 
     Args:
-        output: where it goes.
-        most: readings that may wait.
+        output: the output.
+        most: the most readings that wait, unless the output has an attribute `buffer`.
     """
 
     def __init__(self, output: Output, most: int = MOST_KEPT) -> None:
@@ -45,20 +45,20 @@ class Pump:
         self._closing = asyncio.Event()
 
     def start(self) -> None:
-        """Begin, in a task."""
+        """Start the task."""
         self.task: asyncio.Task[None] = asyncio.create_task(self._run(), name=self.name)
 
     async def ended(self) -> None:
         """
-        Wait for its end.
+        Wait for the end of the task.
 
         Raises:
-            OutputError: the output is gone for good.
+            OutputError: the output failed permanently.
         """
         await asyncio.shield(self.task)
 
     def close(self) -> None:
-        """Give what waits, within two seconds, and end."""
+        """Write the readings that wait, within two seconds, and end."""
         self.buffer.close()
         self._closing.set()
         late = asyncio.get_running_loop().call_later(LAST_WORDS, self.task.cancel)
@@ -72,7 +72,7 @@ class Pump:
             self.buffer.give_up()
 
     async def _give(self) -> bool:
-        """Until a failure; says whether all is over."""
+        """Write readings until the output fails; return True if the pump is to end."""
         try:
             await self._output.open()
             while not self.buffer.is_over:
@@ -96,7 +96,7 @@ class Pump:
         if self.statistics.trouble:
             self.statistics.trouble = ""
             self._pause = FIRST_PAUSE
-            logger.warning("%s takes readings again", self.name)
+            logger.warning("%s accepts readings again", self.name)
 
     def _note_trouble(self, error: Exception) -> None:
         self.statistics.failures += 1

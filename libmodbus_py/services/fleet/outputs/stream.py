@@ -1,5 +1,5 @@
 """
-Readings to a stream of JetStream, which keeps them for whoever comes.
+An output to a stream of JetStream, which keeps the readings for later consumers.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ __all__ = ["LIMITS", "STREAM", "Stream"]
 STREAM = "modbus-readings"
 
 LIMITS: dict[str, Any] = {"max_age": 86_400.0, "max_bytes": 1 << 30}
-"""Of the stream, unless the fleet file says otherwise: seconds, and bytes."""
+"""Limits of the stream unless the fleet file sets them, in seconds and bytes."""
 
 
 class Stream:
@@ -32,8 +32,8 @@ class Stream:
     An output: one message for each poll of a device, ``{"device": ..., "values": {NAME: {...}}}``.
 
     Args:
-        client: connected; None for one that connects itself, before `open`.
-        limits: of the stream; those of `LIMITS` are missing ones.
+        client: a connected client; None if a subclass connects before `open`.
+        limits: the limits of the stream; missing ones are taken from `LIMITS`.
     """
 
     def __init__(self, client: Client | None, limits: Mapping[str, Any]) -> None:
@@ -56,7 +56,7 @@ class Stream:
             with explained(STREAM):
                 async with asyncio.timeout(PATIENCE):
                     acknowledged = [
-                        # The same message a second time is dropped by the server.
+                        # Because of its id, the server drops a message that is sent again.
                         await self._js.publish_async(
                             subject, data, headers={"Nats-Msg-Id": f"{subject} {mark}"}
                         )

@@ -1,12 +1,12 @@
 """
-What messages are about: the subjects of readings and commands. A client of MQTT finds them as
-topics, with / in place of each point.
+The subjects of messages with readings and commands. For an MQTT client of the NATS server they
+are topics, with / in place of each dot.
 
 ::
 
-    modbus.readings.DEVICE              what was read of it
-    modbus.write.DEVICE.POINT           a value to write; the outcome is the answer
-    modbus.written.DEVICE.POINT         the outcome again, for who can have no answer
+    modbus.readings.DEVICE              the readings of a device
+    modbus.write.DEVICE.POINT           a value to write; the reply contains the outcome
+    modbus.written.DEVICE.POINT         the outcome, for clients that cannot receive replies
 """
 
 from __future__ import annotations
@@ -20,23 +20,23 @@ READINGS = "modbus.readings"
 WRITE = "modbus.write"
 WRITTEN = "modbus.written"
 
-# What has a meaning in subjects or topics, or must not be there.
+# Characters that have a meaning in subjects or topics, or are not allowed there.
 _SPECIAL = re.compile(r"[\s.*>%/+#$\0]")
 
 
 def readings_of(device: str) -> str:
-    """Where the readings of a device go."""
+    """Return the subject of the readings of a device."""
     return f"{READINGS}.{_token(device)}"
 
 
 def asked_about(subject: str) -> tuple[str, str]:
-    """The device and the point that something is to be written to."""
+    """Return the device and the point of the subject of a write."""
     device, _, point = subject.removeprefix(f"{WRITE}.").partition(".")
     return unquote(device), unquote(point)
 
 
 def written(device: str, point: str) -> str:
-    """Where the outcome goes."""
+    """Return the subject of the outcomes of writes to a point."""
     return f"{WRITTEN}.{_token(device)}.{_token(point)}"
 
 

@@ -35,7 +35,7 @@ class TextFile:
         buffer: how many readings may wait.
 
     Raises:
-        TypeError: `path` is no text.
+        TypeError: `path` is not text.
     """
 
     def __init__(
@@ -113,7 +113,7 @@ class TextFile:
 
     @property
     def _size(self) -> int | None:
-        """Of a file; None for what has none."""
+        """The size of the file in bytes; None for pipes and terminals."""
         state = os.fstat(self._descriptor)
         return state.st_size if stat.S_ISREG(state.st_mode) else None
 

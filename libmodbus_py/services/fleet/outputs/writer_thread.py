@@ -1,5 +1,5 @@
 """
-A thread that does what blocks, such as writing to a disk that is slow, one call after the other.
+A thread for calls that block, such as writing to a slow disk; one call after the other.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ Job = tuple[Callable[..., Any], tuple[Any, ...], asyncio.Future[Any]]
 
 class WriterThread:
     """
-    Calls functions for an output, in the order in which it is asked to.
+    Calls functions in a thread, in order.
 
-    The thread ends with the program: it does not keep a program alive whose disk hangs.
+    The thread ends with the program: a disk that hangs does not keep the program alive.
 
     Args:
         name: what the thread writes to, for the name of the thread and for errors.
@@ -63,7 +63,7 @@ class WriterThread:
         Call a function in the thread and return its result.
 
         Raises:
-            Exception: that of the function.
+            Exception: the exception that the function raised.
         """
         done = asyncio.get_running_loop().create_future()
         self._jobs.put((function, arguments, done))

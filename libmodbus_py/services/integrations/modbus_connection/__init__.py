@@ -1,5 +1,5 @@
 """
-A backend of Home Assistant's modbus-connection: its connections and units, on `AsyncClient`.
+A backend of Home Assistant's modbus-connection: connections and units built on `AsyncClient`.
 
 ::
 
@@ -8,14 +8,14 @@ A backend of Home Assistant's modbus-connection: its connections and units, on `
 
     connection = ModbusConnection(ModbusTcpParams(host="192.0.2.10"), timeout=3)
     await connection.for_unit(1).read_holding_registers(100, 3)
-    connection.statistics                # what happened on it, through all reconnections
+    connection.statistics                # counters of the connection, through all reconnections
 
-Its files::
+Files::
 
-    connection   ClientConnection: made, lost, closed, with one request at a time
-    units        ConnectionUnit: its 19 operations
-    places       the URLs of parameters; which framings there are
-    causes       the errors of modbus-connection for those of this package
+    connection   ClientConnection: connects, closes, and sends one request at a time
+    units        ConnectionUnit: the 19 operations of a unit
+    places       the URLs of parameters; the supported framings
+    causes       converts errors of this package to those of modbus-connection
 
 It needs Python 3.13 or newer and modbus-connection: libmodbus-py[homeassistant].
 """
@@ -34,7 +34,7 @@ try:
     )
 except ImportError as error:
     raise ImportError(
-        "the backend of modbus-connection needs Python 3.13 or newer, and it: "
+        "the backend of modbus-connection needs modbus-connection and Python 3.13 or newer: "
         "pip install 'libmodbus-py[homeassistant]'"
     ) from error
 
@@ -53,14 +53,15 @@ __all__ = [
 
 class ModbusConnection(ClientConnection):
     """
-    A link to a Modbus network, as ``modbus_connection.ModbusConnection`` says it.
+    A connection to a Modbus network, as defined by ``modbus_connection.ModbusConnection``.
 
-    It connects with the first request, and again with the next one after it was lost. One
-    request at a time goes over it, and none is sent twice: neither after a loss, nor after a
-    timeout, nor when the device is busy. A timeout keeps the link, and an answer that comes after
-    it is dropped. An answer to another request drops the link (ModbusDesyncError).
+    The first request connects, and so does the first request after the connection was lost.
+    Requests are sent one at a time, and none is sent twice: neither after a lost connection, nor
+    after a timeout, nor when the device is busy. After a timeout the connection is kept, and a
+    late response is dropped. A response to another request closes the connection
+    (ModbusDesyncError).
 
-    It belongs to the event loop that uses it first.
+    A connection belongs to the event loop that uses it first.
 
     Args:
         params: ``ModbusTcpParams``, ``ModbusUdpParams``, ``ModbusTlsParams`` or
@@ -71,14 +72,14 @@ class ModbusConnection(ClientConnection):
         connect_delay: seconds between connecting and the first request.
 
     Attributes:
-        url: where it leads, as `AsyncClient` takes it.
-        statistics: what happened on it, through all its reconnections: `Statistics`, which
-            ``integrations.prometheus.collect`` takes, too.
-        last_error: what went wrong last, in words; empty if nothing did.
+        url: the URL of the connection, as for `AsyncClient`.
+        statistics: a `Statistics` with the counters of the connection, through all
+            reconnections; ``integrations.prometheus.collect`` accepts the connection.
+        last_error: the message of the last error; empty if there was none.
 
     Raises:
-        TypeError, ValueError: parameters that lead nowhere, such as ASCII over UDP; times that
-            are none.
+        TypeError, ValueError: parameters that are not supported, such as ASCII over UDP, or an
+            invalid time.
     """
 
     def for_unit(self, unit_id: int) -> ConnectionUnit:
@@ -86,13 +87,13 @@ class ModbusConnection(ClientConnection):
         Return a handle for a unit, 0..255. On serial lines unit 0 is a broadcast: writes only.
 
         Raises:
-            TypeError, ValueError: no such unit.
+            TypeError, ValueError: `unit_id` has the wrong type or range.
         """
         return ConnectionUnit(self, integer("unit_id", unit_id, 0, 255))
 
 
 class Timings(TypedDict, total=False):
-    """As of `ModbusConnection`."""
+    """Times in seconds, as for `ModbusConnection`."""
 
     timeout: float | None
     message_spacing: float | None
@@ -110,12 +111,13 @@ async def connect_tcp(
     Connect over TCP.
 
     Args:
-        host, port, framer: as of ``ModbusTcpParams``.
+        host, port, framer: as for ``ModbusTcpParams``.
         times: `timeout`, `message_spacing` and `connect_delay` of `ModbusConnection`.
 
     Raises:
-        TypeError, ValueError: as of `ModbusConnection`.
-        modbus_connection.ModbusConnectionError, modbus_connection.ModbusTimeoutError: it cannot.
+        TypeError, ValueError: as for `ModbusConnection`.
+        modbus_connection.ModbusConnectionError: the connection could not be established.
+        modbus_connection.ModbusTimeoutError: it was not established in time.
     """
     return await _connected(ModbusTcpParams(host=host, port=port, framer=framer), times)
 
@@ -127,7 +129,7 @@ async def connect_udp(
     framer: Literal["socket", "rtu", "ascii"] = "socket",
     **times: Unpack[Timings],
 ) -> ModbusConnection:
-    """As `connect_tcp`, over UDP; it has no framer "ascii"."""
+    """Connect over UDP; as `connect_tcp`, but `framer` must not be "ascii"."""
     return await _connected(ModbusUdpParams(host=host, port=port, framer=framer), times)
 
 
@@ -143,7 +145,7 @@ async def connect_tls(
     sslctx: ssl.SSLContext | None = None,
     **times: Unpack[Timings],
 ) -> ModbusConnection:
-    """As `connect_tcp`, over TLS; what is said of certificates is as of ``ModbusTlsParams``."""
+    """Connect over TLS; as `connect_tcp`, with the certificates of ``ModbusTlsParams``."""
     params = ModbusTlsParams(
         host=host,
         port=port,
@@ -167,7 +169,7 @@ async def connect_serial(
     framer: Literal["rtu", "ascii"] = "rtu",
     **times: Unpack[Timings],
 ) -> ModbusConnection:
-    """As `connect_tcp`, at a serial port, or ``socket://HOST:PORT``, which leads to one."""
+    """Connect to a serial port, or to a serial server at ``socket://HOST:PORT``."""
     params = ModbusSerialParams(
         device=port,
         baudrate=baudrate,
@@ -183,7 +185,7 @@ async def _connected(params: Params, times: Timings) -> ModbusConnection:
     connection = ModbusConnection(params, **times)
     try:
         await connection.connect()
-    except BaseException:  # whoever waits no more has nothing to close
+    except BaseException:  # the caller gets no connection to close
         connection.close_later()
         raise
     return connection

@@ -1,5 +1,5 @@
 """
-What our errors are called in modbus-connection.
+The errors of modbus-connection, made from those of this package.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from ....protocol.errors import (
 
 __all__ = ["Cause", "not_connected", "told"]
 
-# RuntimeError: another event loop, which asyncio and our client refuse.
+# RuntimeError is raised by asyncio and by clients if another event loop uses them.
 Cause: TypeAlias = ModbusError | theirs.ModbusError | RuntimeError
 
 KINDS: tuple[tuple[type[BaseException], type[theirs.ModbusError]], ...] = (
@@ -30,9 +30,9 @@ KINDS: tuple[tuple[type[BaseException], type[theirs.ModbusError]], ...] = (
 
 
 def told(error: Cause, operation: str) -> theirs.ModbusError:
-    """Make the error of an operation, which its message names."""
+    """Return the error of modbus-connection for an operation; the message names the operation."""
     text = f"{operation}: {_reason(error)}"
-    if isinstance(error, theirs.ModbusError):  # of connecting, which several may have met
+    if isinstance(error, theirs.ModbusError):  # several operations waited for it
         return type(error)(text)
     if isinstance(error, ExceptionResponse):
         return theirs.ModbusExceptionError.from_code(error.code, text)
@@ -40,7 +40,7 @@ def told(error: Cause, operation: str) -> theirs.ModbusError:
 
 
 def not_connected(error: ModbusConnectionError | RuntimeError) -> theirs.ModbusError:
-    """Make the error of a connection that does not come about."""
+    """Return the error of modbus-connection for a connection that could not be established."""
     is_late = getattr(error, "errno", None) == errno.ETIMEDOUT
     kind = theirs.ModbusTimeoutError if is_late else theirs.ModbusConnectionError
     return kind(_reason(error))
@@ -53,7 +53,7 @@ def _kind(error: ModbusError | RuntimeError) -> type[theirs.ModbusError]:
 
 
 def _reason(error: Cause) -> str:
-    """What happened; what was asked, the operation says."""
+    """Return the message of an error without the request, which the operation names."""
     if isinstance(error, ModbusError):
         place = "" if error.unit is None or not error.asked else f"unit {error.unit}: "
         return f"{place}{error.args[0]}"

@@ -1,5 +1,5 @@
 """
-A connection: made, lost, closed, and one request at a time over it.
+A connection: connects, closes, and sends one request at a time.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Result = TypeVar("Result")
 
 SHORTEST, LONGEST = 0.001, 86_400.0
 
-# A timeout keeps the link.
+# Timeouts in a row that close the connection: more than there ever are.
 NEVER = 1_000_000
 
 FILES = ("verify", "client_cert", "client_key")
@@ -36,8 +36,8 @@ class ClientConnection(theirs.ModbusConnection):
     """
     See `ModbusConnection`.
 
-    The base connects, waits and ends as its contract says; a client of ours lives as long as one
-    link does.
+    The base class decides when to connect, to wait and to close. Each time it connects there is
+    a new `AsyncClient`.
     """
 
     _client: AsyncClient | None
@@ -81,7 +81,7 @@ class ClientConnection(theirs.ModbusConnection):
             on_state=self._note_state,
         )
         try:
-            return await client.__aenter__()  # which closes it if that fails
+            return await client.__aenter__()  # closes the client if connecting fails
         except (ModbusConnectionError, RuntimeError) as error:
             made = not_connected(error)
             self.last_error = str(made)
@@ -93,7 +93,7 @@ class ClientConnection(theirs.ModbusConnection):
             return None
         try:
             return GivenContext(await params.create_ssl_context())
-        except OSError as error:  # which SSLError is, too
+        except OSError as error:  # SSLError is an OSError
             shown = ", ".join(f"{name}={getattr(params, name)!r}" for name in FILES)
             raise ValueError(f"no TLS with {shown}: {error.strerror or error}") from None
 
@@ -106,24 +106,24 @@ class ClientConnection(theirs.ModbusConnection):
             raise theirs.ModbusConnectionError(f"closing: {error}") from error
 
     def _note_state(self, state: State, error: ModbusError | None) -> None:
-        # Clients that are no longer, or not yet, the link have a state of their own.
+        # Ignore the states of earlier clients, and of a client that is still connecting.
         client = self._client
         if state is State.DISCONNECTED and client is not None and client.state is state:
             self._on_connection_lost(error)
 
     def _on_connection_lost(self, error: Exception | None) -> None:
-        """The other side, or the line, took it away."""
+        """Note that the peer closed the connection, or that it failed."""
         if self._closed or self._client is None:
             return
         client, self._client = self._client, None
         self.last_error = f"connection lost: {error}"
-        # It would connect again for whoever still waits in it.
+        # Closed, because it would connect again for requests that wait.
         self._run_later(client.close())
-        # Not from here: what a callback raises is its loop's affair, not our client's.
+        # Not called from here, so that the event loop handles the exceptions of callbacks.
         asyncio.get_running_loop().call_soon(self._lost_callbacks.fire)
 
     def close_later(self) -> None:
-        """Close it for good, and wait neither for that nor for an attempt to connect."""
+        """Close the connection permanently, without waiting for it or an attempt to connect."""
         self._closed = True
         self._run_later(self.close())
 
@@ -132,39 +132,40 @@ class ClientConnection(theirs.ModbusConnection):
         self._later.add(task)
         task.add_done_callback(self._later.discard)
 
-    # --- what units want of it -----------------------------------------------------------------
+    # --- options of units ----------------------------------------------------------------------
 
     def set_spacing(self, unit: int, duration: float) -> None:
-        """Seconds of quiet before and after requests to a unit."""
+        """Set the seconds without traffic before and after requests to a unit."""
         self._pacer.set_unit_spacing(unit, duration)
 
     def require_timeout(self, unit: int, duration: float | None) -> None:
-        """Seconds at least; None for any."""
+        """Set the shortest timeout that a unit accepts, in seconds; None for any."""
         self._require_timeout(unit, duration)
 
     def require_connect_delay(self, unit: int, duration: float | None) -> None:
-        """Seconds at least; None for any."""
+        """Set the shortest delay after connecting that a unit accepts, in seconds; None for any."""
         self._require_connect_delay(unit, duration)
 
-    # --- asking -------------------------------------------------------------------------------
+    # --- requests -----------------------------------------------------------------------------
 
     async def carry_out(
         self, unit: int, operation: str, ask: Callable[[], Awaitable[Result]]
     ) -> Result:
         """
-        Connect, wait for one's turn, and ask.
+        Connect, wait until no other request is under way, and send a request.
 
         Args:
-            operation: what is asked, for errors.
+            operation: the name of the request in errors.
+            ask: sends the request.
 
         Raises:
-            modbus_connection.ModbusError: it did not work.
-            TypeError, ValueError: it cannot be asked.
+            modbus_connection.ModbusError: the request failed.
+            TypeError, ValueError: an argument of the request is invalid.
         """
         try:
             await self.connect()
             async with self._pacer.paced(unit):
-                await self.connect()  # again, if it was dropped meanwhile
+                await self.connect()  # again, if the connection was lost meanwhile
                 return await self._ask(ask)
         except (ModbusError, theirs.ModbusError, RuntimeError) as error:
             made = told(error, operation)
@@ -173,10 +174,10 @@ class ClientConnection(theirs.ModbusConnection):
 
     def handle(self, unit: int) -> AsyncClient:
         """
-        Give the client of now, for the unit.
+        Return the current client, for a unit.
 
         Raises:
-            modbus_connection.ModbusConnectionError: there is none.
+            modbus_connection.ModbusConnectionError: there is no connection.
         """
         if self._client is None:
             raise theirs.ModbusConnectionError("the connection was lost before the request")
@@ -191,7 +192,7 @@ class ClientConnection(theirs.ModbusConnection):
             raise
 
     async def _drop(self) -> None:
-        """Drop the link before anybody else asks over it."""
+        """Close the connection before another request is sent over it."""
         client, self._client = self._client, None
         if client is not None:
             with contextlib.suppress(theirs.ModbusConnectionError):

@@ -1,5 +1,5 @@
 """
-Where modbus-connection's parameters lead, as URLs of ours.
+The URLs of this package for the parameters of modbus-connection.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ SCHEMES: dict[str, dict[str, Scheme]] = {
 SUPPORTED_FRAMINGS: Mapping[str, tuple[str, ...]] = {
     transport: tuple(framings) for transport, framings in SCHEMES.items()
 }
-"""Transport ("tcp", "udp", "tls", "serial") -> the framings that it carries here."""
+"""Transport ("tcp", "udp", "tls", "serial") -> the framings that this backend supports on it."""
 
 TRANSPORTS: dict[type, str] = {
     ModbusTcpParams: "tcp",
@@ -47,9 +47,11 @@ OVER_TCP = "socket://"
 
 def url_of(params: Params) -> str:
     """
+    Return the URL of parameters.
+
     Raises:
-        TypeError: no parameters.
-        ValueError: they lead nowhere; the message names which, and what is possible.
+        TypeError: `params` has another class.
+        ValueError: a parameter is not supported; the message names it and the allowed values.
     """
     transport = next((TRANSPORTS[kind] for kind in TRANSPORTS if isinstance(params, kind)), "")
     if not transport:
@@ -66,7 +68,7 @@ def _network(params: Any, transport: str) -> str:
         possible = ", ".join(SCHEMES[transport])
         raise ValueError(
             f"framer must be one of {possible} over {transport.upper()}, not {framer!r}; "
-            "modbus_connection.pymodbus.ModbusConnection may have it"
+            "modbus_connection.pymodbus.ModbusConnection may support it"
         )
     return _url("host", params.host, SCHEMES[transport][framer], params.host, params.port)
 
@@ -103,10 +105,12 @@ def _url(name: str, given: str, scheme: Scheme, host: str, port: int) -> str:
 
 
 def _checked(name: str, given: str, endpoint: Endpoint) -> str:
-    """What a URL takes for something else, no host or device is called."""
+    """Return the URL; refuse a host or device that a URL cannot contain unchanged."""
     try:
         if parse(endpoint.url) == endpoint:
             return endpoint.url
     except ValueError:
         pass
-    raise ValueError(f"{name} {given!r} cannot be understood: no such place as {endpoint.url!r}")
+    raise ValueError(
+        f"{name} {given!r} is not a valid host or device: {endpoint.url!r} would lead elsewhere"
+    )

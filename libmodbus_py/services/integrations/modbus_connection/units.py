@@ -21,7 +21,7 @@ Operation = Callable[Concatenate["ConnectionUnit", Arguments], Coroutine[Any, An
 
 
 def in_turn(ask: Operation[Arguments, Result]) -> Operation[Arguments, Result]:
-    """Have it connect first, wait for its turn, and raise the errors of modbus-connection."""
+    """Make an operation connect, wait for its turn, and raise errors of modbus-connection."""
 
     @functools.wraps(ask)
     async def asking(
@@ -39,7 +39,7 @@ def in_turn(ask: Operation[Arguments, Result]) -> Operation[Arguments, Result]:
 
 
 class WholeServerId(ReportServerId):
-    """Takes the identifier to end before the first byte that can be a run indicator."""
+    """A request whose identifier ends before the first byte that can be a run indicator."""
 
     __slots__ = ()
 
@@ -51,15 +51,15 @@ class WholeServerId(ReportServerId):
 
 class ConnectionUnit:
     """
-    A unit, as ``modbus_connection.ModbusUnit`` says it; any number of tasks may ask it, and keep
-    it for the life of its connection.
+    A unit, as defined by ``modbus_connection.ModbusUnit``; any number of tasks may use it, as
+    long as the connection is not closed.
 
-    Every operation raises ``modbus_connection.ModbusError``, by its subclasses, and before
-    anything is sent TypeError and ValueError, for an argument that is none.
+    Every operation raises subclasses of ``modbus_connection.ModbusError``, and TypeError and
+    ValueError for an invalid argument, before anything is sent.
 
     Attributes:
         link: the connection.
-        unit_id: who is asked.
+        unit_id: the unit, 0..255.
     """
 
     def __init__(self, link: ClientConnection, unit_id: int) -> None:
@@ -68,7 +68,7 @@ class ConnectionUnit:
 
     @property
     def connected(self) -> bool:
-        """Whether the connection stands."""
+        """True if the connection is established."""
         return bool(self.link.connected)
 
     @property
@@ -78,23 +78,23 @@ class ConnectionUnit:
     # --- the connection -----------------------------------------------------------------------
 
     def set_message_spacing(self, seconds: float) -> None:
-        """Keep the line quiet for so long before and after requests to this unit."""
+        """Set the seconds without traffic before and after requests to this unit."""
         self.link.set_spacing(self.unit_id, seconds)
 
     def require_timeout(self, seconds: float | None) -> None:
-        """Ask for a timeout of so many seconds at least; None asks no more."""
+        """Require a timeout of at least so many seconds; None for no requirement."""
         self.link.require_timeout(self.unit_id, seconds)
 
     def require_connect_delay(self, seconds: float | None) -> None:
-        """Ask for so many seconds between connecting and requests, at least; None asks no more."""
+        """Require at least so many seconds between connecting and requests; None for none."""
         self.link.require_connect_delay(self.unit_id, seconds)
 
     def on_connection_lost(self, callback: Callable[[], None]) -> Callable[[], None]:
-        """Have it called whenever the connection is lost; what is returned ends that."""
+        """Call a function whenever the connection is lost; return a function that ends this."""
         return self.link.on_connection_lost(callback)
 
     async def disconnect(self) -> None:
-        """Drop the connection; the next request makes a new one."""
+        """Close the connection; the next request connects again."""
         await self.link.disconnect()
 
     # --- registers and bits ---------------------------------------------------------------------
