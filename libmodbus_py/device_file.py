@@ -1,5 +1,5 @@
 """
-The short path of `simulator.device_file`: whoever imports this has that very module.
+The short path of `simulator.device_file`: importing this module gives that module.
 """
 
 import sys

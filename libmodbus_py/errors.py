@@ -1,5 +1,5 @@
 """
-The short path of `protocol.errors`: whoever imports this has that very module.
+The short path of `protocol.errors`: importing this module gives that module.
 """
 
 import sys

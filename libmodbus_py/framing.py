@@ -1,5 +1,5 @@
 """
-The short path of `protocol.framing`: whoever imports this has that very module.
+The short path of `protocol.framing`: importing this module gives that module.
 """
 
 import sys

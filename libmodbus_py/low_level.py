@@ -1,5 +1,5 @@
 """
-The short path of `binding.low_level`: whoever imports this has that very module.
+The short path of `binding.low_level`: importing this module gives that module.
 """
 
 import sys

@@ -1,5 +1,5 @@
 """
-The short path of `protocol.pdu`: whoever imports this has that very module.
+The short path of `protocol.pdu`: importing this module gives that module.
 """
 
 import sys

@@ -1,6 +1,6 @@
 """
-What PyInstaller cannot see: modules that are imported when they are first used, and the stubs
-that list them.
+The modules that PyInstaller cannot see, because they are imported when they are first used; and
+the stubs that list them.
 """
 
 from PyInstaller.utils.hooks import collect_data_files, collect_submodules

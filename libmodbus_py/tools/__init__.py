@@ -1,5 +1,5 @@
 """
-Tools on top of clients and servers. None of them runs for long without somebody who looks.
+Tools on top of clients and servers, for people who look at what happens.
 
 ::
 

@@ -23,7 +23,7 @@ import nats.js.errors as js_errors
 from nats.js import api
 
 from libmodbus_py.services.engine.buckets import Bucket
-from libmodbus_py.services.engine.connection import PATIENCE, PAUSE
+from libmodbus_py.services.engine.connection import PAUSE, TIMEOUT
 from libmodbus_py.services.workers.polling import BUCKET
 from libmodbus_py.services.workers.view import Entry
 
@@ -35,7 +35,7 @@ __all__ = ["Engine", "EngineClient", "Message"]
 DELAY = (0.0002, 0.002)
 
 # Seconds without an answer after which a client takes its connection for lost: two pings.
-UNHEARD = (PATIENCE, 2 * PATIENCE)
+UNHEARD = (TIMEOUT, 2 * TIMEOUT)
 
 # How far the server can go back, in seconds; and how many messages its stream keeps.
 REMEMBERED = 600.0
@@ -622,7 +622,7 @@ class Subscription:
 
     async def consumer_info(self) -> Any:
         engine = self._client.engine
-        return await self._client.ask(PATIENCE, engine.consumer_info, self)
+        return await self._client.ask(TIMEOUT, engine.consumer_info, self)
 
     async def unsubscribe(self) -> None:
         engine = self._client.engine

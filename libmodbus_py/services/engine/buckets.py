@@ -24,7 +24,7 @@ __all__ = ["Bucket", "Change", "Watch", "keep_stream", "make_bucket", "open_buck
 FORGOTTEN = 30.0
 
 # Seconds before a request to the server times out.
-PATIENCE = 2.0
+TIMEOUT = 2.0
 
 # A single server supports one replica, and refuses more with this code.
 REPLICAS = 3
@@ -185,7 +185,7 @@ class Watch:
         self.is_broken = True
         if self._subscription is not None:
             with contextlib.suppress(Exception):
-                await asyncio.wait_for(self._subscription.unsubscribe(), PATIENCE)
+                await asyncio.wait_for(self._subscription.unsubscribe(), TIMEOUT)
             # nats-py does not cancel these tasks if the connection is closed already.
             watching: Any = getattr(self._subscription._sub, "_jsi", None)
             for task in (getattr(watching, "_hbtask", None), getattr(watching, "_fctask", None)):
@@ -200,7 +200,7 @@ async def open_bucket(client: Client, name: str) -> Bucket:
     Raises:
         EngineError: it does not exist, or has other settings than those of `make_bucket`.
     """
-    js = client.jetstream(timeout=PATIENCE)
+    js = client.jetstream(timeout=TIMEOUT)
     with explained(name):
         await js.account_info()
         keys = await js.key_value(name)
@@ -229,7 +229,7 @@ async def make_bucket(client: Client, name: str) -> Bucket:
     import nats.js.errors as js_errors
     from nats.js import api
 
-    js = client.jetstream(timeout=PATIENCE)
+    js = client.jetstream(timeout=TIMEOUT)
     with explained(name):
         await js.account_info()
         try:
@@ -255,7 +255,7 @@ async def keep_stream(client: Client, name: str, subjects: str, limits: dict[str
     import nats.js.errors as js_errors
     from nats.js import api
 
-    js = client.jetstream(timeout=PATIENCE)
+    js = client.jetstream(timeout=TIMEOUT)
     config = api.StreamConfig(
         name,
         subjects=[subjects],

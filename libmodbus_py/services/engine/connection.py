@@ -30,15 +30,15 @@ OLDEST = (2, 9)
 SCHEMES = ("nats", "tls")
 
 # Seconds before connecting to a server times out; and between attempts to reconnect.
-PATIENCE = 3.0
+TIMEOUT = 3.0
 PAUSE = 0.25
 
 # Options of nats-py, whose types want whole seconds.
 TIMES: dict[str, Any] = {
-    "connect_timeout": PATIENCE,
+    "connect_timeout": TIMEOUT,
     "reconnect_time_wait": PAUSE,
     "max_reconnect_attempts": 1,
-    "ping_interval": PATIENCE,
+    "ping_interval": TIMEOUT,
     "max_outstanding_pings": 1,
     # Nothing is buffered while the connection is lost: it would be sent too late.
     "pending_size": -1,
@@ -144,7 +144,7 @@ async def _connect(
         ("disconnected_cb", "reconnected_cb", "closed_cb"), changed
     )
     try:
-        async with asyncio.timeout(PATIENCE * (len(servers) + 1)):
+        async with asyncio.timeout(TIMEOUT * (len(servers) + 1)):
             await client.connect(servers, error_cb=note, **told, **TIMES, **options)
     except BaseException as error:
         # nats-py does not close its socket when connect() fails.

@@ -73,11 +73,11 @@ class Buffer:
         """True if the buffer is closed and empty."""
         return self._is_closed and not self._kept
 
-    async def take(self, most: int, patience: float | None = None) -> list[Reading]:
+    async def take(self, most: int, timeout: float | None = None) -> list[Reading]:
         """Wait for readings; return up to `most`, none after the time or when closed."""
         if not self._kept and not self._is_closed:
             self._filled.clear()
             with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(patience):
+                async with asyncio.timeout(timeout):
                     await self._filled.wait()
         return [self._kept.popleft() for _ in range(min(most, len(self._kept)))]

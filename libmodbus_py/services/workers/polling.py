@@ -50,7 +50,7 @@ MOST_WRITES = 512
 PAUSE = 0.25
 
 # Seconds within which the whole bucket must arrive; and for a worker to announce its end.
-PATIENCE = 3.0
+TIMEOUT = 3.0
 
 # Seconds before the same line is logged again.
 SAID_AGAIN = 60.0
@@ -153,7 +153,7 @@ class Polling:
         """Stop polling, announce it to the other workers, and end within three seconds."""
         self.worker.leave()
         self._woken.set()
-        self._late = asyncio.get_running_loop().call_later(PATIENCE, self._end)
+        self._late = asyncio.get_running_loop().call_later(TIMEOUT, self._end)
 
     def _end(self) -> None:
         self._has_ended = True
@@ -178,7 +178,7 @@ class Polling:
 
     async def _until_useless(self, watch: Watch) -> None:
         """Wait until a watch must be replaced, then end it."""
-        timer = asyncio.get_running_loop().call_later(PATIENCE, self._demand_all)
+        timer = asyncio.get_running_loop().call_later(TIMEOUT, self._demand_all)
         try:
             while not (watch.is_broken or self._is_unsettled or self.worker.is_blind(self.now())):
                 self._doubted.clear()

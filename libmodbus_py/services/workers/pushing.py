@@ -37,7 +37,7 @@ MOST_TRIES = 5
 AT_ONCE = 64
 
 # Seconds within which the whole bucket must arrive.
-PATIENCE = 10.0
+TIMEOUT = 10.0
 
 # The part of a lease that the timeout of a device may take.
 LONGEST_ANSWER = 0.3
@@ -188,11 +188,11 @@ async def seen_now(bucket: Bucket) -> BucketView:
 
     watch = await bucket.watch(note)
     try:
-        async with asyncio.timeout(PATIENCE):
+        async with asyncio.timeout(TIMEOUT):
             await is_whole.wait()
     except TimeoutError:
         raise EngineGone(
-            f"{bucket.name}: its contents did not arrive within {PATIENCE:g} s"
+            f"{bucket.name}: its contents did not arrive within {TIMEOUT:g} s"
         ) from None
     finally:
         await watch.end()

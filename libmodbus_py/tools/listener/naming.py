@@ -31,28 +31,28 @@ class LearntTimes:
     for half a second (libmodbus) or longer, and adapters delay responses by up to 20 ms.
     """
 
-    USUAL_PATIENCE = 0.5
+    USUAL_TIMEOUT = 0.5
     SHORTEST_ANSWER = 0.02
 
     def __init__(self) -> None:
         self._answers: dict[int, deque[float]] = {}
-        self._patience: deque[float] = deque(maxlen=16)
+        self._timeout: deque[float] = deque(maxlen=16)
 
     def note_answer(self, unit: int, seconds: float) -> None:
         self._answers.setdefault(unit, deque(maxlen=32)).append(seconds)
 
     def note_next_request(self, seconds: float) -> None:
         """Take the seconds between a request without a response and the next request."""
-        self._patience.append(seconds)
+        self._timeout.append(seconds)
 
     def limit(self, unit: int) -> float:
         """Return the seconds after a request up to which equal bytes are its response."""
         slowest = max(self._answers.get(unit, ()), default=0.0)
         # One of the shortest, because clients think before the next request. Not the shortest,
         # because a frame that is merged into a damaged one looks like a request.
-        known = sorted(self._patience)
-        patience = known[len(known) // 4] if len(known) >= 4 else self.USUAL_PATIENCE
-        return sqrt(max(slowest, min(self.SHORTEST_ANSWER, patience / 4)) * patience)
+        known = sorted(self._timeout)
+        timeout = known[len(known) // 4] if len(known) >= 4 else self.USUAL_TIMEOUT
+        return sqrt(max(slowest, min(self.SHORTEST_ANSWER, timeout / 4)) * timeout)
 
 
 class Naming:

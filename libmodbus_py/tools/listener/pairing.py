@@ -23,10 +23,10 @@ from ...protocol.pdu import Request
 from .outcome import Ending, answered, damage_alone, damaged, request_of, unasked
 from .transaction import Transaction
 
-__all__ = ["PATIENCE", "OpenRequest", "Pairing"]
+__all__ = ["TIMEOUT", "OpenRequest", "Pairing"]
 
 # After so many seconds a request counts as unanswered, even if no other one was sent.
-PATIENCE = 5.0
+TIMEOUT = 5.0
 
 # A response that comes more seconds after its request belongs to none.
 LATEST = 60.0
@@ -94,19 +94,19 @@ class Pairing:
         is_line: True if unit 0 is a broadcast, as with RTU and ASCII frames.
         is_server: True for what one server received and sent. Nothing was missed then: requests
             may have come together, and every frame that was sent answers one of them.
-        patience: seconds after which a request counts as unanswered.
+        timeout: seconds after which a request counts as unanswered.
 
     Attributes:
         done: transactions that have ended, in order; its user empties it.
     """
 
     def __init__(
-        self, *, is_line: bool = True, is_server: bool = False, patience: float = PATIENCE
+        self, *, is_line: bool = True, is_server: bool = False, timeout: float = TIMEOUT
     ) -> None:
         self.done: list[Transaction] = []
         self._is_line = is_line
         self._is_server = is_server
-        self._patience = patience
+        self._timeout = timeout
         self._open: list[OpenRequest] = []
         self._late: dict[tuple[int, int], OpenRequest] = {}  # by unit and transaction id
         self._burst = 0
@@ -242,7 +242,7 @@ class Pairing:
     def _is_over(self, asked: OpenRequest, at: float) -> bool:
         if self._is_server and asked.spoiled is not None and at - asked.spoiled.ended > SETTLED:
             return True
-        return at - asked.ended > self._patience
+        return at - asked.ended > self._timeout
 
     def _give_up(self, asked: OpenRequest) -> None:
         self._open.remove(asked)

@@ -10,7 +10,7 @@ from ...ports.schemes import framing_of
 from ...ports.trace import Traced
 from ...protocol.framing import Frame
 from .outcome import damage_alone
-from .pairing import PATIENCE, Pairing
+from .pairing import TIMEOUT, Pairing
 from .transaction import Transaction
 
 __all__ = ["Exchange", "TracePairing"]
@@ -37,17 +37,17 @@ class TracePairing:
 
     Args:
         is_server: True for the trace of a server, False for that of a client.
-        patience: seconds after which a request counts as unanswered.
+        timeout: seconds after which a request counts as unanswered.
 
     Attributes:
         done: exchanges that have ended, in order; its user empties it.
     """
 
-    def __init__(self, *, is_server: bool = True, patience: float = PATIENCE) -> None:
+    def __init__(self, *, is_server: bool = True, timeout: float = TIMEOUT) -> None:
         self.done: list[Exchange] = []
         self._request: str = "received" if is_server else "sent"
         self._is_server = is_server
-        self._patience = patience
+        self._timeout = timeout
         self._connections: dict[tuple[str, str | None], Pairing] = {}
 
     def take(self, traced: Traced, at: float | None = None) -> None:
@@ -99,7 +99,7 @@ class TracePairing:
 
     def _made(self, endpoint: str) -> Pairing:
         is_line = framing_of(endpoint) in ("rtu", "ascii")
-        return Pairing(is_line=is_line, is_server=self._is_server, patience=self._patience)
+        return Pairing(is_line=is_line, is_server=self._is_server, timeout=self._timeout)
 
     def _collect(self, peer: str | None, pairing: Pairing) -> None:
         if pairing.done:

@@ -33,7 +33,7 @@ class Exchanges:
 
     def transactions(self) -> list[Transaction]:
         """Return all transactions, in the order in which they began."""
-        pairing = TracePairing(patience=math.inf)
+        pairing = TracePairing(timeout=math.inf)
         for traced in self._traced.copy():
             pairing.take(traced)
         pairing.end()

@@ -15,7 +15,7 @@ import tty
 __all__ = ["open_line", "read_what_is_there", "write_all"]
 
 # Seconds without room after which bytes are dropped, as on a line without flow control.
-PATIENCE = 1.0
+TIMEOUT = 1.0
 
 
 def open_line() -> tuple[int, int, str]:
@@ -35,10 +35,10 @@ def read_what_is_there(far: int) -> bytes:
 
 
 def write_all(far: int, data: bytes) -> None:
-    """Write all bytes; drop the rest if there is no room for `PATIENCE` seconds."""
+    """Write all bytes; drop the rest if there is no room for `TIMEOUT` seconds."""
     while data:
         try:
             data = data[os.write(far, data) :]
         except BlockingIOError:
-            if not select.select([], [far], [], PATIENCE)[1]:
+            if not select.select([], [far], [], TIMEOUT)[1]:
                 return

@@ -23,7 +23,7 @@ from libmodbus_py.services.fleet.config import checked, devices_to_json
 from libmodbus_py.services.fleet.outputs.output import OutputError
 from libmodbus_py.services.fleet.statistics import FleetStatistics, OutputStatistics
 from libmodbus_py.services.workers import polling
-from libmodbus_py.services.workers.polling import MOST_WRITES, PATIENCE, SAID_AGAIN, Polling, clock
+from libmodbus_py.services.workers.polling import MOST_WRITES, SAID_AGAIN, TIMEOUT, Polling, clock
 from libmodbus_py.services.workers.records import SETTINGS, Connection, FleetSettings
 from tests.services.workers.memory_engine import MemoryBucket, now, run
 
@@ -172,7 +172,7 @@ class TestLife:
             assert not worker.worker.left
             return now() - begun
 
-        assert run(main()) == pytest.approx(PATIENCE, abs=0.2)
+        assert run(main()) == pytest.approx(TIMEOUT, abs=0.2)
 
     def test_the_end_of_an_output_ends_it(self) -> None:
         async def main() -> None:
@@ -270,7 +270,7 @@ class TestBucket:
                 key, (value, revision) = next(iter(bucket.values.items()))
                 watch.on_change(polling.Change(key, value, revision))
                 assert worker.worker.is_reading
-                assert 2.5 < await until(lambda: bucket.watches[:1] != [watch]) < PATIENCE + 1
+                assert 2.5 < await until(lambda: bucket.watches[:1] != [watch]) < TIMEOUT + 1
                 bucket.is_mute = False
                 await until(lambda: not worker.worker.is_reading)
                 assert names(worker) == ["pump"]

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from libmodbus_py.listen import Separator
 from libmodbus_py.ports.trace import Traced
-from libmodbus_py.tools.listener.pairing import MOST, PATIENCE
+from libmodbus_py.tools.listener.pairing import MOST, TIMEOUT
 from libmodbus_py.tools.listener.traces import MOST_CONNECTIONS, TracePairing
 from libmodbus_py.tools.page.log import Log
 from libmodbus_py.tools.page.shown import ShownServer
@@ -246,23 +246,23 @@ def test_a_listener_hears(name: str) -> None:
 def test_a_response_that_comes_too_late_is_late() -> None:
     pairing = TracePairing()
     pairing.take(traced(ask(0, READ), TCP))
-    pairing.tick(PATIENCE)
+    pairing.tick(TIMEOUT)
     assert pairing.done == []
-    pairing.tick(PATIENCE + 1)
-    pairing.take(traced(answer(PATIENCE + 2, VALUES), TCP))
+    pairing.tick(TIMEOUT + 1)
+    pairing.take(traced(answer(TIMEOUT + 2, VALUES), TCP))
     assert [each.transaction.kind for each in pairing.done] == ["unanswered", "late"]
-    assert pairing.done[1].transaction.duration == PATIENCE + 2
+    assert pairing.done[1].transaction.duration == TIMEOUT + 2
 
 
 def test_the_oldest_of_many_open_requests_is_given_up() -> None:
-    pairing = TracePairing(patience=math.inf)
+    pairing = TracePairing(timeout=math.inf)
     for number in range(MOST + 1):
         pairing.take(traced(ask(number, tcp(READ_PDU, number)), TCP))
     assert [each.transaction.time for each in pairing.done] == [0]
 
 
 def test_the_oldest_of_many_connections_is_given_up() -> None:
-    pairing = TracePairing(patience=math.inf)
+    pairing = TracePairing(timeout=math.inf)
     for number in range(MOST_CONNECTIONS + 1):
         pairing.take(traced(ask(number, READ, f"peer {number}"), TCP))
     ((peer, done),) = pairing.done

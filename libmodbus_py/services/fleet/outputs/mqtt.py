@@ -33,7 +33,7 @@ logger: logging.Logger = logging.getLogger(__name__)
 SCHEMES = {"mqtt": 1883, "mqtts": 8883}
 
 # Seconds for a response of the broker.
-PATIENCE = 5.0
+TIMEOUT = 5.0
 
 # Publishes with QoS 1 that wait for their acknowledgement together.
 TOGETHER = 8
@@ -122,7 +122,7 @@ class Mqtt:
             self._port,
             **self._options,  # type: ignore[arg-type]
             will=will,
-            timeout=PATIENCE,
+            timeout=TIMEOUT,
             keepalive=30,
             tls_context=await asyncio.to_thread(_trust, self._ca) if self._is_secure else None,
             max_queued_incoming_messages=MOST_MESSAGES,

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
-from ...engine.buckets import PATIENCE, keep_stream
+from ...engine.buckets import TIMEOUT, keep_stream
 from ...engine.errors import EngineError, explained
 from ..readings import Reading
 from .forms import payload
@@ -47,14 +47,14 @@ class Stream:
             await keep_stream(self._client, STREAM, f"{READINGS}.>", self._limits)
         except EngineError as error:
             raise OSError(str(error)) from None
-        self._js = self._client.jetstream(timeout=PATIENCE)
+        self._js = self._client.jetstream(timeout=TIMEOUT)
 
     async def write(self, readings: Sequence[Reading]) -> None:
         if not readings:
             return
         try:
             with explained(STREAM):
-                async with asyncio.timeout(PATIENCE):
+                async with asyncio.timeout(TIMEOUT):
                     acknowledged = [
                         # Because of its id, the server drops a message that is sent again.
                         await self._js.publish_async(
