@@ -118,7 +118,7 @@ async def connected(
     client.options["max_reconnect_attempts"] = -1
     if "tls" in options and not client._server_info.get("tls_required"):
         await disconnect(client)
-        raise EngineError(f"{where}: it speaks no TLS; what was sent there went in the clear")
+        raise EngineError(f"{where}: the server does not support TLS; data was sent unencrypted")
     version = client.connected_server_version
     if (version.major, version.minor) < OLDEST:
         await disconnect(client)

@@ -51,10 +51,10 @@ def explained(where: str) -> Iterator[None]:
         raise kind(f"{where}: {_of_jetstream(error)}") from None
     except (js.NoStreamResponseError, nats.errors.NoRespondersError):
         raise EngineError(
-            f"{where}: JetStream is off, or what was there is gone; nats-server needs -js"
+            f"{where}: JetStream is off, or the stream was deleted; nats-server needs -js"
         ) from None
     except (nats.errors.TimeoutError, TimeoutError):
-        raise EngineGone(f"{where}: no answer; are most of its servers up?") from None
+        raise EngineGone(f"{where}: no answer; are most of the servers up?") from None
     except (nats.errors.Error, OSError) as error:
         raise EngineGone(f"{where}: {what(error)}") from None
 
@@ -74,9 +74,9 @@ def what(error: BaseException) -> str:
     import nats.errors
 
     if isinstance(error, ssl.SSLCertVerificationError):
-        return f"its certificate is not trusted: {error.verify_message}; NATS_CA names an authority"
+        return f"the certificate is not trusted: {error.verify_message}; see NATS_CA"
     if isinstance(error, ssl.SSLError):
-        return f"no TLS with it: {error.reason or error}"
+        return f"TLS failed: {error.reason or error}"
     if isinstance(error, TimeoutError):
         return "no answer"
     if isinstance(error, ConnectionError) and not error.args:
@@ -84,7 +84,7 @@ def what(error: BaseException) -> str:
     if isinstance(error, _away(nats.errors)):
         return "no server responds"
     if "authorization violation" in str(error).lower():
-        return "it refuses these credentials; see NATS_USER, NATS_PASSWORD, NATS_CREDS"
+        return "the server refuses the credentials; see NATS_USER, NATS_PASSWORD, NATS_CREDS"
     if isinstance(error, OSError) and error.errno:
         # asyncio puts the address in place of the reason.
         return os.strerror(error.errno) if error.errno > 0 else str(error.strerror)
@@ -93,9 +93,9 @@ def what(error: BaseException) -> str:
 
 # By the numbers of JetStream's errors.
 _NUMBERS = {
-    NO_PEERS: "too few of its servers are up to keep what they are given three times",
-    NO_LEADER: "JetStream has no leader now; are most of its servers up?",
-    NO_ROOM: "JetStream has no room for it, or too few servers",
+    NO_PEERS: "too few servers are up to store three copies",
+    NO_LEADER: "JetStream has no leader now; are most of the servers up?",
+    NO_ROOM: "JetStream has too little room or too few servers",
     10039: "JetStream is off for this account",
     10047: "JetStream has no room left on its disk",
     10076: "JetStream is off; nats-server needs -js",

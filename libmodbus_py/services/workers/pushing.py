@@ -109,7 +109,7 @@ def _connection(key: str, devices: list[DeviceConfig], lease: float) -> Connecti
     timeout = max(usual if each.timeout is None else each.timeout for each in devices)
     if timeout > lease * LONGEST_ANSWER:
         raise ValueError(
-            f"device {first.name!r}: a timeout of {timeout:g} s wants engine.lease of"
+            f"device {first.name!r}: a timeout of {timeout:g} s needs an engine.lease of"
             f" {timeout / LONGEST_ANSWER:.3g} s or more, not {lease:g}"
         )
     return Connection(first.zone, key, timeout, devices_to_json(devices))
@@ -136,7 +136,7 @@ async def push(bucket: Bucket, settings: FleetSettings, connections: list[Connec
     Make the bucket match a fleet file.
 
     Raises:
-        EngineError: the bucket cannot be written, or others keep changing it.
+        EngineError: the bucket cannot be written, or is changed by others at the same time.
     """
     biggest = max((len(each.encode()) for each in connections), default=0)
     if biggest > bucket.client.max_payload - 1024:
@@ -160,7 +160,7 @@ async def push(bucket: Bucket, settings: FleetSettings, connections: list[Connec
         )
         await _written(bucket, [put for put in puts if put.value is not None])
         await _written(bucket, [put for put in puts if put.value is None])
-    raise EngineError(f"{bucket.name}: others keep changing it")
+    raise EngineError(f"{bucket.name}: the bucket is changed by others at the same time")
 
 
 async def _written(bucket: Bucket, puts: list[Put]) -> None:
@@ -192,7 +192,7 @@ async def seen_now(bucket: Bucket) -> BucketView:
             await is_whole.wait()
     except TimeoutError:
         raise EngineGone(
-            f"{bucket.name}: its contents did not arrive within {TIMEOUT:g} s"
+            f"{bucket.name}: the contents of the bucket did not arrive within {TIMEOUT:g} s"
         ) from None
     finally:
         await watch.end()

@@ -43,7 +43,7 @@ State = Literal["here", "ended"]
 
 OnLoss = Literal["stop", "continue"]
 
-# NATS takes 1 MiB unless told otherwise.
+# The default limit of NATS is 1 MiB.
 MAX_VALUE = 1 << 20
 
 _TOKEN = re.compile(r"[A-Za-z0-9_-]{1,60}")
@@ -221,11 +221,11 @@ def decode(key: str, value: bytes) -> Record:
             raise ValueError(f"more than {MAX_VALUE} bytes")
         given = json.loads(value)
         if not isinstance(given, dict):
-            raise ValueError("no object")
+            raise ValueError("must be a JSON object")
         return reader(rest, given)
     except (ValueError, TypeError, KeyError, RecursionError) as error:
         what = f"{error.args[0]} is missing" if isinstance(error, KeyError) else str(error)
-        raise RecordError(f"{key[:200]}: {what[:200] or 'not to be read'}") from None
+        raise RecordError(f"{key[:200]}: {what[:200] or 'the value cannot be read'}") from None
 
 
 def _settings(_rest: list[str], given: dict[str, Any]) -> FleetSettings:
@@ -288,13 +288,13 @@ def _zone(token: str) -> str:
 
 def _typed(kind: type, given: object) -> Any:
     if not isinstance(given, kind) or isinstance(given, bool):
-        raise TypeError(f"{str(given)[:60]!r} is no {kind.__name__}")
+        raise TypeError(f"{str(given)[:60]!r} must be a {kind.__name__}")
     return given
 
 
 def _number(given: object, least: float, most: float) -> float:
     if isinstance(given, bool) or not isinstance(given, int | float):
-        raise TypeError(f"{str(given)[:60]!r} is no number")
+        raise TypeError(f"{str(given)[:60]!r} must be a number")
     if not least <= given <= most:
         raise ValueError(f"{given} is not in {least}..{most}")
     return float(given)

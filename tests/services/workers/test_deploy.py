@@ -71,7 +71,7 @@ def test_the_configuration_of_nats_works_as_it_stands(tmp_path, monkeypatch, cap
 
         # No leader is elected by one of three.
         assert main(push) == 1
-        assert "are most of its servers up?" in capsys.readouterr().err.splitlines()[-1]
+        assert "are most of the servers up?" in capsys.readouterr().err.splitlines()[-1]
         monkeypatch.setenv("NATS_CA", "")
         assert main([*push, "--engine", engine.partition(",")[0]]) == 1
         assert "certificate is not trusted" in capsys.readouterr().err
@@ -87,7 +87,7 @@ def test_the_configuration_of_nats_works_as_it_stands(tmp_path, monkeypatch, cap
             assert "Traceback" not in workers.said("a")
             # With two of three there is a leader, but no place for three copies.
             servers.start(1)
-            until(lambda: "too few of its servers are up" in workers.said("b"), PATIENCE)
+            until(lambda: "too few servers are up" in workers.said("b"), PATIENCE)
             assert asked.polls == 0
             servers.start(2)
             until(lambda: asked.polls > 0, PATIENCE)

@@ -112,12 +112,12 @@ def test_what_is_wrong_with_an_engine_is_told_in_one_line(file, tmp_path, capsys
     locked = 'authorization { user: u, password: "right" }\njetstream {}'
     with NatsServers(config=lambda _: locked) as server:
         wrong = server.urls.replace("nats://", "nats://u:secret@")
-        assert "it refuses these credentials" in said(wrong)
-        assert "it refuses these credentials" in said(
+        assert "the server refuses the credentials" in said(wrong)
+        assert "the server refuses the credentials" in said(
             server.urls, NATS_USER="u", NATS_PASSWORD="secret"
         )
         assert "NATS_CA" in said(server.urls, NATS_CA=str(tmp_path / "gone.pem"))
-        assert "speaks no TLS" in said(
+        assert "does not support TLS" in said(
             server.urls.replace("nats:", "tls:"), NATS_USER="u", NATS_PASSWORD="right"
         )
 
@@ -163,7 +163,7 @@ WRONG = [
     ),
     ("commands = 1", "line 4: engine.commands must be true or false, not 1"),
     ("max_bytes = 1", "line 4: engine.max_bytes must be in 65536.."),
-    ("lease = 0.5", "a timeout of 0.2 s wants engine.lease of 0.667 s or more, not 0.5"),
+    ("lease = 0.5", "a timeout of 0.2 s needs an engine.lease of 0.667 s or more, not 0.5"),
 ]
 
 

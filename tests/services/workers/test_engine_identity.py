@@ -128,7 +128,7 @@ def test_a_file_that_is_not_there_is_named(client: type[Client]) -> None:
 
 
 def test_a_server_without_tls_is_left_when_tls_was_wanted(client: type[Client]) -> None:
-    with pytest.raises(EngineError, match="it speaks no TLS; what was sent there"):
+    with pytest.raises(EngineError, match="the server does not support TLS"):
         connect(servers=["tls://192.0.2.1"])
     assert client.made[0].is_closed
 

@@ -144,7 +144,7 @@ def test_a_bucket_that_is_not_told_whole() -> None:
         bucket = MemoryBucket()
         bucket.is_mute = True
         began = now()
-        with pytest.raises(EngineGone, match="its contents did not arrive within 10 s"):
+        with pytest.raises(EngineGone, match="did not arrive within 10 s"):
             await seen_now(cast(Any, bucket))
         assert bucket.watches == []
         return now() - began

@@ -67,7 +67,7 @@ def test_none_is_asked_by_two_whoever_dies_stops_or_leaves(tmp_path, capsys):
 
             # All that workers rest on is gone; what is put there again is polled again.
             asyncio.run(_delete_bucket(server.urls))
-            until(lambda: "is gone" in workers.said("a"), PATIENCE)
+            until(lambda: "was deleted" in workers.said("a"), PATIENCE)
             until(lambda: asked.since(time.monotonic() - 3 * INTERVAL) == 0, PATIENCE)
             assert main(["poll", str(file), "--engine", server.urls, "--push"]) == 0
             assert f"{CONNECTIONS} new, 0 changed, 0 gone" in capsys.readouterr().out
