@@ -225,9 +225,9 @@ class Plan:
 
         Args:
             answers: the answer to each of `requests`, in their order: a list
-                    of cells, or a ModbusError.
+                of cells, or a ModbusError.
 
-            Returns:
+        Returns:
             The values of each item, always a list, in the order of the items; a dict
             by name where they have names. An item that was part of a failed
             request has the ModbusError instead.

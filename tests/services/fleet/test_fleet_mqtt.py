@@ -303,7 +303,7 @@ def test_nobody_there_is_one_line(caplog: pytest.LogCaptureFixture) -> None:
 
 
 def test_a_connection_that_says_nothing_stops_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(mqtt, "PATIENCE", 0.2)
+    monkeypatch.setattr(mqtt, "TIMEOUT", 0.2)
 
     async def go() -> None:
         silent = socket.create_server(("127.0.0.1", 0))
