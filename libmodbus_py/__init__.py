@@ -7,18 +7,18 @@ each other::
     cli                 libmodbus-py: read, write, scan, listen, serve, gateway, poll, demo
     services            gateway, fleet, workers, engine, integrations
     tools               files, listener, scan, simulator, testing, page, certificates
-    client   server     who asks: TcpContext, ..., AsyncClient; who answers: Server
+    client   server     TcpContext, ..., AsyncClient send requests; Server answers them
     maps                what stands where in a device, and plans of few requests for it
     ports    device     what carries bytes, and waits for them; one unit and its tables
     binding  security   the C library; who may talk, proven by certificates
     protocol            bytes and values: PDUs, frames, errors; no socket, no clock
-    late                public names imported when they are first asked for
+    late                public names imported when they are first used
     version             a number
 
 The public names of the package are those of ``__init__.pyi``; each is imported when it is first
 used. The other files are public modules that take their names from the folders: ``errors``,
-``framing``, ``low_level``, ``pdu`` and ``values``; ``listen``, ``scan`` and ``page``; ``fleet`` and
-``device_file``; ``testing``; ``prometheus`` and ``modbus_connection``.
+``framing``, ``low_level``, ``pdu`` and ``values``; ``listen``, ``scan``, ``page`` and ``serve``;
+``fleet`` and ``device_file``; ``testing``; ``prometheus`` and ``modbus_connection``.
 
 A read goes ``client`` -> ``protocol.pdu`` -> ``protocol.framing`` -> ``ports`` -> the wire ->
 ``ports`` -> ``server`` -> ``device`` -> libmodbus's modbus_reply on the tables, and back. The

@@ -12,6 +12,7 @@ From the caller to the wire:
     timeouts           timeouts and retries of a request
     blocking_driver    waits by polling, for any thread; forks, Ctrl-C
     asyncio_driver     waits in an event loop, with one reader and one timer
+      alarm            one timer, for clients, gateways and fleets
     shortcut           the short way, when nothing needs deciding
       libmodbus        ... in one call of C
     conversation       which request may be sent when, and its outcome; no socket, no clock

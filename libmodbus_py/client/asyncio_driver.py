@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import asyncio
 import errno
-import math
 import warnings
 from collections.abc import Callable
 from functools import partial
@@ -17,6 +16,7 @@ from time import monotonic
 
 from ..ports.waiting_async import resolve, run_async
 from ..protocol.errors import ModbusConnectionError
+from .alarm import Alarm
 from .batch import Batch
 from .conversation import forbidden
 from .options import Parts
@@ -45,8 +45,7 @@ class AsyncioDriver:
         self._now: Callable[[], float] = monotonic  # the clock of the loop, once there is one
         self._attempt: asyncio.Task[None] | None = None
         self._retry: asyncio.TimerHandle | None = None
-        self._timer: asyncio.TimerHandle | None = None
-        self._timer_at = math.inf
+        self._alarm = Alarm(self._ring)
         self._resume: asyncio.TimerHandle | None = None
         self._is_writing = False
         self._is_reading = False
@@ -137,10 +136,10 @@ class AsyncioDriver:
         self._cancel_timers()
 
     def _cancel_timers(self) -> None:
-        for handle in (self._timer, self._retry, self._resume):
+        for handle in (self._retry, self._resume):
             if handle is not None:
                 handle.cancel()
-        self._timer_at = math.inf
+        self._alarm.cancel()
 
     def leave(self) -> None:
         """Forget the connection in a forked child: it belongs to the parent."""
@@ -197,17 +196,12 @@ class AsyncioDriver:
             self._lose(error)
 
     def _set_timer(self) -> None:
-        """Set the timer if it must ring sooner; ringing too early does no harm."""
         at = self._conversation.alarm
-        if at < self._timer_at and self._connection.state is not State.CLOSED:
+        if at < self._alarm.at and self._connection.state is not State.CLOSED:
             assert self._loop is not None
-            if self._timer is not None:
-                self._timer.cancel()
-            self._timer_at = at
-            self._timer = self._loop.call_later(at - self._now(), self._ring)
+            self._alarm.set(at, self._loop)
 
     def _ring(self) -> None:
-        self._timer_at = math.inf
         now = self._now()
         self._conversation.tick(now)
         self._conversation.settle(now)

@@ -6,11 +6,11 @@ from __future__ import annotations
 
 import asyncio
 import errno
-import math
 from collections.abc import Callable
 from functools import partial
 from typing import Any
 
+from ...client.alarm import Alarm
 from ...client.asynchronous import AsyncClient
 from ...client.reconnecting import State
 from ...client.waiting_room import FirstCome, WaitingRoom
@@ -73,8 +73,7 @@ class FleetLine:
         self._on_back = on_back
         self._resting: dict[Poller, asyncio.TimerHandle] = {}
         self._done: list[Poller] = []
-        self._timer: asyncio.TimerHandle | None = None
-        self._timer_at = math.inf
+        self._alarm = Alarm(self._go_on)
         self._is_closed = False
         abandoned_in_children(self)
 
@@ -109,8 +108,7 @@ class FleetLine:
         for poller in self.pollers.values():
             if poller.submitted is not None:
                 self._withdraw(poller)
-        if self._timer is not None:
-            self._timer.cancel()
+        self._alarm.cancel()
         for resting in self._resting.values():
             resting.cancel()
         self._resting.clear()
@@ -157,7 +155,7 @@ class FleetLine:
             self._ask(poller, now)
         if (trial := self._room.overstayed(now)) is not None:
             self._make_way(trial)
-        self._set_timer()
+        self._alarm.set(self._room.alarm, self._loop)
 
     def _ask(self, poller: Poller, now: float) -> None:
         if not poller.has_begun:
@@ -174,18 +172,6 @@ class FleetLine:
             return
         self._withdraw(poller)
         self._conclude(poller, ModbusTimeoutError("no answer while others waited"))
-        self._go_on()
-
-    def _set_timer(self) -> None:
-        at = self._room.alarm
-        if at < self._timer_at:
-            if self._timer is not None:
-                self._timer.cancel()
-            self._timer_at = at
-            self._timer = self._loop.call_at(at, self._ring)
-
-    def _ring(self) -> None:
-        self._timer, self._timer_at = None, math.inf
         self._go_on()
 
     def _withdraw(self, poller: Poller) -> None:

@@ -6,11 +6,11 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import math
 from collections.abc import Hashable
 from functools import partial
 from typing import Any, Protocol
 
+from ...client.alarm import Alarm
 from ...client.asynchronous import AsyncClient, Submitted
 from ...client.reconnecting import State
 from ...client.waiting_room import FairByHost, Precedence, WaitingRoom
@@ -165,8 +165,7 @@ class GatewayLine:
         # Reads that others may join while they wait.
         self._joinable: dict[tuple[int, bytes], Forwarded] = {}
         self._done: list[Forwarded] = []
-        self._timer: asyncio.TimerHandle | None = None
-        self._timer_at = math.inf
+        self._alarm = Alarm(self._go_on)
         self._was_lost = False
         self.is_closed: bool = False
         abandoned_in_children(self)
@@ -226,8 +225,7 @@ class GatewayLine:
             if not each.is_trial:
                 self._leave(each)
             self._refuse(each, NO_ANSWER)
-        if self._timer is not None:
-            self._timer.cancel()
+        self._alarm.cancel()
         await self._client.close()
         self._finish()
 
@@ -269,7 +267,7 @@ class GatewayLine:
                 self._refuse(each, BUSY)
         if (trial := self._room.overstayed(now)) is not None:
             self._make_way(trial, now)
-        self._set_timer()
+        self._alarm.set(self._room.alarm, self._loop)
 
     def _ask(self, each: Forwarded, now: float) -> None:
         each.asked_at = now
@@ -297,18 +295,6 @@ class GatewayLine:
         self._note_silence(each.unit, now)
         self.statistics.unit(each.unit).given_up += 1
         self._refuse(each, NO_ANSWER)
-        self._go_on()
-
-    def _set_timer(self) -> None:
-        at = self._room.alarm
-        if at < self._timer_at:
-            if self._timer is not None:
-                self._timer.cancel()
-            self._timer_at = at
-            self._timer = self._loop.call_at(at, self._ring)
-
-    def _ring(self) -> None:
-        self._timer, self._timer_at = None, math.inf
         self._go_on()
 
     # --- responses ----------------------------------------------------------------------------
