@@ -10,16 +10,17 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import reprlib
+from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
 from .extra import require_cryptography
 
 if TYPE_CHECKING:
-    from datetime import datetime
-
     from cryptography import x509
 
-__all__ = ["describe", "shown"]
+__all__ = ["describe", "end_of", "shown"]
+
+SHOWN_TIME = "%Y-%m-%d %H:%M:%S"
 
 _REPR = reprlib.Repr()
 _REPR.maxstring = 100
@@ -57,20 +58,38 @@ def describe(certificate: bytes) -> str:
         return f"{len(certificate)} bytes that are no certificate, {fingerprint}"
 
 
+def end_of(certificate: bytes) -> float | None:
+    """
+    Return the time at which a certificate ends, in seconds since 1970; None without cryptography.
+
+    Args:
+        certificate: X.509 in DER.
+    """
+    try:
+        require_cryptography()
+    except ImportError:
+        return None
+    from cryptography import x509
+
+    return _time(x509.load_der_x509_certificate(certificate), "not_valid_after").timestamp()
+
+
 def _said(certificate: x509.Certificate) -> str:
     begin, end = (_time(certificate, f"not_valid_{when}") for when in ("before", "after"))
     is_own = certificate.subject == certificate.issuer
     issuer = "self-signed" if is_own else f"issued by {_name(certificate.issuer)}"
-    return f"{_name(certificate.subject)}, {issuer}, valid {begin} to {end} UTC"
+    valid = f"{begin:{SHOWN_TIME}} to {end:{SHOWN_TIME}} UTC"
+    return f"{_name(certificate.subject)}, {issuer}, valid {valid}"
 
 
 def _name(name: x509.Name) -> str:
     return shown(name.rfc4514_string()) if name.rdns else "nameless"
 
 
-def _time(certificate: x509.Certificate, name: str) -> str:
+def _time(certificate: x509.Certificate, name: str) -> datetime:
     # Since version 42 there is one with a timezone, and the one without warns.
-    time: datetime | None = None
     with contextlib.suppress(AttributeError):
-        time = getattr(certificate, f"{name}_utc")
-    return f"{time or getattr(certificate, name):%Y-%m-%d %H:%M:%S}"
+        aware: datetime = getattr(certificate, f"{name}_utc")
+        return aware
+    naive: datetime = getattr(certificate, name)
+    return naive.replace(tzinfo=UTC)

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import ssl
 
+from .acceptance import Acceptance
 from .tunnel import Tunnel, expiry, name_of
 
 __all__ = ["GivenContext"]
@@ -51,3 +52,10 @@ class GivenContext:
     def refusal(self, tunnel: Tunnel) -> str | None:
         """Return why a certificate is refused after a good handshake; None if it is not."""
         return expiry(tunnel)
+
+    def acceptance(self) -> Acceptance:
+        """Return what tells later whether the certificate of a new connection is still good."""
+        return Acceptance(lambda: None)
+
+    def warn_of_end(self) -> None:
+        """Do nothing, because a context does not tell which certificate it shows."""

@@ -98,11 +98,19 @@ class Tunnel:
 
     @property
     def _refused(self) -> bytes:
-        # Python 3.13 has this in its API; before, only the object within has it. OpenSSL 3
-        # keeps what it refused.
+        # OpenSSL 3 keeps what it refused.
+        return next(iter(self._certificates("get_unverified_chain")), b"")
+
+    @property
+    def chain(self) -> list[bytes]:
+        """The other side's certificate and those of its authorities in DER, as far as checked."""
+        return self._certificates("get_verified_chain") or [self.certificate]
+
+    def _certificates(self, name: str) -> list[bytes]:
+        # Python 3.13 has this in its API; before, only the object within has it.
         inner = self._tls._sslobj  # type: ignore[attr-defined]  # pyright: ignore
-        chain = inner.get_unverified_chain() if inner is not None else None
-        return ssl.PEM_cert_to_DER_cert(chain[0].public_bytes()) if chain else b""
+        chain = getattr(inner, name)() if inner is not None else None
+        return [ssl.PEM_cert_to_DER_cert(each.public_bytes()) for each in chain or ()]
 
     @property
     def expires(self) -> str | None:
