@@ -18,6 +18,7 @@ from typing import Any
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import rsa
+from cryptography.hazmat.primitives.serialization import Encoding
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from libmodbus_py import Security, Server
@@ -35,6 +36,7 @@ __all__ = [
     "foreign_authority",
     "intermediate",
     "not_yet_valid",
+    "revocation_list",
     "rsa_key",
     "save",
     "secured",
@@ -96,6 +98,28 @@ def end(certificate: x509.Certificate) -> datetime:
     if hasattr(certificate, "not_valid_after_utc"):
         return certificate.not_valid_after_utc
     return certificate.not_valid_after.replace(tzinfo=UTC)
+
+
+def revocation_list(
+    *revoked: Identity, issuer: Identity | None = None, days: float = 30.0
+) -> bytes:
+    """
+    Return a revocation list in PEM.
+
+    Args:
+        revoked: whose certificates it has.
+        issuer: who signs it; the authority if not given.
+        days: how long it is valid; negative for one that has ended.
+    """
+    issuer = issuer or authority()
+    begin = datetime.now(UTC) - timedelta(days=400)
+    builder = x509.CertificateRevocationListBuilder().issuer_name(issuer.certificate.subject)
+    builder = builder.last_update(begin)
+    builder = builder.next_update(datetime.now(UTC) + timedelta(days=days))
+    for each in revoked:
+        entry = x509.RevokedCertificateBuilder().serial_number(each.certificate.serial_number)
+        builder = builder.add_revoked_certificate(entry.revocation_date(begin).build())
+    return builder.sign(issuer.key, hashes.SHA256()).public_bytes(Encoding.PEM)
 
 
 @cache
