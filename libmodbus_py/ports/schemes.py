@@ -114,6 +114,7 @@ SECURITY_OPTIONS: dict[str, Option] = {
     "cert": _text("own certificate, a PEM file", "FILE"),
     "key": _text("private key of the certificate; unless given, in the same file", "FILE"),
     "ca": _text("certificates of the trusted authorities, a PEM file", "FILE"),
+    "crl": _text("revocation lists of these authorities, a PEM file", "FILE"),
     "pin": _text("trust only this certificate: a PEM file, or its SHA-256", "FILE"),
     "server_name": _text("name in the server's certificate; unless given, the host", "NAME"),
     "password_env": _text("environment variable that contains the key's password", "NAME"),

@@ -46,8 +46,13 @@ OF_OUR_CERTIFICATE = (
 MAX_CHAFF = 1 << 16
 CHAFF_OF_BYTE = 64
 
+# Seconds between two checks of the certificate of an open connection.
+CERTIFICATE_INTERVAL = 60.0
+
 # Name of an option in URLs -> argument of `Security`.
-NAMES = {"cert": "certificate", "key": "key", "ca": "trust", "server_name": "server_name"}
+NAMES = {
+    "cert": "certificate", "key": "key", "ca": "trust", "crl": "crl", "server_name": "server_name",
+}  # fmt: skip
 
 
 def security_of(endpoint: Endpoint, given: Given | None) -> Security | Given:
@@ -115,6 +120,8 @@ class TlsPort(TcpPort):
         self._security = security
         self._session: ssl.SSLSession | None = None
         self._tunnel: Tunnel | None = None
+        self._acceptance = security.acceptance()
+        self._check_at = 0.0
         self._owner = 0
         self._begin()
 
@@ -132,6 +139,7 @@ class TlsPort(TcpPort):
     def _preparing(self, made: socket.socket, deadline: float) -> Steps[None]:
         yield from super()._preparing(made, deadline)
         session, self._session = self._session, None  # after a failure none is resumed
+        self._acceptance = self._security.acceptance()
         tunnel = self._security.to_server(self.host, session)
         try:
             yield from _shaking_hands(made, tunnel, deadline)
@@ -144,6 +152,8 @@ class TlsPort(TcpPort):
         if (reason := self._security.refusal(tunnel)) is not None:
             raise self._distrusting(reason, tunnel.certificate)
         self._begin()
+        self._acceptance.begin(tunnel)
+        self._check_at = time.monotonic() + CERTIFICATE_INTERVAL
         self._tunnel, self._owner = tunnel, os.getpid()
 
     # --- errors -------------------------------------------------------------------------------
@@ -178,6 +188,10 @@ class TlsPort(TcpPort):
     # --- open -----------------------------------------------------------------------------------
 
     def has_input(self) -> bool:
+        # A connection that ends here, before a request, is made again, as if the server had closed
+        # it: the server may have a new certificate by now.
+        if self._tunnel is not None and (now := time.monotonic()) > self._check_at:
+            self._check_certificate(now)
         # Tickets are none; there may be an answer behind them, or the end.
         while not self._received and self._failure is None and super().has_input():
             try:
@@ -263,6 +277,10 @@ class TlsPort(TcpPort):
             raise self._failure
         tunnel = self._tunnel
         assert tunnel is not None
+        if now > self._check_at + CERTIFICATE_INTERVAL:  # never idle, so `has_input` is not asked
+            self._check_certificate(now)
+            if self._failure is not None:
+                raise self._failure
         data = adus[0] if len(adus) == 1 else b"".join(adus)
         if self._plain:
             self._plain += data
@@ -279,6 +297,13 @@ class TlsPort(TcpPort):
             if self._failure is not None:
                 raise self._failure from self._failure.__cause__
             raise self._suspecting(error) from error.__cause__
+
+    def _check_certificate(self, now: float) -> None:
+        self._check_at = now + CERTIFICATE_INTERVAL
+        self._security.warn_of_end()
+        if (reason := self._acceptance.refusal()) is not None:
+            assert self._tunnel is not None
+            self._failure = self._distrusting(reason, self._tunnel.certificate)
 
     def close(self) -> None:
         # A close_notify would end the connection of the parent process.

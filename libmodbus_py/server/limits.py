@@ -44,6 +44,8 @@ class Limits:
             being closed.
         handshake_timeout: seconds from the connection to the end of its TLS handshake,
             0.001..86400.
+        certificate_interval: seconds between two checks of the certificates of open TLS
+            connections, 0.001..86400: one that has expired or was revoked ends its connection.
         idle_timeout: seconds without a request after which a connection is closed,
             0.001..86400; None for never. A client that does not take its answers is idle.
         max_unsent: bytes of answers that may wait for one client beyond what the system
@@ -68,6 +70,7 @@ class Limits:
     allow: Iterable[str] = ()
     requests_per_second: float | None = None
     connections_per_address: int | None = None
+    certificate_interval: float = 60.0
     _networks: tuple[IPv4Network | IPv6Network, ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -81,6 +84,7 @@ class Limits:
             )
         seconds("frame_timeout", self.frame_timeout)
         seconds("handshake_timeout", self.handshake_timeout)
+        seconds("certificate_interval", self.certificate_interval)
         if self.idle_timeout is not None:
             seconds("idle_timeout", self.idle_timeout)
         integer("max_unsent", self.max_unsent, 0, 2**30)
@@ -165,6 +169,8 @@ class ServerStatistics:
         closed_idle: connections closed after `idle_timeout`.
         closed_slow: connections closed because a frame or a TLS handshake took too long.
         closed_out_of_step: connections closed because of an invalid header.
+        closed_untrusted: TLS connections closed because the certificate of their client had expired
+            or was trusted no more.
         paused: how often a client was not read because it did not take its answers.
         throttled: how often a client exceeded `requests_per_second`.
         reflected: datagrams not answered because they came from a port of servers, or were answers
@@ -177,6 +183,8 @@ class ServerStatistics:
         handshakes_resumed: those of them that resumed a session.
         handshakes_refused: TLS connections closed because a certificate was refused or the bytes
             were no TLS.
+        certificate_ends: the time at which the certificate of each TLS endpoint that is open ends,
+            in seconds since 1970, by URL. It needs the package cryptography.
     """
 
     connections: int = 0
@@ -188,6 +196,7 @@ class ServerStatistics:
     closed_idle: int = 0
     closed_slow: int = 0
     closed_out_of_step: int = 0
+    closed_untrusted: int = 0
     paused: int = 0
     throttled: int = 0
     reflected: int = 0
@@ -198,3 +207,4 @@ class ServerStatistics:
     handshakes: int = 0
     handshakes_resumed: int = 0
     handshakes_refused: int = 0
+    certificate_ends: dict[str, float] = field(default_factory=dict)

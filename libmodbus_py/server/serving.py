@@ -11,6 +11,7 @@ import contextlib
 import gc
 import logging
 import signal
+import weakref
 from abc import ABC, abstractmethod
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import AbstractAsyncContextManager, AbstractContextManager
@@ -78,11 +79,34 @@ class Serving(ABC):
         if not isinstance(limits, Limits | None):
             raise TypeError(f"limits must be Limits, not {type(limits).__name__}")
         self._limits = limits or Limits()
-        if not isinstance(security, Security | None):
-            raise TypeError(f"security must be Security, not {type(security).__name__}")
+        if security is not None:
+            _check_security(security)
         self._security = security
+        self._secured: weakref.WeakSet[TcpServer] = weakref.WeakSet()
         self._traces = Traces(None if trace is None else _checked(trace))
         self._listening: list[Endpoint] = []
+
+    @property
+    def security(self) -> Security | None:
+        """
+        The certificates of the server and of trusted clients; None if URLs contain them.
+
+        While the server runs, others can be set: new connections use them at once, and open ones
+        whose client they do not trust end within `Limits.certificate_interval`. `Security.reload`
+        reads the same files again.
+
+        Raises:
+            TypeError, ValueError: when set: it is no `Security`, or cannot be a server's.
+        """
+        return self._security
+
+    @security.setter
+    def security(self, security: Security) -> None:
+        _check_security(security)
+        security.check_server()
+        self._security = security
+        for server in list(self._secured):
+            server.use(security)
 
     @contextlib.asynccontextmanager
     async def serving(self, *urls: str) -> AsyncIterator[Running]:
@@ -210,7 +234,10 @@ class Serving(ABC):
             return TcpServer(endpoint, service, peers)
         if endpoint.transport == "tls":
             security = security_of(endpoint, self._security)
-            return TcpServer(endpoint, service, peers, security)
+            server = TcpServer(endpoint, service, peers, security)
+            if security is self._security:
+                self._secured.add(server)
+            return server
         if endpoint.transport == "udp":
             return UdpServer(endpoint, service, sources, self.statistics, end)
         return SerialServer(endpoint, service, self.statistics, end)
@@ -225,6 +252,11 @@ def _explained(what: str) -> Iterator[None]:
         raise
     except OSError as error:
         raise ModbusConnectionError(f"{what}: {reason(error)}", errno=error.errno) from error
+
+
+def _check_security(security: object) -> None:
+    if not isinstance(security, Security):
+        raise TypeError(f"security must be Security, not {type(security).__name__}")
 
 
 def _checked(trace: OnTraced) -> OnTraced:

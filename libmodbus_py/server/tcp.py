@@ -7,7 +7,6 @@ from __future__ import annotations
 import asyncio
 import logging
 import socket
-from collections.abc import Callable
 
 from ..ports.endpoint import Endpoint
 from ..security.security import Security
@@ -48,7 +47,9 @@ class TcpServer:
         self._service = service
         self._peers = peers
         self._loop = asyncio.get_running_loop()
-        self._secured = _plain if security is None else _within_tls(security, peers)
+        self._handshakes = (
+            None if security is None else Handshakes(security, peers.limits, peers.statistics)
+        )
         self._listeners: list[socket.socket] = []
         self._retries: dict[socket.socket, asyncio.TimerHandle] = {}
         self._is_short = False  # mostly a lack of descriptors or memory
@@ -59,10 +60,23 @@ class TcpServer:
         """Open the sockets, and return the endpoint with its port."""
         self._listeners, endpoint = await bound(self._endpoint, socket.SOCK_STREAM, _listener)
         make = self._service.sessions(endpoint, self._peers.statistics, self._peers.later)
-        self._make_session = self._secured(make)
+        self._make_session = make if self._handshakes is None else _within(self._handshakes, make)
         for listener in self._listeners:
             self._loop.add_reader(listener.fileno(), self._accept, listener)
+        if self._handshakes is not None:
+            self._handshakes.open(str(endpoint).partition("?")[0])
         return endpoint
+
+    def use(self, security: Security) -> None:
+        """
+        Use other certificates for new connections.
+
+        Raises:
+            ValueError: they cannot be a server's.
+        """
+        assert self._handshakes is not None
+        security.check_server()
+        self._handshakes.security = security
 
     def close(self) -> None:
         for retry in self._retries.values():
@@ -71,6 +85,8 @@ class TcpServer:
             self._loop.remove_reader(listener.fileno())
             listener.close()
         self._listeners.clear()
+        if self._handshakes is not None:
+            self._handshakes.close()
 
     def abandon(self) -> None:
         for listener in self._listeners:
@@ -107,10 +123,5 @@ def _listener(family: socket.AddressFamily, address: tuple[str, int]) -> socket.
     return socket.create_server(address, family=family, backlog=BACKLOG)
 
 
-def _plain(make: MakeSession) -> MakePeerSession:
-    return make
-
-
-def _within_tls(security: Security, peers: Peers) -> Callable[[MakeSession], MakePeerSession]:
-    handshakes = Handshakes(security, peers.limits.handshake_timeout, peers.statistics)
-    return lambda make: lambda peer: TlsSession(peer, handshakes, make)
+def _within(handshakes: Handshakes, make: MakeSession) -> MakePeerSession:
+    return lambda peer: TlsSession(peer, handshakes, make)

@@ -14,12 +14,13 @@ from typing import Protocol
 
 from ..ports.trace import Trace
 from ..protocol.errors import FrameError
+from ..security.acceptance import Acceptance
 from ..security.describing import describe
 from ..security.role import mentions_role, role_of
 from ..security.security import Security
 from ..security.tunnel import Records, Tunnel
 from ..security.words import in_words
-from .limits import ServerStatistics
+from .limits import Limits, ServerStatistics
 from .service import Channel, MakeSession, Session, SessionState
 
 __all__ = ["Handshakes", "TlsSession"]
@@ -50,18 +51,38 @@ class Handshakes:
 
     Args:
         security: the certificates of the server and of trusted clients.
-        timeout: seconds from the connection to the end of its handshake.
+        limits: `handshake_timeout`, and `certificate_interval` of established connections.
     """
 
-    def __init__(self, security: Security, timeout: float, statistics: ServerStatistics) -> None:
+    def __init__(self, security: Security, limits: Limits, statistics: ServerStatistics) -> None:
         security.check_server()
         self.security = security
-        self.timeout = timeout
+        self.timeout: float = limits.handshake_timeout
+        self._interval = limits.certificate_interval
         self.statistics = statistics
         self.loop: asyncio.AbstractEventLoop = asyncio.get_running_loop()
         self._half_open: dict[TlsSession, None] = {}
         self._line: dict[TlsSession, None] = {}
         self._next_step: asyncio.Handle | None = None
+        self._established: dict[TlsSession, None] = {}
+        self._next_check: asyncio.TimerHandle | None = None
+        self._place = ""
+
+    def open(self, place: str) -> None:
+        """Check certificates from now on; `place`: the endpoint, for statistics."""
+        self._place = place
+        self._check_certificates()
+
+    def close(self) -> None:
+        """Check certificates no more. Any number of times."""
+        self.statistics.certificate_ends.pop(self._place, None)
+        if self._next_check is not None:
+            self._next_check.cancel()
+            self._next_check = None
+
+    def acceptance(self) -> Acceptance:
+        """Return what tells later whether a client's certificate is still good."""
+        return Acceptance(lambda: self.security.loaded)
 
     def begin(self, session: TlsSession) -> Tunnel:
         """Return the tunnel of a connection that has sent its first bytes."""
@@ -75,6 +96,23 @@ class Handshakes:
         """Remove a handshake that succeeded or failed. Any number of times."""
         self._half_open.pop(session, None)
         self._line.pop(session, None)
+
+    def establish(self, session: TlsSession) -> None:
+        """Check the certificate of a connection from now on."""
+        self._established[session] = None
+
+    def forget(self, session: TlsSession) -> None:
+        """Check the certificate of a closed connection no more. Any number of times."""
+        self._established.pop(session, None)
+
+    def _check_certificates(self) -> None:
+        self._next_check = self.loop.call_later(self._interval, self._check_certificates)
+        security = self.security
+        security.warn_of_end()
+        if security.ends is not None:
+            self.statistics.certificate_ends[self._place] = security.ends
+        for session in list(self._established):
+            session.check_certificate()
 
     def line_up(self, session: TlsSession) -> None:
         """Let a session take a step when its turn comes."""
@@ -113,8 +151,17 @@ class TlsSession:
 
     # fmt: off
     __slots__ = (
-        "_handshakes", "_has_more", "_inner", "_make", "_records", "_timer", "_tunnel", "_wire",
-        "address", "role",
+        "_acceptance",
+        "_handshakes",
+        "_has_more",
+        "_inner",
+        "_make",
+        "_records",
+        "_timer",
+        "_tunnel",
+        "_wire",
+        "address",
+        "role",
     )
     # fmt: on
 
@@ -125,6 +172,7 @@ class TlsSession:
         self._handshakes = handshakes
         self._make = make
         self._tunnel: Tunnel | None = None
+        self._acceptance = handshakes.acceptance()
         self._records = Records()
         self._inner: Session | None = None
         self._has_more = False  # True if bytes were received that were not processed yet
@@ -149,6 +197,7 @@ class TlsSession:
     def receive(self, data: bytes) -> int:
         tunnel, inner = self._tunnel, self._inner
         if tunnel is None:
+            self._acceptance = self._handshakes.acceptance()
             tunnel = self._tunnel = self._handshakes.begin(self)
         is_one = False
         if data:
@@ -181,6 +230,7 @@ class TlsSession:
         self._has_more = False
         self._timer.cancel()
         self._handshakes.end(self)
+        self._handshakes.forget(self)
 
     # --- the handshake --------------------------------------------------------------------------
 
@@ -230,6 +280,8 @@ class TlsSession:
         statistics.handshakes_resumed += tunnel.is_resumed
         self._timer.cancel()
         self._handshakes.end(self)
+        self._acceptance.begin(tunnel)
+        self._handshakes.establish(self)
         self._inner = self._make(self)
         self._has_more = tunnel.has_more
 
@@ -239,6 +291,13 @@ class TlsSession:
             whose = f": {describe(certificate)}" if certificate else ""
             logger.info("%s: TLS refused: %s%s", self.address, reason, whose)
         self._finish()
+
+    def check_certificate(self) -> None:
+        """Close the connection if the client's certificate has expired or is trusted no more."""
+        if (reason := self._acceptance.refusal()) is not None:
+            self._handshakes.statistics.closed_untrusted += 1
+            logger.info("%s: connection closed: %s", self.address, reason)
+            self._finish()
 
     def _be_late(self) -> None:
         self._handshakes.statistics.closed_slow += 1

@@ -137,7 +137,7 @@ ALL = ", ".join([*SERIAL_OPTIONS, *CLIENT_OPTIONS])
         ("ascii:///", "a device is missing"),
         (
             "tls://h?anchor=x",
-            "'anchor' must be one of cert, key, ca, pin, server_name, password_env",
+            "'anchor' must be one of cert, key, ca, crl, pin, server_name, password_env",
         ),
         ("tls://h?cert=x&cert=y", "cert is given twice"),
         ("tls://h?cert=x&certificate=y", "cert is given twice"),

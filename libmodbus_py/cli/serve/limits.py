@@ -25,6 +25,9 @@ NUMBERS: dict[str, tuple[Callable[[str], Any], str, str]] = {
     ),
     "frame_timeout": (float, "S", "seconds from the first byte of a frame to the last"),
     "handshake_timeout": (float, "S", "seconds for a TLS handshake"),
+    "certificate_interval": (
+        float, "S", "seconds between checks of the certificates of open TLS connections"
+    ),
     "idle_timeout": (float, "S", "seconds without a request until a connection is closed, or inf"),
     "max_unsent": (int, "BYTES", "answers that may wait for a client that does not read them"),
     "requests_per_second": (

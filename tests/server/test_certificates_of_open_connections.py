@@ -1,0 +1,198 @@
+"""
+Certificates that expire, are revoked, or are renewed while connections are open, at either end.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from libmodbus_py import (
+    Device,
+    Gateway,
+    Limits,
+    Mapping,
+    ModbusConnectionError,
+    Route,
+    Security,
+    Server,
+    TlsContext,
+)
+from libmodbus_py.ports import tls
+from libmodbus_py.security import acceptance
+from tests.support import certificates
+from tests.support.certificates import Papers
+from tests.support.clients import Connect, connecting
+from tests.support.peers import until
+
+QUICK = Limits(certificate_interval=0.01)
+
+# The certificate of `Papers.client`.
+OPERATOR = partial(certificates.client, "Operator")
+
+
+@pytest.fixture
+def papers(tmp_path: Path) -> Papers:
+    return Papers(tmp_path / "papers")
+
+
+@pytest.fixture
+def crl(tmp_path: Path) -> Path:
+    """A revocation list without entries."""
+    file = tmp_path / "crl.pem"
+    file.write_bytes(certificates.revocation_list())
+    return file
+
+
+@pytest.fixture(params=["python", "asyncio"])
+def connect(request: pytest.FixtureRequest) -> Iterator[Connect]:
+    with connecting(request.param) as connect:
+        yield connect
+
+
+def device() -> Device:
+    return Device(Mapping(holding_registers=10))
+
+
+@contextmanager
+def plain_server(security: Security, limits: Limits = QUICK) -> Iterator[tuple[Server, int]]:
+    server = Server(device(), limits=limits, security=security)
+    with server.background("tls://127.0.0.1:0") as running:
+        yield server, port_of(running.urls[0])
+
+
+@contextmanager
+def gateway(security: Security) -> Iterator[tuple[Gateway, int]]:
+    with Server(device()).background("tcp://127.0.0.1:0") as behind:
+        made = Gateway([Route(behind.urls[0])], limits=QUICK, security=security)
+        with made.background("tls://127.0.0.1:0") as running:
+            yield made, port_of(running.urls[0])
+
+
+def port_of(url: str) -> int:
+    return int(url.rpartition(":")[2])
+
+
+@pytest.mark.parametrize("serving", [plain_server, gateway])
+def test_a_client_whose_certificate_is_revoked_is_closed(
+    papers: Papers, crl: Path, serving: Callable[[Security], Any]
+) -> None:
+    security = papers.server(crl=crl)
+    with (
+        serving(security) as (server, port),
+        TlsContext("127.0.0.1", port, security=papers.client()) as thief,
+        TlsContext("127.0.0.1", port, security=papers.client("Viewer")) as other,
+    ):
+        assert thief.read_holding_registers(0, 1) == other.read_holding_registers(0, 1) == [0]
+        crl.write_bytes(certificates.revocation_list(OPERATOR()))
+        security.reload()
+        until(lambda: server.statistics.closed_untrusted == 1)
+        with pytest.raises(ModbusConnectionError):
+            thief.read_holding_registers(0, 1)
+        assert other.read_holding_registers(0, 1) == [0]
+        assert server.statistics.closed_untrusted == 1
+
+
+def test_a_client_whose_certificate_has_expired_is_closed(
+    papers: Papers, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with (
+        plain_server(papers.server()) as (server, port),
+        TlsContext("127.0.0.1", port, security=papers.client()) as plc,
+    ):
+        plc.read_holding_registers(0, 1)
+        end = certificates.end(OPERATOR().certificate).timestamp()
+        monkeypatch.setattr(acceptance, "time", SimpleNamespace(time=lambda: end + 1))
+        until(lambda: server.statistics.closed_untrusted == 1)
+
+
+def test_a_client_whose_pin_was_removed_is_closed(papers: Papers, tmp_path: Path) -> None:
+    pin = tmp_path / "pin.pem"
+    pin.write_bytes(OPERATOR().pem)
+    security = papers.server(pin=pin)
+    with (
+        plain_server(security) as (server, port),
+        TlsContext("127.0.0.1", port, security=papers.client()) as plc,
+    ):
+        plc.read_holding_registers(0, 1)
+        security.reload()
+        assert plc.read_holding_registers(0, 1) == [0]
+        pin.write_bytes(certificates.client("Viewer").pem)
+        security.reload()
+        until(lambda: server.statistics.closed_untrusted == 1)
+
+
+def test_other_certificates_can_be_set_while_the_server_runs(papers: Papers) -> None:
+    """Who is trusted by both stays; who signed the others does not matter."""
+    with (
+        plain_server(papers.server()) as (server, port),
+        TlsContext("127.0.0.1", port, security=papers.client()) as plc,
+    ):
+        plc.read_holding_registers(0, 1)
+        with pytest.raises(TypeError, match="security must be Security, not str"):
+            server.security = "own.pem"  # type: ignore[assignment]
+        bad = papers.security(certificates.server(), pin="ab" * 32)
+        with pytest.raises(ValueError, match="a server needs the certificate"):
+            server.security = bad
+        assert plc.read_holding_registers(0, 1) == [0]
+        foreign = papers.authority(certificates.foreign_authority())
+        server.security = papers.server(trust=foreign)
+        until(lambda: server.statistics.closed_untrusted == 1)
+        with pytest.raises(ModbusConnectionError):
+            plc.read_holding_registers(0, 1)
+
+
+def test_a_server_shows_its_renewed_certificate(papers: Papers) -> None:
+    files = papers.files(certificates.server())
+    security = Security(files.cert, files.key, trust=papers.ca)
+    new = certificates.server(days=30)
+    with plain_server(security) as (_, port):
+        pinned = papers.client(trust=None, pin=papers.files(new).cert)
+        with pytest.raises(ModbusConnectionError, match="none of the pins"):
+            TlsContext("127.0.0.1", port, security=pinned).connect()
+        files.cert.write_bytes(new.pem)
+        files.key.write_bytes(new.key_pem())
+        security.reload()
+        with TlsContext("127.0.0.1", port, security=pinned) as plc:
+            assert plc.read_holding_registers(0, 1) == [0]
+
+
+def test_a_client_leaves_a_server_whose_certificate_is_revoked(
+    papers: Papers, crl: Path, connect: Connect, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tls, "CERTIFICATE_INTERVAL", 0.0)
+    security = papers.client(crl=crl)
+    with (
+        plain_server(papers.server()) as (_, port),
+        connect(f"tls://127.0.0.1:{port}", security=security) as plc,
+    ):
+        assert plc.read_holding_registers(0, 1) == [0]
+        crl.write_bytes(certificates.revocation_list(certificates.server()))
+        assert plc.read_holding_registers(0, 1) == [0]
+        security.reload()
+        with pytest.raises(ModbusConnectionError, match="certificate revoked"):
+            plc.read_holding_registers(0, 1)
+
+
+def test_a_client_leaves_a_server_whose_certificate_has_expired(
+    papers: Papers, connect: Connect, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The next handshake would be refused by OpenSSL, whose clock this test leaves alone."""
+    monkeypatch.setattr(tls, "CERTIFICATE_INTERVAL", 0.0)
+    with (
+        plain_server(papers.server(), Limits()) as (server, port),
+        connect(f"tls://127.0.0.1:{port}", security=papers.client()) as plc,
+    ):
+        assert plc.read_holding_registers(0, 1) == [0]
+        later = iter([time.time() + 366 * 86_400])
+        now = SimpleNamespace(time=lambda: next(later, time.time()))
+        monkeypatch.setattr(acceptance, "time", now)
+        plc.read_holding_registers(0, 1)
+        assert server.statistics.accepted == 2
