@@ -24,7 +24,7 @@ from ..output import counted
 from ..tracing import print_frame
 from . import limits, metrics
 from .announcing import announcing
-from .hangup import unless_closed
+from .hangup import is_secure, unless_closed
 
 __all__ = ["add_command"]
 
@@ -130,9 +130,14 @@ def _gateway(options: argparse.Namespace) -> int:
         return Gateway(file.routes if file else routes, **{**usual, **hooks, **given})
 
     gateway = arguments.checked(make, arguments.given(options, OPTIONS))
+
+    def read_files() -> None:
+        if file is not None:
+            _read_again(gateway, options.config, file)
+
     read_again = None
-    if file is not None:
-        read_again = unless_closed(lambda: _read_again(gateway, options.config, file))
+    if file is not None or is_secure([*urls, *(route.to for route in routes)]):
+        read_again = unless_closed(read_files)
     with metrics.exposed(gateway, options.metrics):
         gateway.serve_forever(*urls, on_listening=announcing(options.allow), on_hangup=read_again)
     return 0

@@ -1,19 +1,32 @@
 """
-SIGHUP: read files again, or end when the terminal was closed.
+SIGHUP: read files and certificates again, or end when the terminal was closed.
 """
 
 from __future__ import annotations
 
+import logging
 import os
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
-__all__ = ["unless_closed"]
+from ...ports.endpoint import parse
+from ...security.security import reload_all
+
+__all__ = ["is_secure", "unless_closed"]
+
+logger: logging.Logger = logging.getLogger(__name__)
+
+
+def is_secure(urls: Iterable[str]) -> bool:
+    """Return True if one of these endpoints has certificates."""
+    return any(parse(url).transport == "tls" for url in urls)
 
 
 def unless_closed(read_again: Callable[[], object]) -> Callable[[], None]:
     """
     Return a function for SIGHUP.
+
+    It reads all files of certificates again, after those of the command.
 
     An administrator sends SIGHUP after a change of a file, and the system sends it when a terminal
     is closed. In the second case the program ends as on SIGTERM; not under nohup, or without
@@ -26,6 +39,8 @@ def unless_closed(read_again: Callable[[], object]) -> Callable[[], None]:
             signal.raise_signal(signal.SIGTERM)
         else:
             read_again()
+            for mistake in reload_all():
+                logger.warning("%s", mistake)
 
     return hung_up
 

@@ -26,7 +26,7 @@ from ..output import complain
 from ..tracing import print_frame
 from . import limits, metrics, page
 from .announcing import announcing
-from .hangup import unless_closed
+from .hangup import is_secure, unless_closed
 
 __all__ = ["add_command"]
 
@@ -119,7 +119,8 @@ def _serve(options: argparse.Namespace) -> int:
         page.shown(server, options.page, announce) as announce_all,
     ):
         if simulation is None or path is None:
-            server.serve_forever(*urls, on_listening=announce_all)
+            read_again = unless_closed(_read_nothing) if is_secure(urls) else None
+            server.serve_forever(*urls, on_listening=announce_all, on_hangup=read_again)
         else:
             reloader = Reloader(server, path, simulation, is_watching=options.reload, tell=_tell)
             _serve_and_reload(server, urls, announce_all, reloader)
@@ -137,6 +138,10 @@ def _serve_and_reload(
         server.serve_forever(*urls, on_listening=begin, on_hangup=unless_closed(reloader.ask))
     finally:
         reloader.close()
+
+
+def _read_nothing() -> None:
+    """Read no file, because there is none but those of certificates."""
 
 
 def _tell(line: str) -> None:

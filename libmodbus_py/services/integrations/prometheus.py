@@ -16,6 +16,8 @@ Statistics are read when the metrics are scraped. Requests cost nothing more.
 * ``modbus_client_..._total{endpoint}`` and ``modbus_server_..._total``: the counters of
   `Statistics` (`requests` is ``modbus_client_requests_sent_total``) and `ServerStatistics`;
 * ``modbus_server_connections``: the open connections;
+* ``modbus_server_certificate_end_timestamp_seconds``: the time at which the certificate of an
+  endpoint ends;
 * ``modbus_gateway_..._total``: the counters of `GatewayStatistics`, those of its lines with
   the label ``line``, and those of their units with ``line`` and ``unit``; the lines' own
   connections are clients, whose ``endpoint`` is the URL of the line;
@@ -138,8 +140,12 @@ CLIENT = _counters("modbus_client", Statistics, (
 # fmt: on
 # "modbus_client_requests" is the metric of outcomes.
 CLIENT["requests"] = CLIENT["requests"]._replace(name="modbus_client_requests_sent")
-SERVER = _counters("modbus_server", ServerStatistics, ())
+SERVER = _counters("modbus_server", ServerStatistics, ("certificate_ends",))
 SERVER["connections"] = SERVER["connections"]._replace(type="gauge")
+CERTIFICATE = Family(
+    "modbus_server_certificate_end_timestamp_seconds", "gauge",
+    "Time at which the certificate of an endpoint ends.", min,
+)  # fmt: skip
 GATEWAY = _counters("modbus_gateway", GatewayStatistics, ("lines",))
 FLEET = _counters(
     "modbus_fleet",
@@ -176,6 +182,13 @@ def _attributes(families: dict[str, Family], statistics: Any) -> Values:
         Sample(family, "" if family.type == "gauge" else "_total", ()): getattr(statistics, name)
         for name, family in families.items()
     }
+
+
+def _of_server(statistics: ServerStatistics) -> Values:
+    values = _attributes(SERVER, statistics)
+    for endpoint, end in statistics.certificate_ends.copy().items():
+        values[Sample(CERTIFICATE, "", (("endpoint", endpoint),))] = end
+    return values
 
 
 def _of_client(statistics: Statistics) -> Values:
@@ -254,8 +267,8 @@ KINDS: dict[type, MetricKind] = {
         lambda client, name: (("endpoint", client.url.partition("?")[0]),),
     ),
     ServerStatistics: MetricKind(
-        [*SERVER.values()],
-        lambda statistics: _attributes(SERVER, statistics),
+        [*SERVER.values(), CERTIFICATE],
+        _of_server,
         lambda server, name: (("server", name),) if name else (),
     ),
     GatewayStatistics: MetricKind(

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..engine.buckets import Bucket, Change, Watch
 from ..engine.errors import EngineError
+from ..fleet.commands import Commands
 from ..fleet.config import DeviceConfig, devices_from_json
 from ..fleet.fleet import Fleet
 from ..fleet.outputs.output import Output
@@ -92,10 +93,9 @@ class Polling:
         self.worker: Worker = Worker(self._new_id, {"", *zones})
         results = Stream(client, settings.results)
         self.fleet: Fleet = Fleet(outputs=[results, *outputs], may_ask=self._may_ask)
-        self.fleet.commands.refusal = self._refusal
         self._service: CommandService | None = None
         if settings.commands:
-            self._service = CommandService(client, self.fleet.commands)
+            self._service = CommandService(client, Commands(self.fleet), self._refusal)
         # Set when a step is due before it was planned; and when the watch may be useless.
         self._woken = asyncio.Event()
         self._planned = math.inf
@@ -305,7 +305,7 @@ class Polling:
         }
 
     def _refusal(self, device: str) -> str | None:
-        """Return the refusal of a command, as `Commands` needs it."""
+        """Return the refusal of a command, as `CommandService` needs it."""
         if device in self.fleet.devices:
             return None
         return self._locations.refusal(device, self.now())

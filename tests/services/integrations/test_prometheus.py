@@ -17,6 +17,7 @@ import threading
 import time
 import urllib.request
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -46,6 +47,7 @@ from libmodbus_py.services.integrations.prometheus import Collector, collect
 from tests.simulation.network import Network
 from tests.simulation.scripted import Scripted, Write
 from tests.simulation.sockets import DELAY
+from tests.support.certificates import Papers
 from tests.support.peers import echo, until
 
 # To a peer in memory and back.
@@ -184,6 +186,10 @@ def test_the_last_success_is_a_time_of_day(registry: CollectorRegistry) -> None:
             assert before - 1 <= of(values(registry), name, endpoint=url) <= time.time() + 1
 
 
+# Attributes whose metrics have tests of their own.
+ELSEWHERE = ("answer_times", "answer_seconds", "results", "last_success", "certificate_ends")
+
+
 def test_every_attribute_has_its_metric_and_its_text(registry: CollectorRegistry) -> None:
     """HELP is what the documentation says; names follow Prometheus's rules."""
     with served() as (server, url), Context.from_url(url) as plc:
@@ -193,8 +199,8 @@ def test_every_attribute_has_its_metric_and_its_text(registry: CollectorRegistry
     families = {each.name: each for each in text_string_to_metric_families(text)}
     for kind, prefix in ((Statistics, "modbus_client_"), (ServerStatistics, "modbus_server_")):
         for field in dataclasses.fields(kind):
-            if field.name in ("answer_times", "answer_seconds", "results", "last_success"):
-                continue  # those have tests of their own
+            if field.name in ELSEWHERE:
+                continue
             name = "requests_sent" if (kind, field.name) == (Statistics, "requests") else field.name
             family = families[prefix + name]
             documented = re.sub(r"\s+", " ", kind.__doc__ or "").lower()
@@ -206,6 +212,18 @@ def test_every_attribute_has_its_metric_and_its_text(registry: CollectorRegistry
     # The stricter form of the same.
     strict = [*parse_openmetrics(generate_openmetrics(registry).decode())]
     assert {each.name for each in strict} == families.keys()
+
+
+def test_the_end_of_a_certificate_is_a_metric_while_its_endpoint_is_open(
+    registry: CollectorRegistry, tmp_path: Path
+) -> None:
+    security = Papers(tmp_path).server()
+    server = Server(Device(Mapping()), security=security)
+    collect(server, registry=registry)
+    name = "modbus_server_certificate_end_timestamp_seconds"
+    with server.background("tls://127.0.0.1:0") as running:
+        assert registry.get_sample_value(name, {"endpoint": running.urls[0]}) == security.ends
+    assert name not in {found for found, _ in values(registry)}
 
 
 def test_endpoints_are_labels_without_settings(registry: CollectorRegistry) -> None:

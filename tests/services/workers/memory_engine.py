@@ -82,11 +82,8 @@ class MemoryClient:
         self.published: list[tuple[str, bytes]] = []
         self.subscribed: dict[str, Callable[[Any], Awaitable[None]]] = {}
 
-    async def subscribe(
-        self, subject: str, cb: Callable[[Any], Awaitable[None]]
-    ) -> MemorySubscription:
+    async def subscribe(self, subject: str, cb: Callable[[Any], Awaitable[None]]) -> None:
         self.subscribed[subject] = cb
-        return MemorySubscription(self, subject)
 
     async def publish(self, subject: str, data: bytes) -> None:
         if self.is_broken:
@@ -94,19 +91,8 @@ class MemoryClient:
         self.published.append((subject, data))
 
     async def deliver(self, subject: str, data: bytes, reply: str = "") -> None:
-        for take in list(self.subscribed.values()):
+        for take in self.subscribed.values():
             await take(Message(subject, data, reply))
-
-
-@dataclass
-class MemorySubscription:
-    """What a client subscribed to."""
-
-    client: MemoryClient
-    subject: str
-
-    async def unsubscribe(self) -> None:
-        del self.client.subscribed[self.subject]
 
 
 class MemoryWatch:

@@ -19,7 +19,6 @@ import pytest
 from libmodbus_py import DeviceConfig, Point, RegisterMap
 from libmodbus_py.services.engine.errors import EngineGone
 from libmodbus_py.services.fleet.buffer import Buffer
-from libmodbus_py.services.fleet.commands import Commands
 from libmodbus_py.services.fleet.config import checked, devices_to_json
 from libmodbus_py.services.fleet.outputs.output import OutputError
 from libmodbus_py.services.fleet.statistics import FleetStatistics, OutputStatistics
@@ -48,7 +47,6 @@ class Fleet:
         self.statistics = FleetStatistics()
         self.devices: dict[str, DeviceConfig] = {}
         self.replaced = 0
-        self.commands = Commands(self)
         self.error: asyncio.Future[None] = asyncio.get_running_loop().create_future()
 
     async def run(self) -> None:
@@ -57,9 +55,6 @@ class Fleet:
     def replace(self, devices: list[DeviceConfig]) -> None:
         self.devices = {each.name: each for each in checked(devices)}
         self.replaced += 1
-
-    def unknown(self, device: str, point: str) -> str:
-        return ""
 
     async def write(self, device: str, values: dict[str, Any]) -> None:
         self.devices[device]
@@ -524,13 +519,13 @@ class TestCommands:
             bucket = filled(connection("pump"), commands=commands)
             async with at_work(bucket, settings=settings) as worker:
                 await until(lambda: names(worker))
-                await bucket.client.deliver("modbus.write.pump.level", b"7", "_INBOX.x")
-                await bucket.client.deliver("modbus.write.valve.level", b"7", "_INBOX.x")
+                await bucket.client.deliver("modbus.write.pump.level", b"7", "reply")
+                await bucket.client.deliver("modbus.write.valve.level", b"7", "reply")
                 await asyncio.sleep(0.01)
                 replies = [
                     json.loads(data)
                     for subject, data in bucket.client.published
-                    if subject == "_INBOX.x"
+                    if subject == "reply"
                 ]
             wanted = [True, "there is no device 'valve'"] if commands else []
             assert [each.get("error", each["ok"]) for each in replies] == wanted

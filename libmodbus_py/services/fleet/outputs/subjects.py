@@ -11,7 +11,8 @@ are topics, with / in place of each dot.
 
 from __future__ import annotations
 
-from ..levels import Levels
+import re
+from urllib.parse import quote, unquote
 
 __all__ = ["READINGS", "WRITE", "asked_about", "readings_of", "written"]
 
@@ -20,21 +21,24 @@ WRITE = "modbus.write"
 WRITTEN = "modbus.written"
 
 # Characters that have a meaning in subjects or topics, or are not allowed there.
-_LEVELS = Levels(r"[\s.*>%/+#$\0]")
+_SPECIAL = re.compile(r"[\s.*>%/+#$\0]")
 
 
 def readings_of(device: str) -> str:
     """Return the subject of the readings of a device."""
-    return f"{READINGS}.{_LEVELS.spell(device)}"
+    return f"{READINGS}.{_token(device)}"
 
 
-def asked_about(subject: str) -> tuple[str, str] | None:
-    """Return the device and the point of the subject of a write; None unless both are names."""
+def asked_about(subject: str) -> tuple[str, str]:
+    """Return the device and the point of the subject of a write."""
     device, _, point = subject.removeprefix(f"{WRITE}.").partition(".")
-    names = _LEVELS.read(device), _LEVELS.read(point)
-    return None if names[0] is None or names[1] is None else (names[0], names[1])
+    return unquote(device), unquote(point)
 
 
 def written(device: str, point: str) -> str:
     """Return the subject of the outcomes of writes to a point."""
-    return f"{WRITTEN}.{_LEVELS.spell(device)}.{_LEVELS.spell(point)}"
+    return f"{WRITTEN}.{_token(device)}.{_token(point)}"
+
+
+def _token(name: str) -> str:
+    return _SPECIAL.sub(lambda found: quote(found[0], safe=""), name).replace(".", "%2E")

@@ -1,0 +1,69 @@
+"""
+SIGHUP: commands that serve show a renewed certificate, and follow a revocation list.
+"""
+
+from __future__ import annotations
+
+import signal
+import ssl
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from libmodbus_py import Device, Mapping, ModbusConnectionError, Server, TlsContext
+from tests.support import certificates
+from tests.support.certificates import Papers
+from tests.support.commands import Started
+from tests.support.peers import until
+
+
+@pytest.fixture
+def papers(tmp_path: Path) -> Papers:
+    return Papers(tmp_path)
+
+
+@pytest.fixture(params=["serve", "gateway"])
+def command(request: pytest.FixtureRequest) -> Iterator[list[str]]:
+    """A command without a file of its own."""
+    if request.param == "serve":
+        yield ["serve"]
+        return
+    with Server(Device(Mapping(holding_registers=10))).background("tcp://127.0.0.1:0") as running:
+        yield ["gateway", "--to", running.urls[0]]
+
+
+def test_files_of_certificates_are_read_again_on_hangup(
+    command: list[str], papers: Papers, tmp_path: Path
+) -> None:
+    files = papers.files(certificates.server())
+    crl = tmp_path / "crl.pem"
+    crl.write_bytes(certificates.revocation_list())
+    own = ["--cert", files.cert, "--key", files.key, "--ca", papers.ca, "--crl", crl]
+    name, *rest = command
+    with Started(name, "tls://127.0.0.1:0", *rest, *map(str, own)) as process:
+        url = process.stdout.readline().removeprefix("listening on ").rstrip("\n")
+        port = int(url.rpartition(":")[2])
+        with TlsContext("127.0.0.1", port, security=papers.client()) as plc:
+            plc.read_holding_registers(0, 1)
+
+        renewed = certificates.server(days=30)
+        files.cert.write_bytes(renewed.pem)
+        process.send_signal(signal.SIGHUP)
+        assert process.stderr.readline() == (
+            f"nothing is changed: key {str(files.key)!r}: not the key of the certificate\n"
+        )
+        files.key.write_bytes(renewed.key_pem())
+        crl.write_bytes(certificates.revocation_list(certificates.client("Operator")))
+        process.send_signal(signal.SIGHUP)
+        until(lambda: shown(port) == renewed.der)
+        with pytest.raises(ModbusConnectionError, match="refused our certificate"):
+            TlsContext("127.0.0.1", port, security=papers.client()).read_holding_registers(0, 1)
+        with TlsContext("127.0.0.1", port, security=papers.client("Viewer")) as plc:
+            plc.read_holding_registers(0, 1)
+        process.terminate()
+        assert process.wait() == 0
+
+
+def shown(port: int) -> bytes:
+    return ssl.PEM_cert_to_DER_cert(ssl.get_server_certificate(("127.0.0.1", port)))
