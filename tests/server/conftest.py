@@ -8,6 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 
+from libmodbus_py import Device, Server
 from tests.simulation.stage import Stage
 
 
@@ -16,3 +17,10 @@ def stage() -> Iterator[Stage]:
     """A network in memory, on which seconds pass only while the test waits."""
     with Stage() as made:
         yield made
+
+
+@pytest.fixture
+def port(device: Device) -> Iterator[int]:
+    """The TCP port of a server, on which `device` is unit 17."""
+    with Server({17: device}).background("tcp://127.0.0.1:0") as running:
+        yield int(running.urls[0].rpartition(":")[2])

@@ -12,7 +12,6 @@ import random
 import socket
 import struct
 import threading
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -48,12 +47,6 @@ from tests.support.peers import until
 
 READ = pdu.ReadHoldingRegisters(100, 2).encode()
 READ_ANSWER = bytes.fromhex("0304 03e8 03e9")
-
-
-@pytest.fixture
-def port(device: Device) -> Iterator[int]:
-    with Server({17: device}).background("tcp://127.0.0.1:0") as running:
-        yield port_of(running.urls[0])
 
 
 def port_of(url: str) -> int:

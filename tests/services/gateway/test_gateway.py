@@ -63,13 +63,6 @@ def small() -> Device:
     return Device(Mapping(10, 10, 10, 10))
 
 
-def receive(connection: socket.socket, size: int) -> bytes:
-    data = b""
-    while len(data) < size and (piece := connection.recv(size - len(data))):
-        data += piece
-    return data
-
-
 def value(unit: int, address: int) -> int:
     """What a unit of a bus has there, and no other one."""
     return (unit * 10_000 + address) & 0xFFFF
