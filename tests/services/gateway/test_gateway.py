@@ -7,12 +7,11 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import socket
-import struct
 import threading
 from collections import Counter
 from collections.abc import Collection, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import pytest
 
@@ -37,8 +36,8 @@ from libmodbus_py import (
     pdu,
 )
 from libmodbus_py.ports.endpoint import parse
-from libmodbus_py.services.gateway.statistics import LineStatistics
 from libmodbus_py.tools.testing.wires import SerialWire
+from tests.services.gateway.gates import LINE, READ_ONE, adu, gated, gateway, numbered, small
 from tests.simulation.scripted import Scripted, Write
 from tests.simulation.stage import Stage
 from tests.support.certificates import Papers
@@ -48,19 +47,6 @@ from tests.support.peers import until
 
 FRONTS = ["tcp", "udp", "rtu+udp", "rtu+tcp", "ascii+tcp", "rtu", "ascii"]
 SIDES = [(front, back) for front in FRONTS for back in FRONTS]
-
-READ_ONE = bytes.fromhex("03 0000 0001")
-
-
-def adu(data: bytes, transaction: int = 1, unit: int = 1) -> bytes:
-    return struct.pack(">HHHB", transaction, 0, 1 + len(data), unit) + data
-
-
-LINE = "rtu:///dev/line"
-
-
-def small() -> Device:
-    return Device(Mapping(10, 10, 10, 10))
 
 
 def value(unit: int, address: int) -> int:
@@ -100,60 +86,10 @@ def bus(
     return Scripted(stage, LINE, answer)
 
 
-class Gate:
-    """Unit 1 on the line behind a gateway, which answers from when it is opened on."""
-
-    def __init__(self, stage: Stage) -> None:
-        self.asked: list[int] = []
-        self.kinds: list[str] = []
-        self._device = Device(Mapping(10, 10, 10, 10))
-        self._framer = framing.make_framer("rtu", "server")
-        self._is_open = False
-        self._held: list[tuple[bytes, Write]] = []
-        Scripted(stage, LINE, self._take)
-
-    def open(self) -> None:
-        self._is_open = True
-        held, self._held = self._held, []
-        for request, write in held:
-            self._answer(request, write)
-
-    def _take(self, request: bytes, write: Write) -> None:
-        self.asked.append(int.from_bytes(request[2:4], "big"))
-        self.kinds.append("read" if request[1] == 3 else "write")
-        if self._is_open:
-            self._answer(request, write)
-        else:
-            self._held.append((request, write))
-
-    def _answer(self, request: bytes, write: Write) -> None:
-        answer = self._device.answer(request[1:-2])
-        write(self._framer.encode(framing.Frame(request[0], answer)))
-
-
-@contextlib.contextmanager
-def gated(stage: Stage, route: dict[str, Any] | None = None, **options: Any) -> Iterator[Gated]:
-    """A gateway before a gate, with its line and where clients find it."""
-    gate = Gate(stage)
-    made = Gateway([Route(f"{LINE}?timeout=1000", **(route or {}))], longest_wait=5000, **options)
-    with made.background("tcp://10.0.0.1:0") as running:
-        (line,) = made.traffic.lines.values()
-        yield Gated(gate, line, running.urls[0])
-
-
-class Gated(NamedTuple):
-    gate: Gate
-    line: LineStatistics
-    url: str
-
-
 @contextlib.contextmanager
 def connected(url: str) -> Iterator[socket.socket]:
     with socket.create_connection(("127.0.0.1", parse(url).port), 10) as connection:
         yield connection
-
-
-# --- any side to any side -------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("front", "back"), SIDES, ids=["-".join(sides) for sides in SIDES])
@@ -271,22 +207,6 @@ def _who(asked: Any) -> tuple[str, str | None]:
     return asked.peer, asked.role
 
 
-# --- routes -----------------------------------------------------------------------------------
-
-
-def numbered(number: int) -> Device:
-    device = small()
-    device.mapping.holding_registers[0] = number
-    return device
-
-
-@contextlib.contextmanager
-def gateway(routes: list[Route], *urls: str, **options: Any) -> Iterator[tuple[Gateway, str]]:
-    made = Gateway(routes, **options)
-    with made.background(*(urls or ("tcp://127.0.0.1:0",))) as running:
-        yield made, running.urls[0]
-
-
 def test_units_go_to_their_lines_and_are_others_there(stage: Stage) -> None:
     with (
         Server({n: numbered(n) for n in (1, 2, 3)}).background("tcp://10.0.0.9:0") as one,
@@ -365,9 +285,6 @@ def test_255_goes_where_a_route_says_it_and_the_gateway_where_it_is_told(stage: 
             assert context.for_unit(unit).read_input_registers(1, 1) == [1]
 
 
-# --- broadcasts -------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("front", ["tcp", "udp", "rtu+tcp"])
 def test_a_broadcast_reaches_every_unit_of_every_line(stage: Stage, front: str) -> None:
     devices = [small() for _ in range(4)]
@@ -434,9 +351,6 @@ def test_unit_0_of_a_line_may_have_a_route(stage: Stage) -> None:
             assert stage.until(lambda unit=unit: device.mapping.holding_registers[0] == unit + 1)
             with pytest.raises(GatewayTargetFailedToRespond):
                 context.for_unit(unit).read_holding_registers(0, 1)
-
-
-# --- no answer, late answers -------------------------------------------------------------------
 
 
 def test_a_silent_unit_costs_its_timeout_once_and_then_nothing(stage: Stage) -> None:
@@ -633,9 +547,6 @@ def test_who_asks_again_without_ids_gets_the_answer_to_that_only(stage: Stage) -
         assert line.unwanted == 1
 
 
-# --- queues -----------------------------------------------------------------------------------
-
-
 def test_one_more_than_may_wait_is_told_that_it_is_busy(stage: Stage) -> None:
     slow = {1: [Fault("delay", seconds=0.2)]}
     with (
@@ -690,9 +601,6 @@ def test_writes_overtake_reads_where_they_may(stage: Stage, writes_first: bool, 
         gate.open()
         client.receive(6 * 11 + 12)
         assert gate.kinds.index("write") == place
-
-
-# --- options of routes --------------------------------------------------------------------------
 
 
 def test_equal_reads_that_wait_are_asked_once(stage: Stage) -> None:
@@ -930,9 +838,6 @@ def test_networks_that_are_not_allowed_are_not_served(stage: Stage) -> None:
         stage.talk(through.url) as client,
     ):
         assert client.recv(1) == b""
-
-
-# --- life -------------------------------------------------------------------------------------
 
 
 def test_one_connection_to_the_device_is_shared(stage: Stage) -> None:
