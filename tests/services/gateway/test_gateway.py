@@ -11,7 +11,6 @@ import threading
 from collections import Counter
 from collections.abc import Collection, Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -40,13 +39,9 @@ from libmodbus_py.tools.testing.wires import SerialWire
 from tests.services.gateway.gates import LINE, READ_ONE, adu, gated, gateway, numbered, small
 from tests.simulation.scripted import Scripted, Write
 from tests.simulation.stage import Stage
-from tests.support.certificates import Papers
 from tests.support.gateways import passage
-from tests.support.interop import UNIT, exchanges, make_device, refusals
+from tests.support.interop import UNIT, make_device
 from tests.support.peers import until
-
-FRONTS = ["tcp", "udp", "rtu+udp", "rtu+tcp", "ascii+tcp", "rtu", "ascii"]
-SIDES = [(front, back) for front in FRONTS for back in FRONTS]
 
 
 def value(unit: int, address: int) -> int:
@@ -90,121 +85,6 @@ def bus(
 def connected(url: str) -> Iterator[socket.socket]:
     with socket.create_connection(("127.0.0.1", parse(url).port), 10) as connection:
         yield connection
-
-
-@pytest.mark.parametrize(("front", "back"), SIDES, ids=["-".join(sides) for sides in SIDES])
-def test_any_function_goes_from_any_side_to_any(stage: Stage, front: str, back: str) -> None:
-    with passage(front, back, stage=stage) as through, through.context() as context:
-        every_function(context)
-
-
-@pytest.mark.parametrize(("front", "back"), [("tcp", "rtu"), ("rtu", "udp"), ("ascii", "tcp")])
-def test_any_function_goes_over_sockets_and_ports_of_the_system(front: str, back: str) -> None:
-    """The real copy."""
-    with passage(front, back) as through, through.context() as context:
-        every_function(context)
-
-
-def every_function(context: Context) -> None:
-    for each in exchanges():
-        try:
-            assert each.ask(context) == each.answer, each
-            assert each.look(context) == each.seen, each
-        finally:
-            restore(context)
-    for each in refusals():
-        with pytest.raises(ExceptionResponse):
-            each.ask(context)
-    assert context.read_file_records([(4, 7, 2)]) == [[5007, 5008]]
-    context.write_file_records([(4, 7, [1, 2])])
-    assert context.read_file_records([(4, 7, 2)]) == [[1, 2]]
-    assert context.read_fifo_queue(100) == [440, 4740]
-    assert context.read_exception_status() == 0x6D
-    assert context.report_server_id().additional == b"libmodbus-py"
-    assert context.read_device_identification("extended").objects[128] == b"private"
-    assert context.read_comm_event_counter().status == 0
-    assert context.read_comm_event_log().events is not None
-    assert context.diagnostics(0, 0x1234) == 0x1234
-    with pytest.raises(IllegalFunction):
-        context.execute(pdu.EncapsulatedTransport(13, b"abc"))
-
-
-def restore(context: Context) -> None:
-    fresh = make_device().mapping
-    context.write_registers(100, fresh.holding_registers[100:223])
-    context.write_registers(223, fresh.holding_registers[223:300])
-    context.write_registers(300, fresh.holding_registers[300:400])
-    context.write_coils(10, fresh.coils[10:1978])
-
-
-def test_functions_that_nobody_knows_go_through_as_bytes(stage: Stage) -> None:
-    """On a line between, their ends are found by the CRC."""
-
-    @pdu.register
-    class Own(pdu.Request[bytes]):
-        function = 101
-        request_length = pdu.unknown_length
-        response_length = pdu.unknown_length
-
-        def __init__(self, data: bytes) -> None:
-            self.data = data
-
-        def encode(self) -> bytes:
-            return bytes([self.function]) + self.data
-
-        @classmethod
-        def decode(cls, pdu: bytes) -> Own:
-            return cls(pdu[1:])
-
-        def encode_response(self, result: bytes) -> bytes:
-            return bytes([self.function]) + result
-
-        def _decode_response(self, pdu: bytes) -> bytes:
-            return pdu[1:]
-
-    device = Device(Mapping(), handlers={Own: lambda request: request.data[::-1]})
-    try:
-        for front, back in (("tcp", "rtu"), ("rtu", "tcp"), ("udp", "ascii"), ("ascii", "rtu+tcp")):
-            with (
-                passage(front, back, {1: device}, stage=stage) as through,
-                through.context(1) as context,
-            ):
-                assert context.execute(pdu.RawRequest(101, b"abc")) == b"cba"
-                assert context.execute(pdu.RawRequest(101, bytes(252))) == bytes(252)
-                with pytest.raises(IllegalFunction):
-                    context.execute(pdu.RawRequest(66, b"x"))
-    finally:
-        del pdu.REQUESTS[101]
-
-
-def test_over_tls_roles_are_asked(tmp_path: Path) -> None:
-    papers = Papers(tmp_path)
-    seen: list[object] = []
-
-    def authorize(asked: object) -> bool:
-        seen.append(asked)
-        return asked.role == "Operator"  # type: ignore[attr-defined]
-
-    with (
-        Server({1: small()}).background("tcp://127.0.0.1:0") as behind,
-        Gateway([Route(behind.urls[0])], security=papers.server(), authorize=authorize).background(
-            "tls://127.0.0.1:0"
-        ) as running,
-    ):
-        for role, is_allowed in (("Operator", True), ("Viewer", False), (None, False)):
-            security = papers.client(role=role)
-            with Context.from_url(running.urls[0], unit=1, security=security) as context:
-                if is_allowed:
-                    context.write_register(3, 4)
-                    assert context.read_holding_registers(3, 1) == [4]
-                    continue
-                with pytest.raises(IllegalFunction):
-                    context.write_register(3, 5)
-    assert seen[0].writes == (Access("holding_registers", 3, 1, (4,), 0, 1, *_who(seen[0])),)  # type: ignore[attr-defined]
-
-
-def _who(asked: Any) -> tuple[str, str | None]:
-    return asked.peer, asked.role
 
 
 def test_units_go_to_their_lines_and_are_others_there(stage: Stage) -> None:
