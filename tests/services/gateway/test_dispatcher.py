@@ -1,0 +1,97 @@
+"""
+Which line a request goes to, and under which unit.
+"""
+
+from __future__ import annotations
+
+import pytest
+
+from libmodbus_py import (
+    Context,
+    ExceptionResponse,
+    GatewayPathUnavailable,
+    GatewayTargetFailedToRespond,
+    Route,
+    Server,
+)
+from tests.services.gateway.gates import LINE, READ_ONE, adu, gateway, numbered, small
+from tests.simulation.stage import Stage
+from tests.support.gateways import passage
+
+
+def test_units_go_to_their_lines_and_are_others_there(stage: Stage) -> None:
+    with (
+        Server({n: numbered(n) for n in (1, 2, 3)}).background("tcp://10.0.0.9:0") as one,
+        Server({n: numbered(100 + n) for n in (1, 7)}).background(LINE),
+        gateway(
+            [
+                Route(one.urls[0], "1-2"),
+                Route(f"{LINE}?timeout=300", "11-17", "1-7"),
+                Route(one.urls[0], [20, 21], 3),
+            ]
+        ) as (made, url),
+        Context.from_url(url, timeout=2000) as context,
+    ):
+
+        def ask(unit: int) -> int:
+            return context.for_unit(unit).read_holding_registers(0, 1)[0]
+
+        assert [ask(unit) for unit in (1, 2, 11, 17, 20, 21)] == [1, 2, 101, 107, 3, 3]
+        for unit in (3, 10, 18, 22, 0, 247):
+            with pytest.raises(GatewayPathUnavailable):
+                ask(unit)
+        asked = stage.now
+        with pytest.raises(GatewayTargetFailedToRespond):
+            ask(12)
+        assert stage.now - asked == pytest.approx(300, abs=0.1)
+        assert made.traffic.no_route == 6
+        assert len(made.traffic.lines) == 2  # those with one URL share its connection
+
+
+def test_the_transaction_id_and_the_unit_come_back(stage: Stage) -> None:
+    with (
+        passage("tcp", "rtu", {1: small()}, stage=stage) as through,
+        stage.talk(through.url) as client,
+    ):
+        for transaction in (0xABCD, 0, 0xFFFF, 0xABCD):
+            client.sendall(adu(READ_ONE, transaction, 1))
+            assert client.receive(11) == adu(bytes.fromhex("03 02 0000"), transaction, 1)
+
+
+def test_the_gateway_itself_is_unit_255_with_its_statistics(stage: Stage) -> None:
+    with (
+        passage("tcp", "rtu", {1: small()}, line_options="timeout=0.2", stage=stage) as through,
+        through.context(1) as context,
+    ):
+        for _ in range(3):
+            context.read_holding_registers(0, 1)
+        with pytest.raises(ExceptionResponse):
+            context.read_holding_registers(9, 2)
+        with pytest.raises(GatewayTargetFailedToRespond):
+            context.for_unit(2).read_holding_registers(0, 1)
+        own = context.for_unit(255)
+
+        def numbers(first: int, count: int) -> list[int]:
+            words = own.read_input_registers(first, 2 * count)
+            return [high << 16 | low for high, low in zip(words[::2], words[1::2], strict=True)]
+
+        version, lines, _, connections, requests = numbers(0, 5)
+        assert (version, lines, connections, requests) == (1, 1, 1, 6)
+        assert numbers(1000 + 20, 4) == [4, 4, 1, 0]
+        assert numbers(1000 + 40, 4) == [1, 0, 0, 1]
+        assert numbers(1000 + 58, 1) == [1]  # it is silent
+        assert numbers(100, 2) == [0, 0]
+        assert own.read_device_identification().names["ProductCode"] == "Gateway"
+        with pytest.raises(ExceptionResponse):
+            own.read_input_registers(1000 + 256 * 20, 1)
+
+
+def test_255_goes_where_a_route_says_it_and_the_gateway_where_it_is_told(stage: Stage) -> None:
+    with (
+        Server({255: numbered(7)}).background("tcp://10.0.0.9:0") as behind,
+        gateway([Route(behind.urls[0], "255")], own_units=[0, 250]) as (_, url),
+        Context.from_url(url) as context,
+    ):
+        assert context.for_unit(255).read_holding_registers(0, 1) == [7]
+        for unit in (0, 250):
+            assert context.for_unit(unit).read_input_registers(1, 1) == [1]
