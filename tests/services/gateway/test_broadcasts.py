@@ -1,0 +1,87 @@
+"""
+Broadcasts through a gateway: to every line, and done when all lines have sent them.
+"""
+
+from __future__ import annotations
+
+import pytest
+
+from libmodbus_py import (
+    Context,
+    GatewayPathUnavailable,
+    GatewayTargetFailedToRespond,
+    Route,
+    Server,
+)
+from tests.services.gateway.gates import LINE, gateway, small
+from tests.simulation.scripted import Scripted
+from tests.simulation.stage import Stage
+from tests.support.gateways import passage
+
+
+@pytest.mark.parametrize("front", ["tcp", "udp", "rtu+tcp"])
+def test_a_broadcast_reaches_every_unit_of_every_line(stage: Stage, front: str) -> None:
+    devices = [small() for _ in range(4)]
+    first, second = "rtu:///dev/first", "ascii:///dev/second"
+    with (
+        Server({1: devices[0], 2: devices[1]}).background(first),
+        Server({3: devices[2], 4: devices[3]}).background(second),
+        gateway([Route(first, "1-2"), Route(second, "3-4")], f"{front}://10.0.0.1:0") as (
+            made,
+            url,
+        ),
+        Context.from_url(url, unit=0, timeout=5) as context,
+    ):
+        context.write_registers(2, [8, 9])
+        stage.pass_time(0.1)
+        assert all(each.mapping.holding_registers[2:4] == [8, 9] for each in devices)
+        assert made.traffic.broadcasts == 1
+        if front != "rtu+tcp":  # there a client knows that nobody answers
+            with pytest.raises(GatewayPathUnavailable):
+                context.read_holding_registers(0, 1)
+
+
+@pytest.mark.parametrize("is_there", [True, False])
+def test_a_broadcast_that_a_line_did_not_take_is_not_reported_done(
+    stage: Stage, is_there: bool
+) -> None:
+    if not is_there:
+        stage.unreachable.add("10.0.0.9")
+    with (
+        gateway([Route("rtu+tcp://10.0.0.9:5020?timeout=300", "1")]) as (_, url),
+        Context.from_url(url, unit=0, timeout=5000) as context,
+        pytest.raises(GatewayTargetFailedToRespond),
+    ):
+        context.write_register(0, 1)
+    assert (stage.now >= 1300) == (not is_there)
+
+
+def test_a_broadcast_is_done_when_all_lines_have_sent_it(stage: Stage) -> None:
+    """One sends it at once; the other, a server that takes unit 0 for one, never answers."""
+    device = small()
+    mute = Scripted(stage, "tcp://10.0.0.9:0", lambda request, write: None)
+    with (
+        Server({1: device}).background(LINE),
+        gateway([Route(LINE, "1"), Route(f"{mute.url}?timeout=500", "2")]) as (_, url),
+        Context.from_url(url, unit=0, timeout=5000) as context,
+    ):
+        asked = stage.now
+        with pytest.raises(GatewayTargetFailedToRespond):
+            context.write_register(0, 1)
+        assert stage.now - asked == pytest.approx(500, abs=0.1)
+        assert device.mapping.holding_registers[0] == 1
+
+
+def test_unit_0_of_a_line_may_have_a_route(stage: Stage) -> None:
+    device = small()
+    with (
+        passage(
+            "tcp", "rtu", {1: device}, route={"units": "0,7", "device_units": "0"}, stage=stage
+        ) as through,
+        through.context(7) as context,
+    ):
+        for unit in (7, 0):
+            context.for_unit(unit).write_register(0, unit + 1)
+            assert stage.until(lambda unit=unit: device.mapping.holding_registers[0] == unit + 1)
+            with pytest.raises(GatewayTargetFailedToRespond):
+                context.for_unit(unit).read_holding_registers(0, 1)
