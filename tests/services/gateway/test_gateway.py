@@ -1,5 +1,5 @@
 """
-A gateway between clients and devices, on real sockets and pseudo-terminals.
+A gateway over time: connections that come and go, routes that change, and its end.
 """
 
 from __future__ import annotations
@@ -13,14 +13,11 @@ from pathlib import Path
 import pytest
 
 from libmodbus_py import (
-    Access,
     Context,
     Fault,
     Gateway,
     GatewayPathUnavailable,
     GatewayTargetFailedToRespond,
-    IllegalDataValue,
-    IllegalFunction,
     Limits,
     ModbusTimeoutError,
     Route,
@@ -32,7 +29,6 @@ from libmodbus_py.tools.testing.wires import SerialWire
 from tests.services.gateway.gates import READ_ONE, adu, gated, gateway, numbered, small
 from tests.simulation.stage import Stage
 from tests.support.gateways import passage
-from tests.support.interop import UNIT, make_device
 from tests.support.peers import until
 
 
@@ -40,94 +36,6 @@ from tests.support.peers import until
 def connected(url: str) -> Iterator[socket.socket]:
     with socket.create_connection(("127.0.0.1", parse(url).port), 10) as connection:
         yield connection
-
-
-def test_read_only_is_read_only(stage: Stage) -> None:
-    device = make_device()
-    with (
-        passage("tcp", "rtu", {UNIT: device}, route={"read_only": True}, stage=stage) as through,
-        through.context() as context,
-    ):
-        assert context.read_holding_registers(100, 2) == [1100, 1101]
-        assert context.report_server_id().running
-        assert context.diagnostics(0, 7) == 7
-        assert context.read_device_identification().names["VendorName"] == "vendor"
-        for write in (
-            lambda: context.write_register(100, 1),
-            lambda: context.write_coils(10, [True]),
-            lambda: context.read_write_registers(100, 1, 100, [1]),
-            lambda: context.mask_write_register(100, 0, 0),
-            lambda: context.write_file_records([(4, 7, [1])]),
-            lambda: context.diagnostics(1),
-            lambda: context.execute(pdu.RawRequest(100, b"")),
-            lambda: context.execute(pdu.RawRequest(6, b"\0\1\0\2")),
-            lambda: context.execute(pdu.RawRequest(15, b"\0\0\0\1\1\1")),
-            lambda: context.execute(pdu.EncapsulatedTransport(13, b"")),
-            lambda: context.for_unit(0).write_register(100, 1),
-        ):
-            with pytest.raises(IllegalFunction):
-                write()
-        assert device.mapping.holding_registers[100] == 1100
-        assert through.gateway.traffic.refused == 11
-
-
-def test_what_may_be_written_is_and_nothing_else(stage: Stage) -> None:
-    route = {"writable": ["coils", Access("holding_registers", 110, 10)]}
-    with passage("tcp", "rtu", route=route, stage=stage) as through, through.context() as context:
-        context.write_coil(10, False)
-        context.write_registers(110, range(10))
-        context.read_write_registers(100, 5, 115, [1])
-        for first, count in ((109, 2), (115, 6), (100, 1)):
-            with pytest.raises(IllegalFunction):
-                context.write_registers(first, [0] * count)
-        with pytest.raises(IllegalFunction):
-            context.execute(pdu.RawRequest(16, bytes.fromhex("006e 0001 04 0000 0000")))
-        assert context.read_holding_registers(109, 3) == [1109, 0, 1]
-
-
-def test_what_cannot_be_passed_on_is_refused_here(stage: Stage) -> None:
-    """A wrong length would have everybody on a line look for the end in vain."""
-    with passage("tcp", "rtu", {1: small()}, stage=stage) as through, through.context(1) as context:
-        for request in (
-            pdu.RawRequest(3, b"\0\0\0\1\0"),
-            pdu.RawRequest(16, b"\0\0\0\1\2\0"),
-            pdu.RawRequest(7, b"\0"),
-        ):
-            with pytest.raises(IllegalDataValue):
-                context.execute(request)
-        with pytest.raises(IllegalDataValue):  # of the device
-            context.execute(pdu.RawRequest(3, b"\0\0\0\0"))
-        (line,) = through.gateway.traffic.lines.values()
-        assert line.units[1].requests == 1
-
-
-def test_an_answer_that_is_none_is_not_passed_on(stage: Stage) -> None:
-    for fault in (Fault("wrong_check", every=2), Fault("truncate", every=2, length=6)):
-        with (
-            passage(
-                "tcp",
-                "rtu",
-                {1: small()},
-                faults={1: [fault]},
-                line_options="timeout=0.2",
-                stage=stage,
-            ) as through,
-            through.context(1) as context,
-        ):
-            for _ in range(3):
-                assert context.read_holding_registers(0, 1) == [0]
-                with pytest.raises(GatewayTargetFailedToRespond):
-                    context.read_holding_registers(0, 1)
-                stage.pass_time(60 if fault.kind == "truncate" else 0)
-
-
-def test_networks_that_are_not_allowed_are_not_served(stage: Stage) -> None:
-    limits = Limits(allow=["192.0.2.0/24"])
-    with (
-        passage("tcp", "tcp", {1: small()}, limits=limits, stage=stage) as through,
-        stage.talk(through.url) as client,
-    ):
-        assert client.recv(1) == b""
 
 
 def test_one_connection_to_the_device_is_shared(stage: Stage) -> None:
