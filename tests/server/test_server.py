@@ -10,7 +10,6 @@ import fcntl
 import os
 import random
 import socket
-import struct
 import threading
 from pathlib import Path
 
@@ -42,39 +41,13 @@ from libmodbus_py.server.peers import Peers
 from libmodbus_py.server.serial import SerialServer
 from libmodbus_py.server.units import TcpUnits, Units
 from libmodbus_py.tools.testing.wires import SerialWire
+from tests.server.raw_requests import READ, READ_ANSWER, adu, connect, receive
 from tests.simulation.stage import Stage
 from tests.support.peers import until
-
-READ = pdu.ReadHoldingRegisters(100, 2).encode()
-READ_ANSWER = bytes.fromhex("0304 03e8 03e9")
 
 
 def port_of(url: str) -> int:
     return int(url.rpartition(":")[2])
-
-
-def connect(port: int) -> socket.socket:
-    connection = socket.create_connection(("127.0.0.1", port), 5)
-    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    return connection
-
-
-def adu(body: bytes, transaction: int = 1, unit: int = 17, **changed: int) -> bytes:
-    header = {"transaction": transaction, "protocol": 0, "length": 1 + len(body), "unit": unit}
-    return struct.pack(">HHHB", *(header | changed).values()) + body
-
-
-def receive(connection: socket.socket, size: int) -> bytes:
-    data = b""
-    while len(data) < size:
-        piece = connection.recv(size - len(data))
-        if not piece:
-            break
-        data += piece
-    return data
-
-
-# --- requests glued and cut ------------------------------------------------------------------
 
 
 def test_sixteen_requests_in_one_segment_are_answered_in_order(port: int) -> None:
@@ -144,9 +117,6 @@ def test_a_request_cut_anywhere_is_answered(stage: Stage, scheme: str, device: D
                 stage.pass_time(0.03)
                 client.sendall(request[cut:] + request)
                 assert client.receive(2 * len(answer)) == 2 * answer, cut
-
-
-# --- units -----------------------------------------------------------------------------------
 
 
 def test_unknown_unit_is_answered_with_exception_11_on_tcp(port: int) -> None:
@@ -222,9 +192,6 @@ def test_serial_server_stays_silent_while_others_talk() -> None:
             os.write(context._driver._port.descriptor, framer.encode(frame))
             assert context.read_holding_registers(0, 2) == [0, 0]
         assert wire.sent_by("server").count(b"\x01\x03\x04") == 12
-
-
-# --- hostile clients ----------------------------------------------------------------------------
 
 
 LYING = [
@@ -357,9 +324,6 @@ def test_any_request_gets_one_answer_or_none(port: int, body: bytes, transaction
         expected = [last] if body[0] & 0x80 else [transaction, last]
         assert [frame.transaction for frame in frames] == expected
         assert frames[0].pdu[0] & 0x7F == body[0] & 0x7F or body[0] & 0x80
-
-
-# --- starting and stopping ----------------------------------------------------------------------
 
 
 def test_stops_whatever_clients_do(device: Device) -> None:
