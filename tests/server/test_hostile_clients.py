@@ -1,0 +1,148 @@
+"""
+Clients that lie, flood, fall silent or vanish: they change nothing, and cost others nothing.
+"""
+
+from __future__ import annotations
+
+import os
+import random
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from libmodbus_py import Context, Device, Server, TcpContext, framing, pdu
+from tests.server.raw_requests import READ, READ_ANSWER, adu, connect, receive
+from tests.simulation.stage import Stage
+from tests.support.peers import until
+
+LYING = [
+    b"\x10\x00\x64\x00\x02\xff\x00\x01\x00\x02",  # byte count beyond the data
+    b"\x10\x00\x64\x00\x02\x02\x00\x01",  # byte count and quantity disagree
+    b"\x10\x00\x64\x00\x7b\xf6",  # 123 registers promised, none there
+    b"\x0f\x00\x0a\x00\x10\xff\xff\xff",
+    b"\x0f\x00\x0a\x00\x08\x02\xff\xff",
+    b"\x16\x00\x64\xff\xff",  # short mask write
+    b"\x16\x00\x64\x00\x00\xff\xff\x00",  # long mask write
+    b"\x06\x00\x64\x12",
+    b"\x06\x00\x64\x12\x34\x56",
+    b"\x05\x00\x0a\x12\x34",
+    b"\x17\x00\x64\x00\x01\x00\x64\x00\x7d\xfa\x00",
+    b"\x17\x00\x64\x00\x01\x00\x64\x00\x02\x02\x00\x01",
+    b"\x00",
+    b"\x00\x00\x64\x00\x01",
+    b"\x80\x00\x64\x00\x01",
+    b"\x86\x00\x64\x12\x34",
+    b"\xff",
+    b"\x15\xff" + bytes(9),
+]
+
+
+@pytest.mark.parametrize("body", LYING, ids=lambda body: body[:8].hex())
+def test_a_lying_request_changes_nothing_and_hurts_nobody(
+    port: int, device: Device, body: bytes
+) -> None:
+    before = contents(device)
+    with connect(port) as liar, TcpContext("127.0.0.1", port, unit=17) as innocent:
+        liar.sendall(adu(body) + adu(READ, 2))
+        expected_last = adu(READ_ANSWER, 2)
+        received = b""
+        while not received.endswith(expected_last):
+            piece = liar.recv(260)
+            assert piece
+            received += piece
+        assert contents(device) == before
+        assert innocent.read_holding_registers(100, 1) == [1000]
+
+
+def contents(device: Device) -> tuple[list[int], list[bool]]:
+    return list(device.mapping.holding_registers), list(device.mapping.coils)
+
+
+def test_another_protocol_is_skipped_and_the_next_request_answered(port: int) -> None:
+    with connect(port) as connection:
+        connection.sendall(adu(READ, 1, protocol=7) + adu(READ, 2))
+        assert receive(connection, 13) == adu(READ_ANSWER, 2)
+
+
+@pytest.mark.parametrize("length", [0, 1, 255, 65535])
+def test_a_length_that_cannot_be_closes_the_connection(port: int, length: int) -> None:
+    with connect(port) as liar, TcpContext("127.0.0.1", port, unit=17) as innocent:
+        innocent.connect()
+        liar.sendall(adu(READ, 1) + adu(READ, 2, length=length))
+        assert receive(liar, 13) == adu(READ_ANSWER, 1)
+        assert liar.recv(1) == b""
+        assert innocent.read_holding_registers(100, 1) == [1000]
+
+
+@pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp", "ascii+tcp"])
+def test_random_bytes_change_nothing(stage: Stage, scheme: str, device: Device) -> None:
+    """Whoever is out of step is closed, and comes back with the next bytes."""
+    before = contents(device)
+    chance = random.Random(1)
+    urls = f"{scheme}://10.0.0.1:0", "tcp://10.0.0.1:0"
+    with (
+        Server({17: device}).background(*urls) as running,
+        Context.from_url(running.urls[1], unit=17, timeout=2) as innocent,
+    ):
+        for _ in range(60):
+            flood = stage.talk(running.urls[0])
+            flood.end.send(chance.randbytes(4096))
+            asked = stage.now
+            assert innocent.read_holding_registers(100, 1) == [1000]
+            assert stage.now - asked < 0.01
+            flood.close()
+        stage.pass_time(60)
+        assert contents(device) == before
+
+
+def test_clients_that_are_silent_half_way_or_never_read_block_nobody(port: int) -> None:
+    with (
+        connect(port) as silent,
+        connect(port) as half_way,
+        connect(port) as deaf,
+        TcpContext("127.0.0.1", port, unit=17) as innocent,
+    ):
+        assert silent.fileno() >= 0
+        half_way.sendall(adu(READ)[:9])
+        deaf.setblocking(False)
+        big = b"".join(adu(pdu.ReadHoldingRegisters(100, 125).encode()) for _ in range(100))
+        sent = 0
+        try:
+            for _ in range(20_000):
+                sent += deaf.send(big)
+        except BlockingIOError:
+            pass  # it is not read any more: backpressure has reached the client
+        else:
+            pytest.fail(f"{sent} bytes of requests taken, though no answer was read")
+        for _ in range(100):
+            assert innocent.read_holding_registers(100, 2) == [1000, 1001]
+
+
+def test_connections_that_come_and_go_leave_nothing(port: int) -> None:
+    with TcpContext("127.0.0.1", port, unit=17) as innocent:
+        innocent.read_coils(10, 1)
+        before = len(os.listdir("/proc/self/fd"))
+        for _ in range(200):
+            with connect(port) as connection:
+                connection.sendall(adu(READ)[:5])
+        assert innocent.read_holding_registers(100, 1) == [1000]
+        until(lambda: len(os.listdir("/proc/self/fd")) <= before)
+
+
+@settings(
+    max_examples=60,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
+@given(body=st.binary(min_size=1, max_size=253), transaction=st.integers(0, 0xFFFF))
+def test_any_request_gets_one_answer_or_none(port: int, body: bytes, transaction: int) -> None:
+    with connect(port) as connection:
+        last = transaction ^ 1
+        connection.sendall(adu(body, transaction) + adu(READ, last))
+        data = b""
+        while not data.endswith(adu(READ_ANSWER, last)):
+            data += connection.recv(600)
+        frames = framing.TcpFramer().feed(data)
+        expected = [last] if body[0] & 0x80 else [transaction, last]
+        assert [frame.transaction for frame in frames] == expected
+        assert frames[0].pdu[0] & 0x7F == body[0] & 0x7F or body[0] & 0x80
