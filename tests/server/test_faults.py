@@ -6,9 +6,7 @@ from __future__ import annotations
 
 import asyncio
 import socket
-import struct
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,12 +17,10 @@ from hypothesis import strategies as st
 
 from libmodbus_py import (
     Context,
-    Device,
     ExceptionResponse,
     FrameError,
     GatewayTargetFailedToRespond,
     InvalidResponse,
-    Mapping,
     ModbusConnectionError,
     ModbusTimeoutError,
     Server,
@@ -40,42 +36,10 @@ from libmodbus_py.server.faults.fault import KINDS, Fault
 from libmodbus_py.server.limits import ServerStatistics
 from libmodbus_py.server.units import TcpUnits, Units
 from libmodbus_py.tools.testing.wires import SerialWire
+from tests.server.faults.serving import FOREVER, READ, REQUEST, adu, client_of, made_device, serving
 from tests.simulation.stage import Stage, Talker
 from tests.support.certificates import Papers, secured
 from tests.support.channels import FakeChannel
-
-FOREVER = 600.0  # longer than any test may last
-
-READ = pdu.ReadHoldingRegisters(0, 1).encode()
-REQUEST = Frame(1, READ)
-
-
-def made_device() -> Device:
-    mapping = Mapping(coils=8, holding_registers=8)
-    mapping.holding_registers[0:3] = [555, 0, 100]
-    return Device(mapping)
-
-
-@contextmanager
-def serving(
-    stage: Stage, scheme: str, faults: dict[int | None, list[Fault]], **devices: Any
-) -> Iterator[str]:
-    """Serve units 1 and 2 on a stage; return the URL for clients."""
-    units = devices.get("units") or {1: made_device(), 2: made_device()}
-    place = "tcp://10.0.0.1:0" if scheme.endswith("tcp") else "x:///dev/line?baudrate=115200"
-    with Server(units, faults).background(scheme + place[place.index(":") :]) as running:
-        yield running.urls[0]
-
-
-def client_of(url: str, unit: int = 1, timeout: float = 200) -> Context:
-    return Context.from_url(url, unit=unit, timeout=timeout, native=False)
-
-
-def adu(body: bytes, transaction: int = 1, unit: int = 1) -> bytes:
-    return struct.pack(">HHHB", transaction, 0, 1 + len(body), unit) + body
-
-
-# --- what a client sees ----------------------------------------------------------------------
 
 SEEN: dict[str, tuple[Fault, type[Exception]]] = {
     "delay": (Fault("delay", every=2, seconds=300), ModbusTimeoutError),
@@ -331,9 +295,6 @@ def test_the_transaction_before_0_is_65535() -> None:
     assert fragment.data[:2] == b"\xff\xff"
 
 
-# --- what others see -------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     "fault", [Fault("delay", seconds=FOREVER), Fault("trickle", seconds=FOREVER)]
 )
@@ -380,9 +341,6 @@ def test_a_client_that_leaves_costs_its_answers_only(stage: Stage) -> None:
         stage.pass_time(100)
         with client_of(url, timeout=5000) as client:
             assert client.read_holding_registers(0, 1) == [555]
-
-
-# --- the order of answers --------------------------------------------------------------------
 
 
 def test_answers_keep_their_order(stage: Stage) -> None:
@@ -497,9 +455,6 @@ def test_nothing_is_sent_after_close(stage: Stage) -> None:
 
     stage.wait(deliver())
     assert written == [b"1"]
-
-
-# --- which request it happens to -------------------------------------------------------------
 
 
 def hits(faults: Faults, count: int, request: Frame = REQUEST) -> list[int]:
@@ -720,9 +675,6 @@ def test_a_reserved_function_gets_no_answer_and_no_fault(stage: Stage) -> None:
     ):
         connection.sendall(adu(b"\x83\x01", 1) + adu(READ, 2))
         assert connection.receive(9) == adu(b"\x83\x06", 2)
-
-
-# --- what cannot be --------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,45 @@
+"""
+Servers with faults and requests to them, for the tests of faults.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from libmodbus_py import Context, Device, Mapping, Server, pdu
+from libmodbus_py.protocol.framing import Frame
+from libmodbus_py.server.faults.fault import Fault
+from tests.simulation.stage import Stage
+
+FOREVER = 600.0  # longer than any test may last
+
+READ = pdu.ReadHoldingRegisters(0, 1).encode()
+REQUEST = Frame(1, READ)
+
+
+def made_device() -> Device:
+    mapping = Mapping(coils=8, holding_registers=8)
+    mapping.holding_registers[0:3] = [555, 0, 100]
+    return Device(mapping)
+
+
+@contextmanager
+def serving(
+    stage: Stage, scheme: str, faults: dict[int | None, list[Fault]], **devices: Any
+) -> Iterator[str]:
+    """Serve units 1 and 2 on a stage; return the URL for clients."""
+    units = devices.get("units") or {1: made_device(), 2: made_device()}
+    place = "tcp://10.0.0.1:0" if scheme.endswith("tcp") else "x:///dev/line?baudrate=115200"
+    with Server(units, faults).background(scheme + place[place.index(":") :]) as running:
+        yield running.urls[0]
+
+
+def client_of(url: str, unit: int = 1, timeout: float = 200) -> Context:
+    return Context.from_url(url, unit=unit, timeout=timeout, native=False)
+
+
+def adu(body: bytes, transaction: int = 1, unit: int = 1) -> bytes:
+    return struct.pack(">HHHB", transaction, 0, 1 + len(body), unit) + body
