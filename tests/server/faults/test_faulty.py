@@ -1,0 +1,168 @@
+"""
+Units with faults: which requests are counted, refused, executed or left to C.
+"""
+
+from __future__ import annotations
+
+import socket
+from contextlib import suppress
+from typing import Any
+
+import pytest
+
+from libmodbus_py import (
+    ExceptionResponse,
+    GatewayTargetFailedToRespond,
+    ModbusTimeoutError,
+    ServerDeviceBusy,
+    ServerDeviceFailure,
+    pdu,
+)
+from libmodbus_py.protocol.framing import Frame
+from libmodbus_py.server.faults.due import Faults
+from libmodbus_py.server.faults.fault import KINDS, Fault
+from tests.server.faults.serving import READ, REQUEST, adu, client_of, made_device, serving
+from tests.simulation.stage import Stage
+
+
+def test_a_range_that_fails_leaves_the_rest_of_the_device_alone(stage: Stage) -> None:
+    bad = Fault("exception", code=4, table="holding_registers", address=2)
+    with serving(stage, "tcp", {1: [bad]}) as url, client_of(url, timeout=5000) as client:
+        assert client.read_holding_registers(0, 2) == [555, 0]
+        with pytest.raises(ServerDeviceFailure):
+            client.read_holding_registers(0, 3)
+        client.write_register(1, 7)
+        assert client.read_coils(2, 1) == [False]
+
+
+def test_units_without_faults_are_answered_in_c(
+    stage: Stage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    quick, slow = made_device(), made_device()
+    for device in (quick, slow):
+        monkeypatch.setattr(device, "answer", lambda *_: pytest.fail("not in C"))
+    faults: dict[int | None, list[Fault]] = {2: [Fault("exception", code=6)]}
+    with (
+        serving(stage, "tcp", faults, units={1: quick, 2: slow}) as url,
+        client_of(url, timeout=5000) as client,
+    ):
+        assert client.read_holding_registers(0, 3) == [555, 0, 100]
+        with pytest.raises(ServerDeviceBusy):
+            client.for_unit(2).read_coils(0, 1)
+
+
+def test_what_is_answered_in_c_waits_behind_what_a_fault_keeps_back(stage: Stage) -> None:
+    faults: dict[int | None, list[Fault]] = {2: [Fault("delay", seconds=100)]}
+    with serving(stage, "tcp", faults) as url, stage.talk(url) as connection:
+        coil = b"\x01\0\0\0\x01"
+        for requests in (adu(coil, 1, 1), adu(coil, 2, 2) + adu(coil, 3, 1) + adu(coil, 4, 2)):
+            connection.sendall(requests)
+        answers = [(1, 1), (2, 2), (3, 1), (4, 2)]
+        expected = b"".join(adu(b"\x01\x01\0", *each) for each in answers)
+        assert connection.receive(len(expected)) == expected
+
+
+def test_the_first_fault_that_is_due_happens_and_all_count() -> None:
+    own = [Fault("delay", every=2, seconds=1), Fault("no_answer", every=3)]
+    faults = Faults({None: [Fault("exception", code=4)], 1: own})
+    due = [faults.due(REQUEST, has_transaction=True) for _ in range(6)]
+    kinds = [fault.kind if fault else "" for fault in due]
+    assert kinds == ["exception", "delay", "no_answer", "delay", "exception", "delay"]
+    other = faults.due(Frame(2, READ), has_transaction=True)
+    assert other is not None
+    assert other.kind == "exception"
+
+
+def test_faults_of_all_units_also_hit_units_that_do_not_exist(stage: Stage) -> None:
+    with (
+        serving(stage, "tcp", {None: [Fault("exception", code=10, every=2)]}) as url,
+        client_of(url, unit=99) as client,
+    ):
+        with pytest.raises(GatewayTargetFailedToRespond):
+            client.read_coils(0, 1)
+        with pytest.raises(ExceptionResponse, match="exception 10"):
+            client.read_coils(0, 1)
+
+
+def test_on_serial_lines_what_nobody_answers_is_not_counted(stage: Stage) -> None:
+    with (
+        serving(stage, "rtu", {None: [Fault("exception", code=6, every=2)]}) as url,
+        client_of(url, timeout=2) as client,
+    ):
+        client.for_unit(0).write_register(0, 7)
+        with pytest.raises(ModbusTimeoutError):
+            client.for_unit(99).read_coils(0, 1)
+        assert client.read_holding_registers(0, 1) == [7]
+        with pytest.raises(ServerDeviceBusy):
+            client.read_holding_registers(0, 1)
+
+
+def test_a_broadcast_is_not_counted_where_one_device_answers_every_unit(stage: Stage) -> None:
+    device = made_device()
+    faults: dict[int | None, list[Fault]] = {None: [Fault("exception", code=6, every=2)]}
+    with serving(stage, "rtu", faults, units=device) as url, client_of(url) as client:
+        client.for_unit(0).write_register(0, 7)
+        assert client.read_holding_registers(0, 1) == [7]
+
+
+def test_a_device_in_listen_only_mode_stays_silent(stage: Stage) -> None:
+    with (
+        serving(stage, "rtu", {None: [Fault("exception", code=6, function=3)]}) as url,
+        client_of(url) as client,
+    ):
+        client.diagnostics(pdu.SubFunction.FORCE_LISTEN_ONLY)
+        with pytest.raises(ModbusTimeoutError):
+            client.read_holding_registers(0, 1)
+
+
+def test_wrong_transactions_never_happen_where_there_are_none(stage: Stage) -> None:
+    with (
+        serving(stage, "rtu+tcp", {None: [Fault("wrong_transaction")]}) as url,
+        client_of(url) as client,
+    ):
+        assert client.read_holding_registers(0, 1) == [555]
+
+
+def test_a_refused_write_is_not_executed_and_all_others_are(stage: Stage) -> None:
+    for kind in KINDS:
+        if kind in ("delay", "trickle"):
+            continue
+        device = made_device()
+        settings: dict[str, Any] = {"code": 6} if kind == "exception" else {}
+        settings |= {"length": 3} if kind in ("truncate", "garbage") else {}
+        with (
+            serving(stage, "tcp", {1: [Fault(kind, **settings)]}, units={1: device}) as url,
+            stage.talk(url) as connection,
+        ):
+            connection.sendall(adu(b"\x06\0\0\0\x09"))
+            with suppress(OSError):  # what closes may have closed before
+                connection.shutdown(socket.SHUT_WR)
+            with suppress(ConnectionResetError):
+                while connection.recv(100):
+                    pass
+        assert device.mapping.holding_registers[0] == (555 if kind == "exception" else 9), kind
+
+
+@pytest.mark.parametrize("transport", ["rtu", "tcp"])
+def test_counters_know_the_refusals_of_a_fault(stage: Stage, transport: str) -> None:
+    with (
+        serving(stage, transport, {1: [Fault("exception", code=6, function=3)]}) as url,
+        client_of(url, timeout=2) as client,
+    ):
+        for _ in range(3):
+            with pytest.raises(ServerDeviceBusy):
+                client.read_holding_registers(0, 1)
+        read = client.diagnostics
+        assert read(pdu.SubFunction.BUS_EXCEPTION_ERROR_COUNT) == 3
+        assert read(pdu.SubFunction.SERVER_BUSY_COUNT) == 3
+        assert read(pdu.SubFunction.BUS_MESSAGE_COUNT) == 6
+        assert read(pdu.SubFunction.SERVER_MESSAGE_COUNT) == 7
+
+
+def test_a_reserved_function_gets_no_answer_and_no_fault(stage: Stage) -> None:
+    with (
+        serving(stage, "tcp", {None: [Fault("exception", code=6)]}) as url,
+        stage.talk(url) as connection,
+    ):
+        connection.sendall(adu(b"\x83\x01", 1) + adu(READ, 2))
+        assert connection.receive(9) == adu(b"\x83\x06", 2)
