@@ -4,7 +4,6 @@ Faults on demand: what a client sees of each, what others do not see, and how it
 
 from __future__ import annotations
 
-import asyncio
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -21,18 +20,12 @@ from libmodbus_py import (
     Server,
     ServerDeviceBusy,
 )
-from libmodbus_py.protocol.framing import AsciiFramer, Frame, Framer, RtuFramer, TcpFramer
-from libmodbus_py.server.by_frame import ByFrame
-from libmodbus_py.server.faults.delivery import MAX_WAITING, Delivery, Fragment, fragments
-from libmodbus_py.server.faults.due import Faults
+from libmodbus_py.protocol.framing import Frame, RtuFramer
 from libmodbus_py.server.faults.fault import Fault
-from libmodbus_py.server.limits import ServerStatistics
-from libmodbus_py.server.units import TcpUnits, Units
 from libmodbus_py.tools.testing.wires import SerialWire
-from tests.server.faults.serving import FOREVER, READ, REQUEST, adu, client_of, made_device, serving
-from tests.simulation.stage import Stage, Talker
+from tests.server.faults.serving import FOREVER, READ, adu, client_of, made_device, serving
+from tests.simulation.stage import Stage
 from tests.support.certificates import Papers, secured
-from tests.support.channels import FakeChannel
 
 SEEN: dict[str, tuple[Fault, type[Exception]]] = {
     "delay": (Fault("delay", every=2, seconds=300), ModbusTimeoutError),
@@ -135,55 +128,6 @@ def test_a_client_with_patience_gets_delayed_and_trickled_answers(
         assert client.read_coils(0, 3) == [False] * 3
 
 
-# Address 107 holds 555, 0, 100: section 6.3 of the application protocol; the frames around
-# it by hand.
-ANSWER = Frame(17, bytes.fromhex("03 06 022B 0000 0064"), 0x1501)
-TCP = bytes.fromhex("1501 0000 0009 11 03 06 022B 0000 0064")
-RTU = bytes.fromhex("11 03 06 022B 0000 0064")
-ASCII = b":1103060"
-
-BYTES: list[tuple[Fault, Framer, list[tuple[float, str]]]] = [
-    (Fault("delay", seconds=2), TcpFramer(), [(2, TCP.hex())]),
-    (Fault("no_answer"), TcpFramer(), []),
-    (Fault("exception", code=6), TcpFramer(), [(0, TCP.hex())]),
-    (Fault("wrong_check"), TcpFramer(), [(0, "150100000000" + TCP[6:].hex())]),
-    (Fault("wrong_transaction"), TcpFramer(), [(0, "1500" + TCP[2:].hex())]),
-    (Fault("wrong_unit"), TcpFramer(), [(0, "15010000000912" + TCP[7:].hex())]),
-    (Fault("truncate", length=1), TcpFramer(), [(0, "15")]),
-    (Fault("truncate", length=512), TcpFramer(), [(0, TCP[:-1].hex())]),
-    (
-        Fault("trickle", seconds=2),
-        TcpFramer(),
-        [(2 if at else 0, f"{byte:02x}") for at, byte in enumerate(TCP)],
-    ),
-    # CRC C8BA by the algorithm of appendix B; its complement.
-    (Fault("wrong_check"), RtuFramer("client"), [(0, RTU.hex() + "3745")]),
-    # LRC: 100h - (11 + 03 + 06 + 02 + 2B + 64) = 55h; its complement is AAh.
-    (
-        Fault("wrong_check"),
-        AsciiFramer(),
-        [(0, b":110306022B00000064AA\r\n".hex())],
-    ),
-    (Fault("truncate", length=8), AsciiFramer(), [(0, ASCII.hex())]),
-    (Fault("disconnect"), TcpFramer(), [(0, "")]),
-    (Fault("disconnect", length=0), TcpFramer(), [(0, "")]),
-    (Fault("disconnect", length=8), AsciiFramer(), [(0, ASCII.hex())]),
-    (Fault("disconnect", length=512), TcpFramer(), [(0, TCP.hex())]),
-    (Fault("garbage", data=b"\xff\0"), TcpFramer(), [(0, "ff00" + TCP.hex())]),
-    (Fault("garbage", data=b"\xff", place="before"), TcpFramer(), [(0, "ff" + TCP.hex())]),
-    (Fault("garbage", data=b"\xff\0", place="instead"), TcpFramer(), [(0, "ff00")]),
-    (Fault("garbage", data=b"\xff\0", place="behind"), TcpFramer(), [(0, TCP.hex() + "ff00")]),
-]
-
-
-@pytest.mark.parametrize(("fault", "framer", "expected"), BYTES)
-def test_bytes_of_each_fault(
-    fault: Fault, framer: Framer, expected: list[tuple[float, str]]
-) -> None:
-    sent = [(each.wait, each.data.hex()) for each in fragments(fault, ANSWER, framer)]
-    assert sent == expected
-
-
 @pytest.mark.parametrize("length", [None, 5, 512])
 @pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp"])
 def test_what_comes_before_the_connection_closes(
@@ -264,30 +208,6 @@ def test_a_disconnect_closes_a_tunnel(tmp_path: Path) -> None:
         assert server.statistics.handshakes == 2
 
 
-def test_random_bytes_are_the_same_with_a_seed() -> None:
-    def made(seed: int | None) -> list[bytes | None]:
-        faults = Faults({1: [Fault("garbage", length=6, seed=seed)]})
-        due = [faults.due(REQUEST, has_transaction=True) for _ in range(3)]
-        return [each.data if each else None for each in due]
-
-    first = made(7)
-    assert all(data is not None and len(data) == 6 for data in first)
-    assert len(set(first)) == 3
-    assert made(7) == first
-    assert made(None) != first
-
-
-@pytest.mark.parametrize(("unit", "other"), [(0, 1), (1, 2), (246, 247), (247, 1), (255, 9)])
-def test_another_unit_is_one_that_a_line_can_have(unit: int, other: int) -> None:
-    (fragment,) = fragments(Fault("wrong_unit"), ANSWER._replace(unit=unit), TcpFramer())
-    assert fragment.data[6] == other
-
-
-def test_the_transaction_before_0_is_65535() -> None:
-    (fragment,) = fragments(Fault("wrong_transaction"), ANSWER._replace(transaction=0), TcpFramer())
-    assert fragment.data[:2] == b"\xff\xff"
-
-
 @pytest.mark.parametrize(
     "fault", [Fault("delay", seconds=FOREVER), Fault("trickle", seconds=FOREVER)]
 )
@@ -334,117 +254,3 @@ def test_a_client_that_leaves_costs_its_answers_only(stage: Stage) -> None:
         stage.pass_time(100)
         with client_of(url, timeout=5000) as client:
             assert client.read_holding_registers(0, 1) == [555]
-
-
-def test_answers_keep_their_order(stage: Stage) -> None:
-    faults = [
-        Fault("delay", every=7, seconds=0.01),
-        Fault("trickle", every=11, seconds=0.001),
-    ]
-    with serving(stage, "tcp", {1: faults}) as url, stage.talk(url) as connection:
-        numbers = range(500)
-        connection.sendall(b"".join(adu(b"\x03\0\0\0\x01", number) for number in numbers[:250]))
-        answers = b"".join(adu(b"\x03\x02\x02\x2b", number) for number in numbers)
-        received = connection.receive(500)
-        connection.sendall(b"".join(adu(b"\x03\0\0\0\x01", number) for number in numbers[250:]))
-        received += connection.receive(len(answers) - 500)
-        assert received == answers
-
-
-def blocks(client: Talker, requests: bytes) -> bool:
-    """Send more than the network keeps; return whether the server stops to read it."""
-    client.settimeout(60)
-    sent = 0
-    try:
-        while sent < 1 << 21:
-            sent += client.send(requests[sent % len(requests) :])
-    except TimeoutError:
-        return True
-    return False
-
-
-def test_what_is_not_answered_is_not_read(stage: Stage) -> None:
-    faults: dict[int | None, list[Fault]] = {1: [Fault("delay", seconds=FOREVER)]}
-    with serving(stage, "tcp", faults) as url, stage.talk(url) as flood:
-        assert blocks(flood, adu(READ) * 10_000)
-
-
-def test_a_client_that_does_not_take_its_answers_is_not_read(stage: Stage) -> None:
-    # Also where faults end again and again, each of which lets the server go on.
-    faults: dict[int | None, list[Fault]] = {1: [Fault("delay", every=50, seconds=0.001)]}
-    with serving(stage, "tcp", faults) as url, stage.talk(url) as flood:
-        assert blocks(flood, adu(b"\x03\0\0\0\x08") * 10_000)
-
-
-def test_answers_that_nobody_waits_for_are_lost(stage: Stage) -> None:
-    written: list[bytes] = []
-
-    async def deliver() -> None:
-        delivery = Delivery(FakeChannel(written.append))
-        delivery.send([Fragment(10, b"first")])
-        for _ in range(3):
-            delivery.send([Fragment(0, bytes(MAX_WAITING // 2))])
-        delivery.send([Fragment(0, b"lost")])
-        await asyncio.sleep(50)
-        assert not delivery.is_waiting
-        delivery.send([Fragment(0, b"last")])
-
-    stage.wait(deliver())
-    assert [data for data in written if len(data) < 10] == [b"first", b"last"]
-    assert sum(map(len, written)) <= 2 * MAX_WAITING
-
-
-def test_delivery_tells_when_it_waits(stage: Stage) -> None:
-    told: list[bool] = []
-
-    async def deliver() -> None:
-        delivery = Delivery(FakeChannel(follow=lambda: told.append(delivery.is_waiting)))
-        delivery.send([Fragment(0, b"1")])
-        assert told == []
-        delivery.send([Fragment(10, b"2"), Fragment(10, b"3")])
-        delivery.send([Fragment(0, b"4")])
-        await asyncio.sleep(50)
-
-    stage.wait(deliver())
-    assert told == [True, False]
-
-
-def test_each_wait_begins_when_what_is_before_is_sent(stage: Stage) -> None:
-    written: list[bytes] = []
-
-    async def deliver() -> None:
-        delivery = Delivery(FakeChannel(written.append))
-        delivery.send([Fragment(10, b"1")])
-        delivery.send([Fragment(FOREVER, b"2")])
-        await asyncio.sleep(50)
-        delivery.close()
-
-    stage.wait(deliver())
-    assert written == [b"1"]
-
-
-def test_a_session_that_is_closed_sends_nothing_more(stage: Stage) -> None:
-    written: list[bytes] = []
-    units = Units(made_device(), Faults({None: [Fault("delay", seconds=10)]}))
-
-    async def ask() -> None:
-        session = ByFrame(TcpUnits(units), "tcp", FakeChannel(written.append), ServerStatistics())
-        session.receive(adu(READ))
-        session.close()
-        await asyncio.sleep(50)
-
-    stage.wait(ask())
-    assert written == []
-
-
-def test_nothing_is_sent_after_close(stage: Stage) -> None:
-    written: list[bytes] = []
-
-    async def deliver() -> None:
-        delivery = Delivery(FakeChannel(written.append))
-        delivery.send([Fragment(0, b"1"), Fragment(10, b"2")])
-        delivery.close()
-        await asyncio.sleep(50)
-
-    stage.wait(deliver())
-    assert written == [b"1"]
