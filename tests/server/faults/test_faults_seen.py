@@ -1,5 +1,5 @@
 """
-Faults on demand: what a client sees of each, what others do not see, and how it is counted.
+What a client sees of each fault.
 """
 
 from __future__ import annotations
