@@ -30,7 +30,6 @@ from tests.support.vectors import EXCEPTIONS, REQUESTS, RESPONSES, FrameVector, 
 
 BITS = {1: range(10, 2100), 2: range(20, 2100)}
 REGISTERS = {3: range(100, 400), 4: range(200, 400)}
-LAST = 65536
 FILES: dict[int, dict[int, int]] = {
     4: {record: record * 7 & 0xFFFF for record in range(10_000)},
     3: {9: 0x33CD, 10: 0x0040, 12: 7},

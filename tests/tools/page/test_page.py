@@ -24,9 +24,7 @@ from libmodbus_py import (
 )
 from libmodbus_py.page import live_page
 from tests.support.cases import each_case
-from tests.tools.page.watching import NamedDevice, Visitor, made_server, shown, until
-
-POINTS = ["temperature", "level", "label", "limits", "pump", "flow"]
+from tests.tools.page.watching import NAMES, NamedDevice, Visitor, made_server, shown, until
 
 
 def test_everything_there_is_comes_first() -> None:
@@ -41,7 +39,7 @@ def test_everything_there_is_comes_first() -> None:
         "holding_registers": [[0, 20], [100, 110]],
         "input_registers": [[0, 8]],
     }
-    assert [each[0] for each in first["points"]] == POINTS
+    assert [each[0] for each in first["points"]] == NAMES
     assert first["points"][0][1:5] == ["holding_registers", 0, "float32 CDAB", "°C"]
     assert second["points"] == []
     assert visitor.seen["counters"]["requests"] == 0
@@ -215,7 +213,7 @@ VALUES: list[tuple[str, str, str]] = [
 
 @each_case(("name", "typed", "text"), VALUES)
 def test_a_value_that_is_typed_is_set(name: str, typed: str, text: str) -> None:
-    point = POINTS.index(name)
+    point = NAMES.index(name)
     with shown() as (_, _, visitor), visitor.watching():
         assert visitor.post("/value", unit=1, point=point, name=name, text=typed) == {}
         visitor.look(1, "points", 0, 100)

@@ -26,6 +26,7 @@ POINTS = (
     Point("pump", "coils", 0),
     Point("flow", "input_registers", 0, type="uint32"),
 )
+NAMES = ["temperature", "level", "label", "limits", "pump", "flow"]
 
 
 class NamedDevice(Device):
