@@ -23,18 +23,22 @@ from libmodbus_py.device.event_log import EventLog
 from libmodbus_py.device.reply import replier
 from libmodbus_py.protocol import errors
 from libmodbus_py.protocol.pdu import SubFunction
-from libmodbus_py.protocol.pdu.interface import identify
 from libmodbus_py.serve import Caller, RecordFile
+from tests.device.devices import (
+    BITS,
+    FILES,
+    REGISTERS,
+    caller_on,
+    contents,
+    diagnose,
+    identified,
+    new_device,
+    on_a_line,
+    page,
+    words,
+)
 from tests.support.cases import each_case
 from tests.support.vectors import EXCEPTIONS, REQUESTS, RESPONSES, FrameVector, rows
-
-BITS = {1: range(10, 2100), 2: range(20, 2100)}
-REGISTERS = {3: range(100, 400), 4: range(200, 400)}
-FILES: dict[int, dict[int, int]] = {
-    4: {record: record * 7 & 0xFFFF for record in range(10_000)},
-    3: {9: 0x33CD, 10: 0x0040, 12: 7},
-    65535: {0: 1, 1: 2, 2: 3},
-}
 
 
 class Refused(Exception):
@@ -190,27 +194,6 @@ class Model:
 KNOWN = sorted(int(name.removeprefix("function_")) for name in dir(Model) if "function_" in name)
 
 
-def new_device() -> Device:
-    mapping = Mapping(
-        coils=BITS[1],
-        discrete_inputs=BITS[2],
-        holding_registers=REGISTERS[3],
-        input_registers=REGISTERS[4],
-    )
-    return Device(mapping, files=FILES)
-
-
-def contents(device: Device) -> dict[str, Any]:
-    """Everything a client could change."""
-    mapping = device.mapping
-    return {
-        "coils": mapping.coils[:],
-        "discrete_inputs": mapping.discrete_inputs[:],
-        "holding_registers": mapping.holding_registers[:],
-        "input_registers": mapping.input_registers[:],
-    } | {f"file {number}": list(file) for number, file in device.files.items()}
-
-
 def contents_of_model(model: Model) -> dict[str, Any]:
     return {
         "coils": list(model.bits[1].values()),
@@ -219,12 +202,6 @@ def contents_of_model(model: Model) -> dict[str, Any]:
         "input_registers": list(model.words[4].values()),
     } | {f"file {number}": list(records.values()) for number, records in model.files.items()}
 
-
-def words(*values: int) -> bytes:
-    return struct.pack(f">{len(values)}H", *values)
-
-
-# --- differential -----------------------------------------------------------------------
 
 edges = st.sampled_from(
     sorted(
@@ -583,20 +560,9 @@ class TestFiles:
         assert Device(mapping).answer(b"\x03" + words(0, 1)) == b"\x03\2\0\5"
 
 
-# --- beside the tables --------------------------------------------------------------------
-
-
 def vector(name: str) -> bytes:
     (found,) = (each.pdu for each in REQUESTS + RESPONSES if each.id == name)
     return found
-
-
-def on_a_line() -> Caller:
-    return Caller(1, "/dev/ttyS0", EventLog(is_serial=True))
-
-
-def diagnose(device: Device, sub_function: int, data: bytes = b"\0\0", *caller: Caller) -> bytes:
-    return device.answer(b"\x08" + words(sub_function) + data, *caller)
 
 
 class TestStatusAndIdentifier:
@@ -670,10 +636,6 @@ class TestCounters:
 RESERVED = (*range(5, 0x0A), 0x13, 0x15, 0x16, 0x20, 0xFF, 0x100, 0x0A00, 0x8000, 0xFFFF)
 PLAIN = (2, 0x0A, *range(0x0B, 0x13), 0x14)
 both_lines = pytest.mark.parametrize("serial", [True, False], ids=["serial", "tcp"])
-
-
-def caller_on(serial: bool) -> Caller:
-    return Caller(1, "", EventLog(is_serial=serial))
 
 
 class TestDiagnostics:
@@ -907,24 +869,6 @@ IDENTITY: dict[str | int, str | bytes] = {
     255: b"z" * 244,
 }
 IDENTITY_NUMBERS = (0, 1, 2, 3, 6, 128, 200, 255)
-
-
-def identified(device: Device, level: str | int) -> tuple[pdu.DeviceIdentification, list[int]]:
-    """What a client gets, and how long the answers are."""
-    steps = identify(level)
-    request = next(steps)
-    sizes: list[int] = []
-    while True:
-        answer = device.answer(request.encode())
-        sizes.append(len(answer))
-        try:
-            request = steps.send(request.decode_response(answer))
-        except StopIteration as done:
-            return done.value, sizes
-
-
-def page(code: int, number: int = 0) -> bytes:
-    return bytes([0x2B, 0x0E, code, number])
 
 
 class TestIdentification:
@@ -1240,8 +1184,6 @@ class TestTwoDevices:
         first.answer(b"\1" + words(0, 1))
         assert len(seen) == 1
 
-
-# --- hooks ----------------------------------------------------------------------------------
 
 CALLER = Caller(5, "192.0.2.7:51234")
 
