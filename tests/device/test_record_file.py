@@ -1,0 +1,117 @@
+"""
+Files of records: holes, limits, and writes that are all or nothing.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from libmodbus_py import Device, Mapping, pdu
+from libmodbus_py.serve import RecordFile
+from tests.device.devices import words
+from tests.support.cases import each_case
+
+
+class TestFiles:
+    @staticmethod
+    def read(*subs: tuple[int, int, int]) -> bytes:
+        return pdu.ReadFileRecords(subs).encode()
+
+    @staticmethod
+    def write(*subs: tuple[int, int, list[int]]) -> bytes:
+        return pdu.WriteFileRecords(subs).encode()
+
+    def test_holes_are_no_records(self) -> None:
+        device = Device(Mapping(), files={3: {9: 0x33CD, 10: 0x0040, 12: 7}})
+        assert device.answer(self.read((3, 9, 2))) == bytes.fromhex("140605 0633CD0040")
+        assert device.answer(self.read((3, 12, 1))) == b"\x14\4\3\6\0\7"
+        for sub in ((3, 8, 1), (3, 8, 2), (3, 9, 3), (3, 11, 1), (3, 12, 2), (3, 13, 1), (3, 0, 1)):
+            assert device.answer(self.read(sub)) == b"\x94\2"
+            assert device.answer(self.write((*sub[:2], [1] * sub[2]))) == b"\x95\2"
+        assert device.answer(self.read((2, 9, 1))) == b"\x94\2"
+        assert list(device.files[3]) == [0x33CD, 0x0040, 7]
+
+    def test_writes_are_all_or_nothing(self) -> None:
+        device = Device(Mapping(), files={1: [0] * 10, 2: [0] * 10})
+        for last in ((2, 9, [5, 5]), (3, 0, [5]), (2, 10, [5])):
+            answer = device.answer(self.write((1, 0, [1, 2]), (2, 3, [3]), last))
+            assert answer == b"\x95\2"
+            assert list(device.files[1]) + list(device.files[2]) == [0] * 20
+        request = self.write((1, 0, [1, 2]), (2, 3, [3]), (1, 1, [9]))
+        assert device.answer(request) == request
+        assert list(device.files[1]) == [1, 9, 0, 0, 0, 0, 0, 0, 0, 0]
+        assert list(device.files[2]) == [0, 0, 0, 3, 0, 0, 0, 0, 0, 0]
+
+    def test_files_end_with_record_9999(self) -> None:
+        device = Device(Mapping(), files={1: range(10_000)})
+        assert device.answer(self.read((1, 9999, 1))) == b"\x14\4\3\6\x27\x0f"
+        assert device.answer(b"\x14\7\6" + words(1, 9999, 2)) == b"\x94\2"
+        assert device.answer(b"\x14\7\6" + words(1, 10_000, 1)) == b"\x94\2"
+
+    def test_answers_end_with_245_bytes(self) -> None:
+        device = Device(Mapping(), files={1: range(10_000)})
+        answer = device.answer(self.read((1, 0, 121)))
+        assert len(answer) == 2 + 244
+        assert answer[1:4] == bytes([244, 243, 6])
+        assert device.answer(self.read((1, 0, 122))) == b"\x94\3"
+        assert len(device.answer(self.read((1, 0, 60), (1, 0, 60)))) == 2 + 244
+        assert device.answer(self.read((1, 0, 60), (1, 0, 61))) == b"\x94\3"
+        assert len(device.answer(self.read(*[(1, 0, 1)] * 35))) == 2 + 140
+
+    def test_largest_write_arrives(self) -> None:
+        device = Device(Mapping(), files={1: [0] * 200})
+        request = self.write((1, 50, list(range(1, 123))))
+        assert len(request) == 253
+        assert device.answer(request) == request
+        assert list(device.files[1])[49:173] == [0, *range(1, 123), 0]
+
+    def test_record_file_is_indexed_by_record(self) -> None:
+        file = RecordFile({9: 1, 12: 2})
+        file[9] = 65535
+        assert (file[9], file[12], len(file), list(file)) == (65535, 2, 2, [65535, 2])
+        for record in (0, 10, 13, 9999, 10_000, -1, -4):
+            with pytest.raises(IndexError):
+                file[record]
+            with pytest.raises(IndexError):
+                file[record] = 1
+        for bad in (-1, 65536):
+            with pytest.raises(ValueError, match="value"):
+                file[9] = bad
+        with pytest.raises(TypeError, match="value"):
+            file[9] = "1"  # type: ignore[assignment]
+        assert list(RecordFile([5, 6])) == [5, 6]
+        assert list(RecordFile([])) == list(RecordFile({})) == []
+
+    @each_case(
+        ("files", "error", "name"),
+        [
+            ({0: []}, ValueError, "file"),
+            ({65536: []}, ValueError, "file"),
+            ({"1": []}, TypeError, "file"),
+            ({1: {-1: 0}}, ValueError, "record"),
+            ({1: {10_000: 0}}, ValueError, "record"),
+            ({1: {"1": 0}}, TypeError, "record"),
+            ({1: [0] * 10_001}, ValueError, "record"),
+            ({1: [65536]}, ValueError, "value"),
+            ({1: [-1]}, ValueError, "value"),
+            ({1: [None]}, TypeError, "value"),
+        ],
+        ids=lambda value: str(value)[:30],
+    )
+    def test_bad_files_are_refused_by_name(
+        self, files: Any, error: type[Exception], name: str
+    ) -> None:
+        with pytest.raises(error, match=f"^{name} must be "):
+            Device(Mapping(), files=files)
+
+    def test_mapping_must_be_one(self) -> None:
+        for bad in (None, {}, 5):
+            with pytest.raises(TypeError, match="mapping must be a Mapping"):
+                Device(bad)  # type: ignore[arg-type]
+
+    def test_devices_may_share_a_mapping(self) -> None:
+        mapping = Mapping(holding_registers=1)
+        Device(mapping).answer(b"\x06" + words(0, 5))
+        assert Device(mapping).answer(b"\x03" + words(0, 1)) == b"\x03\2\0\5"
