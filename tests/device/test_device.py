@@ -214,61 +214,6 @@ class TestBroadcasts:
         assert device.mapping.holding_registers[0] == 0
 
 
-class TestQueues:
-    def test_queue_is_that_of_the_example(self) -> None:
-        device = Device(Mapping(), fifos={1246: [440, 4740]})
-        assert device.answer(vector("s1-6.18-req")) == vector("s1-6.18-rsp")
-
-    def test_reading_keeps_the_queue(self) -> None:
-        device = Device(Mapping(), fifos={0: [1, 2]})
-        for _ in range(3):
-            assert device.answer(b"\x18\0\0") == b"\x18\0\6\0\2" + words(1, 2)
-        assert device.fifos == {0: [1, 2]}
-
-    @each_case("count", [0, 1, 30, 31])
-    def test_up_to_31_registers_are_given(self, count: int) -> None:
-        device = Device(Mapping(), fifos={65535: range(count)})
-        answer = b"\x18" + words(2 + 2 * count, count) + words(*range(count))
-        assert device.answer(b"\x18\xff\xff") == answer
-
-    @each_case("count", [32, 33, 125, 40_000])
-    def test_longer_queues_are_refused(self, count: int) -> None:
-        device = Device(Mapping(), fifos={7: []})
-        device.fifos[7] = [1] * count
-        assert device.answer(b"\x18\0\7") == b"\x98\3"
-        del device.fifos[7][31:]
-        assert device.answer(b"\x18\0\7")[:5] == b"\x18\0\x40\0\x1f"
-
-    def test_other_addresses_are_no_queues(self) -> None:
-        device = Device(Mapping(holding_registers=10), fifos={7: [1]})
-        for address in (0, 6, 8, 65535):
-            assert device.answer(b"\x18" + words(address)) == b"\x98\2"
-        assert new_device().answer(b"\x18\0\0") == b"\x98\2"
-        assert device.answer(b"\x18\0\7\0") == b"\x98\3"  # the length comes first
-
-    def test_queue_may_change_at_any_time(self) -> None:
-        device = Device(Mapping(), fifos={7: []})
-        device.fifos[7].append(5)
-        device.fifos[8] = [6]
-        assert device.answer(b"\x18\0\7") == b"\x18\0\4\0\1\0\5"
-        assert device.answer(b"\x18\0\x08") == b"\x18\0\4\0\1\0\6"
-
-    @pytest.mark.parametrize(
-        ("fifos", "error"),
-        [({-1: []}, ValueError), ({65536: []}, ValueError), ({"0": []}, TypeError)],
-        ids=str,
-    )
-    def test_address_of_a_queue_is_one(self, fifos: Any, error: type[Exception]) -> None:
-        with pytest.raises(error, match=r"^fifo must be "):
-            Device(Mapping(), fifos=fifos)
-
-    def test_list_given_is_not_kept(self) -> None:
-        given = [1]
-        device = Device(Mapping(), fifos={0: given})
-        given.append(2)
-        assert device.fifos[0] == [1]
-
-
 IDENTITY: dict[str | int, str | bytes] = {
     "VendorName": b"v" * 244,
     "ProductCode": "",
