@@ -1,0 +1,188 @@
+"""
+The identification of a device, and CANopen references: function 43.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from libmodbus_py import Device, Mapping
+from libmodbus_py.protocol import errors
+from tests.device.devices import identified, new_device, page
+from tests.device.test_diagnostics import vector
+from tests.support.cases import each_case
+
+IDENTITY: dict[str | int, str | bytes] = {
+    "VendorName": b"v" * 244,
+    "ProductCode": "",
+    "MajorMinorRevision": "V2.11",
+    "VendorUrl": "u" * 244,
+    "UserApplicationName": "a" * 230,
+    128: b"\0" * 244,
+    200: "private",
+    255: b"z" * 244,
+}
+IDENTITY_NUMBERS = (0, 1, 2, 3, 6, 128, 200, 255)
+
+
+class TestIdentification:
+    def test_answer_is_that_of_the_example(self) -> None:
+        objects = dict(enumerate(("Company identification", "Product code XX", "V2.11")))
+        device = Device(Mapping(), identification=objects)
+        answer = bytearray(vector("s1-6.21-rsp"))
+        assert answer[3] == 0x01
+        answer[3] = 0x81  # the device of the example has no individual access
+        assert device.answer(vector("s1-6.21-req")) == answer
+
+    def test_every_device_has_the_mandatory_objects(self) -> None:
+        for device in (Device(Mapping()), Device(Mapping(), identification={})):
+            found, sizes = identified(device, "extended")
+            assert list(found.objects) == [0, 1, 2]
+            assert all(found.objects.values())
+            assert found.conformity == 0x81
+            assert len(sizes) == 1
+
+    def test_stream_of_large_objects_takes_several_pages(self) -> None:
+        device = Device(Mapping(), identification=IDENTITY)
+        expected = {
+            number: value if isinstance(value, bytes) else value.encode()
+            for number, value in zip(IDENTITY_NUMBERS, IDENTITY.values(), strict=True)
+        }
+        for level, count, pages in (("basic", 3, 2), ("regular", 5, 4), ("extended", 8, 7)):
+            found, sizes = identified(device, level)
+            assert list(found.objects.items()) == list(expected.items())[:count]
+            assert found.conformity == 0x83
+            assert len(sizes) == pages
+            assert max(sizes) == 253
+            assert sizes[0] == 253
+
+    def test_order_given_does_not_matter(self) -> None:
+        device = Device(Mapping(), identification=dict(reversed(IDENTITY.items())))
+        for level in ("basic", "regular", "extended"):
+            other = Device(Mapping(), identification=IDENTITY)
+            assert identified(device, level) == identified(other, level)
+
+    @each_case(
+        ("objects", "conformity"),
+        [
+            ({}, 0x81),
+            ({"VendorName": "x"}, 0x81),
+            ({"VendorUrl": "x"}, 0x82),
+            ({6: ""}, 0x82),
+            ({128: b""}, 0x83),
+            ({3: "x", 255: "y"}, 0x83),
+        ],
+        ids=str,
+    )
+    def test_conformity_is_what_the_device_has(
+        self, objects: dict[str | int, str | bytes], conformity: int
+    ) -> None:
+        """Whatever is asked for, and the code comes back as it was asked."""
+        device = Device(Mapping(), identification=objects)
+        for code in (1, 2, 3, 4):
+            assert device.answer(page(code))[:4] == bytes([0x2B, 0x0E, code, conformity])
+
+    def test_more_than_there_is_gives_what_there_is(self) -> None:
+        device = Device(Mapping())
+        basic, regular, extended = (device.answer(page(code)) for code in (1, 2, 3))
+        assert basic[3:] == regular[3:] == extended[3:]
+
+    def test_single_objects_are_given_alone(self) -> None:
+        device = Device(Mapping(), identification=IDENTITY)
+        whole = identified(device, "extended")[0].objects
+        for number in IDENTITY_NUMBERS:
+            answer = device.answer(page(4, number))
+            value = whole[number]
+            head = bytes([0x2B, 0x0E, 4, 0x83, 0, 0, 1, number, len(value)])
+            assert answer == head + value
+            assert identified(device, number)[0].objects == {number: value}
+
+    def test_unknown_single_object_is_an_illegal_address(self) -> None:
+        device = Device(Mapping(), identification=IDENTITY)
+        for number in set(range(256)) - set(IDENTITY_NUMBERS):
+            assert device.answer(page(4, number)) == b"\xab\2"
+
+    def test_unknown_object_starts_a_stream_over(self) -> None:
+        device = Device(Mapping(), identification=IDENTITY)
+        for code, known in ((1, (0, 1, 2)), (2, (0, 1, 2, 3, 6)), (3, IDENTITY_NUMBERS)):
+            first = device.answer(page(code))
+            for number in set(range(256)) - set(known):
+                assert device.answer(page(code, number)) == first
+            for number in known[1:]:
+                assert device.answer(page(code, number))[7] == number
+
+    @each_case("code", [0, 5, 6, 127, 128, 255])
+    def test_other_codes_are_illegal_values(self, code: int) -> None:
+        for number in (0, 77):
+            assert new_device().answer(page(code, number)) == b"\xab\3"
+
+    def test_other_interfaces_are_illegal_functions(self) -> None:
+        device = Device(Mapping(), canopen=lambda data: data)
+        for mei_type in set(range(256)) - {13, 14}:
+            for tail in (b"", b"\1\0", bytes(100)):
+                assert device.answer(bytes([0x2B, mei_type]) + tail) == b"\xab\1"
+
+    def test_length_of_a_request_is_checked(self) -> None:
+        for body in (b"\x2b", b"\x2b\x0e", page(1)[:3], page(1) + b"\0", page(0)[:3]):
+            assert new_device().answer(body) == b"\xab\3"
+
+    @each_case(
+        ("identification", "error"),
+        [
+            ({"Vendor": "x"}, ValueError),
+            ({"": "x"}, ValueError),
+            ({-1: "x"}, ValueError),
+            ({256: "x"}, ValueError),
+            ({7: "x"}, ValueError),
+            ({127: "x"}, ValueError),
+            ({0: "x" * 245}, ValueError),
+            ({128: bytes(245)}, ValueError),
+            ({0: "Müller"}, ValueError),
+            ({None: "x"}, TypeError),
+            ({0: None}, TypeError),
+            ({0: 5}, TypeError),
+            ({0: [1]}, TypeError),
+        ],
+        ids=lambda value: str(value)[:20],
+    )
+    def test_objects_that_cannot_be_are_refused(
+        self, identification: Any, error: type[Exception]
+    ) -> None:
+        with pytest.raises(error, match=r"."):
+            Device(Mapping(), identification=identification)
+
+
+class TestCanopen:
+    def test_without_a_function_it_is_illegal(self) -> None:
+        for body in (b"", b"\1\2\3"):
+            assert new_device().answer(b"\x2b\x0d" + body) == b"\xab\1"
+
+    def test_data_go_through_both_ways(self) -> None:
+        given: list[bytes] = []
+
+        def bus(data: bytes) -> bytes:
+            given.append(data)
+            return data[::-1]
+
+        device = Device(Mapping(), canopen=bus)
+        for data in (b"", b"\1\2\3", bytes(range(251))):
+            assert device.answer(b"\x2b\x0d" + data) == b"\x2b\x0d" + data[::-1]
+        assert given == [b"", b"\1\2\3", bytes(range(251))]
+
+    def test_function_may_refuse(self) -> None:
+        def bus(data: bytes) -> bytes:
+            raise errors.ServerDeviceBusy
+
+        assert Device(Mapping(), canopen=bus).answer(b"\x2b\x0d") == b"\xab\6"
+
+    @each_case("bad", [None, "text", 5, bytes(252), bytes(1000)], ids=type)
+    def test_what_no_answer_can_carry_is_a_failure(
+        self, bad: Any, caplog: pytest.LogCaptureFixture
+    ) -> None:
+        caplog.clear()
+        device = Device(Mapping(), canopen=lambda data: bad)
+        for _ in range(2):
+            assert device.answer(b"\x2b\x0d") == b"\xab\4"
+        assert len(caplog.records) == 1
