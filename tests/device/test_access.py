@@ -1,0 +1,338 @@
+"""
+What each request touches, as hooks are told of it, and what hooks may refuse or change.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from libmodbus_py import Access, Device, Mapping, pdu
+from libmodbus_py.device.event_log import EventLog
+from libmodbus_py.protocol import errors
+from libmodbus_py.protocol.pdu import SubFunction
+from libmodbus_py.serve import Caller
+from tests.device.devices import BITS, FILES, REGISTERS, contents, diagnose, on_a_line, words
+from tests.support.cases import each_case
+
+CALLER = Caller(5, "192.0.2.7:51234")
+
+
+def seen_as(table: str, address: int, count: int, *values: Any, file: int = 0) -> Access:
+    return Access(table, address, count, values, file, CALLER.unit, CALLER.peer)
+
+
+# Request, what it writes, what it reads; 250 holds 12h.
+TOUCHES: list[tuple[pdu.Request[Any], list[Access], list[Access]]] = [
+    (pdu.ReadCoils(10, 3), [], [seen_as("coils", 10, 3)]),
+    (pdu.ReadDiscreteInputs(20, 9), [], [seen_as("discrete_inputs", 20, 9)]),
+    (pdu.ReadHoldingRegisters(399, 1), [], [seen_as("holding_registers", 399, 1)]),
+    (pdu.ReadInputRegisters(200, 125), [], [seen_as("input_registers", 200, 125)]),
+    (pdu.WriteCoil(10, True), [seen_as("coils", 10, 1, True)], []),
+    (pdu.WriteCoil(2099, False), [seen_as("coils", 2099, 1, False)], []),
+    (pdu.WriteRegister(100, 65535), [seen_as("holding_registers", 100, 1, 65535)], []),
+    (pdu.WriteCoils(12, [True, False, True]), [seen_as("coils", 12, 3, True, False, True)], []),
+    (pdu.WriteRegisters(398, [7, 8]), [seen_as("holding_registers", 398, 2, 7, 8)], []),
+    (
+        pdu.ReadFileRecords([(4, 9, 2), (3, 12, 1)]),
+        [],
+        [seen_as("file", 9, 2, file=4), seen_as("file", 12, 1, file=3)],
+    ),
+    (
+        pdu.WriteFileRecords([(4, 9, [5, 6]), (3, 12, [7])]),
+        [seen_as("file", 9, 2, 5, 6, file=4), seen_as("file", 12, 1, 7, file=3)],
+        [],
+    ),
+    (pdu.MaskWriteRegister(250, 0xF2, 0x25), [seen_as("holding_registers", 250, 1, 0x17)], []),
+    (
+        pdu.ReadWriteRegisters(100, 3, 101, [7]),
+        [seen_as("holding_registers", 101, 1, 7)],
+        [seen_as("holding_registers", 100, 3)],
+    ),
+    (pdu.ReadFifoQueue(9), [], [seen_as("fifo", 9, 1)]),
+]
+WRITES = [request for request, writes, _ in TOUCHES if writes]
+READS = [request for request, _, reads in TOUCHES if reads]
+UNTOUCHING: list[pdu.Request[Any]] = [
+    pdu.ReadExceptionStatus(),
+    pdu.Diagnostics(0),
+    pdu.Diagnostics(SubFunction.CLEAR_COUNTERS),
+    pdu.ReadCommEventCounter(),
+    pdu.ReadCommEventLog(),
+    pdu.ReportServerId(),
+    pdu.ReadDeviceIdentification(1),
+    pdu.EncapsulatedTransport(13, b""),
+]
+# Bodies that touch something, but not all of it exists: exception 2.
+BEYOND = [
+    pdu.ReadCoils(9, 2),
+    pdu.ReadDiscreteInputs(2099, 2),
+    pdu.ReadHoldingRegisters(399, 2),
+    pdu.ReadInputRegisters(199, 1),
+    pdu.WriteCoil(2100, True),
+    pdu.WriteRegister(99, 1),
+    pdu.WriteCoils(2099, [True] * 2),
+    pdu.WriteRegisters(399, [1, 2]),
+    pdu.ReadFileRecords([(4, 9, 2), (3, 11, 1)]),
+    pdu.ReadFileRecords([(5, 0, 1)]),
+    pdu.WriteFileRecords([(4, 9, [5, 6]), (3, 11, [7])]),
+    pdu.MaskWriteRegister(400, 0, 0),
+    pdu.ReadWriteRegisters(399, 2, 100, [7]),
+    pdu.ReadWriteRegisters(100, 1, 400, [7]),
+    pdu.ReadFifoQueue(8),
+]
+
+
+def id_of(value: Any) -> str:
+    return f"{value.function:02}-{type(value).__name__}" if isinstance(value, pdu.Request) else ""
+
+
+def hooked_device(**hooks: Callable[[Access], object]) -> Device:
+    mapping = Mapping(BITS[1], BITS[2], REGISTERS[3], REGISTERS[4])
+    mapping.holding_registers[250] = 0x12
+    return Device(mapping, files=FILES, fifos={9: [1]}, canopen=lambda data: data, **hooks)
+
+
+class Recorder:
+    """Three hooks that note what they are told, and what the device holds then."""
+
+    def __init__(self) -> None:
+        self.calls: list[tuple[str, Access]] = []
+        self.states: list[dict[str, Any]] = []
+        self.device = hooked_device(
+            before_write=lambda access: self.note("before_write", access),
+            after_write=lambda access: self.note("after_write", access),
+            before_read=lambda access: self.note("before_read", access),
+        )
+
+    def note(self, name: str, access: Access) -> None:
+        self.calls.append((name, access))
+        self.states.append(contents(self.device))
+
+
+class TestHooks:
+    def test_every_function_stands_in_one_of_the_lists(self) -> None:
+        touching = {type(request) for request, *_ in TOUCHES}
+        untouching = {type(request) for request in UNTOUCHING}
+        assert touching | untouching == {*pdu.REQUESTS.values(), pdu.ReadDeviceIdentification}
+        assert not touching & untouching
+        assert {type(request) for request in BEYOND} == touching
+
+    @each_case(("request_", "writes", "reads"), TOUCHES, ids=id_of)
+    def test_hooks_are_told_what_is_touched_in_order(
+        self, request_: pdu.Request[Any], writes: list[Access], reads: list[Access]
+    ) -> None:
+        recorder = Recorder()
+        plain = hooked_device()
+        before = contents(plain)
+        answer = recorder.device.answer(request_.encode(), CALLER)
+        assert answer == plain.answer(request_.encode())
+        assert not answer[0] & 0x80
+        assert recorder.calls == [
+            *(("before_write", access) for access in writes),
+            *(("before_read", access) for access in reads),
+            *(("after_write", access) for access in writes),
+        ]
+        for (name, _), state in zip(recorder.calls, recorder.states, strict=True):
+            assert state == (contents(plain) if name == "after_write" else before)
+
+    @each_case(("request_", "writes", "reads"), TOUCHES, ids=id_of)
+    def test_values_have_the_types_of_their_tables(
+        self, request_: pdu.Request[Any], writes: list[Access], reads: list[Access]
+    ) -> None:
+        recorder = Recorder()
+        recorder.device.answer(request_.encode(), CALLER)
+        for name, access in recorder.calls:
+            kind = bool if access.table == "coils" else int
+            assert {type(value) for value in access.values} <= {kind}
+            assert len(access.values) == (0 if name == "before_read" else access.count)
+
+    @each_case("request_", UNTOUCHING, ids=id_of)
+    def test_hooks_are_not_told_of_what_touches_nothing(self, request_: pdu.Request[Any]) -> None:
+        recorder = Recorder()
+        assert not recorder.device.answer(request_.encode(), CALLER)[0] & 0x80
+        assert recorder.calls == []
+
+    @each_case("request_", BEYOND, ids=id_of)
+    def test_hooks_never_see_what_does_not_exist(self, request_: pdu.Request[Any]) -> None:
+        recorder = Recorder()
+        before = contents(recorder.device)
+        answer = recorder.device.answer(request_.encode(), CALLER)
+        assert answer == bytes([request_.function | 0x80, 2])
+        assert recorder.calls == []
+        assert contents(recorder.device) == before
+
+    @each_case(("request_", "writes", "reads"), TOUCHES, ids=id_of)
+    def test_hooks_never_see_bad_requests(
+        self, request_: pdu.Request[Any], writes: list[Access], reads: list[Access]
+    ) -> None:
+        recorder = Recorder()
+        body = request_.encode()
+        for bad in (body[:-1], body + b"\0", body[:1]):
+            assert recorder.device.answer(bad, CALLER) == bytes([body[0] | 0x80, 3])
+        assert recorder.calls == []
+
+    def test_units_of_a_broadcast(self) -> None:
+        recorder = Recorder()
+        caller = Caller(0, "/dev/ttyS0", EventLog(is_serial=True), is_broadcast=True)
+        recorder.device.answer(b"\6" + words(100, 7), caller)
+        recorder.device.answer(b"\3" + words(100, 1), caller)
+        access = Access("holding_registers", 100, 1, (7,), 0, 0, "/dev/ttyS0")
+        assert recorder.calls == [("before_write", access), ("after_write", access)]
+
+    def test_listening_device_calls_no_hooks(self) -> None:
+        recorder, caller = Recorder(), on_a_line()
+        diagnose(recorder.device, 4, b"\0\0", caller)
+        for request, *_ in TOUCHES:
+            assert recorder.device.answer(request.encode(), caller) == b""
+        assert recorder.calls == []
+
+    @each_case("request_", WRITES, ids=id_of)
+    @each_case("code", [*range(1, 12), 0x7F, 255])
+    def test_before_write_refuses_and_nothing_changes(
+        self, request_: pdu.Request[Any], code: int, caplog: pytest.LogCaptureFixture
+    ) -> None:
+        caplog.clear()
+        refusal = errors.ExceptionResponse.of(code)
+        told: list[Access] = []
+
+        def refuse(access: Access) -> None:
+            # By the class where there is one, as an application would.
+            raise refusal if type(refusal) is errors.ExceptionResponse else type(refusal)
+
+        device = hooked_device(
+            before_write=refuse, before_read=told.append, after_write=told.append
+        )
+        before = contents(device)
+        answer = device.answer(request_.encode(), CALLER)
+        assert answer == bytes([request_.function | 0x80, code])
+        assert contents(device) == before
+        assert told == []
+        assert caplog.records == []
+
+    @each_case("request_", READS, ids=id_of)
+    def test_before_read_refuses_and_nothing_changes(self, request_: pdu.Request[Any]) -> None:
+        def refuse(access: Access) -> None:
+            raise errors.GatewayPathUnavailable
+
+        device = hooked_device(before_read=refuse)
+        before = contents(device)
+        answer = device.answer(request_.encode(), CALLER)
+        assert answer == bytes([request_.function | 0x80, 10])
+        assert contents(device) == before
+
+    def test_refusal_of_one_piece_refuses_all(self) -> None:
+        def refuse(access: Access) -> None:
+            if access.file == 3:
+                raise errors.MemoryParityError
+
+        device = hooked_device(before_write=refuse)
+        before = contents(device)
+        request = pdu.WriteFileRecords([(4, 9, [5, 6]), (3, 12, [7])])
+        assert device.answer(request.encode()) == b"\x95\x08"
+        assert contents(device) == before
+
+    @pytest.mark.parametrize("code", [0, -1, 256, 1000])
+    def test_code_that_no_answer_can_carry_is_a_failure(
+        self, code: int, caplog: pytest.LogCaptureFixture
+    ) -> None:
+        def refuse(access: Access) -> None:
+            raise errors.ExceptionResponse(code=code)
+
+        device = hooked_device(before_write=refuse)
+        for _ in range(2):
+            assert device.answer(b"\6" + words(100, 1)) == b"\x86\4"
+        assert len(caplog.records) == 1
+
+    @pytest.mark.parametrize("hook", ["before_write", "before_read", "after_write"])
+    def test_bug_of_a_hook_is_answered_4_and_logged_once(
+        self, hook: str, caplog: pytest.LogCaptureFixture
+    ) -> None:
+        def fail(access: Access) -> None:
+            raise ZeroDivisionError("a bug of the application")
+
+        device = hooked_device(**{hook: fail})
+        before = contents(device)
+        request = (READS if hook == "before_read" else WRITES)[0].encode()
+        for _ in range(3):
+            assert device.answer(request) == bytes([request[0] | 0x80, 4])
+        assert len(caplog.records) == 1
+        assert caplog.records[0].exc_info
+        assert caplog.records[0].exc_info[0] is ZeroDivisionError
+        assert (contents(device) == before) == (hook != "after_write")
+        assert device.answer(b"\x07") == b"\x07\0"  # and the mapping is free
+
+    def test_before_read_refreshes_what_is_read(self) -> None:
+        turn = 0
+
+        def refresh(access: Access) -> None:
+            nonlocal turn
+            turn += 1
+            if access.table == "fifo":
+                device.fifos[access.address] = [turn]
+            elif access.table == "file":
+                device.files[access.file][access.address] = turn
+            else:
+                getattr(device.mapping, access.table)[access.address] = turn & 1
+
+        device = hooked_device(before_read=refresh)
+        assert device.answer(b"\1" + words(10, 1)) == b"\1\1\1"
+        assert device.answer(b"\1" + words(10, 1)) == b"\1\1\0"
+        assert device.answer(b"\2" + words(20, 1)) == b"\2\1\1"
+        device.answer(b"\2" + words(20, 1))
+        assert device.answer(b"\3" + words(100, 1)) == b"\3\2\0\1"
+        device.answer(b"\3" + words(100, 1))
+        assert device.answer(b"\4" + words(200, 1)) == b"\4\2\0\1"
+        assert device.answer(b"\x18\0\x09") == b"\x18\0\4\0\1\0\x08"
+        assert device.answer(b"\x14\7\6" + words(4, 9, 1)) == b"\x14\4\3\6\0\x09"
+
+    def test_queue_that_is_too_long_can_be_cut_by_its_hook(self) -> None:
+        def cut(access: Access) -> None:
+            del device.fifos[access.address][31:]
+
+        device = hooked_device(before_read=cut)
+        device.fifos[9] = [1] * 40
+        assert len(device.answer(b"\x18\0\x09")) == 5 + 62
+
+    def test_hook_may_write_to_the_mapping_and_the_client_has_the_last_word(self) -> None:
+        def before(access: Access) -> None:
+            device.mapping.holding_registers[100:103] = [1, 2, 3]
+
+        device = hooked_device(before_write=before)
+        device.answer(b"\6" + words(101, 9))
+        assert device.mapping.holding_registers[100:103] == [1, 9, 3]
+
+    def test_after_write_may_set_what_was_written(self) -> None:
+        def after(access: Access) -> None:
+            device.mapping.holding_registers[access.address] = 0
+
+        device = hooked_device(after_write=after)
+        assert device.answer(b"\6" + words(101, 9)) == b"\6" + words(101, 9)
+        assert device.mapping.holding_registers[101] == 0
+
+    def test_no_other_thread_comes_between_hook_and_write(self) -> None:
+        inside, outside = threading.Event(), threading.Event()
+        order: list[str] = []
+
+        def before(access: Access) -> None:
+            inside.set()
+            assert not outside.wait(0.02)  # the other one waits for the lock
+            order.append("hook")
+
+        device = hooked_device(before_write=before)
+
+        def other() -> None:
+            inside.wait()
+            with device.mapping:
+                order.append("other")
+            outside.set()
+
+        thread = threading.Thread(target=other)
+        thread.start()
+        answer = device.answer(b"\6" + words(100, 7))
+        thread.join()
+        assert answer == b"\6" + words(100, 7)
+        assert order == ["hook", "other"]
