@@ -8,8 +8,7 @@ from __future__ import annotations
 import itertools
 import struct
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from typing import Any
 
 import pytest
 from hypothesis import example, given, settings
@@ -61,55 +60,16 @@ from libmodbus_py.protocol.pdu import (
     decode_request,
 )
 from libmodbus_py.protocol.pdu.interface import LAST_OBJECT, identify, pages
+from tests.protocol.pdu.examples import (
+    FROM_FIELDS,
+    UNJUDGED,
+    Doubled,
+    one_of_each,
+    tells_its_length,
+    words,
+)
 from tests.support.cases import each_case
 from tests.support.vectors import EXCEPTIONS, REQUESTS, RESPONSES, FrameVector, rows
-
-Fields = dict[str, Any]
-
-
-def _read(kind: type[Request[Any]]) -> Callable[[Fields], Request[Any]]:
-    return lambda fields: kind(fields["address"], fields["quantity"])  # type: ignore[call-arg]
-
-
-def _encapsulated(fields: Fields) -> Request[Any]:
-    if fields["mei"] == 14:
-        return ReadDeviceIdentification(fields["read_code"], fields["object_id"])
-    return EncapsulatedTransport(fields["mei"], bytes.fromhex(fields["data"]))
-
-
-# Function -> the request that an example's fields describe.
-FROM_FIELDS: dict[int, Callable[[Fields], Request[Any]]] = {
-    1: _read(ReadCoils),
-    2: _read(ReadDiscreteInputs),
-    3: _read(ReadHoldingRegisters),
-    4: _read(ReadInputRegisters),
-    5: lambda fields: WriteCoil(fields["address"], fields["value"] == "ON"),
-    6: lambda fields: WriteRegister(fields["address"], fields["value"]),
-    7: lambda fields: ReadExceptionStatus(),
-    8: lambda fields: Diagnostics(fields["sub_function"], bytes.fromhex(fields["data"])),
-    11: lambda fields: ReadCommEventCounter(),
-    12: lambda fields: ReadCommEventLog(),
-    15: lambda fields: WriteCoils(fields["address"], fields["values"]),
-    16: lambda fields: WriteRegisters(fields["address"], fields["values"]),
-    17: lambda fields: ReportServerId(),
-    20: lambda fields: ReadFileRecords(
-        [(sub["file"], sub["record"], sub["length"]) for sub in fields["sub_requests"]]
-    ),
-    21: lambda fields: WriteFileRecords(
-        [(sub["file"], sub["record"], sub["values"]) for sub in fields["sub_requests"]]
-    ),
-    22: lambda fields: MaskWriteRegister(fields["address"], fields["and_mask"], fields["or_mask"]),
-    23: lambda fields: ReadWriteRegisters(
-        fields["read_address"], fields["read_quantity"], fields["write_address"], fields["values"]
-    ),
-    24: lambda fields: ReadFifoQueue(fields["address"]),
-    43: _encapsulated,
-}
-
-
-def tells_its_length(body: bytes) -> bool:
-    """Return query data carries what it likes, and so does CANopen; all others tell."""
-    return body[:3] != b"\x08\0\0" and body[:2] != b"\x2b\x0d"
 
 
 def _request_of(response: FrameVector) -> Request[Any]:
@@ -266,8 +226,6 @@ class Seven:
     def __index__(self) -> int:
         return 7
 
-
-# --- constructors ------------------------------------------------------------------
 
 NO_INTEGERS: list[Any] = [1.5, "1", None, True, b"1", [1]]
 NO_SEQUENCES: list[Any] = ["12", b"12", bytearray(b"12"), {1: 2}, {1, 2}, frozenset({1}), 5, None]
@@ -596,13 +554,6 @@ class TestConstructors:
         assert not any(kind.is_write for kind in (ReadDeviceIdentification, RawRequest))
 
 
-# --- bad requests --------------------------------------------------------------------
-
-
-def words(*values: int) -> bytes:
-    return struct.pack(f">{len(values)}H", *values)
-
-
 def read(function: int, address: int, count: int) -> bytes:
     return bytes([function]) + words(address, count)
 
@@ -819,42 +770,6 @@ class TestBadRequests:
         assert decode_request(write_many(15, 0, 3, 1, data)) == WriteCoils(
             0, [value == 1 for value in (1, data[0] >> 1 & 1, 1)]
         )
-
-
-# --- bad responses -------------------------------------------------------------------
-
-
-def one_of_each() -> list[Request[Any]]:
-    return [
-        ReadCoils(0, 10),
-        ReadDiscreteInputs(0, 8),
-        ReadHoldingRegisters(0, 2),
-        ReadInputRegisters(0, 2),
-        WriteCoil(1, True),
-        WriteRegister(1, 2),
-        WriteCoils(1, [True, False]),
-        WriteRegisters(1, [2, 3]),
-        ReadFileRecords([(1, 2, 1), (3, 4, 2)]),
-        WriteFileRecords([(1, 2, [3]), (4, 5, [6, 7])]),
-        MaskWriteRegister(1, 2, 3),
-        ReadWriteRegisters(1, 2, 3, [4]),
-        ReadExceptionStatus(),
-        Diagnostics(0, b"\xa5\x37\1\2"),
-        Diagnostics(SubFunction.BUS_MESSAGE_COUNT),
-        ReadCommEventCounter(),
-        ReadCommEventLog(),
-        ReportServerId(),
-        ReadFifoQueue(1246),
-        ReadDeviceIdentification(2),
-    ]
-
-
-# These take whatever follows the code, or the MEI type.
-UNJUDGED: list[Request[bytes]] = [
-    EncapsulatedTransport(13, b"\1\2"),
-    RawRequest(65, b"\1\2"),
-    RawRequest(3, b"\0\0\0\1"),
-]
 
 
 def good_result(request: Request[Any]) -> Any:
@@ -1111,9 +1026,6 @@ class TestEncodeResponse:
         assert ReadFifoQueue(0).decode_response(b"\x18\0\2\0\0") == []
 
 
-# --- the server's identifier (function 17) ------------------------------------------------
-
-
 class TestServerId:
     def test_identifier_is_one_byte_unless_split_again(self) -> None:
         found = ReportServerId().decode_response(b"\x11\6abc\xffde")
@@ -1133,8 +1045,6 @@ class TestServerId:
             with pytest.raises(ValueError, match="length"):
                 ServerId.split(data, length)
 
-
-# --- device identification (function 43/14) ------------------------------------------------
 
 # Two fill a page exactly, with their heads; the last ones are private.
 OBJECTS = {
@@ -1334,9 +1244,6 @@ class TestIdentification:
             next(identify(level))
 
 
-# --- what may be sent twice ----------------------------------------------------------------
-
-
 def test_reads_and_writes_of_absolute_values_are_repeatable() -> None:
     once = {8, 43}
     for function, kind in pdu.REQUESTS.items():
@@ -1344,35 +1251,6 @@ def test_reads_and_writes_of_absolute_values_are_repeatable() -> None:
     assert ReadDeviceIdentification.repeatable is True
     assert RawRequest.repeatable is False
     assert Doubled.repeatable is False
-
-
-# --- functions of one's own ----------------------------------------------------------------
-
-
-@dataclass(frozen=True, slots=True)
-class Doubled(Request[list[int]]):
-    """A request of some registers, an answer with twice as many."""
-
-    values: tuple[int, ...]
-
-    function: ClassVar[int] = 0x41
-    request_length = pdu.counted(2, at=1)
-    response_length = pdu.counted(2, at=1)
-
-    def encode(self) -> bytes:
-        return bytes([self.function, 2 * len(self.values)]) + words(*self.values)
-
-    @classmethod
-    def decode(cls, pdu: bytes) -> Self:
-        if pdu[1] % 2:
-            raise ValueError("an odd byte count")
-        return cls(struct.unpack(f">{pdu[1] // 2}H", pdu[2:]))
-
-    def encode_response(self, result: list[int]) -> bytes:
-        return bytes([self.function, 2 * len(result)]) + words(*result)
-
-    def _decode_response(self, pdu: bytes) -> list[int]:
-        return list(struct.unpack(f">{pdu[1] // 2}H", pdu[2:]))
 
 
 @pytest.fixture
@@ -1468,8 +1346,6 @@ class TestRawRequest:
     def test_it_takes_no_place_in_the_table(self) -> None:
         assert RawRequest not in pdu.REQUESTS.values()
 
-
-# --- properties ------------------------------------------------------------------------
 
 registers = st.integers(0, 65535)
 
