@@ -1,0 +1,240 @@
+"""
+The identifier of a server (function 17), and device identification (function 43/14).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from libmodbus_py import pdu
+from libmodbus_py.protocol.errors import ExceptionResponse, InvalidResponse
+from libmodbus_py.protocol.pdu import (
+    EncapsulatedTransport,
+    IdentificationPage,
+    ReadDeviceIdentification,
+    ReportServerId,
+    ServerId,
+    decode_request,
+)
+from libmodbus_py.protocol.pdu.interface import LAST_OBJECT, identify, pages
+from tests.support.cases import each_case
+
+
+class TestServerId:
+    def test_identifier_is_one_byte_unless_split_again(self) -> None:
+        found = ReportServerId().decode_response(b"\x11\6abc\xffde")
+        assert found == ServerId(b"a", False, b"c\xffde")
+        assert found.data == b"a\0c\xffde"  # only FFh says that it runs
+        assert ServerId.split(b"abc\xffde", 3) == ServerId(b"abc", True, b"de")
+
+    def test_all_of_the_data_can_be_had_back(self) -> None:
+        for data in (b"\xb4\xff", b"\xb4\0", b"\xb4\xff3.1.6", bytes(251)):
+            found = ReportServerId().decode_response(bytes([0x11, len(data)]) + data)
+            assert found.data == data
+
+    def test_split_takes_any_length_that_leaves_the_indicator(self) -> None:
+        assert ServerId.split(b"\xff", 0) == ServerId(b"", True)
+        assert ServerId.split(b"ab\xff", 2) == ServerId(b"ab", True)
+        for data, length in ((b"", 0), (b"a", 1), (b"ab\xff", 3), (b"ab\xff", -1)):
+            with pytest.raises(ValueError, match="length"):
+                ServerId.split(data, length)
+
+
+# Two fill a page exactly, with their heads; the last ones are private.
+OBJECTS = {
+    0: b"v" * 120,
+    1: b"c" * 122,
+    2: b"r",
+    3: b"u" * 244,
+    4: b"",
+    6: b"a" * 3,
+    128: b"p" * 244,
+    129: b"q" * 200,
+    255: b"z" * 42,
+}
+
+
+def served(objects: dict[int, bytes], level: str | int) -> tuple[dict[int, bytes], list[int]]:
+    """What a client gets from a device with these objects, and what it asks for."""
+    steps = identify(level)
+    request = next(steps)
+    asked: list[int] = []
+    while True:
+        asked.append(request.object_id)
+        assert len(asked) <= 300
+        body = request.encode_response(pages(request, objects)._replace(conformity=0x83))
+        assert len(body) <= pdu.MAX_PDU
+        again = decode_request(request.encode())
+        assert again == request
+        try:
+            request = steps.send(again.decode_response(body))
+        except StopIteration as done:
+            found: pdu.DeviceIdentification = done.value
+            break
+    assert found.conformity == 0x83
+    return found.objects, asked
+
+
+class TestIdentification:
+    @pytest.mark.parametrize(
+        ("level", "numbers", "asked"),
+        [
+            ("basic", [0, 1, 2], [0, 2]),
+            ("regular", [0, 1, 2, 3, 4, 6], [0, 2, 3, 4]),
+            ("extended", list(OBJECTS), [0, 2, 3, 4, 128, 129]),
+        ],
+    )
+    def test_stream_goes_over_as_many_pages_as_it_takes(
+        self, level: str, numbers: list[int], asked: list[int]
+    ) -> None:
+        found, requests = served(OBJECTS, level)
+        assert found == {number: OBJECTS[number] for number in numbers}
+        assert list(found) == numbers
+        assert requests == asked
+
+    def test_what_fits_to_the_byte_is_on_the_page(self) -> None:
+        request = ReadDeviceIdentification(1)
+        full = {0: bytes(120), 1: bytes(122)}
+        assert pages(request, full) == IdentificationPage(0, None, full)
+        over = {0: bytes(120), 1: bytes(123)}
+        assert pages(request, over) == IdentificationPage(0, 1, {0: bytes(120)})
+
+    @pytest.mark.parametrize(
+        ("code", "unknown"),
+        [(1, [3, 4, 6, 7, 128, 255]), (2, [5, 7, 127, 128, 255]), (3, [5, 7, 130, 254])],
+    )
+    def test_unknown_object_starts_the_stream_over(self, code: int, unknown: list[int]) -> None:
+        first = pages(ReadDeviceIdentification(code, 0), OBJECTS)
+        for number in unknown:
+            assert pages(ReadDeviceIdentification(code, number), OBJECTS) == first
+
+    def test_known_object_is_where_the_stream_goes_on(self) -> None:
+        for code, last in LAST_OBJECT.items():
+            for number in OBJECTS:
+                if number <= last:
+                    page = pages(ReadDeviceIdentification(code, number), OBJECTS)
+                    assert next(iter(page.objects)) == number
+                    assert min(page.objects) == number
+
+    def test_names_are_those_of_the_specification(self) -> None:
+        found = pdu.DeviceIdentification(1, {0: b"a", 1: b"b", 2: b"c\xff", 6: b"d", 128: b"e"})
+        assert found.names == {
+            "VendorName": "a",
+            "ProductCode": "b",
+            "MajorMinorRevision": "c\ufffd",
+            "UserApplicationName": "d",
+        }
+
+    def test_single_object_is_asked_for_once(self) -> None:
+        for number in (0, 6, 200, 255):
+            steps = identify(number)
+            assert next(steps) == ReadDeviceIdentification(4, number)
+            with pytest.raises(StopIteration) as done:
+                steps.send(IdentificationPage(0x81, None, {number: b"x"}))
+            assert done.value.value == pdu.DeviceIdentification(0x81, {number: b"x"})
+
+    @each_case(
+        ("pages_", "asked"),
+        [
+            ([(0, {0: b"a"})], [0]),  # the same again
+            ([(1, {0: b"a"}), (1, {1: b"b"})], [0, 1]),  # stays
+            ([(2, {0: b"a"}), (1, {2: b"c"})], [0, 2]),  # goes back
+            ([(2, {0: b"a", 1: b"b"}), (2, {0: b"a", 1: b"b"})], [0, 2]),  # starts over
+            ([(1, {0: b"a", 1: b"b"})], [0]),  # was there already
+            ([(1, {}), (1, {})], [0, 1]),  # nothing, for ever
+            ([(5, {}), (3, {})], [0, 5]),
+        ],
+    )
+    def test_device_that_leads_in_circles_is_invalid(
+        self, pages_: list[tuple[int, dict[int, bytes]]], asked: list[int]
+    ) -> None:
+        steps = identify("regular")
+        requests = [next(steps)]
+        *good, bad = pages_
+        for following, objects in good:
+            requests.append(steps.send(IdentificationPage(2, following, objects)))
+        with pytest.raises(InvalidResponse) as caught:
+            steps.send(IdentificationPage(2, *bad))
+        assert [request.object_id for request in requests] == asked
+        assert caught.value.function == 43
+        assert caught.value.asked == str(requests[-1])
+
+    @each_case("level", ["basic", "regular", "extended"])
+    @each_case("following", [0, 1, 2])
+    def test_circles_are_left_with_what_every_device_has(self, level: str, following: int) -> None:
+        steps = identify(level)
+        next(steps)
+        assert steps.send(IdentificationPage(2, 2, {0: b"a", 1: b"b"})).object_id == 2
+        with pytest.raises(StopIteration) as done:
+            steps.send(IdentificationPage(2, following, {2: b"c"}))
+        expected = pdu.DeviceIdentification(2, {0: b"a", 1: b"b", 2: b"c"}, complete=False)
+        assert done.value.value == expected
+
+    @pytest.mark.parametrize("next_object", [None, 3])
+    def test_page_that_promises_more_than_a_message_holds_gives_what_came(
+        self, next_object: int | None
+    ) -> None:
+        request = ReadDeviceIdentification(2)
+        more, following = (0, 0) if next_object is None else (0xFF, next_object)
+        objects = b"\0\1a" + b"\1\1b" + b"\2\1c" + b"\3\xff"
+        full = bytes([43, 14, 2, 2, more, following, 5]) + objects + bytes(235)
+        assert len(full) == pdu.MAX_PDU
+        page = request.decode_response(full)
+        objects_ = {0: b"a", 1: b"b", 2: b"c"}
+        assert page == IdentificationPage(2, next_object, objects_, complete=False)
+        steps = identify("regular")
+        next(steps)
+        with pytest.raises(StopIteration) as done:
+            steps.send(page)
+        assert done.value.value == pdu.DeviceIdentification(2, objects_, complete=False)
+        steps = identify("regular")
+        next(steps)
+        with pytest.raises(InvalidResponse, match="promised"):
+            steps.send(page._replace(objects={0: b"a", 1: b"b"}))
+        short = full[:243]
+        with pytest.raises(InvalidResponse, match="243 bytes"):
+            request.decode_response(short)
+
+    @each_case("mei_type", [13, 14])
+    @each_case("code", [1, 2, 4])
+    def test_mei_type_in_an_exception_is_not_its_code(self, mei_type: int, code: int) -> None:
+        identification = ReadDeviceIdentification(1)
+        request = identification if mei_type == 14 else EncapsulatedTransport(13, b"")
+        for tail in (bytes([mei_type, code]), bytes([code, mei_type])):
+            with pytest.raises(ExceptionResponse) as caught:
+                request.decode_response(b"\xab" + tail)
+            assert caught.value.code == code
+            assert caught.value.function == 43
+        for tail in (bytes([mei_type ^ 3, code]), bytes([code, 0]), bytes([mei_type, code, 0])):
+            with pytest.raises(InvalidResponse):
+                request.decode_response(b"\xab" + tail)
+
+    def test_any_device_comes_to_an_end(self) -> None:
+        """The ids only rise, so no device has a client ask more than 256 times."""
+        steps = identify("extended")
+        next(steps)
+        for number in range(1, 256):
+            assert steps.send(IdentificationPage(3, number, {})).object_id == number
+        with pytest.raises(InvalidResponse):
+            steps.send(IdentificationPage(3, 255, {}))
+
+    @each_case(
+        ("level", "error"),
+        [
+            ("all", ValueError),
+            ("", ValueError),
+            ("Basic", ValueError),
+            (-1, ValueError),
+            (256, ValueError),
+            (None, TypeError),
+            (True, TypeError),
+            (1.0, TypeError),
+            (b"basic", TypeError),
+        ],
+        ids=repr,
+    )
+    def test_level_is_a_name_or_an_object(self, level: Any, error: type[Exception]) -> None:
+        with pytest.raises(error, match=r"^level must be"):
+            next(identify(level))
