@@ -62,15 +62,6 @@ from tests.protocol.pdu.test_identification import served
 from tests.support.cases import each_case
 
 
-def test_reads_and_writes_of_absolute_values_are_repeatable() -> None:
-    once = {8, 43}
-    for function, kind in pdu.REQUESTS.items():
-        assert kind.repeatable is (function not in once), kind
-    assert ReadDeviceIdentification.repeatable is True
-    assert RawRequest.repeatable is False
-    assert Doubled.repeatable is False
-
-
 @pytest.fixture
 def doubled() -> Iterator[type[Doubled]]:
     yield pdu.register(Doubled)
