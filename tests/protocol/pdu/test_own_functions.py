@@ -1,0 +1,91 @@
+"""
+Functions of one's own, registered with the package.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from libmodbus_py import pdu
+from libmodbus_py.protocol.errors import (
+    IllegalDataValue,
+    IllegalFunction,
+    InvalidResponse,
+    MemoryParityError,
+)
+from libmodbus_py.protocol.pdu import RawRequest, Request, decode_request
+from tests.protocol.pdu.examples import Doubled
+from tests.support.cases import each_case
+
+
+@pytest.fixture
+def doubled() -> Iterator[type[Doubled]]:
+    yield pdu.register(Doubled)
+    pdu.REQUESTS.pop(Doubled.function)
+
+
+class TestRegister:
+    def test_registered_class_is_known_to_both_ends(self, doubled: type[Doubled]) -> None:
+        request = doubled((1, 2))
+        assert decode_request(request.encode()) == request
+        assert pdu.request_length(b"\x41\4") == pdu.response_length(b"\x41\4") == 6
+        response = request.encode_response([1, 1, 2, 2])
+        assert request.decode_response(response) == [1, 1, 2, 2]
+        assert str(request) == "Doubled(values=(1, 2))"
+
+    def test_its_errors_are_those_of_any_class(self, doubled: type[Doubled]) -> None:
+        with pytest.raises(IllegalDataValue):
+            decode_request(b"\x41\1\0")
+        with pytest.raises(IllegalDataValue):
+            decode_request(b"\x41\4\0\0")
+        with pytest.raises(MemoryParityError) as caught:
+            doubled((1,)).decode_response(b"\xc1\x08")
+        assert caught.value.function == 0x41
+        for bad in (b"", b"\x41", b"\x41\2\0", b"\x42\2\0\0", b"\xc2\1"):
+            with pytest.raises(InvalidResponse):
+                doubled((1,)).decode_response(bad)
+
+    def test_unknown_until_then_and_afterwards(self) -> None:
+        for _ in range(2):
+            with pytest.raises(IllegalFunction):
+                decode_request(b"\x41\0")
+            assert pdu.register(Doubled) is Doubled  # as a decorator gives it
+            assert pdu.register(Doubled) is Doubled  # once more is no harm
+            assert decode_request(b"\x41\0") == Doubled(())
+            pdu.REQUESTS.pop(0x41)
+
+    def test_taken_function_is_refused(self, doubled: type[Doubled]) -> None:
+        known = dict(pdu.REQUESTS)
+        for code in pdu.REQUESTS:
+            other = type("Other", (Doubled,), {"function": code, "__slots__": ()})
+            with pytest.raises(ValueError, match=rf"^Other: function {code} is \w+$"):
+                pdu.register(other)
+        assert known == pdu.REQUESTS
+
+    @each_case("code", [0, 128, 255, -1, "65", None])
+    def test_function_is_a_code(self, code: Any) -> None:
+        other = type("Other", (Doubled,), {"function": code, "__slots__": ()})
+        with pytest.raises(ValueError, match=r"^Other: function must be in 1\.\.127"):
+            pdu.register(other)
+
+    def test_class_without_a_function_is_refused(self) -> None:
+        for kind in (Request, RawRequest):
+            with pytest.raises(ValueError, match="function must be in"):
+                pdu.register(kind)
+
+    @each_case("bad", [None, 65, "Doubled", Doubled((1,)), int, Exception], ids=repr)
+    def test_only_request_classes_are_taken(self, bad: Any) -> None:
+        with pytest.raises(TypeError, match="derived from Request"):
+            pdu.register(bad)
+
+    @each_case("code", [9, 18, 65, 72, 100, 110, 127])
+    def test_any_free_code_will_do(self, code: int) -> None:
+        other = type("Other", (Doubled,), {"function": code, "__slots__": ()})
+        assert pdu.register(other) is other
+        try:
+            assert type(decode_request(bytes([code, 2, 0, 1]))) is other
+        finally:
+            pdu.REQUESTS.pop(code)
