@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
@@ -27,7 +26,6 @@ from libmodbus_py.protocol.pdu import (
     EncapsulatedTransport,
     IdentificationPage,
     MaskWriteRegister,
-    RawRequest,
     ReadCoils,
     ReadCommEventCounter,
     ReadCommEventLog,
@@ -52,31 +50,6 @@ from libmodbus_py.protocol.pdu import (
 from libmodbus_py.protocol.pdu.interface import LAST_OBJECT, pages
 from tests.protocol.pdu.examples import FROM_FIELDS, UNJUDGED, one_of_each, tells_its_length
 from tests.protocol.pdu.test_identification import served
-
-
-class TestRawRequest:
-    def test_data_go_and_come_as_they_are(self) -> None:
-        for function in range(1, 128):
-            request = RawRequest(function, b"\0\xff")
-            assert request.encode() == bytes([function, 0, 0xFF])
-            assert request.decode_response(bytes([function])) == b""
-            assert request.decode_response(bytes([function]) + bytes(252)) == bytes(252)
-            assert RawRequest.decode(request.encode()) == request
-            assert request.encode_response(b"\7") == bytes([function, 7])
-
-    def test_refusals_are_exceptions(self) -> None:
-        with pytest.raises(IllegalDataAddress) as caught:
-            RawRequest(65, b"\1").decode_response(b"\xc1\2")
-        assert caught.value.function == 65
-        assert "RawRequest(function=65, data=b'\\x01')" in str(caught.value)
-
-    def test_it_is_no_write_and_is_answered(self) -> None:
-        assert RawRequest(6).is_write is False
-        assert RawRequest(6).expects_response
-
-    def test_it_takes_no_place_in_the_table(self) -> None:
-        assert RawRequest not in pdu.REQUESTS.values()
-
 
 registers = st.integers(0, 65535)
 
