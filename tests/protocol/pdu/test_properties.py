@@ -1,6 +1,5 @@
 """
-PDUs of both ends: the worked examples, what constructors refuse, what servers must answer
-to bad requests, and what clients must make of bad responses.
+Any request and any result survive the wire, and any bytes are decoded or refused.
 """
 
 from __future__ import annotations
