@@ -22,7 +22,6 @@ from hypothesis import strategies as st
 
 from libmodbus_py import (
     Context,
-    Device,
     ExceptionResponse,
     FrameError,
     IllegalDataAddress,
@@ -43,41 +42,17 @@ from libmodbus_py.tools.simulator.keys import CONTENTS, DEFAULTS, FIFO, FILE, SE
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.support.cases import each_case
 from tests.support.commands import Started, run
+from tests.tools.simulator.simulated_units import (
+    HOLDING,
+    Clock,
+    answer,
+    holding,
+    inputs,
+    numbers,
+    unit,
+)
 
 PLANT = Path(__file__).parents[3] / "examples" / "plant.toml"
-
-
-class Clock:
-    """Goes when it is told."""
-
-    def __init__(self) -> None:
-        self.now = 1000.0
-
-    def __call__(self) -> float:
-        return self.now
-
-
-def unit(text: str, clock: Callable[[], float] = time.monotonic) -> Device:
-    """The device of a file with one unit, whose keys are given."""
-    devices, _ = parse(f"[[unit]]\n{text}", clock=clock)
-    assert isinstance(devices, Device)
-    return devices
-
-
-def answer(device: Device, request: pdu.Request[Any]) -> Any:
-    """What a client gets, decoded; its exceptions are raised."""
-    return request.decode_response(device.answer(request.encode()))
-
-
-def holding(device: Device, address: int, count: int = 1) -> Any:
-    return answer(device, pdu.ReadHoldingRegisters(address, count))
-
-
-def inputs(device: Device, address: int, count: int = 1) -> Any:
-    return answer(device, pdu.ReadInputRegisters(address, count))
-
-
-# --- ranges ------------------------------------------------------------------------------
 
 
 def test_values_lie_where_the_file_says() -> None:
@@ -283,9 +258,6 @@ def test_the_faults_of_a_unit_without_id_are_for_every_unit() -> None:
         kind = "wrong_unit"
     """)
     assert faults == {None: [Fault("wrong_unit"), Fault("no_answer")]}
-
-
-# --- values that move ------------------------------------------------------------------------
 
 
 @each_case(
@@ -625,8 +597,6 @@ def test_what_moves_cannot_be_written() -> None:
 
 LIMITS = {name: kind.limits for name, kind in values.TYPES.items() if kind.limits is not None}
 
-numbers = st.integers(-100_000, 100_000) | st.floats(-1e5, 1e5)
-
 
 @given(
     kind=st.sampled_from(sorted(LIMITS)),
@@ -686,9 +656,6 @@ def test_behaviours_check_themselves() -> None:
         RandomWalk(5, 5, 1)
 
 
-# --- files that are wrong --------------------------------------------------------------------
-
-HOLDING = "[[unit]]\n[[unit.holding_registers]]\naddress = 0\n"
 FAULT = "[[unit]]\n[[unit.fault]]\n"
 AT = "unit[0].holding_registers[0]"
 FLOAT = "-3.4028234663852886e+38..3.4028234663852886e+38"
@@ -1043,9 +1010,6 @@ def _toml(value: object) -> str:
     return '"-"' if value is None else json.dumps(value)
 
 
-# --- the example ---------------------------------------------------------------------------
-
-
 @contextmanager
 def served(*arguments: str) -> Iterator[str]:
     """Serve with the command, and yield its first URL."""
@@ -1219,9 +1183,6 @@ def test_the_example_is_served_on_a_serial_line() -> None:
                 client.write_coil(0, True)  # no wrong transaction where there is none
                 with pytest.raises(FrameError):
                     client.read_input_registers(0, 1)
-
-
-# --- the command line ------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
