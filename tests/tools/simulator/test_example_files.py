@@ -1,0 +1,212 @@
+"""
+The examples of device files keep what their comments promise, and have every key.
+"""
+
+from __future__ import annotations
+
+import re
+import socket
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from libmodbus_py import (
+    Context,
+    FrameError,
+    IllegalDataAddress,
+    InvalidResponse,
+    ModbusConnectionError,
+    ModbusTimeoutError,
+    ServerDeviceBusy,
+    pdu,
+    values,
+)
+from libmodbus_py.server.faults.fault import KINDS, PLACES, Fault
+from libmodbus_py.tools.simulator import example_files
+from libmodbus_py.tools.simulator.behaviour import BEHAVIOURS
+from libmodbus_py.tools.simulator.device_file import load
+from libmodbus_py.tools.simulator.keys import CONTENTS, DEFAULTS, FIFO, FILE, SERVER_ID, UNIT
+from libmodbus_py.tools.testing.wires import SerialWire
+from tests.support.commands import Started
+from tests.tools.simulator.simulated_units import Clock, inputs
+
+PLANT = Path(__file__).parents[3] / "examples" / "plant.toml"
+
+
+@contextmanager
+def served(*arguments: str) -> Iterator[str]:
+    """Serve with the command, and yield its first URL."""
+    with Started("serve", *arguments) as process:
+        yield process.stdout.readline().removeprefix("listening on ").rstrip("\n")
+        process.terminate()
+        assert process.wait() == 0
+
+
+@pytest.fixture(scope="module")
+def plant() -> Iterator[str]:
+    with served("tcp://127.0.0.1:0", "--device", str(PLANT)) as url:
+        yield url
+
+
+def test_the_example_keeps_what_its_comments_promise(plant: str) -> None:
+    with Context.from_url(plant, unit=1, timeout=5) as boiler:
+        assert boiler.read_exception_status() == 0x55
+        assert boiler.report_server_id() == pdu.ServerId(b"\x2a", True, b"boiler 1")
+        assert boiler.read_device_identification("extended").objects == {
+            0: b"Example Ltd",
+            1: b"BOILER",
+            2: b"1.2",
+            128: b"commissioned 2024",
+        }
+        assert boiler.read_coils(0, 4) == [True, False, True, True]
+        assert boiler.read_coils(10, 16) == [True] * 16
+        boiler.write_coil(30, True)
+        assert boiler.read_holding_registers(100, 3) == [555, 0, 100]
+        assert boiler.read_holding_registers(200, 100) == [0] * 100
+        assert boiler.read_values("holding_registers", 300, "int16") == [-40]
+        read = boiler.read_values("holding_registers", 310, "float32", 2, order="CDAB")
+        assert read == [21.5, -3.25]
+        text = {"encoding": "latin-1", "padding": " "}
+        assert boiler.read_values("holding_registers", 320, "string:12", **text) == ["Kessel Süd"]
+        assert boiler.read_input_registers(7, 1) == [215]
+        assert boiler.read_file_records([(4, 0, 100)]) == [[0xFFFF] * 100]
+        assert boiler.read_file_records([(3, 9, 2), (3, 12, 1)]) == [[0x33CD, 0x0040], [7]]
+        assert boiler.read_fifo_queue(1246) == [440, 4740]
+
+
+def test_the_example_refuses_what_its_comments_say(plant: str) -> None:
+    with Context.from_url(plant, unit=1, timeout=5) as boiler:
+        refused: list[Callable[[], object]] = [
+            lambda: boiler.read_coils(4, 1),
+            lambda: boiler.read_coils(0, 5),
+            lambda: boiler.read_coils(30, 1),
+            lambda: boiler.write_register(300, 0),
+            lambda: boiler.read_holding_registers(103, 1),
+            lambda: boiler.read_file_records([(3, 11, 1)]),
+            lambda: boiler.write_file_records([(3, 12, [1])]),
+        ]
+        for ask in refused:
+            with pytest.raises(IllegalDataAddress):
+                ask()
+
+
+def test_the_values_of_the_example_move(plant: str) -> None:
+    with Context.from_url(plant, unit=1, timeout=5) as boiler:
+        boiler.write_coils(0, [False, True])
+        assert boiler.read_discrete_inputs(1, 2) == [False, True]
+        boiler.write_coils(0, [True, False])
+        assert boiler.read_discrete_inputs(1, 2) == [True, False]
+        deadline = time.monotonic() + 10
+        seen: tuple[set[Any], ...] = (set(), set(), set(), set())
+        while time.monotonic() < deadline and any(len(each) < 2 for each in seen):
+            seen[0].update(boiler.read_discrete_inputs(0, 1))
+            seen[1].update(boiler.read_values("input_registers", 0, "uint32"))
+            seen[2].update(boiler.read_values("input_registers", 2, "float32"))
+            seen[3].add(tuple(boiler.read_input_registers(4, 3)))
+            time.sleep(0.05)
+        assert seen[0] == {False, True}
+        assert len(seen[1] & set(range(10, 30))) >= 2
+        assert len(seen[2]) >= 2
+        assert all(60 <= value <= 80 for value in seen[2])
+        assert len(seen[3]) >= 2
+        assert all(900 <= value <= 1100 for values in seen[3] for value in values)
+
+
+def test_the_counter_of_the_example_counts_as_its_comment_says() -> None:
+    clock = Clock()
+    devices, _ = load(PLANT, clock=clock)
+    assert isinstance(devices, dict)
+    found = []
+    for _ in range(8):
+        found += values.value_type("uint32").decode_many(inputs(devices[1], 0, 2))
+        clock.now += 0.5
+    assert found == [10, 13, 16, 19, 22, 25, 28, 11]
+
+
+FAULTS: list[tuple[Callable[[Context], object], type[Exception]]] = [
+    (lambda client: client.read_discrete_inputs(0, 1), ModbusTimeoutError),
+    (lambda client: client.read_input_registers(0, 1), FrameError),
+    (lambda client: client.write_coil(0, True), ModbusTimeoutError),
+    (lambda client: client.write_register(0, 1), InvalidResponse),
+    (lambda client: client.write_coils(0, [True]), ModbusTimeoutError),
+    (lambda client: client.write_registers(0, [1, 2]), ModbusTimeoutError),
+]
+
+
+@pytest.mark.parametrize(("ask", "error"), FAULTS, ids=range(len(FAULTS)))
+def test_the_faults_of_the_example(
+    plant: str, ask: Callable[[Context], object], error: type[Exception]
+) -> None:
+    with Context.from_url(plant, unit=2, timeout=0.3, native=False) as client:
+        with pytest.raises(error):
+            ask(client)
+        # A trickle is not over yet on that connection; the next request waits for it.
+        client.timeout = 5
+        assert client.for_unit(1).read_holding_registers(100, 3) == [555, 0, 100]
+
+
+def test_the_rarer_faults_of_the_example(plant: str) -> None:
+    with Context.from_url(plant, unit=2, timeout=0.3, native=False) as client:
+        assert client.read_coils(7, 1) == [False]
+        with pytest.raises(ModbusTimeoutError):
+            client.read_coils(7, 1)
+    with Context.from_url(plant, unit=2, timeout=5, native=False) as client:
+        refused = 0
+        for _ in range(100):
+            try:
+                client.read_holding_registers(0, 1)
+            except ServerDeviceBusy:
+                refused += 1
+        assert 5 < refused < 60
+    with Context.from_url(plant, unit=2, timeout=5, native=False) as client:
+        assert client.read_write_registers(0, 1, 0, [1]) == [1]
+        with pytest.raises(ModbusConnectionError):
+            client.read_write_registers(0, 1, 0, [1])
+        client.connect()
+        assert client.read_write_registers(2, 1, 1, [1]) == [0]
+    host, _, port = plant.removeprefix("tcp://").partition(":")
+    mask = bytes.fromhex("0000 0000 0008 02 16 0003 000F 0000")
+    with socket.create_connection((host, int(port)), 30) as connection:
+        connection.sendall(2 * mask)
+        with connection.makefile("rb") as answers:
+            assert answers.read(2 * len(mask) + 2) == 2 * mask + b"\0\xff"
+
+
+def test_the_examples_have_every_key() -> None:
+    text = PLANT.read_text() + Path(example_files.path_of("meter")).read_text()
+    keys = set(re.findall(r"^(\w+) =|[{,] (\w+) =", text, re.MULTILINE))
+    present = {one or other for one, other in keys}
+    present |= set(re.findall(r"^\[+(?:unit\.)?(\w+)[].]", text, re.MULTILINE))
+    for expected in (UNIT, SERVER_ID, FIFO, *CONTENTS.values(), Fault.__dataclass_fields__):
+        assert set(expected) <= present
+    for behaviour in BEHAVIOURS.values():
+        assert set(behaviour.__dataclass_fields__) <= present  # type: ignore[attr-defined]
+    for kind in KINDS:
+        assert f'kind = "{kind}"' in text
+
+
+def test_the_page_about_the_simulator_explains_every_key() -> None:
+    text = (PLANT.parents[1] / "docs" / "how-to" / "simulator.md").read_text()
+    text = text[text.index("## All keys") :]
+    explained = set(re.findall(r"\w+", " ".join(re.findall(r"`([^`]+)`", text))))
+    expected = [FILE, UNIT, SERVER_ID, FIFO, DEFAULTS, *CONTENTS.values(), KINDS, PLACES]
+    expected += [each.__dataclass_fields__ for each in (Fault, *BEHAVIOURS.values())]  # type: ignore[attr-defined]
+    for keys in expected:
+        assert set(keys) <= explained
+
+
+def test_the_example_is_served_on_a_serial_line() -> None:
+    with SerialWire() as wire:
+        options = "?baudrate=115200"
+        with served(f"rtu://{wire.server}{options}", "--device", str(PLANT)):
+            address = f"rtu://{wire.client}{options}"
+            with Context.from_url(address, unit=1, timeout=2, native=False) as boiler:
+                assert boiler.read_holding_registers(100, 3) == [555, 0, 100]
+                client = boiler.for_unit(2)
+                client.write_coil(0, True)  # no wrong transaction where there is none
+                with pytest.raises(FrameError):
+                    client.read_input_registers(0, 1)
