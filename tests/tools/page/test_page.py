@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import socket
 import threading
-from typing import Any
 
 import pytest
 
@@ -18,13 +17,11 @@ from libmodbus_py import (
     IllegalDataAddress,
     Mapping,
     ModbusTimeoutError,
-    Point,
     Server,
     ServerDeviceBusy,
 )
 from libmodbus_py.page import live_page
-from tests.support.cases import each_case
-from tests.tools.page.watching import NAMES, NamedDevice, Visitor, made_server, shown, until
+from tests.tools.page.watching import NAMES, Visitor, made_server, shown, until
 
 
 def test_everything_there_is_comes_first() -> None:
@@ -146,119 +143,6 @@ def test_the_server_itself_is_its_only_device() -> None:
             plc.write_register(1, 1)
             visitor.receive(lambda: visitor.seen["written"])
     assert visitor.seen["written"][0][1:3] == [7, "holding_registers"]
-
-
-VALUES: list[tuple[str, str, str]] = [
-    ("temperature", "-3.25", "-3.25"),
-    ("temperature", "nan", "nan"),
-    ("level", "12.34", "12.3"),
-    ("label", "Kessel", "Kessel"),
-    ("limits", "-5, 7", "-5, 7"),
-    ("pump", "on", "on"),
-    ("flow", "0x10000", "65536"),
-]
-
-
-@each_case(("name", "typed", "text"), VALUES)
-def test_a_value_that_is_typed_is_set(name: str, typed: str, text: str) -> None:
-    point = NAMES.index(name)
-    with shown() as (_, _, visitor), visitor.watching():
-        assert visitor.post("/value", unit=1, point=point, name=name, text=typed) == {}
-        visitor.look(1, "points", 0, 100)
-        visitor.receive(lambda: visitor.seen["points"].get(str(point)) == text)
-
-
-def test_what_is_set_is_what_clients_read() -> None:
-    with shown() as (_, url, visitor), Context.from_url(url, unit=1) as plc:
-        visitor.post("/value", unit=1, point=0, name="temperature", text="3.5")
-        assert plc.read_values("holding_registers", 0, "float32", order="CDAB") == [3.5]
-        place = {"unit": 1, "table": "holding_registers", "order": "ABCD"}
-        visitor.post("/value", **place, address=100, type="int32", text="-2")
-        assert plc.read_holding_registers(100, 2) == [0xFFFF, 0xFFFE]
-        visitor.post("/value", **place, address=100, type="uint16", text="-3")
-        assert plc.read_holding_registers(100, 1) == [0xFFFD]
-        visitor.post(
-            "/value", unit=1, table="discrete_inputs", order="ABCD", address=2, type="", text="on"
-        )
-        assert plc.read_discrete_inputs(0, 4) == [False, False, True, False]
-
-
-def test_a_scaled_value_is_as_exact_as_it_is_typed() -> None:
-    energy = Point("energy", "holding_registers", 0, type="uint64", offset=1)
-    device = NamedDevice(Mapping(holding_registers=4))
-    device.points = {"energy": energy}  # type: ignore[misc]
-    with live_page(Server(device)) as page:
-        visitor = Visitor(page.url)
-        given = {"unit": None, "point": 0, "name": "energy", "text": "9007199254740993"}
-        assert visitor.post("/value", **given) == {}
-    assert device.mapping.holding_registers[:] == [0x20, 0, 0, 0]
-
-
-def value(**given: Any) -> dict[str, Any]:
-    return {"unit": 1, "point": 1, "name": "level", "text": "1", **given}
-
-
-def cell(**given: Any) -> dict[str, Any]:
-    place = {"unit": 1, "table": "holding_registers", "address": 0, "text": "1"}
-    return {**place, "type": "uint16", "order": "ABCD", **given}
-
-
-REFUSED: list[tuple[dict[str, Any], str]] = [
-    (value(text="hot"), "value must be a number, not 'hot'"),
-    (value(text="100.1"), "value must be in 0..100, not 100.1"),
-    (value(text=""), "value must be a number, not ''"),
-    (value(point=0, name="temperature", text="1e99"), "value must be"),
-    (value(point=2, name="label", text="x" * 9), "value must have 0..8 bytes"),
-    (value(point=2, name="label", text="x" * 5000), "at most 2000"),
-    (value(point=3, name="limits", text="1"), "value must be a list of 2, not of 1"),
-    (value(point=4, name="pump", text="maybe"), "value must be one of 0, 1, off, on"),
-    (value(point=99), "point must be in 0..5, not 99"),
-    (value(point=True), "point must be an integer"),
-    (value(name="other"), "there is no such point any more"),
-    (value(unit=9), "there is no unit 9"),
-    (value(unit="1"), "there is no unit 1"),
-    (value(text=5), "text must be a string"),
-    ({"unit": 1}, "'text' is missing"),
-    (cell(text="65536"), "value must be in -32768..65535, not 65536"),
-    (cell(text="-40000"), "value must be"),
-    (cell(address=19, type="float32"), "the device lacks holding_registers 19..20"),
-    (cell(address=-1), "address must be in 0..65536"),
-    (cell(type="float31"), "type must be one of"),
-    (cell(order="XYZW"), "order must be one of"),
-    (cell(table="files"), "table must be one of coils"),
-    (cell(table=["coils"]), "table must be one of coils"),
-]
-
-
-@each_case(("body", "text"), REFUSED, ids=[str(each[0])[:60] for each in REFUSED])
-def test_a_value_that_cannot_be_is_told(body: dict[str, Any], text: str) -> None:
-    with shown() as (_, _, visitor):
-        found = visitor.post("/value", **body)
-    assert isinstance(found, str)
-    assert text in found
-    assert "\n" not in found
-
-
-def test_a_value_that_the_device_computes_is_told() -> None:
-    mapping = Mapping(input_registers=4)
-
-    def compute(access: Access) -> None:
-        mapping.input_registers[1] = 42
-
-    with live_page(Server({1: Device(mapping, before_read=compute)})) as page:
-        visitor = Visitor(page.url)
-        body = cell(table="input_registers", address=1, text="7")
-        assert visitor.post("/value", **body) == "the device computes this value itself"
-        assert visitor.post("/value", **{**body, "address": 2}) == {}
-    assert mapping.input_registers[:] == [0, 42, 7, 0]
-
-
-def test_what_registers_may_mean() -> None:
-    with shown() as (_, _, visitor):
-        found = visitor.post("/readings", unit=1, table="holding_registers", address=0)
-        assert ["float32", "CDAB", "21.5"] in found
-        assert visitor.post("/readings", unit=1, table="coils", address=0) == {}
-        assert visitor.post("/readings", unit=1, table="holding_registers", address=60) == {}
 
 
 def test_faults_are_switched_off_and_on() -> None:
