@@ -7,26 +7,17 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator
-from contextlib import contextmanager
 
 import pytest
 
 from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.tools.testing.wires import SerialWire
+from tests.cli.serving import serving
 from tests.support.cases import each_case
 from tests.support.commands import Started, on_terminal, run
 
 READ = ["read", "tcp://127.0.0.1:1"]
 WRITE = ["write", "tcp://127.0.0.1:1"]
-
-
-@contextmanager
-def serving(*urls: str) -> Iterator[list[str]]:
-    with Started("serve", *urls) as process:
-        lines = [process.stdout.readline() for _ in urls]
-        yield [line.removeprefix("listening on ").rstrip("\n") for line in lines]
-        process.terminate()
-        assert process.wait() == 0
 
 
 @pytest.fixture(scope="module")
