@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator
 
 import pytest
 
@@ -18,12 +17,6 @@ from tests.support.commands import Started, on_terminal, run
 
 READ = ["read", "tcp://127.0.0.1:1"]
 WRITE = ["write", "tcp://127.0.0.1:1"]
-
-
-@pytest.fixture(scope="module")
-def url() -> Iterator[str]:
-    with serving("tcp://127.0.0.1:0") as urls:
-        yield urls[0]
 
 
 def test_demo_shows_every_example_on_every_line() -> None:
