@@ -13,37 +13,10 @@ from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.cli.serving import serving
 from tests.support.cases import each_case
-from tests.support.commands import Started, on_terminal, run
+from tests.support.commands import Started, run
 
 READ = ["read", "tcp://127.0.0.1:1"]
 WRITE = ["write", "tcp://127.0.0.1:1"]
-
-
-def test_demo_shows_every_example_on_every_line() -> None:
-    done = run("demo")
-    assert done.code == 0
-    assert done.err == ""
-    assert "\x1b" not in done.out
-    assert max(map(len, done.out.splitlines())) <= 80
-    for line in (
-        "00 01 00 00 00 06 06 03 00 7A 00 03",
-        "06 03 06 03 15 30 39 FD C9 55 7E",
-        r":0603007A00037A\r\n",
-        r":11140C05060DFE0020050633CD00404E\r\n",
-        r":0D86026B\r\n",
-    ):
-        assert line in done.out
-    assert done.out.count("789  12345  -567") == 3
-    assert done.out.count("0DFE 0020   33CD 0040") == 3
-    assert done.out.count("refused: illegal data address (exception 2)") == 3
-
-
-@pytest.mark.parametrize(("environment", "colour"), [({}, True), ({"NO_COLOR": "1"}, False)])
-def test_demo_has_colour_on_a_terminal_only(environment: dict[str, str], colour: bool) -> None:
-    with on_terminal("demo", environment=environment) as terminal:
-        shown = terminal.read_to_end()
-        assert terminal.process.wait() == 0
-    assert ("\x1b[32m" in shown) == colour
 
 
 def test_serve_has_all_tables_and_files_for_every_unit(url: str) -> None:
