@@ -5,109 +5,10 @@ The command line: what it prints, and its exit codes.
 from __future__ import annotations
 
 import json
-import re
 
 from libmodbus_py import Device, Mapping, Server
 from tests.support.cases import each_case
 from tests.support.commands import run
-
-READ = ["read", "tcp://127.0.0.1:1"]
-WRITE = ["write", "tcp://127.0.0.1:1"]
-
-
-def test_refusal_is_one_line_and_exit_code_1() -> None:
-    device = Device(Mapping(holding_registers=10))
-    with Server(device).background("tcp://127.0.0.1:0") as running:
-        done = run("read", running.urls[0], "holding", "10")
-    assert done.code == 1
-    assert done.out == ""
-    assert re.fullmatch(
-        r"libmodbus-py: unit 1, function 3, .*illegal data address \(exception 2\)\n", done.err
-    )
-
-
-@each_case(
-    ("arguments", "code", "named"),
-    [
-        (["read", "tcp://127.0.0.1:1", "coils", "0"], 1, "refused"),
-        (["read", "tcp://no-such-host.invalid", "coils", "0"], 1, "no-such-host"),
-        (["read", "rtu:///dev/no-such-port", "coils", "0"], 1, "/dev/no-such-port"),
-        (["serve", "rtu:///dev/null"], 1, "not a serial port"),
-        (["serve", "tcp://127.0.0.1:99999"], 2, "port"),
-        (["serve"], 2, "URL"),
-        ([], 2, "COMMAND"),
-        (["read", "modbus://127.0.0.1", "coils", "0"], 2, "scheme"),
-        (["read", "tcp://127.0.0.1:1", "colis", "0"], 2, "colis"),
-        (["read", "tcp://127.0.0.1:1", "coils"], 2, "address"),
-        (["read", "tcp://127.0.0.1:1", "coils", "x"], 2, "address"),
-        (["read", "tcp://127.0.0.1:1", "coils", "65536"], 2, "address must be in 0..65535"),
-        (["read", "tcp://127.0.0.1:1", "coils", "0", "65537"], 2, "count must be in 1..65536"),
-        (["read", "tcp://127.0.0.1:1", "coils", "1", "65536"], 2, "65536"),
-        (["read", "tcp://127.0.0.1:1", "coils", "0", "1", "2"], 2, "'2'"),
-        (["read", "tcp://127.0.0.1:1", "file", "0"], 2, "file:4"),
-        (["read", "tcp://127.0.0.1:1", "file:0", "0"], 2, "file must be in 1..65535"),
-        (["read", "tcp://127.0.0.1:1", "coils:1", "0"], 2, "only a file"),
-        (["read", "tcp://127.0.0.1:1", "50001"], 2, "50001"),
-        (["read", "tcp://127.0.0.1:1", "600007"], 2, "file:N"),
-        (["read", "tcp://127.0.0.1:1", "coils", "0", "--unit", "256"], 2, "unit"),
-        (["serve", "tcp://127.0.0.1:0", "--own-unit", "1"], 2, "own_unit means nothing"),
-        (["serve", "tcp://127.0.0.1:0", "--own-unit", "one"], 2, "--own-unit"),
-        (["read", "tcp://127.0.0.1:1", "coils", "0", "--timeout", "-1"], 2, "timeout"),
-        (["write", "tcp://127.0.0.1:1", "coils", "0"], 2, "no value"),
-        (["write", "tcp://127.0.0.1:1", "coils", "0", "2"], 2, "'2'"),
-        (["write", "tcp://127.0.0.1:1", "holding", "0", "65536"], 2, "-32768..65535"),
-        (["write", "tcp://127.0.0.1:1", "input", "0", "1"], 2, "can only be read"),
-        (["write", "tcp://127.0.0.1:1", "10001", "1"], 2, "can only be read"),
-        ([*READ, "coils", "0", "--type", "int16"], 2, "only holding, input, file have"),
-        ([*READ, "10001", "--type", "int16"], 2, "discrete inputs have no --type"),
-        ([*READ, "coils", "0", "--type", "all"], 2, "coils have no --type"),
-        ([*READ, "coils", "0", "--order", "ABCD"], 2, "--order needs --type"),
-        ([*READ, "holding", "0", "--order", "ABCD"], 2, "--order needs --type"),
-        ([*READ, "holding", "0", "--type", "all", "--order", "ABCD"], 2, "has no --order"),
-        ([*READ, "holding", "0", "--type", "int8"], 2, "int16, int32, int64, uint16,"),
-        ([*READ, "holding", "0", "--type", ""], 2, "bits64, string:N, not ''"),
-        ([*READ, "holding", "0", "--type", "string:251"], 2, "1..250, not 251"),
-        ([*READ, "holding", "0", "--type", "int16", "--order", "X"], 2, "ABCD, CDAB, BADC, DCBA"),
-        ([*READ, "holding", "0", "--type", "int32", "--order", "AB"], 2, "order of int32"),
-        ([*READ, "holding", "0", "32769", "--type", "int32"], 2, "count must be in 1..32768"),
-        ([*READ, "holding", "0", "0", "--type", "int32"], 2, "count must be in 1..32768, not 0"),
-        ([*READ, "input", "0", "126", "--type", "all"], 2, "count must be in 1..125, not 126"),
-        ([*READ, "file:1", "0", "125", "--type", "all"], 2, "count must be in 1..124, not 125"),
-        ([*READ, "file:1", "0", "--type", "string:250"], 2, "a request 124"),
-        ([*READ, "holding", "65535", "--type", "int32"], 2, "65536"),
-        ([*WRITE, "coils", "0", "1", "--type", "int16"], 2, "coils have no --type"),
-        ([*WRITE, "input", "0", "1", "--type", "int16"], 2, "can only be read"),
-        ([*WRITE, "holding", "0", "1", "--order", "CDAB"], 2, "--order needs --type"),
-        ([*WRITE, "holding", "0", "1", "--type", "all"], 2, "string:N, not 'all'"),
-        ([*WRITE, "holding", "0", "1", "--type", "int16", "--order", "X"], 2, "CDAB"),
-        ([*WRITE, "holding", "0", "--type", "int16"], 2, "no value"),
-        (
-            [*WRITE, "holding", "0", "1", "65536", "--type", "uint16"],
-            2,
-            "values[1] must be in 0..65535",
-        ),
-        (
-            [*WRITE, "holding", "0", "1.5", "--type", "uint16"],
-            2,
-            "value must be a number, not '1.5'",
-        ),
-        ([*WRITE, "holding", "0", "x", "--type", "float32"], 2, "value must be a number, not 'x'"),
-        ([*WRITE, "holding", "0", "1e400", "--type", "float32"], 2, "value is too large: '1e400'"),
-        ([*WRITE, "holding", "0", "1e39", "--type", "float32"], 2, "values[0] must be in -3.4"),
-        ([*WRITE, "holding", "0", "12", "--type", "bits16"], 2, "digits 0 and 1"),
-        ([*WRITE, "holding", "0", "101", "--type", "bits16"], 2, "must hold 16 bits"),
-        ([*WRITE, "holding", "0", "abc", "--type", "string:2"], 2, "0..2 bytes in ascii"),
-        ([*WRITE, "holding", "0", *["1"] * 62, "--type", "int32"], 2, "1..61, not 62"),
-        ([*WRITE, "file:1", "0", *["1"] * 31, "--type", "int64"], 2, "1..30, not 31"),
-    ],
-)
-def test_errors_are_one_line_on_stderr(arguments: list[str], code: int, named: str) -> None:
-    done = run(*arguments)
-    assert done.code == code
-    assert done.out == ""
-    assert done.err.startswith("libmodbus-py: ")
-    assert done.err.count("\n") == 1
-    assert named in done.err
 
 
 @each_case(
