@@ -1,5 +1,5 @@
 """
-The command line: what it prints, and its exit codes.
+The unit that commands ask.
 """
 
 from __future__ import annotations
