@@ -7,50 +7,13 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
-from libmodbus_py import Device, Mapping, Server
+from libmodbus_py import Mapping
 from tests.support.cases import each_case
 from tests.support.commands import run
 from tests.support.names import resolve
-
-METER = """\
-name,table,address,count,type,scale,unit,access,minimum,maximum
-voltage,input_registers,0,1,uint16,0.1,V,read,,
-phases,input_registers,10,3,int16,1,A,read,,
-label,holding_registers,20,1,string:4,,,read_write,,
-setpoint,holding_registers,30,1,int16,0.1,C,read_write,0,90
-pump,coils,3,1,,,,read_write,,
-"""
-
-
-@pytest.fixture
-def mapping() -> Mapping:
-    mapping = Mapping(coils=100, discrete_inputs=16, holding_registers=600, input_registers=20)
-    mapping.holding_registers[0:4] = [1, 2, 3, 0xFFFC]
-    mapping.holding_registers[500:503] = [500, 501, 502]
-    mapping.holding_registers[20:22] = [0x6162, 0x6364]
-    mapping.input_registers[0] = 2305
-    mapping.input_registers[10:13] = [1, 2, 0xFFFF]
-    mapping.coils[5] = True
-    return mapping
-
-
-@pytest.fixture
-def url(mapping: Mapping) -> Iterator[str]:
-    device = Device(mapping, files={4: [7, 8, 9] + [0] * 400}, fifos={40: [5, 6]})
-    with Server({1: device}).background("tcp://127.0.0.1:0") as running:
-        yield running.urls[0]
-
-
-@pytest.fixture
-def meter(tmp_path: Path) -> str:
-    path = tmp_path / "meter.csv"
-    path.write_text(METER)
-    return str(path)
 
 
 @each_case(
@@ -220,9 +183,6 @@ def test_names_that_a_map_lacks_are_guessed(url: str, meter: str) -> None:
     assert "pump has the type that the map gives" in done.err
 
 
-# --- write -------------------------------------------------------------------------------
-
-
 def frames(err: str) -> list[str]:
     """The PDUs that -v shows as sent."""
     return [line.split("  ")[-1].strip()[21:] for line in err.splitlines() if " > " in line]
@@ -314,9 +274,6 @@ def test_what_is_read_behind_a_write_is_shown_as_it_was_typed(url: str) -> None:
     assert done.out.split()[1] == "77"
 
 
-# --- whom to ask ---------------------------------------------------------------------------
-
-
 @each_case(
     ("where", "said"),
     [
@@ -367,9 +324,6 @@ def test_help_has_four_examples_and_the_urls(name: str) -> None:
         assert "&" not in each.replace("'tcp://192.0.2.10?unit=7&timeout=0.5'", "").replace(
             "'rtu:///dev/ttyUSB0?baudrate=9600&unit=7'", ""
         )
-
-
-# --- the other functions --------------------------------------------------------------------
 
 
 def test_identify(url: str) -> None:
