@@ -1,0 +1,100 @@
+"""
+The command write: items, ranges and names, and what is sent for them.
+"""
+
+from __future__ import annotations
+
+from libmodbus_py import Mapping
+from tests.support.cases import each_case
+from tests.support.commands import run
+
+
+def frames(err: str) -> list[str]:
+    """The PDUs that -v shows as sent."""
+    return [line.split("  ")[-1].strip()[21:] for line in err.splitlines() if " > " in line]
+
+
+@each_case(
+    ("words", "pdus"),
+    [
+        # Sections 6.5, 6.6, 6.11, 6.12, 6.16 and 6.17.
+        ("holding 1 3", ["06 00 01 00 03"]),
+        ("holding 1 3 --multiple", ["10 00 01 00 01 02 00 03"]),
+        ("coils 7 on", ["05 00 07 ff 00"]),
+        ("coils 7 on --multiple", ["0f 00 07 00 01 01 01"]),
+        ("holding 4 --mask 0xF2 0x25", ["16 00 04 00 f2 00 25"]),
+        ("holding 14 255 255 255 --and-read 3 6",
+         ["17 00 03 00 06 00 0e 00 03 06 00 ff 00 ff 00 ff"]),
+        ("holding 1 2 3 coils 0 1 0 file:4 1 6",
+         ["10 00 01 00 02 04 00 02 00 03", "0f 00 00 00 02 01 01",
+          "15 09 06 00 04 00 01 00 01 00 06"]),
+        ("--count-from-1 holding 1 3", ["06 00 00 00 03"]),
+        ("40002 -1", ["06 00 01 ff ff"]),
+    ],
+)  # fmt: skip
+def test_writes_are_these_bytes(url: str, words: str, pdus: list[str]) -> None:
+    done = run("write", url, *words.split(), "-v")
+    assert done.code == 0, done.err
+    assert frames(done.err) == pdus
+    dry = run("write", url, *words.split(), "--dry-run")
+    shown = [line.split("  ")[0][2 + 21 :] for line in dry.out.splitlines()]
+    assert shown == pdus
+
+
+def test_a_dry_run_sends_nothing_and_needs_nobody() -> None:
+    done = run("write", "127.0.0.1:1", "-u", "7", "holding", "1", "3", "--dry-run")
+    assert (done.code, done.err) == (0, "")
+    assert done.out == (
+        "> 00 01 00 00 00 06 07 06 00 01 00 03  unit 7, WriteRegister(address=1, value=3)\n"
+    )
+    done = run("write", "rtu:///dev/none", "holding", "1", "3", "--dry-run")
+    assert done.out.startswith("> 01 06 00 01 00 03 98 0b  ")
+    done = run("write", "ascii:///dev/none", "holding", "1", "3", "--dry-run")
+    assert done.out.startswith(r"> :010600010003F5\r\n  ")
+
+
+def test_names_are_written_scaled_and_checked(url: str, meter: str, mapping: Mapping) -> None:
+    done = run("write", url, "--map", meter, "setpoint", "21.5", "pump", "on", "label", "xyz")
+    assert (done.code, done.out, done.err) == (0, "", "")
+    assert mapping.holding_registers[30] == 215
+    assert mapping.coils[3] == 1
+    assert run("read", url, "--map", meter, "setpoint").out == "setpoint  21.5 C\n"
+    for words, named in (
+        ("setpoint 99", "setpoint: value must be in 0..90, not 99"),
+        ("setpoint warm", "setpoint: "),
+        ("voltage 3", "voltage cannot be written"),
+        ("pump 2", "pump: value must be one of 0, 1"),
+        ("setpoint 0x1F", "setpoint: value must be a number, not '0x1F'"),
+        ("setpoint", "setpoint needs 1 value after its name, not 0"),
+        ("setpoint 1 2", "setpoint needs 1 value after its name, not 2"),
+        ("setpoint 1 --mask 1 2", "not a name"),
+        ("holding 0 1 holding 2", "no value to write to holding 2"),
+        ("input 0 1", "can only be read"),
+        ("holding 0 1 --mask 1 2", "exclude each other"),
+        ("coils 0 --mask 1 2", "for holding registers"),
+        ("holding 1 1 holding 2 3 --and-read 0 1", "one item"),
+    ):
+        done = run("write", url, "--map", meter, *words.split())
+        assert (done.code, done.out) == (2, ""), words
+        assert named in done.err
+        assert done.err.count("\n") == 1
+    assert mapping.holding_registers[30] == 215
+
+
+def test_names_and_places_are_written_as_typed(url: str, meter: str) -> None:
+    words = "setpoint 1 holding 0 7 pump on setpoint 2"
+    done = run("write", url, "--map", meter, *words.split(), "-v")
+    assert done.code == 0, done.err
+    assert frames(done.err) == [
+        "06 00 1e 00 0a",
+        "06 00 00 00 07",
+        "05 00 03 ff 00",
+        "06 00 1e 00 14",
+    ]
+
+
+def test_what_is_read_behind_a_write_is_shown_as_it_was_typed(url: str) -> None:
+    words = "holding 1 77 --and-read 1 2 --count-from-1"
+    done = run("write", url, *words.split())
+    assert [line.split()[0] for line in done.out.splitlines()] == ["1", "2"]
+    assert done.out.split()[1] == "77"
