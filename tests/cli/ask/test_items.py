@@ -181,17 +181,6 @@ def test_names_that_a_map_lacks_are_guessed(url: str, meter: str) -> None:
     assert "pump has the type that the map gives" in done.err
 
 
-def test_identify(url: str) -> None:
-    done = run("identify", url)
-    assert done.code == 0
-    assert "VendorName          libmodbus-py\n" in done.out
-    assert "running             True\n" in done.out
-    found = json.loads(run("identify", url, "--level", "0", "--json").out)
-    assert found["VendorName"] == "libmodbus-py"
-    assert "ProductCode" not in found
-    assert run("identify", url, "--level", "all").code == 2
-
-
 def test_diagnose(url: str) -> None:
     done = run("diagnose", url)
     assert "exception status               00000000\n" in done.out
