@@ -9,7 +9,7 @@ from abc import ABC, abstractmethod
 from typing import Any
 
 from ..protocol.errors import ModbusConnectionError
-from .waiting import Steps, Waker
+from .waiting import Steps, Waker, of_system
 
 __all__ = ["Port", "Silence", "lost"]
 
@@ -127,7 +127,13 @@ class Port(ABC):
 
 
 def lost(error: OSError) -> ModbusConnectionError:
-    """Return the error for a port that is gone, with the words of the system."""
+    """
+    Return the error for a port that is gone, with the words of the system.
+
+    Raises:
+        OSError: the error itself, if it is not the system's: see `of_system`.
+    """
+    of_system(error)
     made = ModbusConnectionError(error.strerror or str(error), errno=error.errno)
     made.__cause__ = error
     return made

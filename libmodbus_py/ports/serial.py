@@ -19,7 +19,7 @@ from ..protocol.checks import integer, seconds
 from ..protocol.errors import ModbusConnectionError
 from .port import Port, Silence, lost
 from .schemes import SERIAL_DEFAULTS
-from .waiting import Steps
+from .waiting import Steps, of_system
 
 __all__ = ["LineSettings", "SerialPort", "SerialSettings", "set_odd_baudrate"]
 
@@ -168,6 +168,8 @@ class SerialPort(Port):
             self._configure()
         except (OSError, termios.error) as error:
             self.close()
+            if isinstance(error, OSError):
+                of_system(error)
             number, reason = error.args[:2]
             raise ModbusConnectionError(
                 f"cannot open {self.device}: {reason}", errno=number
@@ -354,8 +356,12 @@ class SerialPort(Port):
         """Set RTS as libmodbus does, ignoring errors: a port without RTS needs no turning."""
         request = termios.TIOCMBIS if on else termios.TIOCMBIC
         # A ValueError is a port that was abandoned meanwhile, by a forked child.
-        with contextlib.suppress(OSError, ValueError):
+        try:
             fcntl.ioctl(self.descriptor, request, struct.pack("i", termios.TIOCM_RTS))
+        except OSError as error:
+            of_system(error)
+        except ValueError:
+            pass
 
 
 # struct termios2 and its ioctls of asm-generic/termbits.h; where they differ the

@@ -7,7 +7,6 @@ descriptors of 1024 and above (3.1.6).
 
 from __future__ import annotations
 
-import contextlib
 import errno
 import math
 import os
@@ -18,7 +17,7 @@ from typing import Any, ClassVar
 from ..protocol.checks import integer
 from ..protocol.errors import MAX_RECEIVED, ModbusConnectionError
 from .port import Port, Silence, lost
-from .waiting import WRITE, Ready, Resolve, Steps
+from .waiting import WRITE, Ready, Resolve, Steps, of_system
 
 __all__ = ["SocketPort", "TcpPort", "UdpPort"]
 
@@ -65,6 +64,7 @@ class SocketPort(Port):
             raise
         except OSError as error:  # of an option, or of the descriptor itself
             made.close()
+            of_system(error)
             raise self._cannot_connect(error) from error
         except BaseException:
             made.close()
@@ -86,13 +86,13 @@ class SocketPort(Port):
             try:  # a system may lack the family of an address, or have no descriptor left
                 made = socket.socket(family, kind, protocol)
             except OSError as error:
-                last = error
+                last = of_system(error)
                 continue
             try:
                 yield from _connecting(made, address, share)
             except OSError as error:
                 made.close()
-                last = error
+                last = of_system(error)
             except BaseException:
                 made.close()
                 raise
@@ -184,8 +184,10 @@ class TcpPort(SocketPort):
         # A server that leaves Nagle's algorithm on, as libmodbus's own does, sends its next
         # answer only when this one is acknowledged: after 40 ms, unless told to do it at once.
         # The system forgets this setting, so it is made each time.
-        with contextlib.suppress(OSError):
+        try:
             self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_QUICKACK, 1)
+        except OSError as error:
+            of_system(error)
 
     def send(self, adus: list[bytes], now: float) -> None:
         data = adus[0] if len(adus) == 1 else b"".join(adus)
@@ -236,7 +238,7 @@ class UdpPort(SocketPort):
             except OSError as error:
                 if self._refusal:
                     break
-                self._refusal = error.errno or errno.EIO
+                self._refusal = of_system(error).errno or errno.EIO
         if self._refusal:
             # The system tells it once, and before what was received earlier, which is worth
             # more: the news that the port is closed now comes with the next look.

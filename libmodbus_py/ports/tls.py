@@ -21,7 +21,7 @@ from ..security.tunnel import READ_SIZE, Tunnel
 from ..security.words import in_words
 from .endpoint import Endpoint
 from .sockets import TcpPort
-from .waiting import READ, WRITE, Ready, Steps
+from .waiting import READ, WRITE, Ready, Steps, of_system
 
 ClientSecurity = Security | GivenContext
 Given = TypeVar("Given", bound=ClientSecurity)
@@ -148,7 +148,7 @@ class TlsPort(TcpPort):
         except ssl.SSLError as error:
             raise self._because(error) from error
         except OSError as error:
-            raise self._unfinished(error) from error
+            raise self._unfinished(of_system(error)) from error
         if (reason := self._security.refusal(tunnel)) is not None:
             raise self._distrusting(reason, tunnel.certificate)
         self._begin()
@@ -269,8 +269,10 @@ class TlsPort(TcpPort):
 
     def _be_ready(self) -> None:
         """Make the descriptor readable, so that a waiting program reads here once more."""
-        with contextlib.suppress(OSError):
+        try:
             self._socket.shutdown(socket.SHUT_RD)
+        except OSError as error:
+            of_system(error)
 
     def send(self, adus: list[bytes], now: float) -> None:
         if self._failure is not None:

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple, TypeVar
 # fmt: off
 __all__ = [
     "LONGEST", "READ", "WRITE", "Ready", "Resolve", "Steps", "Waker", "Woken", "as_os_error",
-    "milliseconds", "no_thread", "numeric", "run", "start_thread",
+    "milliseconds", "no_thread", "numeric", "of_system", "run", "start_thread",
 ]
 # fmt: on
 
@@ -154,6 +154,7 @@ def run(steps: Steps[Result], waker: Waker) -> Result:
             try:
                 found = _wait(wanted, waker)
             except OSError as error:
+                of_system(error)
                 wanted = steps.throw(error)
             else:
                 wanted = steps.send(found)
@@ -177,7 +178,10 @@ def numeric(wanted: Resolve) -> list[Any]:
         return socket.getaddrinfo(
             wanted.host.encode(), wanted.port, type=wanted.kind, flags=socket.AI_NUMERICHOST
         )
-    except (OSError, UnicodeError):
+    except OSError as error:
+        of_system(error)
+        return []
+    except UnicodeError:
         return []
 
 
@@ -196,13 +200,25 @@ def _look_up(wanted: Resolve, waker: Waker) -> list[Any]:
     try:
         start_thread(threading.Thread(target=look_up, name="look-up", daemon=True))
         if not waker.wait(done.descriptor, READ, wanted.deadline):
-            raise TimeoutError
+            raise TimeoutError(errno.ETIMEDOUT, os.strerror(errno.ETIMEDOUT))
     finally:
         done.close()  # an error that the caller keeps would keep it open
     if isinstance(found[0], Exception):
         raise as_os_error(found[0])
     addresses: list[Any] = found[0]
     return addresses
+
+
+def of_system(error: OSError) -> OSError:
+    """
+    Return an error of the system, which has a number or words.
+
+    Raises:
+        OSError: the error itself, as when a signal handler raised a TimeoutError of its own.
+    """
+    if error.errno is None and error.strerror is None:
+        raise error
+    return error
 
 
 def no_thread(error: RuntimeError) -> OSError:

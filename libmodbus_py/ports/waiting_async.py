@@ -5,9 +5,11 @@ Steps that wait, run by the event loop; separate, because blocking clients need 
 from __future__ import annotations
 
 import asyncio
+import errno
+import os
 from typing import Any, TypeVar
 
-from .waiting import READ, Ready, Resolve, Steps, as_os_error, no_thread, numeric
+from .waiting import READ, Ready, Resolve, Steps, as_os_error, no_thread, numeric, of_system
 
 __all__ = ["resolve", "run_async"]
 
@@ -22,6 +24,7 @@ async def run_async(steps: Steps[Result]) -> Result:
             try:
                 found = await _wait_async(wanted)
             except OSError as error:
+                of_system(error)
                 wanted = steps.throw(error)
             else:
                 wanted = steps.send(found)
@@ -40,9 +43,14 @@ async def _wait_async(wanted: Ready | Resolve) -> Any:
 
 async def _look_up_async(wanted: Resolve) -> list[Any]:
     loop = asyncio.get_running_loop()
+    timeout = asyncio.timeout_at(wanted.deadline)
     try:
-        async with asyncio.timeout_at(wanted.deadline):
+        async with timeout:
             return await loop.getaddrinfo(wanted.host, wanted.port, type=wanted.kind)
+    except TimeoutError as error:
+        if not timeout.expired():
+            raise
+        raise TimeoutError(errno.ETIMEDOUT, os.strerror(errno.ETIMEDOUT)) from error
     except UnicodeError as error:
         raise as_os_error(error) from error
     except RuntimeError as error:  # the loop looks up in a thread, and there are too many threads
@@ -64,10 +72,13 @@ async def _ready(wanted: Ready) -> bool:
         else (loop.add_writer, loop.remove_writer)
     )
     add(wanted.descriptor, resolve, ready)
+    timeout = asyncio.timeout_at(wanted.deadline)
     try:
-        async with asyncio.timeout_at(wanted.deadline):
+        async with timeout:
             await ready
     except TimeoutError:
+        if not timeout.expired():
+            raise
         return False
     finally:
         remove(wanted.descriptor)
