@@ -21,6 +21,7 @@ From the caller to the wire:
       in_turn          ... and on lines without them
       hints            likely causes of bytes that are no answer
     waiting_room       order of requests on a line of a gateway or a fleet
+    notices            calls of user functions that wait until a change is complete
     reconnecting       times of attempts to connect again; State
     statistics         what happened, counted; Statistics
 """

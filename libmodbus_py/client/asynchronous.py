@@ -20,6 +20,7 @@ from ..maps.plan import (
 )
 from ..ports.endpoint import parse
 from ..protocol import pdu
+from ..protocol.checks import integer
 from ..protocol.errors import InvalidResponse, ModbusError
 from .asyncio_driver import AsyncioDriver
 from .batch import Batch, raised
@@ -71,9 +72,6 @@ class AsyncClient(Handle[AsyncioDriver], Awaiting):
             (`libmodbus_py.ports.endpoint`).
         options: `unit`, `timeout` and others, which win over those of the URL; see
             `client.options.Options`.
-
-    Attributes:
-        unit: who is asked.
 
     Raises:
         TypeError, ValueError: an argument of the wrong type or range.
@@ -137,8 +135,8 @@ class AsyncClient(Handle[AsyncioDriver], Awaiting):
         timeouts = self._timeouts
         if timeout is not None or retries is not None:
             timeouts = timeouts.but(timeout, retries)
-        is_broadcast = self._has_broadcast and self.unit == 0
-        batch = Batch(self.unit, [request], timeouts, is_broadcast=is_broadcast)
+        is_broadcast = self._has_broadcast and self._unit == 0
+        batch = Batch(self._unit, [request], timeouts, is_broadcast=is_broadcast)
         await self._driver.run(batch)
         result: Result = batch.outcomes[0]
         if isinstance(result, BaseException):
@@ -154,15 +152,16 @@ class AsyncClient(Handle[AsyncioDriver], Awaiting):
 
         Args:
             unit: 0..255, the unit of the request.
-                request: any object of `libmodbus_py.pdu`.
-                on_done: called once when the outcome is known, perhaps before this method returns.
-                It
-                    must neither block nor raise, nor use this client, whose reader waits for it.
+            request: any object of `libmodbus_py.pdu`.
+            on_done: called once when the outcome is known, perhaps before this method returns.
+                It must not block. What it raises is logged.
 
         Raises:
             TypeError, ValueError: the request cannot be sent.
             RuntimeError: another event loop.
         """
+        if type(unit) is not int or not 0 <= unit <= 255:
+            unit = integer("unit", unit, 0, 255)
         is_broadcast = unit == 0 and self._has_broadcast
         batch = Batch(unit, [request], self._timeouts, is_broadcast=is_broadcast)
         self._driver.ask(batch, on_done)

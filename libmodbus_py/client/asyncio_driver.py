@@ -8,13 +8,18 @@ Cancelling him takes these away, and that is all.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import errno
 import warnings
+from asyncio import Future
+from collections import deque
 from collections.abc import Callable
 from functools import partial
 from time import monotonic
+from typing import Any
 
-from ..ports.waiting_async import resolve, run_async
+from ..ports.waiting_async import run_async
+from ..protocol.callbacks import log_failure
 from ..protocol.errors import ModbusConnectionError
 from .alarm import Alarm
 from .batch import Batch
@@ -45,11 +50,18 @@ class AsyncioDriver:
         self._now: Callable[[], float] = monotonic  # the clock of the loop, once there is one
         self._attempt: asyncio.Task[None] | None = None
         self._retry: asyncio.TimerHandle | None = None
-        self._alarm = Alarm(self._ring)
+        self._alarm = Alarm(partial(self._enter, self._ring))
         self._resume: asyncio.TimerHandle | None = None
         self._is_writing = False
         self._is_reading = False
         self._is_due = False
+        self._notices = parts.notices
+        self._is_inside = False
+        self._is_left = False
+        self._is_telling = False
+        # Batches that callers wait for, each with what tells its caller.
+        self._callers: dict[Batch, Future[None] | Callable[[], object]] = {}
+        self._ended: deque[Batch] = deque()
 
     async def run(self, batch: Batch) -> None:
         """
@@ -59,12 +71,10 @@ class AsyncioDriver:
             RuntimeError: the client belongs to another event loop.
         """
         done = self._bind().create_future()
-        batch.on_done = partial(resolve, done)
-        self._add(batch)
-        if batch.is_done:
-            return
         try:
-            await done
+            self._begin_call(batch, done)
+            if not batch.is_done:
+                await done
         finally:
             if not batch.is_done:
                 self.withdraw(batch)
@@ -73,12 +83,22 @@ class AsyncioDriver:
         """
         Send the requests of a batch; `on_done` is called once it is settled, perhaps from here.
 
+        An `on_done` that fails is logged.
+
         Raises:
             RuntimeError: the client belongs to another event loop.
         """
         self._bind()
-        batch.on_done = on_done
-        self._add(batch)
+        try:
+            self._begin_call(batch, on_done)
+        except BaseException:
+            self._callers.pop(batch, None)
+            raise
+
+    def _begin_call(self, batch: Batch, caller: Future[None] | Callable[[], object]) -> None:
+        self._callers[batch] = caller
+        batch.on_done = self._ended.append
+        self._enter(self._add, batch)
 
     def _add(self, batch: Batch) -> None:
         conversation, now = self._conversation, self._now()
@@ -90,21 +110,22 @@ class AsyncioDriver:
         elif not self._is_due:  # requests of this turn of the loop are sent together
             self._is_due = True
             assert self._loop is not None
-            self._loop.call_soon(self._turn)
+            self._loop.call_soon(self._enter, self._turn)
 
     def withdraw(self, batch: Batch) -> None:
-        """Drop a batch, unless it is settled."""
+        """Drop a batch; its caller is told nothing any more."""
+        self._callers.pop(batch, None)
         if not batch.is_done:
-            self._conversation.abandon(batch, self._now())
-            self._turn()
+            self._enter(self._abandon, batch)
+
+    def _abandon(self, batch: Batch) -> None:
+        self._conversation.abandon(batch, self._now())
+        self._turn()
 
     async def close(self) -> None:
         """Raises RuntimeError."""
         self._bind()
-        closed = ModbusConnectionError("this client is closed", errno=errno.EBADF)
-        self._close_port()
-        self._conversation.closed(closed, self._now())
-        self._cancel_timers()
+        self._enter(self._close)
         if self._attempt is not None:
             self._attempt.cancel()
             await asyncio.wait([self._attempt])
@@ -119,16 +140,27 @@ class AsyncioDriver:
                 f"AsyncClient({self._endpoint!r}) was not closed", ResourceWarning, stacklevel=2
             )
         finally:
-            self._in_loop(self._abandon)
+            self._in_loop(self._forget)
 
     def _in_loop(self, call: Callable[[], None]) -> None:
-        """Call a function in the event loop: another thread may collect the garbage."""
-        if self._loop is not None and self._loop.is_running():
-            self._loop.call_soon_threadsafe(call)
-        else:
-            call()
+        """
+        Call a function in the event loop: another thread may collect the garbage.
 
-    def _abandon(self) -> None:
+        A loop that is not running calls no user functions either: a finalizer runs anywhere.
+        """
+        if self._loop is not None and self._loop.is_running():
+            with contextlib.suppress(RuntimeError):  # it was just closed
+                self._loop.call_soon_threadsafe(self._enter, call)
+                return
+        call()
+
+    def _close(self) -> None:
+        closed = ModbusConnectionError("this client is closed", errno=errno.EBADF)
+        self._close_port()
+        self._conversation.closed(closed, self._now())
+        self._cancel_timers()
+
+    def _forget(self) -> None:
         if self._attempt is not None and self._loop is not None and not self._loop.is_closed():
             self._attempt.cancel()
         self._close_port()
@@ -160,6 +192,82 @@ class AsyncioDriver:
             raise RuntimeError("this client belongs to another event loop; make one for each loop")
         return loop
 
+    # --- all ways in --------------------------------------------------------------------------
+
+    def _enter(self, act: Callable[..., object], *arguments: Any) -> None:
+        """
+        Change the state, and then tell of it; all that changes the state comes through here.
+
+        What an action raises ended it in the midst of its work, at a place that nothing is known
+        of. Then the connection is left, and all calls end; so no caller waits for ever.
+        """
+        if self._is_inside:  # user code, such as the class of a request, asks for it
+            assert self._loop is not None
+            self._loop.call_soon(self._enter, act, *arguments)
+            return
+        self._is_inside = True
+        try:
+            if self._is_left:
+                self._interrupt(None)
+            self._is_left = True
+            act(*arguments)
+            self._is_left = False
+        except BaseException as error:
+            self._interrupt(error)
+            raise
+        finally:
+            self._is_inside = False
+            if self._ended or self._notices.waiting:
+                self._tell()
+
+    def _interrupt(self, cause: BaseException | None) -> None:
+        """Leave the connection, because it is unknown what was sent, and end all calls."""
+        assert self._loop is not None
+        self._loop.call_soon(self._enter, self._turn)  # if this does not come to its end either
+        error = ModbusConnectionError(f"interrupted: {cause!r}", errno=errno.EINTR)
+        error.__cause__ = cause
+        if self._attempt is None:
+            self._close_port()
+        else:
+            self._attempt.cancel()
+        self._conversation.interrupted(error, self._now())
+        for batch in list(self._callers):
+            batch.fail(error)
+        self._ended.clear()
+        self._ended.extend(self._callers)
+        self._is_left = False
+
+    def _tell(self) -> None:
+        """Call user functions, and wake callers, now that the state is consistent."""
+        if self._is_telling:  # a user function uses the client: the others are told behind it
+            return
+        self._is_telling = True
+        try:
+            self._notices.give()
+            while self._ended:
+                self._tell_caller()
+        except BaseException:
+            assert self._loop is not None
+            self._loop.call_soon(self._tell)
+            raise
+        finally:
+            self._is_telling = False
+
+    def _tell_caller(self) -> None:
+        batch = self._ended[0]
+        caller = self._callers.get(batch)
+        if isinstance(caller, Future):
+            if not caller.done():
+                caller.set_result(None)
+            caller = None
+        self._ended.popleft()  # not sooner, so that nothing raised in between loses a caller
+        self._callers.pop(batch, None)
+        if caller is not None:
+            try:
+                caller()
+            except Exception:
+                log_failure(__name__, "on_done failed")
+
     # --- turns ------------------------------------------------------------------------------
 
     def _turn(self, now: float | None = None) -> None:
@@ -168,6 +276,8 @@ class AsyncioDriver:
         conversation = self._conversation
         if now is None:
             now = self._now()
+        if self._attempt is not None and self._attempt.done():
+            self._end_attempt(self._attempt)
         if not self._connection.is_open:
             self._seek_connection(now)
         else:
@@ -248,7 +358,7 @@ class AsyncioDriver:
     def _watch(self, add: Callable[..., None], call: Callable[[], None]) -> None:
         """Register a callback. Raises ModbusConnectionError if the system cannot watch more."""
         try:
-            add(self._port.descriptor, call)
+            add(self._port.descriptor, self._enter, call)
         except OSError as error:
             reason = f"cannot wait for {self._endpoint}: {error.strerror}"
             raise ModbusConnectionError(reason, errno=error.errno) from error
@@ -265,7 +375,8 @@ class AsyncioDriver:
         if self._port.resume_at is not None:
             if self._resume is not None:
                 self._resume.cancel()
-            self._resume = self._loop.call_later(self._port.resume_at - now, self._go_on)
+            pause = self._port.resume_at - now
+            self._resume = self._loop.call_later(pause, self._enter, self._go_on)
 
     def _go_on(self) -> None:
         now = self._now()
@@ -302,11 +413,11 @@ class AsyncioDriver:
         assert self._loop is not None
         if not self._conversation.is_wanted or self._connection.state is not State.DISCONNECTED:
             return
-        if self._retry is not None:
+        if self._retry is not None or self._attempt is not None:
             return
         pause = self._connection.next_attempt - now
         if pause > 0:
-            self._retry = self._loop.call_later(pause, self._start_attempt)
+            self._retry = self._loop.call_later(pause, self._enter, self._start_attempt)
         else:
             self._start_attempt()
 
@@ -321,10 +432,12 @@ class AsyncioDriver:
         opening = self._port.opening(self._now() + self._timeouts.timeout)
         self._attempt = self._loop.create_task(run_async(opening))
         # Not in the task itself, because a task that is cancelled early never begins.
-        self._attempt.add_done_callback(self._end_attempt)
+        self._attempt.add_done_callback(partial(self._enter, self._end_attempt))
         self._connection.connecting()
 
     def _end_attempt(self, attempt: asyncio.Task[None]) -> None:
+        if attempt is not self._attempt:  # its end was noted before its callback came
+            return
         self._attempt = None
         failure = None if attempt.cancelled() else attempt.exception()
         if attempt.cancelled() or self._connection.state is State.CLOSED:
@@ -359,3 +472,5 @@ class AsyncioDriver:
         if self._connection.state is State.CONNECTING:
             self._connection.given_up()
             self._conversation.refuse(error)
+        elif self._conversation.is_wanted:  # by callers since the attempt was cancelled
+            self._turn()

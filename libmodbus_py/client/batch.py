@@ -29,8 +29,9 @@ NOT_ASKED: Final = object()
 # more, both sides might wait for the other to read before they go on.
 MAX_IN_FLIGHT = 256
 
-# The PDU that answers a request, or the error that says why there is none.
-Reply = bytes | ModbusError
+# The PDU that answers a request, or the error that says why there is none; or what the class of
+# the request raised.
+Reply = bytes | BaseException
 
 
 class Pending:
@@ -73,6 +74,7 @@ class Batch:
     Args:
         name: of a request in messages; braces stand for its index.
         is_broadcast: True if the requests get no answer.
+        pdus: what `encoded` returned for the requests; None to encode them here.
 
     Attributes:
         silent: True for each request that gets no answer; None if all are answered.
@@ -87,7 +89,7 @@ class Batch:
         queued: True while the batch is in the queue.
         since: when the batch began to wait for a connection; `used`: for how long it did.
         refusal: the error that says why there is no connection, or None.
-        on_done: called once when the batch is settled.
+        on_done: called once with the batch when that is settled.
 
     Raises:
         TypeError, ValueError: a request that cannot be sent, by its name.
@@ -111,15 +113,18 @@ class Batch:
         is_broadcast: bool = False,
         limit: int = 1,
         go_on: bool = False,
+        pdus: list[bytes] | None = None,
     ) -> None:
         self.unit: int = unit
         self.requests: list[Request[Any]] = requests
         self.timeouts: Timeouts = timeouts
-        self.pdus: list[bytes] = []
-        silent: list[bool] = []
-        for index, request in enumerate(requests):
-            self.pdus.append(encoded(request, name, index, is_broadcast))
-            silent.append(is_broadcast or not request.expects_response)
+        if pdus is None:
+            pdus = [
+                encoded(request, name, index, is_broadcast)
+                for index, request in enumerate(requests)
+            ]
+        self.pdus: list[bytes] = pdus
+        silent = [is_broadcast or not request.expects_response for request in requests]
         self.silent: list[bool] | None = silent if True in silent else None
         # A client without answers cannot tell in which order the others were carried out.
         self.limit: int = 1 if self.silent else limit
@@ -133,7 +138,7 @@ class Batch:
         self.since: float = 0.0
         self.used: float = 0.0
         self.refusal: ModbusError | None = None
-        self.on_done: Callable[[], object] | None = None
+        self.on_done: Callable[[Batch], object] | None = None
         self.is_done: bool = False
         self.end: int = len(requests)
         self._open = self.end
@@ -164,13 +169,22 @@ class Batch:
         self._open -= sum(each is NOT_ASKED for each in self.outcomes[end : self.end])
         self.end = end
 
+    def fail(self, error: BaseException) -> None:
+        """End the batch, with this outcome of all requests that are still open."""
+        for index in range(self.end):
+            if self.outcomes[index] is NOT_ASKED:
+                self.outcomes[index] = error
+        if not self.pdus and isinstance(error, ModbusError):
+            self.refusal = error
+        self.finish()
+
     def finish(self) -> None:
         """End the batch: outcomes that are still open stay open."""
         if not self.is_done:
             self.is_done = True
             self.end = 0
             if self.on_done is not None:
-                self.on_done()
+                self.on_done(self)
 
 
 def encoded(request: object, name: str, index: int, is_broadcast: bool) -> bytes:
@@ -189,6 +203,8 @@ def encoded(request: object, name: str, index: int, is_broadcast: bool) -> bytes
             f"and {request} is no write"
         )
     pdu = request.encode()
+    if not isinstance(pdu, bytes):
+        raise TypeError(f"{name.format(index)} must encode to bytes, not {type(pdu).__name__}")
     if not 1 <= len(pdu) <= MAX_PDU:
         raise ValueError(f"{name.format(index)} must encode to 1..{MAX_PDU} bytes, not {len(pdu)}")
     return pdu

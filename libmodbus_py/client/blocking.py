@@ -80,9 +80,6 @@ class Context(Handle[BlockingDriver], Blocking):
     Every answer is checked in full: id, unit, function, length, byte count, echo. With `native`
     a request that libmodbus knows is sent and its answer awaited in one call of C,
     without the GIL; on serial lines libmodbus sends it.
-
-    Attributes:
-        unit: who is asked.
     """
 
     def __init__(self, endpoint: Endpoint, options: Mapping[str, Any]) -> None:
@@ -156,8 +153,8 @@ class Context(Handle[BlockingDriver], Blocking):
         timeouts = self._timeouts
         if timeout is not None or retries is not None:
             timeouts = timeouts.but(timeout, retries)
-        is_broadcast = self._has_broadcast and self.unit == 0
-        result: Result = self._driver.ask(self.unit, request, timeouts, is_broadcast)
+        is_broadcast = self._has_broadcast and self._unit == 0
+        result: Result = self._driver.ask(self._unit, request, timeouts, is_broadcast)
         return result
 
     @overload

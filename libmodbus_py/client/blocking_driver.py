@@ -18,9 +18,9 @@ from typing import TYPE_CHECKING, Any, TypeVar, TypeVarTuple
 from ..ports.waiting import READ, WRITE, Woken, run
 from ..protocol.errors import ModbusConnectionError
 from ..protocol.pdu import Request
-from .batch import Batch, raised
+from .batch import Batch, encoded
 from .reconnecting import State
-from .shortcut import Shortcut
+from .shortcut import KNOWN, Shortcut
 
 if TYPE_CHECKING:
     from ..ports.waiting import Waker
@@ -47,6 +47,9 @@ def _alone(
     """
     Carry out a request while no other one is under way, and leave nothing of it behind.
 
+    The method returns outcomes. Whatever it raises ends it in the midst of its work, at a place
+    that nothing is known of: then the connection is left, and all that was to be sent forgotten.
+
     The method raises RuntimeError when it is called from within a request of the same thread.
     """
 
@@ -58,22 +61,23 @@ def _alone(
                     "a request of this thread is under way on the same connection: a signal "
                     "handler or a callback must not ask here"
                 )
+            if self._is_left or self._closed:
+                self._tidy()
             # Nothing may come between here and the end that a Ctrl-C could skip.
             try:
-                self._is_busy = True
-                return carry(self, lock, *arguments)
-            except Exception:  # its caller is gone, so it must not be sent later
-                if self._batch is not None and not self._batch.is_done:
-                    self._conversation.abandon(self._batch, self._now())
-                raise
-            except BaseException:  # Ctrl-C: it is unknown which bytes were sent
+                self._is_busy = self._is_left = True
+                outcome = carry(self, lock, *arguments)
+                self._is_left = False
+                return outcome
+            except BaseException:
                 self._interrupt()
                 raise
             finally:
-                self._batch = None
                 self._is_busy = False
                 if self._closed:
                     self._shut()
+                if self._notices.waiting:
+                    self._notices.give()
 
     return update_wrapper(method, carry)
 
@@ -95,6 +99,7 @@ class BlockingDriver:
         self._port = parts.port
         self._conversation = parts.conversation
         self._connection = parts.connection
+        self._notices = parts.notices
         self.waker = _waker(parts)
         self._now = self.waker.now
         self._shortcut = Shortcut(parts, native, self.waker) if is_short else None
@@ -107,7 +112,7 @@ class BlockingDriver:
         # Reentrant, so that a signal handler that interrupts a request is told, not stuck.
         self._lock = threading.RLock()
         self._is_busy = False
-        self._batch: Batch | None = None
+        self._is_left = False
 
     @property
     def closed(self) -> bool:
@@ -117,19 +122,10 @@ class BlockingDriver:
     @_alone
     def run(self, lock: threading.RLock, batch: Batch) -> None:
         """Send the requests of a batch; returns when it is settled."""
-        self._batch = batch
         self._conversation.add(batch, self._now())
         self._drive(batch, lock)
 
-    @_alone
-    def ask(
-        self,
-        lock: threading.RLock,
-        unit: int,
-        request: Request[Any],
-        timeouts: Timeouts,
-        is_broadcast: bool,
-    ) -> Any:
+    def ask(self, unit: int, request: Request[Any], timeouts: Timeouts, is_broadcast: bool) -> Any:
         """
         Send a single request, the short way if that may be, and return its result.
 
@@ -137,23 +133,47 @@ class BlockingDriver:
             ModbusError: the outcome of the request.
             TypeError, ValueError: nothing was sent.
         """
-        if self._shortcut is not None and not is_broadcast and self._conversation.is_plain:
-            batch, outcome = self._shortcut.ask(unit, request, timeouts, self.waker.descriptor)
+        pdu = encoded(request, "request", 0, is_broadcast)
+        if self._shortcut is None or is_broadcast or pdu[:1] not in KNOWN:
+            is_known = False
+        else:
+            is_known = request.expects_response
+        if is_known:
+            outcome = self._ask_shortly(unit, request, pdu, timeouts)
+        else:
+            batch = Batch(unit, [request], timeouts, is_broadcast=is_broadcast, pdus=[pdu])
+            self.run(batch)
+            outcome = batch.outcomes[0]
+        if isinstance(outcome, BaseException):
+            raise outcome
+        return outcome
+
+    @_alone
+    def _ask_shortly(
+        self,
+        lock: threading.RLock,
+        unit: int,
+        request: Request[Any],
+        pdu: bytes,
+        timeouts: Timeouts,
+    ) -> Any:
+        """Return the outcome of a request that may go the short way, if it may now."""
+        if self._shortcut is not None and self._conversation.is_plain:
+            batch, outcome = self._shortcut.ask(unit, request, pdu, timeouts, self.waker.descriptor)
             if batch is None:
                 return outcome
-            self._batch = batch
             if outcome is not None:
                 self._lose(outcome, by_itself=True)
         else:
-            self._batch = batch = Batch(unit, [request], timeouts, is_broadcast=is_broadcast)
+            batch = Batch(unit, [request], timeouts, pdus=[pdu])
             self._conversation.add(batch, self._now())
         self._drive(batch, lock)
-        raised(batch.outcomes)
         return batch.outcomes[0]
 
     def change_timeout(self) -> None:
-        """Note that some `Timeouts` were changed."""
-        self._conversation.change_timeout(self._now())
+        """Let a request that is under way, perhaps in another thread, see the new `Timeouts`."""
+        if self._is_busy:
+            self.waker.wake()
 
     def close(self) -> None:
         """Close for good, from any thread or signal handler. Requests that wait fail at once."""
@@ -163,6 +183,7 @@ class BlockingDriver:
             try:
                 if not self._is_busy:
                     self._shut()
+                    self._notices.give()
             finally:
                 self._lock.release()
 
@@ -189,15 +210,42 @@ class BlockingDriver:
             while not batch.is_done:
                 if lock is not self._lock:  # a callback or a signal handler forked
                     raise ModbusConnectionError(FORKED, errno=errno.EBADF, unit=batch.unit)
-                self._step(batch)
+                try:
+                    self._step(batch)
+                except Woken:
+                    self._wake()
+                self._notices.give()
             self._turn_line()
         except Woken:
             self._shut()
 
+    def _wake(self) -> None:
+        """
+        Go on after a wait that was ended for other timeouts.
+
+        Raises:
+            Woken: it was ended by `close`.
+        """
+        self.waker.clear()  # before the look at what `close` sets before it wakes
+        if self._closed:
+            raise Woken
+        self._conversation.change_timeout(self._now())
+
+    def _tidy(self) -> None:
+        """Do what remains of an earlier request, whose end was itself interrupted."""
+        if self._is_left:
+            self._interrupt()
+        if self._closed and self._connection.state is not State.CLOSED:
+            self._shut()
+
     def _interrupt(self) -> None:
+        """Leave the connection, because it is unknown what was sent, and forget all requests."""
         self._port.close()
+        if self._shortcut is not None:
+            self._shortcut.interrupt()
         interrupted = ModbusConnectionError("interrupted", errno=errno.EINTR)
         self._conversation.interrupted(interrupted, self._now())
+        self._is_left = False
 
     def _step(self, batch: Batch) -> None:
         """Connect; or send requests that may be sent, wait for bytes, and process them."""
@@ -284,6 +332,7 @@ class BlockingDriver:
         if self._connection.next_attempt > now:
             self.waker.wait(-1, READ, self._connection.next_attempt)
         self._connection.connecting()
+        self._notices.give()
         try:
             run(self._port.opening(deadline), self.waker)
         except ModbusConnectionError as error:

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 from ..ports.endpoint import Endpoint
 from ..ports.trace import Trace
+from ..protocol.callbacks import log_failure
 from ..protocol.errors import (
     Acknowledge,
     ExceptionResponse,
@@ -179,9 +180,7 @@ class Conversation:
         try:
             return self._may_send()
         except Exception:
-            import logging
-
-            logging.getLogger(__name__).exception("may_send failed; nothing is sent")
+            log_failure(__name__, "may_send failed; nothing is sent")
             return False
 
     # --- sending ------------------------------------------------------------------------------
@@ -440,12 +439,19 @@ class Conversation:
     def _fail_at(self, batch: Batch, index: int, error: ModbusError) -> None:
         self.statistics.note(batch.pdus[index][0], "unsent")
         sent = batch.sent.get(index, b"")  # an attempt before this one
-        batch.settle(index, self._completed(alike(error), batch, index, sent))
+        batch.settle(index, self._outcome(alike(error), batch, index, sent))
 
     def _fail_next(self, batch: Batch, error: ModbusError) -> None:
         index = batch.started
         batch.started += 1
         self._fail_at(batch, index, error)
+
+    def _outcome(self, error: ModbusError, batch: Batch, index: int, sent: bytes) -> BaseException:
+        """Return an error with its request; or what the class of the request raised."""
+        try:
+            return self._completed(error, batch, index, sent)
+        except BaseException as mistake:
+            return mistake
 
     def _completed(
         self, error: ModbusError, batch: Batch, index: int | None, sent: bytes
@@ -521,6 +527,8 @@ class Conversation:
         batch, index = pending.batch, pending.index
         if isinstance(reply, ModbusError):
             self._fail(reply, pending, now)
+        elif isinstance(reply, BaseException):
+            self._blame_class(pending, reply)
         else:
             try:
                 outcome = batch.requests[index].decode_response(reply)
@@ -528,9 +536,8 @@ class Conversation:
                 self.statistics.invalid += isinstance(error, InvalidResponse)
                 error.received = self._matching.received_with(pending, reply)
                 self._fail(error, pending, now)
-            except BaseException as error:  # a mistake in a request class is its caller's
-                self.statistics.note(pending.function, "invalid")
-                batch.settle(index, error)
+            except BaseException as error:
+                self._blame_class(pending, error)
             else:
                 self.note_answer(reply[0], "ok", now - pending.sent, now)
                 batch.settle(index, outcome)
@@ -538,6 +545,11 @@ class Conversation:
                     self._matching.conclude(pending, None, now)
         if batch.is_done and batch.in_flight:
             self._let_go(batch, now)
+
+    def _blame_class(self, pending: Pending, mistake: BaseException) -> None:
+        """End a request with what its class raised, which only its caller may meet."""
+        self.statistics.note(pending.function, "invalid")
+        pending.batch.settle(pending.index, mistake)
 
     def note_answer(self, function: int, result: str, seconds: float, now: float) -> None:
         """Note an answer that fits, a refusal included: the connection is good."""
@@ -552,9 +564,14 @@ class Conversation:
         else:
             self.statistics.note(pending.function, result_of(error))
         self._matching.conclude(pending, error, now)
-        if not self._repeat(error, pending, now):
-            batch, index = pending.batch, pending.index
-            batch.settle(index, self._completed(error, batch, index, pending.adu))
+        batch, index = pending.batch, pending.index
+        try:
+            is_repeated = self._repeat(error, pending, now)
+        except BaseException as mistake:  # of the class of the request
+            batch.settle(index, mistake)
+        else:
+            if not is_repeated:
+                batch.settle(index, self._outcome(error, batch, index, pending.adu))
 
     def _repeat(self, error: ModbusError, pending: Pending, now: float) -> bool:
         """Send a request again later, if that is allowed; it keeps its place in its batch."""

@@ -34,12 +34,7 @@ Driving = TypeVar("Driving", bound=Driver)
 class Handle(Generic[Driving]):
     """
     The base of both clients: a unit, its timeouts, and the connection that it shares.
-
-    Attributes:
-        unit: the unit that is asked.
     """
-
-    unit: int
 
     def __init__(
         self,
@@ -48,7 +43,7 @@ class Handle(Generic[Driving]):
         driver: Driving,
         timeouts: Timeouts | None = None,
     ) -> None:
-        self.unit = settings.unit
+        self._unit = settings.unit
         self._timeouts = timeouts or settings.timeouts
         self._endpoint = parts.endpoint
         self._connection = parts.connection
@@ -70,9 +65,23 @@ class Handle(Generic[Driving]):
             retries: 0..100; None to share this handle's.
         """
         handle = copy.copy(self)
-        handle.unit = integer("unit", unit, 0, 255)
+        handle.unit = unit
         handle._timeouts = self._timeouts.but(timeout, retries)
         return handle
+
+    @property
+    def unit(self) -> int:
+        """
+        The unit that is asked, 0..255; settable.
+
+        Raises:
+            TypeError, ValueError: when set to something else.
+        """
+        return self._unit
+
+    @unit.setter
+    def unit(self, value: int) -> None:
+        self._unit = integer("unit", value, 0, 255)
 
     @property
     def url(self) -> str:

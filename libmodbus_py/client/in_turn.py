@@ -184,7 +184,7 @@ class InTurn(Matching):
                 self.is_clean = False
             elif each.unit != pending.batch.unit:
                 self._note_other(pending, each.unit, now)
-            elif self._is_echo(pending, each.pdu):
+            elif self._is_echo(pending, each.pdu, now):
                 self._is_noisy = True
                 self._wrong = InvalidResponse("the request itself came back; echo=True?")
             elif now < self._silence.left_at:
@@ -230,13 +230,16 @@ class InTurn(Matching):
         self._is_noisy = self._came_early = True
         self._statistics.late_answers += 1
 
-    def _is_echo(self, pending: Pending, pdu: bytes) -> bool:
+    def _is_echo(self, pending: Pending, pdu: bytes, now: float) -> bool:
         """Return True for the request itself, unless its answer repeats it, as some do."""
         if pdu != pending.batch.pdus[pending.index]:
             return False
         try:
             pending.batch.requests[pending.index].decode_response(pdu)
         except ModbusError:
+            return True
+        except BaseException as error:  # a mistake in a request class is its caller's
+            self._end(pending, error, now)
             return True
         return False
 
@@ -264,7 +267,7 @@ class InTurn(Matching):
         self._quiet_at = None
         if isinstance(reply, ModbusError):
             reply.received = bytes(self._received)
-        else:
+        elif isinstance(reply, bytes):
             self._note_life(now)
             is_exact = self._wrong is None and not self._framer.pending
             self.is_clean = is_exact and not (self._is_noisy or self._doubts)

@@ -18,6 +18,7 @@ from .batch import MAX_IN_FLIGHT
 from .conversation import Conversation, Pace
 from .in_flight import InFlight
 from .matching import Matching
+from .notices import Notices
 from .reconnecting import OnState, Reconnecting
 from .statistics import Statistics
 from .timeouts import Timeouts
@@ -215,6 +216,7 @@ class Parts:
     matching: Matching
     connection: Reconnecting
     statistics: Statistics
+    notices: Notices
 
 
 def assembled(endpoint: Endpoint, settings: CheckedOptions, most: int) -> Parts:
@@ -229,20 +231,22 @@ def assembled(endpoint: Endpoint, settings: CheckedOptions, most: int) -> Parts:
     """
     port = _port(endpoint, settings)
     statistics = Statistics() if settings.statistics is None else settings.statistics
-    connection = Reconnecting(str(port), settings.max_pause, statistics, settings.on_state)
+    notices = Notices()
+    on_state = settings.on_state and notices.delaying(settings.on_state)
+    connection = Reconnecting(str(port), settings.max_pause, statistics, on_state)
     pace = Pace(
         settings.turnaround,
         settings.request_spacing,
         settings.connect_delay,
         settings.timeouts_before_reconnect,
     )
-    trace = Trace(str(endpoint), settings.trace)
+    trace = Trace(str(endpoint), settings.trace, later=notices.add)
     limit = in_flight_limit(endpoint, settings.max_in_flight or most)
     matching = _matching(endpoint, settings, limit, port, statistics, trace)
     conversation = Conversation(
         endpoint, limit, pace, matching, connection, statistics, trace, settings.may_send
     )
-    return Parts(endpoint, port, conversation, matching, connection, statistics)
+    return Parts(endpoint, port, conversation, matching, connection, statistics, notices)
 
 
 def in_flight_limit(endpoint: Endpoint, most: int) -> int:

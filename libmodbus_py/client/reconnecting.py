@@ -11,6 +11,7 @@ import errno
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+from ..protocol.callbacks import log_failure
 from ..protocol.errors import ModbusConnectionError, ModbusError
 
 if TYPE_CHECKING:
@@ -133,9 +134,7 @@ class Reconnecting:
             try:
                 self._on_state(state, error)
             except Exception:
-                import logging
-
-                logging.getLogger(__name__).exception("on_state(%s) failed", state.name)
+                log_failure(__name__, "on_state(%s) failed", state.name)
 
 
 def _because_of(cause: ModbusConnectionError, reason: str) -> ModbusConnectionError:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from ..ports.port import Port
 from ..ports.waiting import Waker, Woken
-from ..protocol.errors import ModbusConnectionError
+from ..protocol.errors import ModbusConnectionError, ModbusError
 from ..protocol.framing import Frame, Framer, make_framer, mbap
 from ..protocol.pdu import Request
 from .batch import Batch
@@ -106,6 +106,8 @@ class Shortcut:
         self._statistics = parts.statistics
         self._encode = framer.encode
         self._is_line = framer.has_broadcast
+        # What was sent, and not yet handed over or answered.
+        self._sent: tuple[int, int, Request[Any], bytes, Timeouts, float] | None = None
         self._carrier: Carrier
         in_clear = parts.endpoint.transport != "tls"  # C reads and writes the descriptor itself
         if native and in_clear and (not self._is_line or parts.port.context is not None):
@@ -114,64 +116,73 @@ class Shortcut:
             self._carrier = PythonCarrier(parts.port, framer, waker)
 
     def ask(
-        self, unit: int, request: Request[Any], timeouts: Timeouts, waker: int
+        self, unit: int, request: Request[Any], pdu: bytes, timeouts: Timeouts, waker: int
     ) -> tuple[Batch | None, Any]:
         """
         Send a request and take its answer.
 
         Args:
+            request: one that is answered; `pdu` is what it encodes to, of a function in `KNOWN`.
             waker: a descriptor that is readable when the wait must end.
 
         Returns:
-            None and the result; or what the conversation must go on with, and why the
+            None and the outcome; or what the conversation must go on with, and why the
             connection is lost, if it is.
-
-        Raises:
-            TypeError, ValueError: the request cannot be sent.
         """
-        pdu = request.encode() if isinstance(request, Request) else b""
-        if pdu[:1] not in KNOWN:
-            return self._hand_over(unit, request, timeouts), None
         number = self._matching.next_number()
         if self._is_line and (left := self._port.silence.over_at - self._now()) > 0:
             self._waker.sleep(left)
         since = self._now()
         if self._is_line:
             self._port.silence.sent(len(pdu) + LEAST_AROUND, since)
-        try:
-            answer = self._carrier.carry(unit, number, pdu, timeouts.timeout, waker)
-            if answer is None:
-                return self._hand_over(unit, request, timeouts), None
-            if answer and not (self._is_line and self._now() < self._port.silence.left_at):
+        self._sent = unit, number, request, pdu, timeouts, since
+        answer = self._carrier.carry(unit, number, pdu, timeouts.timeout, waker)
+        if answer is None:
+            self._sent = None
+            batch = Batch(unit, [request], timeouts, pdus=[pdu])
+            self._conversation.add(batch, self._now())
+            return batch, None
+        if answer and not (self._is_line and self._now() < self._port.silence.left_at):
+            try:
                 outcome = request.decode_response(answer)
-                now = self._now()
-                self._statistics.requests += 1
-                self._conversation.note_answer(pdu[0], "ok", now - since, now)
-                if self._is_line:
-                    self._port.silence.heard(now)
+            except ModbusError:
+                pass  # the conversation meets it again, and tells it all that was asked
+            except BaseException as mistake:
+                self._conclude(pdu, since, "invalid")
+                return None, mistake
+            else:
+                self._conclude(pdu, since, "ok")
                 return None, outcome
-        except Exception:
-            pass  # the conversation meets it again, and tells it all that was asked
-        except BaseException:  # Ctrl-C: it was sent, and its caller is gone
-            batch = self._adopted(unit, number, request, timeouts, since)
-            self._conversation.abandon(batch, since)
-            raise
-        batch = self._adopted(unit, number, request, timeouts, since)
+        batch = self._hand_over()
         if self._carrier.error is None:
             now = self._now()
             self._conversation.take(self._carrier.received, now)
             self._conversation.settle(now)
         return batch, self._carrier.error
 
-    def _hand_over(self, unit: int, request: Request[Any], timeouts: Timeouts) -> Batch:
-        batch = Batch(unit, [request], timeouts)
-        self._conversation.add(batch, self._now())
-        return batch
+    def interrupt(self) -> None:
+        """Let the conversation know of a request that was sent, and whose caller is gone."""
+        if self._sent is not None:
+            self._hand_over()
 
-    def _adopted(
-        self, unit: int, number: int, request: Request[Any], timeouts: Timeouts, since: float
-    ) -> Batch:
-        batch = Batch(unit, [request], timeouts)
-        adu = self._encode(Frame(unit, batch.pdus[0], number))
+    def _conclude(self, pdu: bytes, since: float, result: str) -> None:
+        """Note the answer to the request, whatever its class made of it."""
+        now = self._now()
+        self._sent = None
+        self._statistics.requests += 1
+        if result == "ok":
+            self._conversation.note_answer(pdu[0], result, now - since, now)
+        else:
+            self._statistics.note(pdu[0], result)
+        if self._is_line:
+            self._port.silence.heard(now)
+
+    def _hand_over(self) -> Batch:
+        """Return a batch of the request that was sent, whose answer the conversation expects."""
+        assert self._sent is not None
+        unit, number, request, pdu, timeouts, since = self._sent
+        batch = Batch(unit, [request], timeouts, pdus=[pdu])
+        adu = self._encode(Frame(unit, pdu, number))
         self._conversation.adopt(batch, adu, since)
+        self._sent = None
         return batch

@@ -7,8 +7,10 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
+from ..protocol.callbacks import log_failure
 from ..protocol.framing import pdu_of, transaction_of
 from .schemes import framing_of
 
@@ -84,12 +86,24 @@ class Trace:
     Passes ADUs to a callback, and to the logger ``libmodbus_py.wire`` at DEBUG.
 
     A callback that fails is logged, and harms no request.
+
+    Args:
+        endpoint, peer: as in `Traced`.
+        callback: called with each ADU, or None.
+        later: takes a name and a call, and makes the call later; None to call at once.
     """
 
-    def __init__(self, endpoint: str, callback: OnTraced | None, peer: str | None = None) -> None:
+    def __init__(
+        self,
+        endpoint: str,
+        callback: OnTraced | None,
+        peer: str | None = None,
+        later: Callable[[str, Callable[[], object]], object] | None = None,
+    ) -> None:
         self._endpoint = endpoint
         self._callback = callback
         self._peer = peer
+        self._later = later
 
     @property
     def is_on(self) -> bool:
@@ -107,15 +121,22 @@ class Trace:
         function: int | None = None,
     ) -> None:
         traced = Traced(time.time(), self._endpoint, direction, adu, unit, function, self._peer)
-        if _is_logged() and _wire is not None:
-            _wire.debug("%s", traced)
+        if self._later is None:
+            self._publish(traced)
+        else:
+            self._later("trace", partial(self._publish, traced))
+
+    def _publish(self, traced: Traced) -> None:
+        try:
+            if _is_logged() and _wire is not None:
+                _wire.debug("%s", traced)
+        except Exception:  # of a log handler
+            log_failure(__name__, "%s: a handler of the log failed", WIRE)
         if self._callback is not None:
             try:
                 self._callback(traced)
             except Exception:
-                import logging
-
-                logging.getLogger(__name__).exception("trace(%s) failed", traced)
+                log_failure(__name__, "trace(%s) failed", traced)
 
 
 def _is_logged() -> bool:

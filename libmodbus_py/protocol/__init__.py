@@ -6,6 +6,7 @@ Bottom up:
     errors     the exceptions, grouped by cause
     mistakes   errors that know where the wrong value stands
     checks     numbers that callers give
+    callbacks  functions of users: what is logged when one fails
     pdu        one class for each function: encode and decode, request and response
     scan       the CRC, and where RTU frames begin and end; in C (scan.c)
     framing    unit and PDU as bytes on TCP, UDP, RTU and ASCII lines, and back

@@ -83,7 +83,7 @@ def test_a_mistake_is_tolerated_by_nobody() -> None:
 def test_what_is_decided_is_told_once_and_changes_no_more() -> None:
     told: list[int] = []
     made = batch(1)
-    made.on_done = lambda: told.append(1)
+    made.on_done = lambda batch: told.append(1)
     made.settle(0, "first")
     made.settle(0, "second")
     made.finish()

@@ -50,6 +50,7 @@ class Talk:
         self.matching: Any = parts.matching
         self.connection = parts.connection
         self.statistics = parts.statistics
+        self.notices = parts.notices
         self.timeouts = self.settings.timeouts
         self.now = 0.0
         self.sent: list[bytes] = []
@@ -114,6 +115,7 @@ class Talk:
         while adus := self.conversation.start(self.now):
             self.sent += adus
             self.times += [self.now] * len(adus)
+        self.notices.give()
 
     def come(self, *pieces: bytes) -> None:
         for piece in pieces:

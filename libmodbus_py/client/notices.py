@@ -1,0 +1,61 @@
+"""
+Calls of user functions that wait until the state of a client is consistent again.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING
+
+from ..protocol.callbacks import log_failure
+
+if TYPE_CHECKING:
+    from ..protocol.errors import ModbusError
+    from .reconnecting import OnState, State
+
+__all__ = ["Notices"]
+
+
+class Notices:
+    """
+    Callbacks to make: changes of state and traced ADUs, in the order in which they happened.
+
+    What they do to the client, and what they raise, meets no half of a change: a driver makes the
+    calls between two steps.
+    """
+
+    def __init__(self) -> None:
+        self.waiting: deque[tuple[str, Callable[[], object]]] = deque()
+        self._is_giving = False
+
+    def add(self, name: str, call: Callable[[], object]) -> None:
+        """Make a call later; `name` is that of the callback, for the log."""
+        self.waiting.append((name, call))
+
+    def delaying(self, on_state: OnState) -> OnState:
+        """Return a function that has `on_state` called later."""
+
+        def note(state: State, error: ModbusError | None) -> None:
+            self.add(f"on_state({state.name})", partial(on_state, state, error))
+
+        return note
+
+    def give(self) -> None:
+        """
+        Make the calls. One that fails is logged; what is no Exception is raised, and the other
+        calls are made the next time.
+        """
+        if self._is_giving:  # a callback uses the client: the calls go on behind it
+            return
+        self._is_giving = True
+        try:
+            while self.waiting:
+                name, call = self.waiting.popleft()
+                try:
+                    call()
+                except Exception:
+                    log_failure(__name__, "%s failed", name)
+        finally:
+            self._is_giving = False

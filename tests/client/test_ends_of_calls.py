@@ -1,0 +1,193 @@
+"""
+Calls that end early, by an exception at any moment: nothing of them is sent later.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import sys
+from collections.abc import Callable
+from functools import partial
+from types import FrameType
+from typing import Any
+
+import pytest
+
+from libmodbus_py import AsyncClient, Context
+from tests.simulation.loop import complaints_of
+from tests.simulation.network import Network
+from tests.simulation.scripted import Scripted
+from tests.support.peers import Peer, Write, answer, peer_at
+
+PLACES = {
+    "tcp": "tcp://10.0.0.1",
+    "rtu": "rtu:///dev/line?baudrate=115200",
+    "udp": "udp://10.0.0.1",
+}
+
+PLACES_OF_SIGNALS = ("call", "c_call", "c_return")
+
+WAYS_IN = ("_enter", "_rings")
+"""The first functions of callbacks of an event loop, which loses those that it cannot begin."""
+
+ERRORS = [TimeoutError("its own"), MemoryError(), KeyboardInterrupt()]
+
+TRANSPORTS = pytest.mark.parametrize("scheme", PLACES)
+RAISED = pytest.mark.parametrize("error", ERRORS, ids=lambda each: type(each).__name__)
+
+
+class Strike:
+    """
+    Raises an exception at the n-th place where Python would run the handler of a signal.
+
+    Those are the beginnings of functions, and the ends of calls of C; what C waits in may also be
+    interrupted.
+    """
+
+    def __init__(self, number: int, error: BaseException) -> None:
+        self.left = number
+        self._error = error.with_traceback(None)
+
+    def __enter__(self) -> Strike:
+        sys.setprofile(self._note)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        sys.setprofile(None)
+
+    def _note(self, frame: FrameType, event: str, arg: object) -> None:
+        if event == "call" and frame.f_code.co_name in WAYS_IN:
+            return
+        if event in PLACES_OF_SIGNALS and "/libmodbus_py/" in frame.f_code.co_filename:
+            self.left -= 1
+            if self.left == 0:
+                raise self._error
+
+
+def address_in(request: bytes, scheme: str) -> int:
+    """Return the address that a request names."""
+    at = 2 if scheme == "rtu" else 8
+    return int.from_bytes(request[at : at + 2], "big")
+
+
+def replying(scheme: str) -> Callable[[bytes, Write], object]:
+    """Return what answers reads with the address, and confirms writes."""
+    function = 1 if scheme == "rtu" else 7
+
+    def reply(request: bytes, write: Write) -> None:
+        write(request if request[function] == 6 else answer(request, scheme))
+
+    return reply
+
+
+def struck(
+    call: Callable[[], object], number: int, error: BaseException
+) -> tuple[bool, BaseException | None]:
+    """Return whether a call had so many moments, and what it raised."""
+    raised = None
+    with Strike(number, error) as strike:
+        try:
+            call()
+        except BaseException as caught:
+            raised = caught
+    return strike.left <= 0, raised
+
+
+def strike_each_moment(
+    context: Context,
+    peer: Peer | Scripted,
+    scheme: str,
+    error: BaseException,
+    settle: Callable[[], object] = lambda: None,
+    step: int = 1,
+) -> int:
+    """
+    Strike a write and a read at each of their moments; return how many there were.
+
+    Args:
+        settle: let what was sent arrive.
+        step: from one moment to the next that is tried.
+    """
+    number = address = 0
+    was_struck = True
+    while was_struck:
+        number += step
+        was_struck = False
+        for ask in (context.write_register, context.read_holding_registers):
+            address += 2
+            is_struck, raised = struck(partial(ask, address, 1), number, error)
+            assert raised is (error if is_struck else None), (number, ask, raised)
+            was_struck |= is_struck
+            settle()
+            assert context.read_holding_registers(address + 1, 1) == [address + 1], (number, ask)
+            asked = [address_in(request, scheme) for request in peer.requests]
+            assert asked[-1] == address + 1, (number, ask)
+            assert asked.count(address) <= 1
+    return number
+
+
+@RAISED
+@TRANSPORTS
+def test_nothing_is_sent_of_a_call_that_a_context_was_thrown_out_of(
+    scheme: str, error: BaseException
+) -> None:
+    network = Network()
+    peer = Scripted(network, PLACES[scheme], replying(scheme))
+    with network.installed(), Context.from_url(peer.url, native=False, retries=1) as context:
+        settle = partial(pass_time, network)
+        assert strike_each_moment(context, peer, scheme, error, settle) > 50
+
+
+@RAISED
+@TRANSPORTS
+def test_nothing_is_sent_of_a_call_that_c_carries(scheme: str, error: BaseException) -> None:
+    with peer_at(scheme, replying(scheme)) as peer:
+        # On a line a unit that owes an answer is left alone for one timeout, in real seconds.
+        options, step = ({"timeout": 0.05}, 5) if scheme == "rtu" else ({}, 1)
+        with Context.from_url(peer.url, native=True, retries=1, **options) as context:
+            assert strike_each_moment(context, peer, scheme, error, step=step) > 20
+
+
+def pass_time(network: Network) -> None:
+    """Let pass as much time as frames need."""
+    until = network.events.now + 0.1
+    while network.events.now < until:
+        network.events.advance(until)
+
+
+def ended(loop: asyncio.AbstractEventLoop, tasks: list[asyncio.Task[Any]]) -> None:
+    """Run a loop until tasks are done, whatever else is raised there."""
+    while not all(task.done() for task in tasks):
+        with contextlib.suppress(KeyboardInterrupt):
+            loop.run_until_complete(asyncio.wait(tasks))
+    for task in tasks:
+        assert task.cancelled() or not isinstance(task.exception(), AssertionError)
+
+
+@RAISED
+@TRANSPORTS
+def test_no_caller_waits_for_a_client_that_was_thrown_out_of_its_turn(
+    scheme: str, error: BaseException
+) -> None:
+    """Three callers at once, and what strikes is raised to one of them, or in the event loop."""
+    network = Network()
+    peer = Scripted(network, PLACES[scheme], replying(scheme))
+    loop = network.loop()
+    number, is_struck = 0, True
+    with network.installed(), complaints_of(loop):
+        plc = AsyncClient(peer.url, retries=1)
+        while is_struck:
+            number += 1
+            asks = (plc.write_register, plc.read_holding_registers, plc.write_register)
+            tasks = [loop.create_task(ask(2 * number, 1)) for ask in asks]
+            is_struck, _ = struck(partial(ended, loop, tasks), number, error)
+            ended(loop, tasks)
+            pass_time(network)
+            read = plc.read_holding_registers(2 * number + 1, 1)
+            assert loop.run_until_complete(read) == [2 * number + 1], number
+            asked = [address_in(request, scheme) for request in peer.requests]
+            assert asked[-1] == 2 * number + 1
+        loop.run_until_complete(plc.close())
+    loop.close()
+    assert number > 100
