@@ -1,0 +1,144 @@
+"""
+What is checked of a request on the short way and in the conversation: the same.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from typing import Any
+
+import pytest
+
+from libmodbus_py import (
+    AsyncClient,
+    ModbusConnectionError,
+    ModbusTimeoutError,
+    State,
+    TcpContext,
+    pdu,
+)
+from tests.simulation.network import Network
+from tests.simulation.scripted import Scripted
+from tests.support.clients import ALL, BLOCKING, EVERYWHERE, World, asking
+from tests.support.peers import Write, answer, dead, ignore, peer_at, until
+
+UNITS = [
+    (300, ValueError),
+    (256, ValueError),
+    (-1, ValueError),
+    (1.5, TypeError),
+    (None, TypeError),
+]
+
+
+def reply(request: bytes, write: Write) -> None:
+    write(answer(request, "tcp"))
+
+
+@ALL
+@pytest.mark.parametrize(("unit", "error"), UNITS)
+def test_a_unit_that_does_not_exist_is_refused_when_it_is_set(
+    kind: str, unit: Any, error: type[Exception]
+) -> None:
+    with peer_at("tcp", reply) as peer, asking(kind, peer.url) as client:
+        with pytest.raises(error, match=r"unit must be .*0\.\.255"):
+            client.unit = unit
+        assert client.read_holding_registers(7, 1) == [7]
+        assert [request[6] for request in peer.requests] == [1]
+
+
+@pytest.mark.parametrize(("unit", "error"), UNITS)
+def test_a_unit_that_does_not_exist_is_refused_when_it_is_submitted(
+    unit: Any, error: type[Exception]
+) -> None:
+    network = Network()
+    peer = Scripted(network, "tcp://10.0.0.1", reply)
+
+    async def main() -> None:
+        async with AsyncClient(peer.url) as plc:
+            waiting = asyncio.create_task(plc.read_holding_registers(7, 1))
+            await asyncio.sleep(0)
+            with pytest.raises(error, match=r"unit must be .*0\.\.255"):
+                plc.submit(unit, pdu.ReadHoldingRegisters(1, 1), lambda: None)
+            assert await waiting == [7]
+
+    network.run(main)
+
+
+class Silent(pdu.WriteRegister):
+    """A write of a function that libmodbus knows, which the device is known not to answer."""
+
+    __slots__ = ()
+    expects_response = False
+
+
+@EVERYWHERE
+def test_a_request_without_an_answer_is_not_waited_for(world: World) -> None:
+    peer = world.peer("tcp", lambda request, write: request[7] != 6 and reply(request, write))
+    with world.connect(peer.url, timeout=600) as client:
+        assert client.read_holding_registers(1, 1) == [1]
+        assert client.execute(Silent(3, 4)) is None
+        assert client.read_holding_registers(2, 1) == [2]
+        assert client.statistics.results[6, "silent"] == 1
+
+
+@BLOCKING
+@pytest.mark.parametrize("scheme", ["tcp", "udp", "rtu"])
+def test_a_shorter_timeout_of_another_thread_ends_the_wait(kind: str, scheme: str) -> None:
+    with peer_at(scheme, ignore) as peer, asking(kind, peer.url, timeout=600) as client:
+        failed: list[BaseException] = []
+
+        def ask() -> None:
+            try:
+                client.read_holding_registers(1, 1)
+            except ModbusTimeoutError as error:
+                failed.append(error)
+
+        thread = threading.Thread(target=ask)
+        thread.start()
+        until(lambda: peer.requests)
+        client.timeout = 0.05
+        thread.join()
+        assert "within 0.05 s" in str(failed[0])
+
+
+@BLOCKING
+def test_a_shorter_timeout_of_another_thread_ends_an_attempt_to_connect(kind: str) -> None:
+    with dead() as port:
+        client = TcpContext("127.0.0.1", port, timeout=600, native=kind == "native")
+        failed: list[BaseException] = []
+
+        def connect() -> None:
+            try:
+                client.connect()
+            except ModbusConnectionError as error:
+                failed.append(error)
+
+        thread = threading.Thread(target=connect)
+        thread.start()
+        until(lambda: client.state is State.CONNECTING)
+        client.timeout = 0.05
+        thread.join()
+        assert len(failed) == 1
+        client.close()
+
+
+@BLOCKING
+def test_a_timeout_set_again_and_again_disturbs_no_request(kind: str) -> None:
+    with peer_at("tcp", reply) as peer, asking(kind, peer.url, timeout=600) as client:
+        over = threading.Event()
+
+        def change() -> None:
+            while not over.is_set():
+                client.timeout = 600.0
+
+        thread = threading.Thread(target=change)
+        thread.start()
+        try:
+            for address in range(300):
+                assert client.read_holding_registers(address, 1) == [address]
+        finally:
+            over.set()
+            thread.join()
+        assert client.statistics.connects == 1

@@ -1,0 +1,228 @@
+"""
+Request classes and callbacks of users that raise, on both clients: their caller meets it, alone.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+
+from libmodbus_py import AsyncClient, ModbusError, ModbusTimeoutError, State, pdu
+from tests.simulation.network import Network
+from tests.simulation.scripted import OnRequest, Scripted
+from tests.support.cases import each_case
+from tests.support.clients import World, making
+from tests.support.peers import Write, answer
+
+SCHEMES = pytest.mark.parametrize("scheme", ["tcp", "udp", "rtu"])
+
+
+class Mistake(Exception):
+    """What a request class raises that its author did not mean to."""
+
+
+def fail(*_: object) -> Any:
+    raise Mistake
+
+
+def with_mistake(name: str) -> pdu.ReadHoldingRegisters:
+    """Return a read of register 5 whose class fails in one method or property."""
+    at: Any = property(fail) if name in ("repeatable", "expects_response") else fail
+    kind: Any = type("Mistaken", (pdu.ReadHoldingRegisters,), {"__slots__": (), name: at})
+    request: pdu.ReadHoldingRegisters = kind(5, 1)
+    return request
+
+
+def replying(scheme: str, outcome: str) -> OnRequest:
+    """Return what answers all reads, but one of register 5 in another way."""
+    at, around = (2, 1) if scheme == "rtu" else (8, 7)
+
+    def reply(request: bytes, write: Write) -> None:
+        if request[at : at + 2] != b"\x00\x05" or outcome == "answer":
+            write(answer(request, scheme))
+        elif outcome == "damage":
+            good = answer(request, scheme)
+            write(good[:around] + bytes([good[around], 1]) + good[around + 2 :])
+        elif outcome == "close":
+            write(None)
+
+    return reply
+
+
+def outcome_of(call: Callable[[], object]) -> object:
+    """Return what a call returns or raises."""
+    try:
+        return call()
+    except Exception as error:
+        return error
+
+
+METHODS = ["encode", "expects_response", "decode_response", "repeatable", "__str__"]
+
+
+@SCHEMES
+@each_case(("kind", "name", "outcome"), [
+    (kind, name, outcome)
+    for kind in ("python", "asyncio")
+    for name in METHODS
+    for outcome in ("answer", "silence", "damage", "close")
+])  # fmt: skip
+def test_a_mistake_in_a_class_is_met_by_its_caller(
+    scheme: str, kind: str, name: str, outcome: str
+) -> None:
+    if outcome == "close" and scheme != "tcp":
+        return
+    with making(kind) as world:
+        peer = world.peer(scheme, replying(scheme, outcome))
+        with world.connect(peer.url, timeout=0.5, retries=1) as client:
+            found = outcome_of(lambda: client.execute(with_mistake(name)))
+            assert found == [5] or isinstance(found, Mistake | ModbusError), found
+            if name in ("encode", "expects_response"):
+                assert isinstance(found, Mistake)
+                assert peer.requests == []
+            assert client.read_holding_registers(7, 1) == [7]
+            assert client._driver._conversation.in_flight == 0
+
+
+@pytest.mark.parametrize("name", METHODS)
+@pytest.mark.parametrize("outcome", ["answer", "silence", "close"])
+def test_a_mistake_in_a_class_leaves_the_callers_beside_it_alone(name: str, outcome: str) -> None:
+    network = Network()
+    peer = Scripted(network, "tcp://10.0.0.1", replying("tcp", outcome))
+
+    async def main() -> None:
+        async with AsyncClient(peer.url, timeout=0.5, retries=1) as plc:
+            reads = [plc.read_holding_registers(address, 1) for address in (1, 2, 3)]
+            *others, mistaken = await asyncio.gather(
+                *reads, plc.execute(with_mistake(name)), return_exceptions=True
+            )
+            assert others == [[1], [2], [3]]
+            assert mistaken == [5] or isinstance(mistaken, Mistake | ModbusError)
+
+    network.run(main)
+
+
+class Broken(logging.Handler):
+    """A log handler that fails, as a full disk or a closed connection makes it."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        raise Mistake
+
+
+@pytest.fixture
+def broken_log() -> Iterator[None]:
+    """All that the package logs, at any level, meets a handler that fails."""
+    logger, handler = logging.getLogger("libmodbus_py"), Broken()
+    logger.addHandler(handler)
+    logger.setLevel(logging.DEBUG)
+    yield
+    logger.removeHandler(handler)
+    logger.setLevel(logging.NOTSET)
+
+
+@pytest.mark.usefixtures("broken_log")
+@pytest.mark.parametrize("hook", [None, "trace", "on_state", "may_send"])
+@pytest.mark.parametrize("scheme", ["tcp", "rtu"])
+def test_a_log_handler_that_fails_fails_no_call(
+    world: World, scheme: str, hook: str | None
+) -> None:
+    peer = world.peer(scheme, replying(scheme, "silence"))
+    if hook == "may_send" and world.kind != "asyncio":
+        return
+    options = {hook: fail} if hook else {}
+    with world.connect(peer.url, timeout=0.5, **{} if hook == "may_send" else options) as client:
+        assert client.read_holding_registers(1, 1) == [1]
+        with pytest.raises(ModbusTimeoutError):
+            client.read_holding_registers(5, 1)
+        assert client.read_holding_registers(2, 1) == [2]
+    if hook == "may_send":
+        other = world.connect(peer.url, timeout=0.5, **options)
+        with pytest.raises(ModbusError, match="may_send"):
+            other.read_holding_registers(1, 1)
+        other.close()
+
+
+def test_states_and_traces_are_told_when_they_are_true(world: World) -> None:
+    """A callback that looks at the client sees the state that it is told of."""
+    told: list[tuple[State, State]] = []
+    sent: list[tuple[str, int]] = []
+    made: list[Any] = []
+    peer = world.peer("tcp", replying("tcp", "answer"))
+
+    def on_state(state: State, error: object) -> None:
+        told.append((state, made[0].state))
+
+    def trace(traced: Any) -> None:
+        sent.append((traced.direction, made[0].statistics.requests))
+
+    made.append(world.connect(peer.url, on_state=on_state, trace=trace))
+    with made[0] as client:
+        assert client.read_holding_registers(1, 1) == [1]
+    assert [state for state, _ in told] == [State.CONNECTING, State.CONNECTED, State.CLOSED]
+    assert all(state is seen for state, seen in told)
+    assert sent == [("sent", 1), ("received", 1)]
+
+
+def submitting(act: Callable[[AsyncClient, list[Any]], object]) -> list[Any]:
+    """Submit two reads, the first with an `on_done` of the test; return what was told."""
+    network = Network()
+    peer = Scripted(network, "tcp://10.0.0.1", replying("tcp", "answer"))
+    told: list[Any] = []
+
+    async def main() -> None:
+        async with AsyncClient(peer.url) as plc:
+            done = asyncio.Event()
+            plc.submit(1, pdu.ReadHoldingRegisters(1, 1), lambda: act(plc, told))
+            second = plc.submit(1, pdu.ReadHoldingRegisters(2, 1), done.set)
+            await done.wait()
+            told.append(second.outcome)
+            await asyncio.sleep(1)
+
+    network.run(main)
+    return told
+
+
+def test_an_on_done_that_raises_is_logged(caplog: pytest.LogCaptureFixture) -> None:
+    assert submitting(lambda plc, told: fail()) == [[2]]
+    assert [record.message for record in caplog.records] == ["on_done failed"]
+
+
+def test_an_on_done_may_submit() -> None:
+    def submit(plc: AsyncClient, told: list[Any]) -> None:
+        third = plc.submit(1, pdu.ReadHoldingRegisters(3, 1), lambda: told.append(third.outcome))
+
+    assert submitting(submit) == [[2], [3]]
+
+
+class Submitting(pdu.ReadHoldingRegisters):
+    """A request whose class uses the client while an answer is decoded."""
+
+    __slots__ = ()
+    plc: AsyncClient
+    told: list[Any]
+
+    def decode_response(self, data: bytes) -> list[int]:
+        read = pdu.ReadHoldingRegisters(6, 1)
+        submitted = self.plc.submit(1, read, lambda: self.told.append(submitted.outcome))
+        self.plc.submit(1, read, fail).withdraw()
+        return super().decode_response(data)
+
+
+def test_a_class_may_use_the_client_while_it_decodes() -> None:
+    network = Network()
+    peer = Scripted(network, "tcp://10.0.0.1", replying("tcp", "answer"))
+
+    async def main() -> None:
+        async with AsyncClient(peer.url) as plc:
+            told: list[Any] = []
+            kind: Any = type("Own", (Submitting,), {"plc": plc, "told": told, "__slots__": ()})
+            results = await asyncio.gather(*(plc.execute(kind(at, 1)) for at in (1, 2, 3)))
+            await asyncio.sleep(1)
+            assert results == [[1], [2], [3]]
+            assert told == [[6], [6], [6]]
+
+    network.run(main)
