@@ -122,7 +122,8 @@ def whole_parser(filled: Collection[str] = COMMANDS) -> argparse.ArgumentParser:
 
 class _Parser(argparse.ArgumentParser):
     def __init__(self, **options: Any) -> None:
-        super().__init__(**{"formatter_class": Help, **options})
+        # The beginning of an option is refused: --count would be taken for --count-from-1.
+        super().__init__(**{"formatter_class": Help, "allow_abbrev": False, **options})
         # argparse would take -1e5 and -inf for options.
         self._negative_number_matcher = re.compile(r"-(\.?[0-9]|inf|nan)", re.IGNORECASE)
 
