@@ -42,18 +42,26 @@ def _raw(options: argparse.Namespace) -> int:
     from ..connecting import connected
 
     function = number_of("function", options.function)
-    try:
-        data = bytes.fromhex("".join(options.data))
-    except ValueError:
-        typed = " ".join(options.data)
-        raise ValueError(f"HEX must be pairs of hex digits, not {typed!r}") from None
-    request = RawRequest(function, data)
+    request = RawRequest(function, b"".join(map(_bytes_of, options.data)))
     with closing(connected(options)) as context:
         response = request.encode_response(context.execute(request))
     print(response.hex(" "))
     if (text := _decoded(request.encode(), response)) is not None:
         print(text)
     return 0
+
+
+def _bytes_of(word: str) -> bytes:
+    """
+    Return the bytes of one word.
+
+    Raises:
+        ValueError: it is no pairs of hex digits; digits of two words are never joined to a byte.
+    """
+    try:
+        return bytes.fromhex(word)
+    except ValueError:
+        raise ValueError(f"HEX must be pairs of hex digits, not {word!r}") from None
 
 
 def _decoded(request: bytes, response: bytes) -> str | None:
