@@ -8,7 +8,7 @@ and each fixture imports the rest when a test uses it.
 from __future__ import annotations
 
 from collections.abc import Generator, Iterator
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -17,6 +17,12 @@ if TYPE_CHECKING:
     from ..listener.transaction import Transaction
     from .recording import RecordingServer, ServerMaker
     from .wires import SerialWire
+
+if not hasattr(pytest, "StashKey"):
+    raise pytest.UsageError(
+        f"the fixtures of libmodbus-py need pytest 7 or newer, not {pytest.__version__};"
+        " -p no:libmodbus_py leaves them out"
+    )
 
 # The servers of a test, while it runs.
 SERVERS = pytest.StashKey["list[RecordingServer]"]()
@@ -61,17 +67,15 @@ def modbus_serial_line(make_modbus_server: ServerMaker) -> Iterator[SerialWire]:
         make_modbus_server.close()  # before its port is gone
 
 
-@pytest.hookimpl(wrapper=True)
-def pytest_runtest_makereport(
-    item: pytest.Item,
-) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-    report = yield
+# The other form, wrapper=True, needs a newer pluggy than pytest 7 asks for.
+@pytest.hookimpl(hookwrapper=True)
+def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, Any, None]:
+    report: pytest.TestReport = (yield).get_result()
     servers = item.stash.get(SERVERS, [])
     if servers and report.failed:
         report.sections.append(("modbus transactions", "\n".join(map(_told, servers))))
     if servers and report.when == "teardown":
         del item.stash[SERVERS]
-    return report
 
 
 def _told(server: RecordingServer) -> str:
