@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
-from contextlib import closing
+from contextlib import closing, suppress
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -63,12 +63,31 @@ def _diagnose(options: argparse.Namespace) -> int:
         if options.sub_function is None:
             return print_report(context, _questions(context), as_json=options.json)
         sub = _sub_function(options.sub_function)
-        answer = context.diagnostics(sub, number_of("data", options.data))
+        answer = _answer(context, sub, number_of("data", options.data))
     if options.json:
         print_json({_name(sub): answer})
     else:
         print(answer)
     return 0
+
+
+def _answer(context: Context, sub: int, data: int) -> int:
+    """
+    Return the data of the answer, or `data` if a device that shall listen only is silent.
+
+    Raises:
+        ModbusError: as of `Context.diagnostics`, and if a device refuses to listen only. The
+            client would not wait for that, because the specification has no answer there.
+    """
+    from ...protocol.errors import ModbusTimeoutError
+    from ...protocol.pdu import RawRequest, SubFunction
+
+    if sub != SubFunction.FORCE_LISTEN_ONLY:
+        return context.diagnostics(sub, data)
+    request = RawRequest(8, sub.to_bytes(2, "big") + data.to_bytes(2, "big"))
+    with suppress(ModbusTimeoutError):
+        context.execute(request)
+    return data
 
 
 def _questions(context: Context) -> dict[str, Callable[[], Named]]:

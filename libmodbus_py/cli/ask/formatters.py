@@ -177,7 +177,11 @@ class _PointFormatter(Formatter):
     def fields(self, cells: list[int]) -> dict[str, Any]:
         value = self._value(cells)
         shown_value = [_as_json(each) for each in value] if self._point.count > 1 else value
-        return {"name": self._point.name, "value": _as_json(shown_value)}
+        return {**self.whence, "value": _as_json(shown_value)}
+
+    @property
+    def whence(self) -> dict[str, Any]:
+        return {"name": self._point.name}
 
     @property
     def _range(self) -> range:

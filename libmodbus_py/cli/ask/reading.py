@@ -45,6 +45,7 @@ class Reader:
             formatter_of(item, as_all=options.type == ALL, in_hex=options.hex) for item in items
         ]
         self._plan = ItemPlan(items)
+        self._alone: set[int] = set()
         client = endpoint_of(options).client_options
         self.unit: int = client.get("unit", 1)
         # Few devices take several requests at the same time.
@@ -54,11 +55,18 @@ class Reader:
         """
         Ask for all items; if the device refuses one, the others are still read.
 
+        Items whose common request is refused are asked for one by one, now and later.
+
         Raises:
             ModbusError: there is no answer, or one that makes no sense.
             CommandError: the device refused the only item.
         """
-        found = self._plan.cells(self._answers(context))
+        answers = self._answers(context)
+        if refused := self._plan.refused_together(answers):
+            self._alone |= refused
+            self._plan = ItemPlan(self._plan.items, self._alone)
+            answers = self._answers(context)
+        found = self._plan.cells(answers)
         results = [_result(*pair) for pair in zip(self.formatters, found, strict=True)]
         if len(results) == 1 and results[0].failure:
             raise CommandError(results[0].failure)

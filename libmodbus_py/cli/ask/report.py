@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from ...client.blocking import Context
-from ...protocol.errors import ExceptionResponse, InvalidResponse
+from ...protocol.errors import ExceptionResponse, InvalidResponse, ModbusError
 from ..failing import CommandError
 from ..output import print_json
 
@@ -16,26 +16,38 @@ __all__ = ["Named", "print_report"]
 
 Named = Iterable[tuple[str, Any]]
 
+# Questions without an answer after which a device that has said nothing is asked no more.
+MOST_SILENT = 4
+
 
 def print_report(
     context: Context, questions: Mapping[str, Callable[[], Named]], *, as_json: bool
 ) -> int:
     """
-    Ask all questions, and print the answers and which of them the device lacks.
+    Ask all questions, and print the answers and which of them the device lacks, or why there is
+    no answer: it may keep silent, or close the connection, for what it does not know.
 
     Args:
         questions: name -> function that asks, and returns names and values.
 
     Raises:
         CommandError: the device has no answer to any of the questions.
+        ModbusError: there is no connection, or the device says nothing at all.
     """
+    context.connect()
     answers: dict[str, Any] = {}
     lacking: dict[str, str] = {}
+    silent: list[ModbusError] = []
     for name, ask in questions.items():
         try:
             answers.update(ask())
-        except (ExceptionResponse, InvalidResponse) as error:
+        except ModbusError as error:
             lacking[name] = str(error.args[0])
+            if not isinstance(error, ExceptionResponse | InvalidResponse):
+                silent.append(error)
+        has_spoken = answers or len(lacking) > len(silent)
+        if not has_spoken and len(silent) == min(MOST_SILENT, len(questions)):
+            raise silent[0]
     if as_json:
         plain = {
             name: _shown(value) if isinstance(value, bytes) else value

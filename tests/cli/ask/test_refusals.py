@@ -1,0 +1,231 @@
+"""
+Devices that refuse a part of what a command asks, close the connection, or say nothing: the
+command shows the rest, and why the part is missing.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from libmodbus_py import (
+    Device,
+    ExceptionResponse,
+    Fault,
+    IllegalFunction,
+    Mapping,
+    ModbusConnectionError,
+    ModbusError,
+    ModbusTimeoutError,
+    TcpContext,
+)
+from libmodbus_py.cli.ask.report import print_report
+from libmodbus_py.cli.failing import CommandError
+from libmodbus_py.tools.testing.recording import RecordingServer, ServerMaker
+from tests.support.cases import each_case
+from tests.support.commands import run
+
+POINTS = """
+name,table,address,type
+first,holding_registers,0,uint16
+second,holding_registers,1,uint16
+missing,holding_registers,2,uint16
+last,holding_registers,3,uint16
+other,input_registers,0,uint16
+"""
+
+
+@pytest.fixture
+def maker() -> Iterator[ServerMaker]:
+    with ServerMaker() as made:
+        yield made
+
+
+@pytest.fixture
+def points(tmp_path: Path) -> Path:
+    (tmp_path / "points.csv").write_text(POINTS)
+    return tmp_path / "points.csv"
+
+
+def with_a_hole(maker: ServerMaker) -> RecordingServer:
+    """Return a server without holding register 2, which refuses requests that read it."""
+    registers = {0: [10, 11], 3: [13]}
+    return maker(devices=Device(Mapping(holding_registers=registers, input_registers={0: [20]})))
+
+
+def sent(server: RecordingServer) -> list[str]:
+    return [str(each.request) for each in server.transactions]
+
+
+# --- read -----------------------------------------------------------------------------------
+
+
+def test_points_beside_a_refused_one_are_shown(maker: ServerMaker, points: Path) -> None:
+    done = run("read", with_a_hole(maker).url, "--map", points)
+    assert [line.split() for line in done.out.splitlines()] == [
+        ["first", "10"],
+        ["second", "11"],
+        ["last", "13"],
+        ["other", "20"],
+    ]
+    assert done.code == 1
+    assert done.err.count("\n") == 1
+    assert "address=2" in done.err
+    assert "illegal data address" in done.err
+
+
+def test_in_json_each_point_has_its_value_or_error(maker: ServerMaker, points: Path) -> None:
+    done = run("read", with_a_hole(maker).url, "--map", points, "--json")
+    told = json.loads(done.out)
+    assert told["values"] == {"first": 10, "second": 11, "last": 13, "other": 20}
+    assert [*told["errors"]] == ["missing"]
+
+
+def test_addresses_beside_a_refused_one_are_shown(maker: ServerMaker) -> None:
+    words = "holding 0 2 holding 2 holding 3 --json"
+    done = run("read", with_a_hole(maker).url, *words.split())
+    items = json.loads(done.out)["items"]
+    assert [each.get("values") for each in items] == [[10, 11], None, [13]]
+    assert "illegal data address" in items[1]["error"]
+
+
+def test_a_request_of_accepted_points_is_sent_once_more_at_most(
+    maker: ServerMaker, points: Path
+) -> None:
+    server = with_a_hole(maker)
+    run("read", server.url, "--map", points)
+    assert [text.partition("(")[2] for text in sent(server)] == [
+        "address=0, count=4)",
+        "address=0, count=1)",
+        "address=0, count=1)",
+        "address=0, count=1)",
+        "address=1, count=1)",
+        "address=2, count=1)",
+        "address=3, count=1)",
+    ]
+
+
+@each_case("code", [6, 10, 11])
+def test_a_refusal_of_the_time_or_the_way_splits_nothing(
+    maker: ServerMaker, points: Path, code: int
+) -> None:
+    server = maker(faults={None: [Fault("exception", code=code)]})
+    assert run("read", server.url, "--map", points, "--retries", "0").code == 1
+    assert len(sent(server)) == 2
+
+
+# --- diagnose force-listen-only ---------------------------------------------------------------
+
+
+def test_diagnose_says_that_a_device_refused_to_listen_only(maker: ServerMaker) -> None:
+    server = maker(faults={None: [Fault("exception", code=1)]})
+    done = run("diagnose", server.url, "force-listen-only")
+    assert done.code == 1
+    assert "illegal function" in done.err
+
+
+def test_diagnose_takes_silence_for_consent_to_listen_only(maker: ServerMaker) -> None:
+    server = maker(faults={None: [Fault("no_answer")]})
+    done = run("diagnose", server.url, "force-listen-only", "7", "--json", "--timeout", "0.1")
+    assert (done.code, done.out) == (0, '{"force listen only": 7}\n')
+    assert len(server.transactions) == 1
+
+
+# --- identify and diagnose --------------------------------------------------------------------
+
+
+Questions = dict[str, Callable[[], list[tuple[str, Any]]]]
+
+
+def question(answer: ModbusError | list[tuple[str, Any]]) -> Callable[[], list[tuple[str, Any]]]:
+    def ask() -> list[tuple[str, Any]]:
+        if isinstance(answer, ModbusError):
+            raise answer
+        return answer
+
+    return ask
+
+
+def report(questions: Questions, *, as_json: bool = False) -> str:
+    out = io.StringIO()
+    with (
+        ServerMaker() as maker,
+        TcpContext.from_url(maker().url, unit=7) as context,
+        contextlib.redirect_stdout(out),
+    ):
+        assert print_report(context, questions, as_json=as_json) == 0
+    return out.getvalue()
+
+
+SILENCE = ModbusTimeoutError("no answer within 1 s")
+CLOSED = ModbusConnectionError("the device closed the connection")
+NO = IllegalFunction()
+
+
+@each_case("error", [SILENCE, CLOSED, NO, ExceptionResponse(code=200)])
+@each_case("at", [0, 1, 2])
+def test_the_others_are_shown(error: ModbusError, at: int) -> None:
+    answers: list[Any] = [[("one", 1)], [("two", 2)]]
+    answers.insert(at, error)
+    questions = {str(number): question(each) for number, each in enumerate(answers)}
+    assert json.loads(report(questions, as_json=True)) == {
+        "unit": 7,
+        "one": 1,
+        "two": 2,
+        "lacking": {str(at): str(error.args[0])},
+    }
+    assert f"({error.args[0]})" in report(questions)
+
+
+@each_case("error", [SILENCE, CLOSED])
+def test_a_device_that_says_nothing_is_not_asked_everything(error: ModbusError) -> None:
+    asked: list[str] = []
+
+    def silent(name: str) -> Callable[[], list[tuple[str, Any]]]:
+        def ask() -> list[tuple[str, Any]]:
+            asked.append(name)
+            raise error
+
+        return ask
+
+    questions = {str(number): silent(str(number)) for number in range(12)}
+    with pytest.raises(type(error)):
+        report(questions)
+    assert asked == ["0", "1", "2", "3"]
+
+
+def test_a_device_that_only_refuses_has_none_of_these() -> None:
+    questions = {"one": question(NO), "two": question(SILENCE)}
+    with pytest.raises(CommandError, match=r"has none of these: illegal function .*; no answer"):
+        report(questions)
+
+
+def test_without_a_connection_nothing_is_asked() -> None:
+    with pytest.raises(ModbusConnectionError):
+        print_report(TcpContext("127.0.0.1", port=1), {"one": pytest.fail}, as_json=False)
+
+
+@each_case(
+    ("command", "function", "shown"),
+    [
+        ("identify", 43, "running"),
+        ("identify", 17, "VendorName"),
+        ("diagnose", 7, "bus message count"),
+        ("diagnose", 12, "bus message count"),
+        ("diagnose", 8, "exception status"),
+    ],
+)
+def test_a_device_may_close_the_connection_for_what_it_does_not_know(
+    maker: ServerMaker, command: str, function: int, shown: str
+) -> None:
+    server = maker(faults={None: [Fault("disconnect", function=function)]})
+    done = run(command, server.url)
+    assert (done.code, done.err) == (0, "")
+    assert shown in done.out
+    assert "closed" in done.out
