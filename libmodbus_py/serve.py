@@ -5,7 +5,8 @@ Servers, their devices, and what their hooks and rules are told: a short path to
 
 from .device.access import Access as Access
 from .device.authorization import Asked as Asked
-from .device.device import Caller as Caller
+from .device.caller import Caller as Caller
+from .device.caller import ValueChange as ValueChange
 from .device.device import Device as Device
 from .device.hooks import Hook as Hook
 from .device.mapping import Mapping as Mapping
@@ -33,4 +34,5 @@ __all__ = [
     "Running",
     "Server",
     "ServerStatistics",
+    "ValueChange",
 ]

@@ -4,6 +4,8 @@ One unit: request PDU in, response PDU out. No socket.
 In the order in which a request goes through::
 
     device         Device: checks, hooks and handlers, and the functions libmodbus lacks
+    caller         Caller: the origin of a request, and who records what it changes
+    auditing       requests that change a device, for an audit trail
     authorization  Authorization: decides about each request first, and logs refusals
     rules          Rules: access rights of roles, as a table
     event_log      EventLog: counters, log and silence of one line (functions 8, 11, 12)

@@ -12,7 +12,8 @@ import logging
 import reprlib
 from collections.abc import Callable, Iterable, Sequence
 from collections.abc import Mapping as MappingABC
-from typing import Any, ClassVar, NamedTuple
+from functools import partial
+from typing import Any, ClassVar
 
 from ..protocol.checks import integer
 from ..protocol.errors import (
@@ -44,14 +45,16 @@ from ..protocol.pdu import (
 )
 from ..protocol.pdu.interface import OBJECT_NAMES, ReadDeviceIdCode, pages
 from .access import ACCESSES, Access, Touched
+from .auditing import answer_audited
 from .authorization import Asked, Authorization, Authorize, UnauthorizedError
+from .caller import Caller
 from .event_log import EventLog
 from .hooks import EVERYTHING, Hook, HookCall, places, timed
 from .mapping import Mapping, Table
 from .record_file import RecordFile
 from .reply import Answered, Watched, make_tally, replier
 
-__all__ = ["Caller", "Device"]
+__all__ = ["Device"]
 
 logger: logging.Logger = logging.getLogger(__name__)
 
@@ -64,27 +67,6 @@ DEFAULT_IDENTIFICATION: dict[str | int, str | bytes] = {
     "ProductCode": "Device",
     "MajorMinorRevision": "0.1",
 }
-
-
-class Caller(NamedTuple):
-    """
-    The origin of a request.
-
-    Attributes:
-        unit: the unit that was addressed, 0..255.
-        peer: the client: "host:port", or the serial port.
-        log: the device's notes about the line, frame included; None for its own about TCP.
-        is_broadcast: True if no answer is sent.
-        role: the role in the client's certificate; None if there is none, or no TLS.
-        on_unauthorized: called for each request that `authorize` does not allow, if it is given.
-    """
-
-    unit: int = 0
-    peer: str = ""
-    log: EventLog | None = None
-    is_broadcast: bool = False
-    role: str | None = None
-    on_unauthorized: Callable[[], object] | None = None
 
 
 _UNKNOWN = Caller()
@@ -221,7 +203,7 @@ class Device:
         listening = log.listen_only
         restart = pdu[:3] == _RESTART and not caller.is_broadcast
         ignored = (listening and not restart) or (caller.is_broadcast and not _is_write(function))
-        response = b"" if ignored else self._respond(pdu, log, caller)
+        response = b"" if ignored else self._respond_audited(pdu, log, caller)
         silent = caller.is_broadcast or listening or log.listen_only
         log.note_response(pdu, response, silent=silent)
         if restart and response[:1] == pdu[:1]:
@@ -291,6 +273,16 @@ class Device:
                 self._log.note_exchanges(requests, tally.refused, latest)
                 tally.requests = tally.refused = 0
         return self._log
+
+    def _respond_audited(self, pdu: bytes, log: EventLog, caller: Caller) -> bytes:
+        auditor = caller.auditor
+        if auditor is None:
+            return self._respond(pdu, log, caller)
+        respond = partial(self._respond, pdu, log, caller)
+        has_rules = self._guard is not None
+        return answer_audited(
+            pdu, caller, auditor, self.mapping, self.files, respond, has_rules=has_rules
+        )
 
     def _respond(self, pdu: bytes, log: EventLog, caller: Caller) -> bytes:
         try:

@@ -11,14 +11,14 @@ import contextlib
 import hashlib
 import reprlib
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from .extra import require_cryptography
 
 if TYPE_CHECKING:
     from cryptography import x509
 
-__all__ = ["describe", "end_of", "shown"]
+__all__ = ["CertificateHolder", "describe", "end_of", "holder_of", "shown"]
 
 SHOWN_TIME = "%Y-%m-%d %H:%M:%S"
 
@@ -56,6 +56,37 @@ def describe(certificate: bytes) -> str:
         return f"{_said(x509.load_der_x509_certificate(certificate))}, {fingerprint}"
     except Exception:
         return f"{len(certificate)} bytes that are no certificate, {fingerprint}"
+
+
+class CertificateHolder(NamedTuple):
+    """
+    The holder of a certificate.
+
+    Attributes:
+        subject: the name as in RFC 4514; empty for a nameless one, or without cryptography.
+        serial: the serial number in hexadecimal digits, or without cryptography the SHA-256 of the
+            certificate.
+    """
+
+    subject: str
+    serial: str
+
+
+def holder_of(certificate: bytes) -> CertificateHolder:
+    """
+    Return the holder of a certificate. Never raises, whatever the bytes are.
+
+    Args:
+        certificate: X.509 in DER.
+    """
+    try:
+        require_cryptography()
+        from cryptography import x509
+
+        found = x509.load_der_x509_certificate(certificate)
+        return CertificateHolder(found.subject.rfc4514_string(), f"{found.serial_number:x}")
+    except Exception:
+        return CertificateHolder("", hashlib.sha256(certificate).hexdigest())
 
 
 def end_of(certificate: bytes) -> float | None:

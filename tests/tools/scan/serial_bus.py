@@ -18,7 +18,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple, Self
 
 from libmodbus_py import Device, framing
-from libmodbus_py.device.device import Caller
+from libmodbus_py.device.caller import Caller
 from libmodbus_py.tools.testing.line_ends import open_line, read_what_is_there
 
 RATES = {getattr(termios, name): int(name[1:]) for name in dir(termios) if name[1:].isdigit()}

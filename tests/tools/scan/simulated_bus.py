@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from libmodbus_py import Device, framing
-from libmodbus_py.device.device import Caller
+from libmodbus_py.device.caller import Caller
 from libmodbus_py.ports.endpoint import parse
 from tests.simulation.lines import MemorySerialPort, Party
 from tests.simulation.network import Network

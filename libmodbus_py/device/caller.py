@@ -1,0 +1,82 @@
+"""
+The origin of a request, and who records what became of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple, Protocol
+
+from ..security.describing import CertificateHolder
+from .access import Access
+from .event_log import EventLog
+
+__all__ = ["Auditor", "Caller", "Executed", "ValueChange"]
+
+
+class Caller(NamedTuple):
+    """
+    The origin of a request.
+
+    Attributes:
+        unit: the unit that was addressed, 0..255.
+        peer: the client: "host:port", or the serial port.
+        log: the device's notes about the line, frame included; None for its own about TCP.
+        is_broadcast: True if no answer is sent.
+        role: the role in the client's certificate; None if there is none, or no TLS.
+        on_unauthorized: called for each request that `authorize` does not allow, if it is given.
+        holder: the holder of the client's certificate; None without TLS.
+        auditor: told of each change, and of each request that `authorize` does not allow.
+    """
+
+    unit: int = 0
+    peer: str = ""
+    log: EventLog | None = None
+    is_broadcast: bool = False
+    role: str | None = None
+    on_unauthorized: Callable[[], object] | None = None
+    holder: CertificateHolder | None = None
+    auditor: Auditor | None = None
+
+
+class ValueChange(NamedTuple):
+    """
+    One run of items that a request writes.
+
+    Attributes:
+        access: the table, the addresses and the new values.
+        before: the values before; None if they are not known.
+    """
+
+    access: Access
+    before: tuple[Any, ...] | None
+
+
+class Executed(NamedTuple):
+    """
+    A request with its outcome.
+
+    Attributes:
+        caller: its origin.
+        request: the request PDU.
+        response: the response PDU; empty if there is none.
+        changes: what it writes, or would have written.
+        is_change: False for a request that only reads, and was refused.
+    """
+
+    caller: Caller
+    request: bytes
+    response: bytes
+    changes: tuple[ValueChange, ...]
+    is_change: bool
+
+
+class Auditor(Protocol):
+    """Records who changed what."""
+
+    def may_change(self) -> bool:
+        """Return False if changes must be refused, because none can be recorded."""
+        ...
+
+    def note(self, executed: Executed) -> None:
+        """Record a request. Never raises."""
