@@ -13,6 +13,9 @@ from .device.mapping import Mapping as Mapping
 from .device.record_file import RecordFile as RecordFile
 from .device.rules import Allow as Allow
 from .device.rules import Rules as Rules
+from .server.audit import Audit as Audit
+from .server.audit import AuditEvent as AuditEvent
+from .server.audit import AuditFile as AuditFile
 from .server.faults.fault import Fault as Fault
 from .server.limits import Limits as Limits
 from .server.limits import ServerStatistics as ServerStatistics
@@ -23,6 +26,9 @@ __all__ = [
     "Access",
     "Allow",
     "Asked",
+    "Audit",
+    "AuditEvent",
+    "AuditFile",
     "Caller",
     "Device",
     "Fault",

@@ -13,6 +13,7 @@ In the order in which a request goes through::
     peers        Peers: TCP connections within their limits (limits), all in one epoll;
                  addresses and idle choose which of them are paused or closed
     tls          TlsSession: what a connection says within TLS, and the role of who asks
+    audit        Audit: who wrote what, and who was refused
     sources      whose datagrams are answered
     tracing      who is told of every ADU that sessions receive and send
     service      the seam: what an endpoint knows of what answers; devices is one of them

@@ -12,6 +12,7 @@ from operator import itemgetter
 from ..ports.trace import Trace
 from ..protocol.errors import FrameError
 from ..protocol.framing import FUNCTION, UNIT, Frame, cut, is_one_frame, split
+from ..security.describing import CertificateHolder
 from .by_frame import ByFrame
 from .framed import FOUND_AT_ONCE
 from .limits import ServerStatistics
@@ -110,7 +111,7 @@ class ByChunk:
     # fmt: off
     __slots__ = (
         "_by_frame", "_channel", "_is_behind", "_pending", "_singles", "_statistics", "_units",
-        "address", "hang_up", "role", "state", "trace", "write",
+        "address", "hang_up", "holder", "role", "state", "trace", "write",
     )
     # fmt: on
 
@@ -128,6 +129,7 @@ class ByChunk:
         self._channel = channel
         self.address: str = channel.address
         self.role: str | None = channel.role
+        self.holder: CertificateHolder | None = channel.holder
         self.trace: Trace | None = channel.trace
         self.write: Callable[[bytes], None] = channel.write
         self.hang_up: Callable[[], bool] = channel.hang_up

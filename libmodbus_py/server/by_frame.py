@@ -70,7 +70,7 @@ class ByFrame(Framed):
             self._follow_delimiter()
 
     def _answer(self, request: Frame) -> Frame | None:
-        return self._units.answer(request, self._channel.address, self._channel.role)
+        return self._units.answer(request, self._channel)
 
     def _faulty_answers(self) -> FaultyAnswers:
         if self._faulty is None:

@@ -25,7 +25,9 @@ from select import EPOLLIN, EPOLLOUT
 
 from ..ports.trace import Trace
 from ..protocol.errors import FrameError
+from ..security.describing import CertificateHolder
 from .addresses import Address, Addresses
+from .audit import Audit
 from .forking import abandoned_in_children
 from .idle import Idle, due
 from .limits import SPARE_DESCRIPTORS, Limits, ServerStatistics
@@ -73,6 +75,7 @@ class Peers:
         end: closes all endpoints of the server when a hook ends the program; None to close
             only the connections.
         make_epoll: returns an epoll object.
+        auditor: told of connections from networks that are not served.
     """
 
     def __init__(
@@ -81,8 +84,10 @@ class Peers:
         statistics: ServerStatistics,
         end: Callable[[], None] | None = None,
         make_epoll: Callable[[], select.epoll] = select.epoll,
+        auditor: Audit | None = None,
     ) -> None:
         self.limits = limits
+        self.auditor = auditor
         self.statistics = statistics
         self.loop: asyncio.AbstractEventLoop = asyncio.get_running_loop()
         self._most = limits.connections()
@@ -128,6 +133,8 @@ class Peers:
         host, port = address[:2]
         if not self.limits.allows(host):
             self.statistics.disallowed += 1
+            if self.auditor is not None:
+                self.auditor.note_disallowed(host, port)
             client.close()
             return
         shared = self._addresses.get(host)
@@ -331,7 +338,7 @@ class Peer:
     __slots__ = (
         "_descriptor", "_is_behind", "_is_closing", "_is_full", "_is_reading",
         "_is_sending", "_is_throttled", "_peers", "_session", "_socket", "_unsent", "address",
-        "is_greedy", "latest_turn", "role", "shared",
+        "holder", "is_greedy", "latest_turn", "role", "shared",
     )
     # fmt: on
 
@@ -344,7 +351,9 @@ class Peer:
         make: MakePeerSession,
     ) -> None:
         self.address: str = address
-        self.role: str | None = None  # set by a session within TLS only
+        # A session within TLS has its own.
+        self.role: str | None = None
+        self.holder: CertificateHolder | None = None
         self.shared: Address[Peer] = shared  # shared with all other connections of its host
         self._peers = peers
         self._socket = client

@@ -13,6 +13,7 @@ from ..ports.endpoint import Endpoint
 from ..ports.serial import SerialPort
 from ..ports.trace import Trace
 from ..protocol.errors import ModbusConnectionError
+from ..security.describing import CertificateHolder
 from .forking import abandoned_in_children
 from .limits import ServerStatistics
 from .service import ENDS, Service, SessionState
@@ -53,6 +54,7 @@ class SerialServer:
         self._make_session = service.sessions(endpoint, statistics)
         self.address: str = endpoint.device
         self.role: str | None = None
+        self.holder: CertificateHolder | None = None
         self.trace: Trace | None = None
         self._end = end or self.close
         self._loop = asyncio.get_running_loop()

@@ -17,6 +17,7 @@ from ..device.reply import replier
 from ..ports.endpoint import Endpoint
 from ..ports.trace import OnTraced
 from ..security.security import Security
+from .audit import Audit, OnAudited
 from .devices import Devices
 from .faults.due import Faults
 from .faults.fault import Fault
@@ -53,6 +54,9 @@ class Server(Serving):
                 checked when a connection is made, or a port opened. One that fails or takes
             long is logged once, and harms no request; SystemExit and KeyboardInterrupt end the
             server.
+        audit: called with an `AuditEvent` for each write, each request and connection that is
+            refused; an `Audit` to refuse writes while it fails. Modbus/TCP is not answered in C
+            then.
 
     Attributes:
         statistics: counters of all endpoints, kept up to date.
@@ -72,8 +76,9 @@ class Server(Serving):
         own_unit: int | None = None,
         security: Security | None = None,
         trace: OnTraced | None = None,
+        audit: Audit | OnAudited | None = None,
     ) -> None:
-        super().__init__(limits, security, trace)
+        super().__init__(limits, security, trace, audit)
         self._unknown_unit: UnknownUnit = unknown_unit
         self._own_unit = own_unit
         self._answering_now: list[tuple[asyncio.AbstractEventLoop, Devices]] = []
@@ -118,7 +123,14 @@ class Server(Serving):
 
     def _take(self, devices: Device | Mapping[int, Device], faults: FaultsByUnit) -> None:
         counted = Faults(faults, self._counted)
-        units = Units(devices, counted, self._unknown_unit, self._own_unit, self._note_unauthorized)
+        units = Units(
+            devices,
+            counted,
+            self._unknown_unit,
+            self._own_unit,
+            self._note_unauthorized,
+            self._auditor,
+        )
         self._counted, self._units = counted, units
         self.devices: Device | Mapping[int, Device] = devices
         for loop, answering in list(self._answering_now):

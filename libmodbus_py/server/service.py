@@ -10,6 +10,7 @@ from typing import Protocol
 
 from ..ports.endpoint import Endpoint
 from ..ports.trace import Trace
+from ..security.describing import CertificateHolder
 from .limits import ServerStatistics
 
 __all__ = ["ENDS", "Channel", "Later", "MakeSession", "Service", "Session", "SessionState"]
@@ -25,11 +26,13 @@ class Channel(Protocol):
     Attributes:
         address: address of the client: "192.0.2.7:51234", or the serial port.
         role: the role in the client's certificate, if any.
+        holder: the holder of this certificate, if any.
         trace: called with every ADU; None if tracing is off.
     """
 
     address: str
     role: str | None
+    holder: CertificateHolder | None
 
     @property
     def trace(self) -> Trace | None: ...

@@ -22,6 +22,7 @@ from ..ports.tls import security_of
 from ..ports.trace import OnTraced
 from ..protocol.errors import ModbusConnectionError
 from ..security.security import Security
+from .audit import Audit, OnAudited, audit_of
 from .background import Background
 from .limits import Limits, ServerStatistics
 from .listening import reason
@@ -62,6 +63,9 @@ class Serving(ABC):
                 checked when a connection is made, or a port opened. One that fails or takes long is
             logged once, and harms no request; SystemExit and KeyboardInterrupt end the server.
 
+        audit: called with an `AuditEvent` for each write, each request and connection that is
+            refused; an `Audit` to refuse writes while it fails.
+
     Attributes:
         statistics: counters of all endpoints, kept up to date.
 
@@ -74,6 +78,7 @@ class Serving(ABC):
         limits: Limits | None = None,
         security: Security | None = None,
         trace: OnTraced | None = None,
+        audit: Audit | OnAudited | None = None,
     ) -> None:
         self.statistics: ServerStatistics = ServerStatistics()
         if not isinstance(limits, Limits | None):
@@ -84,6 +89,7 @@ class Serving(ABC):
         self._security = security
         self._secured: weakref.WeakSet[TcpServer] = weakref.WeakSet()
         self._traces = Traces(None if trace is None else _checked(trace))
+        self._auditor = None if audit is None else audit_of(audit)
         self._listening: list[Endpoint] = []
 
     @property
@@ -127,13 +133,14 @@ class Serving(ABC):
         endpoints = [parse_to_listen(url) for url in urls]
         if not endpoints:
             raise ValueError("urls must name at least one endpoint")
-        sources = Sources(self._limits, self.statistics)
+        auditor = self._auditor
+        sources = Sources(self._limits, self.statistics, auditor)
         async with self._answering(endpoints) as answering:
             service = TracedService(answering, self._traces)
             with contextlib.ExitStack() as stack:
                 # At once, when a hook ends the program: others that are ready must not be called.
                 with _explained("cannot serve"):
-                    peers = Peers(self._limits, self.statistics, stack.close)
+                    peers = Peers(self._limits, self.statistics, stack.close, auditor=auditor)
                 stack.callback(peers.close)
                 opened = []
                 for endpoint in endpoints:

@@ -10,6 +10,7 @@ from collections import OrderedDict
 from ..ports.hosts import is_loopback
 from ..protocol.pdu import request_length
 from .addresses import Address, Addresses, Paused
+from .audit import Audit
 from .limits import Allowance, Limits, ServerStatistics
 
 __all__ = ["Sources"]
@@ -34,10 +35,13 @@ class Sources:
         ports: the ports of the server itself; datagrams from there are never from a client.
     """
 
-    def __init__(self, limits: Limits, statistics: ServerStatistics) -> None:
+    def __init__(
+        self, limits: Limits, statistics: ServerStatistics, auditor: Audit | None = None
+    ) -> None:
         self.ports: set[int] = set(SERVER_PORTS)
         self._limits = limits
         self._statistics = statistics
+        self._auditor = auditor
         self._loop = asyncio.get_running_loop()
         self._addresses: Addresses[Paused] = Addresses(limits.requests_per_second or USUAL_RATE)
         self._returns: OrderedDict[int, Allowance] = OrderedDict()
@@ -47,6 +51,8 @@ class Sources:
         host, port = source[:2]
         if not self._limits.allows(host):
             self._statistics.disallowed += 1
+            if self._auditor is not None:
+                self._auditor.note_disallowed(host, port)
         elif port in self.ports or self._returns_too_often(datagram, source):
             self._statistics.reflected += 1
         elif self._is_too_fast(host):

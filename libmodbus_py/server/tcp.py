@@ -48,7 +48,9 @@ class TcpServer:
         self._peers = peers
         self._loop = asyncio.get_running_loop()
         self._handshakes = (
-            None if security is None else Handshakes(security, peers.limits, peers.statistics)
+            None
+            if security is None
+            else Handshakes(security, peers.limits, peers.statistics, peers.auditor)
         )
         self._listeners: list[socket.socket] = []
         self._retries: dict[socket.socket, asyncio.TimerHandle] = {}

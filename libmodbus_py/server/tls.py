@@ -15,11 +15,12 @@ from typing import Protocol
 from ..ports.trace import Trace
 from ..protocol.errors import FrameError
 from ..security.acceptance import Acceptance
-from ..security.describing import describe
+from ..security.describing import CertificateHolder, describe, holder_of
 from ..security.role import mentions_role, role_of
 from ..security.security import Security
 from ..security.tunnel import Records, Tunnel
 from ..security.words import in_words
+from .audit import Audit
 from .limits import Limits, ServerStatistics
 from .service import Channel, MakeSession, Session, SessionState
 
@@ -51,15 +52,23 @@ class Handshakes:
 
     Args:
         security: the certificates of the server and of trusted clients.
+        auditor: told of handshakes that fail.
         limits: `handshake_timeout`, and `certificate_interval` of established connections.
     """
 
-    def __init__(self, security: Security, limits: Limits, statistics: ServerStatistics) -> None:
+    def __init__(
+        self,
+        security: Security,
+        limits: Limits,
+        statistics: ServerStatistics,
+        auditor: Audit | None = None,
+    ) -> None:
         security.check_server()
         self.security = security
         self.timeout: float = limits.handshake_timeout
         self._interval = limits.certificate_interval
         self.statistics = statistics
+        self.auditor = auditor
         self.loop: asyncio.AbstractEventLoop = asyncio.get_running_loop()
         self._half_open: dict[TlsSession, None] = {}
         self._line: dict[TlsSession, None] = {}
@@ -161,6 +170,7 @@ class TlsSession:
         "_tunnel",
         "_wire",
         "address",
+        "holder",
         "role",
     )
     # fmt: on
@@ -168,6 +178,7 @@ class TlsSession:
     def __init__(self, wire: Wire, handshakes: Handshakes, make: MakeSession) -> None:
         self.address: str = wire.address
         self.role: str | None = None
+        self.holder: CertificateHolder | None = None
         self._wire = wire
         self._handshakes = handshakes
         self._make = make
@@ -281,12 +292,18 @@ class TlsSession:
         self._timer.cancel()
         self._handshakes.end(self)
         self._acceptance.begin(tunnel)
+        if self._handshakes.auditor is not None:
+            self.holder = holder_of(tunnel.certificate)
         self._handshakes.establish(self)
         self._inner = self._make(self)
         self._has_more = tunnel.has_more
 
     def _refuse(self, reason: str, certificate: bytes) -> None:
         self._handshakes.statistics.handshakes_refused += 1
+        if (auditor := self._handshakes.auditor) is not None:
+            auditor.note_handshake(
+                self.address, reason, holder_of(certificate) if certificate else None
+            )
         if logger.isEnabledFor(logging.INFO):
             whose = f": {describe(certificate)}" if certificate else ""
             logger.info("%s: TLS refused: %s%s", self.address, reason, whose)

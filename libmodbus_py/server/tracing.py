@@ -15,6 +15,7 @@ from typing import NoReturn
 from ..device.hooks import timed
 from ..ports.endpoint import Endpoint
 from ..ports.trace import OnTraced, Trace, Traced, is_traced
+from ..security.describing import CertificateHolder
 from .limits import ServerStatistics
 from .service import ENDS, Channel, Later, MakeSession, Service, Session
 
@@ -80,12 +81,13 @@ class TracedService:
 class TracedChannel:
     """The channel of a session that reports its ADUs to `trace`. See `Channel`."""
 
-    __slots__ = ("_channel", "address", "role", "trace")
+    __slots__ = ("_channel", "address", "holder", "role", "trace")
 
     def __init__(self, channel: Channel, trace: Trace) -> None:
         self._channel = channel
         self.address: str = channel.address
         self.role: str | None = channel.role
+        self.holder: CertificateHolder | None = channel.holder
         self.trace: Trace | None = trace
 
     def write(self, data: bytes) -> None:

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from ..ports.endpoint import Endpoint
 from ..ports.trace import Trace
 from ..protocol.framing import Framing, pdu_of
+from ..security.describing import CertificateHolder
 from .forking import abandoned_in_children
 from .limits import ServerStatistics
 from .listening import bound
@@ -111,6 +112,7 @@ class _Datagram:
     """The channel of one datagram."""
 
     role: str | None = None
+    holder: CertificateHolder | None = None
     trace: Trace | None = None
 
     def __init__(

@@ -10,13 +10,15 @@ from collections.abc import Callable, Mapping
 from copy import copy
 from typing import Literal, get_args
 
-from ..device.device import Caller, Device
+from ..device.caller import Auditor, Caller
+from ..device.device import Device
 from ..device.event_log import EventLog
 from ..protocol.checks import integer
 from ..protocol.errors import GatewayTargetFailedToRespond
 from ..protocol.framing import LINE_FEED, Frame
 from ..protocol.pdu import Diagnostics
 from .faults.due import Faults
+from .service import Channel
 
 __all__ = ["UNKNOWN_UNIT_POLICIES", "SerialUnits", "TcpUnits", "Units", "UnknownUnit"]
 
@@ -42,6 +44,7 @@ class Units:
     Args:
         own_unit: the unit whose device answers `SERVER_ITSELF`, unless these have their own.
         on_unauthorized: called for each request that a device does not allow.
+        auditor: told of each change.
     """
 
     def __init__(
@@ -51,8 +54,10 @@ class Units:
         unknown: UnknownUnit = "refuse",
         own_unit: int | None = None,
         on_unauthorized: Callable[[], object] = lambda: None,
+        auditor: Auditor | None = None,
     ) -> None:
         self.on_unauthorized = on_unauthorized
+        self.auditor = auditor
         self.faults: Faults | None = faults or None
         if unknown not in UNKNOWN_UNIT_POLICIES:
             allowed = ", ".join(UNKNOWN_UNIT_POLICIES)
@@ -103,10 +108,13 @@ class TcpUnits:
         self._any = units.any
         self._refuses = units.unknown == "refuse"
         self._on_unauthorized = units.on_unauthorized
+        self._auditor = units.auditor
         self._without_faults: dict[int, Device | None] = {**self._units}
         self._any_without_faults = units.any
         if self.faults is not None:
             self._leave_out(self.faults)
+        if self._auditor is not None:  # C reports no write
+            self._without_faults, self._any_without_faults = {}, None
 
     def _leave_out(self, faults: Faults) -> None:
         """Set units with faults to None, so that the device for all does not answer them either."""
@@ -134,11 +142,20 @@ class TcpUnits:
             return frame._replace(pdu=bytes([frame.pdu[0] | 0x80, code]))
         return frame._replace(pdu=device.refuse(frame.pdu, code))
 
-    def answer(self, frame: Frame, peer: str, role: str | None = None) -> Frame | None:
+    def answer(self, frame: Frame, client: Channel) -> Frame | None:
         unit, pdu, transaction = frame
         device = self._units.get(unit, self._any)
         if device is not None:
-            caller = Caller(unit, peer, None, False, role, self._on_unauthorized)
+            caller = Caller(
+                unit,
+                client.address,
+                None,
+                False,
+                client.role,
+                self._on_unauthorized,
+                client.holder,
+                self._auditor,
+            )
             response = device.answer(pdu, caller)
         elif pdu[0] & 0x80 or not self._refuses:
             return None
@@ -162,6 +179,7 @@ class SerialLine:
         self.faults: Faults | None = units.faults
         self.answers_all: bool = units.any is not None
         self.on_unauthorized: Callable[[], object] = units.on_unauthorized
+        self.auditor: Auditor | None = units.auditor
         given = units.devices if units.any is None else {EVERY_UNIT: units.any}
         before = {unit: log for unit, (_, log) in self.stations.items()}
         logs = {unit: EventLog(is_serial=True) for unit in given} | before
@@ -213,20 +231,28 @@ class SerialUnits:
         device, log = station
         return frame._replace(pdu=device.refuse(frame.pdu, code, Caller(frame.unit, log=log)))
 
-    def answer(self, frame: Frame, peer: str, role: str | None = None) -> Frame | None:
+    def answer(self, frame: Frame, client: Channel) -> Frame | None:
         self._note_frame()
-        on_unauthorized = self._line.on_unauthorized
+        caller = Caller(
+            frame.unit,
+            client.address,
+            None,
+            frame.unit == 0,
+            client.role,
+            self._line.on_unauthorized,
+            client.holder,
+            self._line.auditor,
+        )
         if frame.unit == 0:
             for device, log in self._all():
-                device.answer(frame.pdu, Caller(0, peer, log, True, role, on_unauthorized))
+                device.answer(frame.pdu, caller._replace(log=log))
             return None
         station = self._station(frame.unit, to_change=frame.pdu[0] == Diagnostics.function)
         if station is None:
             return None
         device, log = station
         before = log.delimiter
-        caller = Caller(frame.unit, peer, log, False, role, on_unauthorized)
-        response = device.answer(frame.pdu, caller)
+        response = device.answer(frame.pdu, caller._replace(log=log))
         if log.delimiter != before:
             self.delimiter = log.delimiter
         return Frame(frame.unit, response) if response else None

@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from libmodbus_py.ports.trace import Trace
+from libmodbus_py.security.describing import CertificateHolder
 
 __all__ = ["FakeChannel"]
 
@@ -22,6 +23,7 @@ class FakeChannel:
     ) -> None:
         self.address = "peer"
         self.role: str | None = None
+        self.holder: CertificateHolder | None = None
         self.trace = trace
         self.write = write
         self.follow = follow

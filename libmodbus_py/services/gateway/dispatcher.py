@@ -9,8 +9,10 @@ import logging
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
 
+from ...device.auditing import changes_of, is_change
 from ...device.authorization import Asked, Authorization, Authorize, UnauthorizedError
-from ...device.device import Caller, Device
+from ...device.caller import Auditor, Caller, Executed
+from ...device.device import Device
 from ...device.rules import Allow
 from ...ports.endpoint import Endpoint
 from ...protocol.errors import (
@@ -22,6 +24,7 @@ from ...protocol.errors import (
     ServerDeviceFailure,
 )
 from ...protocol.framing import Frame
+from ...security.describing import CertificateHolder
 from ...server.framed import AT_ONCE, Framed
 from ...server.limits import ServerStatistics
 from ...server.service import Channel, Later, MakeSession
@@ -32,6 +35,9 @@ from .statistics import GatewayStatistics
 __all__ = ["Answering", "Dispatcher", "ForwardingSession", "ResolvedRoute"]
 
 logger: logging.Logger = logging.getLogger(__name__)
+
+# What follows the function in the answer to a request that is not allowed.
+_NOT_ALLOWED = bytes([IllegalFunction.code])
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +85,7 @@ class Dispatcher:
         most_of_session: the most unanswered requests of one connection.
         authorize: raises for a request that is not allowed; None to allow all.
         statistics: counts requests.
+        auditor: told of each change, and of each request that is not allowed.
     """
 
     def __init__(
@@ -87,7 +94,9 @@ class Dispatcher:
         most_of_session: int,
         authorize: Authorize | None,
         statistics: GatewayStatistics,
+        auditor: Auditor | None = None,
     ) -> None:
+        self.auditor = auditor
         self.answering = answering
         self.most_of_session = most_of_session
         self.statistics = statistics
@@ -108,7 +117,7 @@ class Dispatcher:
 
     def ask(self, session: ForwardingSession, frame: Frame) -> bytes | None:
         """Return the response PDU; None if it comes later, or never."""
-        unit, pdu, number = frame
+        unit, pdu, _ = frame
         self.statistics.requests += 1
         if pdu[0] & 0x80:
             return None
@@ -116,7 +125,7 @@ class Dispatcher:
         route = answering.routes.get(unit)
         if route is None:
             if unit in answering.own_units:
-                caller = Caller(unit, session.peer, role=session.role)
+                caller = session.caller(unit)._replace(auditor=self.auditor)
                 return answering.own.answer(pdu, caller) or None
             if unit or not answering.lines:
                 return self._refuse_route(session, pdu)
@@ -125,6 +134,38 @@ class Dispatcher:
         except ExceptionResponse as refusal:
             self.statistics.malformed += 1
             return self._exception(session, pdu, refusal.code)
+        if self.auditor is None:
+            return self._forward(session, frame, request, route)
+        return self._forward_audited(session, frame, request, route, self.auditor)
+
+    def _forward_audited(
+        self,
+        session: ForwardingSession,
+        frame: Frame,
+        request: RequestBytes,
+        route: ResolvedRoute | None,
+        auditor: Auditor,
+    ) -> bytes | None:
+        """Forward a request, and record it if it is refused at once; if not, `told` does."""
+        changes = may_change(request)
+        response: bytes | None
+        if changes and not auditor.may_change():
+            response = self._exception(session, frame.pdu, ServerDeviceFailure.code)
+        else:
+            response = self._forward(session, frame, request, route)
+        if response is not None and (changes or response[1:] == _NOT_ALLOWED):
+            session.record(frame.unit, request, response, is_change=changes)
+        return response
+
+    def _forward(
+        self,
+        session: ForwardingSession,
+        frame: Frame,
+        request: RequestBytes,
+        route: ResolvedRoute | None,
+    ) -> bytes | None:
+        """Return the response PDU; None if it comes later, or never."""
+        unit, pdu, number = frame
         if route is None:
             return self._broadcast(session, frame, request)
         if (self._guard or route.allow) and (
@@ -201,6 +242,11 @@ class Dispatcher:
         return None
 
 
+def may_change(request: RequestBytes) -> bool:
+    """Return True if a request may change a device; one that cannot be decoded may."""
+    return request.known is None or is_change(request.known)
+
+
 def _allows(allow: Allow, asked: Asked) -> bool:
     """Return True if an access is allowed; a request that cannot be decoded is not."""
     return asked.request is not None and allow.allows(asked)
@@ -264,6 +310,7 @@ class ForwardingSession(Framed):
         super().__init__(endpoint.framing, channel, statistics, at_once)
         self.peer: str = channel.address
         self.role: str | None = channel.role
+        self.holder: CertificateHolder | None = channel.holder
         self.host: Hashable = channel.address.rpartition(":")[0] or channel.address
         self.statistics = statistics
         self.has_ids: bool = endpoint.has_transactions
@@ -271,6 +318,19 @@ class ForwardingSession(Framed):
         self._dispatcher = dispatcher
         # Unanswered requests, and the lines that they were sent to.
         self._asked: dict[Forwarded, GatewayLine | None] = {}
+
+    def caller(self, unit: int) -> Caller:
+        """Return the origin of a request to a unit."""
+        return Caller(unit, self.peer, role=self.role, holder=self.holder)
+
+    def record(
+        self, unit: int, request: RequestBytes, response: bytes, *, is_change: bool = True
+    ) -> None:
+        """Record a request and its response, if there is an audit trail."""
+        if (auditor := self._dispatcher.auditor) is not None:
+            caller = self.caller(unit)._replace(is_broadcast=unit == 0)
+            changes = changes_of(request.known, caller)
+            auditor.note(Executed(caller, request.pdu, response, changes, is_change))
 
     @property
     def is_owing(self) -> bool:
@@ -290,6 +350,8 @@ class ForwardingSession(Framed):
 
     def told(self, forwarded: Forwarded, response: bytes | None) -> None:
         self.forget(forwarded)
+        if may_change(forwarded.request):
+            self.record(forwarded.from_unit, forwarded.request, response or b"")
         if response is None and self.has_ids and forwarded.request.is_write:
             response = forwarded.request.response_to_broadcast()
         if response is not None:
@@ -319,6 +381,8 @@ class ForwardingSession(Framed):
 
     def _withdraw(self, forwarded: Forwarded) -> None:
         line = self._asked.pop(forwarded)
+        if may_change(forwarded.request):
+            self.record(forwarded.from_unit, forwarded.request, b"")
         if line is None:
             forwarded.asker = None
         else:

@@ -14,6 +14,7 @@ from ...device.authorization import Authorize
 from ...ports.endpoint import Endpoint
 from ...ports.trace import OnTraced
 from ...security.security import Security
+from ...server.audit import Audit, OnAudited
 from ...server.limits import Limits
 from ...server.service import Service
 from ...server.serving import Serving
@@ -57,6 +58,8 @@ class Gateway(Serving):
             exception 1.
         trace: called with a `Traced` for every ADU received from clients and sent to them, as
             for `Server`.
+        audit: called with an `AuditEvent` for each write, each request and connection that is
+            refused; an `Audit` to refuse writes while it fails.
 
     Attributes:
         statistics: counters of all endpoints, kept up to date.
@@ -79,8 +82,9 @@ class Gateway(Serving):
         security: Security | None = None,
         authorize: Authorize | None = None,
         trace: OnTraced | None = None,
+        audit: Audit | OnAudited | None = None,
     ) -> None:
-        super().__init__(limits, security, trace)
+        super().__init__(limits, security, trace, audit)
         self._routes = _checked(routes)
         self._options = GatewayOptions(own_units, queue, longest_wait, writes_first)
         if not (authorize is None or callable(authorize)):
@@ -128,7 +132,7 @@ class Gateway(Serving):
             self._change_lines()
             # As many requests as may wait, and as many as may be in flight.
             most = 2 * self._options.queue + 16
-            yield Dispatcher(answering, most, self._authorize, self.traffic)
+            yield Dispatcher(answering, most, self._authorize, self.traffic, self._auditor)
         finally:
             self._loop = self._answering_now = None
             async with (

@@ -1,0 +1,253 @@
+"""
+The audit trail: who wrote what, and who was refused, for security officers.
+
+Servers and gateways report to one `Audit`, which calls a function with each event, or writes it to
+a file (`AuditFile`).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import json
+import logging
+import os
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any
+
+from ..device.caller import Executed, ValueChange
+from ..protocol.errors import ExceptionResponse
+from ..security.describing import CertificateHolder
+
+__all__ = ["Audit", "AuditEvent", "AuditFile", "OnAudited", "audit_of"]
+
+logger: logging.Logger = logging.getLogger(__name__)
+
+# Events that wait while the audit trail cannot be written.
+MAX_WAITING = 1000
+
+# Seconds after which another connection or datagram of a disallowed host is an event again, and
+# the number of hosts that are remembered for this.
+QUIET = 60.0
+HOSTS_REMEMBERED = 1000
+
+
+@dataclass(frozen=True, slots=True)
+class AuditEvent:
+    """
+    One entry of an audit trail.
+
+    Attributes:
+        time: when it happened, in UTC.
+        event: "write", a request that changes a device, carried out or not; "refused", another
+            request that `authorize` does not allow; "handshake", a TLS handshake that failed;
+            "disallowed", a connection from a network that is not served.
+        peer: the client: "192.0.2.7:51234", or the serial port.
+        result: "ok"; "sent" for a broadcast; "no answer"; the exception; or why a connection was
+            refused.
+        unit, function: of the request; None without one.
+        subject, serial: of the client's certificate; None without one.
+        role: the role in it; None without one.
+        changes: the values that the request writes, and those before. Empty if the function has
+            no addresses.
+        data: the request PDU in hexadecimal digits; empty without one.
+    """
+
+    time: datetime
+    event: str
+    peer: str
+    result: str
+    unit: int | None = None
+    function: int | None = None
+    subject: str | None = None
+    serial: str | None = None
+    role: str | None = None
+    changes: tuple[ValueChange, ...] = ()
+    data: str = ""
+
+    def json(self) -> str:
+        """Return the event as one line of JSON, without the newline."""
+        found = dataclasses.asdict(dataclasses.replace(self, changes=()))
+        found["time"] = self.time.isoformat(timespec="milliseconds")
+        found["changes"] = [_change(each) for each in self.changes]
+        return json.dumps(
+            {key: value for key, value in found.items() if value not in (None, "", [])}
+        )
+
+
+def _change(change: ValueChange) -> dict[str, Any]:
+    access, before = change
+    place = {"file": access.file} if access.table == "file" else {}
+    values = {"old": None if before is None else list(before), "new": list(access.values)}
+    return {"table": access.table, **place, "address": access.address, **values}
+
+
+OnAudited = Callable[[AuditEvent], object]
+
+
+class Audit:
+    """
+    Passes events to a function, and knows whether this succeeds.
+
+    Events that could not be passed wait, up to 1000, and are passed before the next one. The first
+    failure is logged, and the end of it, with the number of events that were lost.
+
+    Args:
+        call: called with an `AuditEvent` in the server's loop, so it should be quick.
+        required: True to refuse writes with exception 4 while the function fails.
+
+    Raises:
+        TypeError: `call` is no function.
+    """
+
+    def __init__(self, call: OnAudited, *, required: bool = False) -> None:
+        if not callable(call):
+            raise TypeError(f"audit must be a function, not {type(call).__name__}")
+        self._call = call
+        self._required = required
+        self._waiting: deque[AuditEvent] = deque()
+        self._lost = 0
+        self._is_failing = False
+        self._disallowed: dict[str, float] = {}
+
+    def may_change(self) -> bool:
+        """Return False if changes must be refused, because none can be recorded."""
+        if self._required and self._waiting:
+            self._pass_on()
+        return not (self._required and self._waiting)
+
+    def note(self, executed: Executed) -> None:
+        """Record a request that changes a device, or is not allowed. Never raises."""
+        caller = executed.caller
+        self._tell(
+            "write" if executed.is_change else "refused",
+            caller.peer,
+            _result(executed.response, is_broadcast=caller.is_broadcast),
+            caller.holder,
+            unit=caller.unit,
+            function=executed.request[0],
+            role=caller.role,
+            changes=executed.changes,
+            data=executed.request.hex(),
+        )
+
+    def note_handshake(self, peer: str, reason: str, holder: CertificateHolder | None) -> None:
+        """Record a TLS handshake that failed."""
+        self._tell("handshake", peer, reason, holder)
+
+    def note_disallowed(self, host: str, port: int) -> None:
+        """Record a connection or datagram from a network that is not served, once a minute."""
+        now = time.monotonic()
+        if now < self._disallowed.get(host, -QUIET) + QUIET:
+            return
+        self._disallowed.pop(host, None)
+        if len(self._disallowed) >= HOSTS_REMEMBERED:
+            del self._disallowed[next(iter(self._disallowed))]
+        self._disallowed[host] = now
+        peer = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+        self._tell("disallowed", peer, "not in an allowed network", None)
+
+    def _tell(
+        self, event: str, peer: str, result: str, holder: CertificateHolder | None, **more: Any
+    ) -> None:
+        if holder is not None:
+            more |= {"subject": holder.subject, "serial": holder.serial}
+        if len(self._waiting) >= MAX_WAITING:
+            self._waiting.popleft()
+            self._lost += 1
+        self._waiting.append(AuditEvent(datetime.now(UTC), event, peer, result, **more))
+        self._pass_on()
+
+    def _pass_on(self) -> None:
+        while self._waiting:
+            try:
+                self._call(self._waiting[0])
+            except Exception as error:
+                if not self._is_failing:
+                    self._is_failing = True
+                    logger.error("audit: %s: %s", type(error).__name__, error)
+                return
+            self._waiting.popleft()
+        if self._is_failing:
+            self._is_failing = False
+            logger.warning("audit: events are recorded again; %d were lost", self._lost)
+            self._lost = 0
+
+
+def _result(response: bytes, *, is_broadcast: bool) -> str:
+    if not response:
+        return "sent" if is_broadcast else "no answer"
+    if not response[0] & 0x80:
+        return "ok"
+    return str(ExceptionResponse.of(response[1])) if len(response) > 1 else "no answer"
+
+
+def audit_of(given: Audit | OnAudited) -> Audit:
+    """
+    Return an audit; a function becomes one.
+
+    Raises:
+        TypeError: it is no function.
+    """
+    return given if isinstance(given, Audit) else Audit(given)
+
+
+class AuditFile:
+    """
+    Writes events to a file, one line of JSON each; pass it to `Audit`, or as `audit`.
+
+    Each line is written by one call of the system, at the end of the file, so that several
+    programs can share one. It is not forced to the disk.
+
+    Args:
+        path: the file; made if it does not exist, readable by its owner only.
+
+    Raises:
+        OSError: the file cannot be opened.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self._path = path
+        self._descriptor = self._opened()
+        self._is_cut = False
+
+    def __call__(self, event: AuditEvent) -> None:
+        """
+        Write an event.
+
+        Raises:
+            OSError: it could not be written whole.
+        """
+        line = event.json().encode() + b"\n"
+        if self._is_cut:  # an earlier line was: this one must not be taken for its rest
+            line = b"\n" + line
+        written = os.write(self._descriptor, line)
+        self._is_cut = written < len(line)
+        if self._is_cut:
+            raise OSError(f"{os.fspath(self._path)}: the disk is full")
+
+    def reopen(self) -> None:
+        """
+        Open the file again, as after a rotation.
+
+        Raises:
+            OSError: the file cannot be opened; the former one stays open.
+        """
+        opened = self._opened()
+        self._descriptor, before = opened, self._descriptor
+        os.close(before)
+
+    def close(self) -> None:
+        """Close the file. Any number of times."""
+        descriptor, self._descriptor = self._descriptor, -1
+        if descriptor >= 0:
+            with contextlib.suppress(OSError):
+                os.close(descriptor)
+
+    def _opened(self) -> int:
+        flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC
+        return os.open(self._path, flags, 0o600)
