@@ -1,0 +1,314 @@
+"""
+The audit trail: each write and each refusal, by whom, with the values before and after.
+"""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from libmodbus_py import (
+    Context,
+    Device,
+    Gateway,
+    IllegalDataAddress,
+    IllegalFunction,
+    Limits,
+    Mapping,
+    ModbusConnectionError,
+    Route,
+    Rules,
+    Server,
+    ServerDeviceFailure,
+    TlsContext,
+    pdu,
+)
+from libmodbus_py.serve import Allow, Audit, AuditEvent, AuditFile
+from tests.support import certificates
+from tests.support.certificates import Papers
+from tests.support.peers import until
+
+TRANSPORTS = ("tcp", "rtu+tcp", "ascii+tcp", "udp")
+
+
+@pytest.fixture
+def events() -> list[AuditEvent]:
+    return []
+
+
+def device(**options: Any) -> Device:
+    mapping = Mapping(coils=10, holding_registers={0: [1, 2, 3, 4]})
+    return Device(mapping, files={4: [7, 8, 9]}, **options)
+
+
+@contextmanager
+def asking(server: Server | Gateway, transport: str = "tcp") -> Iterator[Any]:
+    with (
+        server.background(f"{transport}://127.0.0.1:0") as running,
+        Context.from_url(running.urls[0], unit=5, native=False, timeout=20) as client,
+    ):
+        yield client
+
+
+def said(event: AuditEvent) -> dict[str, Any]:
+    """Return an event as it is written, without time and peer."""
+    found = json.loads(event.json())
+    assert found.pop("time").endswith("+00:00")
+    assert found.pop("peer").startswith("127.0.0.1:")
+    return dict(found)
+
+
+@pytest.mark.parametrize("transport", TRANSPORTS)
+def test_each_write_is_recorded_with_old_and_new_values(
+    transport: str, events: list[AuditEvent]
+) -> None:
+    with asking(Server(device(), audit=events.append), transport) as plc:
+        plc.write_registers(1, [20, 30])
+        plc.write_coil(3, True)
+        plc.mask_write_register(0, 0xFF00, 0x10)
+        plc.read_write_registers(0, 1, 2, [31])
+        plc.write_file_records([(4, 1, (88,))])
+        assert plc.read_holding_registers(0, 4) == [0x10, 20, 31, 4]
+    registers = "holding_registers"
+    assert [said(each)["changes"] for each in events] == [
+        [{"table": registers, "address": 1, "old": [2, 3], "new": [20, 30]}],
+        [{"table": "coils", "address": 3, "old": [False], "new": [True]}],
+        [{"table": registers, "address": 0, "old": [1], "new": [0x10]}],
+        [{"table": registers, "address": 2, "old": [30], "new": [31]}],
+        [{"table": "file", "file": 4, "address": 1, "old": [8], "new": [88]}],
+    ]
+    first = said(events[0])
+    assert (first["event"], first["result"], first["unit"], first["function"]) == (
+        "write", "ok", 5, 16
+    )  # fmt: skip
+    assert first["data"] == "10000100020400140" + "01e"
+
+
+def test_a_write_that_fails_and_one_that_is_not_allowed_are_recorded(
+    events: list[AuditEvent],
+) -> None:
+    rules = Rules({None: Allow(read=["coils"], write=["holding_registers"])})
+    with asking(Server(device(authorize=rules), audit=events.append)) as plc:
+        plc.read_coils(0, 1)
+        with pytest.raises(IllegalDataAddress):
+            plc.write_register(100, 1)
+        with pytest.raises(IllegalFunction):
+            plc.write_coil(0, True)
+        with pytest.raises(IllegalFunction):
+            plc.read_holding_registers(0, 1)
+    assert [(each.event, each.function, each.result) for each in events] == [
+        ("write", 6, "illegal data address (exception 2)"),
+        ("write", 5, "illegal function (exception 1)"),
+        ("refused", 3, "illegal function (exception 1)"),
+    ]
+    assert said(events[0])["changes"][0]["old"] is None
+
+
+def test_what_changes_a_device_without_an_address_is_recorded(events: list[AuditEvent]) -> None:
+    with asking(Server(device(), audit=events.append)) as plc:
+        plc.execute(pdu.Diagnostics(pdu.SubFunction.RETURN_QUERY_DATA, b"ab"))
+        plc.execute(pdu.Diagnostics(pdu.SubFunction.CLEAR_COUNTERS, bytes(2)))
+        with pytest.raises(IllegalFunction):
+            plc.execute(pdu.RawRequest(0x2B, b"\x0d\x01\x02"))
+    assert [each.data for each in events] == ["08000a0000", "2b0d0102"]
+
+
+def test_a_broadcast_is_recorded_for_each_device(events: list[AuditEvent]) -> None:
+    with asking(Server({1: device(), 2: device()}, audit=events.append), "rtu+tcp") as line:
+        line.for_unit(0).write_register(0, 9)
+        assert line.for_unit(1).read_holding_registers(0, 1) == [9]
+    assert [(each.unit, each.result) for each in events] == [(0, "ok"), (0, "ok")]
+
+
+def test_a_gateway_records_what_its_devices_answered(events: list[AuditEvent]) -> None:
+    with Server(device()).background("tcp://127.0.0.1:0") as behind:
+        gateway = Gateway(
+            [Route(behind.urls[0], writable=["holding_registers"])], audit=events.append
+        )
+        with asking(gateway) as plc:
+            plc.write_register(0, 9)
+            plc.mask_write_register(0, 0, 1)
+            with pytest.raises(IllegalDataAddress):
+                plc.write_register(100, 1)
+            with pytest.raises(IllegalFunction):
+                plc.write_coil(0, True)
+            plc.read_holding_registers(0, 1)
+    results = [(each.function, each.result, said(each)["changes"][0]["new"]) for each in events]
+    assert results == [
+        (6, "ok", [9]),
+        (22, "ok", []),
+        (6, "illegal data address (exception 2)", [1]),
+        (5, "illegal function (exception 1)", [True]),
+    ]
+
+
+def test_the_holder_of_the_certificate_is_recorded(
+    tmp_path: Path, events: list[AuditEvent]
+) -> None:
+    papers = Papers(tmp_path)
+    server = Server(device(), security=papers.server(), audit=events.append)
+    with server.background("tls://127.0.0.1:0") as running:
+        port = int(running.urls[0].rpartition(":")[2])
+        with TlsContext("127.0.0.1", port, security=papers.client()) as plc:
+            plc.write_register(0, 9)
+        stranger = papers.security(certificates.self_signed())
+        with pytest.raises(ModbusConnectionError):
+            TlsContext("127.0.0.1", port, security=stranger).read_coils(0, 1)
+        until(lambda: len(events) >= 2)
+    write, handshake = events[:2]
+    certificate = certificates.client("Operator").certificate
+    assert write.subject == "CN=Test client"
+    assert write.serial == f"{certificate.serial_number:x}"
+    assert write.role == "Operator"
+    assert handshake.event == "handshake"
+    assert handshake.result == "self-signed certificate"
+
+
+@pytest.mark.parametrize("transport", ["tcp", "udp"])
+def test_a_peer_from_another_network_is_recorded_once_a_minute(
+    transport: str, events: list[AuditEvent]
+) -> None:
+    server = Server(device(), limits=Limits(allow=["192.0.2.0/24"]), audit=events.append)
+    with server.background(f"{transport}://127.0.0.1:0") as running:
+        for _ in range(3):
+            with (
+                Context.from_url(running.urls[0], timeout=0.05, retries=0) as plc,
+                pytest.raises(Exception, match=r"."),
+            ):
+                plc.read_coils(0, 1)
+        until(lambda: server.statistics.disallowed >= 3)
+    assert [(each.event, each.result) for each in events] == [
+        ("disallowed", "not in an allowed network")
+    ]
+
+
+# --- an audit trail that fails -----------------------------------------------------------------
+
+
+class Failing:
+    """Takes events unless it fails."""
+
+    def __init__(self) -> None:
+        self.taken: list[AuditEvent] = []
+        self.fails = False
+
+    def __call__(self, event: AuditEvent) -> None:
+        if self.fails:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        self.taken.append(event)
+
+
+@pytest.mark.parametrize("kind", ["server", "gateway"])
+def test_writes_are_refused_while_a_required_trail_fails(
+    kind: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The write whose record failed waits, and comes first when the trail works again."""
+    trail = Failing()
+    audit = Audit(trail, required=True)
+    with Server(device()).background("tcp://127.0.0.1:0") as behind:
+        server: Server | Gateway = Server(device(), audit=audit)
+        if kind == "gateway":
+            server = Gateway([Route(behind.urls[0])], audit=audit)
+        with asking(server) as plc:
+            trail.fails = True
+            plc.write_register(0, 8)
+            for _ in range(2):
+                with pytest.raises(ServerDeviceFailure):
+                    plc.write_register(0, 9)
+            assert plc.read_holding_registers(0, 1) == [8]
+            trail.fails = False
+            plc.write_register(0, 10)
+    values = [(each.changes[0].access.values, each.result) for each in trail.taken]
+    failed = "server device failure (exception 4)"
+    assert values == [((8,), "ok"), ((9,), failed), ((9,), failed), ((10,), "ok")]
+    assert [each for each in caplog.messages if "audit" in each] == [
+        "audit: OSError: [Errno 28] No space left on device",
+        "audit: events are recorded again; 0 were lost",
+    ]
+
+
+def test_writes_go_on_while_another_trail_fails_and_what_is_lost_is_told(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    trail = Failing()
+    with asking(Server(device(), audit=trail)) as plc:
+        trail.fails = True
+        for value in range(1003):
+            plc.write_register(0, value)
+        trail.fails = False
+        plc.write_register(0, 5)
+    assert len(trail.taken) == 1000
+    assert caplog.messages[-1] == "audit: events are recorded again; 4 were lost"
+
+
+def test_what_is_no_function_is_refused() -> None:
+    for wrong in (5, "audit.json"):
+        with pytest.raises(TypeError, match=r"audit must be a function, not (int|str)"):
+            Server(device(), audit=wrong)  # type: ignore[arg-type]
+
+
+# --- files -------------------------------------------------------------------------------------
+
+
+def event(result: str = "ok") -> AuditEvent:
+    from datetime import UTC, datetime
+
+    return AuditEvent(datetime.now(UTC), "write", "127.0.0.1:1", result)
+
+
+def lines(path: Path) -> list[Any]:
+    return [json.loads(line) for line in path.read_text().splitlines()]
+
+
+def test_a_file_is_appended_to_and_only_its_owner_reads_it(tmp_path: Path) -> None:
+    path = tmp_path / "audit.json"
+    for result in ("one", "two"):
+        file = AuditFile(path)
+        file(event(result))
+        file.close()
+        file.close()
+    assert [each["result"] for each in lines(path)] == ["one", "two"]
+    assert stat.S_IMODE(path.stat().st_mode) == 0o600
+
+
+def test_a_renamed_file_is_left_when_it_is_opened_again(tmp_path: Path) -> None:
+    path = tmp_path / "audit.json"
+    file = AuditFile(path)
+    file(event("one"))
+    path.rename(tmp_path / "audit.json.1")
+    file(event("two"))
+    file.reopen()
+    file(event("three"))
+    path.unlink()
+    path.mkdir()
+    with pytest.raises(IsADirectoryError):
+        file.reopen()
+    file.close()
+    assert [each["result"] for each in lines(tmp_path / "audit.json.1")] == ["one", "two"]
+
+
+def test_a_full_disk_fails(tmp_path: Path) -> None:
+    file = AuditFile("/dev/full")
+    with pytest.raises(OSError, match="No space left"):
+        file(event())
+    file.close()
+    with pytest.raises(FileNotFoundError):
+        AuditFile(tmp_path / "nowhere" / "audit.json")
+
+
+def test_what_comes_from_a_peer_stays_on_its_line(tmp_path: Path) -> None:
+    path = tmp_path / "audit.json"
+    file = AuditFile(path)
+    file(event("a\nb\x1b[2J\u2028\ud800"))
+    file.close()
+    assert path.read_bytes().count(b"\n") == 1
+    assert path.read_bytes().isascii()
+    assert lines(path)[0]["result"] == "a\nb\x1b[2J\u2028\ud800"
