@@ -9,6 +9,7 @@ import inspect
 import logging
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from ...client.asynchronous import IN_FLIGHT, MAX_PAUSE
@@ -22,7 +23,7 @@ from ..connecting import with_options
 from ..help import VerbatimHelp
 from ..output import counted
 from ..tracing import print_frame
-from . import limits, metrics
+from . import audit, limits, metrics
 from .announcing import announcing
 from .hangup import is_secure, unless_closed
 
@@ -74,6 +75,7 @@ def add_command(commands: Any) -> None:
         command, "requests to the devices", without=("unit", "native"), defaults=_of_clients
     )
     limits.add_arguments(command)
+    audit.add_arguments(command)
     arguments.add_serial_options(command)
     arguments.add_security_options(command)
     command.set_defaults(run=_gateway)
@@ -129,17 +131,16 @@ def _gateway(options: argparse.Namespace) -> int:
         usual = file.options if file else {}
         return Gateway(file.routes if file else routes, **{**usual, **hooks, **given})
 
-    gateway = arguments.checked(make, arguments.given(options, OPTIONS))
-
-    def read_files() -> None:
+    with audit.audited(options) as (trail, on_hangup):
+        hooks["audit"] = trail
+        gateway = arguments.checked(make, arguments.given(options, OPTIONS))
         if file is not None:
-            _read_again(gateway, options.config, file)
-
-    read_again = None
-    if file is not None or is_secure([*urls, *(route.to for route in routes)]):
-        read_again = unless_closed(read_files)
-    with metrics.exposed(gateway, options.metrics):
-        gateway.serve_forever(*urls, on_listening=announcing(options.allow), on_hangup=read_again)
+            on_hangup.append(partial(_read_again, gateway, str(options.config), file))
+        has_files = on_hangup or is_secure([*urls, *(route.to for route in routes)])
+        read_again = unless_closed(*on_hangup) if has_files else None
+        announce = announcing(options.allow)
+        with metrics.exposed(gateway, options.metrics):
+            gateway.serve_forever(*urls, on_listening=announce, on_hangup=read_again)
     return 0
 
 

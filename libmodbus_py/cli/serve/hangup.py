@@ -22,7 +22,7 @@ def is_secure(urls: Iterable[str]) -> bool:
     return any(parse(url).transport == "tls" for url in urls)
 
 
-def unless_closed(read_again: Callable[[], object]) -> Callable[[], None]:
+def unless_closed(*read_again: Callable[[], object]) -> Callable[[], None]:
     """
     Return a function for SIGHUP.
 
@@ -38,7 +38,8 @@ def unless_closed(read_again: Callable[[], object]) -> Callable[[], None]:
         if can_close and not _has_terminal():
             signal.raise_signal(signal.SIGTERM)
         else:
-            read_again()
+            for each in read_again:
+                each()
             for mistake in reload_all():
                 logger.warning("%s", mistake)
 

@@ -24,7 +24,7 @@ from ..connecting import OF_SERVERS, with_options
 from ..help import VerbatimHelp
 from ..output import complain
 from ..tracing import print_frame
-from . import limits, metrics, page
+from . import audit, limits, metrics, page
 from .announcing import announcing
 from .hangup import is_secure, unless_closed
 
@@ -87,6 +87,7 @@ def add_command(commands: Any) -> None:
         help="requests to units without a device, on TCP and UDP: refuse answers with an"
         " exception, silent does not answer (refuse)",
     )
+    audit.add_arguments(command)
     arguments.add_verbose(command)
     arguments.add_serial_options(command)
     arguments.add_security_options(command)
@@ -105,43 +106,48 @@ def _serve(options: argparse.Namespace) -> int:
         raise ValueError("--reload needs --device or --example")
     simulation = None if path is None else device_file.load(path)
     devices, faults = simulation or (_everything(), None)
-    server = Server(
-        devices,
-        faults,
-        limits.limits_of(options),
-        options.unknown_unit,
-        options.own_unit,
-        trace=print_frame if options.verbose else None,
-    )
-    announce = announcing(options.allow)
-    with (
-        metrics.exposed(server, options.metrics),
-        page.shown(server, options.page, announce) as announce_all,
-    ):
-        if simulation is None or path is None:
-            read_again = unless_closed(_read_nothing) if is_secure(urls) else None
-            server.serve_forever(*urls, on_listening=announce_all, on_hangup=read_again)
-        else:
-            reloader = Reloader(server, path, simulation, is_watching=options.reload, tell=_tell)
-            _serve_and_reload(server, urls, announce_all, reloader)
+    with audit.audited(options) as (trail, on_hangup):
+        server = Server(
+            devices,
+            faults,
+            limits.limits_of(options),
+            options.unknown_unit,
+            options.own_unit,
+            trace=print_frame if options.verbose else None,
+            audit=trail,
+        )
+        announce = announcing(options.allow)
+        with (
+            metrics.exposed(server, options.metrics),
+            page.shown(server, options.page, announce) as announce_all,
+        ):
+            if simulation is None or path is None:
+                has_files = on_hangup or is_secure(urls)
+                read_again = unless_closed(*on_hangup) if has_files else None
+                server.serve_forever(*urls, on_listening=announce_all, on_hangup=read_again)
+            else:
+                is_watching = options.reload
+                reloader = Reloader(server, path, simulation, is_watching=is_watching, tell=_tell)
+                _serve_and_reload(server, urls, announce_all, reloader, on_hangup)
     return 0
 
 
 def _serve_and_reload(
-    server: Server, urls: list[str], announce: Callable[[Running], object], reloader: Reloader
+    server: Server,
+    urls: list[str],
+    announce: Callable[[Running], object],
+    reloader: Reloader,
+    on_hangup: list[Callable[[], object]],
 ) -> None:
     def begin(running: Running) -> None:
         reloader.start()
         announce(running)
 
+    read_again = unless_closed(reloader.ask, *on_hangup)
     try:
-        server.serve_forever(*urls, on_listening=begin, on_hangup=unless_closed(reloader.ask))
+        server.serve_forever(*urls, on_listening=begin, on_hangup=read_again)
     finally:
         reloader.close()
-
-
-def _read_nothing() -> None:
-    """Read no file, because there is none but those of certificates."""
 
 
 def _tell(line: str) -> None:

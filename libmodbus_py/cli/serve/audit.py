@@ -1,0 +1,65 @@
+"""
+The options for an audit trail: who wrote what, and who was refused.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import logging
+from collections.abc import Callable, Iterator
+
+from ...server.audit import Audit, AuditFile
+
+__all__ = ["add_arguments", "audited"]
+
+logger: logging.Logger = logging.getLogger(__name__)
+
+
+def add_arguments(command: argparse.ArgumentParser) -> None:
+    """Add the options to argparse."""
+    group = command.add_argument_group("audit trail")
+    group.add_argument(
+        "--audit",
+        metavar="FILE",
+        help="append a line of JSON to this file for each write, and for each request, connection"
+        " and TLS handshake that is refused; SIGHUP opens it again",
+    )
+    group.add_argument(
+        "--audit-required",
+        action="store_true",
+        help="refuse writes with exception 4 while the file cannot be written",
+    )
+
+
+@contextlib.contextmanager
+def audited(
+    options: argparse.Namespace,
+) -> Iterator[tuple[Audit | None, list[Callable[[], object]]]]:
+    """
+    Open the file of the audit trail while the block runs, if there is one.
+
+    Yields:
+        The audit trail, and functions to call on SIGHUP.
+
+    Raises:
+        ValueError: the file cannot be opened, or none is given and one is required.
+    """
+    if options.audit is None:
+        if options.audit_required:
+            raise ValueError("--audit-required needs --audit")
+        yield None, []
+        return
+    try:
+        file = AuditFile(options.audit)
+    except OSError as error:
+        raise ValueError(f"--audit: {options.audit}: {error.strerror}") from None
+
+    def reopen() -> None:
+        try:
+            file.reopen()
+        except OSError as error:
+            logger.error("%s: %s; the former file is still used", options.audit, error.strerror)
+
+    with contextlib.closing(file):
+        yield Audit(file, required=options.audit_required), [reopen]
