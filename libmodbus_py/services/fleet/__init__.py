@@ -14,6 +14,7 @@ From the fleet file to the wire, and back::
     buffer         readings that wait for an output; the oldest are dropped if there are too many
     outputs        the destinations of readings, a folder of its own
     commands       writes to named points that are received over an output
+    levels         names of devices and points as levels of subjects and topics
     statistics     counters
     trial          checks before polling: the devices that answer, and overloaded serial lines
 """

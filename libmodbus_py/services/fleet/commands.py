@@ -4,16 +4,20 @@ Writes to named points that are received over an output, and their outcomes.
 
 from __future__ import annotations
 
+import asyncio
 import json
 import logging
+import math
 import time
+from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
+from weakref import WeakValueDictionary
 
 from ...protocol.errors import ModbusError
 from .readings import time_text
 from .statistics import FleetStatistics
 
-__all__ = ["Commands", "Wanted", "Writing", "wanted_of"]
+__all__ = ["Commands", "Wanted", "Writing", "encoded", "wanted_of"]
 
 logger: logging.Logger = logging.getLogger(__name__)
 
@@ -47,7 +51,9 @@ def wanted_of(data: bytes) -> Wanted:
     if len(data) > LONGEST:
         return Wanted(problem=f"it must have at most {LONGEST} bytes, not {len(data)}")
     try:
-        content = json.loads(data)
+        content = json.loads(data.decode(), parse_constant=_refuse, parse_float=_finite)
+        # The escapes of JSON can name characters that no text can contain.
+        json.dumps(content, ensure_ascii=False).encode()
     except (ValueError, RecursionError):
         return Wanted(problem=f"it must be a value in JSON, not {data[:40]!r}")
     if not isinstance(content, dict):
@@ -60,10 +66,28 @@ def wanted_of(data: bytes) -> Wanted:
     return Wanted(content["value"], number)
 
 
+def _refuse(constant: str) -> None:
+    raise ValueError(f"{constant} is no JSON")
+
+
+def _finite(text: str) -> float:
+    number = float(text)
+    if not math.isfinite(number):
+        raise ValueError(f"{text} is too large")
+    return number
+
+
+def encoded(outcome: dict[str, Any]) -> bytes:
+    """Return the outcome of a command in JSON."""
+    return json.dumps(outcome, ensure_ascii=False).encode(errors="backslashreplace")
+
+
 class Writing(Protocol):
     """Writes to points of devices by name: a `Fleet`."""
 
     statistics: FleetStatistics
+
+    def unknown(self, device: str, point: str) -> str: ...
 
     async def write(self, device: str, values: dict[str, Any]) -> None: ...
 
@@ -74,19 +98,35 @@ class Commands:
     "error": "setpoint: value must be in 10..30, not 99"}``, with the time.
 
     Values are checked against the access, the type and the range of the map before anything is
-    sent. More than 32 writes at once are refused.
+    sent. Writes to one device are carried out in the order in which they came, each after the last
+    attempt of the one before. More than 32 writes at once are refused.
 
     Args:
         fleet: writes to the devices.
+
+    Attributes:
+        refusal: returns why commands to a device are refused; None if they are carried out here,
+            and "" if they are answered elsewhere.
     """
 
     def __init__(self, fleet: Writing) -> None:
+        self.refusal: Callable[[str], str | None] = lambda device: None
         self._fleet = fleet
         self._count = 0
+        # One for each device that is written to.
+        self._turns: WeakValueDictionary[str, asyncio.Lock] = WeakValueDictionary()
 
-    async def answer(self, device: str, name: str, wanted: Wanted) -> dict[str, Any]:
-        """Write a value, and return the outcome as an object for JSON."""
-        problem = await self._carry_out(device, name, wanted)
+    async def answer(self, device: str, name: str, wanted: Wanted) -> dict[str, Any] | None:
+        """
+        Write a value, and return the outcome as an object for JSON; None if the command is
+        answered elsewhere.
+        """
+        problem = self._problem(device, name, wanted)
+        if problem is None:
+            return None
+        problem = problem or await self._in_turn(device, name, wanted)
+        if problem is None:
+            return None
         statistics = self._fleet.statistics
         statistics.commands += not problem
         statistics.refused_commands += bool(problem)
@@ -96,18 +136,28 @@ class Commands:
             outcome["id"] = wanted.id
         return {**outcome, "error": problem} if problem else outcome
 
-    async def _carry_out(self, device: str, name: str, wanted: Wanted) -> str:
-        if wanted.problem:
-            return wanted.problem
+    def _problem(self, device: str, name: str, wanted: Wanted) -> str | None:
+        """Return why a command is refused; "" if it is not, None if it is answered elsewhere."""
+        refusal = self.refusal(device)
+        if refusal is not None:
+            return refusal or None
+        return wanted.problem or self._fleet.unknown(device, name)
+
+    async def _in_turn(self, device: str, name: str, wanted: Wanted) -> str | None:
         if self._count >= MOST_AT_ONCE:
             return f"{MOST_AT_ONCE} writes are already under way"
         self._count += 1
         try:
-            await self._fleet.write(device, {name: wanted.value})
-        except KeyError:
-            return f"there is no device {device!r}"
-        except (TypeError, ValueError, ModbusError, OverflowError) as error:
-            return str(error)
+            async with self._turns.setdefault(device, asyncio.Lock()):
+                # The device may have gone while this waited.
+                problem = self._problem(device, name, wanted)
+                return await self._write(device, name, wanted) if problem == "" else problem
         finally:
             self._count -= 1
+
+    async def _write(self, device: str, name: str, wanted: Wanted) -> str:
+        try:
+            await self._fleet.write(device, {name: wanted.value})
+        except (TypeError, ValueError, ModbusError, OverflowError) as error:
+            return str(error)
         return ""

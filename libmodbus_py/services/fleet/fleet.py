@@ -65,6 +65,7 @@ class Fleet:
 
     Attributes:
         statistics: counters of polls, readings and outputs.
+        commands: carries out the writes that outputs receive.
 
     Raises:
         TypeError, ValueError: two devices have the same name, or two URLs with different
@@ -82,6 +83,7 @@ class Fleet:
         self._outputs = list(outputs)
         self._may_ask = may_ask
         self.statistics: FleetStatistics = FleetStatistics()
+        self.commands: Commands = Commands(self)
         self._pumps: list[Pump] = []
         self._buffers: weakref.WeakSet[Buffer] = weakref.WeakSet()
         self._lines: dict[str, FleetLine] = {}
@@ -163,7 +165,7 @@ class Fleet:
         names: Counter[str] = Counter()
         for output in self._outputs:
             if isinstance(output, Commanded) and output.takes_commands:
-                output.attach(Commands(self))
+                output.attach(self.commands)
             pump = Pump(output)
             names[pump.name] += 1
             number = f" ({names[pump.name]})" if names[pump.name] > 1 else ""
@@ -404,6 +406,13 @@ class Fleet:
         kept = Buffer(buffer)
         self._buffers.add(kept)
         return Readings(kept)
+
+    def unknown(self, device: str, point: str) -> str:
+        """Return which of two names is unknown, in a sentence; "" if the device has the point."""
+        poller = self._pollers.get(device)
+        if poller is None:
+            return f"there is no device {device!r}"
+        return "" if point in poller.config.map else f"{device} has no point {point!r}"
 
     async def write(self, device: str, values: Mapping[str, Any]) -> None:
         """

@@ -6,20 +6,25 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import json
-import time
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+import re
+from typing import TYPE_CHECKING
 
-from ..fleet.commands import Commands, wanted_of
+from ..fleet.commands import Commands, encoded, wanted_of
 from ..fleet.outputs.subjects import WRITE, asked_about, written
-from ..fleet.readings import time_text
 
 if TYPE_CHECKING:
     from nats.aio.client import Client
     from nats.aio.msg import Msg
+    from nats.aio.subscription import Subscription
 
 __all__ = ["CommandService"]
+
+# Outcomes are sent to inboxes only: _INBOX.ID, those of clients with a prefix of their own, and
+# those that servers make between accounts and clusters. A worker may publish to $JS.API and $KV;
+# a client that may only send commands must not do so in its name.
+_INBOX = re.compile(
+    r"(_GR_\.\w{1,64}\.\w{1,64}\.)?_(INBOX[\w-]{0,64}|R_)(\.[\w-]{1,64}){1,6}", re.ASCII
+)
 
 # Commands beyond this are dropped, so that a flood cannot fill the memory.
 MOST_WAITING = 256
@@ -31,52 +36,47 @@ class CommandService:
 
     Args:
         client: a connection to NATS.
-        commands: executes the commands.
-        refusal: returns why a command to a device is refused; None if this worker polls the
-            device, and "" if another worker answers.
+        commands: carries out the commands, and refuses those that no worker can carry out.
     """
 
-    def __init__(
-        self, client: Client, commands: Commands, refusal: Callable[[str], str | None]
-    ) -> None:
+    def __init__(self, client: Client, commands: Commands) -> None:
         self._client = client
         self._commands = commands
-        self._refusal = refusal
         self._tasks: set[asyncio.Task[None]] = set()
+        self._subscription: Subscription | None = None
+        self._is_open = False
 
     async def begin(self) -> None:
         """Subscribe to commands. The client subscribes again after each reconnection."""
-        await self._client.subscribe(f"{WRITE}.*.*", cb=self._note)
+        self._is_open = True
+        self._subscription = await self._client.subscribe(f"{WRITE}.*.*", cb=self._note)
 
     async def end(self) -> None:
+        """Carry out no more commands, not even those that wait."""
+        self._is_open = False
+        subscription, self._subscription = self._subscription, None
         for task in self._tasks:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
+        if subscription is not None:
+            with contextlib.suppress(Exception):
+                await subscription.unsubscribe()
 
     async def _note(self, message: Msg) -> None:
-        if len(self._tasks) < MOST_WAITING:
+        if self._is_open and len(self._tasks) < MOST_WAITING:
             task = asyncio.create_task(self._answer(message))
             self._tasks.add(task)
             task.add_done_callback(self._tasks.discard)
 
     async def _answer(self, message: Msg) -> None:
-        device, point = asked_about(message.subject)
-        refusal = self._refusal(device)
-        if refusal == "":
+        names = asked_about(message.subject)
+        # Commands to other names are dropped: an answer would be sent to a subject that
+        # strangers choose.
+        outcome = names and await self._commands.answer(*names, wanted_of(message.data))
+        if not (names and outcome):
             return
-        wanted = wanted_of(message.data)
-        outcome = (
-            await self._commands.answer(device, point, wanted)
-            if refusal is None
-            else _refused(refusal, wanted.id)
-        )
-        data = json.dumps(outcome, ensure_ascii=False).encode()
+        data = encoded(outcome)
         with contextlib.suppress(Exception):
-            if message.reply:
+            if _INBOX.fullmatch(message.reply):
                 await self._client.publish(message.reply, data)
-            await self._client.publish(written(device, point), data)
-
-
-def _refused(why: str, id: object) -> dict[str, Any]:
-    outcome: dict[str, Any] = {"ok": False, "time": time_text(time.time()), "error": why}
-    return outcome if id is None else {**outcome, "id": id}
+            await self._client.publish(written(*names), data)

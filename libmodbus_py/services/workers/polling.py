@@ -17,8 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..engine.buckets import Bucket, Change, Watch
 from ..engine.errors import EngineError
-from ..fleet.commands import Commands
-from ..fleet.config import DeviceConfig, devices_from_json
+from ..fleet.config import DeviceConfig, checked, devices_from_json
 from ..fleet.fleet import Fleet
 from ..fleet.outputs.output import Output
 from ..fleet.outputs.stream import Stream
@@ -93,13 +92,15 @@ class Polling:
         self.worker: Worker = Worker(self._new_id, {"", *zones})
         results = Stream(client, settings.results)
         self.fleet: Fleet = Fleet(outputs=[results, *outputs], may_ask=self._may_ask)
+        self.fleet.commands.refusal = self._refusal
         self._service: CommandService | None = None
         if settings.commands:
-            self._service = CommandService(client, Commands(self.fleet), self._refusal)
+            self._service = CommandService(client, self.fleet.commands)
         # Set when a step is due before it was planned; and when the watch may be useless.
         self._woken = asyncio.Event()
         self._planned = math.inf
         self._doubted = asyncio.Event()
+        self._closed = asyncio.Event()
         self._is_unsettled = False
         self._has_ended = False
         self._late: asyncio.TimerHandle | None = None
@@ -127,12 +128,11 @@ class Polling:
         Poll until `leave` was called and the bucket says so, or three seconds have passed.
 
         Raises:
+            EngineError: the connection to NATS was closed for good.
             OutputError: an output failed and cannot be opened again.
         """
-        polling = asyncio.create_task(self.fleet.run())
-        watching = asyncio.create_task(self._keep_watching())
-        turning = asyncio.create_task(self._keep_turning())
-        tasks = (polling, watching, turning)
+        running = self.fleet.run, self._keep_watching, self._keep_turning, self._until_closed
+        tasks = [asyncio.create_task(each()) for each in running]
         try:
             if self._service is not None:
                 await self._service.begin()
@@ -155,12 +155,18 @@ class Polling:
         self._woken.set()
         self._late = asyncio.get_running_loop().call_later(TIMEOUT, self._end)
 
+    async def _until_closed(self) -> None:
+        await self._closed.wait()
+        raise EngineError("the connection to NATS was closed; start the worker again")
+
     def _end(self) -> None:
         self._has_ended = True
         self._woken.set()
 
     def engine_changed(self) -> None:
-        """Watch the bucket anew: the connection to NATS was lost or established."""
+        """Watch the bucket anew: the connection to NATS was lost, established or closed."""
+        if self._client.is_closed:
+            self._closed.set()
         self._is_unsettled = True
         self._doubted.set()
 
@@ -268,18 +274,27 @@ class Polling:
                 devices[key] = self._read(connection)
         self._connections = dict(active)
         self._devices = devices
-        try:
-            self.fleet.replace([each for group in devices.values() for each in group])
-        except (TypeError, ValueError) as error:
-            self._say(f"the devices in the bucket cannot be polled together: {error}")
-            self.fleet.replace([])
+        self.fleet.replace(self._named_once(devices))
+
+    def _named_once(self, devices: dict[str, list[DeviceConfig]]) -> list[DeviceConfig]:
+        """Return the devices of connections, each without those whose names another one has."""
+        names: dict[str, str] = {}
+        for key, group in devices.items():
+            for each in group:
+                if names.setdefault(each.name, key) != key:
+                    self._say(
+                        f"{key}: {each.name!r} is not polled: {names[each.name]} has one, too"
+                    )
+        return [each for key, group in devices.items() for each in group if names[each.name] == key]
 
     def _read(self, connection: Connection) -> list[DeviceConfig]:
         try:
             devices = devices_from_json(connection.devices)
             if any(each.connection_key != connection.key for each in devices):
                 raise ValueError("a device belongs to another connection")
-        except (TypeError, ValueError) as error:
+            checked(devices)
+        except Exception as error:
+            # No record may end a worker: others would take the connection, and end as well.
             self._say(f"{connection.key}: its devices in the bucket are invalid: {error}")
             return []
         return devices
@@ -305,7 +320,7 @@ class Polling:
         }
 
     def _refusal(self, device: str) -> str | None:
-        """Return the refusal of a command, as `CommandService` needs it."""
+        """Return the refusal of a command, as `Commands` needs it."""
         if device in self.fleet.devices:
             return None
         return self._locations.refusal(device, self.now())

@@ -19,6 +19,9 @@ class SlowDevices:
         self.may_end = asyncio.Event()
         self.begun = 0
 
+    def unknown(self, device: str, point: str) -> str:
+        return ""
+
     async def write(self, device: str, values: dict[str, Any]) -> None:
         self.begun += 1
         await self.may_end.wait()
@@ -29,11 +32,12 @@ def test_commands_beyond_those_that_may_wait_are_refused_until_others_end() -> N
         devices = SlowDevices()
         commands = Commands(devices)
 
-        async def write() -> str:
-            outcome = await commands.answer("pump", "level", Wanted(1))
+        async def write(device: str = "pump") -> str:
+            outcome = await commands.answer(device, "level", Wanted(1))
+            assert outcome is not None
             return str(outcome.get("error", "written"))
 
-        waiting = [asyncio.create_task(write()) for _ in range(100)]
+        waiting = [asyncio.create_task(write(f"pump {at}")) for at in range(100)]
         refused = await next(asyncio.as_completed(waiting))
         assert refused == f"{devices.begun} writes are already under way"
         assert 1 < devices.begun < 100

@@ -78,12 +78,16 @@ class MemoryClient:
 
     def __init__(self) -> None:
         self.is_connected = True
+        self.is_closed = False
         self.is_broken = False
         self.published: list[tuple[str, bytes]] = []
         self.subscribed: dict[str, Callable[[Any], Awaitable[None]]] = {}
 
-    async def subscribe(self, subject: str, cb: Callable[[Any], Awaitable[None]]) -> None:
+    async def subscribe(
+        self, subject: str, cb: Callable[[Any], Awaitable[None]]
+    ) -> MemorySubscription:
         self.subscribed[subject] = cb
+        return MemorySubscription(self, subject)
 
     async def publish(self, subject: str, data: bytes) -> None:
         if self.is_broken:
@@ -91,8 +95,19 @@ class MemoryClient:
         self.published.append((subject, data))
 
     async def deliver(self, subject: str, data: bytes, reply: str = "") -> None:
-        for take in self.subscribed.values():
+        for take in list(self.subscribed.values()):
             await take(Message(subject, data, reply))
+
+
+@dataclass
+class MemorySubscription:
+    """What a client subscribed to."""
+
+    client: MemoryClient
+    subject: str
+
+    async def unsubscribe(self) -> None:
+        del self.client.subscribed[self.subject]
 
 
 class MemoryWatch:

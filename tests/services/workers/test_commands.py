@@ -16,6 +16,8 @@ from tests.services.workers.memory_engine import MemoryClient, run
 
 SUBJECT = "modbus.write.pump.setpoint"
 
+INBOX = "_INBOX.u9ii73oAyVwgjXVUkC6cqN.1"
+
 
 class Written:
     """Devices that take writes, at once or when they may; the pump is the only one."""
@@ -25,6 +27,9 @@ class Written:
         self.values: list[dict[str, Any]] = []
         self.may_go_on = asyncio.Event()
         self.may_go_on.set()
+
+    def unknown(self, device: str, point: str) -> str:
+        return ""
 
     async def write(self, device: str, values: dict[str, Any]) -> None:
         await self.may_go_on.wait()
@@ -40,13 +45,12 @@ class Trial:
         self.client = MemoryClient()
         self.devices = Written()
         self.refusal = refusal
-        self.service = CommandService(
-            self.client,  # type: ignore[arg-type]  # As much of it as the service uses.
-            Commands(self.devices),
-            lambda device: self.refusal if device == "pump" else f"no {device}",
-        )
+        commands = Commands(self.devices)
+        commands.refusal = lambda device: self.refusal if device == "pump" else f"no {device}"
+        # As much of a client as the service uses.
+        self.service = CommandService(self.client, commands)  # type: ignore[arg-type]
 
-    async def ask(self, data: bytes, *, subject: str = SUBJECT, reply: str = "reply") -> None:
+    async def ask(self, data: bytes, *, subject: str = SUBJECT, reply: str = INBOX) -> None:
         await self.client.deliver(subject, data, reply)
         await settle()
 
@@ -73,7 +77,7 @@ def test_a_write_is_carried_out_and_answered_twice() -> None:
         await trial.ask(b'{"value": 21.5, "id": "a"}')
         assert trial.devices.values == [{"pump": {"setpoint": 21.5}}]
         outcome = {"ok": True, "id": "a"}
-        assert trial.answers == [("reply", outcome), ("modbus.written.pump.setpoint", outcome)]
+        assert trial.answers == [(INBOX, outcome), ("modbus.written.pump.setpoint", outcome)]
 
     run(main())
 
@@ -93,7 +97,7 @@ def test_a_failure_is_answered_with_its_reason() -> None:
         trial = Trial()
         await trial.service.begin()
         await trial.ask(b"99")
-        assert trial.answers[0] == ("reply", {"ok": False, "error": "no answer"})
+        assert trial.answers[0] == (INBOX, {"ok": False, "error": "no answer"})
         assert trial.devices.statistics.refused_commands == 1
 
     run(main())
@@ -116,9 +120,9 @@ def test_a_refusal_in_the_name_of_all_is_answered() -> None:
         await trial.service.begin()
         await trial.ask(b'{"value": 20, "id": 7}')
         refused = {"ok": False, "error": "no worker polls 'pump' now", "id": 7}
-        assert trial.answers[0] == ("reply", refused)
+        assert trial.answers[0] == (INBOX, refused)
         await trial.ask(b"20")
-        assert trial.answers[2] == ("reply", {"ok": False, "error": "no worker polls 'pump' now"})
+        assert trial.answers[2] == (INBOX, {"ok": False, "error": "no worker polls 'pump' now"})
         assert trial.devices.values == []
 
     run(main())
@@ -139,7 +143,7 @@ def test_names_with_special_characters_are_understood() -> None:
         trial = Trial()
         await trial.service.begin()
         await trial.ask(b"20", subject="modbus.write.hall%2E2.set%20point")
-        assert trial.answers[0] == ("reply", {"ok": False, "error": "no hall.2"})
+        assert trial.answers[0] == (INBOX, {"ok": False, "error": "no hall.2"})
         assert trial.answers[1][0] == "modbus.written.hall%2E2.set%20point"
 
     run(main())
@@ -165,7 +169,7 @@ def test_a_flood_is_dropped_beyond_a_bound_and_makes_room_again() -> None:
         trial.devices.may_go_on.clear()
         await trial.service.begin()
         for _ in range(MOST_WAITING + 50):
-            await trial.client.deliver(SUBJECT, b"20", "reply")
+            await trial.client.deliver(SUBJECT, b"20", INBOX)
         trial.devices.may_go_on.set()
         await settle()
         assert len(trial.answers) == 2 * MOST_WAITING

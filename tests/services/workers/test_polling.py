@@ -17,8 +17,9 @@ from typing import Any
 import pytest
 
 from libmodbus_py import DeviceConfig, Point, RegisterMap
-from libmodbus_py.services.engine.errors import EngineGone
+from libmodbus_py.services.engine.errors import EngineError, EngineGone
 from libmodbus_py.services.fleet.buffer import Buffer
+from libmodbus_py.services.fleet.commands import Commands
 from libmodbus_py.services.fleet.config import checked, devices_to_json
 from libmodbus_py.services.fleet.outputs.output import OutputError
 from libmodbus_py.services.fleet.statistics import FleetStatistics, OutputStatistics
@@ -47,6 +48,7 @@ class Fleet:
         self.statistics = FleetStatistics()
         self.devices: dict[str, DeviceConfig] = {}
         self.replaced = 0
+        self.commands = Commands(self)
         self.error: asyncio.Future[None] = asyncio.get_running_loop().create_future()
 
     async def run(self) -> None:
@@ -55,6 +57,9 @@ class Fleet:
     def replace(self, devices: list[DeviceConfig]) -> None:
         self.devices = {each.name: each for each in checked(devices)}
         self.replaced += 1
+
+    def unknown(self, device: str, point: str) -> str:
+        return ""
 
     async def write(self, device: str, values: dict[str, Any]) -> None:
         self.devices[device]
@@ -182,6 +187,25 @@ class TestLife:
             await until(lambda: names(worker))
             worker.fleet.error.set_exception(OutputError("nobody reads"))  # type: ignore[attr-defined]
             with pytest.raises(OutputError, match="nobody reads"):
+                await running
+            assert bucket.watches == []
+
+        run(main())
+
+    def test_a_connection_that_is_closed_for_good_ends_it(self) -> None:
+        """A worker that cannot reach NATS any more must not look alive."""
+
+        async def main() -> None:
+            bucket = filled(connection("pump"))
+            worker = made(bucket)
+            running = asyncio.create_task(worker.run())
+            await until(lambda: names(worker))
+            worker.engine_changed()
+            await asyncio.sleep(1)
+            assert not running.done()
+            bucket.client.is_closed = True
+            worker.engine_changed()
+            with pytest.raises(EngineError, match="the connection to NATS was closed"):
                 await running
             assert bucket.watches == []
 
@@ -441,17 +465,16 @@ class TestDevices:
 
         run(main())
 
-    def test_devices_that_cannot_be_polled_together_are_told(
+    def test_of_two_devices_of_one_name_one_is_polled(
         self, caplog: pytest.LogCaptureFixture
     ) -> None:
         async def main() -> None:
-            bucket = filled(connection("pump"), connection("pump", host=2))
+            bucket = filled(connection("pump", "fan"), connection("pump", "valve", host=2))
             async with at_work(bucket) as worker:
-                told = "the devices in the bucket cannot be polled together: devices[1].name"
-                await until(lambda: [each for each in caplog.messages if each.startswith(told)])
-                assert names(worker) == []
-                bucket.write(connection("pump", host=2).bucket_key, None)
                 await until(lambda: names(worker))
+                assert names(worker) == ["fan", "pump", "valve"]
+                (told,) = [text for text in caplog.messages if "is not polled" in text]
+                assert "'pump' is not polled: tcp:192.0.2." in told
 
         run(main())
 
@@ -519,13 +542,13 @@ class TestCommands:
             bucket = filled(connection("pump"), commands=commands)
             async with at_work(bucket, settings=settings) as worker:
                 await until(lambda: names(worker))
-                await bucket.client.deliver("modbus.write.pump.level", b"7", "reply")
-                await bucket.client.deliver("modbus.write.valve.level", b"7", "reply")
+                await bucket.client.deliver("modbus.write.pump.level", b"7", "_INBOX.x")
+                await bucket.client.deliver("modbus.write.valve.level", b"7", "_INBOX.x")
                 await asyncio.sleep(0.01)
                 replies = [
                     json.loads(data)
                     for subject, data in bucket.client.published
-                    if subject == "reply"
+                    if subject == "_INBOX.x"
                 ]
             wanted = [True, "there is no device 'valve'"] if commands else []
             assert [each.get("error", each["ok"]) for each in replies] == wanted

@@ -13,12 +13,13 @@ import ssl
 from collections.abc import Coroutine, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from urllib.parse import quote, unquote, urlsplit
+from urllib.parse import urlsplit
 
 from ....protocol.checks import integer
 from ....protocol.mistakes import WrongType, WrongValue
 from ..buffer import MOST_KEPT
-from ..commands import Commands, wanted_of
+from ..commands import Commands, encoded, wanted_of
+from ..levels import Levels
 from ..readings import Reading
 from .forms import payload
 from .output import OutputError
@@ -37,6 +38,9 @@ TIMEOUT = 5.0
 
 # Publishes with QoS 1 that wait for their acknowledgement together.
 TOGETHER = 8
+
+# Names as levels of topics.
+_LEVELS = Levels(r"[/+#%\0]")
 
 # The most received messages that wait; paho drops further ones.
 MOST_MESSAGES = 100
@@ -151,7 +155,8 @@ class Mqtt:
                 await _all([self._publish(client, each) for each in readings[at : at + step]])
 
     async def _publish(self, client: aiomqtt.Client, reading: Reading) -> None:
-        topic = self._topic.format(device=_part(reading.device), name=_part(reading.name))
+        device, name = _LEVELS.spell(reading.device), _LEVELS.spell(reading.name)
+        topic = self._topic.format(device=device, name=name)
         text = json.dumps(payload(reading), ensure_ascii=False)
         await client.publish(topic, text.encode(), self._qos, self._retain)
 
@@ -191,10 +196,14 @@ class Mqtt:
         data = message.payload if isinstance(message.payload, bytes) else b""
         if found is None:
             return
-        device, name = unquote(found["device"]), unquote(found["name"])
+        device, name = _LEVELS.read(found["device"]), _LEVELS.read(found["name"])
+        if device is None or name is None:
+            return
         outcome = await commands.answer(device, name, wanted_of(data))
+        if outcome is None:
+            return
         with contextlib.suppress(OSError), _as_os_error():
-            await client.publish(f"{topic}/result", json.dumps(outcome).encode(), self._qos)
+            await client.publish(f"{topic}/result", encoded(outcome), self._qos)
 
 
 def _let_go(client: aiomqtt.Client) -> None:
@@ -244,11 +253,6 @@ def _plain_topic(key: str, topic: object) -> str:
     if set("+#\0") & set(topic) or len(topic.encode()) > 1000 or topic.startswith("$"):
         raise WrongValue(key, f"must be a topic without + and #, not {topic!r}")
     return topic
-
-
-def _part(name: str) -> str:
-    """Return a name as one level of a topic; different names have different levels."""
-    return re.sub(r"[/+#%\0]", lambda found: quote(found[0], safe=""), name)
 
 
 def _filter(topic: str) -> str:

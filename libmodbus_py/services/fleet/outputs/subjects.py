@@ -11,8 +11,7 @@ are topics, with / in place of each dot.
 
 from __future__ import annotations
 
-import re
-from urllib.parse import quote, unquote
+from ..levels import Levels
 
 __all__ = ["READINGS", "WRITE", "asked_about", "readings_of", "written"]
 
@@ -21,24 +20,21 @@ WRITE = "modbus.write"
 WRITTEN = "modbus.written"
 
 # Characters that have a meaning in subjects or topics, or are not allowed there.
-_SPECIAL = re.compile(r"[\s.*>%/+#$\0]")
+_LEVELS = Levels(r"[\s.*>%/+#$\0]")
 
 
 def readings_of(device: str) -> str:
     """Return the subject of the readings of a device."""
-    return f"{READINGS}.{_token(device)}"
+    return f"{READINGS}.{_LEVELS.spell(device)}"
 
 
-def asked_about(subject: str) -> tuple[str, str]:
-    """Return the device and the point of the subject of a write."""
+def asked_about(subject: str) -> tuple[str, str] | None:
+    """Return the device and the point of the subject of a write; None unless both are names."""
     device, _, point = subject.removeprefix(f"{WRITE}.").partition(".")
-    return unquote(device), unquote(point)
+    names = _LEVELS.read(device), _LEVELS.read(point)
+    return None if names[0] is None or names[1] is None else (names[0], names[1])
 
 
 def written(device: str, point: str) -> str:
     """Return the subject of the outcomes of writes to a point."""
-    return f"{WRITTEN}.{_token(device)}.{_token(point)}"
-
-
-def _token(name: str) -> str:
-    return _SPECIAL.sub(lambda found: quote(found[0], safe=""), name).replace(".", "%2E")
+    return f"{WRITTEN}.{_LEVELS.spell(device)}.{_LEVELS.spell(point)}"
