@@ -106,19 +106,16 @@ async def connected(
         EngineError: no server responds, the credentials are refused, or the server is too old.
     """
     try:
-        from nats.aio.client import Client
+        from .client import SteadyClient
     except ImportError:
         raise EngineError("NATS needs nats-py: pip install 'libmodbus-py[nats]'") from None
 
     where = shown(servers)
     options = _identity(environment) | _trust(servers, environment)
-    client = Client()
+    client = SteadyClient()
     with explained(where):
         await _connect(client, servers, {"name": name, **options}, on_change)
     client.options["max_reconnect_attempts"] = -1
-    if "tls" in options and not client._server_info.get("tls_required"):
-        await disconnect(client)
-        raise EngineError(f"{where}: the server does not support TLS; data was sent unencrypted")
     version = client.connected_server_version
     if (version.major, version.minor) < OLDEST:
         await disconnect(client)

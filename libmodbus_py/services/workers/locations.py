@@ -5,6 +5,7 @@ Which worker polls a device, and which one answers commands to devices that no w
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 
 from .records import Connection
 from .worker import Worker
@@ -50,8 +51,18 @@ class Locations:
         if self._as_of != view.last_touched:
             self._as_of = view.last_touched
             self._places = {
-                each.get("name"): connection
+                name: connection
                 for connection in view.connections
-                for each in json.loads(connection.devices)["devices"]
+                for name in _names(connection.devices)
             }
         return self._places.get(device)
+
+
+def _names(devices: str) -> Iterator[str]:
+    """Yield the names of devices in JSON, which any program may have written to the bucket."""
+    found = json.loads(devices)
+    listed = found.get("devices") if isinstance(found, dict) else None
+    for each in listed if isinstance(listed, list) else ():
+        name = each.get("name") if isinstance(each, dict) else None
+        if isinstance(name, str):
+            yield name

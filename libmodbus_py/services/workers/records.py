@@ -223,7 +223,7 @@ def decode(key: str, value: bytes) -> Record:
         if not isinstance(given, dict):
             raise ValueError("must be a JSON object")
         return reader(rest, given)
-    except (ValueError, TypeError, KeyError, RecursionError) as error:
+    except Exception as error:
         what = f"{error.args[0]} is missing" if isinstance(error, KeyError) else str(error)
         raise RecordError(f"{key[:200]}: {what[:200] or 'the value cannot be read'}") from None
 

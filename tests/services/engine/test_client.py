@@ -1,0 +1,233 @@
+"""
+The client of NATS between a worker and what servers and strangers send: malformed messages,
+errors of the server, a server that offers no TLS when the connection is made again.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import ssl
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from libmodbus_py.services.engine.connection import connected, disconnect
+from libmodbus_py.services.engine.errors import EngineError
+from tests.services.fleet.fleets import LONGEST, until
+from tests.support import certificates
+from tests.support.certificates import authority, save
+
+pytest.importorskip("nats")
+
+INFO = {"server_id": "x", "version": "2.10.0", "max_payload": 1000, "headers": True}
+
+
+class Server:
+    """
+    As much of a NATS server as clients need to connect and subscribe.
+
+    Args:
+        greet: returns the INFO of a connection with a number, and its TLS context or None.
+
+    Attributes:
+        heard: the lines of each connection.
+    """
+
+    def __init__(self, greet: Callable[[int], tuple[dict[str, Any], ssl.SSLContext | None]]):
+        self._greet = greet
+        self.heard: list[list[bytes]] = []
+        self.writers: list[asyncio.StreamWriter] = []
+        self.tasks: list[asyncio.Task[Any] | None] = []
+
+    async def serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        lines: list[bytes] = []
+        info, context = self._greet(len(self.heard))
+        self.heard.append(lines)
+        self.writers.append(writer)
+        self.tasks.append(asyncio.current_task())
+        try:
+            writer.write(b"INFO " + json.dumps(info).encode() + b"\r\n")
+            if context is not None:
+                await writer.start_tls(context)
+            while line := await reader.readline():
+                lines.append(line)
+                if line == b"PING\r\n":
+                    writer.write(b"PONG\r\n")
+        except OSError:
+            pass
+        finally:
+            writer.close()
+
+    def say(self, data: bytes) -> None:
+        self.writers[-1].write(data)
+
+
+@asynccontextmanager
+async def serving(
+    greet: Callable[[int], tuple[dict[str, Any], ssl.SSLContext | None]],
+) -> AsyncIterator[tuple[Server, int]]:
+    server = Server(greet)
+    listening = await asyncio.start_server(server.serve, "127.0.0.1", 0)
+    try:
+        yield server, listening.sockets[0].getsockname()[1]
+    finally:
+        listening.close()
+        for writer in server.writers:
+            writer.close()
+        await asyncio.wait_for(asyncio.gather(*filter(None, server.tasks)), LONGEST)
+
+
+@asynccontextmanager
+async def subscribed(**environment: str) -> AsyncIterator[tuple[Server, Any, list[Any]]]:
+    """A server, a client that subscribed to commands as number 1, and what that heard."""
+    heard: list[Any] = []
+
+    async def note(message: Any) -> None:
+        heard.append(message)
+
+    async with serving(lambda number: (INFO, None)) as (server, port):
+        client: Any = await connected(
+            [f"nats://127.0.0.1:{port}"], name="test", environment=environment
+        )
+        try:
+            await client.subscribe("modbus.write.*.*", cb=note)
+            await client.flush()
+            yield server, client, heard
+        finally:
+            await disconnect(client)
+
+
+GOOD = b"MSG modbus.write.pump.level 1 2\r\nok\r\n"
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        b"MSG modbus.write.\xff.level 1 2\r\nno\r\n",
+        b"MSG modbus.write.pump.level 1 \xff\xfe 2\r\nno\r\n",
+        b"MSG modbus.write.a\x0bb.level 1 2\r\nno\r\n",
+        b"MSG modbus.write.a.b\x0b7 1 2\r\nno\r\n",
+        b"HMSG modbus.write.pump.level 1 2 4\r\n\r\nno\r\n",
+        b"HMSG modbus.write.pump.level 1 16 18\r\nNATS/1.0 \xff\xff\xff\r\n\r\nno\r\n",
+        b"HMSG modbus.write.pump.level 1 4 6\r\n\x00\x00\x00\x00no\r\n",
+        b"MSG modbus.write." + b"x" * 5000 + b".level 1 2\r\nno\r\n",
+    ],
+    ids=lambda message: repr(message[:30]),
+)
+def test_a_malformed_message_costs_no_other(message: bytes) -> None:
+    """Any client may send it to the subjects of commands, and all workers receive it."""
+
+    async def go() -> None:
+        async with subscribed() as (server, client, heard):
+            server.say(message + GOOD)
+            await until(lambda: any(each.data == b"ok" for each in heard))
+            assert [each.data for each in heard] == [b"no", b"ok"]
+            assert len(server.heard) == 1  # the connection was not lost
+            assert client.is_connected
+
+    asyncio.run(go())
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        b"-ERR 'Maximum Control Line Exceeded'\r\n",
+        b"-ERR 'Authorization Violation'\r\n",
+        b"-ERR 'User Authentication Expired'\r\n",
+        b"-ERR\r\n",
+        b"-ERR '\xff'\r\n",
+        b"INFO []\r\n",
+        b"MSG a b c\r\n",
+        b"MSG a 1 99999999999\r\n",
+        b"HTTP/1.1 400 Bad Request\r\n",
+    ],
+    ids=repr,
+)
+def test_after_an_error_of_the_server_the_client_connects_again(line: bytes) -> None:
+    async def go() -> None:
+        async with subscribed() as (server, client, heard):
+            server.say(line)
+            await until(lambda: len(server.heard) == 2 and client.is_connected)
+            await until(lambda: any(each.startswith(b"SUB modbus") for each in server.heard[1]))
+            server.say(GOOD)
+            await until(lambda: heard)
+
+    asyncio.run(go())
+
+
+def test_a_permission_that_is_missing_ends_no_connection() -> None:
+    async def go() -> None:
+        async with subscribed() as (server, _, heard):
+            server.say(b"-ERR 'Permissions Violation for Publish to \"x\"'\r\n" + GOOD)
+            await until(lambda: heard)
+            assert len(server.heard) == 1
+
+    asyncio.run(go())
+
+
+def test_a_greeting_that_cannot_be_read_is_followed_by_another_attempt() -> None:
+    """nats-py ends its attempts at an exception that it does not know, and stays lost for ever."""
+
+    def greet(number: int) -> tuple[dict[str, Any], None]:
+        return (INFO if number != 1 else {**INFO, "connect_urls": ["x" * 70_000]}), None
+
+    async def go() -> None:
+        async with serving(greet) as (server, port):
+            client = await connected([f"nats://127.0.0.1:{port}"], name="test", environment={})
+            try:
+                server.writers[-1].close()
+                await until(lambda: len(server.heard) == 3 and client.is_connected)
+            finally:
+                await disconnect(client)
+
+    asyncio.run(go())
+
+
+# --- the password ---------------------------------------------------------------------------
+
+
+def credentials(server: Server) -> list[bool]:
+    """Whether each connection was sent a CONNECT, which contains the password."""
+    return [any(b"CONNECT" in line for line in lines) for lines in server.heard]
+
+
+def test_a_server_without_tls_is_sent_nothing() -> None:
+    async def go() -> None:
+        async with serving(lambda number: (INFO, None)) as (server, port):
+            environment = {"NATS_USER": "u", "NATS_PASSWORD": "secret"}
+            with pytest.raises(EngineError, match="does not support TLS; nothing was sent"):
+                await connected([f"tls://127.0.0.1:{port}"], name="t", environment=environment)
+            assert server.heard
+            assert not any(server.heard)
+
+    asyncio.run(go())
+
+
+def test_a_server_without_tls_is_sent_nothing_when_the_connection_is_made_again(
+    tmp_path: Path,
+) -> None:
+    ca = save(tmp_path, authority(), "ca")
+    own = save(tmp_path, certificates.server(), "own")
+    context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+    context.load_cert_chain(own.cert, own.key)
+
+    def greet(number: int) -> tuple[dict[str, Any], ssl.SSLContext | None]:
+        return ({**INFO, "tls_required": True}, context) if number in (0, 2) else (INFO, None)
+
+    async def go() -> None:
+        async with serving(greet) as (server, port):
+            environment = {"NATS_CA": str(ca.cert), "NATS_USER": "u", "NATS_PASSWORD": "secret"}
+            client = await connected([f"tls://127.0.0.1:{port}"], name="t", environment=environment)
+            try:
+                server.writers[-1].close()
+                await until(lambda: len(server.heard) == 3 and client.is_connected)
+            finally:
+                await disconnect(client)
+            assert credentials(server) == [True, False, True]
+            assert server.heard[1] == []
+
+    asyncio.run(go())
