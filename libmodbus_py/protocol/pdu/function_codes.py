@@ -11,7 +11,7 @@ from .fields import AddressError
 from .files import ReadFifoQueue, ReadFileRecords, WriteFileRecords
 from .interface import EncapsulatedTransport
 from .reads import ReadCoils, ReadDiscreteInputs, ReadHoldingRegisters, ReadInputRegisters
-from .request import Request
+from .request import Request, told_length
 from .serial import (
     Diagnostics,
     ReadCommEventCounter,
@@ -112,7 +112,7 @@ def decode_request(pdu: bytes) -> Request[Any]:
     if request is None:
         raise IllegalFunction(f"no function {pdu[0]}", function=pdu[0])
     try:
-        if request.request_length(pdu) not in (len(pdu), 0):
+        if request_length(pdu) not in (len(pdu), 0):
             raise ValueError(f"a request of {len(pdu)} bytes")
         return request.decode(pdu)
     except AddressError as error:
@@ -129,10 +129,12 @@ def request_length(head: bytes) -> int | None:
         head: one byte or more.
 
     Returns:
-        The length; None while more bytes are needed; 0 if nothing in it tells.
+        The length; None while more bytes are needed; 0 if nothing in it tells; `NO_LENGTH` if
+        the rule of a registered class raised an exception or returned anything else, so that
+        the PDU is none. That is logged once for each class.
     """
     request = REQUESTS.get(head[0])
-    return 0 if request is None else request.request_length(head)
+    return 0 if request is None else told_length(request, request.request_length, head)
 
 
 def response_length(head: bytes) -> int | None:
@@ -140,4 +142,4 @@ def response_length(head: bytes) -> int | None:
     if head[0] & 0x80:
         return 2
     request = REQUESTS.get(head[0])
-    return 0 if request is None else request.response_length(head)
+    return 0 if request is None else told_length(request, request.response_length, head)

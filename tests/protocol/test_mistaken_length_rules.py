@@ -1,0 +1,156 @@
+"""
+Length rules of registered classes that raise or return nonsense: a frame is lost, and no line.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import pytest
+
+from libmodbus_py import (
+    Context,
+    Device,
+    Gateway,
+    IllegalDataValue,
+    Mapping,
+    ModbusError,
+    Route,
+    Server,
+    listen,
+    pdu,
+)
+from libmodbus_py.protocol.either_way import EitherWay, RtuEitherWay, may_be
+from libmodbus_py.protocol.framing import Frame, FrameError, RtuFramer
+from tests.simulation.stage import LineEnd, Stage
+from tests.support.cases import each_case
+from tests.support.talk import rtu
+
+READ, ANSWER = rtu("01 03 0000 0001"), rtu("01 03 02 0007")
+OWN = rtu("01 6D 01 02")
+LINE = "rtu:///dev/line?baudrate=115200"
+
+
+def _fails(head: bytes) -> int | None:
+    raise LookupError("a mistake in a rule")
+
+
+RULES: dict[str, Callable[[bytes], Any]] = {
+    "raises": _fails,
+    "negative": lambda head: -1,
+    "text": lambda head: "4",
+    "fraction": lambda head: 4.0,
+    "index": lambda head: head[99],
+}
+
+
+@contextmanager
+def registered(rule: Callable[[bytes], Any]) -> Iterator[type[pdu.RawRequest]]:
+    class Own(pdu.RawRequest):
+        function = 0x6D
+        request_length = staticmethod(rule)  # type: ignore[assignment]
+        response_length = staticmethod(rule)  # type: ignore[assignment]
+
+    try:
+        yield pdu.register(Own)
+    finally:
+        pdu.REQUESTS.pop(Own.function)
+
+
+@each_case("rule", RULES.values(), ids=RULES)
+@each_case("role", ["server", "client"])
+def test_the_frames_behind_are_found(role: Any, rule: Callable[[bytes], Any]) -> None:
+    good = READ if role == "server" else ANSWER
+    with registered(rule):
+        framer = RtuFramer(role)
+        found = framer.scan(OWN) + framer.scan_silence()
+        assert any(isinstance(each, FrameError) for each in found)
+        for _ in range(2):
+            found = framer.scan(good) + framer.scan_silence()
+            assert found == [Frame(1, good[1:-2])]
+
+
+@each_case("rule", RULES.values(), ids=RULES)
+def test_a_listener_hears_what_is_behind(rule: Callable[[bytes], Any]) -> None:
+    with registered(rule):
+        frames = RtuEitherWay()
+        for data in (OWN, READ, ANSWER):
+            frames.feed(data)
+            frames.silence(is_long=True)
+        found = []
+        while (each := frames.take(lambda unit, function: False)) is not None:
+            found.append(each)
+        assert [each.frame.pdu for each in found if isinstance(each, EitherWay)] == [
+            READ[1:-2],
+            ANSWER[1:-2],
+        ]
+        assert may_be(OWN[1:-2]) == (False, False)
+
+
+@each_case("rule", RULES.values(), ids=RULES)
+def test_a_request_with_such_a_rule_is_refused(rule: Callable[[bytes], Any]) -> None:
+    with registered(rule) as own:
+        with pytest.raises(IllegalDataValue):
+            pdu.decode_request(OWN[1:-2])
+        with pytest.raises(ModbusError):
+            own(0x6D, b"\1\2").decode_response(OWN[1:-2])
+
+
+def test_a_mistake_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
+    with registered(_fails):
+        for _ in range(3):
+            RtuFramer("server").scan(OWN)
+            may_be(OWN[1:-2])
+    (record,) = caplog.records
+    assert "Own" in record.getMessage()
+    assert "a mistake in a rule" in record.getMessage()
+
+
+@pytest.fixture
+def stage() -> Iterator[Stage]:
+    with Stage() as made:
+        yield made
+
+
+@pytest.mark.parametrize("kind", ["server", "gateway"])
+def test_who_answers_on_a_line_goes_on(stage: Stage, kind: str) -> None:
+    device = Device(Mapping(holding_registers={0: [7]}))
+    behind = "tcp://10.0.0.2:502" if kind == "gateway" else LINE
+    with registered(_fails), Server({1: device}).background(behind):
+        gateway = Gateway([Route("tcp://10.0.0.2:502", units="1")])
+        if kind == "server":
+            assert heard(stage) == ANSWER
+        else:
+            with gateway.background(LINE):
+                assert heard(stage) == ANSWER
+
+
+def heard(stage: Stage) -> bytes:
+    master = LineEnd(stage.line("/dev/line"))
+    for data in (OWN, READ):
+        master.write(data)
+        stage.pass_time(0.5)
+    return master.heard
+
+
+def test_a_client_on_a_line_goes_on(stage: Stage) -> None:
+    """The answers to its own class are lost, and nothing else."""
+    device = Device(Mapping(holding_registers={0: [7]}))
+    with (
+        registered(_fails) as own,
+        Server({1: device}).background(LINE),
+        Context.from_url(LINE, unit=1, timeout=0.5) as context,
+    ):
+        with pytest.raises(ModbusError):
+            context.execute(own(0x6D, b"\1\2"))
+        assert context.read_holding_registers(0, 1) == [7]
+
+
+def test_a_separator_goes_on() -> None:
+    with registered(_fails):
+        separator = listen.Separator("rtu")
+        done = separator.feed(OWN, 0.0) + separator.tick(2.0)
+        done += separator.feed(READ, 3.0) + separator.feed(ANSWER, 3.01) + separator.tick(9.0)
+        assert [each.kind for each in done] == ["damaged", "answered"]
