@@ -12,11 +12,9 @@ from typing import ClassVar, NamedTuple
 
 from .framing import Frame, RtuFramer, scanner
 from .pdu import request_length, response_length
-from .scan import FrameScanner, crc16
+from .scan import AT_END, GOES_ON, SILENT, FrameScanner
 
 __all__ = ["EitherWay", "NoFrame", "RtuEitherWay", "may_be"]
-
-MAX_ADU = RtuFramer.max_size
 
 
 class EitherWay(NamedTuple):
@@ -99,8 +97,9 @@ class RtuEitherWay:
         if not data:
             return None
         fresh = self._fresh[0] if self._fresh else -1
-        asks, asks_at = _look(self._asking, data, 0, fresh)
-        answers, answers_at = _look(self._answering, data, 0, fresh)
+        state = SILENT if self._is_quiet else GOES_ON
+        asks, asks_at = _look(self._asking, data, 0, fresh, state)
+        answers, answers_at = _look(self._answering, data, 0, fresh, state)
         if start := min(asks_at, answers_at):
             return self._skip(data, start)
         if len(data) > 1 and not data[1] & 0x7F:  # no function (application protocol, 4.1)
@@ -109,32 +108,10 @@ class RtuEitherWay:
         first, second = (answers, asks) if awaited else (asks, answers)
         if first > 0 or (second > 0 and (first == 0 or self._is_quiet)):
             end = first if first > 0 else second
-            may_ask, may_answer = asks == end, answers == end
-            if may_ask and may_answer and response_length(data[1:]) == 0:
-                end = self._end_by_crc(data, end)
-            return self._found(data, end, may_ask, may_answer) if end else None
+            return self._found(data, end, asks == end, answers == end)
         if start := self._later_start(data):
             return self._skip(data, start)
         return self._skip(data, 1) if self._is_over else None
-
-    def _end_by_crc(self, data: bytes, end: int) -> int:
-        """
-        Return the end of a frame of unknown length; 0 while it is unknown.
-
-        Its CRC fits by chance inside such a frame once in 65536 bytes, so what follows must be
-        a frame, or silence.
-        """
-        ends = [
-            at
-            for at in range(end, min(len(data), MAX_ADU) + 1)
-            if at == end or not crc16(data[:at])
-        ]
-        for at in ends:
-            if self._complete(data, at, at) > 0:
-                return at
-        if self._is_quiet or len(data) >= MAX_ADU:
-            return ends[-1] if ends[-1] == len(data) else end
-        return 0
 
     def _later_start(self, data: bytes) -> int:
         """
@@ -155,7 +132,7 @@ class RtuEitherWay:
         scans = (self._asking, self._answering)
         for scan in scans:
             scan.fresh = -1
-        return any(scan.next(data, 1, at_end=True) > 0 for scan in scans)
+        return any(scan.next(data, 1, AT_END) > 0 for scan in scans)
 
     def _tiles(self, data: bytes, at: int) -> bool:
         while 0 < at < len(data):
@@ -165,7 +142,8 @@ class RtuEitherWay:
     def _complete(self, data: bytes, at: int, fresh: int) -> int:
         """Return the end of a frame that begins here; 0 or less if none does."""
         for scan in (self._asking, self._answering):
-            end, start = _look(scan, data, at, fresh)
+            state = SILENT if self._is_quiet else GOES_ON
+            end, start = _look(scan, data, at, fresh, state)
             if start == at and end > 0:
                 return end
         return 0
@@ -189,8 +167,8 @@ class RtuEitherWay:
         self._fresh = [at - count for at in self._fresh if at >= count]
 
 
-def _look(scan: FrameScanner, data: bytes, at: int, fresh: int) -> tuple[int, int]:
+def _look(scan: FrameScanner, data: bytes, at: int, fresh: int, state: int) -> tuple[int, int]:
     """Return the end of the frame that begins here, 0 for none, and where one may begin."""
     scan.fresh = fresh
-    end = scan.next(data, at)
+    end = scan.next(data, at, state)
     return (end if scan.start == at else 0), scan.start

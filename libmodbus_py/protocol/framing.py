@@ -25,12 +25,13 @@ from typing import Any, ClassVar, Literal, NamedTuple
 
 from . import pdu
 from .errors import MAX_RECEIVED, FrameError
+from .hearing_requests import RequestSearch
 from .pdu.fields import IN_C, MAX_PDU
-from .scan import FrameScanner, crc16, lib
+from .scan import AT_END, GOES_ON, SILENT, FrameScanner, crc16, lib
 
 # fmt: off
 __all__ = [
-    "LINE_FEED", "AsciiFramer", "Frame", "Framer", "Framing", "RtuFramer", "TcpFramer",
+    "LINE_FEED", "AsciiFramer", "Frame", "Framer", "Framing", "Overheard", "RtuFramer", "TcpFramer",
     "UdpFramer", "crc16", "cut", "delimiter_after", "is_delimiter", "is_one_frame", "lrc",
     "make_framer", "pdu_of", "scanner", "split", "transaction_of",
 ]
@@ -57,6 +58,16 @@ class Frame(NamedTuple):
     unit: int
     pdu: bytes
     transaction: int = 0
+
+
+class Overheard(Frame):
+    """
+    A response of another unit on the line, which a server hears.
+
+    `scan` and `scan_silence` return it among the frames; `feed` and `silence` do not.
+    """
+
+    __slots__ = ()
 
 
 def lrc(data: bytes) -> int:
@@ -164,7 +175,7 @@ class Framer(ABC):
         return found
 
     def _frames(self, found: list[Frame | FrameError]) -> list[Frame]:
-        frames = [each for each in found if isinstance(each, Frame)]
+        frames = [each for each in found if type(each) is Frame]
         errors = [each for each in found if isinstance(each, FrameError)]
         self._held = self._held or (errors[0] if errors else None)
         if not frames and self._held is not None:
@@ -304,12 +315,19 @@ class RtuFramer(Framer):
 
     Nothing marks the ends of an RTU frame but silence, which no PC can measure
     through its buffers. So the function code says how long the frame is, and
-    only the CRC can confirm it. After garbage every later byte is tried as a
-    start. A function without a length rule ends where the CRC fits; it must
-    begin right after silence or a good frame.
+    only the CRC can confirm it. A function without a length rule ends with
+    silence, where the CRC fits; it must begin right after silence or a good frame.
+
+    For a client every byte after garbage is tried as a start. A server hears what other units
+    answer, too, and nothing within it is a request: see `hearing_requests`. After garbage it
+    takes a request only when silence follows.
 
     Args:
         role: "server" when requests come in, "client" when responses do.
+
+    Attributes:
+        is_ours: for a server: returns True if it answers a unit itself, False if another one
+            on the line may; True for all units unless changed.
     """
 
     # Longer than USB adapters keep bytes back (16 ms), which is longer than 3.5
@@ -322,8 +340,20 @@ class RtuFramer(Framer):
         if role not in ("client", "server"):
             raise ValueError(f'role must be "client" or "server", not {role!r}')
         super().__init__()
-        self._scanner = scanner(role)
+        self._scanner = scanner("client")
+        self._search = None
+        if role == "server":
+            self._search = RequestSearch(scanner("server"), self._scanner)
         self._in_run = False  # True if the bytes before the buffer were no frame
+
+    @property
+    def is_ours(self) -> Callable[[int], bool]:
+        return _every_unit if self._search is None else self._search.is_ours
+
+    @is_ours.setter
+    def is_ours(self, is_ours: Callable[[int], bool]) -> None:
+        if self._search is not None:
+            self._search.is_ours = is_ours
 
     def encode(self, frame: Frame) -> bytes:
         unit, pdu, _ = _check(frame)
@@ -331,9 +361,41 @@ class RtuFramer(Framer):
         return body + struct.pack("<H", crc16(body))
 
     def _scan(self) -> None:
+        if self._search is None:
+            self._scan_answers(GOES_ON)
+        else:
+            self._scan_requests(self._search, is_silent=False)
+
+    def _scan_silence(self) -> None:
+        if self._search is None:
+            self._scan_answers_in_silence()
+        else:
+            self._scan_requests(self._search, is_silent=True)
+            self._in_run = False
+
+    def _scan_requests(self, search: RequestSearch, *, is_silent: bool) -> None:
+        data = bytes(self._buffer)
+        if search.is_one_request(data):
+            self._found.append(tuple.__new__(Frame, (data[0], data[1:-2], 0)))
+            self._in_run = False
+            self._buffer.clear()
+            return
+        pieces, count = search.search(data, is_silent=is_silent)
+        for start, end, kind in pieces:
+            if kind == "damage":
+                if not self._in_run:
+                    self._report(NO_FIT, data[start:end])
+            else:
+                unit, pdu = data[start], data[start + 1 : end - 2]
+                made = Frame(unit, pdu) if kind == "request" else Overheard(unit, pdu)
+                self._found.append(made)
+            self._in_run = kind == "damage"
+        del self._buffer[:count]
+
+    def _scan_answers(self, state: int) -> None:
         data, scan, begin = bytes(self._buffer), self._scanner, 0
         while begin < len(data):
-            end = scan.next(data, begin)
+            end = scan.next(data, begin, state)
             self._skip(data, begin, start := scan.start)
             if end < 0:
                 begin = start
@@ -343,18 +405,19 @@ class RtuFramer(Framer):
             self._in_run = False
         self._forget(begin)
 
-    def _scan_silence(self) -> None:
+    def _scan_answers_in_silence(self) -> None:
         """
         Look past an incomplete frame at the front for one that ends here.
 
         What is found puts an end to the wait for the front; if nothing is
         found, the front may still be completed.
         """
+        self._scan_answers(SILENT)
         data, scan = bytes(self._buffer), self._scanner
-        if scan.next(data, at_end=True) > 0:
+        if scan.next(data, 0, AT_END) > 0:
             self._skip(data, 0, scan.start)
             self._forget(scan.start)
-            self._scan()
+            self._scan_answers(SILENT)
         else:
             scan.fresh = len(data)
 
@@ -366,12 +429,19 @@ class RtuFramer(Framer):
             begin = fresh
         if begin < end:
             if not self._in_run:
-                self._report("bytes without a fitting CRC", data[begin:end])
+                self._report(NO_FIT, data[begin:end])
             self._in_run = end != fresh  # silence ends a run
 
     def _forget(self, count: int) -> None:
         del self._buffer[:count]
         self._scanner.fresh = max(self._scanner.fresh - count, -1)
+
+
+NO_FIT = "bytes without a fitting CRC"
+
+
+def _every_unit(unit: int) -> bool:
+    return True
 
 
 def scanner(role: Role) -> FrameScanner:

@@ -100,15 +100,26 @@ static int end_by_length(const uint8_t *data, int size, int start, int length)
     return crc16(data + start, end - start) ? NO_FRAME : end;
 }
 
-static int end_by_crc(const uint8_t *data, int size, int start)
+/*
+ * The longest fit up to the silence: an earlier one is chance, or data of the frame that were
+ * chosen to look like its end.
+ */
+static int end_by_crc(struct scan *scan, const uint8_t *data, int size, int start, int state)
 {
     uint16_t crc = 0xFFFF;
-    int most = size - start < MAX_ADU ? size - start : MAX_ADU;
+    int end = 0, most = size - start < MAX_ADU ? size - start : MAX_ADU;
+    if (state == GOES_ON && most < MAX_ADU)
+        return UNFINISHED;
+    scan->fits = 0;
     for (int count = 1; count <= most; count++) {
         crc = crc_step(crc, data[start + count - 1]);
-        if (crc == 0 && count >= MIN_ADU)
-            return start + count;
+        if (crc == 0 && count >= MIN_ADU) {
+            end = start + count;
+            scan->fits++;
+        }
     }
+    if (end > 0)
+        return end;
     return most == MAX_ADU ? NO_FRAME : UNFINISHED;
 }
 
@@ -134,7 +145,7 @@ static int is_start(const struct scan *scan, uint8_t code)
 }
 
 /* Where the frame that begins at `start` ends, or what is said instead. */
-static int frame_end(struct scan *scan, const uint8_t *data, int size, int start)
+static int frame_end(struct scan *scan, const uint8_t *data, int size, int start, int state)
 {
     const uint8_t *pdu = data + start + 1;
     int head = size - start - 1, length = scan->length;
@@ -155,7 +166,7 @@ static int frame_end(struct scan *scan, const uint8_t *data, int size, int start
     if (length == UNFINISHED)
         return head < MAX_PDU ? UNFINISHED : NO_FRAME;
     if (length == 0)
-        return start == scan->fresh ? end_by_crc(data, size, start) : NO_FRAME;
+        return start == scan->fresh ? end_by_crc(scan, data, size, start, state) : NO_FRAME;
     return end_by_length(data, size, start, length);
 }
 
@@ -169,17 +180,29 @@ static int next_start(const struct scan *scan, const uint8_t *data, int size, in
 }
 
 /*
- * Looks for a frame from `start` on, or with `at_end` for one that ends with the data, past all
- * that may still be completed. Gives its end, and in scan->start where it begins; or that it is
+ * Looks at one place only. Gives the end of the frame that begins there, or that it is UNFINISHED
+ * or NO_FRAME; or ASK_PYTHON.
+ */
+int frame_at(struct scan *scan, const uint8_t *data, int size, int start, int fresh, int state)
+{
+    scan->start = start;
+    scan->fresh = fresh;
+    scan->fits = 1;
+    return frame_end(scan, data, size, start, state);
+}
+
+/*
+ * Looks for a frame from `start` on, or AT_END for one that ends with the data, past all that may
+ * still be completed. Gives its end, and in scan->start where it begins; or that it is
  * UNFINISHED, and where it may begin; or ASK_PYTHON, and where.
  */
-int next_frame(struct scan *scan, const uint8_t *data, int size, int start, int fresh, int at_end)
+int next_frame(struct scan *scan, const uint8_t *data, int size, int start, int fresh, int state)
 {
     scan->start = start;
     scan->fresh = fresh;
     while (scan->start < size) {
-        int end = frame_end(scan, data, size, scan->start);
-        if (end == ASK_PYTHON || (at_end ? end == size : end != NO_FRAME))
+        int end = frame_end(scan, data, size, scan->start, state);
+        if (end == ASK_PYTHON || (state == AT_END ? end == size : end != NO_FRAME))
             return end;
         scan->start = next_start(scan, data, size, scan->start + 1);
     }

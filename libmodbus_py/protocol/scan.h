@@ -2,7 +2,7 @@
 
 /* How the length of a PDU is told. */
 enum {
-    BY_CRC,                /* by nothing in it: it ends where its CRC fits */
+    BY_CRC,                /* by nothing in it: silence ends it, and its CRC fits */
     FIXED,                 /* `base` bytes */
     COUNTED,               /* `base`, and what the byte at `at` counts */
     COUNTED_WIDE,          /* `base`, and what the two bytes at `at` count */
@@ -10,6 +10,13 @@ enum {
     ENCAPSULATED_REQUEST,  /* function 43: by its MEI type */
     ENCAPSULATED_RESPONSE,
     BY_PYTHON              /* by a rule that only Python knows */
+};
+
+/* What is known of the data. */
+enum {
+    GOES_ON,  /* more may follow at any time */
+    SILENT,   /* silence followed */
+    AT_END    /* silence followed, and only a frame that ends there is wanted */
 };
 
 /* What is said of a frame instead of its end. */
@@ -32,8 +39,10 @@ struct scan {
     int start;               /* where the last one was found, or may begin */
     int asked;               /* where Python said how long the PDU is, or -1 */
     int length;
+    int fits;                /* how many ends the last frame without a length may have */
     struct rule rules[128];  /* by function code */
 };
 
 int crc16(const uint8_t *data, size_t size);
-int next_frame(struct scan *scan, const uint8_t *data, int size, int start, int fresh, int at_end);
+int frame_at(struct scan *scan, const uint8_t *data, int size, int start, int fresh, int state);
+int next_frame(struct scan *scan, const uint8_t *data, int size, int start, int fresh, int state);

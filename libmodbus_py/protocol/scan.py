@@ -20,7 +20,20 @@ except ImportError as error:
 MAX_PDU = 253
 """Bytes of a PDU, function code included (application protocol, section 4.1)."""
 
-__all__ = ["MAX_PDU", "NOT_BUILT", "FrameScanner", "crc16", "lib"]
+GOES_ON: int = lib.GOES_ON
+SILENT: int = lib.SILENT
+AT_END: int = lib.AT_END
+
+NO_FRAME: int = lib.NO_FRAME
+UNFINISHED: int = lib.UNFINISHED
+ASK_PYTHON: int = lib.ASK_PYTHON
+
+# fmt: off
+__all__ = [
+    "AT_END", "GOES_ON", "MAX_PDU", "NOT_BUILT", "NO_FRAME", "SILENT", "UNFINISHED",
+    "FrameScanner", "crc16", "lib",
+]
+# fmt: on
 
 
 def crc16(data: bytes | bytearray) -> int:
@@ -41,12 +54,14 @@ class FrameScanner:
     Args:
         is_client: whether responses come in.
         rules: function code -> how the length of its PDU is told: a constant of
-            scan.h, `base` and `at`; other codes end where their CRC fits.
+            scan.h, `base` and `at`; frames of other codes end with silence, where their CRC
+            fits.
         ask: the length rule for what is told BY_PYTHON.
 
     Attributes:
         fresh: the place in the next data where a frame should begin; negative if it is past.
         start: the place where the last frame began; where one may begin if there was none.
+        fits: the number of places where the last frame that `at` found can end, by its CRC.
     """
 
     def __init__(
@@ -62,21 +77,36 @@ class FrameScanner:
         for code, (told, base, at) in rules.items():
             self._scan.rules[code] = (True, told, base, at)
 
-    def next(self, data: bytes, start: int = 0, at_end: bool = False) -> int:
+    def next(self, data: bytes, start: int = 0, state: int = GOES_ON) -> int:
         """
         Return the end of the first frame from `start` on; negative if none is complete.
 
         Args:
-            at_end: find the first one that ends with the data, past all that may still be
-                completed.
+            state: `GOES_ON`; `SILENT` after a silence, which ends frames without a length; or
+                `AT_END` to find, after a silence, the first one that ends with the data, past
+                all that may still be completed.
         """
+        return self._call(lib.next_frame, data, start, state)
+
+    def at(self, data: bytes, start: int, fresh: int, state: int = GOES_ON) -> int:
+        """Return the end of the frame that begins at `start`; `NO_FRAME` or `UNFINISHED`."""
+        self.fresh = fresh
+        end: int = lib.frame_at(self._scan, data, len(data), start, fresh, state)
+        return end if end != ASK_PYTHON else self._call(lib.frame_at, data, start, state)
+
+    @property
+    def fits(self) -> int:
+        count: int = self._scan.fits
+        return count
+
+    def _call(self, look: Callable[..., int], data: bytes, start: int, state: int) -> int:
         scan = self._scan
-        end: int = lib.next_frame(scan, data, len(data), start, self.fresh, at_end)
-        while end == lib.ASK_PYTHON:
+        end = look(scan, data, len(data), start, self.fresh, state)
+        while end == ASK_PYTHON:
             at = scan.start
             length = self._ask(data[at + 1 : at + 1 + MAX_PDU])
             scan.length = lib.UNFINISHED if length is None else min(length, MAX_PDU + 1)
             scan.asked = at
-            end = lib.next_frame(scan, data, len(data), at, self.fresh, at_end)
+            end = look(scan, data, len(data), at, self.fresh, state)
         self.start = scan.start
         return end

@@ -59,12 +59,12 @@ def test_a_front_of_one_byte_is_found_too() -> None:
     assert (given[-1].start, given[-1].end) == (1, 9)
 
 
-def test_a_frame_of_any_length_ends_where_the_next_one_begins() -> None:
+def test_a_frame_of_any_length_ends_before_the_silence_where_its_crc_fits() -> None:
     frames = RtuEitherWay()
-    frames.feed(UNKNOWN)
+    frames.feed(UNKNOWN + ASK)
     # What follows may belong to it.
     assert taken(frames) == []
-    frames.feed(ASK)
+    frames.silence()
     unknown, ask = taken(frames)
     assert isinstance(unknown, EitherWay)
     assert unknown.frame.pdu == bytes.fromhex("41 11 22 33 44")

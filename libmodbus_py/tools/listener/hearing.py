@@ -10,7 +10,7 @@ from typing import NamedTuple, Protocol
 
 from ...protocol.either_way import EitherWay, RtuEitherWay, may_be
 from ...protocol.errors import MAX_RECEIVED, FrameError
-from ...protocol.framing import Frame, Framer
+from ...protocol.framing import Frame, Framer, Overheard
 
 __all__ = ["Candidate", "Damage", "FramerHearing", "Hearing", "RtuHearing"]
 
@@ -163,6 +163,8 @@ class FramerHearing:
     def _heard(self, found: Frame | FrameError, began: float) -> Candidate | Damage:
         if isinstance(found, FrameError):
             return Damage(began, self._at, found.received)
+        if isinstance(found, Overheard):  # clients do not answer
+            return Damage(began, self._at, self._framer.encode(found))
         is_asking = self._is_asking
         either = may_be(found.pdu) if is_asking is None else (is_asking, not is_asking)
         return Candidate(began, self._at, found, *either)

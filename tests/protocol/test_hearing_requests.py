@@ -1,0 +1,201 @@
+"""
+What a server hears on a line with other units: their answers, and frames within frames.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from libmodbus_py.protocol.errors import FrameError
+from libmodbus_py.protocol.framing import Frame, Overheard, RtuFramer
+from tests.support.cases import each_case
+from tests.support.talk import rtu
+from tests.support.vectors import RESPONSES, FrameVector, rows
+
+Found = list[Frame | FrameError]
+
+WRITE = rtu("01 06 0001 0003")
+READ = rtu("01 03 0000 0001")
+WRITTEN = Frame(1, WRITE[1:-2])
+ASKED = Frame(1, READ[1:-2])
+
+
+def framer_of(*units: int) -> RtuFramer:
+    made = RtuFramer("server")
+    made.is_ours = lambda unit: unit in units
+    return made
+
+
+def heard(*bursts: bytes, size: int = 999) -> Found:
+    """Everything that unit 1 finds in bursts, which come in pieces and end with silence."""
+    framer = framer_of(1)
+    found: Found = []
+    for burst in bursts:
+        for at in range(0, len(burst), size):
+            found += framer.scan(burst[at : at + size])
+        found += framer.scan_silence()
+    return found
+
+
+def requests(found: Found, unit: int = 1) -> list[Frame]:
+    return [each for each in found if type(each) is Frame and each.unit == unit]
+
+
+def with_data(head: str, *data: bytes) -> bytes:
+    return rtu((bytes.fromhex(head) + b"".join(data)).hex())
+
+
+def crc_of(data: bytes) -> int:
+    return int.from_bytes(rtu(data.hex())[-2:], "little")
+
+
+def led_to(before: bytes, state: int) -> bytes:
+    """Two bytes that bring the CRC of `before` to a state (serial line, 6.2.2)."""
+    for number in range(0x10000):
+        added = number.to_bytes(2, "little")
+        if crc_of(before + added) == state:
+            return added
+    raise AssertionError("a CRC of 16 bits takes every state")
+
+
+# Requests to unit 2, and answers of it, in which a whole write to unit 1 stands.
+AROUND = {
+    "an answer to a read": (rtu("02 03 0000 0008"), with_data("02 03 10", WRITE, WRITE)),
+    "an answer with two bytes more": (
+        rtu("02 03 0000 0009"),
+        with_data("02 03 12", WRITE * 2, b"ab"),
+    ),
+    "coils": (rtu("02 01 0000 0040"), with_data("02 01 08", WRITE)),
+    "a server id": (rtu("02 11"), with_data("02 11 0A", b"\7\xff", WRITE)),
+    "a file": (
+        rtu("02 14 07 06 0004 0001 0004"),
+        with_data("02 14 0A 09 06", WRITE),
+    ),
+    "loopback": (with_data("02 08 0000", WRITE), with_data("02 08 0000", WRITE)),
+    "long loopback": (with_data("02 08 0000", WRITE * 20), with_data("02 08 0000", WRITE * 20)),
+    "canopen": (with_data("02 2B 0D 01", WRITE), with_data("02 2B 0D 01", WRITE)),
+    "unknown function": (with_data("02 41", WRITE), with_data("02 41", WRITE, READ)),
+    "a write": (with_data("02 10 0000 0004 08", WRITE), rtu("02 10 0000 0004")),
+}
+
+
+@each_case("size", [1, 3, 7, 64, 999])
+@each_case("name", AROUND)
+def test_nothing_within_a_frame_of_others_is_a_request(name: str, size: int) -> None:
+    ask, answer = AROUND[name]
+    for bursts in ((ask, answer), (ask + answer,), (answer,), (ask, answer, ask, answer)):
+        found = heard(*bursts, size=size)
+        assert requests(found) == [], bursts
+        assert not any(isinstance(each, FrameError) for each in found), (bursts, found)
+
+
+@each_case("size", [1, 3, 999])
+@each_case("name", AROUND)
+def test_a_request_behind_frames_of_others_is_found(name: str, size: int) -> None:
+    ask, answer = AROUND[name]
+    for bursts in ((ask, answer, READ), (ask + answer, READ), (ask, answer + READ)):
+        assert requests(heard(*bursts, size=size)) == [ASKED], bursts
+
+
+@each_case("head", ["01 08 0000", "01 2B 0D", "01 41"])
+def test_a_frame_without_a_length_ends_with_silence_and_not_where_its_crc_fits_first(
+    head: str,
+) -> None:
+    """Its data begin with a CRC that fits, and go on with a write."""
+    early = with_data(head, b"\1\2")
+    whole = with_data("", early, WRITE, b"\5\6")
+    for size in (1, 999):
+        assert requests(heard(whole, size=size)) == [Frame(1, whole[1:-2])]
+
+
+def test_where_a_frame_without_a_length_ends_is_not_guessed() -> None:
+    """
+    The answer to a loopback repeats it. Its data are chosen so that the CRC of both together fits
+    in the midst of the answer, right before a write.
+    """
+    head = bytes.fromhex("02 08 0000") + bytes(6)
+    # The CRC goes on from 0 behind the request, which is as if these two bytes were others.
+    found = []
+    for number in range(0x10000):
+        both = rtu((head + number.to_bytes(2, "big") + WRITE).hex())
+        place = len(both) + len(head) + 2
+        if crc_of((both + both)[: place - 2]) == int.from_bytes(
+            (both + both)[place - 2 : place], "little"
+        ):
+            found.append(both)
+    assert found
+    for both in found:
+        assert requests(heard(both + both)) == []
+        assert requests(heard(both + both, READ)) == [ASKED]
+
+
+def test_an_awaited_answer_is_longer_than_the_request_that_its_first_bytes_are() -> None:
+    """Registers of unit 2 are chosen so that its answer begins with a request to unit 2."""
+    begin = rtu("02 03 14 00 07 00")
+    answer = with_data("", begin, WRITE, bytes(23 - len(begin) - len(WRITE)))
+    for size in (1, 8, 9, 999):
+        found = heard(rtu("02 03 0000 000A"), answer, size=size)
+        assert requests(found) == []
+        assert found[-1] == Overheard(2, answer[1:-2])
+        # Nor if its request was not heard.
+        assert requests(heard(answer, size=size)) == []
+
+
+def test_a_gap_in_an_answer_ends_nothing() -> None:
+    ask, answer = AROUND["an answer to a read"]
+    for cut in range(1, len(answer)):
+        assert requests(heard(ask, answer[:cut], answer[cut:])) == [], cut
+
+
+def test_a_request_in_damage_counts_only_in_front_of_the_silence() -> None:
+    damage = b"\2\3\x10\xff"
+    assert requests(heard(damage + READ)) == [ASKED]
+    damaged = bytearray(AROUND["an answer to a read"][1])
+    damaged[3] ^= 1
+    assert requests(heard(bytes(damaged))) == []
+    assert requests(heard(bytes(damaged), READ)) == [ASKED]
+
+
+@each_case("vector", rows(RESPONSES))
+def test_answers_of_others_are_no_damage(vector: FrameVector) -> None:
+    assert vector.unit != 99
+    framer = framer_of(99)
+    found = framer.scan(vector.rtu) + framer.scan_silence()
+    assert [each[:2] for each in found if isinstance(each, Frame)] == [vector.frame[:2]]
+    assert len(found) == 1
+
+
+def test_answers_of_others_are_given_by_scan_alone() -> None:
+    ask, answer = AROUND["an answer to a read"]
+    framer = framer_of(1)
+    assert framer.scan(ask + answer) == [Frame(2, ask[1:-2]), Overheard(2, answer[1:-2])]
+    assert framer.feed(ask + answer + READ) == [Frame(2, ask[1:-2]), ASKED]
+
+
+def test_requests_of_our_own_units_are_not_delayed() -> None:
+    """Each is found with its last byte, although more may be on its way."""
+    framer = framer_of(1)
+    for request in (
+        rtu("01 03 FA00 0001"),
+        rtu("01 01 7B00 0001"),
+        WRITE,
+        READ,
+        rtu("00 06 0000 0001"),
+    ):
+        found: Any = framer.scan(request)
+        assert [each.pdu for each in found] == [request[1:-2]]
+
+
+def test_a_request_that_is_repeated_to_a_silent_unit_is_not_taken_for_its_answer() -> None:
+    ask = rtu("02 03 5000 0001")
+    assert requests(heard(ask, ask, ask, READ), 2) == [Frame(2, ask[1:-2])] * 3
+    assert requests(heard(ask, ask, READ)) == [ASKED]
+
+
+def test_what_is_kept_is_bounded() -> None:
+    framer = framer_of(1)
+    for piece in (b"\2\x08\0\0" + bytes(range(200)) * 3, b"\xff" * 1000, WRITE[:-1] * 100):
+        framer.scan(piece)
+        assert framer.pending <= 256
+    framer.scan_silence()
+    assert framer.scan(READ) + framer.scan_silence() == [ASKED]
