@@ -1,8 +1,8 @@
 """
-Requests on a line where other units answer theirs: what a server hears.
+The search for requests on a line where other units answer, too.
 
 Bytes only; no clock. `RequestSearch` tells requests, the answers of other units and damage apart.
-What is within a frame is never taken for one, whoever sent it:
+What is within a frame is never taken for one:
 
 * Where a frame should begin, both length rules are asked, that of the request and that of the
   answer, and the frame is one that fits one of them.
@@ -101,7 +101,7 @@ class RequestSearch:
         answers = self._end(self._answering, data, at, is_silent)
         if UNFINISHED in (asks, answers) and not is_silent:
             return self._front_so_far(data, at, asks, answers)
-        # Both fit by chance or by intent; whoever takes the longer finds nothing within it.
+        # If both fit, nothing within the longer one may count.
         if answers > 0 and (answers > asks or self._is_awaited(data, at)):
             self._awaited = None
             return answers, "answer"

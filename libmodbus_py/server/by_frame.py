@@ -5,7 +5,7 @@ Sessions in which devices answer the requests of one connection or port, frame b
 from __future__ import annotations
 
 from ..protocol.errors import FrameError
-from ..protocol.framing import AsciiFramer, Frame, Framing
+from ..protocol.framing import AsciiFramer, Frame, Framing, Overheard
 from .faults.delivery import Delivery
 from .faults.faulty import FaultyAnswers
 from .framed import Framed
@@ -22,7 +22,7 @@ class ByFrame(Framed):
 
     Args:
         units: the devices.
-        framing, channel, statistics, at_once: as for `Framed`.
+        framing, channel, statistics, at_once, is_datagram: as for `Framed`.
     """
 
     def __init__(
@@ -32,8 +32,10 @@ class ByFrame(Framed):
         channel: Channel,
         statistics: ServerStatistics,
         at_once: int | None = None,
+        *,
+        is_datagram: bool = False,
     ) -> None:
-        super().__init__(framing, channel, statistics, at_once)
+        super().__init__(framing, channel, statistics, units.has, at_once, is_datagram=is_datagram)
         self._units = units
         self._faulty: FaultyAnswers | None = None  # None until a fault may happen on this channel
         self._is_ascii = isinstance(self._framer, AsciiFramer)
@@ -58,6 +60,9 @@ class ByFrame(Framed):
         super().note_damage(error)
         self._units.note_damage(overrun=error.overrun)
 
+    def note_overheard(self, answer: Overheard) -> None:
+        self._units.note_overheard()
+
     def _take_one(self, request: Frame) -> None:
         faults = self._units.faults
         # Once a fault has delayed an answer, all later answers go behind it.
@@ -65,7 +70,7 @@ class ByFrame(Framed):
             if not self.is_over:
                 self._faulty_answers().answer(request)
         elif (answer := self._answer(request)) is not None:
-            self._send(answer)
+            self._reply(answer)
         if self._is_ascii:
             self._follow_delimiter()
 

@@ -35,7 +35,9 @@ class Devices:
         at_once = None if later is None else AT_ONCE
 
         def by_frame(units: TcpUnits | SerialUnits, channel: Channel) -> Session:
-            return ByFrame(units, framing, channel, statistics, at_once)
+            return ByFrame(
+                units, framing, channel, statistics, at_once, is_datagram=endpoint.is_datagram
+            )
 
         if not endpoint.has_transactions:
             line = SerialUnits(self._units)

@@ -7,10 +7,10 @@ from __future__ import annotations
 import asyncio
 import logging
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 from ..protocol.errors import FrameError
-from ..protocol.framing import Frame, Framing, make_framer
+from ..protocol.framing import Frame, Framing, Overheard, RtuFramer, make_framer
 from .limits import ServerStatistics
 from .service import Channel, SessionState
 
@@ -32,8 +32,11 @@ class Framed(ABC):
         framing: "tcp", "rtu", "ascii" or "udp".
         channel: channel of the client.
         statistics: the counters of requests.
+        is_ours: returns True if requests to a unit are answered here; others on the line may
+            answer all other units.
         at_once: the number of bytes searched for frames in one `receive`; of these frames,
             `FOUND_AT_ONCE` are answered. None for no limit, where no other client waits.
+        is_datagram: True if what is received at once is all there will be of its frames.
     """
 
     def __init__(
@@ -41,9 +44,15 @@ class Framed(ABC):
         framing: Framing,
         channel: Channel,
         statistics: ServerStatistics,
+        is_ours: Callable[[int], bool],
         at_once: int | None = None,
+        *,
+        is_datagram: bool = False,
     ) -> None:
         self._framer = make_framer(framing, "server")
+        if isinstance(self._framer, RtuFramer):
+            self._framer.is_ours = is_ours
+        self._is_datagram = is_datagram
         self._channel = channel
         self._trace = channel.trace
         self._statistics = statistics
@@ -51,6 +60,7 @@ class Framed(ABC):
         self._timer: asyncio.TimerHandle | None = None
         self._unsearched = b""
         self._is_quiet = False  # True if silence followed the unsearched bytes
+        self._held: tuple[Frame, bytes] | None = None  # the answer to the last request so far
         self._is_heard = True  # True once the silence after the latest bytes is awaited
         self._found: list[Frame | FrameError] = []
         self._has_ended = False
@@ -95,6 +105,9 @@ class Framed(ABC):
         most = len(self._found) if self._at_once is None else FOUND_AT_ONCE
         now, self._found = self._found[:most], self._found[most:]
         requests = self.take(now)
+        if self._held is not None and not (self._found or self._unsearched):
+            self._send(*self._held)
+            self._held = None
         if not (self._found or self._framer.in_step):
             self._unsearched = b""
             if not requests:  # else the silence counts first
@@ -113,6 +126,10 @@ class Framed(ABC):
         for each in found:
             if isinstance(each, FrameError):
                 self.note_damage(each)
+                continue
+            self._held = None  # its client has given up waiting for it
+            if isinstance(each, Overheard):
+                self.note_overheard(each)
             else:
                 requests += 1
                 self._statistics.requests += 1  # before the client can see an answer
@@ -136,11 +153,16 @@ class Framed(ABC):
         logger.debug("%s: %s: %s", address, error, error.received.hex(" "))
         self._statistics.bad_frames += 1
 
+    def note_overheard(self, answer: Overheard) -> None:  # noqa: B027  # gateways count no units
+        """Note what another unit on the line answers."""
+
     def _search(self) -> None:
         if self._unsearched or not self._is_quiet:
             piece = self._unsearched[: self._at_once]
             self._unsearched = self._unsearched[len(piece) :]
             self._found = self._framer.scan(piece)
+            if self._is_datagram:
+                self._found += self._framer.scan_silence()
         else:
             self._is_quiet = False
             self._found = self._framer.scan_silence()
@@ -176,11 +198,22 @@ class Framed(ABC):
 
     def _take_one(self, request: Frame) -> None:
         if (answer := self._answer(request)) is not None:
-            self._send(answer)
+            self._reply(answer)
 
-    def _send(self, answer: Frame) -> None:
-        self._statistics.refused += answer.pdu[0] >> 7
+    def _reply(self, answer: Frame) -> None:
+        """
+        Send an answer; without transaction ids, only if no other request waits behind this one.
+
+        Its client would take it for the answer to that one.
+        """
         adu = self._framer.encode(answer)
+        if self._framer.has_broadcast:
+            self._held = answer, adu
+        else:
+            self._send(answer, adu)
+
+    def _send(self, answer: Frame, adu: bytes) -> None:
+        self._statistics.refused += answer.pdu[0] >> 7
         if self._trace is not None:
             self._trace.tell("sent", adu, answer.unit, answer.pdu[0])
         self._channel.write(adu)

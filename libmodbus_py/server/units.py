@@ -130,6 +130,10 @@ class TcpUnits:
         """Return the device of a unit, if its answers have no faults."""
         return self._without_faults.get(unit, self._any_without_faults)
 
+    def has(self, unit: int) -> bool:
+        """Return True if requests to a unit are answered, as all are on a network."""
+        return True
+
     def answers(self, frame: Frame) -> bool:
         """Return True if a request is answered."""
         is_known = self._refuses or self.device(frame.unit) is not None
@@ -165,6 +169,9 @@ class TcpUnits:
 
     def note_damage(self, *, overrun: bool) -> None:
         """Do nothing, because TCP has no counters of a line."""
+
+    def note_overheard(self) -> None:
+        """Do nothing, because a connection has no other units that answer."""
 
 
 class SerialLine:
@@ -216,6 +223,11 @@ class SerialUnits:
     def faults(self) -> Faults | None:
         return self._line.faults
 
+    def has(self, unit: int) -> bool:
+        """Return True if a device of this server answers requests to a unit."""
+        line = self._line
+        return line.answers_all or unit in line.stations
+
     def answers(self, frame: Frame) -> bool:
         """Return True if a request is answered by a device of this server."""
         station = self._station(frame.unit)
@@ -260,6 +272,10 @@ class SerialUnits:
     def note_damage(self, *, overrun: bool) -> None:
         for _, log in self._all():
             log.note_damage(overrun=overrun)
+
+    def note_overheard(self) -> None:
+        """Count an answer of another unit on the line."""
+        self._note_frame()
 
     def _note_frame(self) -> None:
         for _, log in self._line.stations.values():

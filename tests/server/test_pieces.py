@@ -85,4 +85,6 @@ def test_a_request_cut_anywhere_is_answered(stage: Stage, scheme: str, device: D
                 client.sendall(request[:cut])
                 stage.pass_time(0.03)
                 client.sendall(request[cut:] + request)
-                assert client.receive(2 * len(answer)) == 2 * answer, cut
+                # A line has no transaction ids: only the last of two requests is answered.
+                answers = answer * (2 if scheme == "tcp" else 1)
+                assert client.receive(len(answers)) == answers, cut

@@ -115,6 +115,14 @@ class Dispatcher:
 
         return make
 
+    def has(self, unit: int) -> bool:
+        """Return True if a unit is the gateway itself, or has a route."""
+        return unit in self.answering.routes or unit in self.answering.own_units
+
+    def refuses(self, unit: int) -> bool:
+        """Return True: units that have no route are refused, except on a serial line."""
+        return True
+
     def ask(self, session: ForwardingSession, frame: Frame) -> bytes | None:
         """Return the response PDU; None if it comes later, or never."""
         unit, pdu, _ = frame
@@ -307,7 +315,14 @@ class ForwardingSession(Framed):
         statistics: ServerStatistics,
         at_once: int | None,
     ) -> None:
-        super().__init__(endpoint.framing, channel, statistics, at_once)
+        super().__init__(
+            endpoint.framing,
+            channel,
+            statistics,
+            dispatcher.has if endpoint.is_serial else dispatcher.refuses,
+            at_once,
+            is_datagram=endpoint.is_datagram,
+        )
         self.peer: str = channel.address
         self.role: str | None = channel.role
         self.holder: CertificateHolder | None = channel.holder
@@ -355,7 +370,8 @@ class ForwardingSession(Framed):
         if response is None and self.has_ids and forwarded.request.is_write:
             response = forwarded.request.response_to_broadcast()
         if response is not None:
-            self._send(Frame(forwarded.from_unit, response, forwarded.number))
+            answer = Frame(forwarded.from_unit, response, forwarded.number)
+            self._send(answer, self._framer.encode(answer))
         if not self._asked:
             self._channel.follow()
 
