@@ -185,7 +185,8 @@ class GatewayLine:
         is_broadcast = unit == 0 and self.has_broadcast
         if self.is_closed or (is_broadcast and not each.request.is_write):
             return NO_ANSWER
-        state = self._silent.state(unit, now)
+        function = each.request.function
+        state = self._silent.state(unit, function, now)
         if state is UnitState.RESTING:
             self.statistics.unit(unit).resting += 1
             return NO_ANSWER
@@ -193,7 +194,7 @@ class GatewayLine:
             self._note_write(unit)
         if state is UnitState.DUE:
             each.is_trial = True
-            each.misses = self._silent.start_trial(unit)
+            each.misses = self._silent.start_trial(unit, function)
             self._room.put(each)
         elif not (merge and self._join(each)):
             if not self._room.put(each):
@@ -214,7 +215,7 @@ class GatewayLine:
         if not self._room.remove(each):
             return
         if each.is_trial:
-            self._silent.cancel_trial(each.unit, self._loop.time())
+            self._silent.cancel_trial(each.unit, each.request.function, self._loop.time())
         else:
             self._leave(each)
 
@@ -292,7 +293,7 @@ class GatewayLine:
         assert each.submitted is not None
         each.submitted.withdraw()
         self._end(each)
-        self._note_silence(each.unit, now)
+        self._note_silence(each, now)
         self.statistics.unit(each.unit).given_up += 1
         self._refuse(each, NO_ANSWER)
         self._go_on()
@@ -327,7 +328,7 @@ class GatewayLine:
             self.statistics.unwanted += each.tell(outcome)
         elif outcome is None:  # a broadcast
             if each.is_trial:
-                self._silent.cancel_trial(each.unit, now)
+                self._silent.cancel_trial(each.unit, each.request.function, now)
             each.tell(None)
         elif isinstance(outcome, ExceptionResponse):
             unit.exceptions += 1
@@ -340,16 +341,17 @@ class GatewayLine:
     def _note_answer(self, each: Forwarded, unit: UnitStatistics, now: float) -> None:
         unit.answers += 1
         unit.seconds += now - each.asked_at
-        if self._silent and self._silent.note_answer(each.unit):
+        if self._silent.note_answer(each.unit, each.request.function):
+            what = "" if unit.is_silent else f" function {each.request.function}"
             unit.is_silent = False
-            logger.info("%s: unit %d answers again", self.url, each.unit)
+            logger.info("%s: unit %d answers%s again", self.url, each.unit, what)
 
     def _note_failure(
         self, each: Forwarded, error: BaseException, unit: UnitStatistics, now: float
     ) -> None:
         if isinstance(error, ModbusTimeoutError):
             unit.timeouts += 1
-            self._note_silence(each.unit, now)
+            self._note_silence(each, now)
             return
         if isinstance(error, FrameError | InvalidResponse):
             unit.invalid += 1
@@ -358,16 +360,21 @@ class GatewayLine:
         else:
             logger.error("%s: %s failed", self.url, each.request, exc_info=error)
         if each.is_trial:
-            self._note_silence(each.unit, now)
+            self._note_silence(each, now)
 
-    def _note_silence(self, unit: int, now: float) -> None:
+    def _note_silence(self, silent: Forwarded, now: float) -> None:
+        """Let what gave no answer rest, and refuse the requests that wait for it."""
+        unit, function = silent.unit, silent.request.function
         if unit == 0 and self.has_broadcast:
             return
-        if self._silent.note_silence(unit, now):
-            self.statistics.unit(unit).is_silent = True
-            logger.info("%s: unit %d does not answer", self.url, unit)
+        is_new = self._silent.note_silence(unit, function, now)
+        is_whole = self._silent.rests(unit)
+        if is_new:
+            what = "" if is_whole else f" function {function}"
+            logger.info("%s: unit %d does not answer%s", self.url, unit, what)
+        self.statistics.unit(unit).is_silent = is_whole
         for each in self._room.others:
-            if each.unit == unit:
+            if each.unit == unit and (is_whole or each.request.function == function):
                 self._room.remove(each)
                 self._leave(each)
                 self.statistics.unit(unit).resting += 1

@@ -1,5 +1,5 @@
 """
-Units that do not answer, and when requests may be sent to them again. No socket, no clock.
+Silent units and functions, and when requests may be sent to them again. No socket, no clock.
 """
 
 from __future__ import annotations
@@ -22,10 +22,57 @@ class UnitState(Enum):
     DUE = "due"
 
 
+class Rest:
+    """
+    The rest of a unit, or of one function of a unit.
+
+    Attributes:
+        misses: number of missing responses in a row.
+        until: its end; infinite while a request tries.
+        length: in seconds.
+        function: the function that got no answer last.
+        others_wait: True if requests with another function were refused since then.
+    """
+
+    __slots__ = ("function", "length", "misses", "others_wait", "until")
+
+    def __init__(self, function: int) -> None:
+        self.misses: int = 0
+        self.until: float = 0.0
+        self.length: float = 0.0
+        self.function: int = function
+        self.others_wait: bool = False
+
+    def state(self, function: int, now: float) -> UnitState:
+        if now >= self.until:
+            # The unit may answer the others only.
+            if not (function == self.function and self.others_wait):
+                return UnitState.DUE
+            return UnitState.RESTING if now < self.until + self.length else UnitState.DUE
+        if function != self.function:
+            self.others_wait = True
+        return UnitState.RESTING
+
+    def note_silence(self, function: int, now: float, first: float) -> bool:
+        """Note a missing response; return False if its request was sent before the rest began."""
+        if now < self.until < math.inf:
+            return False
+        self.misses += 1
+        self.length = rest_after(self.misses, first, LONGEST_REST)
+        self.until = now + self.length
+        self.function = function
+        self.others_wait = False
+        return True
+
+
 class SilentUnits:
     """
-    A unit that does not answer rests: for `first_rest` seconds, then twice as long, and so on up
-    to `LONGEST_REST`, until it answers. Between two rests the unit is due: one request tries it.
+    A unit that gives no answer rests: for `first_rest` seconds, then twice as long, and so on up to
+    `LONGEST_REST`, until it answers. Between two rests it is due: one request tries it.
+
+    A function rests while the unit answers another one, because devices leave functions that
+    they do not know without an answer. When none of the functions that it answered is answered
+    any more, the unit rests.
 
     Args:
         first_rest: seconds; no shorter than the delay of a late response.
@@ -33,39 +80,65 @@ class SilentUnits:
 
     def __init__(self, first_rest: float) -> None:
         self._first = first_rest
-        # Unit -> number of missing responses in a row, and the end of its rest.
-        self._units: dict[int, tuple[int, float]] = {}
+        self._units: dict[int, Rest] = {}
+        self._functions: dict[tuple[int, int], Rest] = {}
+        # The functions of each unit whose last request was answered.
+        self._answering: dict[int, set[int]] = {}
 
-    def __len__(self) -> int:
-        return len(self._units)
-
-    def __contains__(self, unit: int) -> bool:
+    def rests(self, unit: int) -> bool:
+        """Return True if the whole unit is silent."""
         return unit in self._units
 
-    def state(self, unit: int, now: float) -> UnitState:
-        if not self._units or unit not in self._units:
-            return UnitState.GOOD
-        return UnitState.RESTING if now < self._units[unit][1] else UnitState.DUE
+    def state(self, unit: int, function: int, now: float) -> UnitState:
+        rest = self._rest(unit, function)
+        return UnitState.GOOD if rest is None else rest.state(function, now)
 
-    def start_trial(self, unit: int) -> int:
-        """Let a request try the unit, while others are refused; return the misses so far."""
-        misses, _ = self._units[unit]
-        self._units[unit] = misses, math.inf
-        return misses
+    def start_trial(self, unit: int, function: int) -> int:
+        """Let a request try what is due, while others are refused; return the misses so far."""
+        rest = self._rest(unit, function)
+        assert rest is not None
+        rest.until = math.inf
+        return rest.misses
 
-    def cancel_trial(self, unit: int, now: float) -> None:
-        """Let the next request try the unit, because the last one was not sent."""
-        if unit in self._units:
-            self._units[unit] = self._units[unit][0], now
+    def cancel_trial(self, unit: int, function: int, now: float) -> None:
+        """Let the next request try, because the last one was not sent."""
+        for rest in (self._units.get(unit), self._functions.get((unit, function))):
+            if rest is not None and rest.until == math.inf:
+                rest.until, rest.others_wait = now, False
 
-    def note_answer(self, unit: int) -> bool:
-        """Note an answer; return True if the unit was silent before."""
-        return self._units.pop(unit, None) is not None
+    def note_answer(self, unit: int, function: int) -> bool:
+        """Note an answer; return True if the unit or the function was silent before."""
+        answering = self._answering.get(unit)
+        if answering is None:
+            answering = self._answering[unit] = set()
+        answering.add(function)
+        if not (self._units or self._functions):
+            return False
+        if self._units.pop(unit, None) is None:
+            return self._functions.pop((unit, function), None) is not None
+        # What was silent together with the unit may answer again together with it.
+        for key in [key for key in self._functions if key[0] == unit]:
+            del self._functions[key]
+        return True
 
-    def note_silence(self, unit: int, now: float) -> bool:
-        """Note that a request got no answer in time; return True if the unit was not silent yet."""
-        misses, until = self._units.get(unit, (0, 0.0))
-        if now < until < math.inf:
-            return False  # another request, sent before the unit rested
-        self._units[unit] = misses + 1, now + rest_after(misses + 1, self._first, LONGEST_REST)
-        return not misses
+    def note_silence(self, unit: int, function: int, now: float) -> bool:
+        """
+        Note that a request got no answer in time.
+
+        Returns:
+            True if the unit, or the function of a unit that answers others, was not silent yet.
+        """
+        answering = self._answering.get(unit)
+        if answering:
+            answering.discard(function)
+        if answering and unit not in self._units:
+            rest = self._functions.setdefault((unit, function), Rest(function))
+        else:
+            self._functions.pop((unit, function), None)
+            rest = self._units.setdefault(unit, Rest(function))
+        return rest.note_silence(function, now, self._first) and rest.misses == 1
+
+    def _rest(self, unit: int, function: int) -> Rest | None:
+        if self._units and (rest := self._units.get(unit)) is not None:
+            return rest
+        return self._functions.get((unit, function)) if self._functions else None

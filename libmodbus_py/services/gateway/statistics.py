@@ -23,12 +23,13 @@ class UnitStatistics:
         timeouts: requests without a response in time.
         invalid: requests with an invalid response.
         lost: requests without a connection, or whose connection was lost.
-        resting: requests answered with exception 11 at once because the unit was silent.
+        resting: requests answered with exception 11 at once because the unit, or the function
+            of the unit, was silent.
         given_up: trials of a silent unit that were ended because other requests waited.
         cached: requests answered from the cache.
         merged: requests answered with the response to an equal request.
         seconds: total response time, in seconds.
-        is_silent: True if the unit did not answer the last request.
+        is_silent: True if the unit rests, because it answers nothing.
     """
 
     requests: int = 0

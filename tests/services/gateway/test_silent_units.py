@@ -12,36 +12,36 @@ from libmodbus_py.services.gateway.silent_units import LONGEST_REST, SilentUnits
 
 def test_a_silent_unit_rests_longer_each_time_until_it_answers() -> None:
     units = SilentUnits(0.5)
-    assert units.state(7, 0.0) is UnitState.GOOD
-    assert units.note_silence(7, 1.0)
+    assert units.state(7, 3, 0.0) is UnitState.GOOD
+    assert units.note_silence(7, 3, 1.0)
     now, pause = 1.0, 0.5
     for _ in range(10):
-        assert units.state(7, now + 0.99 * pause) is UnitState.RESTING
+        assert units.state(7, 3, now + 0.99 * pause) is UnitState.RESTING
         now += pause
-        assert units.state(7, now) is UnitState.DUE
-        units.start_trial(7)
-        assert units.state(7, now) is UnitState.RESTING  # one trial is enough
-        assert not units.note_silence(7, now)
+        assert units.state(7, 3, now) is UnitState.DUE
+        units.start_trial(7, 3)
+        assert units.state(7, 3, now) is UnitState.RESTING  # one trial is enough
+        assert not units.note_silence(7, 3, now)
         pause = min(2 * pause, LONGEST_REST)
-    assert units.note_answer(7)
-    assert units.state(7, now) is UnitState.GOOD
-    assert not units.note_answer(7)
-    assert units.state(8, now) is UnitState.GOOD
+    assert units.note_answer(7, 3)
+    assert units.state(7, 3, now) is UnitState.GOOD
+    assert not units.note_answer(7, 3)
+    assert units.state(8, 3, now) is UnitState.GOOD
 
 
 def test_requests_that_were_in_flight_with_it_do_not_make_it_rest_longer() -> None:
     units = SilentUnits(1.0)
-    assert units.note_silence(3, 0.0)
-    assert not units.note_silence(3, 0.1)
-    assert units.state(3, 1.0) is UnitState.DUE
+    assert units.note_silence(3, 3, 0.0)
+    assert not units.note_silence(3, 3, 0.1)
+    assert units.state(3, 3, 1.0) is UnitState.DUE
 
 
 def test_a_trial_that_was_not_made_leaves_it_due() -> None:
     units = SilentUnits(1.0)
-    units.note_silence(3, 0.0)
-    units.start_trial(3)
-    units.cancel_trial(3, 1.5)
-    assert units.state(3, 1.5) is UnitState.DUE
+    units.note_silence(3, 3, 0.0)
+    units.start_trial(3, 3)
+    units.cancel_trial(3, 3, 1.5)
+    assert units.state(3, 3, 1.5) is UnitState.DUE
 
 
 # --- the cache --------------------------------------------------------------------------------

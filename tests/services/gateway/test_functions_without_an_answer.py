@@ -1,0 +1,156 @@
+"""
+A device that leaves a function without an answer: only that function rests, in simulated time.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+
+import pytest
+
+from libmodbus_py.services.gateway.line import NO_ANSWER
+from libmodbus_py.services.gateway.silent_units import SilentUnits, UnitState
+from tests.services.gateway.test_line import READ, TIMEOUT, Asker, Plant
+from tests.simulation.scripted import Write
+
+UNKNOWN = "08 0000 0001"
+INPUTS = "04 0000 0001"
+
+
+class Choosy(Plant):
+    """A plant whose units leave some functions without an answer."""
+
+    def __init__(self, url: str, unanswered: set[int]) -> None:
+        super().__init__(url)
+        self.unanswered = unanswered
+        if url.startswith("tcp"):
+            self.url = self.peer.url + "?timeout=0.5"
+
+    def _answer(self, request: bytes, write: Write) -> None:
+        function = request[7 if self.url.startswith("tcp") else 1]
+        if function in self.unanswered:
+            self.asked.append(-function)
+        else:
+            super()._answer(request, write)
+
+
+@pytest.mark.parametrize("url", ["rtu:///dev/line?timeout=0.5", "tcp://10.0.0.1"])
+def test_a_client_that_asks_an_unknown_function_costs_others_no_read(url: str) -> None:
+    plant = Choosy(url, {8})
+
+    async def main() -> None:
+        reader, asker = Asker("192.0.2.1"), Asker("192.0.2.2")
+        plant.ask(9, reader)
+        for step in range(200):
+            await asyncio.sleep(0.1)
+            plant.ask(9, reader)
+            if step % 10 == 0:
+                plant.ask(9, asker, UNKNOWN)
+        await asyncio.sleep(3 * TIMEOUT)
+        assert len(reader.answers) == 201
+        assert [each for each in reader.answers if each is None or each[:4] != "0302"] == []
+        assert set(asker.answers) == {f"88{NO_ANSWER:02x}", f"code {NO_ANSWER}"}
+        # Its rest is doubled each time: 1, 2, 4, ... seconds.
+        assert 3 <= plant.asked.count(-8) <= 6
+        assert not plant.unit(9).is_silent
+
+    plant.run(main)
+
+
+def test_a_unit_that_answers_nothing_rests(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO, logger="libmodbus_py.services.gateway")
+    plant = Choosy("rtu:///dev/line?timeout=0.5", set())
+
+    async def main() -> None:
+        asker = Asker()
+        for request in (READ, UNKNOWN):
+            plant.ask(9, asker, request)
+            await asyncio.sleep(1)
+        plant.unanswered = {3, 4, 8}
+        plant.ask(9, asker, UNKNOWN)
+        await asyncio.sleep(TIMEOUT + 0.1)
+        assert not plant.unit(9).is_silent
+        plant.ask(9, asker, READ)
+        plant.ask(9, asker, INPUTS)
+        await asyncio.sleep(2 * TIMEOUT + 0.1)
+        assert plant.unit(9).is_silent
+        assert plant.asked.count(-4) == 0  # nothing of the unit was answered any more
+        plant.unanswered = set()
+        await asyncio.sleep(2 * TIMEOUT)
+        plant.ask(9, asker)
+        await asyncio.sleep(0.4)
+        assert not plant.unit(9).is_silent
+        plant.ask(9, asker, UNKNOWN)  # it rests no longer than its unit
+        await asyncio.sleep(1)
+        assert asker.answers[-1] == "0800000001"
+        assert [text.partition(": ")[2] for text in caplog.messages] == [
+            "unit 9 does not answer function 8",
+            "unit 9 does not answer",
+            "unit 9 answers again",
+        ]
+
+    plant.run(main)
+
+
+def test_requests_of_the_function_that_wait_are_refused_together() -> None:
+    plant = Choosy("rtu:///dev/line?timeout=0.5", {8})
+
+    async def main() -> None:
+        reader, asker = Asker("192.0.2.1"), Asker("192.0.2.2")
+        plant.ask(9, reader)
+        await asyncio.sleep(1)
+        plant.ask(9, asker, UNKNOWN)
+        plant.ask(9, asker, UNKNOWN)
+        plant.ask(9, reader)
+        await asyncio.sleep(3 * TIMEOUT)
+        assert asker.answers == [f"88{NO_ANSWER:02x}"] * 2
+        assert plant.asked == [9, -8, 9]
+        assert len(reader.answers) == 2
+
+    plant.run(main)
+
+
+def test_the_function_answers_again(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO, logger="libmodbus_py.services.gateway")
+    plant = Choosy("rtu:///dev/line?timeout=0.5", {8})
+
+    async def main() -> None:
+        asker = Asker()
+        plant.ask(9, asker)
+        plant.ask(9, asker, UNKNOWN)
+        await asyncio.sleep(4 * TIMEOUT)
+        plant.unanswered = set()
+        for _ in range(2):
+            plant.ask(9, asker, UNKNOWN)
+            await asyncio.sleep(1)
+        assert asker.answers[2:] == ["0800000001", "0800000001"]
+        assert caplog.messages[-1].endswith("unit 9 answers function 8 again")
+
+    plant.run(main)
+
+
+def test_the_next_trial_of_a_unit_is_made_with_another_function_that_was_wanted() -> None:
+    """Or who asks what the unit does not know would take every trial of it."""
+    units = SilentUnits(1.0)
+    units.note_silence(3, 7, 0.0)
+    assert units.state(3, 7, 0.5) is UnitState.RESTING
+    assert units.state(3, 4, 0.5) is UnitState.RESTING
+    assert units.state(3, 7, 1.0) is UnitState.RESTING
+    assert units.state(3, 4, 1.0) is UnitState.DUE
+    # ... but not for ever, if nobody wants it any more.
+    assert units.state(3, 7, 2.0) is UnitState.DUE
+    units.start_trial(3, 4)
+    assert units.note_answer(3, 4)
+    assert units.state(3, 7, 2.0) is UnitState.GOOD
+
+
+def test_a_trial_of_a_function_that_was_dropped_leaves_it_due() -> None:
+    units = SilentUnits(1.0)
+    units.note_answer(3, 4)
+    assert units.note_silence(3, 7, 0.0)
+    assert units.start_trial(3, 7) == 1
+    assert units.state(3, 7, 9.0) is UnitState.RESTING
+    assert units.state(3, 4, 9.0) is UnitState.GOOD
+    units.cancel_trial(3, 7, 9.0)
+    assert units.state(3, 7, 9.0) is UnitState.DUE
