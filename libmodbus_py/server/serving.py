@@ -18,6 +18,7 @@ from contextlib import AbstractAsyncContextManager, AbstractContextManager
 from dataclasses import dataclass
 
 from ..ports.endpoint import Endpoint, parse_to_listen
+from ..ports.listening import reason
 from ..ports.tls import security_of
 from ..ports.trace import OnTraced
 from ..protocol.errors import ModbusConnectionError
@@ -25,7 +26,6 @@ from ..security.security import Security
 from .audit import Audit, OnAudited, audit_of
 from .background import Background
 from .limits import Limits, ServerStatistics
-from .listening import reason
 from .peers import Peers
 from .serial import SerialServer
 from .service import Service

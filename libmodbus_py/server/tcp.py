@@ -9,9 +9,10 @@ import logging
 import socket
 
 from ..ports.endpoint import Endpoint
+from ..ports.listening import reason, tcp_listener
 from ..security.security import Security
 from .forking import abandoned_in_children
-from .listening import bound, reason
+from .listening import bound
 from .peers import MakePeerSession, Peers
 from .service import MakeSession, Service
 from .tls import Handshakes, TlsSession
@@ -20,9 +21,7 @@ __all__ = ["TcpServer"]
 
 logger: logging.Logger = logging.getLogger(__name__)
 
-# Connections that may wait in the system; and how many are accepted in a turn of the loop,
-# so that other clients have their turn.
-BACKLOG = 4096
+# Connections accepted in a turn of the loop, so that other clients have their turn.
 ACCEPTED_AT_ONCE = 16
 
 # Seconds without accepting when the process has no descriptors left.
@@ -60,7 +59,7 @@ class TcpServer:
 
     async def open(self) -> Endpoint:
         """Open the sockets, and return the endpoint with its port."""
-        self._listeners, endpoint = await bound(self._endpoint, socket.SOCK_STREAM, _listener)
+        self._listeners, endpoint = await bound(self._endpoint, socket.SOCK_STREAM, tcp_listener)
         make = self._service.sessions(endpoint, self._peers.statistics, self._peers.later)
         self._make_session = make if self._handshakes is None else _within(self._handshakes, make)
         for listener in self._listeners:
@@ -119,10 +118,6 @@ class TcpServer:
     def _resume(self, listener: socket.socket) -> None:
         del self._retries[listener]
         self._loop.add_reader(listener.fileno(), self._accept, listener)
-
-
-def _listener(family: socket.AddressFamily, address: tuple[str, int]) -> socket.socket:
-    return socket.create_server(address, family=family, backlog=BACKLOG)
 
 
 def _within(handshakes: Handshakes, make: MakeSession) -> MakePeerSession:

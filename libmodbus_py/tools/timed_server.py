@@ -5,13 +5,15 @@ A TCP server with a thread and a limited time for each connection: for the page,
 from __future__ import annotations
 
 import contextlib
+import selectors
 import socket
 import socketserver
 import threading
 import time
 from collections.abc import Iterator
-from typing import Any, Self
+from typing import Any, Self, cast
 
+from ..ports.listening import listen_on
 from ..ports.waiting import start_thread
 
 __all__ = ["TimedServer"]
@@ -29,33 +31,37 @@ class TimedServer(socketserver.ThreadingMixIn, socketserver.TCPServer):
     When there are `MOST_CONNECTIONS`, the oldest makes room for a new one.
 
     Args:
-        host: a name or an address to listen on; of a name, its first address.
+        host: a name or an address to listen on; of a name, all its addresses.
         port: 0 for a free one.
         handler: answers one connection, as in `socketserver`.
         limit: seconds that a connection may take.
 
     Attributes:
+        addresses, port: where it listens.
         place: "http://HOST:PORT", with the port it got.
 
     Raises:
         OSError: the address cannot be used.
     """
 
-    allow_reuse_address = True
-    request_queue_size = 64
-
     def __init__(self, host: str, port: int, handler: Any, limit: float) -> None:
-        (family, *_, address), *_ = socket.getaddrinfo(
-            host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
-        )
-        self.address_family: int = family
         self._limit = limit
         # Socket -> when it is closed; None for connections without a limit.
         self._open: dict[socket.socket, float | None] = {}
         self._lock = threading.Lock()
-        super().__init__((str(address[0]), port), handler)
+        super().__init__((host, port), handler, bind_and_activate=False)
+        self.socket.close()  # a TCPServer has one socket, and this one as many as addresses
+        self._listeners = listen_on(host, port)
+        self._ready = selectors.DefaultSelector()
+        for each in self._listeners:
+            each.setblocking(False)  # another thread may have taken the connection
+            self._ready.register(each, selectors.EVENT_READ)
+        names = [each.getsockname() for each in self._listeners]
+        self.addresses: list[str] = [each[0] for each in names]
+        self.port: int = names[0][1]
+        self.server_address = names[0]
         shown = f"[{host}]" if ":" in host else host
-        self.place: str = f"http://{shown}:{self.server_address[1]}"
+        self.place: str = f"http://{shown}:{self.port}"
 
     @contextlib.contextmanager
     def serving(self, name: str) -> Iterator[Self]:
@@ -76,6 +82,23 @@ class TimedServer(socketserver.ThreadingMixIn, socketserver.TCPServer):
         finally:
             self._cut_all()
             self.server_close()
+
+    def fileno(self) -> int:
+        """Return a descriptor that is ready when a connection waits on any address."""
+        return self._ready.fileno()
+
+    def get_request(self) -> tuple[socket.socket, Any]:
+        for key, _ in self._ready.select(0):
+            request, address = cast(socket.socket, key.fileobj).accept()
+            request.setblocking(True)
+            return request, address
+        raise BlockingIOError("no connection waits any more")
+
+    def server_close(self) -> None:
+        for each in self._listeners:
+            each.close()
+        self._ready.close()
+        super().server_close()
 
     def keep(self, request: socket.socket) -> None:
         """Take the limit from a connection, which is closed at the end."""

@@ -18,6 +18,7 @@ from collections import deque
 from collections.abc import Callable
 
 from ...ports.endpoint import Endpoint
+from ...ports.listening import listen_on, reason
 from ...ports.waiting import Waker, start_thread
 from ...protocol.errors import ModbusConnectionError
 from .separator import Direction
@@ -67,18 +68,24 @@ class Tap:
         self._links: dict[int, tuple[socket.socket, ...]] = {}
         self._count = 0
         self._is_closed = False
-        self._listener = _listening(endpoint)
-        port: int = self._listener.getsockname()[1]
-        self.endpoint: Endpoint = Endpoint(endpoint.scheme, host=endpoint.host, port=port)
+        self._listeners: list[socket.socket] = []
         try:
+            self._listeners = listen_on(endpoint.host, endpoint.port)
             self._waker = Waker()
             self.descriptor: int = self._waker.descriptor
-            start_thread(threading.Thread(target=self._accept, name="tap", daemon=True))
+            for each in self._listeners:
+                accepting = threading.Thread(
+                    target=self._accept, args=(each,), name="tap", daemon=True
+                )
+                start_thread(accepting)
         except OSError as error:
-            self._listener.close()
+            self._is_closed = True
+            self._close_listeners()
             raise ModbusConnectionError(
-                f"cannot listen on {endpoint}: {error.strerror}", errno=error.errno
+                f"cannot listen on {endpoint}: {reason(error)}", errno=error.errno
             ) from error
+        port: int = self._listeners[0].getsockname()[1]
+        self.endpoint: Endpoint = Endpoint(endpoint.scheme, host=endpoint.host, port=port)
 
     def open(self) -> None:
         """Do nothing: the tap is open."""
@@ -95,18 +102,23 @@ class Tap:
         """Close all connections; any number of times."""
         with self._lock:
             self._is_closed = True
-            for ends in (*self._links.values(), (self._listener,)):
+            for ends in self._links.values():
                 for end in ends:
                     _shut_down(end)
-            self._listener.close()
+            self._close_listeners()
             self._waker.close()
+
+    def _close_listeners(self) -> None:
+        for each in self._listeners:
+            _shut_down(each)  # which ends the wait of its thread
+            each.close()
 
     # --- in threads -------------------------------------------------------------------------
 
-    def _accept(self) -> None:
+    def _accept(self, listener: socket.socket) -> None:
         while True:
             try:
-                client, _ = self._listener.accept()
+                client, _ = listener.accept()
             except OSError as error:
                 if self._is_closed or error.errno in (errno.EBADF, errno.EINVAL):
                     return
@@ -185,19 +197,6 @@ class Tap:
             self._unseen += cost
             self._pieces.append(piece)
             self._waker.wake()
-
-
-def _listening(endpoint: Endpoint) -> socket.socket:
-    try:
-        found = socket.getaddrinfo(
-            endpoint.host, endpoint.port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
-        )
-        family, _, _, _, address = found[0]
-        return socket.create_server(address[:2], family=family)
-    except (OSError, UnicodeError) as error:
-        number = error.errno if isinstance(error, OSError) else None
-        why = getattr(error, "strerror", None) or error
-        raise ModbusConnectionError(f"cannot listen on {endpoint}: {why}", errno=number) from error
 
 
 def _shut_down(end: socket.socket, how: int = socket.SHUT_RDWR) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hmac
 import secrets
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from email.message import Message
 from ipaddress import ip_address
 from urllib.parse import parse_qs
@@ -25,16 +25,17 @@ class PageGuard:
 
     Args:
         host: where the page listens, as it was given: a name or an address.
-        address: the address of this host.
+        addresses: the addresses of this host.
         port: where it listens.
     """
 
-    def __init__(self, host: str, address: str, port: int) -> None:
+    def __init__(self, host: str, addresses: Collection[str], port: int) -> None:
         self.token: str = secrets.token_urlsafe(24)
         self._port = port
-        self._is_any = ip_address(address.partition("%")[0]).is_unspecified
-        is_here = self._is_any or is_loopback(address)
-        self._names = {host.lower(), address.lower()} | ({"localhost"} if is_here else set())
+        self._is_any = any(ip_address(each.partition("%")[0]).is_unspecified for each in addresses)
+        is_here = self._is_any or any(map(is_loopback, addresses))
+        names = (host, *addresses, *(["localhost"] if is_here else []))
+        self._names = {each.lower() for each in names}
         self._cookie = f"libmodbus_page_{self._port}"
 
     @property

@@ -71,7 +71,7 @@ class WebServer(TimedServer):
         super().__init__(host, port, Handler, LIMIT)
         self.streams = streams
         self.actions: Actions = Actions(streams)
-        self.guard: PageGuard = PageGuard(host, str(self.server_address[0]), self.server_address[1])
+        self.guard: PageGuard = PageGuard(host, self.addresses, self.port)
         self.url: str = f"{self.place}/?token={self.guard.token}"
 
 
