@@ -8,6 +8,7 @@ Ports: TCP, TLS, UDP and serial, and how to wait for them.
     waiting        steps that yield what they wait for; run by polling
     waiting_async  and by an event loop
     sockets        TCP connections and UDP sockets
+    outage         a port or connection that is lost and comes back
     listening      sockets that listen on all addresses of a host
     tls            TLS connections: the handshake, and what it refuses
     trace          every ADU that passes, for callbacks and the log

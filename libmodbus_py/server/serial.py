@@ -10,6 +10,7 @@ import logging
 from collections.abc import Callable
 
 from ..ports.endpoint import Endpoint
+from ..ports.outage import REOPEN_AFTER, Outage
 from ..ports.serial import SerialPort
 from ..ports.trace import Trace
 from ..protocol.errors import ModbusConnectionError
@@ -21,9 +22,6 @@ from .service import ENDS, Service, SessionState
 __all__ = ["SerialServer"]
 
 logger: logging.Logger = logging.getLogger(__name__)
-
-# Seconds between two attempts to open a serial port that was unplugged.
-REOPEN_AFTER = 1.0
 
 
 class SerialServer:
@@ -58,6 +56,7 @@ class SerialServer:
         self.trace: Trace | None = None
         self._end = end or self.close
         self._loop = asyncio.get_running_loop()
+        self._outage = Outage(logger, endpoint)
         self._retry: asyncio.TimerHandle | None = None
         self._unsent = bytearray()
         self._timer: asyncio.TimerHandle | None = None
@@ -97,7 +96,7 @@ class SerialServer:
                 self._port.silence.heard(self._loop.time())
                 self._receive(data)
         except ModbusConnectionError as error:
-            logger.warning("%s: %s; waiting for it to come back", self._endpoint, error)
+            self._outage.begin(error)
             self._close()
             self._retry = self._loop.call_later(REOPEN_AFTER, self._reopen)
 
@@ -117,10 +116,7 @@ class SerialServer:
         return False
 
     def _reopen(self) -> None:
-        try:
-            self._open()
-            logger.warning("%s: is back", self._endpoint)
-        except ModbusConnectionError:
+        if not self._outage.try_to_end(self._open):
             self._retry = self._loop.call_later(REOPEN_AFTER, self._reopen)
 
     def write(self, data: bytes) -> None:

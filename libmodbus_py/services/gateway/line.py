@@ -15,6 +15,7 @@ from ...client.asynchronous import AsyncClient, Submitted
 from ...client.reconnecting import State
 from ...client.waiting_room import FairByHost, Precedence, WaitingRoom
 from ...ports.endpoint import Endpoint
+from ...ports.outage import Outage
 from ...protocol.errors import (
     ExceptionResponse,
     FrameError,
@@ -166,7 +167,7 @@ class GatewayLine:
         self._joinable: dict[tuple[int, bytes], Forwarded] = {}
         self._done: list[Forwarded] = []
         self._alarm = Alarm(self._go_on)
-        self._was_lost = False
+        self._outage = Outage(logger, self.url)
         self.is_closed: bool = False
         abandoned_in_children(self)
 
@@ -384,12 +385,10 @@ class GatewayLine:
         self.statistics.unwanted += each.tell(bytes([each.request.function | 0x80, code]))
 
     def _note_state(self, state: State, error: ModbusError | None) -> None:
-        if error is not None and not self._was_lost:
-            self._was_lost = True
-            logger.warning("%s: %s", self.url, error)
-        elif state is State.CONNECTED and self._was_lost:
-            self._was_lost = False
-            logger.warning("%s: is back", self.url)
+        if error is not None:
+            self._outage.begin(error)
+        elif state is State.CONNECTED:
+            self._outage.end()
 
 
 def _reads_last(each: Forwarded) -> int:

@@ -16,6 +16,7 @@ from functools import partial
 from typing import Self
 
 from ...ports.endpoint import Endpoint, parse_to_listen
+from ...ports.outage import REOPEN_AFTER, Outage
 from ...ports.waiting import READ, Ready, Steps, Waker, Woken, run
 from ...ports.waiting_async import run_async
 from ...protocol.errors import ModbusConnectionError
@@ -29,9 +30,6 @@ from .transaction import Heard, OnHeard, Transaction
 __all__ = ["Listener", "listen"]
 
 logger: logging.Logger = logging.getLogger(__name__)
-
-# Seconds between two attempts to open a port that is gone.
-REOPEN_AFTER = 1.0
 
 # Seconds after which a quiet line is checked for requests without a response.
 IDLE = 1.0
@@ -84,7 +82,7 @@ class Listener:
         self._epoll.register(self._waker.descriptor, READ)
         if self._source is not None:
             self._epoll.register(self._source.descriptor, READ)
-        self._is_open = True  # False while the port is gone
+        self._outage = Outage(logger, url)
         self._tick_after: float = IDLE
 
     # --- opening and closing --------------------------------------------------------------
@@ -176,7 +174,7 @@ class Listener:
             if self._reader is not None:
                 if not self._read_on(self._reader):
                     break
-            elif self._source is not None and self._is_open:
+            elif self._source is not None and not self._outage.is_on:
                 yield from self._hearing(self._source)
             elif self._source is not None:
                 yield from self._reopening(self._source)
@@ -196,8 +194,7 @@ class Listener:
         try:
             pieces = source.receive()
         except ModbusConnectionError as error:
-            logger.warning("%s: %s; waiting for it to come back", self.url, error)
-            self._is_open = False
+            self._outage.begin(error)
             source.close()  # which removes it from epoll
             self._ready += self._noted(self._end_all())
             return
@@ -208,11 +205,8 @@ class Listener:
         yield Ready(self._epoll.fileno(), READ, time.monotonic() + REOPEN_AFTER)
         if self._is_closed:
             return
-        with contextlib.suppress(ModbusConnectionError):
-            source.open()
+        if self._outage.try_to_end(source.open):
             self._epoll.register(source.descriptor, READ)
-            self._is_open = True
-            logger.warning("%s: is back", self.url)
 
     # --- traffic ---------------------------------------------------------------------------
 

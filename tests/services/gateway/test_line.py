@@ -593,8 +593,8 @@ class TestConnection:
             assert asker.answers[3:] == [answer_of(1, 1)]
             texts = [text.removeprefix(plant.line.url) for text in caplog.messages]
             assert len(texts) == 2
-            assert texts[0].endswith("Connection refused")
-            assert texts[1] == ": is back"
+            assert texts[0].endswith("Connection refused; trying again")
+            assert texts[1] == ": open again"
 
         plant.run(main)
 
