@@ -76,7 +76,8 @@ def test_every_address_of_a_name_takes_connections(
     resolve_all(monkeypatch, "plc.example", *HERE)
     with listening(port):
         for each in HERE:
-            socket.create_connection((each, port), 20).close()
+            with socket.create_connection((each, port), 20) as made:
+                assert made.getpeername() == (each, port)
 
 
 def test_a_page_answers_on_every_address(monkeypatch: pytest.MonkeyPatch, port: int) -> None:
