@@ -26,4 +26,4 @@ class CsvOutput(TextFile):
     """
 
     def __init__(self, path: str = "-", buffer: int = MOST_KEPT) -> None:
-        super().__init__("csv", path, as_csv, HEADER, buffer)
+        super().__init__("csv", path, as_csv, HEADER, buffer, quote=b'"')

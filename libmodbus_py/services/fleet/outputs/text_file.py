@@ -8,8 +8,10 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
+import select
 import stat
 from collections.abc import Callable, Iterator, Sequence
+from typing import BinaryIO
 
 from ....protocol.mistakes import WrongType
 from ..buffer import MOST_KEPT
@@ -22,16 +24,23 @@ __all__ = ["TextFile"]
 # Seconds that the last write may take: a reader may have stopped reading.
 LAST_WAIT = 1.0
 
+PIECE = 1 << 20
+
 
 class TextFile:
     """
     An output that appends readings to a file.
+
+    A file that was renamed or deleted is opened anew by its path, as after logrotate; one that was
+    emptied gets the header again. If a program or a machine stopped in the midst of a line, that
+    line is ended first.
 
     Args:
         name: of the output.
         path: of the file; "-" for the standard output.
         form: returns readings as bytes.
         header: the first bytes of an empty file.
+        quote: what encloses text within which a line does not end; empty if there is none.
         buffer: how many readings may wait.
 
     Raises:
@@ -45,6 +54,8 @@ class TextFile:
         form: Callable[[Sequence[Reading]], bytes],
         header: bytes = b"",
         buffer: int = MOST_KEPT,
+        *,
+        quote: bytes = b"",
     ) -> None:
         if not isinstance(path, str | os.PathLike) or not os.fspath(path):
             raise WrongType("path", f"must be text, not {path!r}")
@@ -53,6 +64,7 @@ class TextFile:
         self._name = name
         self._form = form
         self._header = header
+        self._quote = quote
         self._descriptor = -1
         self._thread = WriterThread(self.path)
 
@@ -83,19 +95,56 @@ class TextFile:
             else:
                 flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC
                 self._descriptor = os.open(self.path, flags, 0o666)
-            if not self._size:
-                self._put(self._header)
+            self._put_whole(self._begin())
 
     def _write(self, data: bytes) -> None:
-        before = self._size
         with self._named():
-            try:
-                self._put(data)
-            except OSError:
-                if before is not None:  # else the rest of a line would begin the next one
-                    with contextlib.suppress(OSError):
-                        os.ftruncate(self._descriptor, before)
-                raise
+            if self._is_replaced():
+                self._close()
+                self._open()
+            elif self._size == 0:
+                self._put_whole(self._header)
+            self._put_whole(data)
+
+    def _is_replaced(self) -> bool:
+        """True if the path leads to another file than the open one, or to none."""
+        if self.path == "-":
+            return False
+        try:
+            return not os.path.samestat(os.stat(self.path), os.fstat(self._descriptor))
+        except FileNotFoundError:
+            return True
+
+    def _begin(self) -> bytes:
+        """Return what must stand before the first reading."""
+        if not self._size:
+            return self._header
+        if self.path == "-":
+            return b""
+        with contextlib.suppress(OSError), open(self.path, "rb") as file:  # it may be unreadable
+            file.seek(-1, os.SEEK_END)
+            if file.read(1) != b"\n":
+                return self._end_of_quotation(file) + b"\n"
+        return b""
+
+    def _end_of_quotation(self, file: BinaryIO) -> bytes:
+        if not self._quote:
+            return b""
+        file.seek(0)
+        count = sum(piece.count(self._quote) for piece in iter(lambda: file.read(PIECE), b""))
+        return self._quote if count % 2 else b""
+
+    def _put_whole(self, data: bytes) -> None:
+        """Write all of the data, or nothing to a file that has no room."""
+        before = self._size
+        try:
+            self._put(data)
+        except OSError:
+            if before is not None:  # else the rest of a line would begin the next one
+                with contextlib.suppress(OSError):
+                    os.ftruncate(self._descriptor, before)
+                    os.lseek(self._descriptor, 0, os.SEEK_END)
+            raise
 
     @contextlib.contextmanager
     def _named(self) -> Iterator[None]:
@@ -109,7 +158,10 @@ class TextFile:
     def _put(self, data: bytes) -> None:
         rest = memoryview(data)
         while rest:
-            rest = rest[os.write(self._descriptor, rest) :]
+            try:
+                rest = rest[os.write(self._descriptor, rest) :]
+            except BlockingIOError:  # another program made a shared pipe or terminal non-blocking
+                select.select([], [self._descriptor], [])
 
     @property
     def _size(self) -> int | None:

@@ -1,0 +1,184 @@
+"""
+Files of readings while others rename, delete, empty or break them; and a standard output that
+does not block.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import csv
+import json
+import os
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from libmodbus_py.fleet import Reading
+from libmodbus_py.services.fleet.outputs.csv_output import HEADER, CsvOutput
+from libmodbus_py.services.fleet.outputs.json_output import JsonOutput
+from libmodbus_py.services.fleet.outputs.text_file import TextFile
+from tests.support.cases import each_case
+
+KINDS: dict[str, Callable[[str], TextFile]] = {"json": JsonOutput, "csv": CsvOutput}
+
+
+def reading(value: Any) -> Reading:
+    return Reading(100.0, "a", "level", value, "m", "good")
+
+
+def written(output: TextFile, *steps: Reading | Callable[[], object]) -> None:
+    """Open an output, write readings and do what stands between them, and close it."""
+
+    async def go() -> None:
+        await output.open()
+        try:
+            for step in steps:
+                if isinstance(step, Reading):
+                    await output.write([step])
+                else:
+                    step()
+        finally:
+            await output.close()
+
+    asyncio.run(go())
+
+
+def values(kind: str, path: Path) -> list[str]:
+    """Return the values in a file, each as text; every line must be whole."""
+    if kind == "json":
+        return [str(json.loads(line)["value"]) for line in path.read_bytes().split(b"\n")[:-1]]
+    with path.open(newline="") as file:
+        rows = list(csv.reader(file, strict=True))
+    assert ",".join(rows[0]).encode() + b"\n" == HEADER
+    return [row[3] for row in rows[1:]]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+class TestOthers:
+    """What others do to the file while it is open."""
+
+    def test_a_renamed_file_is_opened_anew(self, tmp_path: Path, kind: str) -> None:
+        path, old = tmp_path / "now", tmp_path / "old"
+        written(KINDS[kind](str(path)), reading(1), lambda: path.rename(old), reading(2))
+        assert values(kind, old) == ["1"]
+        assert values(kind, path) == ["2"]
+
+    def test_one_that_logrotate_created_is_used(self, tmp_path: Path, kind: str) -> None:
+        path, old = tmp_path / "now", tmp_path / "old"
+
+        def rotate() -> None:
+            path.rename(old)
+            path.touch()
+
+        written(KINDS[kind](str(path)), reading(1), rotate, reading(2), reading(3))
+        assert (values(kind, old), values(kind, path)) == (["1"], ["2", "3"])
+
+    def test_a_deleted_file_is_made_again(self, tmp_path: Path, kind: str) -> None:
+        path = tmp_path / "now"
+        written(KINDS[kind](str(path)), reading(1), path.unlink, reading(2))
+        assert values(kind, path) == ["2"]
+
+    def test_an_emptied_file_begins_anew(self, tmp_path: Path, kind: str) -> None:
+        path = tmp_path / "now"
+        empty = lambda: os.truncate(path, 0)  # noqa: E731
+        written(KINDS[kind](str(path)), reading(1), empty, reading(2))
+        assert values(kind, path) == ["2"]
+
+    def test_a_folder_that_is_away_is_an_error_for_now(self, tmp_path: Path, kind: str) -> None:
+        folder = tmp_path / "folder"
+        folder.mkdir()
+        output = KINDS[kind](str(folder / "now"))
+        away = lambda: folder.rename(tmp_path / "away")  # noqa: E731
+        with pytest.raises(FileNotFoundError):
+            written(output, reading(1), away, reading(2))
+        folder.mkdir()
+        written(output, reading(2))
+        assert values(kind, folder / "now") == ["2"]
+
+    def test_nothing_is_left_open(self, tmp_path: Path, kind: str) -> None:
+        path = tmp_path / "now"
+        before = len(os.listdir("/proc/self/fd"))
+        written(KINDS[kind](str(path)), *[reading(1), path.unlink] * 10)
+        assert len(os.listdir("/proc/self/fd")) == before
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@each_case("value", [1, "x", 'a "word"', "two\nlines", 'one",\n"', '"'])
+def test_half_a_line_of_a_crash_is_ended_first(tmp_path: Path, kind: str, value: Any) -> None:
+    path = tmp_path / "now"
+    path.unlink(missing_ok=True)
+    written(KINDS[kind](str(path)), reading(0))
+    begun = path.stat().st_size
+    written(KINDS[kind](str(path)), reading(value))
+    whole = path.read_bytes()
+    for cut in range(begun + 1, len(whole)):
+        if whole[cut - 1 : cut] == b"\n":  # looks like a whole line
+            continue
+        path.write_bytes(whole[:cut])
+        written(KINDS[kind](str(path)), reading(7))
+        if kind == "json":
+            lines = path.read_bytes().split(b"\n")
+            assert [json.loads(lines[at])["value"] for at in (0, -2)] == [0, 7]
+        else:
+            with path.open(newline="") as file:
+                rows = list(csv.reader(file, strict=True))
+            assert [rows[at][1:4] for at in (1, -1)] == [["a", "level", "0"], ["a", "level", "7"]]
+
+
+def test_half_a_line_of_a_file_that_cannot_be_read_is_left(tmp_path: Path) -> None:
+    path = tmp_path / "now"
+    os.mkfifo(path)
+    reader = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    with contextlib.closing(os.fdopen(reader, "rb")) as pipe:
+        written(JsonOutput(str(path)), reading(1))
+        assert json.loads(pipe.read())["value"] == 1
+
+
+# --- the standard output ------------------------------------------------------------------------
+
+
+@pytest.fixture
+def standard_output() -> Iterator[Callable[[int], None]]:
+    """A function that puts a descriptor in place of the standard output."""
+    kept = os.dup(1)
+    yield lambda descriptor: os.dup2(descriptor, 1) and None
+    os.dup2(kept, 1)
+    os.close(kept)
+
+
+def test_a_standard_output_that_does_not_block_is_waited_for(
+    standard_output: Callable[[int], None], capfd: pytest.CaptureFixture[str]
+) -> None:
+    with capfd.disabled():
+        reading_end, writing_end = os.pipe()
+        os.set_blocking(writing_end, False)
+        received = bytearray()
+
+        def read() -> None:
+            while piece := os.read(reading_end, 1000):
+                received.extend(piece)
+
+        thread = threading.Thread(target=read)
+        standard_output(writing_end)
+        os.close(writing_end)
+        text = "x" * 300_000  # more than a pipe holds
+        starter = lambda: thread.start()  # noqa: E731
+
+        async def go() -> None:
+            output = JsonOutput("-")
+            await output.open()
+            writing = asyncio.ensure_future(output.write([reading(text)]))
+            await asyncio.sleep(0)
+            starter()
+            await writing
+            await output.close()
+
+        asyncio.run(go())
+        os.dup2(2, 1)
+        thread.join()
+        os.close(reading_end)
+    assert json.loads(received)["value"] == text
