@@ -61,9 +61,9 @@ def add_command(commands: Any) -> None:
         description="Poll the devices of a fleet file, and write the readings to the outputs"
         " of the file.\n"
         "Without an output, readings are printed as lines of JSON, except on a terminal.",
-        epilog="The exit code is 0, or 1 if a device did not answer --once or --check, a"
-        " line cannot keep its\n"
-        f"intervals, or the standard output was closed.\n\n{EXAMPLES}",
+        epilog="The exit code is 0, or 1 if a device did not answer --once or --check, an"
+        " output lost\nreadings of --once, a line cannot keep its"
+        f" intervals, or the standard output was closed.\n\n{EXAMPLES}",
         formatter_class=VerbatimHelp,
     )
     command.add_argument("file", metavar="FILE", help="fleet file, such as fleet.toml")
@@ -110,7 +110,18 @@ def _poll(options: argparse.Namespace) -> int:
             if isinstance(error.__cause__, OSError):
                 raise error.__cause__ from None
             raise CommandError(str(error)) from None
-    return 1 if options.once and fleet.statistics.failures else 0
+    if not options.once:
+        return 0
+    return 1 if _is_anything_lost(fleet) or fleet.statistics.failures else 0
+
+
+def _is_anything_lost(fleet: Fleet) -> bool:
+    """Print the outputs that have not taken all readings, and return True if there is one."""
+    lost = {name: each for name, each in fleet.statistics.outputs.items() if each.dropped}
+    for name, output in lost.items():
+        trouble = f": {output.trouble}" if output.trouble else ""
+        complain(f"{name}: {counted(output.dropped, 'reading')} lost{trouble}")
+    return bool(lost)
 
 
 def _allow_descriptors() -> None:

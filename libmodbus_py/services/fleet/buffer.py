@@ -81,3 +81,14 @@ class Buffer:
                 async with asyncio.timeout(timeout):
                     await self._filled.wait()
         return [self._kept.popleft() for _ in range(min(most, len(self._kept)))]
+
+    async def take_polls(self, most: int, timeout: float | None = None) -> list[Reading]:
+        """As `take`, but the readings of the last poll are complete, even if these are more."""
+        taken = await self.take(most, timeout)
+        while taken and self._kept and self._kept[0].poll == taken[-1].poll:
+            taken.append(self._kept.popleft())
+        return taken
+
+    def drop(self, readings: Sequence[Reading]) -> None:
+        """Count readings that were taken, and can never be written."""
+        self.dropped += len(readings)

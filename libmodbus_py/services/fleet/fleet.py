@@ -190,7 +190,7 @@ class Fleet:
         for buffer in self._buffers:
             buffer.close()
         for pump in self._pumps:
-            pump.close()
+            pump.close(is_patient=self._all_once is not None and self._all_once.is_set())
         try:
             # A second cancellation ends the outputs at once.
             await _all([*self._closing, *(pump.task for pump in self._pumps)])

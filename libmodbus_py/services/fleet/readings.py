@@ -46,6 +46,11 @@ class Reading(NamedTuple):
     quality: Quality
     reason: str = ""
 
+    @property
+    def poll(self) -> tuple[str, float]:
+        """The device and the time, which all readings of a poll share."""
+        return self.device, self.time
+
 
 def time_text(time: float) -> str:
     """Return a time in ISO 8601, in UTC, with milliseconds."""

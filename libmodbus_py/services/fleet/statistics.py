@@ -34,7 +34,7 @@ class OutputStatistics:
 
     @property
     def dropped(self) -> int:
-        """Readings dropped because the buffer was full."""
+        """Readings dropped because the buffer was full, or because they could never be written."""
         return self.buffer.dropped
 
     @property

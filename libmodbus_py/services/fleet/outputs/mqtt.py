@@ -270,12 +270,18 @@ def _pattern(topic: str) -> re.Pattern[str]:
 
 
 def _trust(ca: str | None) -> ssl.SSLContext:
+    """
+    Return the context of TLS.
+
+    Raises:
+        OSError: the file is missing, or holds no certificate; it may be replaced while this runs.
+    """
     if ca is not None and not Path(ca).is_file():
-        raise OutputError(f"ca: there is no file {ca!r}")
+        raise OSError(f"ca: there is no file {ca!r}")
     try:
         context = ssl.create_default_context(cafile=ca)
     except ssl.SSLError as error:
-        raise OutputError(f"ca: {ca!r} holds no certificate: {error.reason or error}") from None
+        raise OSError(f"ca: {ca!r} holds no certificate: {error.reason or error}") from None
     context.sslsocket_class = _Handshaking
     return context
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from ....protocol.checks import integer, seconds
 from ...engine.connection import connected, disconnect, parse_servers, shown
-from ...engine.errors import EngineError, EngineGone
+from ...engine.errors import EngineError
 from ..buffer import MOST_KEPT
 from .output import OutputError
 from .stream import LIMITS, Stream
@@ -56,11 +56,13 @@ class Nats(Stream):
     async def open(self) -> None:
         await self.close()
         try:
+            import nats  # noqa: F401
+        except ImportError:
+            raise OutputError("NATS needs nats-py: pip install 'libmodbus-py[nats]'") from None
+        try:
             self._client = await connected(self._servers, name="libmodbus-py poll")
-        except EngineGone as error:
+        except EngineError as error:
             raise OSError(str(error)) from None
-        except EngineError as error:  # wrong credentials, or an old server
-            raise OutputError(str(error)) from None
         await super().open()
 
     async def close(self) -> None:

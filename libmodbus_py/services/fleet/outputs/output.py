@@ -22,7 +22,8 @@ class Output(Protocol):
     A destination of readings. One task calls its methods, one call at a time.
 
     OSError from `open` or `write` is temporary: both are tried again, after pauses. OutputError
-    is permanent.
+    is permanent, and ends the fleet. After any other exception from `write` the readings are passed
+    again, one poll at a time; a poll for which the exception is raised again is dropped.
     """
 
     @property
@@ -42,8 +43,8 @@ class Output(Protocol):
 
     async def write(self, readings: Sequence[Reading]) -> None:
         """
-        Write readings; they are passed again if this fails. From time to time the list is empty,
-        so that a lost connection is noticed.
+        Write readings, all of a poll in one call; they are passed again if this fails. From time
+        to time the list is empty, so that a lost connection is noticed.
 
         Raises:
             OSError: the readings cannot be written now.

@@ -42,6 +42,8 @@ class Pump:
         self.statistics: OutputStatistics = OutputStatistics(self.buffer)
         self._output = output
         self._pause = FIRST_PAUSE
+        # Polls to write one by one, because one of them may be impossible to write.
+        self._doubted = 0
         self._closing = asyncio.Event()
 
     def start(self) -> None:
@@ -57,10 +59,17 @@ class Pump:
         """
         await asyncio.shield(self.task)
 
-    def close(self) -> None:
-        """Write the readings that wait, within two seconds, and end."""
+    def close(self, *, is_patient: bool = False) -> None:
+        """
+        Write the readings that wait, and end after two seconds or a failure.
+
+        Args:
+            is_patient: True to end only after a failure.
+        """
         self.buffer.close()
         self._closing.set()
+        if is_patient:
+            return
         late = asyncio.get_running_loop().call_later(LAST_WORDS, self.task.cancel)
         self.task.add_done_callback(lambda task: late.cancel())
 
@@ -76,7 +85,8 @@ class Pump:
         try:
             await self._output.open()
             while not self.buffer.is_over:
-                await self._write(await self.buffer.take(MOST_AT_ONCE, LONGEST_SILENCE))
+                most = 1 if self._doubted else MOST_AT_ONCE
+                await self._write(await self.buffer.take_polls(most, LONGEST_SILENCE))
             return True
         except OutputError:
             raise
@@ -84,19 +94,40 @@ class Pump:
             self._note_trouble(error)
             return self._closing.is_set()
         finally:
+            await self._close_output()
+
+    async def _close_output(self) -> None:
+        try:
             await self._output.close()
+        except Exception as error:
+            self._note_trouble(error)
 
     async def _write(self, batch: list[Reading]) -> None:
         try:
             await self._output.write(batch)
-        except BaseException:
-            self.buffer.put_back(batch)
+        except BaseException as error:
+            if isinstance(error, Exception) and not isinstance(error, OSError | OutputError):
+                self._note_doubt(batch, error)
+            else:
+                self.buffer.put_back(batch)
             raise
+        self._doubted = max(0, self._doubted - 1)
         self.statistics.written += len(batch)
         if self.statistics.trouble:
             self.statistics.trouble = ""
             self._pause = FIRST_PAUSE
             logger.warning("%s accepts readings again", self.name)
+
+    def _note_doubt(self, batch: list[Reading], error: Exception) -> None:
+        """Return readings to the buffer; drop them if they are one poll that failed before."""
+        if not (self._doubted and batch):
+            self.buffer.put_back(batch)
+            self._doubted = len({each.poll for each in batch})
+            return
+        self._doubted -= 1
+        self.buffer.drop(batch)
+        device, count = batch[0].device, len(batch)
+        logger.error("%s: %d readings of %s are dropped: %s", self.name, count, device, error)
 
     def _note_trouble(self, error: Exception) -> None:
         self.statistics.failures += 1

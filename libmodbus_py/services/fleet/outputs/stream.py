@@ -27,9 +27,18 @@ LIMITS: dict[str, Any] = {"max_age": 86_400.0, "max_bytes": 1 << 30}
 """Limits of the stream unless the fleet file sets them, in seconds and bytes."""
 
 
+OVERHEAD = 200
+"""More than the bytes of a message beside the names of its device, its point and its subject."""
+
+_json = json.JSONEncoder(ensure_ascii=False).encode
+
+
 class Stream:
     """
     An output: one message for each poll of a device, ``{"device": ..., "values": {NAME: {...}}}``.
+
+    A poll that is larger than the server's largest message is several messages, which also have
+    ``"part": 1, "parts": 3``.
 
     Args:
         client: a connected client; None if a subclass connects before `open`.
@@ -50,8 +59,10 @@ class Stream:
         self._js = self._client.jetstream(timeout=TIMEOUT)
 
     async def write(self, readings: Sequence[Reading]) -> None:
-        if not readings:
+        client = self._client
+        if not readings or client is None:
             return
+        messages = list(_messages(readings, client.max_payload))
         try:
             with explained(STREAM):
                 async with asyncio.timeout(TIMEOUT):
@@ -60,7 +71,7 @@ class Stream:
                         await self._js.publish_async(
                             subject, data, headers={"Nats-Msg-Id": f"{subject} {mark}"}
                         )
-                        for subject, mark, data in _messages(readings)
+                        for subject, mark, data in messages
                     ]
                     await asyncio.gather(*acknowledged)
         except EngineError as error:
@@ -70,8 +81,41 @@ class Stream:
         pass
 
 
-def _messages(readings: Sequence[Reading]) -> Iterator[tuple[str, str, bytes]]:
-    for (device, time), group in groupby(readings, lambda each: (each.device, each.time)):
-        values = {each.name: payload(each) for each in group}
-        told = json.dumps({"device": device, "values": values}, ensure_ascii=False)
-        yield readings_of(device), f"{time} {len(values)} {next(iter(values))}", told.encode()
+def _messages(readings: Sequence[Reading], largest: int) -> Iterator[tuple[str, str, bytes]]:
+    """
+    Yield the subject, a mark that no other message has, and the data of each message.
+
+    Args:
+        largest: the bytes that a message may have, with its headers.
+
+    Raises:
+        ValueError: a single reading has more bytes.
+    """
+    for (device, time), group in groupby(readings, lambda each: each.poll):
+        subject = readings_of(device)
+        values = {each.name: f"{_json(each.name)}: {_json(payload(each))}" for each in group}
+        begin = f'{{"device": {_json(device)}, '
+        longest = max(len(name.encode()) for name in values)
+        room = largest - OVERHEAD - 2 * len(begin.encode()) - len(subject.encode()) - longest
+        parts = list(_parts(values, room))
+        for at, names in enumerate(parts):
+            part = f'"part": {at + 1}, "parts": {len(parts)}, ' if len(parts) > 1 else ""
+            told = ", ".join(values[name] for name in names)
+            data = f'{begin}{part}"values": {{{told}}}}}'.encode()
+            yield subject, f"{time} {len(names)} {names[0]}", data
+
+
+def _parts(values: Mapping[str, str], room: int) -> Iterator[list[str]]:
+    """Yield the names of the values of each message."""
+    names: list[str] = []
+    used = 0
+    for name, text in values.items():
+        size = len(text.encode()) + len(", ")
+        if size > room:
+            raise ValueError(f"{name}: the server takes no message of {size} bytes")
+        if used + size > room:
+            yield names
+            names, used = [], 0
+        names.append(name)
+        used += size
+    yield names

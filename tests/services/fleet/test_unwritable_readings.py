@@ -1,0 +1,285 @@
+"""
+Readings that an output can never take are told and dropped, and hold up no others; all that fails
+for the moment is tried again, and ends neither the fleet nor other outputs.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import json
+import ssl
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, cast
+
+import pytest
+
+from libmodbus_py import Fleet
+from libmodbus_py.fleet import Reading
+from libmodbus_py.services.fleet.buffer import Buffer
+from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
+from libmodbus_py.services.fleet.outputs.nats import Nats
+from libmodbus_py.services.fleet.outputs.output import Output
+from libmodbus_py.services.fleet.outputs.pump import Pump
+from libmodbus_py.services.fleet.outputs.stream import Stream
+from tests.services.fleet.fleets import Peer, meter, simulated_run, until
+from tests.simulation.engine import Engine
+from tests.simulation.network import Network
+
+
+def reading(device: str, name: str, value: Any = 1, time: float = 100.0) -> Reading:
+    return Reading(time, device, name, value, "V", "good")
+
+
+class Picky:
+    """An output that takes no reading of some devices, and reports each call of `write`."""
+
+    name = "picky"
+
+    def __init__(self, refused: Sequence[str] = (), error: Exception | None = None) -> None:
+        self.refused = refused
+        self.error = error or ValueError("too long")
+        self.written: list[list[Reading]] = []
+        self.opened = 0
+
+    async def open(self) -> None:
+        self.opened += 1
+
+    async def write(self, readings: Sequence[Reading]) -> None:
+        if any(each.device in self.refused for each in readings):
+            raise self.error
+        if readings:
+            self.written.append(list(readings))
+
+    async def close(self) -> None:
+        pass
+
+
+async def pumped(output: Output, readings: Sequence[Reading], most: int = 10_000) -> Pump:
+    pump = Pump(output, most)
+    pump.buffer.put(readings)
+    pump.start()
+    await until(lambda: not pump.buffer)
+    pump.close()
+    await pump.ended()
+    return pump
+
+
+def test_a_poll_that_can_never_be_written_is_dropped_and_the_others_are_written(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    output = Picky(refused=("b", "d"))
+    readings = [reading(device, name) for device in "abcde" for name in ("one", "two")]
+    pump = simulated_run(pumped(output, readings))
+    assert [each.device for batch in output.written for each in batch] == list("aaccee")
+    assert pump.statistics.dropped == 4
+    assert pump.statistics.written == 6
+    told = [each.getMessage() for each in caplog.records if each.levelname == "ERROR"]
+    assert told == [f"picky: 2 readings of {each} are dropped: too long" for each in "bd"]
+
+
+def test_readings_that_fail_once_for_whatever_reason_are_not_dropped() -> None:
+    output = Picky(refused=("a",), error=RuntimeError("a bug"))
+
+    async def go() -> Pump:
+        pump = Pump(output)
+        pump.buffer.put([reading("a", "one")])
+        pump.start()
+        await until(lambda: pump.statistics.failures > 0)
+        output.refused = ()
+        await until(lambda: not pump.buffer)
+        pump.close()
+        await pump.ended()
+        return pump
+
+    statistics = simulated_run(go()).statistics
+    assert (statistics.dropped, statistics.written) == (0, 1)
+
+
+def test_what_fails_for_the_moment_is_never_dropped() -> None:
+    output = Picky(refused=("a",), error=OSError(errno.ENOSPC, "full"))
+
+    async def go() -> Pump:
+        pump = Pump(output)
+        pump.buffer.put([reading("a", "one"), reading("b", "one")])
+        pump.start()
+        await until(lambda: pump.statistics.failures > 4)
+        output.refused = ()
+        await until(lambda: not pump.buffer)
+        pump.close()
+        await pump.ended()
+        return pump
+
+    statistics = simulated_run(go()).statistics
+    assert (statistics.dropped, statistics.written) == (0, 2)
+
+
+def test_an_output_that_raises_when_closed_is_opened_again() -> None:
+    class Clumsy(Picky):
+        async def close(self) -> None:
+            raise RuntimeError("a bug")
+
+    output = Clumsy(refused=("b",))
+    pump = simulated_run(pumped(output, [reading(device, "one") for device in "abc"]))
+    assert [each.device for batch in output.written for each in batch] == ["a", "c"]
+    assert pump.statistics.dropped == 1
+
+
+# --- a poll is one message ----------------------------------------------------------------------
+
+
+def test_a_poll_is_never_divided_by_the_buffer() -> None:
+    output = Picky()
+    readings = [reading(device, f"{at}") for device in "abc" for at in range(1200)]
+    simulated_run(pumped(output, readings))
+    for batch in output.written:
+        assert len(batch) % 1200 == 0
+    assert sum(map(len, output.written)) == 3600
+
+
+def test_iterations_get_one_reading_at_a_time() -> None:
+    async def go() -> None:
+        buffer = Buffer()
+        buffer.put([reading("a", "one"), reading("a", "two")])
+        assert [len(await buffer.take(1)) for _ in range(2)] == [1, 1]
+
+    simulated_run(go())
+
+
+def sent(readings: Sequence[Reading], largest: int) -> list[dict[str, Any]]:
+    """Return what the stream has after these readings were written once, and again."""
+    network = Network()
+    engine = Engine(network)
+
+    async def main() -> None:
+        client = engine.client()
+        client.max_payload = largest
+        stream = Stream(cast(Any, client), {})
+        await stream.open()
+        for _ in range(2):  # the server knows each message, and keeps it once
+            await stream.write(readings)
+        await client.close()
+
+    network.run(main)
+    for _, _, data in engine.stream:
+        assert len(data) < largest
+    return [json.loads(data) for _, _, data in engine.stream]
+
+
+def test_a_large_poll_is_one_message_if_the_server_takes_it() -> None:
+    readings = [reading("a", f"{at}", at) for at in range(3000)]
+    (message,) = sent(readings, 1 << 20)
+    assert {name: each["value"] for name, each in message["values"].items()} == {
+        f"{at}": at for at in range(3000)
+    }
+    assert message.keys() == {"device", "values"}
+
+
+def test_a_poll_above_the_largest_message_says_which_part_each_is() -> None:
+    readings = [reading("kälte", f"höhe {at}", at) for at in range(100)]
+    messages = sent(readings, 2000)
+    assert len(messages) > 3
+    assert [each["part"] for each in messages] == [*range(1, len(messages) + 1)]
+    assert {each["parts"] for each in messages} == {len(messages)}
+    found = [name for each in messages for name in each["values"]]
+    assert found == [each.name for each in readings]
+
+
+def test_a_reading_above_the_largest_message_stops_no_other_device() -> None:
+    network = Network()
+    engine = Engine(network)
+    readings = [reading("a", "x"), reading("b", "long", "y" * 3000), reading("c", "x")]
+
+    async def main() -> Pump:
+        client = engine.client()
+        client.max_payload = 2000
+        pump = Pump(Stream(cast(Any, client), {}))
+        pump.buffer.put(readings)
+        pump.start()
+        while pump.buffer:
+            await asyncio.sleep(0.1)
+        pump.close()
+        await pump.ended()
+        await client.close()
+        return pump
+
+    statistics = network.run(main).statistics
+    assert (statistics.written, statistics.dropped) == (2, 1)
+    assert [json.loads(data)["device"] for _, _, data in engine.stream] == ["a", "c"]
+
+
+# --- one that fails is its own matter -----------------------------------------------------------
+
+
+def test_authorities_that_are_away_for_a_moment_end_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "ca.pem"
+    for content in (None, "nothing"):
+        if content:
+            path.write_text(content)
+        with pytest.raises(OSError, match=r"ca: "):
+            asyncio.run(Mqtt("mqtts://127.0.0.1:1", ca=str(path)).open())
+
+
+def test_wrong_credentials_of_nats_end_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    from libmodbus_py.services.engine.errors import EngineError
+    from libmodbus_py.services.fleet.outputs import nats
+
+    async def refused(*_: object, **__: object) -> None:
+        raise EngineError("nats://127.0.0.1: the server refuses the credentials")
+
+    monkeypatch.setattr(nats, "connected", refused)
+    with pytest.raises(OSError, match="refuses the credentials"):
+        asyncio.run(Nats("nats://127.0.0.1:1").open())
+
+
+def test_other_outputs_get_everything() -> None:
+    class Failing(Picky):
+        name = "failing"
+
+        async def open(self) -> None:
+            raise ssl.SSLError("no")
+
+    async def go() -> Fleet:
+        async with Peer() as peer:
+            outputs = [Failing(), Picky()]
+            fleet = Fleet([meter("a", peer.url, interval=0.05)], outputs=outputs)
+            async with fleet:
+                await until(lambda: fleet.statistics.polls > 50)
+        return fleet
+
+    outputs = simulated_run(go()).statistics.outputs
+    assert outputs["picky"].dropped == 0
+    assert outputs["picky"].written > 50
+    assert outputs["failing"].failures > 1
+
+
+# --- once -------------------------------------------------------------------------------------
+
+
+def test_once_waits_for_an_output_that_is_slow() -> None:
+    class Slow(Picky):
+        async def write(self, readings: Sequence[Reading]) -> None:
+            await asyncio.sleep(60)
+            await super().write(readings)
+
+    async def go() -> Fleet:
+        async with Peer() as peer:
+            fleet = Fleet([meter("a", peer.url)], outputs=[Slow()])
+            await fleet.run(once=True)
+        return fleet
+
+    statistics = simulated_run(go()).statistics.outputs["picky"]
+    assert (statistics.written, statistics.dropped) == (3, 0)
+
+
+def test_once_ends_after_a_failure_and_counts_what_was_lost() -> None:
+    async def go() -> Fleet:
+        async with Peer() as peer:
+            output = Picky(refused=("a",), error=OSError("gone"))
+            fleet = Fleet([meter("a", peer.url)], outputs=[output])
+            await fleet.run(once=True)
+        return fleet
+
+    statistics = simulated_run(go()).statistics.outputs["picky"]
+    assert (statistics.written, statistics.dropped) == (0, 3)
