@@ -19,7 +19,7 @@ from time import monotonic
 from typing import Any
 
 from ..ports.waiting_async import run_async
-from ..protocol.callbacks import log_failure
+from ..protocol.callbacks import finished, log_failure
 from ..protocol.errors import ModbusConnectionError
 from .alarm import Alarm
 from .batch import Batch
@@ -264,7 +264,7 @@ class AsyncioDriver:
         self._callers.pop(batch, None)
         if caller is not None:
             try:
-                caller()
+                finished("on_done", caller())
             except Exception:
                 log_failure(__name__, "on_done failed")
 

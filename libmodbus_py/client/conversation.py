@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 from ..ports.endpoint import Endpoint
 from ..ports.trace import Trace
-from ..protocol.callbacks import log_failure
+from ..protocol.callbacks import finished, log_failure
 from ..protocol.errors import (
     Acknowledge,
     ExceptionResponse,
@@ -174,11 +174,14 @@ class Conversation:
         self._wake(now)
 
     def is_allowed(self) -> bool:
-        """Return what `may_send` says; True without one, False if it fails."""
+        """Return what `may_send` says; True without one, False if it fails or says neither."""
         if self._may_send is None:
             return True
         try:
-            return self._may_send()
+            allowed = finished("may_send", self._may_send())
+            if allowed is not True and allowed is not False:
+                raise TypeError(f"may_send must return True or False, not {allowed!r}")
+            return allowed
         except Exception:
             log_failure(__name__, "may_send failed; nothing is sent")
             return False

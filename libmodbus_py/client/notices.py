@@ -9,7 +9,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING
 
-from ..protocol.callbacks import log_failure
+from ..protocol.callbacks import finished, log_failure
 
 if TYPE_CHECKING:
     from ..protocol.errors import ModbusError
@@ -54,7 +54,7 @@ class Notices:
             while self.waiting:
                 name, call = self.waiting.popleft()
                 try:
-                    call()
+                    finished(name, call())
                 except Exception:
                     log_failure(__name__, "%s failed", name)
         finally:

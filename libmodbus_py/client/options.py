@@ -12,6 +12,7 @@ from ..ports.endpoint import Endpoint
 from ..ports.port import Port
 from ..ports.sockets import TcpPort, UdpPort
 from ..ports.trace import OnTraced, Trace
+from ..protocol.callbacks import checked_callback
 from ..protocol.checks import integer, seconds
 from ..protocol.framing import is_delimiter
 from .batch import MAX_IN_FLIGHT
@@ -171,8 +172,8 @@ class CheckedOptions:
             _check_security(self.security)
         for name in ("trace", "on_state", "may_send"):
             hook = getattr(self, name)
-            if hook is not None and not callable(hook):
-                raise TypeError(f"{name} must be callable, not {type(hook).__name__}")
+            if hook is not None:
+                checked_callback(name, hook)
         if self.statistics is not None and not isinstance(self.statistics, Statistics):
             raise TypeError(f"statistics must be Statistics, not {type(self.statistics).__name__}")
         if not isinstance(self.native, bool):

@@ -70,8 +70,6 @@ class Authorization:
     def __init__(
         self, authorize: Authorize, *, clock: Callable[[], float] = time.monotonic
     ) -> None:
-        if not callable(authorize):
-            raise TypeError(f"authorize must be a function, not {type(authorize).__name__}")
         self._authorize = timed("authorize", authorize)
         self._clock = clock
         self._minute = -MINUTE

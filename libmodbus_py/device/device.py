@@ -15,6 +15,7 @@ from collections.abc import Mapping as MappingABC
 from functools import partial
 from typing import Any, ClassVar
 
+from ..protocol.callbacks import checked_callback
 from ..protocol.checks import integer
 from ..protocol.errors import (
     ExceptionResponse,
@@ -500,8 +501,7 @@ def _bound(
     for request, handle in handlers.items():
         if not (isinstance(request, type) and issubclass(request, Request)):
             raise TypeError(f"handlers must be {{request class: function}}, not {request!r}")
-        if not callable(handle):
-            raise TypeError(f"handlers[{request.__name__}] must be a function, not {handle!r}")
+        checked_callback(("handlers", request.__name__), handle)
         bound[request] = _handler(request, handle)
     return bound
 

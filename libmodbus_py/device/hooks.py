@@ -11,6 +11,7 @@ from bisect import bisect_left
 from collections.abc import Callable, Iterable
 from typing import Any, TypeVar
 
+from ..protocol.callbacks import checked_callback, finished
 from ..protocol.tables import TABLE_SIZE
 from .access import Access
 from .ranges import joined
@@ -71,8 +72,7 @@ class Hook:
         files: Addresses | None = None,
         fifos: Addresses | None = None,
     ) -> None:
-        if not callable(call):
-            raise TypeError(f"call must be a function, not {reprlib.repr(call)}")
+        checked_callback("call", call)
         given = {
             "coils": coils,
             "discrete_inputs": discrete_inputs,
@@ -135,14 +135,24 @@ def places(*listeners: HookCall | None) -> dict[str, tuple[range, ...]]:
 
 
 def timed(name: str, call: Callable[[Given], Result]) -> Callable[[Given], Result]:
-    """Return the same function, which logs once, under `name`, when a call took long."""
+    """
+    Return the same function, which logs once, under `name`, when a call took long.
+
+    All functions of the application that devices, servers and gateways call come through here.
+
+    Raises:
+        TypeError: it is no function that runs when it is called. A call raises it, too, if it
+            returned a coroutine.
+    """
+    checked_callback(name, call)
     is_known = False
 
     def measured(given: Given) -> Result:
         nonlocal is_known
         start = time.monotonic()
         try:
-            return call(given)
+            result = call(given)
+            return result if result is None else finished(name, result)
         finally:  # a call that fails may have taken long, too
             took = time.monotonic() - start
             if took >= SLOW and not is_known:

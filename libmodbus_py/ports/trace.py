@@ -10,7 +10,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
-from ..protocol.callbacks import log_failure
+from ..protocol.callbacks import finished, log_failure
 from ..protocol.framing import pdu_of, transaction_of
 from .schemes import framing_of
 
@@ -134,7 +134,7 @@ class Trace:
             log_failure(__name__, "%s: a handler of the log failed", WIRE)
         if self._callback is not None:
             try:
-                self._callback(traced)
+                finished("trace", self._callback(traced))
             except Exception:
                 log_failure(__name__, "trace(%s) failed", traced)
 

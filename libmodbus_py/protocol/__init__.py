@@ -6,7 +6,7 @@ Bottom up:
     errors     the exceptions, grouped by cause
     mistakes   errors that know where the wrong value stands
     checks     numbers that callers give
-    callbacks  functions of users: what is logged when one fails
+    callbacks  functions of users: which are refused, and what is logged when one fails
     pdu        one class for each function: encode and decode, request and response
     scan       the CRC, and where RTU frames begin and end; in C (scan.c)
     hearing_requests  requests on a line where other units answer, too

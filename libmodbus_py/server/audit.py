@@ -20,6 +20,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 from ..device.caller import Executed, ValueChange
+from ..protocol.callbacks import checked_callback, finished
 from ..protocol.errors import ExceptionResponse
 from ..security.describing import CertificateHolder
 
@@ -105,9 +106,7 @@ class Audit:
     """
 
     def __init__(self, call: OnAudited, *, required: bool = False) -> None:
-        if not callable(call):
-            raise TypeError(f"audit must be a function, not {type(call).__name__}")
-        self._call = call
+        self._call = checked_callback("audit", call)
         self._required = required
         self._waiting: deque[AuditEvent] = deque()
         self._lost = 0
@@ -165,7 +164,7 @@ class Audit:
     def _pass_on(self) -> None:
         while self._waiting:
             try:
-                self._call(self._waiting[0])
+                finished("audit", self._call(self._waiting[0]))
             except Exception as error:
                 if not self._is_failing:
                     self._is_failing = True

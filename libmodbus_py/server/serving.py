@@ -21,6 +21,7 @@ from ..ports.endpoint import Endpoint, parse_to_listen
 from ..ports.listening import reason
 from ..ports.tls import security_of
 from ..ports.trace import OnTraced
+from ..protocol.callbacks import checked_callback
 from ..protocol.errors import ModbusConnectionError
 from ..security.security import Security
 from .audit import Audit, OnAudited, audit_of
@@ -187,9 +188,14 @@ class Serving(ABC):
 
         Raises:
             RuntimeError: an event loop runs in this thread: use `serving`.
+            TypeError: `on_listening` or `on_hangup` is no function.
 
         Other exceptions as for `serving`, and those of `on_listening`.
         """
+
+        checked_callback("on_listening", on_listening)
+        if on_hangup is not None:
+            checked_callback("on_hangup", on_hangup)
 
         async def serve() -> None:
             stopped = asyncio.Event()
@@ -267,6 +273,4 @@ def _check_security(security: object) -> None:
 
 
 def _checked(trace: OnTraced) -> OnTraced:
-    if not callable(trace):
-        raise TypeError(f"trace must be a function, not {type(trace).__name__}")
-    return trace
+    return checked_callback("trace", trace)

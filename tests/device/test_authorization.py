@@ -314,10 +314,15 @@ async def forgotten(asked: Asked) -> bool:
 
 @each_case(
     "authorize",
-    [lambda asked: None, lambda asked: 1, lambda asked: "yes", forgotten, lambda asked: 1 / 0],
+    [
+        lambda asked: None,
+        lambda asked: 1,
+        lambda asked: "yes",
+        lambda asked: forgotten(asked),
+        lambda asked: 1 / 0,
+    ],
     ids=["None", "1", "text", "coroutine", "raises"],
 )
-@pytest.mark.filterwarnings("ignore:coroutine 'forgotten' was never awaited")
 def test_a_mistake_opens_no_door(authorize: Any, caplog: pytest.LogCaptureFixture) -> None:
     caplog.clear()
     tables = Tables(authorize)

@@ -13,6 +13,7 @@ from warnings import warn
 from ...device.authorization import Authorize
 from ...ports.endpoint import Endpoint
 from ...ports.trace import OnTraced
+from ...protocol.callbacks import checked_callback
 from ...security.security import Security
 from ...server.audit import Audit, OnAudited
 from ...server.limits import Limits
@@ -87,8 +88,8 @@ class Gateway(Serving):
         super().__init__(limits, security, trace, audit)
         self._routes = _checked(routes)
         self._options = GatewayOptions(own_units, queue, longest_wait, writes_first)
-        if not (authorize is None or callable(authorize)):
-            raise TypeError(f"authorize must be a function, not {type(authorize).__name__}")
+        if authorize is not None:
+            checked_callback("authorize", authorize)
         self._authorize = authorize
         self.traffic: GatewayStatistics = GatewayStatistics()
         self._answering_now: Answering | None = None

@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Literal
 
+from ...protocol.callbacks import checked_callback
 from ...protocol.framing import AsciiFramer, RtuFramer, delimiter_after
 from ...protocol.pdu import Diagnostics
 from .hearing import Candidate, Damage, FramerHearing, Hearing, RtuHearing
@@ -40,11 +41,13 @@ class Separator:
 
     Raises:
         ValueError: `framing` is wrong.
+        TypeError: `on_heard` is no function.
     """
 
     def __init__(self, framing: LineFraming, on_heard: OnHeard = lambda heard: None) -> None:
         if framing not in ("rtu", "ascii"):
             raise ValueError(f'framing must be "rtu" or "ascii", not {framing!r}')
+        checked_callback("on_heard", on_heard)
         self._framing = framing
         self._naming = Naming(on_heard)
         self._hearings: dict[Direction | None, Hearing] = {}

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from ...ports.endpoint import parse
+from ...protocol.callbacks import checked_callback
 from ...protocol.checks import integer
 from ...protocol.errors import ModbusConnectionError
 from ...protocol.pdu import DeviceIdentification, ServerId
@@ -329,8 +330,8 @@ def scan(
     """
     endpoint = parse(url)
     asked_at = places(endpoint, baudrates, parities, timeout, security)
-    if on_progress is not None and not callable(on_progress):
-        raise TypeError(f"on_progress must be callable, not {type(on_progress).__name__}")
+    if on_progress is not None:
+        checked_callback("on_progress", on_progress)
     for place in asked_at:
         place.context().close()  # which checks the rest of the URL
     usual = _usual_units(asked_at[0])

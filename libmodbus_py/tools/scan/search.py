@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 from ...ports.endpoint import parse
 from ...ports.schemes import SERIAL_DEFAULTS
+from ...protocol.callbacks import checked_callback
 from ...protocol.checks import integer
 from ...protocol.errors import (
     NO_UNIT,
@@ -262,8 +263,8 @@ def search(
         baudrates, parities = [settings["baudrate"]], [settings["parity"]]
     (place,) = places(endpoint, baudrates, parities, timeout, security)
     integer("most_requests", most_requests, len(TABLES), 1_000_000)
-    if on_progress is not None and not callable(on_progress):
-        raise TypeError(f"on_progress must be callable, not {type(on_progress).__name__}")
+    if on_progress is not None:
+        checked_callback("on_progress", on_progress)
     place.context().close()  # which checks the rest of the URL
     unit = integer("unit", endpoint.client_options.get("unit", 1), int(place.has_broadcast), 255)
     return Search(_Tables(place, unit, most_requests, on_progress))

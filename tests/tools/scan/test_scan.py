@@ -536,7 +536,7 @@ def test_it_takes_no_longer_than_it_says() -> None:
         ("rtu:///dev/nowhere", {"timeout": 0}, "timeout must be in"),
         ("rtu:///dev/nowhere?silence=7", {}, "silence must be in"),
         ("tcp://127.0.0.1:1?turnaround=-1", {}, "turnaround must be in"),
-        ("tcp://127.0.0.1:1", {"on_progress": 7}, "on_progress must be callable"),
+        ("tcp://127.0.0.1:1", {"on_progress": 7}, "on_progress must be a function"),
         ("http://127.0.0.1:1", {}, "the scheme must be one of"),
     ],
 )

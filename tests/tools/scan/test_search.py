@@ -265,7 +265,7 @@ def test_what_is_wrong_is_told_before_anything_is_sent() -> None:
         ("tcp://127.0.0.1:1", {"timeout": 0}, "timeout must be in"),
         ("tcp://127.0.0.1:1?unit=300", {}, "unit must be in 0..255"),
         ("rtu:///dev/nowhere?unit=0", {}, "unit must be in 1..255"),
-        ("tcp://127.0.0.1:1", {"on_progress": 1}, "on_progress must be callable"),
+        ("tcp://127.0.0.1:1", {"on_progress": 1}, "on_progress must be a function"),
     ):
         with pytest.raises((TypeError, ValueError), match=message):
             search(url, **options)  # type: ignore[arg-type]

@@ -1,0 +1,182 @@
+"""
+Functions of users that would not run when they are called: refused by all that take functions.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import AsyncIterator, Callable, Iterator
+from functools import partial
+from typing import Any
+from unittest.mock import AsyncMock, Mock
+
+import pytest
+
+from libmodbus_py import (
+    AsyncClient,
+    Client,
+    Device,
+    Gateway,
+    Hook,
+    Mapping,
+    Route,
+    Server,
+    TcpContext,
+    pdu,
+)
+from libmodbus_py.device.authorization import Authorization
+from libmodbus_py.listen import Separator
+from libmodbus_py.protocol.callbacks import checked_callback, finished, log_failure
+from libmodbus_py.scan import scanning, searching
+from tests.support.cases import each_case
+
+URL = "tcp://127.0.0.1:1"
+
+
+async def waits(*_: object) -> bool:
+    return True
+
+
+async def yields_and_waits(*_: object) -> AsyncIterator[bool]:
+    yield True
+
+
+def yields(*_: object) -> Iterator[bool]:
+    yield True
+
+
+class Waiting:
+    async def __call__(self, *_: object) -> bool:
+        return True
+
+    async def method(self, *_: object) -> bool:
+        return True
+
+    @classmethod
+    async def of_class(cls, *_: object) -> bool:
+        return True
+
+    @staticmethod
+    async def static(*_: object) -> bool:
+        return True
+
+
+DELAYED: list[Any] = [
+    waits, yields_and_waits, yields, Waiting(), Waiting().method, Waiting.of_class, Waiting.static,
+    partial(waits, 1), partial(partial(Waiting(), 1), 2), partial(Waiting().method), AsyncMock(),
+]  # fmt: skip
+
+
+def device(**hooks: Any) -> Device:
+    return Device(Mapping(holding_registers=10), **hooks)
+
+
+TAKING: dict[str, Callable[[Any], object]] = {
+    **{
+        name: partial(lambda name, call: device(**{name: call}), name)
+        for name in ("before_write", "after_write", "before_read", "authorize", "canopen")
+    },
+    "handlers": lambda call: device(handlers={pdu.ReadHoldingRegisters: call}),
+    "Hook": Hook,
+    "Authorization": Authorization,
+    "server trace": lambda call: Server(device(), trace=call),
+    "server audit": lambda call: Server(device(), audit=call),
+    "gateway audit": lambda call: Gateway([Route(URL)], audit=call),
+    "server tracing": lambda call: Server(device()).tracing(call),
+    "on_listening": lambda call: Server(device()).serve_forever(URL, on_listening=call),
+    "on_hangup": lambda call: Server(device()).serve_forever(URL, on_hangup=call),
+    "gateway authorize": lambda call: Gateway([Route(URL)], authorize=call),
+    "gateway trace": lambda call: Gateway([Route(URL)], trace=call),
+    "may_send": lambda call: AsyncClient(URL, may_send=call),
+    "AsyncClient trace": lambda call: AsyncClient(URL, trace=call),
+    "AsyncClient on_state": lambda call: AsyncClient(URL, on_state=call),
+    "Client trace": lambda call: Client(URL, trace=call),
+    "Client on_state": lambda call: Client(URL, on_state=call),
+    "TcpContext trace": lambda call: TcpContext("127.0.0.1", trace=call),
+    "scanning": lambda call: scanning(URL, on_progress=call),
+    "searching": lambda call: searching(URL, on_progress=call),
+    "Separator": lambda call: Separator("rtu", call),
+}
+
+
+@pytest.mark.parametrize("name", TAKING)
+@each_case("call", DELAYED)
+def test_what_does_not_run_when_called_is_refused(name: str, call: Any) -> None:
+    with pytest.raises(TypeError, match="must be a plain function"):
+        TAKING[name](call)
+
+
+@pytest.mark.parametrize("name", TAKING)
+@each_case("call", [7, "print", {}])
+def test_what_cannot_be_called_is_refused(name: str, call: Any) -> None:
+    with pytest.raises(TypeError, match="must be a function"):
+        TAKING[name](call)
+
+
+class Plain:
+    def __call__(self, *_: object) -> bool:
+        return True
+
+
+@each_case("call", [print, Plain(), Plain, partial(print, 1), Mock(), lambda: waits(), str.upper])
+def test_other_functions_are_taken(call: Any) -> None:
+    assert checked_callback("call", call) is call
+
+
+# --- a plain function that returns a coroutine ------------------------------------------------
+
+
+def hidden(*_: object) -> Any:
+    """Return a coroutine, as ``lambda access: waits(access)`` does."""
+    return waits()
+
+
+WRITE = pdu.WriteRegister(3, 77).encode()
+
+
+@pytest.mark.parametrize("name", ["before_write", "after_write", "authorize"])
+def test_a_hook_that_returns_a_coroutine_is_a_failure(
+    name: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    made = device(**{name: hidden})
+    assert made.answer(WRITE) == b"\x86\x04"
+    assert "which nothing awaits" in caplog.text
+    if name != "after_write":
+        assert made.mapping.holding_registers[3] == 0
+
+
+def test_a_handler_that_returns_a_coroutine_is_a_failure() -> None:
+    assert device(handlers={pdu.WriteRegister: hidden}).answer(WRITE) == b"\x86\x04"
+
+
+def test_a_result_that_something_runs_already_is_taken() -> None:
+    done: Any = object()
+    assert finished("after_write", done) is done
+    assert finished("after_write", [1]) == [1]
+
+
+@each_case("make", [waits, yields, yields_and_waits])
+def test_a_result_of_which_nothing_ran_is_refused(make: Callable[[], object]) -> None:
+    with pytest.raises(TypeError, match="hook returned"):
+        finished("hook", make())
+
+
+# --- the log -------------------------------------------------------------------------------
+
+
+def test_a_log_that_fails_is_told_on_stderr(capsys: pytest.CaptureFixture[str]) -> None:
+    class Broken(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            raise OSError("disk full")
+
+    logger, handler = logging.getLogger("libmodbus_py.broken"), Broken()
+    logger.addHandler(handler)
+    try:
+        raise ZeroDivisionError
+    except ZeroDivisionError:
+        log_failure(logger.name, "%s failed", "it")
+    finally:
+        logger.removeHandler(handler)
+    told = capsys.readouterr().err
+    assert "disk full" in told
+    assert "ZeroDivisionError" in told
