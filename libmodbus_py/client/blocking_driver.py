@@ -260,6 +260,8 @@ class BlockingDriver:
             self._send(now)
             if conversation.is_wanted:
                 self._send(now)
+            if self._notices.waiting:
+                self._notices.give()  # of what was sent, before the wait for its answer
             if not (batch.is_done or conversation.broken):
                 self._wait(now)
         except ModbusConnectionError as error:

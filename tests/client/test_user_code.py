@@ -167,6 +167,20 @@ def test_states_and_traces_are_told_when_they_are_true(world: World) -> None:
     assert sent == [("sent", 1), ("received", 1)]
 
 
+def test_a_trace_of_a_request_comes_before_its_answer(world: World) -> None:
+    times: list[tuple[str, float]] = []
+    peer = world.peer("tcp", lambda request, write: write(answer(request, "tcp"), after=0.3))
+    with world.connect(
+        peer.url, trace=lambda traced: times.append((traced.direction, world.now))
+    ) as client:
+        start = world.now
+        client.read_holding_registers(1, 1)
+    (sent, at), (received, then) = times
+    assert (sent, received) == ("sent", "received")
+    assert at - start < 0.1
+    assert then - at >= 0.299
+
+
 def submitting(act: Callable[[AsyncClient, list[Any]], object]) -> list[Any]:
     """Submit two reads, the first with an `on_done` of the test; return what was told."""
     network = Network()
