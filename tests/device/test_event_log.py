@@ -1,11 +1,9 @@
 """
-Counters, event log, listen-only mode and delimiter, on real serial lines (sections 6.8-6.10).
+Counters, event log, listen-only mode and delimiter, on serial lines (sections 6.8-6.10).
 """
 
 from __future__ import annotations
 
-import os
-import time
 from collections.abc import Iterator
 from typing import ClassVar
 
@@ -32,7 +30,11 @@ from libmodbus_py import (
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.protocol.pdu import SubFunction
 from libmodbus_py.tools.testing.wires import SerialWire
+from tests.simulation.stage import LineEnd, Stage
 from tests.support.cases import each_case
+
+DEVICE = "/dev/ttyS0"
+CONTEXTS: dict[str, type[RtuContext | AsciiContext]] = {"rtu": RtuContext, "ascii": AsciiContext}
 
 COUNTERS = {
     "messages": SubFunction.BUS_MESSAGE_COUNT,
@@ -65,30 +67,39 @@ def devices() -> dict[int, Device]:
 
 
 @pytest.fixture
-def wire() -> Iterator[SerialWire]:
-    with SerialWire() as made:
+def stage() -> Iterator[Stage]:
+    with Stage() as made:
         yield made
 
 
-@pytest.fixture(params=["rtu", "ascii"])
+@pytest.fixture(params=list(CONTEXTS))
 def line(
-    request: pytest.FixtureRequest, wire: SerialWire, devices: dict[int, Device]
+    request: pytest.FixtureRequest, stage: Stage, devices: dict[int, Device]
 ) -> Iterator[Context]:
-    make = RtuContext if request.param == "rtu" else AsciiContext
     with (
-        Server(devices).background(f"{request.param}://{wire.server}?baudrate=115200"),
-        make(wire.client, 115200, timeout=0.15, turnaround=0.01) as context,
+        Server(devices).background(f"{request.param}://{DEVICE}?baudrate=115200"),
+        CONTEXTS[request.param](DEVICE, 115200, timeout=0.15, turnaround=0.01) as context,
     ):
         yield context
+
+
+@pytest.fixture
+def ascii_line(stage: Stage) -> Iterator[Context]:
+    with (
+        Server({1: Device(Mapping(holding_registers=4))}).background(f"ascii://{DEVICE}"),
+        AsciiContext(DEVICE, timeout=0.5) as context,
+    ):
+        yield context
+
+
+def send(context: Context, data: bytes) -> None:
+    """Write what no request is, and let the server take it."""
+    context._driver._port._write(data)
 
 
 def counters(context: Context) -> dict[str, int]:
     """Each question is a message of its own, and is counted as one."""
     return {name: context.diagnostics(counter) for name, counter in COUNTERS.items()}
-
-
-def send(context: Context, data: bytes) -> None:
-    os.write(context._driver._port.descriptor, data)
 
 
 def frame(context: Context, unit: int, body: bytes) -> bytes:
@@ -211,10 +222,11 @@ def test_broadcasts_are_not_executed_in_listen_only(
     assert [device.mapping.holding_registers[0] for device in devices.values()] == [0, 77]
 
 
-def test_broadcasts_of_what_is_no_write_do_nothing_but_count(line: Context) -> None:
+def test_broadcasts_of_what_is_no_write_do_nothing_but_count(stage: Stage, line: Context) -> None:
     line.diagnostics(SubFunction.CLEAR_COUNTERS)
     for body in (b"\x03\0\0\0\1", b"\x08\0\4\0\0", b"\x08\0\1\0\0", b"\x41", b"\x18\0\0"):
         send(line, frame(line, 0, body))
+        stage.pass_time(0.05)  # more than the silence between two frames
     found = counters(line)
     assert found["messages"] == 1 + 5
     assert found["unanswered"] == 5
@@ -230,17 +242,12 @@ def test_restart_clears_counters_and_keeps_the_log(line: Context) -> None:
     assert (log.event_count, log.message_count) == (0, 1)
 
 
-def test_clearing_the_overrun_counter_leaves_the_others(wire: SerialWire) -> None:
-    device = Device(Mapping(coils=8))
-    with (
-        Server({1: device}).background(f"ascii://{wire.server}?baudrate=115200"),
-        AsciiContext(wire.client, 115200, timeout=0.5) as line,
-    ):
-        send(line, b":" + b"00" * 300)
-        assert line.diagnostics(SubFunction.BUS_CHARACTER_OVERRUN_COUNT) == 1
-        assert line.diagnostics(SubFunction.CLEAR_OVERRUN) == 0
-        assert line.diagnostics(SubFunction.BUS_CHARACTER_OVERRUN_COUNT) == 0
-        assert line.diagnostics(SubFunction.BUS_COMMUNICATION_ERROR_COUNT) == 1
+def test_clearing_the_overrun_counter_leaves_the_others(ascii_line: Context) -> None:
+    send(ascii_line, b":" + b"00" * 300)
+    assert ascii_line.diagnostics(SubFunction.BUS_CHARACTER_OVERRUN_COUNT) == 1
+    assert ascii_line.diagnostics(SubFunction.CLEAR_OVERRUN) == 0
+    assert ascii_line.diagnostics(SubFunction.BUS_CHARACTER_OVERRUN_COUNT) == 0
+    assert ascii_line.diagnostics(SubFunction.BUS_COMMUNICATION_ERROR_COUNT) == 1
 
 
 @each_case(
@@ -274,33 +281,36 @@ def test_query_data_come_back(line: Context) -> None:
         assert line.execute(pdu.Diagnostics(0, data)) == data
 
 
-def test_ascii_delimiter_changes_after_the_echo_both_ways(wire: SerialWire) -> None:
-    device = Device(Mapping(holding_registers=4))
+def test_ascii_delimiter_changes_after_the_echo_both_ways(
+    stage: Stage, ascii_line: Context
+) -> None:
+    listener = LineEnd(stage.line(DEVICE))
+    assert ascii_line.diagnostics(SubFunction.CHANGE_ASCII_DELIMITER, 0x2400) == 0x2400
+    assert listener.heard.endswith(b"\r\n")
+    listener.heard = b""
     framer = framing.AsciiFramer()
+    framer.delimiter = 0x24
+    request = framer.encode(framing.Frame(1, pdu.ReadHoldingRegisters(0, 1).encode()))
+    assert request.endswith(b"\r$")
+    send(ascii_line, request)
+    assert stage.until(lambda: listener.heard.count(b"\r$") == 2)
+    answer = listener.heard.removeprefix(request)
+    assert framer.feed(answer) == [framing.Frame(1, b"\x03\x02\0\0")]
+
+
+@pytest.mark.parametrize("kind", CONTEXTS)
+def test_counters_and_log_on_real_ports(kind: str, devices: dict[int, Device]) -> None:
     with (
-        Server({1: device}).background(f"ascii://{wire.server}?baudrate=115200"),
-        AsciiContext(wire.client, 115200, timeout=0.5) as line,
+        SerialWire() as wire,
+        Server(devices).background(f"{kind}://{wire.server}?baudrate=115200"),
+        CONTEXTS[kind](wire.client, 115200, timeout=30) as context,
     ):
-        assert line.diagnostics(SubFunction.CHANGE_ASCII_DELIMITER, 0x2400) == 0x2400
-        assert wire.sent_by("server").endswith(b"\r\n")
-        wire.clear()
-        framer.delimiter = 0x24
-        request = framer.encode(framing.Frame(1, pdu.ReadHoldingRegisters(0, 1).encode()))
-        assert request.endswith(b"\r$")
-        send(line, request)
-        answer = b""
-        while not answer.endswith(b"\r$"):
-            answer += receive(line)
-        assert framer.feed(answer) == [framing.Frame(1, b"\x03\x02\0\0")]
-
-
-def receive(context: Context) -> bytes:
-    port = context._driver._port
-    until = time.monotonic() + 2
-    while not (data := b"".join(port.receive())):
-        assert time.monotonic() < until, "no answer"
-        time.sleep(0.001)
-    return data
+        context.diagnostics(SubFunction.RESTART_COMMUNICATIONS, 0xFF00)
+        with pytest.raises(IllegalDataAddress):
+            context.read_coils(8, 1)
+        log = context.read_comm_event_log()
+        assert log.events[::-1] == bytes.fromhex("00 8041 80")
+        assert (log.event_count, log.message_count) == (0, 2)
 
 
 def test_tcp_cannot_silence_the_device(devices: dict[int, Device]) -> None:

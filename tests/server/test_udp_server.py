@@ -22,12 +22,14 @@ from libmodbus_py.server.sources import Sources
 from tests.simulation.stage import Stage, Talker
 from tests.support import vectors
 from tests.support.attacks import PATIENCE, READ_MOST, READ_ONE, adu
+from tests.support.cases import each_case
 from tests.support.peers import until
 
 UNIT = 17
 READ = bytes.fromhex("03 0064 0002")
 ANSWER = bytes.fromhex("03 04 03e8 03e9")
 
+OTHER_MACHINES = ("192.0.2.1", "2001:db8::1", "::ffff:192.0.2.1")
 HOSTS = {"127.0.0.1": socket.AF_INET, "::1": socket.AF_INET6}
 
 
@@ -348,19 +350,33 @@ def test_where_servers_are_nobody_asks(stage: Stage, source: int | None, device:
         assert server.statistics.requests == 1
 
 
-def test_addresses_of_other_machines_get_no_more_than_a_thousand_answers_a_second() -> None:
+@each_case(
+    ("host", "rate", "at_once", "later"),
+    [
+        *((host, None, 1001, 100) for host in OTHER_MACHINES),
+        *((host, 200, 201, 20) for host in OTHER_MACHINES),
+        *((host, 5000, 3000, 2501) for host in OTHER_MACHINES),
+        *(
+            (host, None, 3000, 3000)
+            for host in ("127.0.0.1", "127.9.9.9", "::1", "::ffff:127.0.0.1")
+        ),
+    ],
+)
+def test_addresses_of_other_machines_get_no_more_than_a_thousand_answers_a_second(
+    stage: Stage, host: str, rate: int | None, at_once: int, later: int
+) -> None:
     """None of them is on this machine, so nothing is sent."""
 
-    async def admitted(host: str, **limits: Any) -> int:
-        sources = Sources(Limits(**limits), ServerStatistics())
+    async def made() -> Sources:
+        return Sources(Limits(requests_per_second=rate), ServerStatistics())
+
+    def admitted() -> int:
         return sum(sources.admit(adu(READ, number), (host, 40_000)) for number in range(3000))
 
-    for host in ("192.0.2.1", "2001:db8::1", "::ffff:192.0.2.1"):
-        assert 1000 <= asyncio.run(admitted(host)) < 2000
-        assert 200 <= asyncio.run(admitted(host, requests_per_second=200)) < 1000
-        assert asyncio.run(admitted(host, requests_per_second=5000)) == 3000
-    for host in ("127.0.0.1", "127.9.9.9", "::1", "::ffff:127.0.0.1"):
-        assert asyncio.run(admitted(host)) == 3000
+    sources = stage.wait(made())
+    assert admitted() == at_once
+    stage.pass_time(0.1)
+    assert admitted() == later
 
 
 def test_however_many_sources_are_forged_little_is_remembered(
