@@ -50,9 +50,9 @@ BUILD = Path("build/mutants")
 # The files that decide about requests, turns, time and bytes.
 DECIDING = [
     *("client", "services/gateway", "services/fleet", "services/workers", "protocol"),
-    *(f"server/{name}.py" for name in ("by_chunk", "by_frame", "devices", "faulty", "framed")),
-    *(f"server/{name}.py" for name in ("idle", "limits", "peers", "service")),
-    *(f"server/faults/{name}.py" for name in ("delivery", "due")),
+    *(f"server/{name}.py" for name in ("by_chunk", "by_frame", "devices", "framed", "idle")),
+    *(f"server/{name}.py" for name in ("limits", "peers")),
+    *(f"server/faults/{name}.py" for name in ("delivery", "due", "faulty")),
 ]
 
 # Where the tests of a folder stand, if not in the folder of the same name; all have the world.
@@ -272,6 +272,13 @@ def _beside(path: Path) -> tuple[str, ...]:
     return (*BESIDE.get(name, (name,)), WORLD)
 
 
+def files_beside(drawn: Sequence[Mutant]) -> list[Path]:
+    """Return the test files that stand beside any of these mutants, in folders at any depth."""
+    folders = {folder for mutant in drawn for folder in _beside(mutant.path)}
+    found = {path for folder in folders for path in Path("tests", folder).rglob("test_*.py")}
+    return sorted(found)
+
+
 def _become(mutant: Mutant, tests: dict[str, float], folder: Path) -> None:
     """Run the tests of a mutant in this process, which is a fork, and end it."""
     code = int(pytest.ExitCode.INTERNAL_ERROR)
@@ -387,9 +394,7 @@ def chosen(places: Sequence[str], sample: int, seed: int) -> list[Mutant]:
 def main(argv: Sequence[str] | None = None) -> int:
     arguments = _parser().parse_args(argv)
     drawn = chosen(arguments.places or DECIDING, arguments.sample, arguments.seed)
-    folders = {folder for mutant in drawn for folder in _beside(mutant.path)}
-    tests = [path for folder in sorted(folders) for path in Path("tests", folder).glob("test_*.py")]
-    covering = cover(tests, arguments.jobs)
+    covering = cover(files_beside(drawn), arguments.jobs)
     for name in HEAVY:
         with contextlib.suppress(ImportError):
             importlib.import_module(name)

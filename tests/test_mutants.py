@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from fuzz.covering import Covering, functions
-from fuzz.mutants import chosen
+from fuzz.mutants import DECIDING, chosen, files_beside
 from fuzz.mutations import TUNING, mutants
 
 ROOT = Path(__file__).parent.parent
@@ -139,6 +139,17 @@ def test_the_same_seed_draws_the_same() -> None:
     )
     assert first == again != other
     assert len(first) == 5
+
+
+def test_mutants_can_be_drawn_from_each_file_that_decides() -> None:
+    for place in DECIDING:
+        assert chosen([place], 1, seed=1), place
+
+
+def test_tests_in_folders_of_the_test_folder_are_beside_too() -> None:
+    drawn = chosen(["server/faults/delivery.py"], 1, seed=1)
+    found = {str(path) for path in files_beside(drawn)}
+    assert {"tests/server/faults/test_delivery.py", "tests/simulation/test_world.py"} <= found
 
 
 TRYING = """
