@@ -91,11 +91,8 @@ def test_a_listener_hears_what_is_behind(rule: Callable[[bytes], Any]) -> None:
 
 @each_case("rule", RULES.values(), ids=RULES)
 def test_a_request_with_such_a_rule_is_refused(rule: Callable[[bytes], Any]) -> None:
-    with registered(rule) as own:
-        with pytest.raises(IllegalDataValue):
-            pdu.decode_request(OWN[1:-2])
-        with pytest.raises(ModbusError):
-            own(0x6D, b"\1\2").decode_response(OWN[1:-2])
+    with registered(rule), pytest.raises(IllegalDataValue):
+        pdu.decode_request(OWN[1:-2])
 
 
 def test_a_mistake_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
@@ -105,7 +102,8 @@ def test_a_mistake_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
             may_be(OWN[1:-2])
     (record,) = caplog.records
     assert "Own" in record.getMessage()
-    assert "a mistake in a rule" in record.getMessage()
+    assert record.exc_info is not None
+    assert "a mistake in a rule" in str(record.exc_info[1])
 
 
 @pytest.fixture

@@ -5,13 +5,15 @@ The function codes that framers, clients and servers know: `REQUESTS`, and what 
 from __future__ import annotations
 
 from typing import Any, TypeVar
+from weakref import WeakSet
 
+from ..callbacks import log_failure
 from ..errors import IllegalDataAddress, IllegalDataValue, IllegalFunction
-from .fields import AddressError
+from .fields import IN_C, MAX_PDU, AddressError, LengthRule
 from .files import ReadFifoQueue, ReadFileRecords, WriteFileRecords
 from .interface import EncapsulatedTransport
 from .reads import ReadCoils, ReadDiscreteInputs, ReadHoldingRegisters, ReadInputRegisters
-from .request import Request, told_length
+from .request import Request
 from .serial import (
     Diagnostics,
     ReadCommEventCounter,
@@ -31,6 +33,12 @@ from .writes import (
 __all__ = ["REQUESTS", "decode_request", "register", "request_length", "response_length"]
 
 Kind = TypeVar("Kind", bound=type[Request[Any]])
+
+NO_LENGTH = MAX_PDU + 1
+"""More bytes than a PDU has."""
+
+# Classes of which a mistake in a length rule has been logged.
+_mistaken: WeakSet[type[Request[Any]]] = WeakSet()
 
 REQUESTS: dict[int, type[Request[Any]]] = {
     request.function: request
@@ -134,7 +142,7 @@ def request_length(head: bytes) -> int | None:
         the PDU is none. That is logged once for each class.
     """
     request = REQUESTS.get(head[0])
-    return 0 if request is None else told_length(request, request.request_length, head)
+    return 0 if request is None else _told(request, request.request_length, head)
 
 
 def response_length(head: bytes) -> int | None:
@@ -142,4 +150,26 @@ def response_length(head: bytes) -> int | None:
     if head[0] & 0x80:
         return 2
     request = REQUESTS.get(head[0])
-    return 0 if request is None else told_length(request, request.response_length, head)
+    return 0 if request is None else _told(request, request.response_length, head)
+
+
+def _told(request: type[Request[Any]], rule: LengthRule, head: bytes) -> int | None:
+    """
+    Return what a length rule of a class returns; `NO_LENGTH` if it raises or returns nonsense.
+
+    A mistake in one rule must not leave a line deaf for all other functions. It is logged once
+    for each class.
+    """
+    if rule in IN_C:  # one of the package, so that it raises nothing of its own
+        return rule(head)
+    try:
+        length = rule(head)
+        if length is None or (isinstance(length, int) and length >= 0):
+            return length
+        raise ValueError(f"a length rule returned {length!r}, not None or a number of bytes")
+    except Exception:
+        if request not in _mistaken:
+            _mistaken.add(request)
+            text = "%s: frames of function %d are dropped because of its length rule"
+            log_failure(__name__, text, request.__name__, request.function)
+    return NO_LENGTH

@@ -5,19 +5,12 @@ The base of all requests; those that are echoed, and those without arguments.
 from __future__ import annotations
 
 import reprlib
-from typing import Any, ClassVar, Generic, Self, TypeVar
-from weakref import WeakSet
+from typing import ClassVar, Generic, Self, TypeVar
 
 from ..errors import ExceptionResponse, InvalidResponse, in_hex
-from .fields import MAX_PDU, LengthRule, fixed
+from .fields import LengthRule, fixed
 
 Result = TypeVar("Result")
-
-NO_LENGTH = MAX_PDU + 1
-"""More bytes than a PDU has."""
-
-# Classes of which a mistake in a length rule has been logged.
-_mistaken: WeakSet[type[Request[Any]]] = WeakSet()
 
 
 class Request(Generic[Result]):
@@ -88,7 +81,7 @@ class Request(Generic[Result]):
         """
         if not pdu or pdu[0] != self.function:
             raise self._refusal(pdu)
-        length = told_length(type(self), type(self).response_length, pdu)
+        length = type(self).response_length(pdu)
         if length != len(pdu) and length != 0:
             return self._decode_misfit(pdu, length)
         return self._decode_response(pdu)
@@ -148,26 +141,3 @@ class Bare(Request[Result]):
     @classmethod
     def decode(cls, pdu: bytes) -> Self:
         return cls()
-
-
-def told_length(request: type[Request[Any]], rule: LengthRule, head: bytes) -> int | None:
-    """
-    Return what a length rule of a class returns; `NO_LENGTH` if it raises or returns nonsense.
-
-    A mistake in one rule must not leave a line deaf for all other functions. It is logged once
-    for each class.
-    """
-    try:
-        length = rule(head)
-        if length is None or (isinstance(length, int) and length >= 0):
-            return length
-        why = f"it returned {length!r}, not None or a number of bytes"
-    except Exception as error:
-        why = repr(error)
-    if request not in _mistaken:
-        _mistaken.add(request)
-        from logging import getLogger  # a client that reads registers needs no log
-
-        text = "%s: the frames of function %d are dropped because of its length rule: %s"
-        getLogger(__name__).error(text, request.__name__, request.function, why)
-    return NO_LENGTH
