@@ -50,6 +50,7 @@ class InTurn(Matching):
         delimiter: int = LINE_FEED,
     ) -> None:
         self._delimiter = delimiter
+        self._pause = endpoint.pause
         super().__init__(endpoint, statistics, trace)
         self._silence = silence
         self._pending: Pending | None = None
@@ -67,7 +68,7 @@ class InTurn(Matching):
         self._doubled_until = 0.0  # answers came twice recently, and may do so until then
 
     def _make_framer(self) -> Framer:
-        framer = make_framer(self._framing, "client")
+        framer = make_framer(self._framing, "client", self._pause)
         if isinstance(framer, AsciiFramer):
             framer.delimiter = self._delimiter
         return framer

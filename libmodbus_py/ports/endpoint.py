@@ -27,15 +27,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from ..protocol.pauses import pause_between_frames
 from .schemes import (
     ASCII_DEFAULTS,
     CLIENT_OPTIONS,
     OTHER_NAMES,
     SCHEMES,
+    SERIAL_DEFAULTS,
     TRANSPORTS,
     Option,
     Scheme,
     Transport,
+    character_bits,
 )
 
 if TYPE_CHECKING:
@@ -116,6 +119,14 @@ class Endpoint:
         """The options, with the usual settings of the framing for those that are missing."""
         defaults = ASCII_DEFAULTS if self.framing == "ascii" else {}
         return {**defaults, **self.options}
+
+    @property
+    def pause(self) -> float:
+        """The seconds of silence between frames on a serial line; 0 on networks."""
+        if not self.is_serial:
+            return 0.0
+        settings = {**SERIAL_DEFAULTS, **self.serial_settings}
+        return pause_between_frames(settings["baudrate"], character_bits(settings))
 
     @property
     def url(self) -> str:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 __all__ = [
     "ASCII_DEFAULTS", "CLIENT_OPTIONS", "DEFAULT_PORT", "OTHER_NAMES", "PARITIES", "SCHEMES",
     "SECURE_PORT", "SECURITY_OPTIONS", "SERIAL_DEFAULTS", "SERIAL_OPTIONS", "TRANSPORTS", "Option",
-    "Scheme", "Transport", "TransportRules", "framing_of",
+    "Scheme", "Transport", "TransportRules", "character_bits", "framing_of",
 ]
 # fmt: on
 
@@ -106,6 +106,14 @@ SERIAL_OPTIONS: dict[str, Option] = {
 }
 
 SERIAL_DEFAULTS: dict[str, Any] = {"baudrate": 19200, "parity": "E", "data_bits": 8, "stop_bits": 1}
+
+
+def character_bits(settings: Mapping[str, Any]) -> int:
+    """Return the bits of a character on a line with settings as in `SERIAL_DEFAULTS`."""
+    data: int = settings["data_bits"]
+    stop: int = settings["stop_bits"]
+    return 1 + data + int(settings["parity"] != "N") + stop
+
 
 # ASCII frames are text with delimiters.
 ASCII_DEFAULTS: dict[str, Any] = {"data_bits": 7, "silence": 0.0}

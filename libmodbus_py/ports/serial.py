@@ -17,8 +17,9 @@ from typing import Any, ClassVar, Literal, TypedDict, Unpack
 from ..binding.library import check, ffi, lib, make
 from ..protocol.checks import integer, seconds
 from ..protocol.errors import ModbusConnectionError
+from ..protocol.pauses import pause_between_frames
 from .port import Port, Silence, lost
-from .schemes import SERIAL_DEFAULTS
+from .schemes import SERIAL_DEFAULTS, character_bits
 from .waiting import Steps, of_system
 
 __all__ = ["LineSettings", "SerialPort", "SerialSettings", "set_odd_baudrate"]
@@ -135,12 +136,11 @@ class SerialPort(Port):
         self.echo: bool = settings.get("echo", False)
         if not isinstance(self.echo, bool):
             raise TypeError(f"echo must be True or False, not {self.echo!r}")
-        bits = 1 + self.data_bits + (self.parity != "N") + self.stop_bits
+        bits = character_bits(usual)
         wait, silence = settings.get("rts_delay"), settings.get("silence")
         self.character: float = bits / self.baudrate
         self.rts_delay: float = self.character if wait is None else seconds("rts_delay", wait, 0, 1)
-        # 3.5 characters of 11 bits, and no less than this.
-        specified = 3.5 * 11 / self.baudrate if self.baudrate <= 19200 else 0.00175
+        specified = pause_between_frames(self.baudrate, bits)
         self.silence: Silence = Silence(
             specified if silence is None else seconds("silence", silence, 0, 1),
             self.character,

@@ -9,6 +9,7 @@ Bottom up:
     callbacks  functions of users: which are refused, and what is logged when one fails
     pdu        one class for each function: encode and decode, request and response
     scan       the CRC, and where RTU frames begin and end; in C (scan.c)
+    pauses     the silence between frames on a serial line
     hearing_requests  requests on a line where other units answer, too
     framing    unit and PDU as bytes on TCP, UDP, RTU and ASCII lines, and back
     either_way  frames of a line that one only listens to: requests or responses

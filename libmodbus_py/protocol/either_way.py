@@ -8,9 +8,10 @@ Bytes only; no clock. `RtuEitherWay` finds frames by both length rules of `pdu` 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import ClassVar, NamedTuple
+from typing import NamedTuple
 
-from .framing import Frame, RtuFramer, scanner
+from .framing import Frame, scanner
+from .pauses import ALLOWANCE
 from .pdu import request_length, response_length
 from .scan import AT_END, GOES_ON, SILENT, FrameScanner
 
@@ -49,14 +50,16 @@ class RtuEitherWay:
     Both scans look at the same bytes. Where only one of them finds a frame, and the other may
     still find a longer one, it is decisive what is more likely there: see `take`.
 
+    Args:
+        pause: as for `RtuFramer`.
+
     Attributes:
         quiet: seconds without a byte after which `silence` should be called.
         offset: the position in the stream of the first byte that is still searched.
     """
 
-    quiet: ClassVar[float] = RtuFramer.quiet
-
-    def __init__(self) -> None:
+    def __init__(self, pause: float = 0.0) -> None:
+        self.quiet: float = pause + ALLOWANCE
         self._asking, self._answering = scanner("server"), scanner("client")
         self._buffer = bytearray()
         self._fresh = [0]  # where frames should begin: behind silence and good frames

@@ -21,11 +21,12 @@ import re
 import struct
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from . import pdu
 from .errors import MAX_RECEIVED, FrameError
 from .hearing_requests import RequestSearch
+from .pauses import ALLOWANCE
 from .pdu.fields import IN_C, MAX_PDU
 from .scan import AT_END, GOES_ON, SILENT, FrameScanner, crc16, lib
 
@@ -95,7 +96,7 @@ class Framer(ABC):
     # True if unit 0 addresses every unit, as on a serial line.
     has_broadcast = True
     # Seconds without a byte after which `silence` should be called; None for never.
-    quiet: ClassVar[float | None] = None
+    quiet: float | None = None
     # False once the stream cannot be understood any more and must be closed.
     in_step = True
 
@@ -324,22 +325,22 @@ class RtuFramer(Framer):
 
     Args:
         role: "server" when requests come in, "client" when responses do.
+        pause: seconds between two frames on the line, as `pause_between_frames` returns; 0 where
+            bytes do not come at the pace of a line, as over TCP.
 
     Attributes:
         is_ours: for a server: returns True if it answers a unit itself, False if another one
             on the line may; True for all units unless changed.
     """
 
-    # Longer than USB adapters keep bytes back (16 ms), which is longer than 3.5
-    # characters from 2400 bit/s on. Below that it may fall inside a frame; that
-    # does harm only where what came so far ends with a whole frame.
-    quiet: ClassVar[float] = 0.02
+    quiet: float
     max_size = MAX_PDU + 3
 
-    def __init__(self, role: Role) -> None:
+    def __init__(self, role: Role, pause: float = 0.0) -> None:
         if role not in ("client", "server"):
             raise ValueError(f'role must be "client" or "server", not {role!r}')
         super().__init__()
+        self.quiet = pause + ALLOWANCE
         self._scanner = scanner("client")
         self._search = None
         if role == "server":
@@ -504,7 +505,7 @@ class AsciiFramer(Framer):
             sub-function 3); it counts for frames sent and received from then on.
     """
 
-    quiet: ClassVar[float] = 1.0
+    quiet: float = 1.0
     max_size = 513
 
     def __init__(self, *, strict: bool = False) -> None:
@@ -582,19 +583,20 @@ _FRAMERS: dict[str, Callable[[], Framer]] = {
 }
 
 
-def make_framer(framing: Framing, role: Role) -> Framer:
+def make_framer(framing: Framing, role: Role, pause: float = 0.0) -> Framer:
     """
     Make a framer for one direction of one connection.
 
     Args:
         framing: "tcp", "rtu", "ascii" or "udp".
         role: "server" when requests come in, "client" when responses do.
+        pause: as for `RtuFramer`; without effect on other framings.
 
     Raises:
         ValueError: no such framing or role.
     """
     if framing == "rtu":
-        return RtuFramer(role)
+        return RtuFramer(role, pause)
     if framing not in _FRAMERS:
         raise ValueError(f'framing must be "tcp", "rtu", "ascii" or "udp", not {framing!r}')
     return _FRAMERS[framing]()

@@ -145,13 +145,20 @@ class RequestSearch:
 
     def _end_in_silence(self, data: bytes, at: int) -> int:
         starts = [fresh for fresh in self._later if fresh > at and self._tiles(data, fresh)]
-        # An answer with a gap in it is no damage, whatever it holds.
-        if not (self._is_fresh and self._is_awaited(data, at)):
+        if not (self._is_fresh and self._may_go_on(data, at)):
             starts += self._starts_of_last(data, at)
         if starts:
             self._is_fresh = True
             return min(starts)
         return at if self._is_fresh else len(data)
+
+    def _may_go_on(self, data: bytes, at: int) -> bool:
+        """Return True if the unfinished frame is for or from another unit, with a gap so far."""
+        if data[at] == 0 or self.is_ours(data[at]):
+            return False
+        # Without a length it may as well be noise.
+        has_length = self._asking.fits > 0 and self._answering.fits > 0
+        return has_length or self._is_awaited(data, at)
 
     def _first_start(self, data: bytes, at: int) -> int:
         """Return the first place where a frame may begin."""

@@ -22,7 +22,7 @@ class ByFrame(Framed):
 
     Args:
         units: the devices.
-        framing, channel, statistics, at_once, is_datagram: as for `Framed`.
+        framing, channel, statistics, at_once, is_datagram, pause: as for `Framed`.
     """
 
     def __init__(
@@ -34,8 +34,17 @@ class ByFrame(Framed):
         at_once: int | None = None,
         *,
         is_datagram: bool = False,
+        pause: float = 0.0,
     ) -> None:
-        super().__init__(framing, channel, statistics, units.has, at_once, is_datagram=is_datagram)
+        super().__init__(
+            framing,
+            channel,
+            statistics,
+            units.has,
+            at_once,
+            is_datagram=is_datagram,
+            pause=pause,
+        )
         self._units = units
         self._faulty: FaultyAnswers | None = None  # None until a fault may happen on this channel
         self._is_ascii = isinstance(self._framer, AsciiFramer)

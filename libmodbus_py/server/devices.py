@@ -36,7 +36,13 @@ class Devices:
 
         def by_frame(units: TcpUnits | SerialUnits, channel: Channel) -> Session:
             return ByFrame(
-                units, framing, channel, statistics, at_once, is_datagram=endpoint.is_datagram
+                units,
+                framing,
+                channel,
+                statistics,
+                at_once,
+                is_datagram=endpoint.is_datagram,
+                pause=endpoint.pause,
             )
 
         if not endpoint.has_transactions:

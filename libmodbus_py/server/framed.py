@@ -37,6 +37,7 @@ class Framed(ABC):
         at_once: the number of bytes searched for frames in one `receive`; of these frames,
             `FOUND_AT_ONCE` are answered. None for no limit, where no other client waits.
         is_datagram: True if what is received at once is all there will be of its frames.
+        pause: the seconds between two frames on a serial line, else 0.
     """
 
     def __init__(
@@ -48,8 +49,9 @@ class Framed(ABC):
         at_once: int | None = None,
         *,
         is_datagram: bool = False,
+        pause: float = 0.0,
     ) -> None:
-        self._framer = make_framer(framing, "server")
+        self._framer = make_framer(framing, "server", pause)
         if isinstance(self._framer, RtuFramer):
             self._framer.is_ours = is_ours
         self._is_datagram = is_datagram

@@ -322,6 +322,7 @@ class ForwardingSession(Framed):
             dispatcher.has if endpoint.is_serial else dispatcher.refuses,
             at_once,
             is_datagram=endpoint.is_datagram,
+            pause=endpoint.pause,
         )
         self.peer: str = channel.address
         self.role: str | None = channel.role

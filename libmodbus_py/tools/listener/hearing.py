@@ -54,10 +54,9 @@ class Hearing(Protocol):
 class RtuHearing:
     """Requests and responses in one stream, as on a line; each frame with its own time."""
 
-    quiet: float = RtuEitherWay.quiet
-
-    def __init__(self) -> None:
-        self._frames = RtuEitherWay()
+    def __init__(self, pause: float = 0.0) -> None:
+        self._frames = RtuEitherWay(pause)
+        self.quiet: float = self._frames.quiet
         self._offsets: list[int] = []  # where in the stream each piece begins
         self._times: list[float] = []  # when each piece came
         self._damage: Damage | None = None

@@ -64,8 +64,10 @@ class Listener:
         source: Source | CaptureReader,
         writer: CaptureWriter | None,
         clock: Clock,
+        pause: float = 0.0,
     ) -> None:
         self.url: str = url
+        self._pause = pause
         self.summary: Summary = Summary()
         self._framing: LineFraming = framing
         self._reader = source if isinstance(source, CaptureReader) else None
@@ -235,7 +237,7 @@ class Listener:
         done: list[Transaction] = []
         if len(self._separators) >= MAX_SEPARATORS:
             done = self._separators.pop(next(iter(self._separators))).end()
-        self._separators[link] = Separator(self._framing, self._on_heard(link))
+        self._separators[link] = Separator(self._framing, self._on_heard(link), self._pause)
         return self._separators[link], done
 
     def _on_heard(self, link: int) -> OnHeard:
@@ -301,6 +303,7 @@ def listen(
     clock = Clock()
     source: Source | CaptureReader
     framing: LineFraming = "rtu"
+    pause = 0.0
     if isinstance(url, str) and url.endswith(".pcapng") and "://" not in url:
         if between is not None:
             raise ValueError("between cannot be given with a capture")
@@ -313,13 +316,14 @@ def listen(
             endpoint, None if between is None else parse_to_listen(between), clock
         )
         name, framing = str(endpoint), "ascii" if endpoint.framing == "ascii" else "rtu"
+        pause = endpoint.pause
     try:
         writer = None if capture is None else CaptureWriter(capture, name)
     except BaseException:
         source.close()
         raise
     try:
-        return Listener(name, framing, source, writer, clock)
+        return Listener(name, framing, source, writer, clock, pause)
     except OSError as error:  # no descriptor is left
         source.close()
         if writer is not None:

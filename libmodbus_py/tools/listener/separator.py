@@ -35,6 +35,8 @@ class Separator:
         framing: "rtu" or "ascii".
         on_heard: called with a `Heard` for each frame as soon as it is known to be a request or a
             response, and for damaged bytes.
+        pause: the seconds between two frames on an RTU line, as `pause_between_frames` returns;
+            0 where bytes do not come at the pace of a line.
 
     Attributes:
         quiet: seconds without a byte after which `tick` should be called.
@@ -44,11 +46,17 @@ class Separator:
         TypeError: `on_heard` is no function.
     """
 
-    def __init__(self, framing: LineFraming, on_heard: OnHeard = lambda heard: None) -> None:
+    def __init__(
+        self,
+        framing: LineFraming,
+        on_heard: OnHeard = lambda heard: None,
+        pause: float = 0.0,
+    ) -> None:
         if framing not in ("rtu", "ascii"):
             raise ValueError(f'framing must be "rtu" or "ascii", not {framing!r}')
         checked_callback("on_heard", on_heard)
         self._framing = framing
+        self._pause = pause
         self._naming = Naming(on_heard)
         self._hearings: dict[Direction | None, Hearing] = {}
         self._ascii: list[AsciiFramer] = []
@@ -124,8 +132,9 @@ class Separator:
             self._ascii.append(framer)
             return FramerHearing(lambda: framer, is_asking)
         if is_asking is None:
-            return RtuHearing()
-        return FramerHearing(lambda: RtuFramer("server" if is_asking else "client"), is_asking)
+            return RtuHearing(self._pause)
+        role: Direction = "server" if is_asking else "client"
+        return FramerHearing(lambda: RtuFramer(role, self._pause), is_asking)
 
     def _follow_delimiter(self, done: Transaction) -> None:
         if self._ascii and isinstance(done.request, Diagnostics) and done.kind == "answered":

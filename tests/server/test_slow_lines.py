@@ -1,0 +1,137 @@
+"""
+Lines on which a byte takes longer than a computer keeps one back: silence ends no frame too soon.
+"""
+
+from __future__ import annotations
+
+import pytest
+
+from libmodbus_py import AsyncClient, Context, Device, Gateway, Mapping, Route, Server, listen
+from libmodbus_py.pdu import Diagnostics
+from libmodbus_py.ports.endpoint import parse
+from libmodbus_py.protocol.either_way import RtuEitherWay
+from libmodbus_py.protocol.framing import make_framer
+from libmodbus_py.protocol.pauses import pause_between_frames
+from tests.simulation.stage import LineEnd, Stage
+from tests.support.cases import each_case
+from tests.support.talk import rtu
+
+WRITE = rtu("01 06 0001 0003")
+READ, ANSWER = rtu("01 03 0001 0001"), rtu("01 03 02 0000")
+
+# Ends with a whole write to unit 1, up to its own CRC.
+AROUND = rtu("02 10 0000 0004 08" + WRITE.hex())
+LOOPBACK = rtu("01 08 0000" + WRITE.hex() + "0102")
+
+
+@each_case(
+    ("baudrate", "pause"),
+    # 3.5 characters of 11 bits; fixed above 19200 bit/s (serial line, 2.5.1.1).
+    [(300, 0.128333), (1200, 0.032083), (9600, 0.00401), (19200, 0.002005), (38400, 0.00175)],
+)
+def test_the_pause_is_that_of_the_specification(baudrate: int, pause: float) -> None:
+    assert pause_between_frames(baudrate) == pytest.approx(pause, abs=1e-6)
+    endpoint = parse(f"rtu:///dev/line?baudrate={baudrate}")
+    assert endpoint.pause == pause_between_frames(baudrate)
+
+
+def test_a_character_may_have_more_bits() -> None:
+    endpoint = parse("rtu:///dev/line?baudrate=1200&stop_bits=2")
+    assert endpoint.pause == pytest.approx(3.5 * 12 / 1200)
+    assert parse("rtu:///dev/line?baudrate=1200&parity=N").pause == pytest.approx(3.5 * 11 / 1200)
+    assert parse("rtu+tcp://192.0.2.1").pause == 0
+
+
+def test_everything_that_cuts_frames_waits_for_it() -> None:
+    pause = pause_between_frames(300)
+    for role in ("client", "server"):
+        assert make_framer("rtu", role).quiet == pytest.approx(0.02)  # type: ignore[arg-type]
+        made = make_framer("rtu", role, pause)  # type: ignore[arg-type]
+        assert made.quiet == pytest.approx(pause + 0.02)
+    assert RtuEitherWay(pause).quiet == pytest.approx(pause + 0.02)
+    assert listen.Separator("rtu", pause=pause).quiet == pytest.approx(pause + 0.02)
+    assert listen.Separator("rtu").quiet == pytest.approx(0.02)
+
+
+def spell(stage: Stage, end: LineEnd, data: bytes, baudrate: int, bits: int = 11) -> None:
+    """Write bytes as they come out of a slow port: one by one."""
+    for byte in data:
+        end.write(bytes([byte]))
+        stage.pass_time(bits / baudrate)
+
+
+@pytest.mark.parametrize("is_gateway", [False, True])
+@pytest.mark.parametrize("baudrate", [300, 600, 1200, 9600])
+def test_no_part_of_a_frame_is_carried_out(stage: Stage, baudrate: int, is_gateway: bool) -> None:
+    writes: list[object] = []
+    device = Device(Mapping(holding_registers=4), before_write=writes.append)
+    line = f"rtu:///dev/line?baudrate={baudrate}"
+    behind = "tcp://10.0.0.2:502" if is_gateway else line
+    with Server({1: device}).background(behind):
+        gateway = Gateway([Route("tcp://10.0.0.2:502", units="1")])
+        if is_gateway:
+            with gateway.background(line):
+                check(stage, baudrate)
+        else:
+            check(stage, baudrate)
+    assert writes == []
+
+
+def check(stage: Stage, baudrate: int) -> None:
+    stage.line("/dev/line").character = 11 / baudrate
+    master = LineEnd(stage.line("/dev/line"))
+    for frame, answer in ((AROUND, b""), (LOOPBACK, LOOPBACK), (READ, ANSWER)):
+        master.heard = b""
+        spell(stage, master, frame, baudrate)
+        stage.pass_time(5)
+        assert master.heard == answer
+
+
+def test_a_listener_hears_whole_frames() -> None:
+    """At 300 bit/s, a byte comes after 37 ms."""
+    separator = listen.Separator("rtu", pause=pause_between_frames(300))
+    at, done = 0.0, []
+    for frame in (AROUND, rtu("02 10 0000 0004"), READ, ANSWER):
+        for byte in frame:
+            at += 11 / 300
+            done += separator.feed(bytes([byte]), at)
+        at += 0.3
+        done += separator.tick(at)
+    assert [(each.kind, each.function) for each in done] == [("answered", 16), ("answered", 3)]
+
+
+@pytest.mark.parametrize("is_async", [False, True])
+def test_a_client_takes_a_slow_answer_whole(stage: Stage, is_async: bool) -> None:
+    """It is the answer of a unit to a loopback, whose data begin with a CRC that fits."""
+    data = rtu("01 08 0000")[-2:] + WRITE
+    line = "rtu:///dev/line?baudrate=300"
+    whole = rtu("01 08 0000" + data.hex())
+    unit = SlowUnit(stage, whole)
+    if is_async:
+
+        async def ask() -> bytes:
+            async with AsyncClient(line, unit=1, timeout=10) as plc:
+                return await plc.execute(Diagnostics(0, data))
+
+        assert stage.wait(ask()) == data
+    else:
+        with Context.from_url(line, unit=1, timeout=10) as plc:
+            assert plc.execute(Diagnostics(0, data)) == data
+    assert unit.heard == whole
+
+
+class SlowUnit(LineEnd):
+    """Answers the first request, a byte at a time."""
+
+    is_unit = True
+
+    def __init__(self, stage: Stage, answer: bytes) -> None:
+        super().__init__(stage.line("/dev/line"))
+        self._stage = stage
+        self._answer = answer
+
+    def hear(self, data: bytes) -> None:
+        super().hear(data)
+        for number, byte in enumerate(self._answer, 1):
+            at = self._stage.events.now + 0.2 + number * 11 / 300
+            self._stage.events.at(at, super().write, bytes([byte]))
