@@ -111,8 +111,12 @@ class AsyncClient(Handle[AsyncioDriver], Awaiting):
         await self._driver.close()
 
     def abandon(self) -> None:
-        """In a forked child: close its descriptors, with no effect on the parent's connection."""
-        self._driver.leave()
+        """
+        In a forked child: close its descriptors, with no effect on the parent's connection.
+
+        Every child does this when it is forked; nothing is left to do.
+        """
+        self._driver.abandon()
 
     async def __aenter__(self) -> Self:
         try:

@@ -18,6 +18,7 @@ from functools import partial
 from time import monotonic
 from typing import Any
 
+from ..ports.forking import abandoned_in_children
 from ..ports.waiting_async import run_async
 from ..protocol.callbacks import finished, log_failure
 from ..protocol.errors import ModbusConnectionError
@@ -25,7 +26,7 @@ from .alarm import Alarm
 from .batch import Batch
 from .conversation import forbidden
 from .options import Parts
-from .reconnecting import State
+from .reconnecting import FORKED, State
 from .timeouts import Timeouts
 
 __all__ = ["AsyncioDriver"]
@@ -46,6 +47,13 @@ class AsyncioDriver:
         self._connection = parts.connection
         self._endpoint = str(parts.endpoint)
         self._timeouts = timeouts
+        self._notices = parts.notices
+        # Batches that callers wait for, each with what tells its caller.
+        self._callers: dict[Batch, Future[None] | Callable[[], object]] = {}
+        self._begin_anew()
+        abandoned_in_children(self)
+
+    def _begin_anew(self) -> None:
         self._loop: asyncio.AbstractEventLoop | None = None
         self._now: Callable[[], float] = monotonic  # the clock of the loop, once there is one
         self._attempt: asyncio.Task[None] | None = None
@@ -55,12 +63,9 @@ class AsyncioDriver:
         self._is_writing = False
         self._is_reading = False
         self._is_due = False
-        self._notices = parts.notices
         self._is_inside = False
         self._is_left = False
         self._is_telling = False
-        # Batches that callers wait for, each with what tells its caller.
-        self._callers: dict[Batch, Future[None] | Callable[[], object]] = {}
         self._ended: deque[Batch] = deque()
 
     async def run(self, batch: Batch) -> None:
@@ -173,9 +178,18 @@ class AsyncioDriver:
                 handle.cancel()
         self._alarm.cancel()
 
-    def leave(self) -> None:
-        """Forget the connection in a forked child: it belongs to the parent."""
+    def abandon(self) -> None:
+        """
+        Forget the connection and the loop in a forked child: they belong to the parent.
+
+        The child shares the epoll of that loop, so nothing is removed from it. The child may use
+        the client in a loop of its own, and is told then that the connection was lost.
+        """
         self._port.abandon()
+        self._callers.clear()
+        self._begin_anew()
+        gone = ModbusConnectionError(FORKED, errno=errno.EBADF)
+        self._conversation.interrupted(gone, self._now())
 
     def change_timeout(self) -> None:
         """Note that some `Timeouts` were changed."""

@@ -8,18 +8,18 @@ Here are threads, forks, signals and the lock; what is asked and answered is dec
 from __future__ import annotations
 
 import errno
-import os
 import threading
 import weakref
 from collections.abc import Callable
 from functools import update_wrapper
 from typing import TYPE_CHECKING, Any, TypeVar, TypeVarTuple
 
+from ..ports.forking import abandoned_in_children
 from ..ports.waiting import READ, WRITE, Woken, run
 from ..protocol.errors import ModbusConnectionError
 from ..protocol.pdu import Request
 from .batch import Batch, encoded
-from .reconnecting import State
+from .reconnecting import FORKED, State
 from .shortcut import KNOWN, Shortcut
 
 if TYPE_CHECKING:
@@ -34,8 +34,6 @@ LEAVING = 1.0
 
 Arguments = TypeVarTuple("Arguments")
 Result = TypeVar("Result")
-
-FORKED = "this process was forked off"
 
 # Silence on a line is shorter than the milliseconds that poll counts.
 SLEPT = 0.005
@@ -105,7 +103,7 @@ class BlockingDriver:
         self._shortcut = Shortcut(parts, native, self.waker) if is_short else None
         self._closed = False
         self._start_anew()
-        _drivers.add(self)
+        abandoned_in_children(self)
         weakref.finalize(self, parts.port.close)
 
     def _start_anew(self) -> None:
@@ -187,7 +185,7 @@ class BlockingDriver:
             finally:
                 self._lock.release()
 
-    def forget(self) -> None:
+    def abandon(self) -> None:
         """Forget the connection in a forked child: it belongs to the parent."""
         self._port.abandon()
         self.waker.renew()
@@ -355,14 +353,3 @@ def _waker(parts: Parts) -> Waker:
         raise ModbusConnectionError(
             f"cannot make a client of {parts.endpoint}: {error.strerror}", errno=error.errno
         ) from error
-
-
-_drivers: weakref.WeakSet[BlockingDriver] = weakref.WeakSet()
-
-
-def _forget_all() -> None:
-    for driver in _drivers:
-        driver.forget()
-
-
-os.register_at_fork(after_in_child=_forget_all)

@@ -17,9 +17,11 @@ from ..protocol.errors import ModbusConnectionError, ModbusError
 if TYPE_CHECKING:
     from .statistics import Statistics
 
-__all__ = ["OnState", "Reconnecting", "State"]
+__all__ = ["FORKED", "OnState", "Reconnecting", "State"]
 
 FIRST_PAUSE = 0.1
+
+FORKED = "this process was forked off"
 
 
 class State(enum.Enum):

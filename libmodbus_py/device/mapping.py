@@ -220,7 +220,7 @@ class RegisterTable(Table[int]):
     @property
     def view(self) -> memoryview:
         """As `Table.view`; writable, in the machine's own byte order."""
-        return self._cells
+        return self._cells[:]  # another object: `with` releases a memoryview
 
     def read(self, address: int, type: TypeName, **layout: Unpack[Layout]) -> Any:
         """Read one value, such as ``read(100, "float32", order="CDAB")``."""

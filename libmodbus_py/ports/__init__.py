@@ -13,5 +13,6 @@ Ports: TCP, TLS, UDP and serial, and how to wait for them.
     tls            TLS connections: the handshake, and what it refuses
     trace          every ADU that passes, for callbacks and the log
     serial         serial ports, which libmodbus opens and configures; RS-485, echo, locks
+    forking        descriptors that forked children close
     read_only      serial ports that are only read, beside other users
 """

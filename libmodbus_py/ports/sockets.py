@@ -42,6 +42,7 @@ class SocketPort(Port):
 
     kind: ClassVar[socket.SocketKind]
     _socket: socket.socket
+    _connecting: socket.socket | None = None
 
     def __init__(self, host: str, port: int) -> None:
         if not isinstance(host, str):
@@ -69,7 +70,7 @@ class SocketPort(Port):
         except BaseException:
             made.close()
             raise
-        self._socket = made
+        self._socket, self._connecting = made, None
         self._watch(made.fileno())
 
     def _preparing(self, made: socket.socket, deadline: float) -> Steps[None]:
@@ -88,6 +89,7 @@ class SocketPort(Port):
             except OSError as error:
                 last = of_system(error)
                 continue
+            self._connecting = made
             try:
                 yield from _connecting(made, address, share)
             except OSError as error:
@@ -119,12 +121,15 @@ class SocketPort(Port):
 
     def close(self) -> None:
         """Close the connection; a process that only inherited it leaves that of its parent open."""
-        self.abandon()
-
-    def abandon(self) -> None:
         if self.descriptor >= 0:
             self.descriptor = -1
             self._socket.close()
+
+    def abandon(self) -> None:
+        SocketPort.close(self)
+        if self._connecting is not None:  # the steps of `opening` do not go on in a child
+            self._connecting.close()
+            self._connecting = None
 
 
 def _connecting(made: socket.socket, address: Any, deadline: float) -> Steps[None]:

@@ -6,8 +6,9 @@ In the order in which a request goes through::
     server       Server: devices, served
     serving      what serves: endpoints from URLs, in a loop, in a thread, or for ever
     background   the thread
+    garbage      no search for garbage in what does not change
     signals      handlers in the loop; afterwards the previous ones are restored
-    listening    makes their sockets; forked children close them (forking)
+    listening    makes their sockets; forked children close them
     tcp          takes connections and hands them to `peers`; udp answers datagrams,
                  serial a port
     peers        Peers: TCP connections within their limits (limits), all in one epoll;

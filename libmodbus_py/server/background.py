@@ -36,8 +36,15 @@ class Background(Generic[Running]):
 
     def __init__(self, serving: Callable[[], AbstractAsyncContextManager[Running]]) -> None:
         self._thread = InThread(serving)
+        self._entered = threading.Lock()
 
     def __enter__(self) -> Running:
+        """
+        Raises:
+            RuntimeError: it was entered before.
+        """
+        if not self._entered.acquire(blocking=False):
+            raise RuntimeError("this server runs, or did so before: call background() again")
         try:
             return self._thread.start()
         except BaseException:

@@ -23,12 +23,12 @@ from collections.abc import Callable
 from heapq import nsmallest
 from select import EPOLLIN, EPOLLOUT
 
+from ..ports.forking import abandoned_in_children
 from ..ports.trace import Trace
 from ..protocol.errors import FrameError
 from ..security.describing import CertificateHolder
 from .addresses import Address, Addresses
 from .audit import Audit
-from .forking import abandoned_in_children
 from .idle import Idle, due
 from .limits import SPARE_DESCRIPTORS, Limits, ServerStatistics
 from .service import ENDS, Session, SessionState

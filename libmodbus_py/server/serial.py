@@ -10,12 +10,12 @@ import logging
 from collections.abc import Callable
 
 from ..ports.endpoint import Endpoint
+from ..ports.forking import abandoned_in_children
 from ..ports.outage import REOPEN_AFTER, Outage
 from ..ports.serial import SerialPort
 from ..ports.trace import Trace
 from ..protocol.errors import ModbusConnectionError
 from ..security.describing import CertificateHolder
-from .forking import abandoned_in_children
 from .limits import ServerStatistics
 from .service import ENDS, Service, SessionState
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import gc
 import logging
 import signal
 import weakref
@@ -26,6 +25,7 @@ from ..protocol.errors import ModbusConnectionError
 from ..security.security import Security
 from .audit import Audit, OnAudited, audit_of
 from .background import Background
+from .garbage import frozen_garbage
 from .limits import Limits, ServerStatistics
 from .peers import Peers
 from .serial import SerialServer
@@ -207,12 +207,9 @@ class Serving(ABC):
                 handlers[signal.SIGHUP] = on_hangup
             with signal_handlers(handlers):
                 async with self.serving(*urls) as running:
-                    # Else every full search for garbage looks through all that was
-                    # imported: 5 ms in which no client is answered.
-                    gc.collect()
-                    gc.freeze()
-                    on_listening(running)
-                    await stopped.wait()
+                    with frozen_garbage():
+                        on_listening(running)
+                        await stopped.wait()
 
         asyncio.run(serve())
 

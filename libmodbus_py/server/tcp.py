@@ -9,9 +9,9 @@ import logging
 import socket
 
 from ..ports.endpoint import Endpoint
+from ..ports.forking import abandoned_in_children
 from ..ports.listening import reason, tcp_listener
 from ..security.security import Security
-from .forking import abandoned_in_children
 from .listening import bound
 from .peers import MakePeerSession, Peers
 from .service import MakeSession, Service

@@ -10,10 +10,10 @@ import socket
 from collections.abc import Callable
 
 from ..ports.endpoint import Endpoint
+from ..ports.forking import abandoned_in_children
 from ..ports.trace import Trace
 from ..protocol.framing import Framing, pdu_of
 from ..security.describing import CertificateHolder
-from .forking import abandoned_in_children
 from .limits import ServerStatistics
 from .listening import bound
 from .service import ENDS, Service, Session, SessionState

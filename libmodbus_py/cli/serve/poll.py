@@ -7,7 +7,6 @@ from __future__ import annotations
 import argparse
 import asyncio
 import contextlib
-import gc
 import logging
 import resource
 import signal
@@ -15,6 +14,7 @@ import sys
 import time
 from typing import Any
 
+from ...server.garbage import frozen_garbage
 from ...server.signals import Handler, signal_handlers
 from ...services.fleet.config import DeviceConfig
 from ...services.fleet.files import FleetFile, load
@@ -174,19 +174,17 @@ async def _run(fleet: Fleet, options: argparse.Namespace, has_screen: bool) -> N
     screen = asyncio.create_task(_show(fleet)) if has_screen else None
     with signal_handlers(_handlers(stopped, lambda: _read_again(fleet, options.file))):
         await asyncio.sleep(0)
-        # Otherwise every full garbage collection visits all devices: a tenth of a second.
-        gc.collect()
-        gc.freeze()
-        waiting = asyncio.create_task(stopped.wait())
-        try:
-            await asyncio.wait([polling, waiting], return_when=asyncio.FIRST_COMPLETED)
-        finally:
-            for task in (waiting, screen, polling):
-                if task is not None:
-                    task.cancel()
-            await asyncio.wait([polling, *([screen] if screen else [])])
-            if stopped.is_set() or has_screen:
-                print(_summary(fleet, time.monotonic() - started), file=sys.stderr, flush=True)
+        with frozen_garbage():
+            waiting = asyncio.create_task(stopped.wait())
+            try:
+                await asyncio.wait([polling, waiting], return_when=asyncio.FIRST_COMPLETED)
+            finally:
+                for task in (waiting, screen, polling):
+                    if task is not None:
+                        task.cancel()
+                await asyncio.wait([polling, *([screen] if screen else [])])
+                if stopped.is_set() or has_screen:
+                    print(_summary(fleet, time.monotonic() - started), file=sys.stderr, flush=True)
     if not polling.cancelled():
         polling.result()
 

@@ -16,7 +16,6 @@ from ...client.reconnecting import State
 from ...client.waiting_room import FirstCome, WaitingRoom
 from ...ports.endpoint import Endpoint
 from ...protocol.errors import ModbusConnectionError, ModbusError, ModbusTimeoutError
-from ...server.forking import abandoned_in_children
 from .poller import DeviceState, Poller
 from .statistics import FleetStatistics
 
@@ -75,7 +74,6 @@ class FleetLine:
         self._done: list[Poller] = []
         self._alarm = Alarm(self._go_on)
         self._is_closed = False
-        abandoned_in_children(self)
 
     # --- devices ------------------------------------------------------------------------------
 
@@ -118,9 +116,6 @@ class FleetLine:
         """Close the connection for good."""
         self.stop()
         await self.client.close()
-
-    def abandon(self) -> None:
-        self.client.abandon()
 
     # --- polls --------------------------------------------------------------------------------
 

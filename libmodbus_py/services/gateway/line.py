@@ -27,7 +27,6 @@ from ...protocol.errors import (
     ServerDeviceBusy,
     ServerDeviceFailure,
 )
-from ...server.forking import abandoned_in_children
 from .cache import Cache
 from .options import GatewayOptions
 from .raw_request import RequestBytes
@@ -169,7 +168,6 @@ class GatewayLine:
         self._alarm = Alarm(self._go_on)
         self._outage = Outage(logger, self.url)
         self.is_closed: bool = False
-        abandoned_in_children(self)
 
     # --- requests -----------------------------------------------------------------------------
 
@@ -230,9 +228,6 @@ class GatewayLine:
         self._alarm.cancel()
         await self._client.close()
         self._finish()
-
-    def abandon(self) -> None:
-        self._client.abandon()
 
     def _join(self, each: Forwarded) -> bool:
         first = self._joinable.get((each.unit, each.request.pdu))

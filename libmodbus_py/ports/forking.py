@@ -1,7 +1,7 @@
 """
-A forked child closes its copies of a server's descriptors.
+A forked child closes its copies of the descriptors of clients and servers.
 
-While a child holds a copy, no client sees the end of a connection that the parent closes, and no
+While a child holds a copy, no peer sees the end of a connection that the parent closes, and no
 port is free again.
 """
 
@@ -16,11 +16,11 @@ __all__ = ["abandoned_in_children"]
 
 
 class Holder(Protocol):
-    """An object that holds descriptors of a server."""
+    """An object that holds descriptors, such as a server or the driver of a client."""
 
     def abandon(self) -> None:
         """
-        In a forked child: close the descriptors, and be closed.
+        In a forked child: close the descriptors, and forget what the parent goes on with.
 
         This changes neither loops and epolls, nor lines and their locks: the parent
         shares them.
@@ -38,7 +38,8 @@ def abandoned_in_children(holder: Holder) -> None:
 
 def _abandon_all() -> None:
     for holder in list(_holders):
-        with contextlib.suppress(OSError):
+        # Not logged: another thread of the parent may have held the locks of the log.
+        with contextlib.suppress(Exception):
             holder.abandon()
 
 
