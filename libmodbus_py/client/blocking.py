@@ -5,9 +5,9 @@ The blocking client: a context for each kind of endpoint.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any, Literal, Self, TypeVar, Unpack, overload
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, TypeVar, Unpack, overload
 
-from ..ports.schemes import DEFAULT_PORT, SECURE_PORT, SERIAL_OPTIONS
+from ..ports.schemes import DEFAULT_PORT, SECURE_PORT, SERIAL_OPTIONS, Scheme
 from ..protocol import pdu
 from ..protocol.errors import InvalidResponse, ModbusError
 from .batch import MAX_IN_FLIGHT, Batch, raised
@@ -82,6 +82,13 @@ class Context(Handle[BlockingDriver], Blocking):
     without the GIL; on serial lines libmodbus sends it.
     """
 
+    # Scheme -> the class that `from_url` makes.
+    _kinds: ClassVar[dict[str, type[Context]]] = {}
+
+    def __init_subclass__(cls, schemes: Iterable[Scheme] = (), **others: Any) -> None:
+        super().__init_subclass__(**others)
+        Context._kinds.update(dict.fromkeys(schemes, cls))
+
     def __init__(self, endpoint: Endpoint, options: Mapping[str, Any]) -> None:
         # What a client is made of is the greater half of it: programs that make none go without.
         from .options import CheckedOptions, assembled
@@ -107,7 +114,7 @@ class Context(Handle[BlockingDriver], Blocking):
             TypeError, ValueError: the URL or an option is wrong.
         """
         endpoint, others = _parsed(address, options)
-        kind: type[Context] = _KINDS[endpoint.transport, endpoint.framing]
+        kind = Context._kinds[endpoint.scheme]
         context = kind.__new__(kind)
         Context.__init__(context, endpoint, others)
         return context
@@ -225,7 +232,7 @@ class Client(Context):
         super().__init__(*_parsed(url, options))
 
 
-class TcpContext(Context):
+class TcpContext(Context, schemes=("tcp", "rtu+tcp", "ascii+tcp")):
     """
     A client over TCP.
 
@@ -251,7 +258,7 @@ class TcpContext(Context):
         super().__init__(_endpoint(scheme, host=host, port=port), options)
 
 
-class TlsContext(Context):
+class TlsContext(Context, schemes=("tls",)):
     """
     A client over TLS: Modbus Security. Both sides prove who they are by certificates.
 
@@ -272,7 +279,7 @@ class TlsContext(Context):
         super().__init__(_endpoint("tls", host=host, port=port), options)
 
 
-class UdpContext(Context):
+class UdpContext(Context, schemes=("udp", "rtu+udp")):
     """
     A client over UDP: the frames of Modbus/TCP, each in a datagram.
 
@@ -292,7 +299,7 @@ class UdpContext(Context):
         super().__init__(_endpoint("udp", host=host, port=port), options)
 
 
-class RtuContext(Context):
+class RtuContext(Context, schemes=("rtu",)):
     """
     A client on a serial line in RTU mode; libmodbus opens, configures and sends.
 
@@ -310,7 +317,7 @@ class RtuContext(Context):
         super().__init__(*_on_line("rtu", device, baudrate, options))
 
 
-class AsciiContext(Context):
+class AsciiContext(Context, schemes=("ascii",)):
     """
     A client on a serial line in ASCII mode, which libmodbus lacks.
 
@@ -330,7 +337,7 @@ def _parsed(url: str, options: UrlOptions) -> tuple[Endpoint, Mapping[str, Any]]
     from ..ports.endpoint import parse
 
     endpoint = parse(url)
-    if endpoint.transport != "serial":
+    if not endpoint.is_serial:
         return endpoint, options
     settings, others = _split(options)
     return replace(endpoint, options={**endpoint.options, **settings}), others
@@ -356,15 +363,3 @@ def _on_line(
 ) -> tuple[Endpoint, Mapping[str, Any]]:
     settings, others = _split(options)
     return _endpoint(scheme, device=device, options={"baudrate": baudrate, **settings}), others
-
-
-_KINDS: dict[tuple[str, str], type[Context]] = {
-    ("tcp", "tcp"): TcpContext,
-    ("tcp", "rtu"): TcpContext,
-    ("tcp", "ascii"): TcpContext,
-    ("udp", "udp"): UdpContext,
-    ("udp", "rtu"): UdpContext,
-    ("tls", "tcp"): TlsContext,
-    ("serial", "rtu"): RtuContext,
-    ("serial", "ascii"): AsciiContext,
-}

@@ -101,7 +101,7 @@ class Conversation:
         self.statistics = statistics
         self._place = str(endpoint)
         self._scheme = endpoint.scheme
-        self._is_socket = endpoint.transport != "serial"
+        self._is_socket = not endpoint.is_serial
         self._pace = pace
         self._matching = matching
         self._trace = trace

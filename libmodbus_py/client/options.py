@@ -9,8 +9,8 @@ from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, Literal, TypedDict
 
 from ..ports.endpoint import Endpoint
+from ..ports.making import make_port
 from ..ports.port import Port
-from ..ports.sockets import TcpPort, UdpPort
 from ..ports.trace import OnTraced, Trace
 from ..protocol.callbacks import checked_callback
 from ..protocol.checks import integer, seconds
@@ -230,7 +230,7 @@ def assembled(endpoint: Endpoint, settings: CheckedOptions, most: int) -> Parts:
     Raises:
         TypeError, ValueError: the endpoint, or an option that it cannot have.
     """
-    port = _port(endpoint, settings)
+    port = make_port(endpoint, settings)
     statistics = Statistics() if settings.statistics is None else settings.statistics
     notices = Notices()
     on_state = settings.on_state and notices.delaying(settings.on_state)
@@ -278,39 +278,3 @@ def _refuse_ids(endpoint: Endpoint, settings: CheckedOptions) -> None:
         raise ValueError(f"max_in_flight must be 1 {where}")
     if settings.accept_unit != "same":
         raise ValueError(f'accept_unit must be "same" {where}')
-
-
-def _port(endpoint: Endpoint, settings: CheckedOptions) -> Port:
-    if settings.security is not None and endpoint.transport != "tls":
-        raise ValueError(f"security is for tls://, and means nothing on {endpoint.scheme}")
-    return PORTS[endpoint.transport](endpoint, settings)
-
-
-def _tcp_port(endpoint: Endpoint, settings: CheckedOptions) -> Port:
-    return TcpPort(endpoint.host, endpoint.port, settings.keepalive)
-
-
-def _udp_port(endpoint: Endpoint, settings: CheckedOptions) -> Port:
-    return UdpPort(endpoint.host, endpoint.port)
-
-
-def _tls_port(endpoint: Endpoint, settings: CheckedOptions) -> Port:
-    from ..ports.tls import TlsPort, security_of
-
-    security = security_of(endpoint, settings.security)
-    return TlsPort(endpoint.host, endpoint.port, settings.keepalive, security)
-
-
-def _serial_port(endpoint: Endpoint, settings: CheckedOptions) -> Port:
-    from ..ports.serial import SerialPort
-
-    return SerialPort(endpoint.device, **endpoint.serial_settings)
-
-
-PORTS: dict[str, Callable[[Endpoint, CheckedOptions], Port]] = {
-    "tcp": _tcp_port,
-    "udp": _udp_port,
-    "tls": _tls_port,
-    "serial": _serial_port,
-}
-"""By transport: what makes the port of a client."""

@@ -109,7 +109,7 @@ class Shortcut:
         # What was sent, and not yet handed over or answered.
         self._sent: tuple[int, int, Request[Any], bytes, Timeouts, float] | None = None
         self._carrier: Carrier
-        in_clear = parts.endpoint.transport != "tls"  # C reads and writes the descriptor itself
+        in_clear = not parts.endpoint.is_secure  # C reads and writes the descriptor itself
         if native and in_clear and (not self._is_line or parts.port.context is not None):
             self._carrier = NativeCarrier(parts.port)
         else:

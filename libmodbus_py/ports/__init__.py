@@ -4,6 +4,7 @@ Ports: TCP, TLS, UDP and serial, and how to wait for them.
     endpoint       URLs: which port, which framing, which options
       hosts        ... hosts that are this machine
       schemes      ... that there are
+    making         the port of a client, made for its endpoint
     port           what all ports have in common; the silence of a line
     waiting        steps that yield what they wait for; run by polling
     waiting_async  and by an event loop

@@ -134,6 +134,8 @@ class TransportRules(NamedTuple):
     The properties of a transport.
 
     Attributes:
+        port_class: the file in this folder and the class of the port of a client; the file is
+            imported when the first such port is made.
         options: of URLs, besides those of clients.
         port: the one that a URL means without a port; 0 if there are none.
         is_serial: True if an endpoint is a device of this machine, not a host and a port.
@@ -141,6 +143,7 @@ class TransportRules(NamedTuple):
         is_secure: True if client and server show each other certificates.
     """
 
+    port_class: str
     options: Mapping[str, Option] = MappingProxyType({})
     port: int = DEFAULT_PORT
     is_serial: bool = False
@@ -149,10 +152,10 @@ class TransportRules(NamedTuple):
 
 
 TRANSPORTS: dict[Transport, TransportRules] = {
-    "tcp": TransportRules(),
-    "udp": TransportRules(is_datagram=True),
-    "tls": TransportRules(SECURITY_OPTIONS, SECURE_PORT, is_secure=True),
-    "serial": TransportRules(SERIAL_OPTIONS, 0, is_serial=True),
+    "tcp": TransportRules("sockets.TcpPort"),
+    "udp": TransportRules("sockets.UdpPort", is_datagram=True),
+    "tls": TransportRules("tls.TlsPort", SECURITY_OPTIONS, SECURE_PORT, is_secure=True),
+    "serial": TransportRules("serial.SerialPort", SERIAL_OPTIONS, 0, is_serial=True),
 }
 
 CLIENT_OPTIONS: dict[str, Option] = {

@@ -12,7 +12,7 @@ import select
 import struct
 import termios
 from collections.abc import Iterator
-from typing import Any, ClassVar, Literal, TypedDict, Unpack
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, TypedDict, Unpack
 
 from ..binding.library import check, ffi, lib, make
 from ..protocol.checks import integer, seconds
@@ -21,6 +21,10 @@ from ..protocol.pauses import pause_between_frames
 from .port import Port, Silence, lost
 from .schemes import SERIAL_DEFAULTS, character_bits
 from .waiting import Steps, of_system
+
+if TYPE_CHECKING:
+    from .endpoint import Endpoint
+    from .making import PortSettings
 
 __all__ = ["LineSettings", "SerialPort", "SerialSettings", "set_odd_baudrate"]
 
@@ -93,6 +97,11 @@ class SerialPort(Port):
         "rts-up": lib.MODBUS_RTU_RTS_UP,
         "rts-down": lib.MODBUS_RTU_RTS_DOWN,
     }
+
+    @classmethod
+    def of(cls, endpoint: Endpoint, _settings: PortSettings) -> Self:
+        """Return the port of a client for an endpoint."""
+        return cls(endpoint.device, **endpoint.serial_settings)
 
     def __init__(self, device: str, **settings: Unpack[SerialSettings]) -> None:
         if not isinstance(device, str):

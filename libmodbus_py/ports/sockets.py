@@ -12,12 +12,16 @@ import math
 import os
 import socket
 import time
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from ..protocol.checks import integer
 from ..protocol.errors import MAX_RECEIVED, ModbusConnectionError
 from .port import Port, Silence, lost
 from .waiting import WRITE, Ready, Resolve, Steps, of_system
+
+if TYPE_CHECKING:
+    from .endpoint import Endpoint
+    from .making import PortSettings
 
 __all__ = ["SocketPort", "TcpPort", "UdpPort"]
 
@@ -155,6 +159,11 @@ class TcpPort(SocketPort):
 
     kind = socket.SOCK_STREAM
 
+    @classmethod
+    def of(cls, endpoint: Endpoint, settings: PortSettings) -> Self:
+        """Return the port of a client for an endpoint."""
+        return cls(endpoint.host, endpoint.port, settings.keepalive)
+
     def __init__(self, host: str, port: int, keepalive: float | None) -> None:
         super().__init__(host, port)
         self._keepalive = keepalive
@@ -226,6 +235,11 @@ class UdpPort(SocketPort):
     """
 
     kind = socket.SOCK_DGRAM
+
+    @classmethod
+    def of(cls, endpoint: Endpoint, _settings: PortSettings) -> Self:
+        """Return the port of a client for an endpoint."""
+        return cls(endpoint.host, endpoint.port)
 
     def _preparing(self, made: socket.socket, deadline: float) -> Steps[None]:
         yield from super()._preparing(made, deadline)

@@ -11,7 +11,7 @@ import socket
 import ssl
 import time
 from collections.abc import Mapping
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 from ..protocol.errors import ModbusConnectionError
 from ..security.describing import describe
@@ -25,6 +25,9 @@ from .waiting import READ, WRITE, Ready, Steps, of_system
 
 ClientSecurity = Security | GivenContext
 Given = TypeVar("Given", bound=ClientSecurity)
+
+if TYPE_CHECKING:
+    from .making import PortSettings
 
 __all__ = ["TlsPort", "named_security", "security_of"]
 
@@ -112,6 +115,12 @@ class TlsPort(TcpPort):
         host, port, keepalive: as for `TcpPort`.
         security: the own certificate, and the trusted ones.
     """
+
+    @classmethod
+    def of(cls, endpoint: Endpoint, settings: PortSettings) -> Self:
+        """Return the port of a client for an endpoint."""
+        security = security_of(endpoint, settings.security)
+        return cls(endpoint.host, endpoint.port, settings.keepalive, security)
 
     def __init__(
         self, host: str, port: int, keepalive: float | None, security: ClientSecurity

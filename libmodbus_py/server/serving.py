@@ -15,9 +15,11 @@ from abc import ABC, abstractmethod
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import AbstractAsyncContextManager, AbstractContextManager
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from ..ports.endpoint import Endpoint, parse_to_listen
 from ..ports.listening import reason
+from ..ports.schemes import Transport
 from ..ports.tls import security_of
 from ..ports.trace import OnTraced
 from ..protocol.callbacks import checked_callback
@@ -145,7 +147,10 @@ class Serving(ABC):
                 stack.callback(peers.close)
                 opened = []
                 for endpoint in endpoints:
-                    server = self._make(endpoint, service, peers, sources, stack.close)
+                    shared = Shared(
+                        peers, sources, self.statistics, self._security, self._secured, stack.close
+                    )
+                    server = ENDPOINTS[endpoint.transport](endpoint, service, shared)
                     stack.callback(server.close)
                     with _explained(f"cannot listen on {endpoint}"):
                         opened.append(await server.open())
@@ -232,25 +237,49 @@ class Serving(ABC):
     def _answering(self, endpoints: list[Endpoint]) -> AbstractAsyncContextManager[Service]:
         """Return a context manager with the service that answers at these endpoints."""
 
-    def _make(
-        self,
-        endpoint: Endpoint,
-        service: Service,
-        peers: Peers,
-        sources: Sources,
-        end: Callable[[], None],
-    ) -> TcpServer | UdpServer | SerialServer:
-        if endpoint.transport == "tcp":
-            return TcpServer(endpoint, service, peers)
-        if endpoint.transport == "tls":
-            security = security_of(endpoint, self._security)
-            server = TcpServer(endpoint, service, peers, security)
-            if security is self._security:
-                self._secured.add(server)
-            return server
-        if endpoint.transport == "udp":
-            return UdpServer(endpoint, service, sources, self.statistics, end)
-        return SerialServer(endpoint, service, self.statistics, end)
+
+class Shared(NamedTuple):
+    """
+    What the endpoints of a server share.
+
+    Attributes:
+        peers: the TCP connections of all endpoints.
+        sources: the known clients of all UDP endpoints.
+        statistics: of the server.
+        security: of the server; None if it has none.
+        secured: the endpoints that use it.
+        end: closes all endpoints.
+    """
+
+    peers: Peers
+    sources: Sources
+    statistics: ServerStatistics
+    security: Security | None
+    secured: weakref.WeakSet[TcpServer]
+    end: Callable[[], None]
+
+
+def _tls_server(endpoint: Endpoint, service: Service, shared: Shared) -> TcpServer:
+    security = security_of(endpoint, shared.security)
+    server = TcpServer(endpoint, service, shared.peers, security)
+    if security is shared.security:
+        shared.secured.add(server)
+    return server
+
+
+ENDPOINTS: dict[
+    Transport, Callable[[Endpoint, Service, Shared], TcpServer | UdpServer | SerialServer]
+] = {
+    "tcp": lambda endpoint, service, shared: TcpServer(endpoint, service, shared.peers),
+    "udp": lambda endpoint, service, shared: UdpServer(
+        endpoint, service, shared.sources, shared.statistics, shared.end
+    ),
+    "tls": _tls_server,
+    "serial": lambda endpoint, service, shared: SerialServer(
+        endpoint, service, shared.statistics, shared.end
+    ),
+}
+"""By transport: what answers at an endpoint."""
 
 
 @contextlib.contextmanager

@@ -19,6 +19,7 @@ from unittest.mock import patch
 from libmodbus_py.client import options as client_options
 from libmodbus_py.client.shortcut import Shortcut
 from libmodbus_py.ports.endpoint import Endpoint, parse
+from libmodbus_py.ports.making import make_port
 from libmodbus_py.ports.port import Port
 from libmodbus_py.protocol.errors import ModbusConnectionError
 from libmodbus_py.server import serial as serial_server
@@ -198,9 +199,8 @@ class Network:
     @contextlib.contextmanager
     def installed(self) -> Iterator[None]:
         """Have all clients and servers that are made meanwhile use this network."""
-        ports = {"tcp": self._tcp_port, "udp": self._udp_port, "serial": self._serial_port}
         with (
-            patch.dict(client_options.PORTS, ports),
+            patch.object(client_options, "make_port", self._make_port),
             patch.object(tcp, "bound", self._bound),
             patch.object(udp, "bound", self._bound),
             patch.object(serving, "Peers", partial(Peers, make_epoll=self._epoll)),
@@ -212,6 +212,10 @@ class Network:
             patch.object(fleet, "time", SimpleNamespace(time=self.time_of_day)),
         ):
             yield
+
+    def _make_port(self, endpoint: Endpoint, settings: Any) -> Port:
+        ports = {"tcp": self._tcp_port, "udp": self._udp_port, "serial": self._serial_port}
+        return ports.get(endpoint.transport, make_port)(endpoint, settings)
 
     def _tcp_port(self, endpoint: Endpoint, settings: Any) -> Port:
         return MemoryTcpPort(

@@ -19,7 +19,7 @@ logger: logging.Logger = logging.getLogger(__name__)
 
 def is_secure(urls: Iterable[str]) -> bool:
     """Return True if one of these endpoints has certificates."""
-    return any(parse(url).transport == "tls" for url in urls)
+    return any(parse(url).is_secure for url in urls)
 
 
 def unless_closed(*read_again: Callable[[], object]) -> Callable[[], None]:

@@ -72,7 +72,7 @@ def overloads(devices: Iterable[DeviceConfig]) -> list[Overload]:
     found: list[Overload] = []
     for group in by_connection(devices).values():
         endpoint = group[0].endpoint
-        if endpoint.transport != "serial":
+        if not endpoint.is_serial:
             continue
         shortest = min(each.interval for each in group)
         needed = sum(_seconds(each) * shortest / each.interval for each in group)

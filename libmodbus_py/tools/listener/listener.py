@@ -346,11 +346,11 @@ def _source(endpoint: Endpoint, target: Endpoint | None, clock: Clock) -> tuple[
 
 def _check(endpoint: Endpoint, target: Endpoint | None) -> None:
     """Raise ValueError if the endpoint cannot be listened to."""
-    if endpoint.transport == "serial":
+    if endpoint.is_serial:
         if target is not None:
             raise ValueError("between needs rtu+tcp or ascii+tcp; a serial port is only read")
         return
-    if endpoint.transport != "tcp" or endpoint.framing not in ("rtu", "ascii"):
+    if endpoint.is_datagram or endpoint.is_secure or endpoint.framing not in ("rtu", "ascii"):
         raise ValueError(
             f"{endpoint}: the scheme must be rtu, ascii, or rtu+tcp or ascii+tcp with between"
         )

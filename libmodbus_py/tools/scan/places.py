@@ -56,7 +56,7 @@ class Place:
 
     @property
     def is_serial(self) -> bool:
-        return self.endpoint.transport == "serial"
+        return self.endpoint.is_serial
 
     @property
     def has_broadcast(self) -> bool:
@@ -118,10 +118,10 @@ def places(
         TypeError, ValueError: a setting is out of range, or is given for a network.
     """
     if timeout is None:
-        usual = ON_LINES if endpoint.transport == "serial" else ON_NETWORKS
+        usual = ON_LINES if endpoint.is_serial else ON_NETWORKS
         timeout = endpoint.client_options.get("timeout", usual)
     timeout = seconds("timeout", timeout)
-    if endpoint.transport != "serial":
+    if not endpoint.is_serial:
         for name, told in (("baudrates", baudrates), ("parities", parities)):
             if told is not None:
                 raise ValueError(f"{name} are for serial ports, not for {endpoint.scheme}://")

@@ -257,7 +257,7 @@ def search(
     """
     endpoint = parse(url)
     baudrates = parities = None
-    if endpoint.transport == "serial":
+    if endpoint.is_serial:
         # One setting, as for clients.
         settings = {**SERIAL_DEFAULTS, **endpoint.options}
         baudrates, parities = [settings["baudrate"]], [settings["parity"]]
