@@ -1,8 +1,8 @@
-/* Requests of Modbus/TCP by the chunk: cut, check, modbus_reply, gather the answers.
+/* Answer all requests of Modbus/TCP that were received together, in one call from Python: split the
+ * data, check each request, call modbus_reply, collect the answers.
  *
- * One call from Python for all the requests that came in together. What is not
- * for libmodbus is left for the caller: functions that it lacks, what hooks and handlers
- * want, frames of another protocol, a header that makes no sense. */
+ * Some requests are left to the caller: functions that libmodbus does not have, requests that hooks
+ * or handlers need to see, frames of other protocols, and invalid headers. */
 
 #include <errno.h>
 #include <stdint.h>
@@ -13,21 +13,21 @@
 
 enum { HEADER_SIZE = 7, EXCEPTION_SIZE = 9, OUTCOMES = 32 };
 
-/* A socketpair that holds that many of the longest answers never fills up: 3.1.6
- * was seen to get 167 of them into one. */
+/* A socketpair never fills up with so many of the longest answers; it has room for 167
+ * (measured with 3.1.6). */
 enum { UNREAD_MAX = 64 };
 
-/* What happened to the requests of one device since somebody last looked. */
+/* The requests of one device since the tally was last read. */
 typedef struct {
     uint32_t requests;
     uint32_t refused;
-    uint8_t was_refused[OUTCOMES]; /* the latest ones; request n at n % OUTCOMES */
+    uint8_t was_refused[OUTCOMES]; /* the latest requests; n is at n % OUTCOMES */
 } tally_t;
 
 /* The tables, in the order of `ranges`. */
 enum { COILS, DISCRETE_INPUTS, HOLDING_REGISTERS, INPUT_REGISTERS, TABLES };
 
-/* Addresses of a table, ascending: the first and the last of each run. Runs that touch are one. */
+/* The addresses of a table, ascending: the first and the last of each run. No runs are adjacent. */
 typedef struct {
     int count; /* of runs */
     const uint16_t *edges;
@@ -38,10 +38,10 @@ typedef struct {
     runs_t ranges[TABLES];   /* the addresses that exist; all of them have memory in `tables` */
 } mapping_t;
 
-/* What is for the hooks and handlers of a device, and so not for us. */
+/* The requests that hooks and handlers of a device need to see. */
 typedef struct {
-    uint32_t functions;                   /* bit n: function n may be answered here, */
-    runs_t reads[TABLES], writes[TABLES]; /* but for what reads or writes one of these */
+    uint32_t functions;                   /* bit n: function n may be answered in C, */
+    runs_t reads[TABLES], writes[TABLES]; /* unless it reads or writes one of these */
 } watched_t;
 
 /* modbus_reply writes into the socket of the context; `outlet` is its other end. */
@@ -49,7 +49,7 @@ typedef struct {
     modbus_t *context;
     int outlet;
     uint8_t *answers;
-    int room;        /* in answers, for one of MODBUS_TCP_MAX_ADU_LENGTH at least */
+    int room;        /* of `answers`, at least MODBUS_TCP_MAX_ADU_LENGTH */
     int size;        /* of the answers to the last chunk */
     int requests;    /* in the last chunk, */
     int refused;     /* and how many of them got an exception */
@@ -90,8 +90,9 @@ static int is_write_and_read(const uint8_t *pdu, int size)
 }
 
 /* Length, quantities and constants: Application Protocol V1.1b3, 6.1-6.6, 6.11, 6.12,
- * 6.16, 6.17. modbus_reply (3.1.6) trusts all of them, and sleeps over what it does check.
- * Gives 1 good, 0 illegal data value, -1 not a function for libmodbus. */
+ * 6.16, 6.17. modbus_reply (3.1.6) checks few of them, and sleeps when a check fails.
+ * Returns 1 for a good request, 0 for an illegal data value, -1 for a function that is not
+ * in libmodbus. */
 static int judge(const uint8_t *pdu, int size)
 {
     switch (pdu[0]) {
@@ -126,7 +127,7 @@ typedef struct {
     int count;
 } span_t;
 
-/* Function code -> the span behind it: address and count, or the address of a single item. */
+/* Function code -> the span after it: address and count, or the address of a single item. */
 static const struct {
     uint8_t table, is_write, is_single;
 } SPANS[] = {
@@ -139,12 +140,12 @@ static const struct {
     [MODBUS_FC_WRITE_MULTIPLE_COILS] = {COILS, 1, 0},
     [MODBUS_FC_WRITE_MULTIPLE_REGISTERS] = {HOLDING_REGISTERS, 1, 0},
     [MODBUS_FC_MASK_WRITE_REGISTER] = {HOLDING_REGISTERS, 1, 1},
-    [MODBUS_FC_WRITE_AND_READ_REGISTERS] = {HOLDING_REGISTERS, 0, 0}, /* and what it writes */
+    [MODBUS_FC_WRITE_AND_READ_REGISTERS] = {HOLDING_REGISTERS, 0, 0}, /* and another */
 };
 
 enum { SPANS_MAX = 2 };
 
-/* What a request that was judged good touches; gives how many spans. */
+/* Find the spans of a good request; returns their number. */
 static int find_spans(const uint8_t *pdu, span_t *spans)
 {
     int function = pdu[0];
@@ -158,7 +159,7 @@ static int find_spans(const uint8_t *pdu, span_t *spans)
     return 2;
 }
 
-/* The first run that does not end before an address. */
+/* Returns the first run that does not end before an address. */
 static int run_from(const runs_t *runs, int address)
 {
     int low = 0, high = runs->count;
@@ -179,8 +180,8 @@ static int has(const runs_t *runs, int first, int count)
            first + count - 1 <= runs->edges[2 * run + 1];
 }
 
-/* Whether all addresses exist. Not left to modbus_reply: 3.1.6 as it was released writes
- * in front of the table that function 23 names (CVE-2022-0367), and no libmodbus knows holes. */
+/* Returns 1 if all addresses exist. modbus_reply does not check it well: 3.1.6 as released writes
+ * before the table of function 23 (CVE-2022-0367), and no version knows tables with holes. */
 static int exists(const mapping_t *mapping, const span_t *spans, int count)
 {
     for (int at = 0; at < count; at++)
@@ -189,7 +190,7 @@ static int exists(const mapping_t *mapping, const span_t *spans, int count)
     return 1;
 }
 
-/* Whether a hook is to be told. */
+/* Returns 1 if a hook needs to see the request. */
 static int is_watched(const watched_t *watched, const span_t *spans, int count)
 {
     for (int at = 0; at < count; at++) {
@@ -202,7 +203,7 @@ static int is_watched(const watched_t *watched, const span_t *spans, int count)
     return 0;
 }
 
-/* Move the answers that wait in the outlet to the others. */
+/* Append the answers that wait in the outlet to `answers`. */
 static int gather(replier_t *replier)
 {
     while (replier->unread_size > 0) {
@@ -256,12 +257,12 @@ static int has_room(const replier_t *replier)
     return replier->room - replier->size - replier->unread_size >= MODBUS_TCP_MAX_ADU_LENGTH;
 }
 
-/* Answer the requests from data[start] on, as far as they are for this device and
- * there is room for answers.
+/* Answer the requests from data[start] on, while they are for this device and there is room for
+ * answers.
  *
- * watched: what else is left for the caller; unit: whose requests they are. Gives where the first byte is that
- * was not used, always behind a whole frame; or -1 if the replier failed (errno), whose
- * outlet cannot be used any more then. */
+ * watched: further requests that are left to the caller; unit: the unit of the device.
+ * Returns the index of the first byte that was not used, always after a whole frame; or -1 if the
+ * replier failed (errno); then its outlet cannot be used any more. */
 static int answer_chunk(replier_t *replier, mapping_t *mapping, const watched_t *watched,
                         tally_t *tally, int unit, const uint8_t *data, int start, int end)
 {
@@ -289,7 +290,7 @@ static int answer_chunk(replier_t *replier, mapping_t *mapping, const watched_t 
             sent = reply(replier, frame, size, &mapping->tables);
         if (sent == -1)
             return -1;
-        /* No other answer is as short: the least of them has a byte count and a byte. */
+        /* Only an exception is so short: other answers have at least a byte count and a byte. */
         note(replier, tally, sent == EXCEPTION_SIZE);
         start += size;
     }

@@ -1,7 +1,8 @@
-/* One request and the first bytes that come back, in one call: look, send, wait, read.
+/* Send one request and receive the first bytes of its answer, in one call.
  *
- * The waiting is ours: libmodbus's select goes on after a signal, and aborts the process on
- * descriptors of 1024 and above; its receive keeps the bytes of what it does not understand. */
+ * It does not use the functions of libmodbus to wait and receive: their select() continues after a
+ * signal and aborts the process for descriptors of 1024 and above, and modbus_receive_confirmation
+ * does not return bytes that it cannot parse. */
 
 #include <errno.h>
 #include <poll.h>
@@ -15,8 +16,9 @@
 enum { MBAP_SIZE = 7, ANSWER_SIZE = 512, NOT_SENT = -1, NOT_PLAIN = 0 };
 
 /* context: the modbus_t of a serial port, or NULL for a socket.
- * answer, got: what came, and how much: more than a frame, so that what follows one shows.
- * error: why nothing could be sent or read, or 0. */
+ * answer, got: the bytes received, and their number; there is room for more than a frame, so that
+ * extra bytes are noticed.
+ * error: the errno of a failure to send or receive, or 0. */
 typedef struct {
     modbus_t *context;
     uint8_t answer[ANSWER_SIZE];
@@ -24,8 +26,8 @@ typedef struct {
     int error;
 } exchange_t;
 
-/* libmodbus appends the CRC and turns the line round; on TCP the header is ours, for 3.1.6
- * sends raw requests with id 0. */
+/* On serial lines libmodbus appends the CRC and switches RTS; on TCP the header is written here,
+ * because 3.1.6 sends raw requests with transaction id 0. */
 static int send_request(exchange_t *exchange, int descriptor, int unit, int number,
                         const uint8_t *pdu, int size)
 {
@@ -38,7 +40,7 @@ static int send_request(exchange_t *exchange, int descriptor, int unit, int numb
     return (int)send(descriptor, request, (size_t)(MBAP_SIZE + size), MSG_NOSIGNAL);
 }
 
-/* Whether what came is one whole frame of Modbus/TCP with this id and unit. */
+/* Returns 1 if the bytes are one whole frame of Modbus/TCP with this id and unit. */
 static int is_answer(const exchange_t *exchange, int unit, int number)
 {
     const uint8_t *at = exchange->answer;
@@ -48,9 +50,9 @@ static int is_answer(const exchange_t *exchange, int unit, int number)
 
 /* waker: readable when the wait must end; timeout: seconds.
  *
- * Gives the length of the PDU behind the header of the answer, on a socket; NOT_PLAIN if what
- * came must be looked at, or nothing did, or the wait was ended; NOT_SENT if bytes were there
- * that nobody asked for, or the connection has ended. */
+ * Returns the length of the PDU after the header of the answer, on a socket; NOT_PLAIN if the
+ * caller must check the bytes, or there are none, or the wait was ended; NOT_SENT if there were
+ * bytes before the request, or the connection has ended. */
 static int exchange(exchange_t *exchange, int descriptor, int waker, int unit, int number,
                     const uint8_t *pdu, int size, double timeout)
 {

@@ -42,7 +42,7 @@ def make_port(endpoint: Endpoint, settings: PortSettings) -> Port:
     """
     rules = TRANSPORTS[endpoint.transport]
     if settings.security is not None and not rules.is_secure:
-        raise ValueError(f"security is for tls://, and means nothing on {endpoint.scheme}")
+        raise ValueError(f"security is for tls:// only, not for {endpoint.scheme}://")
     module, _, name = rules.port_class.partition(".")
     made: Port = getattr(import_module(f".{module}", __package__), name).of(endpoint, settings)
     return made

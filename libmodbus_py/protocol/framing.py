@@ -286,7 +286,7 @@ class TcpFramer(Framer):
             self._buffer.clear()
 
     def _scan_silence(self) -> None:
-        """Silence means nothing on TCP."""
+        """Ignore silence, which ends no frame on TCP."""
 
 
 class UdpFramer(TcpFramer):

@@ -240,7 +240,7 @@ class Serving(ABC):
 
 class Shared(NamedTuple):
     """
-    What the endpoints of a server share.
+    The parts that all endpoints of a server share.
 
     Attributes:
         peers: the TCP connections of all endpoints.

@@ -69,7 +69,7 @@ class Units:
         self.own: Device | None = None
         if self.any is not None:
             if own_unit is not None:
-                raise ValueError("own_unit means nothing where one device answers every unit")
+                raise ValueError("own_unit cannot be given where one device answers every unit")
             return
         if not isinstance(devices, Mapping):
             given = type(devices).__name__

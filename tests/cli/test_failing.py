@@ -49,7 +49,7 @@ def test_refusal_is_one_line_and_exit_code_1() -> None:
         (["read", "tcp://127.0.0.1:1", "50001"], 2, "50001"),
         (["read", "tcp://127.0.0.1:1", "600007"], 2, "file:N"),
         (["read", "tcp://127.0.0.1:1", "coils", "0", "--unit", "256"], 2, "unit"),
-        (["serve", "tcp://127.0.0.1:0", "--own-unit", "1"], 2, "own_unit means nothing"),
+        (["serve", "tcp://127.0.0.1:0", "--own-unit", "1"], 2, "own_unit cannot be given"),
         (["serve", "tcp://127.0.0.1:0", "--own-unit", "one"], 2, "--own-unit"),
         (["read", "tcp://127.0.0.1:1", "coils", "0", "--timeout", "-1"], 2, "timeout"),
         (["write", "tcp://127.0.0.1:1", "coils", "0"], 2, "no value"),

@@ -29,13 +29,13 @@ def test_security_goes_with_tls_and_tls_with_security(make: Any, papers: Papers)
     security = papers.client()
     url = papers.url("tls://h", certificates.client())
     for wrong, options, text in (
-        ("tcp://h", {"security": security}, "security is for tls://, and means nothing on tcp"),
+        ("tcp://h", {"security": security}, "security is for tls:// only, not for tcp://"),
         (
             "rtu:///dev/x",
             {"security": security},
-            "security is for tls://, and means nothing on rtu",
+            "security is for tls:// only, not for rtu://",
         ),
-        ("udp://h", {"security": security}, "security is for tls://, and means nothing on udp"),
+        ("udp://h", {"security": security}, "security is for tls:// only, not for udp://"),
         ("tls://h", {}, "tls://h:802 needs security: Security(...), or ?cert=...&key=..."),
         (url, {"security": security}, "tls://h:802: security is given as such and in the URL"),
         ("tls://h?ca=x", {}, "tls://h:802 lacks cert, the file with one's own certificate"),

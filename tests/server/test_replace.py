@@ -103,7 +103,7 @@ def test_what_a_server_has_is_told() -> None:
         ({2: 5}, None, r"devices\[2\] must be a Device"),
         ({256: holding(1)}, None, r"unit must be in 0..255, not 256"),
         ({2: holding(1)}, None, r"own_unit must be a unit that has a device \(2\), not 1"),
-        (holding(1), None, "own_unit means nothing"),
+        (holding(1), None, "own_unit cannot be given"),
         ({1: holding(1)}, {1: [5]}, "faults must be"),
         ({1: holding(1)}, [], "faults must be"),
     ],

@@ -157,7 +157,7 @@ class Fault:
             if name == KINDS[self.kind]:
                 raise WrongValue(name, f"is missing, which {self.kind} needs")
         elif name != KINDS[self.kind] and name not in OPTIONAL.get(self.kind, ()):
-            raise WrongValue(name, f"means nothing for {self.kind}")
+            raise WrongValue(name, f"does not apply to {self.kind}")
         elif (self.kind, name) == ("disconnect", "length"):
             integer(name, value, 0, LONGEST)
         else:
@@ -170,20 +170,20 @@ class Fault:
             integer("address", self.address, 0, TABLE_SIZE - 1)
         if self.count is not None:
             if self.address is None:
-                raise WrongValue("count", "means nothing without address")
+                raise WrongValue("count", "cannot be given without address")
             integer("count", self.count, 1, TABLE_SIZE)
 
     def _check_how_often(self) -> None:
         if self.every is not None:
             integer("every", self.every, 1, 1_000_000_000)
             if self.probability is not None:
-                raise WrongValue("probability", "means nothing beside every")
+                raise WrongValue("probability", "cannot be given together with every")
         if self.probability is not None:
             number("probability", self.probability, 0, 1)
         if self.seed is not None:
             is_random = self.kind == "garbage" and self.length is not None
             if self.probability is None and not is_random:
-                raise WrongValue("seed", "means nothing without probability")
+                raise WrongValue("seed", "cannot be given without probability")
             integer("seed", self.seed, 0, (1 << 64) - 1)
 
     @property

@@ -47,13 +47,13 @@ class CsvText:
         delimiter: between cells.
 
     Raises:
-        FileError: of `kind`: the text contains control characters, or is no CSV.
+        FileError: of `kind`: the text contains control characters, or is not CSV.
     """
 
     def __init__(self, text: str, is_known: Callable[[str], bool], kind: type[FileError]) -> None:
         if found := _CONTROL.search(text):
             line = text.count("\n", 0, found.start()) + 1
-            reason = f"no text: it has a character {ord(found[0]):#04x}"
+            reason = f"must be plain text, but contains the control character {ord(found[0]):#04x}"
             raise kind((), reason, place=FilePlace(line=line))
         self._kind = kind
         # Excel begins a file with a byte order mark.
@@ -69,7 +69,7 @@ class CsvText:
         Yield the rows below the headings.
 
         Raises:
-            FileError: the rest of the text is no CSV.
+            FileError: the rest of the text is not CSV.
         """
         rows = self._rows(self.delimiter)
         next(rows, None)

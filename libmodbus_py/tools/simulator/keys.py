@@ -60,14 +60,14 @@ def _maps(path: Path, value: object) -> list[tuple[Path, str]]:
 FAULT = keys_of(Fault, data=bytes_or_text(1, LONGEST))
 
 MOVES = Keys(
-    Key(name, keys_of(make).read, f"how values move: see `{make.__name__}`")
+    Key(name, keys_of(make).read, f"how the values change: see `{make.__name__}`")
     for name, make in BEHAVIOURS.items()
 )
 
 VALUES = Keys(
     [
-        Key("value", text="all values, at first"),
-        Key("values", a_list, "each value, at first; then there is no count"),
+        Key("value", text="the initial value of all"),
+        Key("values", a_list, "the initial value of each, in place of `value` and `count`"),
     ]
 )
 
@@ -81,7 +81,7 @@ NAMING = POINT.only("name", "description", "units", "unit", "scale", "offset")
 
 DEFAULTS = (TYPING | POINT.only("access")).optional()
 
-_COUNT = Keys([Key("count", whole(1, 0x10000), "how many values", 1)])
+_COUNT = Keys([Key("count", whole(1, 0x10000), "the number of values", 1)])
 
 _IN_TABLE = POINT_KEYS.optional() | POINT.only("address") | _COUNT | VALUES | MOVES
 
@@ -93,7 +93,7 @@ CONTENTS: dict[str, Keys] = {
         [
             Key("number", whole(1, 0xFFFF), "the number of the file", REQUIRED),
             Key("record", whole(0, RECORDS_PER_FILE - 1), "the first record", REQUIRED),
-            Key("count", whole(1, RECORDS_PER_FILE), "how many values", 1),
+            Key("count", whole(1, RECORDS_PER_FILE), "the number of values", 1),
         ]
     )
     | VALUES
@@ -104,36 +104,36 @@ CONTENTS: dict[str, Keys] = {
 
 SERVER_ID = Keys(
     [
-        Key("identifier", bytes_or_text(1, 125), "which device it is"),
-        Key("running", flag, "its run indicator"),
-        Key("additional", bytes_or_text(0, 125), "more of its own"),
+        Key("identifier", bytes_or_text(1, 125), "the identifier of the device"),
+        Key("running", flag, "the run indicator"),
+        Key("additional", bytes_or_text(0, 125), "additional data"),
     ]
 )
 
 FIFO = Keys(
     [
-        Key("address", whole(0, 0xFFFF), "of the queue", REQUIRED),
-        Key("values", a_list, "up to 31 registers, the oldest first", REQUIRED),
+        Key("address", whole(0, 0xFFFF), "the address of the queue", REQUIRED),
+        Key("values", a_list, "up to 31 registers, oldest first", REQUIRED),
     ]
 )
 
 UNIT = Keys(
     [
-        Key("id", unit_id, "0..247 or 255; a single unit without it answers every unit"),
-        Key("name", text(100), "what people call it", ""),
-        Key("description", text(250), "for people", ""),
-        Key("exception_status", whole(0, 255), "what function 7 answers", 0),
-        Key("server_id", SERVER_ID.read, "what function 17 answers"),
-        Key("identification", table, "what function 43/14 answers"),
-        Key("defaults", table, "what points have unless they say it"),
-        Key("map", _maps, "register maps, whose points all exist"),
-        Key("values", table, "what points of the maps are at first, by name"),
-        Key("moves", table, "how points of the maps move, by name"),
+        Key("id", unit_id, "0..247 or 255; a single unit without an id answers for every unit"),
+        Key("name", text(100), "a name, for people", ""),
+        Key("description", text(250), "a description, for people", ""),
+        Key("exception_status", whole(0, 255), "the response to function 7", 0),
+        Key("server_id", SERVER_ID.read, "the response to function 17"),
+        Key("identification", table, "the response to function 43/14"),
+        Key("defaults", table, "keys of all points of the unit, unless a point has its own"),
+        Key("map", _maps, "paths of register maps; the device has all their points"),
+        Key("values", table, "initial values of points of the maps, by name"),
+        Key("moves", table, "how points of the maps change, by name"),
         *(Key(name, tables, "a table for each point") for name in CONTENTS if name != "file"),
         Key("file", tables, "a table for each run of records"),
         Key("fifo", tables, "a table for each queue"),
         Key("fault", tables, "a table for each fault"),
-        Key("roles", roles.rules, "who may read and write what, in place of those of all units"),
+        Key("roles", roles.rules, "what each role may read and write, in place of the roles of all units"),
     ]
 )
 
@@ -141,7 +141,7 @@ FILE = Keys(
     [
         Key("unit", tables, "a table for each unit", REQUIRED),
         Key("fault", tables, "a table for each fault of all units"),
-        Key("roles", roles.rules, "who may read and write what: [roles.NAME]"),
-        Key("defaults", table, "what points of all units have unless they say it"),
+        Key("roles", roles.rules, "what each role may read and write: [roles.NAME]"),
+        Key("defaults", table, "keys of all points of all units, unless a unit or a point has its own"),
     ]
 )

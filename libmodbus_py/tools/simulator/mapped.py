@@ -157,7 +157,7 @@ def _image(
     for name, place, value in _by_name(path, "values", unit, points):
         point = points[name]
         if name in moves:
-            raise WrongValue(place, f"means nothing beside moves.{name}")
+            raise WrongValue(place, f"cannot be given together with moves.{name}")
         budget.spend(place, len(point.cells))
         budget.spend_values(place, point, point.count)
         try:

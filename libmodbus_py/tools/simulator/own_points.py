@@ -142,7 +142,7 @@ def _source(path: Path, given: Mapping[str, Any]) -> str:
     """Return the key that sets the values; empty if there is none."""
     sources = [key for key in given if key in VALUES or key in MOVES]
     if len(sources) > 1:
-        raise WrongValue((*path, sources[1]), f"means nothing beside {sources[0]}")
+        raise WrongValue((*path, sources[1]), f"cannot be given together with {sources[0]}")
     source = sources[0] if sources else ""
     if source in MOVES and given.get("access", "read") != "read":
         # A value written by a client would be lost at the next read.
@@ -165,7 +165,7 @@ def _count(given: Mapping[str, Any]) -> int:
     if "values" not in given:
         return int(given.get("count", 1))
     if "count" in given:
-        raise WrongValue("count", "means nothing beside values")
+        raise WrongValue("count", "cannot be given together with values")
     if not given["values"]:
         raise WrongValue("values", "must hold at least one")
     return len(given["values"])

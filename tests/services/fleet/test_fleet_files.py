@@ -255,7 +255,7 @@ ROWS = "name,url,unit,map\na,tcp://h,1,meter.csv\n"
         (ROWS + 'b,"tcp\n', "line 3: no CSV"),
         ("name,url,map,interval\na,tcp://h,meter.csv,1_0\n", "interval must be a number such"),
         ("name;url;map;interval\na;tcp://h;meter.csv;1,5\n", "with a point, not a comma, not"),
-        ("name,url,map\na,tcp://h,\x1bmeter.csv\n", "line 2: no text: it has a character 0x1b"),
+        ("name,url,map\na,tcp://h,\x1bmeter.csv\n", "line 2: must be plain text, but contains the control character 0x1b"),
     ],
 )
 def test_what_is_wrong_in_a_list_of_devices(tmp_path: Path, csv: str, said: str) -> None:

@@ -338,7 +338,7 @@ BROKEN = [
     ),
     (
         MAPPED + "moves = { voltage = { counter = {} } }\nvalues = { voltage = 1 }",
-        "unit[0].values.voltage means nothing beside moves.voltage",
+        "unit[0].values.voltage cannot be given together with moves.voltage",
     ),
     (
         MAPPED + "moves = { status = { counter = {} }, 'status high' = { counter = {} } }",

@@ -43,7 +43,7 @@ def opened(text: str) -> CsvText:
     Return a text as CSV with headings.
 
     Raises:
-        MapError: the text is no CSV.
+        MapError: the text is not CSV.
     """
     return CsvText(text, lambda heading: plain(heading) in COLUMNS, MapError)
 
@@ -90,7 +90,7 @@ def drafts(text: CsvText, columns: Columns) -> Iterator[Draft]:
     Yield the point of each row as a draft.
 
     Raises:
-        MapError: the rest of the text is no CSV, or there are too many rows.
+        MapError: the rest of the text is not CSV, or there are too many rows.
     """
     for count, row in enumerate(text.rows()):
         if count == MAX_POINTS:

@@ -28,7 +28,7 @@ def point_of(**keys: Any) -> Point:
     """
     if "unit" in keys:
         if "units" in keys:
-            raise WrongValue("unit", "means nothing beside units")
+            raise WrongValue("unit", "cannot be given together with units")
         keys["units"] = keys.pop("unit")
         try:
             return Point(**keys)
