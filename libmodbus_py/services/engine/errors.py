@@ -10,6 +10,8 @@ import ssl
 from collections.abc import Iterator
 from typing import Any
 
+from ...security.words import in_words
+
 __all__ = ["EngineError", "EngineGone", "NothingThere", "explained", "what"]
 
 # Codes of temporary JetStream errors: no leader is elected, or servers are not up yet.
@@ -74,9 +76,9 @@ def what(error: BaseException) -> str:
     import nats.errors
 
     if isinstance(error, ssl.SSLCertVerificationError):
-        return f"the certificate is not trusted: {error.verify_message}; see NATS_CA"
+        return f"the certificate is not trusted: {in_words(error)}; see NATS_CA"
     if isinstance(error, ssl.SSLError):
-        return f"TLS failed: {error.reason or error}"
+        return f"TLS failed: {in_words(error)}"
     if isinstance(error, TimeoutError):
         return "no answer"
     if isinstance(error, ConnectionError) and not error.args:

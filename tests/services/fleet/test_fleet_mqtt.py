@@ -185,7 +185,7 @@ def test_a_broker_that_is_not_trusted_gets_nothing(
 def test_a_file_of_authorities_that_is_none_is_told(tmp_path: Path) -> None:
     (tmp_path / "ca.pem").write_text("nothing")
     output = Mqtt("mqtts://127.0.0.1:1", ca=str(tmp_path / "ca.pem"))
-    with pytest.raises(OSError, match="holds no certificate"):
+    with pytest.raises(OSError, match="contains no certificate"):
         run(output.open())
 
 

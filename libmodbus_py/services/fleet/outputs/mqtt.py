@@ -17,6 +17,7 @@ from urllib.parse import urlsplit
 
 from ....protocol.checks import integer
 from ....protocol.mistakes import WrongType, WrongValue
+from ....security.words import in_words
 from ..buffer import MOST_KEPT
 from ..commands import Commands, encoded, wanted_of
 from ..levels import Levels
@@ -281,7 +282,7 @@ def _trust(ca: str | None) -> ssl.SSLContext:
     try:
         context = ssl.create_default_context(cafile=ca)
     except ssl.SSLError as error:
-        raise OSError(f"ca: {ca!r} holds no certificate: {error.reason or error}") from None
+        raise OSError(f"ca: {ca!r} contains no certificate: {in_words(error)}") from None
     context.sslsocket_class = _Handshaking
     return context
 
