@@ -4,6 +4,7 @@ The check of numbers that callers pass; its errors name the argument and its ran
 
 from __future__ import annotations
 
+import math
 import reprlib
 from collections.abc import Sequence
 from operator import index
@@ -42,7 +43,7 @@ def integer(name: str | Path, value: object, low: int, high: int) -> int:
 
 def number(name: str | Path, value: object, low: float, high: float) -> int | float:
     """
-    Return a number as it is.
+    Return a number as it is; `high` is infinite if there is no upper bound.
 
     Raises:
         TypeError: no int or float; True and False are none here.
@@ -51,7 +52,8 @@ def number(name: str | Path, value: object, low: float, high: float) -> int | fl
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise WrongType(name, f"must be a number, not {type(value).__name__}")
     if not low <= value <= high:
-        raise WrongValue(name, f"must be in {low}..{high}, not {shown(value)}")
+        span = f"{low} or more" if high == math.inf else f"in {low}..{high}"
+        raise WrongValue(name, f"must be {span}, not {shown(value)}")
     return value
 
 

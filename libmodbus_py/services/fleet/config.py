@@ -5,6 +5,7 @@ The devices of a fleet, as frozen values, and as JSON that can be stored.
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import MISSING, dataclass, field, fields
 from functools import lru_cache
@@ -14,7 +15,7 @@ from ...client.options import CheckedOptions, assembled
 from ...maps.point import Point
 from ...maps.register_map import PointPlan, RegisterMap
 from ...ports.endpoint import Endpoint, parse
-from ...protocol.checks import integer, seconds
+from ...protocol.checks import integer, number, seconds
 from ...protocol.mistakes import Path, WrongType, WrongValue, inside
 from ...tools.files.maps.drafts import point_of
 
@@ -112,8 +113,7 @@ class DeviceConfig:
         for name, band in self.dead_bands.items():
             if name not in self.names:
                 raise WrongValue.about(("dead_bands", name), "no point of this name is read")
-            if isinstance(band, bool) or not isinstance(band, int | float) or not band >= 0:
-                raise WrongValue(("dead_bands", name), f"must be a number, 0 or more, not {band!r}")
+            number(("dead_bands", name), band, 0, math.inf)
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -18,6 +18,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple, get_args
 
+from ...protocol.checks import number
+
 __all__ = [
     "SETTINGS",
     "Connection",
@@ -244,7 +246,7 @@ def _connection(rest: list[str], given: dict[str, Any]) -> Connection:
     key = _typed(str, given["connection"])
     if not _DIGEST.fullmatch(digest) or digest_of(key) != digest:
         raise ValueError("connection is not the one of this key")
-    timeout = _number(given["timeout"], 0, LONGEST_LEASE)
+    timeout = float(number("timeout", given["timeout"], 0, LONGEST_LEASE))
     return Connection(_zone(zone), key, timeout, json.dumps(given["devices"]))
 
 
@@ -292,16 +294,8 @@ def _typed(kind: type, given: object) -> Any:
     return given
 
 
-def _number(given: object, least: float, most: float) -> float:
-    if isinstance(given, bool) or not isinstance(given, int | float):
-        raise TypeError(f"{str(given)[:60]!r} must be a number")
-    if not least <= given <= most:
-        raise ValueError(f"{given} is not in {least}..{most}")
-    return float(given)
-
-
 def _lease(given: object) -> float:
-    return _number(given, SHORTEST_LEASE, LONGEST_LEASE)
+    return float(number("lease", given, SHORTEST_LEASE, LONGEST_LEASE))
 
 
 def _one_of(allowed: tuple[Any, ...], given: object) -> Any:

@@ -139,7 +139,11 @@ SIMPLE = '[[device]]\nname = "a"\nurl = "tcp://h"\nmap = "meter.csv"\n'
         (SIMPLE + "items = ['power', 'power']", 5, "device[0].items[1]: 'power' is given twice"),
         (SIMPLE + "items = 'power'", 5, "device[0].items must be a list of names, not str"),
         (SIMPLE + "dead_bands = {x = 1}", 5, "device[0].dead_bands.x: no point of this name"),
-        (SIMPLE + "dead_bands = {power = -1}", 5, "device[0].dead_bands.power must be a number"),
+        (
+            SIMPLE + "dead_bands = {power = -1}",
+            5,
+            "device[0].dead_bands.power must be 0 or more",
+        ),
         (SIMPLE + "labels = {x = 1}", 5, "device[0].labels.x must be text, not int"),
         (SIMPLE + "max_registers = 1", 5, "device[0].max_registers: items['power']: float32 takes"),
         (SIMPLE.replace("tcp://h", "http://h"), 3, "device[0].url: 'http://h': the scheme must"),
@@ -252,10 +256,13 @@ ROWS = "name,url,unit,map\na,tcp://h,1,meter.csv\n"
             "line 5, column name: name: 'a' is also the name of devices: ",
         ),
         (ROWS + "b,tcp://i,1,meter.csv,more\n", "line 3: 5 cells below 4 headings"),
-        (ROWS + 'b,"tcp\n', "line 3: no CSV"),
+        (ROWS + 'b,"tcp\n', "line 3: invalid CSV"),
         ("name,url,map,interval\na,tcp://h,meter.csv,1_0\n", "interval must be a number such"),
         ("name;url;map;interval\na;tcp://h;meter.csv;1,5\n", "with a point, not a comma, not"),
-        ("name,url,map\na,tcp://h,\x1bmeter.csv\n", "line 2: must be plain text, but contains the control character 0x1b"),
+        (
+            "name,url,map\na,tcp://h,\x1bmeter.csv\n",
+            "line 2: contains the control character 0x1b",
+        ),
     ],
 )
 def test_what_is_wrong_in_a_list_of_devices(tmp_path: Path, csv: str, said: str) -> None:
@@ -330,7 +337,7 @@ def test_other_text_is_refused(text: str) -> None:
         ({"zone": None}, "zone must be text"),
         ({"labels": []}, "labels must be a table"),
         ({"dead_bands": 3}, "dead_bands must be a table"),
-        ({"dead_bands": {"power": float("nan")}}, "dead_bands.power must be a number"),
+        ({"dead_bands": {"power": float("nan")}}, "dead_bands.power must be 0 or more, not nan"),
         ({"url": None}, "url: url must be a string"),
         ({"map": RegisterMap([Point("x", "coils", 0, access="write")])}, "map has no point that"),
     ],
