@@ -1,0 +1,68 @@
+"""
+The table of transports: every one has a port for clients and an endpoint for servers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from pathlib import Path
+from typing import get_args
+
+import pytest
+
+from libmodbus_py import Client, Context
+from libmodbus_py.client.blocking import (
+    AsciiContext,
+    RtuContext,
+    TcpContext,
+    TlsContext,
+    UdpContext,
+)
+from libmodbus_py.client.options import AsyncOptions, CheckedOptions, ContextOptions
+from libmodbus_py.ports.schemes import CLIENT_OPTIONS, SCHEMES, TRANSPORTS, Scheme, Transport
+from libmodbus_py.server.serving import ENDPOINTS
+from tests.support.certificates import Papers
+
+URLS = {
+    "tcp": ("tcp://h", TcpContext),
+    "rtu+tcp": ("rtu+tcp://h", TcpContext),
+    "ascii+tcp": ("ascii+tcp://h", TcpContext),
+    "udp": ("udp://h", UdpContext),
+    "rtu+udp": ("rtu+udp://h", UdpContext),
+    "tls": ("tls://h", TlsContext),
+    "rtu": ("rtu:///dev/null", RtuContext),
+    "ascii": ("ascii:///dev/null", AsciiContext),
+}
+
+
+def test_each_transport_has_a_port_an_endpoint_and_a_scheme() -> None:
+    assert set(TRANSPORTS) == set(ENDPOINTS) == set(get_args(Transport))
+    assert {transport for _, transport in SCHEMES.values()} == set(TRANSPORTS)
+    assert set(SCHEMES) == set(get_args(Scheme)) == set(URLS)
+
+
+@pytest.mark.parametrize("scheme", URLS)
+def test_each_scheme_has_a_context_and_a_port(scheme: str, tmp_path: Path) -> None:
+    url, kind = URLS[scheme]
+    security = {"security": Papers(tmp_path).client()} if scheme == "tls" else {}
+    context = Context.from_url(url, **security)
+    assert type(context) is kind
+    module, name = TRANSPORTS[SCHEMES[scheme][1]].port_class.split(".")  # type: ignore[index]
+    port = context._driver._port
+    assert (type(port).__module__, type(port).__name__) == (f"libmodbus_py.ports.{module}", name)
+
+
+@pytest.mark.parametrize("scheme", URLS)
+def test_a_class_of_a_program_does_not_take_a_scheme(scheme: str) -> None:
+    class Own(URLS[scheme][1]):  # type: ignore[misc]
+        pass
+
+    assert Context._kinds[scheme] is URLS[scheme][1]
+    assert Client is not Own
+
+
+def test_every_option_of_clients_is_typed_checked_and_has_a_default() -> None:
+    """Type checkers need the names in a TypedDict, and no TypedDict can be made of a dataclass."""
+    typed = {*ContextOptions.__annotations__, *AsyncOptions.__annotations__}
+    assert typed == {field.name for field in fields(CheckedOptions)}
+    assert set(CLIENT_OPTIONS) < typed
