@@ -53,7 +53,7 @@ class CsvText:
     def __init__(self, text: str, is_known: Callable[[str], bool], kind: type[FileError]) -> None:
         if found := _CONTROL.search(text):
             line = text.count("\n", 0, found.start()) + 1
-            reason = f"must be plain text, but contains the control character {ord(found[0]):#04x}"
+            reason = f"contains the control character {ord(found[0]):#04x}"
             raise kind((), reason, place=FilePlace(line=line))
         self._kind = kind
         # Excel begins a file with a byte order mark.
@@ -102,7 +102,7 @@ class CsvText:
             try:
                 found = next(reader, None)
             except csv.Error as error:
-                raise self._kind((), f"no CSV: {error}", place=FilePlace(line=line)) from None
+                raise self._kind((), f"invalid CSV: {error}", place=FilePlace(line=line)) from None
             if found is None:
                 return
             cells = [cell.strip() for cell in found]

@@ -133,7 +133,11 @@ UNIT = Keys(
         Key("file", tables, "a table for each run of records"),
         Key("fifo", tables, "a table for each queue"),
         Key("fault", tables, "a table for each fault"),
-        Key("roles", roles.rules, "what each role may read and write, in place of the roles of all units"),
+        Key(
+            "roles",
+            roles.rules,
+            "what each role may read and write, in this unit",
+        ),
     ]
 )
 
@@ -142,6 +146,10 @@ FILE = Keys(
         Key("unit", tables, "a table for each unit", REQUIRED),
         Key("fault", tables, "a table for each fault of all units"),
         Key("roles", roles.rules, "what each role may read and write: [roles.NAME]"),
-        Key("defaults", table, "keys of all points of all units, unless a unit or a point has its own"),
+        Key(
+            "defaults",
+            table,
+            "keys of all points, unless their unit or they have their own",
+        ),
     ]
 )

@@ -31,7 +31,10 @@ from tests.server.faults.serving import made_device
         ({"kind": "delay", "seconds": 1, "code": 1}, "code does not apply to delay"),
         ({"kind": "no_answer", "function": 128}, r"function must be in 1..127, not 128"),
         ({"kind": "no_answer", "every": 0}, r"every must be in 1..1000000000, not 0"),
-        ({"kind": "no_answer", "every": 2, "probability": 0.5}, "probability cannot be given together with every"),
+        (
+            {"kind": "no_answer", "every": 2, "probability": 0.5},
+            "probability cannot be given together",
+        ),
         ({"kind": "no_answer", "probability": 1.1}, r"probability must be in 0..1, not 1.1"),
         ({"kind": "no_answer", "probability": float("nan")}, r"probability must be in 0..1"),
         ({"kind": "no_answer", "probability": True}, r"probability must be a number, not bool"),

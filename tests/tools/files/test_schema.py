@@ -75,7 +75,10 @@ PLACE = {"table": "coils", "address": 1}
         ({"point": {"name": "a", **PLACE, "x": 1}}, "point.x: no such key; allowed are name, "),
         ({"point": {"name": "", **PLACE}}, "point.name must have 1..100 characters, not 0"),
         ({"point": {"name": "a", **PLACE, "unit": 1}}, "point.unit must be a string, not int"),
-        ({"point": {"name": "a", **PLACE, "unit": "V", "units": "V"}}, "point.unit cannot be given together with units"),
+        (
+            {"point": {"name": "a", **PLACE, "unit": "V", "units": "V"}},
+            "point.unit cannot be given",
+        ),
         ({"point": {"name": "a", **PLACE, "scale": 2}}, "point.scale must be 1 for coils, which"),
     ],
 )
