@@ -106,15 +106,25 @@ def _count(request: Any) -> int:
 
 async def trying(devices: Sequence[DeviceConfig]) -> AsyncGenerator[Tried, None]:
     """Poll each device once, those of a line one after the other; yield results as they come."""
-    found: asyncio.Queue[Tried] = asyncio.Queue()
+    found: asyncio.Queue[Tried | BaseException] = asyncio.Queue()
+
+    def note_end(task: asyncio.Task[None]) -> None:
+        if not task.cancelled() and (error := task.exception()) is not None:
+            found.put_nowait(error)
+
     free = asyncio.Semaphore(MOST_AT_ONCE)
     tasks = [
         asyncio.create_task(_try_line(group, free, found))
         for group in by_connection(devices).values()
     ]
+    for task in tasks:
+        task.add_done_callback(note_end)
     try:
         for _ in devices:
-            yield await found.get()
+            result = await found.get()
+            if isinstance(result, BaseException):
+                raise result  # a defect, after which no more results of its line come
+            yield result
         await asyncio.gather(*tasks)
     finally:
         for task in tasks:
@@ -123,7 +133,9 @@ async def trying(devices: Sequence[DeviceConfig]) -> AsyncGenerator[Tried, None]
 
 
 async def _try_line(
-    devices: list[DeviceConfig], free: asyncio.Semaphore, found: asyncio.Queue[Tried]
+    devices: list[DeviceConfig],
+    free: asyncio.Semaphore,
+    found: asyncio.Queue[Tried | BaseException],
 ) -> None:
     async with free:
         client = AsyncClient(devices[0].endpoint.url)

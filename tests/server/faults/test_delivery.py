@@ -204,3 +204,36 @@ def test_nothing_is_sent_after_close(stage: Stage) -> None:
 
     stage.wait(deliver())
     assert written == [b"1"]
+
+
+def test_answers_are_taken_until_the_limit_is_reached(stage: Stage) -> None:
+    """Also after `close`, for what it drops takes no room any more."""
+    written: list[bytes] = []
+
+    async def deliver() -> None:
+        delivery = Delivery(FakeChannel(written.append))
+        for size in (MAX_WAITING - 1, MAX_WAITING):
+            for _ in range(2):
+                delivery.send([Fragment(10, bytes(size))])
+                delivery.send([Fragment(0, b"next %d" % size)])
+                delivery.close()
+            delivery.send([Fragment(10, bytes(size))])
+            delivery.send([Fragment(0, b"last %d" % size)])
+            await asyncio.sleep(50)
+
+    stage.wait(deliver())
+    assert [data for data in written if len(data) < 20] == [b"last %d" % (MAX_WAITING - 1)]
+    assert [len(data) for data in written if len(data) > 20] == [MAX_WAITING - 1, MAX_WAITING]
+
+
+def test_a_close_without_bytes_writes_nothing(stage: Stage) -> None:
+    """A channel of a port would write an empty frame else."""
+    written: list[bytes] = []
+
+    async def deliver() -> None:
+        delivery = Delivery(FakeChannel(written.append))
+        delivery.send([Fragment(0, b"", is_last=True)])
+        delivery.send([Fragment(0, b"cut", is_last=True)])
+
+    stage.wait(deliver())
+    assert written == [b"cut"]
