@@ -1,0 +1,540 @@
+"""
+The connections of a server and their turns, with sessions that do what a test says.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+
+from libmodbus_py.protocol.errors import FrameError
+from libmodbus_py.server import peers as module
+from libmodbus_py.server.limits import Limits, ServerStatistics
+from libmodbus_py.server.peers import FAIR_SIZE, READ_SIZE, Peer, Peers
+from libmodbus_py.server.service import SessionState
+from tests.simulation.stage import Stage, Talker
+
+Receive = Callable[["Session", bytes], int]
+
+
+class Session:
+    """A session that notes what it gets; the test says what it answers, and its state."""
+
+    def __init__(self, endpoint: FakeEndpoint, peer: Peer) -> None:
+        self.peer = peer
+        self.state = SessionState.READING
+        self.received: list[bytes] = []
+        self.times: list[float] = []
+        self.is_ended = self.is_closed = False
+        self._endpoint = endpoint
+
+    def receive(self, data: bytes) -> int:
+        self.received.append(data)
+        self.times.append(self._endpoint.stage.now)
+        self._endpoint.order.append(self)
+        return self._endpoint.on_receive(self, data)
+
+    def end(self) -> None:
+        self.is_ended = True
+        if self.state is not SessionState.OWING:
+            self.state = SessionState.READING
+
+    def close(self) -> None:
+        self.is_closed = True
+
+
+def echo(session: Session, data: bytes) -> int:
+    session.peer.write(data)
+    return 1
+
+
+def ignore(session: Session, data: bytes) -> int:
+    return 0
+
+
+class FakeEndpoint:
+    """
+    An address at which `Peers` take connections.
+
+    Attributes:
+        sessions: those of all connections, oldest first.
+        order: the sessions in the order in which they got bytes.
+        ends: how often a hook has ended the program.
+    """
+
+    def __init__(self, stage: Stage, on_receive: Receive = echo, **limits: Any) -> None:
+        self.stage = stage
+        self.on_receive = on_receive
+        self.statistics = ServerStatistics()
+        self.sessions: list[Session] = []
+        self.order: list[Session] = []
+        self.ends = 0
+        self._url = stage.listen("tcp://10.0.0.1:0", self._accept)
+
+        async def made() -> Peers:
+            return Peers(Limits(**limits), self.statistics, self._end, stage._epoll)
+
+        self.peers = stage.wait(made())
+
+    def _accept(self, end: Any, address: tuple[str, int]) -> None:
+        self.peers.admit(end, address, self._session)
+
+    def _session(self, peer: Peer) -> Session:
+        self.sessions.append(Session(self, peer))
+        return self.sessions[-1]
+
+    def _end(self) -> None:
+        self.ends += 1
+
+    def talk(self) -> tuple[Talker, Session]:
+        talker = self.stage.talk(self._url)
+        self.stage.pass_time(0.001)
+        return talker, self.sessions[-1]
+
+
+Open = Callable[..., FakeEndpoint]
+
+
+@pytest.fixture
+def endpoint(stage: Stage) -> Iterator[Open]:
+    made: list[FakeEndpoint] = []
+
+    def opened(*args: Any, **limits: Any) -> FakeEndpoint:
+        made.append(FakeEndpoint(stage, *args, **limits))
+        return made[-1]
+
+    yield opened
+    for each in made:
+        each.peers.close()
+        each.peers.close()
+        assert all(session.is_closed for session in each.sessions)
+        assert len(each.peers) == each.statistics.connections == 0
+
+
+# --- turns ----------------------------------------------------------------------------------------
+
+
+def test_who_sends_much_is_read_in_turns_and_later_than_others(
+    stage: Stage, endpoint: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "GREEDY_AT_ONCE", 1)
+    server = endpoint(ignore)
+    greedy = [server.talk() for _ in range(3)]
+    modest, _ = server.talk()
+    for talker, _ in greedy:
+        talker.sendall(bytes(FAIR_SIZE + 4 * READ_SIZE))
+    stage.pass_time(0.01)
+    numbers = [server.sessions.index(session) for session in server.order]
+    # Once for all of them, before anybody is known to send much; then one in each turn.
+    assert [sorted(numbers[begin : begin + 3]) for begin in range(0, 15, 3)] == [[0, 1, 2]] * 5
+    for _, session in greedy:
+        assert list(map(len, session.received)) == [FAIR_SIZE, *[READ_SIZE] * 4]
+
+    server.order.clear()
+    for talker, _ in greedy:
+        talker.sendall(bytes(2 * READ_SIZE))
+    modest.sendall(b"one")
+    stage.pass_time(0.01)
+    assert server.order[0] is server.sessions[3]
+    # What is shorter than was asked for ends it: two of them are read together, as others are.
+    for talker, _ in greedy:
+        talker.sendall(b"short")
+    stage.pass_time(0.01)
+    server.order.clear()
+    begun = server.peers._turns
+    for talker, _ in greedy:
+        talker.sendall(b"short")
+    stage.pass_time(0.01)
+    assert server.peers._turns == begun
+    assert len(server.order) == 3
+
+
+def test_answers_are_sent_when_all_were_read(stage: Stage, endpoint: Open) -> None:
+    server = endpoint(echo)
+    talkers = [server.talk()[0] for _ in range(3)]
+    sent_before: list[int] = []
+
+    def note(session: Session, data: bytes) -> int:
+        session.peer.write(data)
+        session.peer.write(b"!")
+        sent_before.append(sum(talker.end.other.sent for talker in talkers))
+        return 1
+
+    server.on_receive = note
+    for talker in talkers:
+        talker.send(b"ask")
+    assert [talker.receive(4) for talker in talkers] == [b"ask!"] * 3
+    assert sent_before == [0, 0, 0]
+
+
+def test_what_is_written_between_turns_is_sent_at_once(stage: Stage, endpoint: Open) -> None:
+    server = endpoint(ignore)
+    (first, one), (second, two) = server.talk(), server.talk()
+    for session in (one, two, one):
+        session.peer.write(b"late")
+    stage.pass_time(0.001)
+    assert first.receive(8) == b"latelate"
+    assert second.receive(4) == b"late"
+
+
+def test_calls_for_later_come_after_all_were_read_and_before_answers(
+    stage: Stage, endpoint: Open
+) -> None:
+    server = endpoint()
+    talkers = [server.talk()[0] for _ in range(2)]
+    told: list[str] = []
+
+    def defer(session: Session, data: bytes) -> int:
+        told.append("read")
+
+        def call() -> None:
+            told.append("called")
+            session.peer.write(data)
+
+        server.peers.later(call)
+        return 1
+
+    server.on_receive = defer
+    for talker in talkers:
+        talker.send(b"x")
+    assert [talker.recv(9) for talker in talkers] == [b"x", b"x"]
+    assert told == ["read", "read", "called", "called"]
+
+
+def test_a_call_that_fails_leaves_the_others(
+    stage: Stage, endpoint: Open, caplog: pytest.LogCaptureFixture
+) -> None:
+    server = endpoint()
+    talker, _ = server.talk()
+
+    def fail() -> None:
+        raise RuntimeError("a defect")
+
+    def defer(session: Session, data: bytes) -> int:
+        server.peers.later(fail)
+        server.peers.later(lambda: session.peer.write(data))
+        return 1
+
+    server.on_receive = defer
+    talker.send(b"x")
+    assert talker.recv(9) == b"x"
+    assert "requests are lost" in caplog.text
+    assert server.ends == 0
+
+
+def test_who_is_behind_goes_on_without_new_bytes(stage: Stage, endpoint: Open) -> None:
+    server = endpoint()
+    talkers = [server.talk() for _ in range(2 * module.BEHIND_AT_ONCE)]
+
+    def in_steps(session: Session, data: bytes) -> int:
+        is_over = len(session.received) >= 5
+        session.state = SessionState.READING if is_over else SessionState.BEHIND
+        session.peer.write(b"%d" % len(session.received))
+        session.peer.follow()
+        return 1
+
+    server.on_receive = in_steps
+    for talker, _ in talkers:
+        talker.send(b"go")
+    for talker, session in talkers:
+        assert talker.receive(5) == b"12345"
+        assert session.received == [b"go", b"", b"", b"", b""]
+    # Nobody goes on twice before the others did once.
+    assert len(server.order) == 5 * len(talkers)
+    assert set(Counter(server.order[: 3 * len(talkers)]).values()) == {3}
+
+
+def test_who_is_held_or_behind_is_not_read(stage: Stage, endpoint: Open) -> None:
+    server = endpoint()
+    talker, session = server.talk()
+
+    def held(session: Session, data: bytes) -> int:
+        session.state = SessionState.HELD
+        session.peer.follow()
+        return 1
+
+    server.on_receive = held
+    talker.send(b"first")
+    stage.pass_time(1)
+    talker.send(b"second")
+    stage.pass_time(1)
+    assert session.received == [b"first"]
+    server.on_receive = echo
+    session.state = SessionState.READING
+    session.peer.follow()
+    assert talker.recv(9) == b"second"
+
+
+# --- ends -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("place", ["receive", "later"])
+@pytest.mark.parametrize("error", [SystemExit, KeyboardInterrupt])
+def test_a_hook_ends_the_program_after_all_of_the_turn_are_answered(
+    stage: Stage, endpoint: Open, place: str, error: type[BaseException]
+) -> None:
+    server = endpoint()
+    talkers = [server.talk()[0] for _ in range(3)]
+
+    def ending(session: Session, data: bytes) -> int:
+        session.peer.write(data)
+        if session is server.sessions[1]:
+            if place == "receive":
+                raise error
+            server.peers.later(fail)
+        return 1
+
+    def fail() -> None:
+        raise error
+
+    server.on_receive = ending
+    for talker in talkers:
+        talker.send(b"x")
+    with pytest.raises(error):
+        stage.pass_time(1)
+    assert server.ends == 1
+    assert [talker.recv(9) for talker in talkers] == [b"x"] * 3
+    stage.pass_time(1)
+    assert server.ends == 1
+
+
+def test_a_session_that_fails_costs_its_connection_only(
+    stage: Stage, endpoint: Open, caplog: pytest.LogCaptureFixture
+) -> None:
+    server = endpoint()
+    (bad, failing), (good, _) = server.talk(), server.talk()
+
+    def broken(session: Session, data: bytes) -> int:
+        if session is failing:
+            raise RuntimeError("a defect")
+        return echo(session, data)
+
+    server.on_receive = broken
+    bad.send(b"x")
+    good.send(b"y")
+    assert good.recv(9) == b"y"
+    assert bad.is_closed()
+    assert "connection closed" in caplog.text
+    assert server.statistics.connections == 1
+
+
+def test_a_stream_out_of_step_is_closed_behind_its_answers(stage: Stage, endpoint: Open) -> None:
+    server = endpoint()
+    talker, session = server.talk()
+
+    def out_of_step(session: Session, data: bytes) -> int:
+        if data == b"wrong":
+            raise FrameError("no header", received=data)
+        return echo(session, data)
+
+    server.on_receive = out_of_step
+    talker.send(b"right")
+    talker.receive(5)
+    session.peer.write(b"answer")
+    talker.send(b"wrong")
+    assert talker.receive(6) == b"answer"
+    assert talker.is_closed()
+    assert session.is_ended
+    assert server.statistics.closed_out_of_step == 1
+
+
+def test_who_sends_no_more_gets_the_answers_that_are_owed(stage: Stage, endpoint: Open) -> None:
+    server = endpoint(ignore, frame_timeout=8)
+    talker, session = server.talk()
+    session.state = SessionState.OWING
+    talker.send(b"ask")
+    stage.pass_time(0.1)
+    talker.shutdown(1)
+    stage.pass_time(5)
+    assert session.is_ended
+    assert not session.is_closed
+    session.state = SessionState.READING
+    session.peer.write(b"answer")
+    assert talker.receive(6) == b"answer"
+    assert talker.is_closed()
+    assert server.statistics.closed_slow == 0
+
+
+def test_who_sends_no_more_is_closed_although_the_answer_never_comes(
+    stage: Stage, endpoint: Open
+) -> None:
+    server = endpoint(ignore, frame_timeout=8)
+    talker, session = server.talk()
+    session.state = SessionState.OWING
+    begun = stage.now
+    talker.shutdown(1)
+    assert talker.is_closed()
+    assert 8 <= stage.now - begun <= 9.01
+    assert server.statistics.closed_slow == 1
+
+
+def test_a_closed_connection_gets_its_last_bytes(stage: Stage, endpoint: Open) -> None:
+    server = endpoint(ignore)
+    talker, session = server.talk()
+    session.peer.write(b"last")
+    session.peer.close()
+    session.peer.close()
+    assert talker.receive(4) == b"last"
+    assert talker.is_closed()
+    assert server.statistics.connections == 0
+    session.peer.follow()  # does nothing any more
+    session.peer.send()
+    session.peer.end()
+    session.peer.catch_up()
+
+
+def test_a_reset_closes_although_nothing_is_read(stage: Stage, endpoint: Open) -> None:
+    server = endpoint(ignore)
+    talker, session = server.talk()
+    session.state = SessionState.HELD
+    session.peer.follow()
+    talker.reset()
+    stage.pass_time(0.01)
+    assert session.is_closed
+    assert server.statistics.connections == 0
+
+
+# --- slow clients ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("timeout", "sweep"), [(0.4, 0.1), (2.0, 0.5), (8.0, 1.0)])
+def test_a_frame_has_its_time_however_many_bytes_come(
+    stage: Stage, endpoint: Open, timeout: float, sweep: float
+) -> None:
+    def unfinished(session: Session, data: bytes) -> int:
+        session.state = SessionState.UNFINISHED
+        return 0
+
+    server = endpoint(unfinished, frame_timeout=timeout, idle_timeout=None)
+    talker, session = server.talk()
+    begun = stage.now
+    while not session.is_closed:
+        talker.send(b"x")
+        stage.pass_time(timeout / 64)
+    assert timeout <= stage.now - begun <= timeout + sweep + timeout / 32
+    assert server.statistics.closed_slow == 1
+    assert server.statistics.closed_idle == 0
+
+
+def test_each_frame_has_its_own_time(stage: Stage, endpoint: Open) -> None:
+    def in_halves(session: Session, data: bytes) -> int:
+        session.state = SessionState.UNFINISHED if data == b"<" else SessionState.READING
+        return int(data == b">")
+
+    server = endpoint(in_halves, frame_timeout=1.0, idle_timeout=None)
+    talker, session = server.talk()
+    for piece in (b"<", b">", b"<", b"?", b"<", b">"):
+        talker.send(piece)
+        stage.pass_time(0.7)
+        assert not session.is_closed, piece
+    stage.pass_time(100)
+    assert not session.is_closed
+    talker.send(b"<")
+    stage.pass_time(1.3)
+    assert session.is_closed
+
+
+@pytest.mark.parametrize("asks", [True, False])
+def test_the_idle_are_closed_after_their_time(stage: Stage, endpoint: Open, asks: bool) -> None:
+    server = endpoint(echo, idle_timeout=2.0, frame_timeout=60)
+    for _ in range(2):  # looking after the idle stops and begins again
+        talker, session = server.talk()
+        if asks:
+            stage.pass_time(1)
+            talker.send(b"x")
+            assert talker.recv(1) == b"x"
+        begun = stage.now
+        assert talker.is_closed()
+        assert 1.99 <= stage.now - begun <= 2.51
+        assert session.is_closed
+        stage.pass_time(10)
+    assert server.statistics.closed_idle == 2
+    assert server.statistics.closed_slow == 0
+
+
+def test_who_takes_no_answers_is_paused_once_and_read_again(stage: Stage, endpoint: Open) -> None:
+    server = endpoint(ignore, max_unsent=1000)
+    talker, session = server.talk()
+    peer, far = session.peer, talker.end.other
+    far.capacity = 500
+    peer.write(bytes(1500))
+    stage.pass_time(0.001)  # 500 on their way, 1000 unsent: not more than may be
+    assert server.statistics.paused == 0
+    talker.send(b"a")
+    stage.pass_time(0.001)
+    assert session.received == [b"a"]
+    peer.write(b"12")
+    talker.send(b"b")
+    stage.pass_time(1)
+    assert server.statistics.paused == 1
+    assert session.received == [b"a"]
+    peer.write(b"3")
+    stage.pass_time(1)
+    assert server.statistics.paused == 1
+    assert talker.receive(1503) == bytes(1500) + b"123"
+    stage.pass_time(1)
+    assert session.received == [b"a", b"b"]
+
+
+def test_the_time_of_a_frame_stands_still_while_nothing_is_read(
+    stage: Stage, endpoint: Open
+) -> None:
+    def unfinished(session: Session, data: bytes) -> int:
+        session.state = SessionState.UNFINISHED
+        return 0
+
+    server = endpoint(unfinished, frame_timeout=1.0, idle_timeout=None, max_unsent=100)
+    talker, session = server.talk()
+    talker.end.other.capacity = 100
+    talker.send(b"<")
+    stage.pass_time(0.1)
+    session.peer.write(bytes(1000))
+    stage.pass_time(50)
+    assert not session.is_closed
+    assert server.statistics.paused == 1
+    talker.receive(1000)
+    stage.pass_time(0.9)
+    assert not session.is_closed
+    stage.pass_time(0.6)
+    assert session.is_closed
+
+
+# --- rates ----------------------------------------------------------------------------------------
+
+
+def test_requests_of_an_address_count_for_all_its_connections(stage: Stage, endpoint: Open) -> None:
+    def all_bytes(session: Session, data: bytes) -> int:
+        session.peer.write(data)
+        return len(data)
+
+    server = endpoint(all_bytes, requests_per_second=10)
+    (first, _), (second, _) = server.talk(), server.talk()
+    first.send(b"x" * 15)
+    assert first.receive(15) == b"x" * 15
+    begun = stage.now
+    second.send(b"y")
+    assert second.recv(1) == b"y"
+    assert stage.now - begun == pytest.approx(0.5, abs=0.01)  # 5 too many at 10 a second
+    assert server.statistics.throttled == 1
+
+
+def test_a_handshake_goes_on_although_its_address_asked_too_much(
+    stage: Stage, endpoint: Open
+) -> None:
+    server = endpoint(echo, requests_per_second=1)
+    (first, _), (second, session) = server.talk(), server.talk()
+    session.state = SessionState.HANDSHAKE
+    for _ in range(3):
+        first.send(b"x")
+        stage.pass_time(0.001)
+    begun = stage.now
+    second.send(b"hello")
+    assert second.receive(5) == b"hello"
+    assert stage.now - begun < 0.01
+    session.state = SessionState.READING
+    second.send(b"request")
+    assert second.receive(7) == b"request"
+    assert stage.now - begun > 1
