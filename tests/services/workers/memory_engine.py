@@ -1,54 +1,25 @@
 """
-A bucket and a client of an engine in memory, and a clock that moves to whatever is next.
+A bucket and a client of an engine in memory, whose errors and pauses a test decides.
 """
 
 from __future__ import annotations
 
 import asyncio
 import itertools
-import selectors
 from collections.abc import Awaitable, Callable, Coroutine
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from libmodbus_py.services.engine.buckets import Change
 from libmodbus_py.services.engine.errors import EngineError
+from tests.simulation.network import Network
 
 Result = TypeVar("Result")
 
 
-class _Selector(selectors.DefaultSelector):
-    """Waits for nothing: time passes at once."""
-
-    now = 1000.0
-
-    def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
-        ready = super().select(0)
-        if not ready:
-            assert timeout is not None, "everybody waits, and nothing will ever happen"
-            self.now += max(0.0, timeout)
-        return ready
-
-
-class _Loop(asyncio.SelectorEventLoop):
-    def __init__(self) -> None:
-        self._clock = _Selector()
-        super().__init__(self._clock)
-
-    def time(self) -> float:
-        return self._clock.now
-
-
 def run(main: Coroutine[Any, Any, Result]) -> Result:
     """Run a coroutine in simulated time; no task may be left."""
-    with asyncio.Runner(loop_factory=_Loop) as runner:
-
-        async def whole() -> Result:
-            result = await main
-            assert asyncio.all_tasks() == {asyncio.current_task()}
-            return result
-
-        return runner.run(whole())
+    return Network().run(lambda: main)
 
 
 def now() -> float:
