@@ -8,6 +8,7 @@ In the order in which a request goes through::
     background   the thread
     garbage      no search for garbage in what does not change
     signals      handlers in the loop; afterwards the previous ones are restored
+    echo         EchoWatch: finds out whether a port returns what is sent
     listening    makes their sockets; forked children close them
     tcp          takes connections and hands them to `peers`; udp answers datagrams,
                  serial a port

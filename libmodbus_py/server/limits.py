@@ -175,6 +175,7 @@ class ServerStatistics:
         throttled: how often a client exceeded `requests_per_second`.
         reflected: datagrams not answered because they came from a port of servers, or were answers
             of this server that came back.
+        echoes: serial ports that were found to return what is sent on them (local echo).
         requests: frames that this server received, those for other units included.
         refused: requests that got an exception.
         unauthorized: requests that `authorize` of a device did not allow, a broadcast for each.
@@ -200,6 +201,7 @@ class ServerStatistics:
     paused: int = 0
     throttled: int = 0
     reflected: int = 0
+    echoes: int = 0
     requests: int = 0
     refused: int = 0
     unauthorized: int = 0

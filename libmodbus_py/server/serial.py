@@ -16,6 +16,7 @@ from ..ports.serial import SerialPort
 from ..ports.trace import Trace
 from ..protocol.errors import ModbusConnectionError
 from ..security.describing import CertificateHolder
+from .echo import EchoWatch
 from .limits import ServerStatistics
 from .service import ENDS, Service, SessionState
 
@@ -49,6 +50,7 @@ class SerialServer:
     ) -> None:
         self._port = SerialPort(endpoint.device, **endpoint.serial_settings)
         self._endpoint = endpoint
+        self._statistics = statistics
         self._make_session = service.sessions(endpoint, statistics)
         self.address: str = endpoint.device
         self.role: str | None = None
@@ -77,6 +79,9 @@ class SerialServer:
 
     def _open(self) -> None:
         self._port.open()
+        silence = self._port.silence
+        character = silence.character if silence.is_timed else 0.0
+        self._echo = EchoWatch(self._endpoint.framing, self._endpoint.pause, character)
         self._session = self._make_session(self)
         self._loop.add_reader(self._port.descriptor, self._read)
 
@@ -94,11 +99,25 @@ class SerialServer:
         try:
             for data in self._port.receive():
                 self._port.silence.heard(self._loop.time())
-                self._receive(data)
+                if rest := self._without_echo(data):
+                    self._receive(rest)
         except ModbusConnectionError as error:
             self._outage.begin(error)
             self._close()
             self._retry = self._loop.call_later(REOPEN_AFTER, self._reopen)
+
+    def _without_echo(self, data: bytes) -> bytes:
+        """Return received bytes without the echo of an answer; from the first on the port does."""
+        rest = self._echo.without_echo(data, self._loop.time())
+        if self._echo.has_echo and not self._port.echo:
+            self._port.echo = True
+            self._statistics.echoes += 1
+            text = "%s: what is sent comes back (local echo), and is dropped; set echo=1"
+            logger.warning(text, self._endpoint)
+        if self._echo.trial:
+            trial, self._echo.trial = self._echo.trial, b""
+            self.write(trial)
+        return rest
 
     def _receive(self, data: bytes = b"") -> None:
         try:
@@ -132,8 +151,11 @@ class SerialServer:
     def _send_unsent(self) -> None:
         data, self._unsent = bytes(self._unsent), bytearray()
         # The next read fails if the port is gone.
+        now = self._loop.time()
+        if not self._port.echo:
+            self._echo.sent(data, now)
         with contextlib.suppress(ModbusConnectionError):
-            self._port.send([data], self._loop.time())
+            self._port.send([data], now)
         self._follow_port()
 
     def _go_on(self) -> None:
