@@ -202,8 +202,10 @@ def test_who_sends_little_does_not_wait_for_those_who_send_much(
             attacker.sendall(request(1) * many)
         innocent.sendall(request(2))
         size = len(encode(framing.Frame(17, ANSWER_ONE)))
+        # Without transaction ids only the last of several requests is answered.
+        answers = size * (many if scheme == "tcp" else 1)
         for attacker in attackers:
-            assert len(attacker.receive(many * size)) == many * size
+            assert len(attacker.receive(answers)) == answers
         assert len(innocent.receive(size)) == size
     assert order.count(1) == count * many
     assert order.index(2) <= count * 4  # one segment is read in several turns
@@ -449,8 +451,9 @@ def test_a_session_over_rtu_over_tcp_is_counted(stage: Stage, kind: str) -> None
     answer, refusal = rtu(ANSWER_ONE), rtu(b"\x83\x03")
     with served(stage, kind, "rtu+tcp") as server:
         client = server.connect()
-        client.sendall(rtu(READ_ONE) + rtu(READ_ONE, STRANGER) + rtu(ILLEGAL_COUNT))
-        assert client.receive(len(answer + refusal)) == answer + refusal
+        for request, expected in ((READ_ONE, answer), (ILLEGAL_COUNT, refusal)):
+            client.sendall(rtu(READ_ONE, STRANGER) + rtu(request))
+            assert client.receive(len(expected)) == expected
         damaged = bytearray(rtu(READ_ONE))
         damaged[-1] ^= 0xFF
         client.sendall(damaged)
@@ -460,7 +463,7 @@ def test_a_session_over_rtu_over_tcp_is_counted(stage: Stage, kind: str) -> None
         assert client.receive(len(answer)) == answer
         client.close()
         assert server.counts(connections=0)
-        assert_counted(server.statistics, accepted=1, requests=4, refused=1, bad_frames=1)
+        assert_counted(server.statistics, accepted=1, requests=5, refused=1, bad_frames=1)
 
 
 @KIND
