@@ -223,6 +223,22 @@ async def _work(
     exposed: Exposed,
     show: Show | None,
 ) -> int:
+    # From now on, though NATS may elect a leader for a while.
+    with signal_handlers({signal.SIGHUP: unless_closed(_tell_of_push)}):
+        return await _connect_and_work(
+            servers, settings, connections, options, outputs, exposed, show
+        )
+
+
+async def _connect_and_work(
+    servers: list[str],
+    settings: FleetSettings,
+    connections: list[Connection],
+    options: argparse.Namespace,
+    outputs: Sequence[Output],
+    exposed: Exposed,
+    show: Show | None,
+) -> int:
     changed: list[Callable[[], None]] = []
     client = await connected(
         servers,

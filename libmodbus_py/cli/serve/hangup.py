@@ -4,15 +4,17 @@ SIGHUP: read files and certificates again, or end when the terminal was closed.
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import os
 import signal
-from collections.abc import Callable, Iterable
+import threading
+from collections.abc import Callable, Iterable, Iterator
 
 from ...ports.endpoint import parse
 from ...security.security import reload_all
 
-__all__ = ["is_secure", "unless_closed"]
+__all__ = ["is_secure", "noted", "unless_closed"]
 
 logger: logging.Logger = logging.getLogger(__name__)
 
@@ -44,6 +46,30 @@ def unless_closed(*read_again: Callable[[], object]) -> Callable[[], None]:
                 logger.warning("%s", mistake)
 
     return hung_up
+
+
+@contextlib.contextmanager
+def noted() -> Iterator[Callable[[], bool]]:
+    """
+    Note SIGHUP in place of ending the program, while a command starts.
+
+    It yields a function that returns True if the signal came.
+    """
+    before = signal.getsignal(signal.SIGHUP)
+    is_main = threading.current_thread() is threading.main_thread()
+    if not is_main or before in (signal.SIG_IGN, None):
+        yield lambda: False
+        return
+    times = [0]
+
+    def note(number: int, frame: object) -> None:
+        times[0] += 1
+
+    signal.signal(signal.SIGHUP, note)
+    try:
+        yield lambda: times[0] > 0
+    finally:
+        signal.signal(signal.SIGHUP, before)
 
 
 def _has_terminal() -> bool:

@@ -12,6 +12,7 @@ import resource
 import signal
 import sys
 import time
+from collections.abc import Callable
 from typing import Any
 
 from ...server.garbage import frozen_garbage
@@ -22,6 +23,7 @@ from ...services.fleet.fleet import Fleet
 from ...services.fleet.outputs.kinds import KINDS, made
 from ...services.fleet.outputs.last_values import LastValues
 from ...services.fleet.outputs.output import Output, OutputError
+from ...services.fleet.outputs.writer_thread import WriterThread
 from ...services.fleet.trial import Tried, overloads, trying
 from ...tools.files.rereading import reread
 from ..failing import CommandError
@@ -30,7 +32,7 @@ from ..output import complain, counted
 from ..status import Status
 from . import fleet as workers
 from . import metrics
-from .hangup import unless_closed
+from .hangup import noted, unless_closed
 
 __all__ = ["add_command"]
 
@@ -88,12 +90,19 @@ def add_command(commands: Any) -> None:
 
 
 def _poll(options: argparse.Namespace) -> int:
-    file = load(options.file)
-    _allow_descriptors()
-    if options.check:
-        return asyncio.run(_check(file.devices))
     if options.push and options.engine is None:
         raise ValueError("--push needs --engine")
+    if options.check:
+        devices = load(options.file).devices
+        _allow_descriptors()
+        return asyncio.run(_check(devices))
+    with noted() as was_hung_up:
+        return _start(options, was_hung_up)
+
+
+def _start(options: argparse.Namespace, was_hung_up: Callable[[], bool]) -> int:
+    file = load(options.file)
+    _allow_descriptors()
     for each in overloads(file.devices):
         logger.warning("%s", each)
     values = LastValues()
@@ -105,7 +114,7 @@ def _poll(options: argparse.Namespace) -> int:
     has_screen = sys.stderr.isatty() and not (is_printed and sys.stdout.isatty())
     with metrics.exposed(fleet, options.metrics, values, to=sys.stderr):
         try:
-            asyncio.run(_run(fleet, options, has_screen))
+            asyncio.run(_run(fleet, options, file, was_hung_up, has_screen))
         except OutputError as error:
             if isinstance(error.__cause__, OSError):
                 raise error.__cause__ from None
@@ -167,12 +176,22 @@ def _prints(output: Output) -> bool:
 # --- polling ------------------------------------------------------------------------------------
 
 
-async def _run(fleet: Fleet, options: argparse.Namespace, has_screen: bool) -> None:
+async def _run(
+    fleet: Fleet,
+    options: argparse.Namespace,
+    file: FleetFile,
+    was_hung_up: Callable[[], bool],
+    has_screen: bool,
+) -> None:
     started = time.monotonic()
     stopped = asyncio.Event()
     polling = asyncio.create_task(fleet.run(once=options.once))
     screen = asyncio.create_task(_show(fleet)) if has_screen else None
-    with signal_handlers(_handlers(stopped, lambda: _read_again(fleet, options.file))):
+    reloading = Reloading(fleet, options.file, file)
+    handlers = _handlers(stopped, reloading.begin)
+    with signal_handlers(handlers):
+        if was_hung_up():
+            handlers[signal.SIGHUP]()
         await asyncio.sleep(0)
         with frozen_garbage():
             waiting = asyncio.create_task(stopped.wait())
@@ -183,6 +202,7 @@ async def _run(fleet: Fleet, options: argparse.Namespace, has_screen: bool) -> N
                     if task is not None:
                         task.cancel()
                 await asyncio.wait([polling, *([screen] if screen else [])])
+                await reloading.end()
                 if stopped.is_set() or has_screen:
                     print(_summary(fleet, time.monotonic() - started), file=sys.stderr, flush=True)
     if not polling.cancelled():
@@ -197,12 +217,60 @@ def _handlers(stopped: asyncio.Event, read_again: Handler) -> dict[signal.Signal
     }
 
 
-def _read_again(fleet: Fleet, path: str) -> None:
-    def use(file: FleetFile) -> list[str]:
-        fleet.replace(file.devices)
-        return [f"{path}: {counted(len(file.devices), 'device')}"]
+class Reloading:
+    """
+    Reads the fleet file again, in a thread, while the fleet polls.
 
-    reread(lambda: load(path), use, logger.warning)
+    Args:
+        fleet: its devices are replaced.
+        path: of the file.
+        file: its contents when the fleet was made.
+    """
+
+    def __init__(self, fleet: Fleet, path: str, file: FleetFile) -> None:
+        self._fleet = fleet
+        self._path = path
+        self._outputs = file.outputs
+        self._thread = WriterThread(path)
+        self._is_wanted = False
+        self._task: asyncio.Task[None] | None = None
+
+    def begin(self) -> None:
+        """Read the file; once more afterwards, if it is being read now."""
+        try:
+            if not self._thread.is_running:
+                self._thread.start()
+        except OSError as error:
+            logger.warning("nothing is changed: %s", error)
+            return
+        self._is_wanted = True
+        if self._task is None or self._task.done():
+            self._task = asyncio.create_task(self._read())
+
+    async def end(self) -> None:
+        """Change nothing any more; the thread ends with the program."""
+        if self._task is not None:
+            self._task.cancel()
+            await asyncio.wait([self._task])
+        if self._thread.is_running:
+            self._thread.stop()
+
+    async def _read(self) -> None:
+        while self._is_wanted:
+            self._is_wanted = False
+            loading = asyncio.create_task(self._thread.call(load, self._path))
+            try:
+                await asyncio.wait([loading])
+            finally:
+                loading.cancel()
+            reread(loading.result, self._use, logger.warning)
+
+    def _use(self, file: FleetFile) -> list[str]:
+        self._fleet.replace(file.devices)
+        lines = [f"{self._path}: {counted(len(file.devices), 'device')}"]
+        if file.outputs != self._outputs:
+            lines.append(f"{self._path}: its outputs have changed; they are used after a restart")
+        return lines
 
 
 async def _show(fleet: Fleet) -> None:

@@ -58,6 +58,10 @@ class DeviceConfig:
         labels: labels of the metrics of the device.
         zone: the zone of the device; workers poll the devices of their zones only. Empty for none.
 
+    Attributes:
+        endpoint: the connection, as parsed from the URL.
+        connection_key: devices with the same key share a connection.
+
     Raises:
         TypeError, ValueError: an argument of the wrong type or range; the message begins with
             its name.
@@ -78,12 +82,15 @@ class DeviceConfig:
     labels: Mapping[str, str] = field(default_factory=dict)
     zone: str = ""
     endpoint: Endpoint = field(init=False, repr=False, compare=False)
+    connection_key: str = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         _text("name", self.name, 1)
         _text("zone", self.zone, 0)
         with inside("url"):
-            object.__setattr__(self, "endpoint", _endpoint(self.url))
+            endpoint, key = _endpoint(self.url)
+        object.__setattr__(self, "endpoint", endpoint)
+        object.__setattr__(self, "connection_key", key)
         integer("unit", self.unit, 0, 255)
         if self.unit == 0 and not self.endpoint.has_transactions:
             raise WrongValue(
@@ -132,17 +139,6 @@ class DeviceConfig:
         except ValueError as error:
             raise WrongValue.about("max_registers", f"{error}") from None
 
-    @property
-    def connection_key(self) -> str:
-        """
-        Devices with the same key share a connection.
-
-        Workers of other versions read the key, so that its form does not change.
-        """
-        _, where, port = self.endpoint.place
-        place = where if self.endpoint.is_serial else f"{where}:{port}"
-        return f"{self.endpoint.transport}:{place}"
-
 
 def readable(points: RegisterMap) -> tuple[str, ...]:
     """Return the names of all points that can be read."""
@@ -180,13 +176,17 @@ def _text(name: str | Path, value: object, least: int) -> None:
 
 
 @lru_cache(maxsize=4096)
-def _endpoint(url: str) -> Endpoint:
+def _endpoint(url: str) -> tuple[Endpoint, str]:
+    """Return the endpoint of a URL, and its connection key."""
     endpoint = parse(url)
     if "unit" in endpoint.client_options:
         raise ValueError(f"{url!r} must not contain unit; write it as a key: unit = ...")
     # Invalid options of the client are refused now, not when the client is made.
     assembled(endpoint, CheckedOptions.of(endpoint, {}), 1)
-    return endpoint
+    # Workers of other versions read the key, so that its form does not change.
+    _, where, port = endpoint.place
+    place = where if endpoint.is_serial else f"{where}:{port}"
+    return endpoint, f"{endpoint.transport}:{place}"
 
 
 def by_connection(devices: Iterable[DeviceConfig]) -> dict[str, list[DeviceConfig]]:
@@ -223,8 +223,10 @@ def checked(
             reason = f"{device.name!r} is also the name of {called(first)}"
             raise WrongValue.about(("devices", at, "name"), reason)
         first = places.setdefault(device.connection_key, at)
-        url = found[first].endpoint.url
-        if url != device.endpoint.url:
+        endpoint = found[first].endpoint
+        # Equal URLs have mostly the same object, whose text need not be made then.
+        if endpoint is not device.endpoint and endpoint.url != device.endpoint.url:
+            url = endpoint.url
             reason = f"{called(first)} has other options for the same connection: {url}"
             raise WrongValue.about(("devices", at, "url"), reason)
     return found
