@@ -32,6 +32,8 @@ __all__ = ["Mqtt"]
 
 logger: logging.Logger = logging.getLogger(__name__)
 
+ONLINE, OFFLINE = b"online", b"offline"
+
 SCHEMES = {"mqtt": 1883, "mqtts": 8883}
 
 # Seconds for a response of the broker.
@@ -53,7 +55,11 @@ class Mqtt:
     values at once: ``{"time": ..., "value": 230.5, "unit": "V", "quality": "good"}``.
 
     The topic `status` contains "online" while this output is connected, and "offline" otherwise,
-    which the broker publishes when the connection is lost (last will).
+    which the broker publishes when the connection is lost (last will). Several workers have one
+    status: it is "online" while one of them is connected.
+
+    When the connection is established again, the last values are published again, because a broker
+    that was restarted may have lost them.
 
     Args:
         url: the URL of the broker, such as "mqtt://192.0.2.1" or "mqtts://broker.example:8883"
@@ -109,6 +115,8 @@ class Mqtt:
         self.takes_commands: bool = commands
         self._commands: Commands | None = None
         self._client: aiomqtt.Client | None = None
+        # The last reading of each point, if the broker retains it.
+        self._retained: dict[tuple[str, str], Reading] = {}
         self._listening: asyncio.Task[None] | None = None
         self._answering: set[asyncio.Task[None]] = set()
 
@@ -121,7 +129,7 @@ class Mqtt:
             import aiomqtt
         except ImportError:
             raise OutputError("MQTT needs aiomqtt: pip install 'libmodbus-py[mqtt]'") from None
-        will = aiomqtt.Will(self._status, b"offline", 1, True) if self._status else None
+        will = aiomqtt.Will(self._status, OFFLINE, 1, True) if self._status else None
         client = aiomqtt.Client(
             self._host,
             self._port,
@@ -140,9 +148,12 @@ class Mqtt:
                 raise
             self._client = client
             if self._status:
-                await client.publish(self._status, b"online", 1, True)
+                await client.publish(self._status, ONLINE, 1, True)
+                await client.subscribe(self._status, 1)
             if self.takes_commands:
                 await client.subscribe(f"{_filter(self._topic)}/set", 1)
+            # The broker may have been restarted, and may have lost what it retained.
+            await self._publish_all(client, list(self._retained.values()))
         self._listening = asyncio.create_task(self._listen(client))
 
     async def write(self, readings: Sequence[Reading]) -> None:
@@ -151,9 +162,17 @@ class Mqtt:
         if self._listening is None or self._listening.done():
             raise ConnectionResetError(f"{self.name}: the connection was lost")
         with _as_os_error():
-            step = TOGETHER if self._qos else 1
-            for at in range(0, len(readings), step):
-                await _all([self._publish(client, each) for each in readings[at : at + step]])
+            await self._publish_all(client, readings)
+        for each in readings if self._retain else ():
+            if each.quality == "offline":
+                self._retained.pop((each.device, each.name), None)
+            else:
+                self._retained[each.device, each.name] = each
+
+    async def _publish_all(self, client: aiomqtt.Client, readings: Sequence[Reading]) -> None:
+        step = TOGETHER if self._qos else 1
+        for at in range(0, len(readings), step):
+            await _all([self._publish(client, each) for each in readings[at : at + step]])
 
     async def _publish(self, client: aiomqtt.Client, reading: Reading) -> None:
         device, name = _LEVELS.spell(reading.device), _LEVELS.spell(reading.name)
@@ -173,7 +192,7 @@ class Mqtt:
         with contextlib.suppress(OSError, TimeoutError), _as_os_error():
             async with asyncio.timeout(1.0):
                 if self._status:
-                    await client.publish(self._status, b"offline", 1, True)
+                    await client.publish(self._status, OFFLINE, 1, True)
         with contextlib.suppress(OSError), _as_os_error():
             await client.__aexit__(None, None, None)
 
@@ -183,11 +202,22 @@ class Mqtt:
         """Answer commands until the connection is lost."""
         with contextlib.suppress(OSError), _as_os_error():
             async for message in client.messages:
-                if self._commands is not None and not message.retain:  # a retained one is old
-                    answering = self._answer(client, self._commands, message)
-                    task = asyncio.create_task(answering)
-                    self._answering.add(task)
-                    task.add_done_callback(self._answering.discard)
+                if str(message.topic) == self._status:
+                    # The last will of another worker, or of an earlier connection of this one.
+                    if message.payload == OFFLINE:
+                        self._begin(self._contradict(client))
+                elif self._commands is not None and not message.retain:  # a retained one is old
+                    self._begin(self._answer(client, self._commands, message))
+
+    def _begin(self, answering: Coroutine[Any, Any, None]) -> None:
+        # In a task, because a cancellation may get lost in a call of aiomqtt.
+        task = asyncio.create_task(answering)
+        self._answering.add(task)
+        task.add_done_callback(self._answering.discard)
+
+    async def _contradict(self, client: aiomqtt.Client) -> None:
+        with contextlib.suppress(OSError), _as_os_error():
+            await client.publish(self._status, ONLINE, 1, True)
 
     async def _answer(
         self, client: aiomqtt.Client, commands: Commands, message: aiomqtt.Message

@@ -1,0 +1,67 @@
+"""
+What a real broker retains: the status of several workers, and last values after its restart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from libmodbus_py import Server
+from libmodbus_py.services.fleet.outputs import pump as pumps
+from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
+from tests.services.fleet.fleets import meter, polling, simulated, until
+from tests.services.fleet.test_fleet_mqtt import Broker, heard_of, hearing, publish, run
+
+
+@pytest.fixture
+def broker(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Broker]:
+    monkeypatch.setattr(pumps, "FIRST_PAUSE", 0.05)
+    monkeypatch.setattr(pumps, "LONGEST_SILENCE", 0.1)
+    made = Broker(tmp_path)
+    made.start()
+    yield made
+    made.kill()
+
+
+def test_the_status_is_online_while_one_of_two_is_connected(broker: Broker) -> None:
+    async def go() -> None:
+        async with hearing(broker, "modbus/status") as heard:
+            first, second = Mqtt(broker.url), Mqtt(broker.url)
+            await first.open()
+            await second.open()
+            await until(lambda: len(heard) == 2)
+            # The will of a worker that was killed, and the last word of one that ended.
+            await publish(broker, "modbus/status", b"offline", retain=True)
+            await until(
+                lambda: heard_of(heard, "modbus/status")[2:] == ["offline"] + 2 * ["online"]
+            )
+            await first.close()
+            await until(lambda: heard_of(heard, "modbus/status")[5:] == ["offline", "online"])
+            await second.close()
+            await until(lambda: heard_of(heard, "modbus/status")[7:] == ["offline"])
+
+    run(go())
+
+
+def test_values_that_do_not_change_are_there_again_after_a_restart(broker: Broker) -> None:
+    """mosquitto keeps nothing on the disk unless told to."""
+
+    async def go(url: str) -> None:
+        output = Mqtt(broker.url)
+        device = meter("a", url, interval=0.05, on_change=True)
+        async with polling(device, outputs=[output]) as (fleet, readings):
+            counted = fleet.statistics.outputs[output.name]
+            await until(lambda: counted.written == 3)
+            broker.kill()
+            await until(lambda: counted.trouble)
+            broker.start()
+            async with hearing(broker, "modbus/a/+") as heard:
+                await until(lambda: len(heard) >= 3)
+                assert heard_of(heard, "modbus/a/voltage")[-1]["value"] == 230.5
+            assert len(readings) == 3
+
+    with Server(simulated()).background("tcp://127.0.0.1:0") as running:
+        run(go(running.urls[0]))
