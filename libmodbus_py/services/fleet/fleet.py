@@ -10,7 +10,7 @@ import logging
 import time
 import weakref
 from collections import Counter
-from collections.abc import AsyncIterator, Iterable, Mapping, Sequence
+from collections.abc import AsyncIterator, Collection, Iterable, Mapping, Sequence
 from os import PathLike
 from typing import Any, Self
 
@@ -222,9 +222,16 @@ class Fleet:
             [each for each in self._devices.values() if each.connection_key != connection_key]
         )
 
-    def replace(self, devices: Iterable[DeviceConfig]) -> None:
+    def replace(self, devices: Iterable[DeviceConfig], *, passed_on: Collection[str] = ()) -> None:
         """
         Replace all devices. Polling of devices that are equal to existing ones is not interrupted.
+
+        Points that were reported and are not polled any more are reported once more, with the
+        quality "offline".
+
+        Args:
+            passed_on: the `connection_key` of devices that are not reported "offline", because
+                another fleet polls them from now on.
 
         Raises:
             TypeError, ValueError: as for `Fleet`; the devices do not change then.
@@ -234,6 +241,7 @@ class Fleet:
         if self._loop is None:
             return
         self._label()
+        self._tell(self._withdrawn(before, after, passed_on))
         moved = self._moved(after)
         for name, device in before.items():
             if after.get(name) != device or device.connection_key in moved:
@@ -244,6 +252,30 @@ class Fleet:
         used = {each.connection_key for each in after.values()}
         for key in [key for key in self._lines if key not in used]:
             self._end_line(key)
+
+    def take_back(self) -> None:
+        """
+        Report all points as "offline" until their devices are polled again: while `may_ask`
+        returns False, the last values may be wrong.
+        """
+        now = time.time()
+        for poller in self._pollers.values():
+            self._tell(poller.withdrawn(now))
+            self._count(poller.told_state, -1)
+            poller.forget()
+
+    def _withdrawn(
+        self,
+        before: Mapping[str, DeviceConfig],
+        after: Mapping[str, DeviceConfig],
+        passed_on: Collection[str],
+    ) -> list[Reading]:
+        now, readings = time.time(), list[Reading]()
+        for name, device in before.items():
+            still = after.get(name)
+            if still is not device and device.connection_key not in passed_on:
+                readings += self._pollers[name].withdrawn(now, still.names if still else ())
+        return readings
 
     def _moved(self, devices: Mapping[str, DeviceConfig]) -> set[str]:
         """End the connections whose options changed, and return their keys."""
@@ -335,9 +367,7 @@ class Fleet:
     def _polled(self, poller: Poller, was_sent: bool) -> None:
         if was_sent:
             self._note(poller)
-            readings = poller.readings(time.time())
-            if readings:
-                self._tell(readings)
+            self._tell(poller.readings(time.time()))
             if poller.misses:
                 self._let_rest(poller)
         if self._once is not None:
@@ -386,6 +416,8 @@ class Fleet:
     # --- readings ----------------------------------------------------------------------------
 
     def _tell(self, readings: list[Reading]) -> None:
+        if not readings:
+            return
         self.statistics.readings += len(readings)
         for pump in self._pumps:
             pump.buffer.put(readings)

@@ -4,6 +4,7 @@ One device while it is polled: the state of its poll, and of the device.
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from enum import Enum
 from typing import Any
 
@@ -87,8 +88,7 @@ class Poller:
         self.rest_until: float = 0.0
         self.waits_since: float = 0.0
         self._answers: list[Any] = []
-        bands = config.dead_bands
-        self._changes = Changes(config.on_change, [bands.get(name) for name in reads.names])
+        self._changes = _changes(config, reads)
 
     @property
     def name(self) -> str:
@@ -142,6 +142,22 @@ class Poller:
             for at in self._changes.pick(values)
         ]
 
+    def withdrawn(self, time: float, still_read: Collection[str] = ()) -> list[Reading]:
+        """Return readings that take back those that were reported, without the points named."""
+        if self.state is DeviceState.NEW:
+            return []
+        return [
+            Reading(time, self.name, name, None, unit, "offline")
+            for name, unit in zip(self.reads.names, self.reads.units, strict=True)
+            if name not in still_read
+        ]
+
+    def forget(self) -> None:
+        """Forget the state of the device, and what was reported of it."""
+        self.state = self.told_state = DeviceState.NEW
+        self.error = None
+        self._changes = _changes(self.config, self.reads)
+
     @property
     def pause(self) -> float:
         """Seconds that the device rests after a poll without an answer."""
@@ -151,6 +167,11 @@ class Poller:
     def is_refused(self) -> bool:
         """True if the device answered, but refused a request."""
         return self.state is DeviceState.UP and self.error is not None
+
+
+def _changes(config: DeviceConfig, reads: Reads) -> Changes:
+    bands = config.dead_bands
+    return Changes(config.on_change, [bands.get(name) for name in reads.names])
 
 
 def _told(value: Any, unit: str) -> tuple[Any, str, Quality, str]:

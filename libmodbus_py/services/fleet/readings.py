@@ -19,7 +19,7 @@ from ...protocol.errors import (
 
 __all__ = ["Changes", "Quality", "Reading", "is_down", "time_text"]
 
-Quality = Literal["good", "bad", "down"]
+Quality = Literal["good", "bad", "down", "offline"]
 
 
 class Reading(NamedTuple):
@@ -33,9 +33,10 @@ class Reading(NamedTuple):
         value: the scaled value; None unless the quality is "good".
         unit: the unit of the value, such as "V".
         quality: "good"; "bad" if the device refused the request or the value is invalid; "down"
-            if the device did not answer.
+            if the device did not answer; "offline" if the point is not polled any more, because it
+            was removed, or because a worker lost its lease.
         reason: the name of the error, such as "IllegalDataAddress" or "ModbusTimeoutError";
-            empty if the quality is "good".
+            empty if the quality is "good" or "offline".
     """
 
     time: float

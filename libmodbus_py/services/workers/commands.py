@@ -51,12 +51,16 @@ class CommandService:
         self._is_open = True
         self._subscription = await self._client.subscribe(f"{WRITE}.*.*", cb=self._note)
 
-    async def end(self) -> None:
+    def stop(self) -> None:
         """Carry out no more commands, not even those that wait."""
         self._is_open = False
-        subscription, self._subscription = self._subscription, None
         for task in self._tasks:
             task.cancel()
+
+    async def end(self) -> None:
+        """Stop, and unsubscribe."""
+        self.stop()
+        subscription, self._subscription = self._subscription, None
         await asyncio.gather(*self._tasks, return_exceptions=True)
         if subscription is not None:
             with contextlib.suppress(Exception):

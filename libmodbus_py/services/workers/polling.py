@@ -16,12 +16,13 @@ from collections.abc import Callable, Collection, Sequence
 from typing import TYPE_CHECKING, Any
 
 from ..engine.buckets import Bucket, Change, Watch
-from ..engine.errors import EngineError
+from ..engine.errors import EngineError, what
 from ..fleet.config import DeviceConfig, checked, devices_from_json
 from ..fleet.fleet import Fleet
 from ..fleet.outputs.output import Output
 from ..fleet.outputs.stream import Stream
 from .commands import CommandService
+from .lease import OWN_PART
 from .locations import Locations
 from .records import Connection, FleetSettings
 from .view import Entry
@@ -93,9 +94,9 @@ class Polling:
         results = Stream(client, settings.results)
         self.fleet: Fleet = Fleet(outputs=[results, *outputs], may_ask=self._may_ask)
         self.fleet.commands.refusal = self._refusal
-        self._service: CommandService | None = None
-        if settings.commands:
-            self._service = CommandService(client, self.fleet.commands)
+        self._service = CommandService(client, self.fleet.commands)
+        self._takes_commands = settings.commands
+        self._switched = asyncio.Event()
         # Set when a step is due before it was planned; and when the watch may be useless.
         self._woken = asyncio.Event()
         self._planned = math.inf
@@ -131,11 +132,17 @@ class Polling:
             EngineError: the connection to NATS was closed for good.
             OutputError: an output failed and cannot be opened again.
         """
-        running = self.fleet.run, self._keep_watching, self._keep_turning, self._until_closed
-        tasks = [asyncio.create_task(each()) for each in running]
+        tasks = [
+            asyncio.create_task(each())
+            for each in (
+                self.fleet.run,
+                self._keep_watching,
+                self._keep_turning,
+                self._keep_listening,
+                self._until_closed,
+            )
+        ]
         try:
-            if self._service is not None:
-                await self._service.begin()
             await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         finally:
             if self._late is not None:
@@ -143,8 +150,7 @@ class Polling:
             for task in (*tasks, *self._writes):
                 task.cancel()
             await asyncio.gather(*tasks, *self._writes, return_exceptions=True)
-            if self._service is not None:
-                await self._service.end()
+            await self._service.end()
         for task in tasks:
             if not task.cancelled():
                 task.result()
@@ -200,12 +206,35 @@ class Polling:
     def changed(self, entry: Entry) -> None:
         """Process a change of the bucket."""
         self.worker.saw(entry, self.now())
+        self._follow_settings()
         self._look()
 
     def synced(self) -> None:
         """Process the end of the snapshot: the whole bucket has arrived."""
         self.worker.is_synced(self.now())
+        self._follow_settings()
         self._look()
+
+    def _follow_settings(self) -> None:
+        settings = self.worker.view.settings
+        if settings is not None and settings.commands != self._takes_commands:
+            self._takes_commands = settings.commands
+            if not settings.commands:
+                self._service.stop()
+            self._switched.set()
+
+    async def _keep_listening(self) -> None:
+        """Subscribe to commands while the fleet takes them."""
+        while True:
+            self._switched.clear()
+            await self._service.end()
+            try:
+                if self._takes_commands:
+                    await self._service.begin()
+                await self._switched.wait()
+            except Exception as error:
+                self._say(f"commands: {what(error)}")
+                await asyncio.sleep(PAUSE)
 
     def _look(self) -> None:
         """Wake `_keep_turning` if a step is due before the planned time."""
@@ -274,7 +303,18 @@ class Polling:
                 devices[key] = self._read(connection)
         self._connections = dict(active)
         self._devices = devices
-        self.fleet.replace(self._named_once(devices))
+        self.fleet.replace(self._named_once(devices), passed_on=self._passed_on())
+
+    def _passed_on(self) -> set[str]:
+        """Return the connections that other workers can poll."""
+        now, view, me = self.now(), self.worker.view, self.worker.lease.id
+        zones = {
+            zone
+            for member in view.members.values()
+            if member.id != me and self.worker.is_heard(member, now)
+            for zone in member.zones
+        }
+        return {each.key for each in view.connections if each.zone in zones}
 
     def _named_once(self, devices: dict[str, list[DeviceConfig]]) -> list[DeviceConfig]:
         """Return the devices of connections, each without those whose names another one has."""
@@ -335,8 +375,17 @@ class Polling:
                 logger.warning("%s: the lease is valid again", self._name)
             else:
                 logger.warning("%s: the lease has expired: NATS does not respond", self._name)
+                self._take_back()
         for key, problem in self.worker.view.unreadable.items():
             self._say(f"the bucket: {problem or key}")
+
+    def _take_back(self) -> None:
+        """Report the devices as "offline", unless other workers may poll them already."""
+        settings, lease = self.worker.view.settings, self.worker.lease
+        if settings is None or settings.on_engine_loss == "continue":
+            return
+        if self.now() < lease.until + (1.0 - OWN_PART) * settings.lease:
+            self.fleet.take_back()
 
     def _say(self, text: str) -> None:
         """Log a line, unless it was logged within the last minute."""

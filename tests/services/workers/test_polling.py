@@ -54,7 +54,9 @@ class Fleet:
     async def run(self) -> None:
         await self.error
 
-    def replace(self, devices: list[DeviceConfig]) -> None:
+    def take_back(self) -> None: ...
+
+    def replace(self, devices: list[DeviceConfig], *, passed_on: set[str]) -> None:
         self.devices = {each.name: each for each in checked(devices)}
         self.replaced += 1
 

@@ -40,15 +40,22 @@ class LastValues:
         self.statistics: KeptReadings = KeptReadings()
 
     def label(self, labels: Mapping[str, Mapping[str, str]]) -> None:
-        """Set the labels of devices; others keep theirs."""
-        self.statistics.labels = {**self.statistics.labels, **labels}
+        """Set the labels of devices, and forget the readings of all other devices."""
+        kept = self.statistics
+        kept.labels = dict(labels)
+        kept.by_name = {key: each for key, each in kept.by_name.items() if key[0] in labels}
 
     async def open(self) -> None:
         """Do nothing: there is no connection."""
 
     async def write(self, readings: Sequence[Reading]) -> None:
+        kept = self.statistics
         for each in readings:
-            self.statistics.by_name[each.device, each.name] = each
+            # A reading may have waited while its device was removed.
+            if each.quality == "offline" or each.device not in kept.labels:
+                kept.by_name.pop((each.device, each.name), None)
+            else:
+                kept.by_name[each.device, each.name] = each
 
     async def close(self) -> None:
         """Do nothing: there is no connection."""
