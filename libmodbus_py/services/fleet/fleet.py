@@ -264,6 +264,15 @@ class Fleet:
             self._count(poller.told_state, -1)
             poller.forget()
 
+    def report_offline(self, devices: Iterable[DeviceConfig]) -> None:
+        """Report all points of devices as "offline" that no fleet polls."""
+        now = time.time()
+        for device in devices:
+            points = [(name, device.map[name].units) for name in device.names]
+            self._tell(
+                [Reading(now, device.name, name, None, units, "offline") for name, units in points]
+            )
+
     def _withdrawn(
         self,
         before: Mapping[str, DeviceConfig],

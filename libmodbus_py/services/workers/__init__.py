@@ -12,6 +12,7 @@ Decisions, without sockets and clocks::
 
     worker         its lease, its slots, the connections that it may poll; why no two poll one
     locations      which worker polls a device
+    unserved       connections that no worker polls
     sharing        which worker should hold each slot
     lease          the lease of a worker, as the worker itself counts it
     view           the contents of the bucket as far as they are known, with times

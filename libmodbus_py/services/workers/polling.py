@@ -25,6 +25,7 @@ from .commands import CommandService
 from .lease import OWN_PART
 from .locations import Locations
 from .records import Connection, FleetSettings
+from .unserved import Unserved
 from .view import Entry
 from .worker import Put, Worker
 
@@ -115,6 +116,7 @@ class Polling:
         self._polls_at = self.now()
         self._rate = 0.0
         self._locations = Locations(self.worker)
+        self._unserved = Unserved(self.worker)
 
     def _new_id(self) -> str:
         return f"{self._name}.{secrets.token_hex(4)}"
@@ -250,6 +252,8 @@ class Polling:
             for put in puts:
                 self._write(put)
             self._tell_of_lease()
+            for connection in self._unserved.found(now):
+                self.fleet.report_offline(self._read(connection))
             if self.worker.is_blind(now):
                 self._doubted.set()
             await self._until_due()

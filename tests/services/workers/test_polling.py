@@ -56,6 +56,8 @@ class Fleet:
 
     def take_back(self) -> None: ...
 
+    def report_offline(self, devices: list[DeviceConfig]) -> None: ...
+
     def replace(self, devices: list[DeviceConfig], *, passed_on: set[str]) -> None:
         self.devices = {each.name: each for each in checked(devices)}
         self.replaced += 1

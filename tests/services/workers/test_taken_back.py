@@ -5,7 +5,9 @@ What workers report of devices that they do not poll any more: nothing if anothe
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Sequence
+from typing import Any
 
 from libmodbus_py.fleet import Reading
 from tests.services.workers.trial import INTERVAL, LEASE, UNITS, Trial
@@ -37,9 +39,9 @@ class Fleet:
         self.trial = Trial(connections)
         self.told: list[tuple[float, str, Reading]] = []
 
-    async def start(self, *names: str) -> None:
+    async def start(self, *names: str, **options: Any) -> None:
         for name in names:
-            await self.trial.start(name, outputs=[Told(self.trial, name, self.told)])
+            await self.trial.start(name, outputs=[Told(self.trial, name, self.told)], **options)
         await self.trial.settle()
 
     def qualities(self) -> list[str]:
@@ -140,5 +142,43 @@ def test_who_was_stopped_says_nothing_of_devices_that_another_one_polls() -> Non
         await fleet.trial.settle()
         assert fleet.offline() == []
         assert fleet.qualities() == ["good"]
+
+    fleet.trial.run(main)
+
+
+def test_devices_of_a_dead_worker_whose_zone_nobody_has_are_offline() -> None:
+    fleet = Fleet(2)
+    trial = fleet.trial
+
+    async def main() -> None:
+        await push_fleet(trial.engine, trial.devices(zone="north"), trial.settings)
+        await fleet.start("north", zones=["north"])
+        for name in ("a", "b"):
+            await trial.start(name, outputs=[Told(trial, name, fleet.told)])
+        await asyncio.sleep(3 * LEASE)
+        assert fleet.qualities() == ["good"]
+        trial.kill("north")
+        assert await trial.until(lambda: fleet.qualities() == ["offline"], 60) < 3 * LEASE
+        await asyncio.sleep(5 * LEASE)
+        # Reported once, by one of those that are left.
+        assert len(fleet.offline()) == 2 * trial.count
+        assert len({worker for _, worker in fleet.offline()}) == 1
+        await trial.start("north", zones=["north"], outputs=[Told(trial, "north", fleet.told)])
+        await asyncio.sleep(3 * LEASE)
+        assert fleet.qualities() == ["good"]
+        trial.kill("north")
+        await trial.until(lambda: fleet.qualities() == ["offline"], 60)
+
+    trial.run(main)
+
+
+def test_devices_of_a_dead_worker_that_others_take_over_are_never_offline() -> None:
+    fleet = Fleet(6)
+
+    async def main() -> None:
+        await fleet.start("a", "b", "c")
+        fleet.trial.kill("b")
+        await asyncio.sleep(6 * LEASE)
+        assert fleet.offline() == []
 
     fleet.trial.run(main)
