@@ -125,12 +125,16 @@ class SocketPort(Port):
 
     def close(self) -> None:
         """Close the connection; a process that only inherited it leaves that of its parent open."""
+        self._release()
+
+    def _release(self) -> None:
+        """Forget the connection, and all that came over it."""
         if self.descriptor >= 0:
             self.descriptor = -1
             self._socket.close()
 
     def abandon(self) -> None:
-        SocketPort.close(self)
+        self._release()
         if self._connecting is not None:  # the steps of `opening` do not go on in a child
             self._connecting.close()
             self._connecting = None

@@ -325,10 +325,10 @@ class TlsPort(TcpPort):
                 super().send([self._tunnel.outgoing()], 0.0)
         super().close()
 
-    def abandon(self) -> None:
+    def _release(self) -> None:
         self._tunnel = None
         self._begin()
-        super().abandon()
+        super()._release()
 
 
 def _shaking_hands(made: socket.socket, tunnel: Tunnel, deadline: float) -> Steps[None]:
