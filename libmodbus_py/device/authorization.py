@@ -4,20 +4,20 @@ Authorization of every request, before anything else is done (MB-TCP-Security-v3
 
 from __future__ import annotations
 
-import logging
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 from ..protocol.errors import IllegalFunction
+from ..protocol.logs import HarmlessLogger
 from ..protocol.pdu import Request
 from .access import Access
 from .hooks import timed
 
 __all__ = ["Asked", "Authorization", "Authorize", "UnauthorizedError"]
 
-logger: logging.Logger = logging.getLogger(__name__)
+logger: HarmlessLogger = HarmlessLogger(__name__)
 
 MINUTE = 60.0
 

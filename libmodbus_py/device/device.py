@@ -8,7 +8,6 @@ nothing.
 
 from __future__ import annotations
 
-import logging
 import reprlib
 from collections.abc import Callable, Iterable, Sequence
 from collections.abc import Mapping as MappingABC
@@ -25,6 +24,7 @@ from ..protocol.errors import (
     ServerDeviceFailure,
 )
 from ..protocol.framing import delimiter_after
+from ..protocol.logs import HarmlessLogger
 from ..protocol.pdu import (
     MAX_PDU,
     REQUESTS,
@@ -57,7 +57,7 @@ from .reply import Answered, Watched, make_tally, replier
 
 __all__ = ["Device"]
 
-logger: logging.Logger = logging.getLogger(__name__)
+logger: HarmlessLogger = HarmlessLogger(__name__)
 
 HookLike = Hook | Callable[[Access], object]
 

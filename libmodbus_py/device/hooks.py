@@ -4,7 +4,6 @@ Functions of the application that a device calls: the accesses they are for, and
 
 from __future__ import annotations
 
-import logging
 import reprlib
 import time
 from bisect import bisect_left
@@ -12,13 +11,14 @@ from collections.abc import Callable, Iterable
 from typing import Any, TypeVar
 
 from ..protocol.callbacks import checked_callback, finished
+from ..protocol.logs import HarmlessLogger
 from ..protocol.tables import TABLE_SIZE
 from .access import Access
 from .ranges import joined
 
 __all__ = ["EVERYTHING", "SLOW", "Hook", "HookCall", "places", "timed"]
 
-logger: logging.Logger = logging.getLogger(__name__)
+logger: HarmlessLogger = HarmlessLogger(__name__)
 
 SLOW = 0.1
 """Seconds after which a function of the application is slow: no client is answered meanwhile."""

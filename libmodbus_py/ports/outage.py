@@ -8,6 +8,7 @@ import logging
 from collections.abc import Callable
 
 from ..protocol.errors import ModbusConnectionError, ModbusError
+from ..protocol.logs import HarmlessLogger
 
 __all__ = ["REOPEN_AFTER", "Outage"]
 
@@ -27,7 +28,7 @@ class Outage:
         is_on: True while it is lost.
     """
 
-    def __init__(self, log: logging.Logger, name: object) -> None:
+    def __init__(self, log: logging.Logger | HarmlessLogger, name: object) -> None:
         self.is_on: bool = False
         self._log = log
         self._name = name

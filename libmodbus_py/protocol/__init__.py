@@ -7,6 +7,7 @@ Bottom up:
     mistakes   errors that know where the wrong value stands
     checks     numbers that callers give
     callbacks  functions of users: which are refused, and what is logged when one fails
+    logs       loggers whose handlers may fail
     pdu        one class for each function: encode and decode, request and response
     scan       the CRC, and where RTU frames begin and end; in C (scan.c)
     pauses     the silence between frames on a serial line

@@ -7,8 +7,6 @@ that a hook refused nothing, and a guard that returned a coroutine, which is tru
 
 from __future__ import annotations
 
-import contextlib
-import sys
 from functools import partial
 from types import AsyncGeneratorType, CoroutineType, GeneratorType
 from typing import Any, TypeVar
@@ -77,12 +75,6 @@ def log_failure(logger: str, text: str, *args: object) -> None:
         logger: the name of the logger.
         text, args: as for `logging.Logger.exception`.
     """
-    import logging  # no sooner than needed: most programs log no failure
+    from .logs import HarmlessLogger  # no sooner than needed: most programs log no failure
 
-    try:
-        logging.getLogger(logger).exception(text, *args)
-    except Exception:
-        import traceback
-
-        with contextlib.suppress(Exception):  # stderr may be closed
-            traceback.print_exc(file=sys.stderr)
+    HarmlessLogger(logger).exception(text, *args, stacklevel=2)

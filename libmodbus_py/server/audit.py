@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import json
-import logging
 import os
 import time
 from collections import deque
@@ -22,11 +21,12 @@ from typing import Any
 from ..device.caller import Executed, ValueChange
 from ..protocol.callbacks import checked_callback, finished
 from ..protocol.errors import ExceptionResponse
+from ..protocol.logs import HarmlessLogger
 from ..security.describing import CertificateHolder
 
 __all__ = ["Audit", "AuditEvent", "AuditFile", "OnAudited", "audit_of"]
 
-logger: logging.Logger = logging.getLogger(__name__)
+logger: HarmlessLogger = HarmlessLogger(__name__)
 
 # Events that wait while the audit trail cannot be written.
 MAX_WAITING = 1000

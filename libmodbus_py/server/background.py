@@ -7,7 +7,6 @@ from __future__ import annotations
 import _thread
 import asyncio
 import contextlib
-import logging
 import sys
 import threading
 from collections.abc import Callable
@@ -16,10 +15,11 @@ from functools import partial
 from typing import Generic, TypeVar
 
 from ..protocol.errors import ModbusConnectionError, ModbusError
+from ..protocol.logs import HarmlessLogger
 
 __all__ = ["Background"]
 
-logger: logging.Logger = logging.getLogger(__name__)
+logger: HarmlessLogger = HarmlessLogger(__name__)
 
 Running = TypeVar("Running")
 

@@ -5,18 +5,18 @@ The base of sessions that answer frame by frame: bytes in, frames out, in turns.
 from __future__ import annotations
 
 import asyncio
-import logging
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
 
 from ..protocol.errors import FrameError
 from ..protocol.framing import Frame, Framing, Overheard, RtuFramer, make_framer
+from ..protocol.logs import HarmlessLogger
 from .limits import ServerStatistics
 from .service import Channel, SessionState
 
 __all__ = ["AT_ONCE", "FOUND_AT_ONCE", "Framed"]
 
-logger: logging.Logger = logging.getLogger(__name__)
+logger: HarmlessLogger = HarmlessLogger(__name__)
 
 # Limits for one of many connections before others have their turn: bytes that are searched, and
 # requests that are answered. Searching 64 bytes is cheap; answering the requests in them is not.

@@ -13,7 +13,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import fcntl
-import logging
 import math
 import os
 import select
@@ -26,6 +25,7 @@ from select import EPOLLIN, EPOLLOUT
 from ..ports.forking import abandoned_in_children
 from ..ports.trace import Trace
 from ..protocol.errors import FrameError
+from ..protocol.logs import HarmlessLogger
 from ..security.describing import CertificateHolder
 from .addresses import Address, Addresses
 from .audit import Audit
@@ -35,7 +35,7 @@ from .service import ENDS, Session, SessionState
 
 __all__ = ["MakePeerSession", "Peer", "Peers"]
 
-logger: logging.Logger = logging.getLogger(__name__)
+logger: HarmlessLogger = HarmlessLogger(__name__)
 
 # Bytes read from one client in a turn, during which the others wait. A client that sends more
 # than the first number is read only when all others are answered, and then up to the second.

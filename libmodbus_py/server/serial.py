@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import logging
 from collections.abc import Callable
 
 from ..ports.endpoint import Endpoint
@@ -15,6 +14,7 @@ from ..ports.outage import REOPEN_AFTER, Outage
 from ..ports.serial import SerialPort
 from ..ports.trace import Trace
 from ..protocol.errors import ModbusConnectionError
+from ..protocol.logs import HarmlessLogger
 from ..security.describing import CertificateHolder
 from .echo import EchoWatch
 from .limits import ServerStatistics
@@ -22,7 +22,7 @@ from .service import ENDS, Service, SessionState
 
 __all__ = ["SerialServer"]
 
-logger: logging.Logger = logging.getLogger(__name__)
+logger: HarmlessLogger = HarmlessLogger(__name__)
 
 
 class SerialServer:

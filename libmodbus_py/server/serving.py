@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import logging
 import signal
 import weakref
 from abc import ABC, abstractmethod
@@ -24,6 +23,7 @@ from ..ports.tls import security_of
 from ..ports.trace import OnTraced
 from ..protocol.callbacks import checked_callback
 from ..protocol.errors import ModbusConnectionError
+from ..protocol.logs import HarmlessLogger
 from ..security.security import Security
 from .audit import Audit, OnAudited, audit_of
 from .background import Background
@@ -40,7 +40,7 @@ from .udp import UdpServer
 
 __all__ = ["Running", "Serving"]
 
-logger: logging.Logger = logging.getLogger(__name__)
+logger: HarmlessLogger = HarmlessLogger(__name__)
 
 
 @dataclass(frozen=True)

@@ -5,12 +5,12 @@ A TCP endpoint of a server: it listens, and passes on new connections.
 from __future__ import annotations
 
 import asyncio
-import logging
 import socket
 
 from ..ports.endpoint import Endpoint
 from ..ports.forking import abandoned_in_children
 from ..ports.listening import reason, tcp_listener
+from ..protocol.logs import HarmlessLogger
 from ..security.security import Security
 from .listening import bound
 from .peers import MakePeerSession, Peers
@@ -19,7 +19,7 @@ from .tls import Handshakes, TlsSession
 
 __all__ = ["TcpServer"]
 
-logger: logging.Logger = logging.getLogger(__name__)
+logger: HarmlessLogger = HarmlessLogger(__name__)
 
 # Connections accepted in a turn of the loop, so that other clients have their turn.
 ACCEPTED_AT_ONCE = 16

@@ -14,6 +14,7 @@ from typing import Protocol
 
 from ..ports.trace import Trace
 from ..protocol.errors import FrameError
+from ..protocol.logs import HarmlessLogger
 from ..security.acceptance import Acceptance
 from ..security.describing import CertificateHolder, describe, holder_of
 from ..security.role import mentions_role, role_of
@@ -26,7 +27,7 @@ from .service import Channel, MakeSession, Session, SessionState
 
 __all__ = ["Handshakes", "TlsSession"]
 
-logger: logging.Logger = logging.getLogger(__name__)
+logger: HarmlessLogger = HarmlessLogger(__name__)
 
 # The number of unfinished handshakes; each takes about 50 kB. With one more, the oldest is
 # given up.

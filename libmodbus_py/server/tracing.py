@@ -8,20 +8,20 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import logging
 from collections.abc import Iterator
 from typing import NoReturn
 
 from ..device.hooks import timed
 from ..ports.endpoint import Endpoint
 from ..ports.trace import OnTraced, Trace, Traced, is_traced
+from ..protocol.logs import HarmlessLogger
 from ..security.describing import CertificateHolder
 from .limits import ServerStatistics
 from .service import ENDS, Channel, Later, MakeSession, Service, Session
 
 __all__ = ["TracedService", "Traces"]
 
-logger: logging.Logger = logging.getLogger(__name__)
+logger: HarmlessLogger = HarmlessLogger(__name__)
 
 
 class Traces:

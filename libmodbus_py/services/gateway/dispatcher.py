@@ -5,7 +5,6 @@ The service of a gateway: sends each request to the line of its unit; responses 
 from __future__ import annotations
 
 import asyncio
-import logging
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
 
@@ -24,6 +23,7 @@ from ...protocol.errors import (
     ServerDeviceFailure,
 )
 from ...protocol.framing import Frame
+from ...protocol.logs import HarmlessLogger
 from ...security.describing import CertificateHolder
 from ...server.framed import AT_ONCE, Framed
 from ...server.limits import ServerStatistics
@@ -34,7 +34,7 @@ from .statistics import GatewayStatistics
 
 __all__ = ["Answering", "Dispatcher", "ForwardingSession", "ResolvedRoute"]
 
-logger: logging.Logger = logging.getLogger(__name__)
+logger: HarmlessLogger = HarmlessLogger(__name__)
 
 # What follows the function in the answer to a request that is not allowed.
 _NOT_ALLOWED = bytes([IllegalFunction.code])

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import logging
 from collections.abc import AsyncIterator, Iterable
 from warnings import warn
 
@@ -14,6 +13,7 @@ from ...device.authorization import Authorize
 from ...ports.endpoint import Endpoint
 from ...ports.trace import OnTraced
 from ...protocol.callbacks import checked_callback
+from ...protocol.logs import HarmlessLogger
 from ...security.security import Security
 from ...server.audit import Audit, OnAudited
 from ...server.limits import Limits
@@ -29,7 +29,7 @@ from .statistics import GatewayStatistics, UnitStatistics
 
 __all__ = ["Gateway"]
 
-logger: logging.Logger = logging.getLogger(__name__)
+logger: HarmlessLogger = HarmlessLogger(__name__)
 
 
 class Gateway(Serving):

@@ -5,7 +5,6 @@ A line of a gateway: one client, and the requests that wait for it.
 from __future__ import annotations
 
 import asyncio
-import logging
 from collections.abc import Hashable
 from functools import partial
 from typing import Any, Protocol
@@ -27,6 +26,7 @@ from ...protocol.errors import (
     ServerDeviceBusy,
     ServerDeviceFailure,
 )
+from ...protocol.logs import HarmlessLogger
 from .cache import Cache
 from .options import GatewayOptions
 from .raw_request import RequestBytes
@@ -35,7 +35,7 @@ from .statistics import LineStatistics, UnitStatistics
 
 __all__ = ["Forwarded", "GatewayLine", "Requester"]
 
-logger: logging.Logger = logging.getLogger(__name__)
+logger: HarmlessLogger = HarmlessLogger(__name__)
 
 NO_ANSWER = GatewayTargetFailedToRespond.code
 BUSY = ServerDeviceBusy.code

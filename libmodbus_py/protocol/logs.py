@@ -1,0 +1,38 @@
+"""
+Loggers whose handlers may fail: a full disk must not end a connection, or a server.
+
+Separate from `callbacks`, because blocking clients import logging only when there is something to
+log.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import sys
+import traceback
+from typing import Any
+
+__all__ = ["HarmlessLogger"]
+
+
+class HarmlessLogger(logging.LoggerAdapter[logging.Logger]):
+    """
+    A logger; an exception of one of its handlers goes to stderr, not to the code that logs.
+
+    Args:
+        name: of the logger.
+    """
+
+    def __init__(self, name: str) -> None:
+        super().__init__(logging.getLogger(name), None)
+
+    def log(self, level: int, msg: object, *args: object, **options: Any) -> None:
+        """Log a message, as `logging.Logger.log` does."""
+        # The caller of this method's caller is named in records.
+        options["stacklevel"] = options.get("stacklevel", 1) + 1
+        try:
+            self.logger.log(level, msg, *args, **options)
+        except Exception:
+            with contextlib.suppress(Exception):  # stderr may be closed
+                traceback.print_exc(file=sys.stderr)
