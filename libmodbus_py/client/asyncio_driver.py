@@ -274,8 +274,9 @@ class AsyncioDriver:
             if not caller.done():
                 caller.set_result(None)
             caller = None
-        self._ended.popleft()  # not sooner, so that nothing raised in between loses a caller
+        # Not sooner, so that nothing raised in between loses a caller.
         self._callers.pop(batch, None)
+        self._ended.popleft()
         if caller is not None:
             try:
                 finished("on_done", caller())

@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import AsyncClient, Context
+from libmodbus_py import AsyncClient, Context, pdu
 from tests.simulation.loop import complaints_of
 from tests.simulation.network import Network
 from tests.simulation.scripted import Scripted
@@ -191,3 +191,56 @@ def test_no_caller_waits_for_a_client_that_was_thrown_out_of_its_turn(
         loop.run_until_complete(plc.close())
     loop.close()
     assert number > 100
+
+
+def writes(first: int) -> list[pdu.WriteRegister]:
+    """Return five writes to addresses from the first on."""
+    return [pdu.WriteRegister(first + at, 1) for at in range(5)]
+
+
+def test_nothing_is_sent_of_many_requests_that_a_context_was_thrown_out_of() -> None:
+    network = Network()
+    peer = Scripted(network, PLACES["tcp"], replying("tcp"))
+    error, number, is_struck = MemoryError(), 0, True
+    with network.installed(), Context.from_url(peer.url, native=False) as context:
+        while is_struck:
+            number += 1
+            call = partial(context.execute_many, writes(10 * number), max_in_flight=3)
+            is_struck, raised = struck(call, number, error)
+            assert raised is (error if is_struck else None), (number, raised)
+            pass_time(network)
+            before = len(peer.requests)
+            assert context.read_holding_registers(10 * number + 9, 1) == [10 * number + 9]
+            assert len(peer.requests) == before + 1, number
+    assert number > 200
+
+
+# What strikes in a generator that is being closed is nobody's.
+@pytest.mark.filterwarnings("ignore:Exception ignored in:pytest.PytestUnraisableExceptionWarning")
+def test_no_caller_of_many_requests_waits_for_a_client_thrown_out_of_its_turn() -> None:
+    network = Network()
+    peer = Scripted(network, PLACES["tcp"], replying("tcp"))
+    loop = network.loop()
+    error, number, is_struck = MemoryError(), 0, True
+
+    async def submit(plc: AsyncClient, address: int) -> None:
+        plc.submit(1, pdu.ReadHoldingRegisters(address, 1), lambda: None)
+
+    with network.installed(), complaints_of(loop):
+        plc = AsyncClient(peer.url)
+        while is_struck:
+            number += 1
+            asks = (
+                plc.execute_many(writes(10 * number), max_in_flight=3),
+                submit(plc, 10 * number),
+            )
+            tasks = [loop.create_task(ask) for ask in asks]
+            is_struck, _ = struck(partial(ended, loop, tasks), number, error)
+            ended(loop, tasks)
+            pass_time(network)
+            read = plc.read_holding_registers(10 * number + 9, 1)
+            assert loop.run_until_complete(read) == [10 * number + 9]
+            assert not plc._driver._callers, number
+        loop.run_until_complete(plc.close())
+    loop.close()
+    assert number > 400
