@@ -6,6 +6,7 @@ Ports: TCP, TLS, UDP and serial, and how to wait for them.
       schemes      ... that there are
     making         the port of a client, made for its endpoint
     port           what all ports have in common; the silence of a line
+    names          host names, looked up in threads
     waiting        steps that yield what they wait for; run by polling
     waiting_async  and by an event loop
     sockets        TCP connections and UDP sockets

@@ -16,8 +16,9 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from ..protocol.checks import integer
 from ..protocol.errors import MAX_RECEIVED, ModbusConnectionError
+from .names import Resolve
 from .port import Port, Silence, lost
-from .waiting import WRITE, Ready, Resolve, Steps, of_system
+from .waiting import WRITE, Ready, Steps, of_system
 
 if TYPE_CHECKING:
     from .endpoint import Endpoint

@@ -11,16 +11,17 @@ import contextlib
 import errno
 import os
 import select
-import socket
 import threading
 import time
 from collections.abc import Callable, Generator
 from typing import Any, NamedTuple, TypeVar
 
+from .names import Resolve, asked, numeric
+
 # fmt: off
 __all__ = [
-    "LONGEST", "READ", "WRITE", "Ready", "Resolve", "Steps", "Waker", "Woken", "as_os_error",
-    "milliseconds", "no_thread", "numeric", "of_system", "run", "start_thread",
+    "LONGEST", "READ", "WRITE", "Ready", "Steps", "Waker", "Woken", "milliseconds", "of_system",
+    "run",
 ]
 # fmt: on
 
@@ -38,15 +39,6 @@ class Ready(NamedTuple):
 
     descriptor: int
     events: int
-    deadline: float
-
-
-class Resolve(NamedTuple):
-    """Look up a name; yields the result of getaddrinfo, or raises its OSError or TimeoutError."""
-
-    host: str
-    port: int
-    kind: socket.SocketKind
     deadline: float
 
 
@@ -171,42 +163,15 @@ def _wait(wanted: Ready | Resolve, waker: Waker) -> Any:
     return waker.wait(*wanted)
 
 
-def numeric(wanted: Resolve) -> list[Any]:
-    """Return the result for a numeric address, which needs no look-up and no thread; else None."""
-    try:
-        # As bytes, because for text Python would import its codec for international names.
-        return socket.getaddrinfo(
-            wanted.host.encode(), wanted.port, type=wanted.kind, flags=socket.AI_NUMERICHOST
-        )
-    except OSError as error:
-        of_system(error)
-        return []
-    except UnicodeError:
-        return []
-
-
 def _look_up(wanted: Resolve, waker: Waker) -> list[Any]:
-    """Look up a name in a thread, because a look-up cannot be ended before the system gives up."""
     done = Waker()
-    found: list[Any] = []
-
-    def look_up() -> None:
-        try:
-            found.append(socket.getaddrinfo(wanted.host, wanted.port, type=wanted.kind))
-        except (OSError, UnicodeError) as error:
-            found.append(error)
-        done.wake()
-
     try:
-        start_thread(threading.Thread(target=look_up, name="look-up", daemon=True))
-        if not waker.wait(done.descriptor, READ, wanted.deadline):
-            raise TimeoutError(errno.ETIMEDOUT, os.strerror(errno.ETIMEDOUT))
+        with asked(wanted, done.wake) as question:
+            if not waker.wait(done.descriptor, READ, wanted.deadline):
+                raise TimeoutError(errno.ETIMEDOUT, os.strerror(errno.ETIMEDOUT))
+            return question.result()
     finally:
         done.close()  # an error that the caller keeps would keep it open
-    if isinstance(found[0], Exception):
-        raise as_os_error(found[0])
-    addresses: list[Any] = found[0]
-    return addresses
 
 
 def of_system(error: OSError) -> OSError:
@@ -219,25 +184,3 @@ def of_system(error: OSError) -> OSError:
     if error.errno is None and error.strerror is None:
         raise error
     return error
-
-
-def no_thread(error: RuntimeError) -> OSError:
-    """Return the error for a system without a free thread, with its error number."""
-    return OSError(errno.EAGAIN, str(error))
-
-
-def start_thread(thread: threading.Thread) -> None:
-    """
-    Start a thread.
-
-    Raises:
-        OSError: the system has no thread left.
-    """
-    try:
-        thread.start()
-    except RuntimeError as error:
-        raise no_thread(error) from error
-
-
-def as_os_error(error: Exception) -> OSError:
-    return error if isinstance(error, OSError) else OSError(None, str(error))

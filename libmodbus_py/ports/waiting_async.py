@@ -6,12 +6,14 @@ from __future__ import annotations
 
 import asyncio
 import errno
+import math
 import os
 from typing import Any, TypeVar
 
-from .waiting import READ, Ready, Resolve, Steps, as_os_error, no_thread, numeric, of_system
+from .names import Resolve, asked, numeric
+from .waiting import READ, Ready, Steps, of_system
 
-__all__ = ["resolve", "run_async"]
+__all__ = ["look_up", "resolve", "run_async"]
 
 Result = TypeVar("Result")
 
@@ -37,24 +39,29 @@ async def run_async(steps: Steps[Result]) -> Result:
 
 async def _wait_async(wanted: Ready | Resolve) -> Any:
     if isinstance(wanted, Resolve):
-        return numeric(wanted) or await _look_up_async(wanted)
+        return numeric(wanted) or await look_up(wanted)
     return await _ready(wanted)
 
 
-async def _look_up_async(wanted: Resolve) -> list[Any]:
+async def look_up(wanted: Resolve) -> list[Any]:
+    """
+    Look up a name.
+
+    Raises:
+        OSError: the name is not known, or cannot be looked up; TimeoutError: not in time.
+    """
     loop = asyncio.get_running_loop()
-    timeout = asyncio.timeout_at(wanted.deadline)
-    try:
-        async with timeout:
-            return await loop.getaddrinfo(wanted.host, wanted.port, type=wanted.kind)
-    except TimeoutError as error:
-        if not timeout.expired():
-            raise
-        raise TimeoutError(errno.ETIMEDOUT, os.strerror(errno.ETIMEDOUT)) from error
-    except UnicodeError as error:
-        raise as_os_error(error) from error
-    except RuntimeError as error:  # the loop looks up in a thread, and there are too many threads
-        raise no_thread(error) from error
+    ready = loop.create_future()
+    timeout = asyncio.timeout_at(None if wanted.deadline == math.inf else wanted.deadline)
+    with asked(wanted, lambda: loop.call_soon_threadsafe(resolve, ready)) as question:
+        try:
+            async with timeout:
+                await ready
+        except TimeoutError as error:
+            if not timeout.expired():
+                raise
+            raise TimeoutError(errno.ETIMEDOUT, os.strerror(errno.ETIMEDOUT)) from error
+        return question.result()
 
 
 def resolve(future: asyncio.Future[None]) -> None:

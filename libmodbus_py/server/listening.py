@@ -4,14 +4,15 @@ The sockets of a server's endpoint.
 
 from __future__ import annotations
 
-import asyncio
+import math
 import socket
 from dataclasses import replace
 from typing import Any
 
 from ..ports.endpoint import Endpoint
 from ..ports.listening import Make, bind_all, find_numeric, reason
-from ..ports.waiting import no_thread
+from ..ports.names import Resolve
+from ..ports.waiting_async import look_up
 from ..protocol.errors import ModbusConnectionError
 
 __all__ = ["bound"]
@@ -41,14 +42,5 @@ async def _addresses(endpoint: Endpoint, kind: socket.SocketKind) -> list[Any]:
     try:  # a numeric address needs no look-up, and so no thread
         return find_numeric(endpoint.host, endpoint.port, kind)
     except (OSError, UnicodeError):
-        return await _looked_up(endpoint, kind)
-
-
-async def _looked_up(endpoint: Endpoint, kind: socket.SocketKind) -> list[Any]:
-    loop = asyncio.get_running_loop()
-    try:
-        return await loop.getaddrinfo(
-            endpoint.host, endpoint.port, type=kind, flags=socket.AI_PASSIVE
-        )
-    except RuntimeError as error:  # the loop looks up in a thread, and there are too many threads
-        raise no_thread(error) from error
+        host, port = endpoint.host, endpoint.port
+        return await look_up(Resolve(host, port, kind, math.inf, socket.AI_PASSIVE))

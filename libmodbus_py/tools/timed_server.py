@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from typing import Any, Self, cast
 
 from ..ports.listening import listen_on
-from ..ports.waiting import start_thread
+from ..ports.names import start_thread
 
 __all__ = ["TimedServer"]
 

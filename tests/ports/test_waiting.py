@@ -18,12 +18,12 @@ import pytest
 
 from libmodbus_py import ModbusConnectionError
 from libmodbus_py.client import libmodbus
+from libmodbus_py.ports.names import Resolve
 from libmodbus_py.ports.sockets import TcpPort, UdpPort
 from libmodbus_py.ports.waiting import (
     READ,
     WRITE,
     Ready,
-    Resolve,
     Steps,
     Waker,
     Woken,

@@ -19,7 +19,8 @@ from collections.abc import Callable
 
 from ...ports.endpoint import Endpoint
 from ...ports.listening import listen_on, reason
-from ...ports.waiting import Waker, start_thread
+from ...ports.names import start_thread
+from ...ports.waiting import Waker
 from ...protocol.errors import ModbusConnectionError
 from .separator import Direction
 from .source import TimedBytes

@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from dataclasses import asdict
 from typing import Any
 
-from ...ports.waiting import start_thread
+from ...ports.names import start_thread
 from ...protocol.tables import TABLES
 from ...protocol.values import ORDERS, TYPES
 from ...server.faults.fault import KINDS, OPTIONAL

@@ -1,0 +1,210 @@
+"""
+Look-ups of names that get no answer: they cost a few threads, and nobody waits for them.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from libmodbus_py.ports.names import MOST_THREADS, Question, Resolve, asked
+from libmodbus_py.ports.waiting import Steps, Waker, run
+from libmodbus_py.ports.waiting_async import look_up, run_async
+from tests.support.peers import until
+
+FOUND = [(socket.AF_INET, socket.SOCK_STREAM, 6, "", ("192.0.2.1", 502))]
+
+
+class Resolver:
+    """
+    In place of the system's: names that begin with "stuck" get no answer until `release` is set.
+
+    Attributes:
+        asked: the names that were looked up, in their order.
+    """
+
+    def __init__(self) -> None:
+        self.asked: list[str] = []
+        self.release = threading.Event()
+
+    def getaddrinfo(self, host: Any, *_: Any, flags: int = 0, **__: Any) -> Any:
+        if flags & socket.AI_NUMERICHOST:
+            raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
+        self.asked.append(host)
+        if host.startswith("stuck"):
+            self.release.wait(60)
+        if host.startswith("none"):
+            raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
+        return FOUND
+
+
+def threads() -> int:
+    return sum(each.name == "look-up" for each in threading.enumerate())
+
+
+@pytest.fixture
+def resolver(monkeypatch: pytest.MonkeyPatch) -> Iterator[Resolver]:
+    made = Resolver()
+    monkeypatch.setattr(socket, "getaddrinfo", made.getaddrinfo)
+    yield made
+    made.release.set()
+    until(lambda: threads() == 0)
+
+
+def wanted(host: str, seconds: float = 30.0) -> Resolve:
+    return Resolve(host, 502, socket.SOCK_STREAM, time.monotonic() + seconds)
+
+
+def resolving(host: str, seconds: float = 30.0) -> Steps[Any]:
+    return (yield wanted(host, seconds))
+
+
+def test_all_who_ask_for_one_name_share_a_look_up(resolver: Resolver) -> None:
+    async def main() -> None:
+        tasks = [asyncio.create_task(look_up(wanted("stuck"))) for _ in range(100)]
+        await asyncio.sleep(0)
+        assert threads() == 1
+        resolver.release.set()
+        assert await asyncio.gather(*tasks) == [FOUND] * 100
+
+    asyncio.run(main())
+    assert resolver.asked == ["stuck"]
+
+
+def test_each_who_asked_gets_an_error_of_its_own(resolver: Resolver) -> None:
+    async def main() -> list[BaseException | list[Any]]:
+        return await asyncio.gather(
+            *(look_up(wanted("none")) for _ in range(2)), return_exceptions=True
+        )
+
+    first, second = asyncio.run(main())
+    assert isinstance(first, socket.gaierror)
+    assert isinstance(second, socket.gaierror)
+    assert first is not second
+    assert first.errno == second.errno == socket.EAI_NONAME
+
+
+def test_the_threads_have_a_bound_and_what_nobody_wants_any_more_is_dropped(
+    resolver: Resolver,
+) -> None:
+    async def main() -> None:
+        names = [f"stuck{number}" for number in range(3 * MOST_THREADS)]
+        tasks = [asyncio.create_task(look_up(wanted(name))) for name in names]
+        await asyncio.sleep(0)
+        await asyncio.to_thread(until, lambda: len(resolver.asked) == MOST_THREADS)
+        assert threads() == MOST_THREADS
+        good = asyncio.create_task(look_up(wanted("good")))
+        await asyncio.sleep(0)
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+        resolver.release.set()
+        assert await good == FOUND
+
+    asyncio.run(main())
+    assert len(resolver.asked) == MOST_THREADS + 1
+
+
+def test_the_loop_has_its_own_threads_for_itself_and_ends_without_waiting(
+    resolver: Resolver,
+) -> None:
+    async def main() -> None:
+        tasks = [
+            asyncio.create_task(run_async(resolving(f"stuck{number}")))
+            for number in range(MOST_THREADS)
+        ]
+        await asyncio.sleep(0)
+        await asyncio.to_thread(until, lambda: len(resolver.asked) == MOST_THREADS)
+        for task in tasks:
+            task.cancel()
+        assert await asyncio.to_thread(lambda: 7) == 7
+
+    asyncio.run(main())
+    assert not resolver.release.is_set()
+    assert threads() > 0
+    assert all(each.daemon for each in threading.enumerate() if each.name == "look-up")
+
+
+def test_blocking_and_asyncio_clients_share_it(resolver: Resolver) -> None:
+    found: list[Any] = []
+    waker = Waker()
+    blocking = threading.Thread(target=lambda: found.append(run(resolving("stuck"), waker)))
+    blocking.start()
+    until(lambda: resolver.asked == ["stuck"])
+
+    async def main() -> None:
+        task = asyncio.create_task(look_up(wanted("stuck")))
+        await asyncio.sleep(0)
+        resolver.release.set()
+        assert await task == FOUND
+
+    asyncio.run(main())
+    blocking.join()
+    waker.close()
+    assert found == [FOUND]
+    assert resolver.asked == ["stuck"]
+
+
+def test_a_loop_that_was_closed_meanwhile_stops_no_other(resolver: Resolver) -> None:
+    told: list[int] = []
+
+    def fails() -> None:
+        raise RuntimeError("Event loop is closed")
+
+    with asked(wanted("stuck"), fails), asked(wanted("stuck"), lambda: told.append(1)) as question:
+        resolver.release.set()
+        until(lambda: told == [1])
+        assert question.result() == FOUND
+
+
+@pytest.mark.parametrize("error", [UnicodeError("label too long"), MemoryError("no memory")])
+def test_whatever_a_look_up_raises_is_told(
+    monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    def getaddrinfo(*_: Any, **__: Any) -> None:
+        raise error
+
+    monkeypatch.setattr(socket, "getaddrinfo", getaddrinfo)
+    question = Question(wanted("name"))
+    question.look_up()
+    with pytest.raises(OSError, match=str(error)):
+        question.result()
+
+
+def test_no_thread_is_an_error_and_leaves_nothing(
+    resolver: Resolver, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def start(_: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(threading.Thread, "start", start)
+        with pytest.raises(OSError, match="can't start new thread"):
+            run(resolving("good"), Waker())
+    waker = Waker()
+    assert run(resolving("good"), waker) == FOUND
+    waker.close()
+    assert resolver.asked == ["good"]
+
+
+def test_a_forked_child_looks_up_what_its_parent_waits_for(resolver: Resolver) -> None:
+    with asked(wanted("stuck"), lambda: None):
+        until(lambda: resolver.asked == ["stuck"])
+        child = os.fork()
+        if child == 0:
+            result = 1
+            try:
+                resolver.release = threading.Event()
+                resolver.release.set()
+                result = int(run(resolving("stuck"), Waker()) != FOUND)
+            finally:
+                os._exit(result)
+        _, status = os.waitpid(child, 0)
+        assert os.waitstatus_to_exitcode(status) == 0
