@@ -149,6 +149,7 @@ class TlsPort(TcpPort):
         yield from super()._preparing(made, deadline)
         session, self._session = self._session, None  # after a failure none is resumed (R-11)
         self._acceptance = self._security.acceptance()
+        self._has_answered = False
         tunnel = self._security.to_server(self.host, session)
         try:
             yield from _shaking_hands(made, tunnel, deadline)
@@ -156,6 +157,8 @@ class TlsPort(TcpPort):
             raise self._distrusting(in_words(error), tunnel.certificate) from error
         except ssl.SSLError as error:
             raise self._because(error) from error
+        except _Hanging as error:
+            raise self._suspecting(self._unfinished(error)) from error
         except OSError as error:
             raise self._unfinished(of_system(error)) from error
         if (reason := self._security.refusal(tunnel)) is not None:
@@ -331,7 +334,12 @@ class TlsPort(TcpPort):
         super()._release()
 
 
+class _Hanging(ConnectionResetError):
+    """The peer has ended the connection behind our certificate."""
+
+
 def _shaking_hands(made: socket.socket, tunnel: Tunnel, deadline: float) -> Steps[None]:
+    flights = 0
     while True:
         try:
             is_done = tunnel.handshake()
@@ -339,14 +347,32 @@ def _shaking_hands(made: socket.socket, tunnel: Tunnel, deadline: float) -> Step
             with contextlib.suppress(OSError):  # send the alert, if the peer still receives
                 made.send(tunnel.outgoing())
             raise
-        yield from _sending(made, tunnel.outgoing(), deadline)
+        if data := tunnel.outgoing():
+            flights += 1
+            yield from _sending(made, data, deadline)
         if is_done:
             return
         yield from _ready(made, READ, deadline)
-        data = made.recv(READ_SIZE)
-        if not data:
-            raise ConnectionResetError(errno.ECONNRESET, "closed by the other side")
+        data = _received(made, flights)
         tunnel.feed(data)
+
+
+def _received(made: socket.socket, flights: int) -> bytes:
+    """
+    Return bytes of the peer.
+
+    Args:
+        flights: how many we have sent; in TLS 1.2 the second one has our certificate, which a
+            server may refuse without a word.
+    """
+    kind = ConnectionResetError if flights < 2 else _Hanging
+    try:
+        data = made.recv(READ_SIZE)
+    except ConnectionResetError as error:
+        raise kind(error.errno, error.strerror) from error
+    if not data:
+        raise kind(errno.ECONNRESET, "closed by the other side")
+    return data
 
 
 def _sending(made: socket.socket, data: bytes, deadline: float) -> Steps[None]:
