@@ -10,7 +10,7 @@ from collections import OrderedDict
 from typing import Generic, Protocol, TypeVar
 
 from .idle import Idle
-from .limits import Allowance, plain_host
+from .limits import Allowance, counted_host
 
 __all__ = ["Address", "Addresses", "Paused"]
 
@@ -39,7 +39,7 @@ class Address(Generic[Each]):
         rate: the number of requests that are answered in a second.
 
         Attributes:
-            host: the address; an IPv4 address inside an IPv6 one is extracted.
+            host: the address, as `counted_host` returns it.
             idle: the connections of the address, in the order in which they became idle.
     """
 
@@ -105,7 +105,7 @@ class Addresses(Generic[Each]):
 
     def get(self, host: str) -> Address[Each]:
         """Return an address, which is remembered only after `keep`."""
-        host = plain_host(host)
+        host = counted_host(host)
         address = self._connected.get(host) or self._others.get(host)
         return address or Address(host, self._rate, self._loop)
 

@@ -7,13 +7,22 @@ from __future__ import annotations
 import resource
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from functools import lru_cache
 from ipaddress import IPv4Network, IPv6Address, IPv6Network, ip_address, ip_network
 from typing import Literal
 
 from ..protocol.checks import integer, number, seconds
 from ..protocol.mistakes import WrongType, WrongValue
 
-__all__ = ["FULL_POLICIES", "Allowance", "Limits", "ServerStatistics", "plain_host"]
+__all__ = [
+    "FULL_POLICIES",
+    "Allowance",
+    "Limits",
+    "ServerStatistics",
+    "counted_host",
+    "host_of",
+    "plain_host",
+]
 
 # Descriptors that are reserved for the rest of the process, unless max_connections is given.
 SPARE_DESCRIPTORS = 64
@@ -120,6 +129,29 @@ def plain_host(host: str) -> str:
     if not host.startswith("::ffff:"):
         return host
     return str(IPv6Address(host).ipv4_mapped or host)
+
+
+@lru_cache(4096)
+def counted_host(host: str) -> str:
+    """
+    Return what counts as one address: an IPv4 address, or the /64 network of an IPv6 address.
+
+    One machine may use all addresses of its /64 (RFC 4291, 2.5.4; RFC 8981), but the machines of a
+    link share the /64 of their link-local addresses.
+    """
+    host = plain_host(host)
+    try:
+        address = IPv6Address(host)
+    except ValueError:
+        return host
+    if address.is_link_local:
+        return host
+    return str(IPv6Network((int(address) >> 64 << 64, 64)))
+
+
+def host_of(address: str) -> str:
+    """Return what a client counts for; `address`: "HOST:PORT", or the path of a serial port."""
+    return address if address.startswith("/") else counted_host(address.rpartition(":")[0])
 
 
 def _networks(allow: Iterable[str]) -> tuple[IPv4Network | IPv6Network, ...]:

@@ -22,7 +22,7 @@ from ..security.security import Security
 from ..security.tunnel import Records, Tunnel
 from ..security.words import in_words
 from .audit import Audit
-from .limits import Limits, ServerStatistics
+from .limits import Limits, ServerStatistics, host_of
 from .service import Channel, MakeSession, Session, SessionState
 
 __all__ = ["Handshakes", "TlsSession"]
@@ -30,7 +30,7 @@ __all__ = ["Handshakes", "TlsSession"]
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
 # The number of unfinished handshakes; each takes about 50 kB. With one more, the oldest is
-# given up.
+# given up, of the address that has most.
 HALF_OPEN = 1000
 
 # Bytes of one record that are answered in a turn.
@@ -71,8 +71,11 @@ class Handshakes:
         self.statistics = statistics
         self.auditor = auditor
         self.loop: asyncio.AbstractEventLoop = asyncio.get_running_loop()
-        self._half_open: dict[TlsSession, None] = {}
-        self._line: dict[TlsSession, None] = {}
+        # By address, in the order in which they began.
+        self._half_open: dict[str, dict[TlsSession, None]] = {}
+        self._count = 0
+        # By address, the one whose turn is next first.
+        self._line: dict[str, dict[TlsSession, None]] = {}
         self._next_step: asyncio.Handle | None = None
         self._established: dict[TlsSession, None] = {}
         self._next_check: asyncio.TimerHandle | None = None
@@ -96,16 +99,18 @@ class Handshakes:
 
     def begin(self, session: TlsSession) -> Tunnel:
         """Return the tunnel of a connection that has sent its first bytes."""
-        if len(self._half_open) >= HALF_OPEN:
+        if self._count >= HALF_OPEN:
             self.statistics.closed_for_others += 1
-            next(iter(self._half_open)).give_up()
-        self._half_open[session] = None
+            most = max(self._half_open.values(), key=len)
+            next(iter(most)).give_up()
+        self._half_open.setdefault(session.host, {})[session] = None
+        self._count += 1
         return self.security.to_client()
 
     def end(self, session: TlsSession) -> None:
         """Remove a handshake that succeeded or failed. Any number of times."""
-        self._half_open.pop(session, None)
-        self._line.pop(session, None)
+        self._count -= _removed(self._half_open, session)
+        _removed(self._line, session)
 
     def establish(self, session: TlsSession) -> None:
         """Check the certificate of a connection from now on."""
@@ -126,22 +131,37 @@ class Handshakes:
 
     def line_up(self, session: TlsSession) -> None:
         """Let a session take a step when its turn comes."""
-        self._line[session] = None
+        self._line.setdefault(session.host, {})[session] = None
         session.follow()
         if self._next_step is None:
             self._next_step = self.loop.call_soon(self._step)
 
     def is_lined_up(self, session: TlsSession) -> bool:
-        return session in self._line
+        return session in self._line.get(session.host, ())
 
     def _step(self) -> None:
         self._next_step = None
-        session = next(iter(self._line), None)
-        if session is not None:
-            del self._line[session]
+        host = next(iter(self._line), None)
+        if host is not None:
+            waiting = self._line.pop(host)
+            session = next(iter(waiting))
+            del waiting[session]
+            if waiting:
+                self._line[host] = waiting  # behind the other addresses
             if self._line:
                 self._next_step = self.loop.call_soon(self._step)
             session.take_step()
+
+
+def _removed(places: dict[str, dict[TlsSession, None]], session: TlsSession) -> bool:
+    """Remove a session; return False if it was not there."""
+    sessions = places.get(session.host, {})
+    if session not in sessions:
+        return False
+    del sessions[session]
+    if not sessions:
+        del places[session.host]
+    return True
 
 
 class TlsSession:
@@ -172,12 +192,14 @@ class TlsSession:
         "_wire",
         "address",
         "holder",
+        "host",
         "role",
     )
     # fmt: on
 
     def __init__(self, wire: Wire, handshakes: Handshakes, make: MakeSession) -> None:
         self.address: str = wire.address
+        self.host: str = host_of(wire.address)  # what its handshake counts for
         self.role: str | None = None
         self.holder: CertificateHolder | None = None
         self._wire = wire

@@ -26,7 +26,7 @@ from ...protocol.framing import Frame
 from ...protocol.logs import HarmlessLogger
 from ...security.describing import CertificateHolder
 from ...server.framed import AT_ONCE, Framed
-from ...server.limits import ServerStatistics
+from ...server.limits import ServerStatistics, host_of
 from ...server.service import Channel, Later, MakeSession
 from .line import Forwarded, GatewayLine
 from .raw_request import RequestBytes, request_of
@@ -327,7 +327,7 @@ class ForwardingSession(Framed):
         self.peer: str = channel.address
         self.role: str | None = channel.role
         self.holder: CertificateHolder | None = channel.holder
-        self.host: Hashable = channel.address.rpartition(":")[0] or channel.address
+        self.host: Hashable = host_of(channel.address)
         self.statistics = statistics
         self.has_ids: bool = endpoint.has_transactions
         self.is_line: bool = endpoint.is_serial

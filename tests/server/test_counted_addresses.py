@@ -1,0 +1,142 @@
+"""
+What counts as one address: in limits, rates and handshakes, and in the turns of a gateway.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+
+import pytest
+
+from libmodbus_py.ports.trace import Trace
+from libmodbus_py.security.describing import CertificateHolder
+from libmodbus_py.server import tls
+from libmodbus_py.server.addresses import Addresses, Paused
+from libmodbus_py.server.limits import Limits, ServerStatistics, counted_host, host_of
+from libmodbus_py.server.service import Session
+from libmodbus_py.server.tls import Handshakes, TlsSession
+from tests.support.cases import each_case
+from tests.support.certificates import Papers
+
+
+@each_case(
+    ("host", "counted"),
+    [
+        ("192.0.2.7", "192.0.2.7"),
+        ("::ffff:192.0.2.7", "192.0.2.7"),
+        ("2001:db8:1:2:3:4:5:6", "2001:db8:1:2::/64"),
+        ("2001:db8:1:2::", "2001:db8:1:2::/64"),
+        ("2001:db8:1:3::", "2001:db8:1:3::/64"),
+        ("::1", "::/64"),
+        # All machines of a link have this /64.
+        ("fe80::1%eth0", "fe80::1%eth0"),
+        ("fe80::2%eth0", "fe80::2%eth0"),
+    ],
+)
+def test_an_ipv6_address_counts_as_its_64(host: str, counted: str) -> None:
+    assert counted_host(host) == counted
+    assert host_of(f"{host}:502") == counted
+
+
+def test_a_serial_port_counts_as_itself() -> None:
+    for path in ("/dev/ttyUSB0", "/dev/serial/by-path/pci-0000:00:14.0-usb-0:1:1.0-port0"):
+        assert host_of(path) == path
+
+
+def test_all_addresses_of_a_64_share_an_allowance() -> None:
+    async def main() -> None:
+        addresses: Addresses[Paused] = Addresses(2.0)
+        for last in range(3):
+            address = addresses.get(f"2001:db8::{last}")
+            addresses.keep(address)
+            address.spend(1)
+        assert addresses.get("2001:db8::ffff").is_overspent()
+        assert not addresses.get("2001:db8:0:1::1").is_overspent()
+
+    asyncio.run(main())
+
+
+@pytest.fixture
+def papers(tmp_path: Path) -> Papers:
+    return Papers(tmp_path)
+
+
+class Client:
+    """A connection whose handshake has begun."""
+
+    def __init__(self, address: str) -> None:
+        self.address = address
+        self.role: str | None = None
+        self.holder: CertificateHolder | None = None
+        self.trace: Trace | None = None
+        self.is_closed = False
+
+    def follow(self) -> None: ...
+    def hang_up(self) -> bool:
+        return False
+
+    def write(self, data: bytes) -> None: ...
+    def end(self) -> None:
+        self.is_closed = True
+
+
+def never(_: object) -> Session:
+    raise AssertionError("no handshake ends here")
+
+
+def test_half_open_handshakes_of_one_address_take_nobody_elses_place(
+    monkeypatch: pytest.MonkeyPatch, papers: Papers
+) -> None:
+    monkeypatch.setattr(tls, "HALF_OPEN", 10)
+
+    async def main() -> None:
+        statistics = ServerStatistics()
+        security = papers.server()
+        handshakes = Handshakes(security, Limits(), statistics)
+        sessions: list[TlsSession] = []
+
+        def begin(address: str) -> Client:
+            client = Client(address)
+            session = TlsSession(client, handshakes, never)
+            sessions.append(session)
+            session.receive(b"\x16")
+            return client
+
+        innocent = begin("192.0.2.1:1000")
+        crowd = [begin(f"2001:db8::{number:x}:1000") for number in range(30)]
+        other = begin("192.0.2.2:1000")
+        assert not innocent.is_closed
+        assert not other.is_closed
+        assert [each.is_closed for each in crowd] == [True] * 22 + [False] * 8
+        assert statistics.closed_for_others == 22
+        for session in sessions:
+            session.close()
+        assert (handshakes._count, handshakes._half_open, handshakes._line) == (0, {}, {})
+
+    asyncio.run(main())
+
+
+def test_handshakes_of_addresses_take_turns(
+    monkeypatch: pytest.MonkeyPatch, papers: Papers
+) -> None:
+    stepped: list[str] = []
+    monkeypatch.setattr(TlsSession, "take_step", lambda self: stepped.append(self.address))
+
+    async def main() -> None:
+        security = papers.server()
+        handshakes = Handshakes(security, Limits(), ServerStatistics())
+        hosts = ["192.0.2.1"] * 5 + ["192.0.2.2"]
+        sessions = [
+            TlsSession(Client(f"{host}:{port}"), handshakes, never)
+            for port, host in enumerate(hosts)
+        ]
+        for session in sessions:
+            session.receive(b"\x16")
+        while len(stepped) < len(hosts):
+            await asyncio.sleep(0)
+        for session in sessions:
+            session.close()
+
+    asyncio.run(main())
+    assert stepped[:3] == ["192.0.2.1:0", "192.0.2.2:5", "192.0.2.1:1"]
