@@ -154,7 +154,7 @@ def test_answers_may_come_in_any_pieces(world: Simulated, size: int) -> None:
             write(answers[at : at + size], after=1e-5 * at)
 
     peer = world.peer("tcp", Gathered(world, play))
-    with world.connect(peer.url) as context:
+    with world.connect(peer.url, max_in_flight=16) as context:
         assert context.execute_many(reads(40)) == echoes(40)
 
 
@@ -164,7 +164,7 @@ def test_answers_may_come_in_any_order(world: Simulated) -> None:
             write(echo(request))
 
     peer = world.peer("tcp", Gathered(world, play))
-    with world.connect(peer.url) as context:
+    with world.connect(peer.url, max_in_flight=16) as context:
         assert context.execute_many(reads(50)) == echoes(50)
         assert (context.late_answers, peer.connections) == (0, 1)
 
@@ -214,7 +214,7 @@ def test_a_request_that_nobody_answers_makes_them_go_one_by_one(world: Simulated
 
     listen_only = pdu.Diagnostics(pdu.SubFunction.FORCE_LISTEN_ONLY, b"\0\0")
     peer = world.peer("tcp", Gathered(world, play))
-    with world.connect(peer.url, turnaround=0) as context:
+    with world.connect(peer.url, turnaround=0, max_in_flight=16) as context:
         found = context.execute_many([*reads(2), listen_only, *reads(2)], return_exceptions=True)
     assert found == [[0], [1], None, [0], [1]]
     assert most <= 2
@@ -239,7 +239,7 @@ def test_nothing_is_sent_for_bad_arguments(
     world: World, requests: Any, options: Any, kind: type[Exception], named: str
 ) -> None:
     peer = world.peer("tcp", good)
-    with world.connect(peer.url) as context:
+    with world.connect(peer.url, max_in_flight=16) as context:
         with pytest.raises(kind, match=named):
             context.execute_many(requests, **options)
         assert context.read_holding_registers(5, 1) == [5]
@@ -265,7 +265,7 @@ def test_request_without_an_answer_times_out_alone(world: World) -> None:
 
     peer = world.peer("tcp", play)
     timeout = 60 if world.is_exact else 0.3
-    with world.connect(peer.url, timeout=timeout, unit=9) as context:
+    with world.connect(peer.url, timeout=timeout, unit=9, max_in_flight=16) as context:
         # The second is sent as soon as there is room for it, while the first waits.
         with world.lasting(timeout, more=0.01):
             found = context.execute_many(reads(40), return_exceptions=True)
@@ -288,7 +288,7 @@ def test_the_first_that_times_out_is_raised(world: World) -> None:
 
     peer = world.peer("tcp", play)
     with (
-        world.connect(peer.url, timeout=0.3) as context,
+        world.connect(peer.url, timeout=0.3, max_in_flight=16) as context,
         pytest.raises(ModbusTimeoutError, match="address=3"),
     ):
         context.execute_many(reads(40))
@@ -304,7 +304,10 @@ def test_timeout_counts_from_when_a_request_is_sent(world: World) -> None:
         write(echo(request), after=free_at - world.now)
 
     peer = world.peer("tcp", play)
-    with world.connect(peer.url, timeout=0.3) as context, world.lasting(50 * 0.07, more=0.02):
+    with (
+        world.connect(peer.url, timeout=0.3, max_in_flight=16) as context,
+        world.lasting(50 * 0.07, more=0.02),
+    ):
         assert context.execute_many(reads(50), max_in_flight=4) == echoes(50)
 
 
@@ -316,7 +319,7 @@ def test_trickle_does_not_extend_the_timeout(world: World) -> None:
 
     peer = world.peer("tcp", play)
     with (
-        world.connect(peer.url, timeout=0.2) as context,
+        world.connect(peer.url, timeout=0.2, max_in_flight=16) as context,
         world.lasting(0.2),
         pytest.raises(ModbusTimeoutError),
     ):
@@ -337,7 +340,7 @@ def test_late_answers_reach_nobody(world: World) -> None:
         write(echo(request))
 
     peer = world.peer("tcp", play)
-    with world.connect(peer.url, timeout=30) as context:
+    with world.connect(peer.url, timeout=30, max_in_flight=16) as context:
         assert context.read_holding_registers(1, 1) == [1]
         context.timeout = 0.3
         found = context.execute_many(reads(20), return_exceptions=True)
@@ -372,7 +375,7 @@ def test_requests_left_behind_by_a_failure_poison_nothing(world: Simulated, agai
         peer.on_request = good
 
     peer = world.peer("tcp", good)
-    with world.connect(peer.url) as context:
+    with world.connect(peer.url, max_in_flight=16) as context:
         for _ in range(2):
             assert context.read_holding_registers(1, 1) == [1]
         peer.on_request = Gathered(world, refused)
@@ -410,7 +413,7 @@ def test_half_a_frame_poisons_nothing(world: World, silent: tuple[int, ...]) -> 
             write(answer)
 
     peer = world.peer("tcp", play)
-    with world.connect(peer.url, timeout=30) as context:
+    with world.connect(peer.url, timeout=30, max_in_flight=16) as context:
         for _ in range(2):
             assert context.read_holding_registers(1, 1) == [1]
         context.timeout = 0.2 if silent else 30
@@ -429,7 +432,7 @@ def test_flood_of_answers_does_not_hold_up_the_next_batch(world: World) -> None:
         peer.on_request = good if peer.connections > 1 else ignore
 
     peer = world.peer("tcp", play)
-    with world.connect(peer.url, timeout=0.3) as context:
+    with world.connect(peer.url, timeout=0.3, max_in_flight=16) as context:
         assert context.execute_many(reads(1)) == [[0]]
         with world.lasting(0.3), pytest.raises(ModbusTimeoutError):
             context.execute_many(reads(20))
@@ -458,7 +461,7 @@ def test_id_is_not_given_again_while_its_answer_may_come(world: World, timeout: 
         peer.requests[1:] = peer.times[1:] = []
 
     peer = world.peer("tcp", play)
-    with world.connect(peer.url, timeout=timeout) as context:
+    with world.connect(peer.url, timeout=timeout, max_in_flight=16) as context:
         first, *found = context.execute_many(reads(17_001), return_exceptions=True)
         assert found == echoes(17_000, 1)
         assert not same
@@ -489,7 +492,7 @@ def test_three_timeouts_in_a_row_make_a_new_connection(world: World) -> None:
             write(echo(request))
 
     peer = world.peer("tcp", play)
-    with world.connect(peer.url, timeout=0.5) as context:
+    with world.connect(peer.url, timeout=0.5, max_in_flight=16) as context:
         found = context.execute_many(reads(20), max_in_flight=4, return_exceptions=True)
         # Four were in flight on each of two connections. Connecting counts within the time-out of
         # the first of them, which ends sooner by that: one more may go where nobody answers.
@@ -513,7 +516,7 @@ def test_first_failure_in_the_order_of_requests_is_raised(world: Simulated) -> N
         peer.on_request = good
 
     peer = world.peer("tcp", Gathered(world, play))
-    with world.connect(peer.url) as context:
+    with world.connect(peer.url, max_in_flight=16) as context:
         with pytest.raises(IllegalDataAddress, match="address=1,") as caught:
             context.execute_many(reads(30))
         assert caught.value.received[6:] == b"\x01\x83\x02"
@@ -527,7 +530,7 @@ def test_failure_is_raised_without_waiting_for_what_comes_after_it(world: Simula
         peer.on_request = good
 
     peer = world.peer("tcp", Gathered(world, play))
-    with world.connect(peer.url, timeout=60) as context:
+    with world.connect(peer.url, timeout=60, max_in_flight=16) as context:
         with world.lasting(0.01), pytest.raises(IllegalDataAddress, match="address=1,"):
             context.execute_many(reads(30))
         assert context.execute_many(reads(30)) == echoes(30)
@@ -538,7 +541,7 @@ def test_after_a_wrong_unit_the_next_answer_is_looked_at(world: World) -> None:
     """libmodbus, which carries requests otherwise, does not check the unit."""
     wrong = False
     peer = world.peer("tcp", lambda request, write: write(echo(request, unit=99 if wrong else 1)))
-    with world.connect(peer.url) as context:
+    with world.connect(peer.url, max_in_flight=16) as context:
         for _ in range(2):
             assert context.read_holding_registers(1, 1) == [1]
         wrong = True
@@ -559,7 +562,7 @@ def test_wrong_answers_spoil_their_own_requests_only(world: World) -> None:
         write(echo(request, transaction=1) + answers.get(address_of(request), echo(request)))
 
     peer = world.peer("tcp", play)
-    with world.connect(peer.url) as context:
+    with world.connect(peer.url, max_in_flight=16) as context:
         found = context.execute_many(reads(12), return_exceptions=True)
         for at in (3, 5, 7):
             assert isinstance(found[at], InvalidResponse)
@@ -585,7 +588,7 @@ def test_stream_that_cannot_be_understood_fails_all_in_flight(world: Simulated) 
         peer.on_request = good
 
     peer = world.peer("tcp", begin)
-    with world.connect(peer.url) as context:
+    with world.connect(peer.url, max_in_flight=16) as context:
         found = context.execute_many(reads(40), max_in_flight=4, return_exceptions=True)
         assert failed(found, FrameError) == [5, 6, 7]
         assert all(
@@ -605,7 +608,7 @@ def test_frame_of_another_protocol_is_skipped_and_costs_its_own_request_alone(
             write(echo(request))
 
     peer = world.peer("tcp", play)
-    with world.connect(peer.url, timeout=0.3) as context:
+    with world.connect(peer.url, timeout=0.3, max_in_flight=16) as context:
         found = context.execute_many(reads(40), max_in_flight=4, return_exceptions=True)
         assert isinstance(found[5], FrameError)
         assert "protocol 1" in str(found[5])
@@ -634,7 +637,7 @@ def closing_after(count: int, connections: Callable[[], int]) -> OnRequest:
 @EVERYWHERE
 def test_lost_connection_raises_for_the_first_without_an_answer(world: World) -> None:
     peer = world.peer("tcp", closing_after(7, lambda: peer.connections))
-    with world.connect(peer.url) as context:
+    with world.connect(peer.url, max_in_flight=16) as context:
         with pytest.raises(ModbusConnectionError, match="address=7,") as caught:
             context.execute_many(reads(30))
         assert caught.value.errno == errno.ECONNRESET
@@ -645,7 +648,7 @@ def test_lost_connection_raises_for_the_first_without_an_answer(world: World) ->
 
 def test_lost_connection_fails_what_was_in_flight_and_the_rest_goes_on(world: World) -> None:
     peer = world.peer("tcp", closing_after(10, lambda: peer.connections))
-    with world.connect(peer.url) as context:
+    with world.connect(peer.url, max_in_flight=16) as context:
         found = context.execute_many(reads(40), max_in_flight=4, return_exceptions=True)
         lost = failed(found, ModbusConnectionError)
         assert lost == [10, 11, 12, 13, 24, 25, 26, 27, 38, 39]
@@ -661,7 +664,7 @@ def test_host_that_drops_connections_is_not_asked_for_ever(
     world: World, max_in_flight: int
 ) -> None:
     peer = world.peer("tcp", lambda request, write: write(None))
-    with world.connect(peer.url) as context:
+    with world.connect(peer.url, max_in_flight=16) as context:
         found = context.execute_many(
             reads(800), max_in_flight=max_in_flight, return_exceptions=True
         )
@@ -692,7 +695,7 @@ def test_connection_closed_between_two_batches_is_made_anew(world: World) -> Non
             write(None)
 
     peer = world.peer("tcp", play)
-    with world.connect(peer.url) as context:
+    with world.connect(peer.url, max_in_flight=16) as context:
         for _ in range(3):
             assert context.execute_many(reads(20)) == echoes(20)
             world.sleep(0.02)
@@ -719,7 +722,7 @@ def test_busy_requests_are_asked_again(world: World, max_in_flight: int) -> None
     """After 0.1 s, then after 0.2 s."""
     busy = {3: 2, 7: 1}
     peer = world.peer("tcp", busy_at_first(busy))
-    with world.connect(peer.url, busy_retries=2) as context:
+    with world.connect(peer.url, busy_retries=2, max_in_flight=16) as context:
         # One by one the pauses add up.
         with world.lasting(0.3 if max_in_flight > 1 else 0.4, more=0.1):
             assert context.execute_many(reads(50), max_in_flight=max_in_flight) == echoes(50)
@@ -734,7 +737,10 @@ def test_busy_requests_are_asked_again(world: World, max_in_flight: int) -> None
 
 def test_busy_is_a_failure_without_retries(world: World) -> None:
     peer = world.peer("tcp", busy_at_first({3: 1}))
-    with world.connect(peer.url) as context, pytest.raises(ServerDeviceBusy, match="address=3,"):
+    with (
+        world.connect(peer.url, max_in_flight=16) as context,
+        pytest.raises(ServerDeviceBusy, match="address=3,"),
+    ):
         context.execute_many(reads(50))
 
 
@@ -742,7 +748,7 @@ def test_handles_of_several_units(world: World) -> None:
     peer = world.peer(
         "tcp", lambda request, write: write(mbap(request, b"\x03\x02\0" + request[6:7]))
     )
-    with world.connect(peer.url) as context:
+    with world.connect(peer.url, max_in_flight=16) as context:
         assert context.for_unit(5).execute_many(reads(20)) == [[5]] * 20
         assert context.execute_many(reads(20)) == [[1]] * 20
 

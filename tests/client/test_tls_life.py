@@ -368,7 +368,8 @@ def test_an_answer_and_a_goodbye_in_one_go(
         done.wait(300)
 
     with serving(script) as server:
-        with connect(server.url, security=papers.client(), timeout=600) as plc:
+        options = {"timeout": 600, "max_in_flight": 16}
+        with connect(server.url, security=papers.client(), **options) as plc:
             found = plc.execute_many(reads(4), max_in_flight=8, return_exceptions=True)
             assert found[0] == [0]
             assert [type(each) for each in found[1:]] == [ModbusConnectionError] * 3

@@ -125,7 +125,7 @@ def test_lost_request_times_out_and_its_late_answer_reaches_nobody(world: World)
         return [*late, echo(request)]
 
     peer = world.peer("udp", answering(good, held, all_at_once, good))
-    with world.connect(peer.url, timeout=30) as context:
+    with world.connect(peer.url, timeout=30, max_in_flight=16) as context:
         assert context.read_holding_registers(1, 1) == [1]
         context.timeout = 0.2
         with world.lasting(0.2), pytest.raises(ModbusTimeoutError) as caught:
@@ -140,7 +140,7 @@ def test_lost_request_times_out_and_its_late_answer_reaches_nobody(world: World)
 @EVERYWHERE
 def test_doubled_answer_reaches_nobody(world: World) -> None:
     peer = world.peer("udp", answering(lambda request: good(request) * 3))
-    with world.connect(peer.url) as context:
+    with world.connect(peer.url, max_in_flight=16) as context:
         for address in range(20):
             assert context.read_holding_registers(address, 1) == [address]
         assert context.execute_many(reads(50)) == [[address] for address in range(50)]
@@ -164,7 +164,7 @@ def damaged(request: bytes) -> list[bytes]:
 @EVERYWHERE
 def test_damaged_datagrams_do_not_end_the_wait(world: World) -> None:
     peer = world.peer("udp", answering(lambda request: [*damaged(request), echo(request)]))
-    with world.connect(peer.url) as context:
+    with world.connect(peer.url, max_in_flight=16) as context:
         for address in range(10):
             assert context.read_holding_registers(address, 1) == [address]
         assert context.execute_many(reads(50)) == [[address] for address in range(50)]
@@ -172,7 +172,7 @@ def test_damaged_datagrams_do_not_end_the_wait(world: World) -> None:
 
 def test_damaged_datagrams_are_no_answer(world: World) -> None:
     peer = world.peer("udp", answering(damaged))
-    with world.connect(peer.url, timeout=0.2) as context:
+    with world.connect(peer.url, timeout=0.2, max_in_flight=16) as context:
         with (
             world.lasting(0.2),
             pytest.raises(ModbusTimeoutError, match="no complete answer") as caught,
@@ -206,7 +206,7 @@ def test_datagram_of_another_host_is_never_seen(connect: Connect) -> None:
 )
 def test_frame_that_does_not_answer_is_invalid(world: World, answer: Answer) -> None:
     peer = world.peer("udp", answering(answer, answer, answer, good))
-    with world.connect(peer.url) as context:
+    with world.connect(peer.url, max_in_flight=16) as context:
         with pytest.raises(InvalidResponse) as caught:
             context.read_holding_registers(1, 1)
         assert caught.value.received
@@ -230,7 +230,10 @@ def test_many_in_flight_lose_some_and_get_the_others_in_any_order(world: World) 
         return answers
 
     peer = world.peer("udp", answering(four_at_a_time))
-    with world.connect(peer.url, timeout=60) as context, world.lasting(60, more=0.02):
+    with (
+        world.connect(peer.url, timeout=60, max_in_flight=16) as context,
+        world.lasting(60, more=0.02),
+    ):
         found = context.execute_many(reads(40), return_exceptions=True)
     assert [at for at, each in enumerate(found) if isinstance(each, ModbusError)] == [5, 30]
     assert isinstance(found[5], ModbusTimeoutError)
@@ -245,7 +248,7 @@ def test_answers_that_came_before_the_port_closed_are_kept(connect: Connect) -> 
                 write(echo(each))
             server.shut()
 
-    with UdpPeer(last_words) as server, connect(server.url) as context:
+    with UdpPeer(last_words) as server, connect(server.url, max_in_flight=16) as context:
         found = context.execute_many(reads(60), return_exceptions=True)
         assert found[0] == [0]
         for at, each in enumerate(found):

@@ -32,7 +32,7 @@ class Talk:
     Args:
         url: whose conversation; nothing is opened.
         is_timed: whether bytes take the time on a line that its settings say.
-        options: of the client.
+        options: of the client; 16 may be in flight where frames carry ids.
 
     Attributes:
         now: seconds since the connection stood.
@@ -43,7 +43,8 @@ class Talk:
         self, url: str = TCP, *, is_open: bool = True, is_timed: bool = False, **options: Any
     ) -> None:
         endpoint = parse(url)
-        self.settings = CheckedOptions.of(endpoint, options)
+        most = 16 if endpoint.framing in ("tcp", "udp") else None
+        self.settings = CheckedOptions.of(endpoint, {"max_in_flight": most, **options})
         parts = assembled(endpoint, self.settings, 16)
         parts.port.silence.is_timed = is_timed
         self.conversation = parts.conversation

@@ -328,8 +328,8 @@ def test_timeouts_are_those_of_each_device() -> None:
 
     async def go() -> None:
         async with Peer(never) as peer:
-            fast = meter("fast", f"{peer.url}?timeout=5", unit=1, timeout=0.05)
-            slow = meter("slow", f"{peer.url}?timeout=5", unit=2)
+            fast = meter("fast", f"{peer.url}?timeout=5&max_in_flight=2", unit=1, timeout=0.05)
+            slow = meter("slow", f"{peer.url}?timeout=5&max_in_flight=2", unit=2)
             async with polling(fast, slow) as (fleet, _):
                 await until(lambda: fleet.devices["fast"].misses >= 2)
                 assert fleet.devices["slow"].misses == 0
@@ -343,7 +343,7 @@ def test_timeouts_are_those_of_each_device() -> None:
 def test_once_polls_each_once_and_ends() -> None:
     async def go() -> None:
         async with Peer(even) as peer:
-            url = f"{peer.url}?timeout=0.1"
+            url = f"{peer.url}?timeout=0.1&max_in_flight=16"
             fleet = Fleet(meter(f"{unit}", url, unit=unit, interval=60) for unit in range(1, 11))
             kept = fleet.readings()
             await fleet.run(once=True)
