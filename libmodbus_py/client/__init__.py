@@ -16,6 +16,7 @@ From the caller to the wire:
     shortcut           the short way, when nothing needs deciding
       libmodbus        ... in one call of C
     conversation       which request may be sent when, and its outcome; no socket, no clock
+      capacity         ... how many at once: found out
       matching         ... which answer belongs to which request:
       in_flight        ... by transaction ids
       in_turn          ... and on lines without them

@@ -84,7 +84,6 @@ class AsyncClient(Handle[AsyncioDriver], Awaiting):
         timeouts = settings.timeouts
         driver = AsyncioDriver(parts, timeouts)
         super().__init__(parts, settings, driver, timeouts)
-        self._limit = parts.conversation.limit
         self._matching = parts.matching
         self._life = _Life(self._driver)
 
@@ -170,11 +169,6 @@ class AsyncClient(Handle[AsyncioDriver], Awaiting):
         batch = Batch(unit, [request], self._timeouts, is_broadcast=is_broadcast)
         self._driver.ask(batch, on_done)
         return Submitted(batch, self._driver)
-
-    @property
-    def max_in_flight(self) -> int:
-        """The most requests that wait for their answers together."""
-        return self._limit
 
     @property
     def has_ids(self) -> bool:

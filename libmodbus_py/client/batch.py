@@ -43,9 +43,11 @@ class Pending:
         adu: the frame.
         sent: when it was sent.
         since: when its timeout began: earlier, if it waited for the connection.
+        order: its number among the requests of the connection; set by `Capacity`.
+        has_company: True if others were in flight when it was sent; set by `Capacity`.
     """
 
-    __slots__ = ("adu", "batch", "index", "sent", "since")
+    __slots__ = ("adu", "batch", "has_company", "index", "order", "sent", "since")
 
     def __init__(self, batch: Batch, index: int, adu: bytes, sent: float) -> None:
         self.batch: Batch = batch
@@ -53,6 +55,8 @@ class Pending:
         self.adu: bytes = adu
         self.sent: float = sent
         self.since: float = sent - batch.used
+        self.order: int = 0
+        self.has_company: bool = False
 
     @property
     def function(self) -> int:

@@ -30,6 +30,7 @@ from ..protocol.errors import (
     alike,
 )
 from .batch import Batch, Pending, Reply
+from .capacity import Capacity, Lost
 from .hints import explain
 from .matching import Matching, Replies
 from .reconnecting import Reconnecting, State
@@ -71,10 +72,12 @@ class Conversation:
 
     Args:
         endpoint: of the connection.
-        limit: how many requests may be in flight.
+        limit: how many requests may be in flight, at most.
         may_send: as of `AsyncOptions`.
+        finds_out: True to find out how many of them the device takes.
 
     Attributes:
+        limit: how many may be in flight, now.
         in_flight: how many requests are, now.
         alarm: when `tick` must be called; may be too early, never too late.
         broken: why the connection should be closed for a new one, or None.
@@ -91,8 +94,10 @@ class Conversation:
         statistics: Statistics,
         trace: Trace,
         may_send: Callable[[], bool] | None = None,
+        finds_out: bool = False,
     ) -> None:
-        self.limit = limit
+        capacity = Capacity(str(endpoint), limit, not finds_out, matching, statistics)
+        self.limit: int = capacity.now
         self.in_flight: int = 0
         self.alarm: float = math.inf
         self.broken: ModbusConnectionError | None = None
@@ -108,7 +113,8 @@ class Conversation:
         self._may_send = may_send
         self._is_traced = False
         self._has_ids = matching.has_ids
-        self._half = (limit + 1) // 2
+        self._most = limit
+        self._capacity = capacity
         self._queue: deque[Batch] = deque()
         # Requests to send again: when, and which.
         self._repeats: list[tuple[float, Batch, int]] = []
@@ -120,7 +126,7 @@ class Conversation:
     @property
     def is_wanted(self) -> bool:
         """True if a request waits to be sent, or a caller for the connection."""
-        return bool(self._queue or self._repeats)
+        return bool(self._queue or self._repeats or self._capacity.lost)
 
     @property
     def is_plain(self) -> bool:
@@ -129,7 +135,7 @@ class Conversation:
             not self.in_flight
             and self._matching.is_clean
             and self.connection.is_open
-            and not (self._queue or self._repeats)
+            and not self.is_wanted
             and not self._trace.is_on
         )
 
@@ -148,8 +154,8 @@ class Conversation:
         elif not batch.pdus:
             batch.finish()
             return
-        if batch.limit > self.limit:
-            batch.limit = self.limit
+        if batch.limit > self._most:
+            batch.limit = self._most
         batch.queued = True
         self._queue.append(batch)
 
@@ -160,7 +166,9 @@ class Conversation:
         self._wake(now + batch.timeouts.timeout)
         self.is_flooded = False
         self.statistics.requests += 1
-        self._matching.start(batch, 0, now, adu)
+        pending = self._matching.start(batch, 0, now, adu)
+        if self._capacity.is_open:
+            self._capacity.note_start(pending, 0)
 
     def abandon(self, batch: Batch, now: float) -> None:
         """Drop a batch; its late answers count as missing until they come."""
@@ -194,7 +202,7 @@ class Conversation:
 
         The other half follows with the next call, so that the server has work meanwhile.
         """
-        if not (self._queue or self._repeats):
+        if not (self._queue or self._repeats or self._capacity.lost):
             return []
         if self._may_send is not None and not self.is_allowed():
             self.refuse(forbidden())
@@ -206,10 +214,13 @@ class Conversation:
             return []
         adus: list[bytes] = []
         self._is_traced = self._trace.is_on
-        if self._repeats:
-            self._start_repeats(adus, now)
-        if self._queue and not (adus and self._pace.request_spacing):
-            self._start_queue(adus, now)
+        if self._capacity.lost or self._capacity.is_on_trial:
+            self._start_trial(adus, now)
+        if not (self._capacity.lost or self._capacity.is_on_trial):
+            if self._repeats:
+                self._start_repeats(adus, now)
+            if self._queue and not (adus and self._pace.request_spacing):
+                self._start_queue(adus, now)
         if adus:
             self.is_flooded = False
             self.statistics.requests += len(adus)
@@ -226,7 +237,11 @@ class Conversation:
         if self._replies and self.limit == 1:
             return False  # bytes that came on a line belong to the request that they answer
         matching = self._matching
-        is_dead = self._is_socket and matching.unanswered >= self._pace.timeouts_before_reconnect
+        is_dead = (
+            self._is_socket
+            and matching.unanswered >= self._pace.timeouts_before_reconnect
+            and not self._capacity.lost  # what was lost beside others may come alone
+        )
         # The next answer would be taken into half a frame that no pending request expects.
         has_leftover = matching.rest and self.in_flight == len(self._silent)
         if not is_dead and not has_leftover:
@@ -260,7 +275,7 @@ class Conversation:
         if self._pace.request_spacing:
             return min(room, 1)
         first = self._queue[0].limit
-        return min(room, self._half if first == 1 else (first + 1) // 2)
+        return min(room, ((self.limit if first == 1 else min(first, self.limit)) + 1) // 2)
 
     def _pick(self, now: float) -> Batch | None:
         """Take the first batch out of the queue that has a request which may be sent now."""
@@ -302,6 +317,8 @@ class Conversation:
             self.alarm = deadline
         pending = self._matching.start(batch, index, now)
         batch.used = 0.0
+        if self._capacity.is_open:
+            self._capacity.note_start(pending, self.in_flight)
         self.in_flight += 1
         if batch.silent and batch.silent[index]:
             self._silent.append((now + self._pace.turnaround, pending))
@@ -340,6 +357,34 @@ class Conversation:
         else:
             self._repeats.append(repeat)
 
+    def _start_trial(self, adus: list[bytes], now: float) -> None:
+        """Ask alone one of the requests that were lost beside others, once none is in flight."""
+        if self.in_flight or self._replies or (asked := self._capacity.next_trial()) is None:
+            return
+        batch, index = asked[0].batch, asked[0].index
+        timeout = batch.timeouts.timeout
+        batch.used = timeout - self._capacity.time_for_trial(timeout)
+        self.statistics.retries += 1
+        adus.append(self._start(batch, index, now))
+
+    def _end_trial(self, reply: Reply, now: float) -> None:
+        """Ask again what was lost beside others, or fail it, now that one was asked alone."""
+        is_taken, lost = self._capacity.conclude(reply)
+        self.limit = self._capacity.now
+        if not is_taken:
+            self._fail_lost(lost, now)
+            return
+        for pending, _ in lost:
+            pending.batch.sent[pending.index] = pending.adu
+            self._repeats.append((now, pending.batch, pending.index))
+        self._capacity.tell()
+
+    def _fail_lost(self, lost: list[Lost], now: float) -> None:
+        for pending, error in lost:
+            pending.batch.in_flight -= 1
+            self._go_on_without(error, pending, now, self._repeat)
+            self._enqueue(pending.batch)
+
     def _wake(self, at: float) -> None:
         if at < self.alarm:
             self.alarm = at
@@ -374,6 +419,9 @@ class Conversation:
             self.connection.lost(error, now, by_itself=by_itself)
         finally:
             self._fail_all(error, now)
+        if by_itself:  # else it is the same device behind the next one
+            self._capacity.reset()
+            self.limit = self._capacity.now
         # A connection given up as dead took its time, and the next one may be alive.
         if by_itself and self.connection.fruitless >= LOSSES_BEFORE_END:
             self.refuse(error)
@@ -396,6 +444,7 @@ class Conversation:
         for pending in [*self._reset(now), *(pending for pending, _ in self._replies)]:
             self.statistics.note(pending.function, "cancelled")
         self._queue, self._repeats, self._replies = deque(), [], []
+        self._capacity.forget()
         if self.connection.is_open:
             self.connection.lost(error, now, by_itself=False)
         elif self.connection.state is State.CONNECTING:
@@ -419,12 +468,16 @@ class Conversation:
 
     def _fail_all(self, error: ModbusConnectionError, now: float) -> None:
         self._replies += [(pending, alike(error)) for pending in self._reset(now)]
+        lost = self._capacity.forget()
         self.settle(now)
+        self._fail_lost(lost, now)
 
     def refuse(self, error: ModbusError) -> None:
         """Fail all requests that wait."""
         queue, self._queue = self._queue, deque()
         repeats, self._repeats = self._repeats, []
+        lost, self._capacity.lost = self._capacity.lost, []
+        repeats += [(0.0, pending.batch, pending.index) for pending, _ in lost]
         for _, batch, index in repeats:
             self._fail_at(batch, index, error)
             self._refuse(batch, error)
@@ -482,12 +535,12 @@ class Conversation:
         for data in chunks:
             replies = matching.take(data, now)
             if replies:
-                self._note_ends(replies)
+                self._note_ends(replies, now)
         if matching.alarm < self.alarm:
             self.alarm = matching.alarm
         if matching.unasked > MAX_UNASKED or not matching.is_in_step:
             self._note_flood()
-        return bool(self._queue or self._repeats)
+        return self.is_wanted
 
     def _note_flood(self) -> None:
         self.is_flooded = self._matching.unasked > MAX_UNASKED
@@ -496,13 +549,16 @@ class Conversation:
         elif self._is_socket:
             self._break("flooded with frames that answer no request")
 
-    def _note_ends(self, replies: Replies) -> None:
+    def _note_ends(self, replies: Replies, now: float) -> None:
         """
         Free the slots of requests that were answered.
 
         A good answer also frees the place in its batch; after another one, what comes next in
         the batch depends on it.
         """
+        if self._capacity.is_growing:
+            self._capacity.note_replies(replies, self.in_flight, now)
+            self.limit = self._capacity.now
         self.in_flight -= len(replies)
         self._replies += replies
         for pending, reply in replies:
@@ -516,6 +572,8 @@ class Conversation:
         replies, self._replies = self._replies, []
         for pending, reply in replies:
             batch = pending.batch
+            if self._capacity.is_on_trial:
+                self._end_trial(reply, now)
             if batch.limit == 1 or not _is_good(reply):
                 batch.in_flight -= 1
                 if batch.started < batch.end:
@@ -524,7 +582,7 @@ class Conversation:
                 self.statistics.note(pending.function, "cancelled")
             else:
                 self._settle(pending, reply, now)
-        return bool(self._queue or self._repeats)
+        return self.is_wanted
 
     def _settle(self, pending: Pending, reply: Reply, now: float) -> None:
         batch, index = pending.batch, pending.index
@@ -567,14 +625,31 @@ class Conversation:
         else:
             self.statistics.note(pending.function, result_of(error))
         self._matching.conclude(pending, error, now)
+        self._go_on_without(error, pending, now, self._ask_again)
+
+    def _go_on_without(
+        self,
+        error: ModbusError,
+        pending: Pending,
+        now: float,
+        again: Callable[[ModbusError, Pending, float], bool],
+    ) -> None:
+        """Settle a request that failed, unless `again` has it sent again."""
         batch, index = pending.batch, pending.index
         try:
-            is_repeated = self._repeat(error, pending, now)
+            is_repeated = again(error, pending, now)
         except BaseException as mistake:  # of the class of the request
             batch.settle(index, mistake)
         else:
             if not is_repeated:
                 batch.settle(index, self._outcome(error, batch, index, pending.adu))
+
+    def _ask_again(self, error: ModbusError, pending: Pending, now: float) -> bool:
+        """Send a request again that was lost beside others, or one that may be repeated."""
+        if self._capacity.is_open and self._capacity.takes(error, pending):
+            pending.batch.in_flight += 1
+            return True
+        return self._repeat(error, pending, now)
 
     def _repeat(self, error: ModbusError, pending: Pending, now: float) -> bool:
         """Send a request again later, if that is allowed; it keeps its place in its batch."""
@@ -601,6 +676,7 @@ class Conversation:
     def _let_go(self, batch: Batch, now: float) -> int:
         """Wait no longer for a batch; return for how many answers it waited."""
         self._repeats = [each for each in self._repeats if each[1] is not batch]
+        self._capacity.drop(batch)
         for due, pending in self._silent:
             if pending.batch is batch:
                 self._wake(due)  # its slot is free only then: the line is still in use
@@ -618,7 +694,7 @@ class Conversation:
         self.alarm = matching.alarm = math.inf
         self._end_silent(now)
         if self.connection.is_open:
-            self._note_ends(matching.expire(now))
+            self._note_ends(matching.expire(now), now)
             self._wake(matching.alarm)
         else:
             self._end_waits(now)

@@ -47,6 +47,7 @@ class Handle(Generic[Driving]):
         self._timeouts = timeouts or settings.timeouts
         self._endpoint = parts.endpoint
         self._connection = parts.connection
+        self._conversation = parts.conversation
         self._statistics = parts.statistics
         self._has_broadcast = parts.endpoint.framing in ("rtu", "ascii")
         self._driver = driver
@@ -112,6 +113,11 @@ class Handle(Generic[Driving]):
     def statistics(self) -> Statistics:
         """The statistics of the connection; live."""
         return self._statistics
+
+    @property
+    def max_in_flight(self) -> int:
+        """The most requests that wait for their answers together: as set, or as found out."""
+        return self._conversation.limit
 
     @property
     def late_answers(self) -> int:

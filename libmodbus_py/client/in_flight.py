@@ -65,6 +65,9 @@ class InFlight(Matching):
         self._last = number
         return number
 
+    def owes(self, pending: Pending) -> bool:
+        return _number(pending.adu) in self._abandoned
+
     def start(self, batch: Batch, index: int, now: float, adu: bytes | None = None) -> Pending:
         if not self._pending:
             self._strays = b""

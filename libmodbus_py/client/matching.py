@@ -66,6 +66,10 @@ class Matching(ABC):
         """Return when a unit may be asked that owes an answer; 0.0 if it owes none."""
         return 0.0
 
+    def owes(self, pending: Pending) -> bool:
+        """Return True if no answer came to a request that was given up, not even a late one."""
+        return True
+
     def may_start(self, batch: Batch, now: float) -> bool:
         """
         Return True if a request of this batch may be sent now; else set `alarm`.

@@ -49,9 +49,12 @@ class Options(TypedDict, total=False):
             (``pdu.Request.repeatable``). 0 by default.
         busy_retries: how often a request is repeated that was refused with Acknowledge
             or ServerDeviceBusy, 0..100, after 0.1, 0.2, 0.4, 0.8, 1, 1... s. 0 by default.
-        max_in_flight: 1..256 requests that wait for their answers together, at most; 16 by
-            default for `AsyncClient` (TCP guide, 4.3.3), as `execute_many` says for contexts,
-            and 1 where frames carry no transaction id.
+        max_in_flight: 1..256, the number of requests that wait for their answers together, and 1
+            where frames carry no transaction id. None, the default, finds out how many the
+            device takes: 1 at first, twice as many while answers come, up to 16 for
+            `AsyncClient` (TCP guide, 4.3.3), and as `execute_many` says for contexts. A
+            request that gets no answer beside others is sent once more, alone, if it may be
+            sent twice (``pdu.Request.repeatable``), whatever `retries` is.
         turnaround: duration of a request that gets no answer (serial line, 2.4.1); 0.1.
         request_spacing: between the starts of two requests, at least, for devices that
             need a rest; 0.
@@ -245,7 +248,15 @@ def assembled(endpoint: Endpoint, settings: CheckedOptions, most: int) -> Parts:
     limit = in_flight_limit(endpoint, settings.max_in_flight or most)
     matching = _matching(endpoint, settings, limit, port, statistics, trace)
     conversation = Conversation(
-        endpoint, limit, pace, matching, connection, statistics, trace, settings.may_send
+        endpoint,
+        limit,
+        pace,
+        matching,
+        connection,
+        statistics,
+        trace,
+        settings.may_send,
+        finds_out=settings.max_in_flight is None,
     )
     return Parts(endpoint, port, conversation, matching, connection, statistics, notices)
 

@@ -37,6 +37,8 @@ class Statistics:
         exceptions: refusals among them.
         timeouts: requests that got no answer in time.
         retries: requests that were sent again.
+        falls: how often fewer requests were put in flight, because the device had lost some that
+            were sent beside others.
         late_answers: answers to requests that had been given up; dropped.
         invalid: bytes that were no frame, and frames that were no answer.
         connects: connections made.
@@ -60,6 +62,7 @@ class Statistics:
     exceptions: int = 0
     timeouts: int = 0
     retries: int = 0
+    falls: int = 0
     late_answers: int = 0
     invalid: int = 0
     connects: int = 0

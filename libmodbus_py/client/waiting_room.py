@@ -257,12 +257,12 @@ class WaitingRoom(Generic[Member]):
     no two in a row. It makes way when others wait for longer than one of their own answers takes.
 
     Args:
-        limit: how many requests may be in flight.
+        limit: called; returns how many requests may be in flight now.
         queue: those that wait, trials excepted.
         timeout: called with a request; returns the seconds that it may take.
         ready_at: called with a unit; returns when it may be asked. None if any may be asked at
             any time.
-        most_trials: how many may be in flight.
+        most_trials: how many trials may be in flight; None for as many as requests.
 
     Attributes:
         in_flight: how many requests are.
@@ -272,7 +272,7 @@ class WaitingRoom(Generic[Member]):
 
     def __init__(
         self,
-        limit: int,
+        limit: Callable[[], int],
         queue: Discipline[Member],
         timeout: Callable[[Member], float],
         ready_at: Callable[[Any], float] | None = None,
@@ -284,7 +284,7 @@ class WaitingRoom(Generic[Member]):
         self._queue = queue
         self._timeout = timeout
         self._ready_at = ready_at
-        self._most_trials = most_trials or limit
+        self._most_trials = most_trials
         self._now = 0.0
         self._trials: deque[Member] = deque()
         self._trying: dict[Member, None] = {}
@@ -327,7 +327,7 @@ class WaitingRoom(Generic[Member]):
     def pick(self, now: float) -> Member | None:
         """Remove and return the request to ask now; None if none may be."""
         self.alarm = math.inf
-        if self.in_flight >= self._limit:
+        if self.in_flight >= self._limit():
             return None
         self._now = now
         each = self._pick_trial(is_due=True) if self._trials else None
@@ -355,7 +355,8 @@ class WaitingRoom(Generic[Member]):
             first = self._trials[0]
             if self._was_trial or self._now - first.waits_since < self._timeout(first):
                 return None
-        if len(self._trying) >= (1 if is_due else self._most_trials):
+        most = 1 if is_due else self._most_trials
+        if most is not None and len(self._trying) >= most:
             return None
         each = next((each for each in self._trials if self._may_ask(each)), None)
         if each is not None:
@@ -379,7 +380,7 @@ class WaitingRoom(Generic[Member]):
 
     def overstayed(self, now: float) -> Member | None:
         """Return a trial that must make way now, because others wait; None if none must."""
-        if not self._trying or not self._queue or self.in_flight < self._limit:
+        if not self._trying or not self._queue or self.in_flight < self._limit():
             return None
         each = next((each for each in self._trying if each.misses % TRIALS_BEFORE_LONG), None)
         if each is None:

@@ -109,7 +109,7 @@ Room = WaitingRoom[Request]
 
 def room(*waiting: Request, owing: dict[int, float] | None = None, limit: int = 1) -> Room:
     ready_at = None if owing is None else lambda unit: owing.get(unit, 0.0)
-    made: Room = WaitingRoom(limit, FirstCome(), lambda _: TIMEOUT, ready_at)
+    made: Room = WaitingRoom(lambda: limit, FirstCome(), lambda _: TIMEOUT, ready_at)
     assert all(made.put(each) for each in waiting)
     return made
 

@@ -61,7 +61,7 @@ class FleetLine:
         self._loop = asyncio.get_running_loop()
         self._queue: FirstCome[Poller] = FirstCome()
         self._room: WaitingRoom[Poller] = WaitingRoom(
-            self.client.max_in_flight,
+            lambda: self.client.max_in_flight,
             self._queue,
             timeout=lambda poller: self.client_of(poller).timeout,
             ready_at=None if self.client.has_ids else self.client.ready_at,

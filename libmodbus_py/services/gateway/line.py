@@ -155,7 +155,7 @@ class GatewayLine:
         self.statistics: LineStatistics = LineStatistics(self.url, self._client.statistics)
         queues = [FairByHost[Forwarded](options.queue, MOST_WAITING) for _ in range(2)]
         self._room: WaitingRoom[Forwarded] = WaitingRoom(
-            self._client.max_in_flight,
+            lambda: self._client.max_in_flight,
             Precedence(queues, _reads_last) if options.writes_first else queues[0],
             timeout=lambda each: self._client.timeout,
             ready_at=self._client.ready_at if self.has_broadcast else None,

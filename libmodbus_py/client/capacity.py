@@ -1,0 +1,213 @@
+"""
+Finds out how many requests a device takes at once, while it is asked.
+
+Many devices lose all but one of the requests that come together, and say nothing about it. So a
+connection begins with one request in flight, and doubles the number while answers come. What
+was lost beside other requests is asked again alone: if the answer comes then, the device takes
+fewer requests, and the number falls. No socket, no clock.
+"""
+
+from __future__ import annotations
+
+from ..protocol.errors import ModbusError, ModbusTimeoutError, ServerDeviceBusy
+from .batch import Batch, Pending, Reply
+from .matching import Matching
+from .statistics import Statistics
+
+__all__ = ["Capacity"]
+
+
+# A request alone may take this many times as long as the slowest answer, but at least this
+# share of its timeout; others wait meanwhile.
+PATIENCE, LEAST_SHARE = 4.0, 0.25
+
+# A network loses a request now and then, too: one loss among so many answers is no sign.
+ANSWERS_BETWEEN_LOSSES = 1000
+
+# After n trials in a row without an answer, 2**n - 1 losses are not tried alone.
+MOST_DOUBLINGS = 10
+
+# Functions that change nothing; all others count as writes.
+READS = frozenset((1, 2, 3, 4, 7, 11, 12, 17, 20, 24, 43))
+
+Lost = tuple[Pending, ModbusError]
+
+
+class Capacity:
+    """
+    The number of requests that may be in flight on a connection.
+
+    Args:
+        place: of the connection, for the log.
+        most: the most requests that may ever be in flight.
+        is_fixed: True to have `most` from the beginning, and find nothing out.
+        matching: knows which lost requests were answered late.
+        statistics: where falls are counted.
+
+    Attributes:
+        now: how many requests may be in flight.
+        is_open: True while the number may change.
+        is_growing: True while answers may make it greater.
+        lost: requests that were lost beside others, with their errors; none other is sent
+            until one of them was asked alone.
+        is_on_trial: True while one of them is in flight, alone.
+    """
+
+    def __init__(
+        self, place: str, most: int, is_fixed: bool, matching: Matching, statistics: Statistics
+    ) -> None:
+        self.is_open: bool = not is_fixed and most > 1
+        self.now: int = 1 if self.is_open else most
+        self.is_growing: bool = self.is_open
+        self.lost: list[Lost] = []
+        self.is_on_trial: bool = False
+        self._place = place
+        self._most_ever = self._most = most
+        self._matching = matching
+        self._statistics = statistics
+        self._asked: Lost | None = None
+        self._starts = 0
+        self._last_write = 0
+        self._count = 0  # answers at the present number
+        self._peak = 0  # the most in flight at the present number
+        self._slowest = 0.0
+        self._responses = 0  # when the last loss was proven
+        self._fruitless = self._unheeded = 0
+        self._was_told = False
+
+    def reset(self) -> None:
+        """Begin anew on another connection."""
+        self.forget()
+        if self.is_open:
+            self.now, self._most, self.is_growing = 1, self._most_ever, True
+            self._count = self._peak = self._fruitless = self._unheeded = 0
+            self._slowest = 0.0
+
+    def forget(self) -> list[Lost]:
+        """End a trial without a verdict; return the requests that were lost."""
+        lost, self.lost = self.lost, []
+        self._asked, self.is_on_trial = None, False
+        return lost
+
+    def drop(self, batch: Batch) -> None:
+        """Forget the requests of a batch whose caller is gone."""
+        if self.lost:
+            self.lost = [each for each in self.lost if each[0].batch is not batch]
+        if self._asked is not None and self._asked[0].batch is batch:
+            self._asked, self.is_on_trial = None, False
+
+    # --- requests and answers -----------------------------------------------------------------
+
+    def note_start(self, pending: Pending, in_flight: int) -> None:
+        """Note a request that is sent while so many others are in flight."""
+        self._starts += 1
+        pending.order, pending.has_company = self._starts, in_flight > 0
+        if in_flight >= self._peak:
+            self._peak = in_flight + 1
+        if pending.function not in READS:
+            self._last_write = self._starts
+
+    def note_replies(
+        self, replies: list[tuple[Pending, Reply]], in_flight: int, now: float
+    ) -> None:
+        """
+        Grow if so many were in flight, and answered, as may be.
+
+        A request that was alone and got no answer is no reason to hold others back.
+        """
+        for pending, reply in replies:
+            if isinstance(reply, bytes):
+                self._slowest = max(self._slowest, now - pending.sent)
+            elif in_flight > 1:
+                return
+        if self._peak >= self.now and not (self.lost or self.is_on_trial):
+            self._count += len(replies)
+            if self._count >= self.now:
+                self._grow()
+
+    def _grow(self) -> None:
+        self._count = self._peak = 0
+        self.now = min(2 * self.now, self._most)
+        self.is_growing = self.now < self._most
+
+    # --- losses -------------------------------------------------------------------------------
+
+    def takes(self, error: ModbusError, pending: Pending) -> bool:
+        """Return True if a request that failed was lost beside others, and is to be asked again."""
+        had_company = pending.has_company or self._starts > pending.order
+        if (
+            not had_company
+            or not isinstance(error, ModbusTimeoutError | ServerDeviceBusy)
+            or not pending.batch.requests[pending.index].repeatable
+            # A write is never sent over a newer one.
+            or (pending.function not in READS and self._last_write > pending.order)
+        ):
+            return False
+        if self._unheeded and not self.lost:
+            self._unheeded -= 1
+            return False
+        self.lost.append((pending, error))
+        return True
+
+    def next_trial(self) -> Lost | None:
+        """Return the request to ask alone now; None if no caller waits for any."""
+        while self.lost:
+            lost = self.lost.pop(0)
+            batch = lost[0].batch
+            if batch.matters(lost[0].index):
+                self._asked, self.is_on_trial = lost, True
+                return lost
+            batch.in_flight -= 1
+        return None
+
+    def time_for_trial(self, timeout: float) -> float:
+        """Return how many seconds others wait at most for the answer to a request alone."""
+        return min(timeout, max(LEAST_SHARE * timeout, PATIENCE * self._slowest))
+
+    def conclude(self, reply: Reply) -> tuple[bool, list[Lost]]:
+        """
+        Judge a trial by what came; return True if the device takes requests that come alone,
+        and the other requests that were lost.
+        """
+        asked = self._asked
+        lost = self.forget()
+        if asked is None or is_refused(reply):
+            self._fruitless = min(self._fruitless + 1, MOST_DOUBLINGS)
+            self._unheeded = (1 << self._fruitless) - 1
+            if self.is_growing:  # the number in flight was not the reason
+                self._grow()
+            return False, lost
+        self._fruitless = self._unheeded = 0
+        since, self._responses = self._responses, self._statistics.responses
+        if self._responses - since <= ANSWERS_BETWEEN_LOSSES or self.is_growing:
+            self._fall([asked, *lost])
+        return True, lost
+
+    def _fall(self, lost: list[Lost]) -> None:
+        """Take as many as were answered, at most half; late ones were not lost."""
+        gone = sum(self._matching.owes(pending) for pending, _ in lost)
+        tried = min(self.now, self._peak)
+        self.now = self._most = max(1, min(tried // 2, tried - gone))
+        self._peak = 0
+        self.is_growing = False
+        self._statistics.falls += 1
+
+    def tell(self) -> None:
+        """Log once that the number fell."""
+        if self._most < self._most_ever and not self._was_told:
+            self._was_told = True
+            import logging
+
+            logging.getLogger(__name__).warning(
+                "%s: requests beside others stay without an answer that comes to one alone; "
+                "%d in flight from now on (max_in_flight sets the number)",
+                self._place,
+                self.now,
+            )
+
+
+def is_refused(reply: Reply) -> bool:
+    """Return True if a reply says that nothing came, or that the device is busy."""
+    if not isinstance(reply, bytes):
+        return isinstance(reply, ModbusTimeoutError)
+    return reply[0] >= 0x80 and reply[1:2] == bytes([ServerDeviceBusy.code])
