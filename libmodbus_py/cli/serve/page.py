@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import os
 from collections.abc import Callable, Iterator
 
 from ...ports.hosts import is_loopback
@@ -18,6 +19,12 @@ __all__ = ["add_argument", "shown"]
 
 EXAMPLE = ("127.0.0.1", 8080)
 
+TOKEN = "LIBMODBUS_PY_PAGE_TOKEN"
+"""The environment variable that has the token of the page."""
+
+# More than a token may have.
+MAX_FILE = 1000
+
 
 def add_argument(command: argparse.ArgumentParser) -> None:
     """Add the option to argparse."""
@@ -29,32 +36,61 @@ def add_argument(command: argparse.ArgumentParser) -> None:
         metavar="HOST:PORT",
         help="serve a live page of the devices at this address, over HTTP ({}:{})".format(*EXAMPLE),
     )
+    command.add_argument(
+        "--page-token",
+        metavar="FILE",
+        help="file with the token of the page, 22 or more letters, digits, - or _, so that its URL"
+        f" stays the same; unless given, {TOKEN} in the environment, or a new one",
+    )
+
+
+def token_of(file: str | None) -> str | None:
+    """
+    Return the token of the page from a file or the environment; None without either.
+
+    Raises:
+        ValueError: the file cannot be read.
+    """
+    if file is None:
+        return os.environ.get(TOKEN) or None
+    try:
+        with open(file, encoding="utf-8", errors="replace") as opened:
+            return opened.read(MAX_FILE).strip()
+    except OSError as error:
+        raise ValueError(f"--page-token: {file}: {error.strerror}") from None
 
 
 @contextlib.contextmanager
 def shown(
-    server: Server, address: Address | None, announce: Callable[[Running], object]
+    server: Server,
+    address: Address | None,
+    announce: Callable[[Running], object],
+    token_file: str | None = None,
 ) -> Iterator[Callable[[Running], object]]:
     """
     Show a server on a live page while the block runs, if there is an address.
 
     Args:
         announce: prints where the server listens.
+        token_file: the file with the token of the page; None for the environment or a new one.
 
     Yields:
         A function that prints where the server listens, and the URL of the page.
 
     Raises:
         ModbusConnectionError: the address is not available, with errno.
+        ValueError: the token is wrong, or there is one but no page.
     """
     if address is None:
+        if token_file is not None:
+            raise ValueError("--page-token needs --page")
         yield announce
         return
     from ...tools.page.page import live_page
 
     with contextlib.ExitStack() as stack:
         try:
-            page = stack.enter_context(live_page(server, *address))
+            page = stack.enter_context(live_page(server, *address, token_of(token_file)))
         except OSError as error:
             place = ":".join(map(str, address))
             raise ModbusConnectionError(

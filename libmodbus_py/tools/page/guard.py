@@ -8,6 +8,7 @@ address (DNS rebinding), that name is in the Host; its own address is in the Ori
 from __future__ import annotations
 
 import hmac
+import re
 import secrets
 from collections.abc import Collection, Iterator
 from email.message import Message
@@ -16,7 +17,10 @@ from urllib.parse import parse_qs
 
 from ...ports.hosts import is_loopback
 
-__all__ = ["PageGuard"]
+__all__ = ["PageGuard", "checked_token"]
+
+# 22 characters have 128 bits, if they are chosen at random.
+TOKEN = re.compile("[A-Za-z0-9_-]{22,200}")
 
 
 class PageGuard:
@@ -27,10 +31,13 @@ class PageGuard:
         host: where the page listens, as it was given: a name or an address.
         addresses: the addresses of this host.
         port: where it listens.
+        token: the one that requests must have (`checked_token`); None for a new one.
     """
 
-    def __init__(self, host: str, addresses: Collection[str], port: int) -> None:
-        self.token: str = secrets.token_urlsafe(24)
+    def __init__(
+        self, host: str, addresses: Collection[str], port: int, token: str | None = None
+    ) -> None:
+        self.token: str = token or secrets.token_urlsafe(24)
         self._port = port
         self._is_any = any(ip_address(each.partition("%")[0]).is_unspecified for each in addresses)
         is_here = self._is_any or any(map(is_loopback, addresses))
@@ -80,6 +87,20 @@ class PageGuard:
                 name, _, value = each.strip().partition("=")
                 if name == self._cookie:
                     yield value
+
+
+def checked_token(token: str) -> str:
+    """
+    Return a token.
+
+    Raises:
+        TypeError, ValueError: it is too short, or has characters that URLs have not.
+    """
+    if not isinstance(token, str):
+        raise TypeError(f"token must be a string, not {type(token).__name__}")
+    if not TOKEN.fullmatch(token):
+        raise ValueError("token must have 22 or more letters, digits, - or _")
+    return token
 
 
 def _tokens(query: str) -> list[str]:

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from ...server.server import Server
+from .guard import checked_token
 from .streams import Streams
 from .web import WebServer
 
@@ -28,7 +29,9 @@ class Page:
 
 
 @contextlib.contextmanager
-def live_page(server: Server, host: str = "127.0.0.1", port: int = 0) -> Iterator[Page]:
+def live_page(
+    server: Server, host: str = "127.0.0.1", port: int = 0, token: str | None = None
+) -> Iterator[Page]:
     """
     Show a server on a live page, over HTTP, while the ``with`` block runs.
 
@@ -41,12 +44,17 @@ def live_page(server: Server, host: str = "127.0.0.1", port: int = 0) -> Iterato
         host: an address of this machine to listen on. Anyone who can reach it and has the URL can
             change everything, and the traffic is not encrypted.
         port: 0 for a free one.
+        token: the token in the URL of the page: 22 or more letters, digits, - or _, chosen at
+            random; None for a new one each time.
 
     Raises:
+        TypeError, ValueError: the token is wrong.
         OSError: the address cannot be used, or the system has no thread left.
     """
+    if token is not None:
+        checked_token(token)
     streams = Streams(server)
-    web = WebServer(host, port, streams)
+    web = WebServer(host, port, streams, token)
     with contextlib.ExitStack() as stack:
         stack.callback(web.server_close)
         stack.enter_context(server.tracing(streams.log.note))

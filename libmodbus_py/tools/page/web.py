@@ -60,6 +60,9 @@ class WebServer(TimedServer):
     """
     The page on one address.
 
+    Args:
+        token: the one that requests must have; None for a new one.
+
     Attributes:
         url: with the token that a browser must send.
 
@@ -67,11 +70,11 @@ class WebServer(TimedServer):
         OSError: the address cannot be used.
     """
 
-    def __init__(self, host: str, port: int, streams: Streams) -> None:
+    def __init__(self, host: str, port: int, streams: Streams, token: str | None = None) -> None:
         super().__init__(host, port, Handler, LIMIT)
         self.streams = streams
         self.actions: Actions = Actions(streams)
-        self.guard: PageGuard = PageGuard(host, self.addresses, self.port)
+        self.guard: PageGuard = PageGuard(host, self.addresses, self.port, token)
         self.url: str = f"{self.place}/?token={self.guard.token}"
 
 
