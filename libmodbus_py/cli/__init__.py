@@ -10,6 +10,7 @@ The command line, on top of everything: arguments become requests and servers.
     connecting     endpoints and clients, made of URLs and options
     output         standard output and error: messages, JSON, styles
     failing        errors: a line on stderr, and an exit code
+    logs           the log of commands that run for long
     tracing        --verbose: frames in columns
     status         a status line for long work
     progress       progress and results of scans and searches, in words

@@ -4,13 +4,16 @@ Frames in columns, as --verbose prints them.
 
 from __future__ import annotations
 
+import contextlib
+import logging
 import sys
 import time
+from collections.abc import Iterator
 
-from ..ports.trace import Traced
+from ..ports.trace import WIRE, Traced
 from ..protocol.pdu import REQUESTS
 
-__all__ = ["Tracing", "in_columns", "print_frame"]
+__all__ = ["Tracing", "in_columns", "print_frame", "wire_printed"]
 
 
 class Tracing:
@@ -36,6 +39,32 @@ class Tracing:
 def print_frame(traced: Traced) -> None:
     """Print a frame of a server to stderr, in the same columns."""
     print(in_columns(traced), file=sys.stderr, flush=True)
+
+
+@contextlib.contextmanager
+def wire_printed(*, is_on: bool) -> Iterator[None]:
+    """Print the frames of all clients of this process to stderr while the block runs."""
+    if not is_on:
+        yield
+        return
+    logger = logging.getLogger(WIRE)
+    handler, before = _WireHandler(), logger.level
+    logger.addHandler(handler)
+    logger.setLevel(logging.DEBUG)
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)
+        logger.setLevel(before)
+
+
+class _WireHandler(logging.Handler):
+    """Prints the frame of each record."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        if isinstance(record.args, tuple) and isinstance(record.args[0], Traced):
+            with contextlib.suppress(OSError, ValueError):
+                print_frame(record.args[0])
 
 
 def in_columns(traced: Traced, took: float | None = None) -> str:

@@ -10,7 +10,9 @@ Commands that run until a signal ends them.
     limits       the options that limit what clients may use
     metrics      the option for metrics
     page         the option for a live page
+    audit        the options for an audit trail
     addresses    HOST:PORT on the command line
     announcing   messages: where a server listens, and who can reach it
+    readiness    a message to systemd: the command serves
     hangup       SIGHUP: a file to read again, or a terminal that was closed
 """

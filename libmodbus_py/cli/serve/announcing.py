@@ -10,13 +10,14 @@ from ...ports.endpoint import Endpoint, parse
 from ...ports.hosts import is_loopback
 from ...server.server import Running
 from ..output import complain
+from .readiness import notify_ready
 
 __all__ = ["announcing"]
 
 
 def announcing(allowed: list[str] | None) -> Callable[[Running], None]:
     """
-    Return a function that prints where a server listens.
+    Return a function that prints where a server listens, and notifies systemd.
 
     Args:
         allowed: the networks that the server serves; None for all.
@@ -31,6 +32,7 @@ def announcing(allowed: list[str] | None) -> Callable[[Running], None]:
                 f"anyone who can reach {', '.join(unguarded)} can read and write; --allow NETWORK,"
                 " or tls:// with certificates, restricts access"
             )
+        notify_ready()
 
     return announce
 

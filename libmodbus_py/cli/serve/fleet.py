@@ -32,6 +32,7 @@ from ..failing import CommandError
 from ..help import VerbatimHelp
 from ..output import complain, print_json
 from .hangup import unless_closed
+from .readiness import notify_ready
 
 __all__ = ["add_arguments", "add_command", "poll"]
 
@@ -259,6 +260,7 @@ async def _connect_and_work(
         screen = asyncio.create_task(show(polling.fleet)) if show else None
         try:
             with signal_handlers(_handlers(polling)), exposed(polling.fleet):
+                notify_ready()
                 await polling.run()
         finally:
             if screen is not None:

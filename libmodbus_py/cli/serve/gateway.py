@@ -18,7 +18,7 @@ from ...services.gateway import config
 from ...services.gateway.gateway import Gateway
 from ...services.gateway.routes import Route, parse_route
 from ...tools.files.rereading import reread
-from .. import arguments
+from .. import arguments, logs
 from ..connecting import with_options
 from ..help import VerbatimHelp
 from ..output import counted
@@ -70,6 +70,7 @@ def add_command(commands: Any) -> None:
     command.add_argument("--config", metavar="FILE", help="read routes and options from a file")
     metrics.add_argument(command)
     arguments.add_verbose(command)
+    logs.add_arguments(command)
     _add_options(command)
     arguments.add_client_options(
         command, "requests to the devices", without=("unit", "native"), defaults=_of_clients
@@ -112,6 +113,11 @@ def _of_clients() -> dict[str, str]:
 
 
 def _gateway(options: argparse.Namespace) -> int:
+    with logs.logged(options):
+        return _gateway_logged(options)
+
+
+def _gateway_logged(options: argparse.Namespace) -> int:
     if (options.config is None) == (options.to is None):
         raise ValueError("either --to or --config must say where the devices are")
     file = None if options.config is None else config.load(options.config)

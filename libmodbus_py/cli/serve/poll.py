@@ -26,6 +26,7 @@ from ...services.fleet.outputs.output import Output, OutputError
 from ...services.fleet.outputs.writer_thread import WriterThread
 from ...services.fleet.trial import Tried, overloads, trying
 from ...tools.files.rereading import reread
+from .. import arguments, logs, tracing
 from ..failing import CommandError
 from ..help import VerbatimHelp
 from ..output import complain, counted
@@ -33,6 +34,7 @@ from ..status import Status
 from . import fleet as workers
 from . import metrics
 from .hangup import noted, unless_closed
+from .readiness import notify_ready
 
 __all__ = ["add_command"]
 
@@ -86,10 +88,17 @@ def add_command(commands: Any) -> None:
         )
     metrics.add_argument(command)
     workers.add_arguments(command)
+    arguments.add_verbose(command)
+    logs.add_arguments(command)
     command.set_defaults(run=_poll)
 
 
 def _poll(options: argparse.Namespace) -> int:
+    with logs.logged(options), tracing.wire_printed(is_on=options.verbose):
+        return _poll_logged(options)
+
+
+def _poll_logged(options: argparse.Namespace) -> int:
     if options.push and options.engine is None:
         raise ValueError("--push needs --engine")
     if options.check:
@@ -194,6 +203,7 @@ async def _run(
             handlers[signal.SIGHUP]()
         await asyncio.sleep(0)
         with frozen_garbage():
+            notify_ready()
             waiting = asyncio.create_task(stopped.wait())
             try:
                 await asyncio.wait([polling, waiting], return_when=asyncio.FIRST_COMPLETED)

@@ -19,7 +19,7 @@ from ...server.server import Running, Server
 from ...server.units import UNKNOWN_UNIT_POLICIES
 from ...tools.simulator import device_file, example_files
 from ...tools.simulator.reloading import Reloader
-from .. import arguments
+from .. import arguments, logs
 from ..connecting import OF_SERVERS, with_options
 from ..help import VerbatimHelp
 from ..output import complain
@@ -89,12 +89,18 @@ def add_command(commands: Any) -> None:
     )
     audit.add_arguments(command)
     arguments.add_verbose(command)
+    logs.add_arguments(command)
     arguments.add_serial_options(command)
     arguments.add_security_options(command)
     command.set_defaults(run=_serve)
 
 
 def _serve(options: argparse.Namespace) -> int:
+    with logs.logged(options):
+        return _serve_logged(options)
+
+
+def _serve_logged(options: argparse.Namespace) -> int:
     if options.example == "":
         return _list_examples()
     path = options.device if options.example is None else example_files.path_of(options.example)
@@ -119,7 +125,7 @@ def _serve(options: argparse.Namespace) -> int:
         announce = announcing(options.allow)
         with (
             metrics.exposed(server, options.metrics),
-            page.shown(server, options.page, announce) as announce_all,
+            page.shown(server, options.page, announce, options.page_token) as announce_all,
         ):
             if simulation is None or path is None:
                 has_files = on_hangup or is_secure(urls)

@@ -1,0 +1,98 @@
+"""
+The log of commands that run for long: --log and --log-format.
+
+Without them, Python prints the messages of warnings and errors alone.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import logging
+import sys
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from typing import Any
+
+__all__ = ["add_arguments", "logged"]
+
+PACKAGE = "libmodbus_py"
+
+LEVELS = ("debug", "info", "warning", "error")
+
+
+def add_arguments(command: argparse.ArgumentParser) -> None:
+    """Add the options to argparse."""
+    group = command.add_argument_group("log, on stderr")
+    group.add_argument(
+        "--log",
+        choices=LEVELS,
+        metavar="LEVEL",
+        help=f"what is logged: {', '.join(LEVELS)}; debug contains every frame."
+        " Each line has the time",
+    )
+    group.add_argument(
+        "--log-format",
+        choices=sorted(FORMATTERS),
+        metavar="FORMAT",
+        help="json, one object in each line; or text",
+    )
+
+
+@contextlib.contextmanager
+def logged(options: argparse.Namespace) -> Iterator[None]:
+    """Log as the options say while the block runs."""
+    if options.log is None and options.log_format is None:
+        yield
+        return
+    logger = logging.getLogger(PACKAGE)
+    handler = _Handler(sys.stderr)
+    handler.setFormatter(FORMATTERS[options.log_format or "text"]())
+    handler.setLevel((options.log or "warning").upper())
+    before = logger.level
+    logger.addHandler(handler)
+    logger.setLevel(handler.level)
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)
+        logger.setLevel(before)
+
+
+class _Handler(logging.StreamHandler[Any]):
+    """Loses what stderr does not take, such as a closed pipe, instead of saying so there."""
+
+    def handleError(self, record: logging.LogRecord) -> None:
+        """Do nothing."""
+
+
+class TextFormatter(logging.Formatter):
+    """Time, level, logger without the name of the package, and message; others lines follow."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        name = record.name.removeprefix(f"{PACKAGE}.")
+        text = f"{_time(record)} {record.levelname.lower():<7} {name}: {record.getMessage()}"
+        return f"{text}\n{self.formatException(record.exc_info)}" if record.exc_info else text
+
+
+class JsonFormatter(logging.Formatter):
+    """One object in one line: time, level, logger, message, and exception if there is one."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        entry = {
+            "time": _time(record),
+            "level": record.levelname.lower(),
+            "logger": record.name,
+            "message": record.getMessage(),
+        }
+        if record.exc_info:
+            entry["exception"] = self.formatException(record.exc_info)
+        return json.dumps(entry)
+
+
+def _time(record: logging.LogRecord) -> str:
+    return datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds")
+
+
+FORMATTERS: dict[str, type[logging.Formatter]] = {"json": JsonFormatter, "text": TextFormatter}

@@ -1,0 +1,116 @@
+"""
+--log and --log-format: what commands that run for long log, and how.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+from argparse import Namespace
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from libmodbus_py import Context, Device, Mapping, Server
+from libmodbus_py.cli.logs import logged
+from tests.support.commands import Started
+
+LOGGER = logging.getLogger("libmodbus_py.somewhere")
+
+
+def said(capsys: pytest.CaptureFixture[str], log: str | None, form: str | None) -> str:
+    with logged(Namespace(log=log, log_format=form)):
+        LOGGER.debug("a %s", "frame")
+        LOGGER.info("a connection")
+        LOGGER.warning("a line\nand another: %s", "\x1b[2J")
+    LOGGER.error("later")
+    return capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("level", "count"), [("debug", 3), ("info", 2), ("warning", 1), ("error", 0), (None, 1)]
+)
+def test_messages_of_a_level_and_above_are_objects(
+    level: str | None, count: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    entries = [json.loads(line) for line in said(capsys, level, "json").splitlines()]
+    assert len(entries) == count
+    if entries:
+        last = entries[-1]
+        assert (last["level"], last["logger"]) == ("warning", "libmodbus_py.somewhere")
+        assert last["message"] == "a line\nand another: \x1b[2J"
+        assert datetime.fromisoformat(last["time"]).tzinfo == UTC
+
+
+def test_text_has_time_level_and_place(capsys: pytest.CaptureFixture[str]) -> None:
+    line = said(capsys, "info", None).splitlines()[0]
+    time, level, place, *words = line.split()
+    assert datetime.fromisoformat(time).tzinfo == UTC
+    assert (level, place, words) == ("info", "somewhere:", ["a", "connection"])
+
+
+@pytest.mark.parametrize("form", ["json", "text"])
+def test_an_exception_is_told_whole(form: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with logged(Namespace(log="info", log_format=form)):
+        try:
+            raise ValueError("wrong")
+        except ValueError:
+            LOGGER.exception("it failed")
+    told = capsys.readouterr().err
+    if form == "json":
+        assert told.count("\n") == 1
+        told = json.loads(told)["exception"]
+    assert told.rstrip().endswith("ValueError: wrong")
+
+
+def test_the_level_is_as_before_afterwards() -> None:
+    logger = logging.getLogger("libmodbus_py")
+    before = logger.level, list(logger.handlers)
+    with logged(Namespace(log="debug", log_format=None)):
+        assert logger.isEnabledFor(logging.DEBUG)
+    assert (logger.level, list(logger.handlers)) == before
+
+
+@pytest.fixture
+def device() -> Iterator[str]:
+    with Server(Device(Mapping(holding_registers=10))).background("tcp://127.0.0.1:0") as running:
+        yield running.urls[0]
+
+
+@pytest.mark.parametrize("name", ["serve", "gateway"])
+def test_servers_tell_where_they_listen_and_every_frame(name: str, device: str) -> None:
+    more = ["--to", device] if name == "gateway" else []
+    options = ["--log", "debug", "--log-format", "json"]
+    with Started(name, "tcp://127.0.0.1:0", *more, *options) as process:
+        url = process.stdout.readline().removeprefix("listening on ").rstrip("\n")
+        with Context.from_url(url) as plc:
+            plc.read_holding_registers(0, 1)
+        process.terminate()
+        assert process.wait() == 0
+        entries: list[Any] = [json.loads(line) for line in process.stderr]
+    assert any(each["message"] == f"listening on {url}" for each in entries)
+    frames = [each for each in entries if each["logger"] == "libmodbus_py.wire"]
+    assert frames[0]["message"].startswith(url)
+
+
+FLEET = """
+[[device]]
+name = "one"
+url = "{url}"
+[[device.point]]
+name = "volts"
+table = "holding_registers"
+address = 0
+"""
+
+
+def test_poll_prints_its_frames(device: str, tmp_path: Path) -> None:
+    file = tmp_path / "fleet.toml"
+    file.write_text(FLEET.format(url=device))
+    with Started("poll", file, "--once", "-v") as process:
+        lines = [line for line in process.stderr if "ReadHoldingRegisters" in line]
+        assert process.wait() == 0
+    assert [line.split()[1] for line in lines] == [">", "<"]
