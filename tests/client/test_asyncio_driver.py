@@ -99,7 +99,7 @@ def test_who_asks_at_the_same_time_goes_out_together() -> None:
     network.tap = tap
 
     async def main() -> None:
-        async with AsyncClient(peer.url) as plc:
+        async with AsyncClient(peer.url, max_in_flight=16) as plc:
             await plc.read_holding_registers(0, 1)
             sent.clear()
             await asyncio.gather(*(plc.read_holding_registers(each, 1) for each in range(8)))
