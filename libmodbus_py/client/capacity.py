@@ -115,12 +115,14 @@ class Capacity:
 
         A request that was alone and got no answer is no reason to hold others back.
         """
+        if self._peak < self.now:
+            return
         for pending, reply in replies:
             if isinstance(reply, bytes):
                 self._slowest = max(self._slowest, now - pending.sent)
             elif in_flight > 1:
                 return
-        if self._peak >= self.now and not (self.lost or self.is_on_trial):
+        if not (self.lost or self.is_on_trial):
             self._count += len(replies)
             if self._count >= self.now:
                 self._grow()
