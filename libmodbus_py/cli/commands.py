@@ -136,4 +136,6 @@ class _Parser(argparse.ArgumentParser):
         file.write(message)
 
     def error(self, message: str) -> NoReturn:
-        self.exit(2, f"{PROGRAM}: {message} (see {self.prog} --help)\n")
+        from ..protocol.plain import without_controls
+
+        self.exit(2, f"{PROGRAM}: {without_controls(message)} (see {self.prog} --help)\n")

@@ -39,7 +39,9 @@ def abandon() -> None:
 
 def complain(text: str) -> None:
     """Print a message to stderr, after the name of the program."""
-    print(f"{PROGRAM}: {text}", file=sys.stderr, flush=True)
+    from ..protocol.plain import without_controls
+
+    print(f"{PROGRAM}: {without_controls(text)}", file=sys.stderr, flush=True)
 
 
 def print_json(fields: dict[str, Any]) -> None:

@@ -1,5 +1,5 @@
 """
-Values as JSON can contain them.
+Values as JSON can contain them, and text as terminals can show it.
 """
 
 from __future__ import annotations
@@ -7,11 +7,15 @@ from __future__ import annotations
 import dataclasses
 import enum
 import math
+import re
 from typing import Any
 
 from .pdu import Request
 
-__all__ = ["plain"]
+__all__ = ["CONTROL", "plain", "without_controls"]
+
+CONTROL = re.compile(r"[\x00-\x09\x0b-\x1f\x7f-\x9f]")
+"""Control characters (Cc of Unicode) beside the line feed: terminals obey them."""
 
 
 def plain(value: Any) -> Any:
@@ -42,3 +46,8 @@ def plain(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [plain(each) for each in value]
     return value
+
+
+def without_controls(text: str) -> str:
+    """Return a text with ``\\x1b`` and so on in place of control characters, for terminals."""
+    return CONTROL.sub(lambda found: f"\\x{ord(found[0]):02x}", text)

@@ -4,12 +4,13 @@ A line for each poll, with the time: text, CSV or JSON.
 
 from __future__ import annotations
 
-import csv
 import sys
 from collections.abc import Callable, Sequence
 from datetime import datetime
 from typing import Any
 
+from ...protocol.plain import without_controls
+from ...tools.files.csv_text import csv_rows
 from ..output import print_json
 from .formatters import Formatter, ReadResult
 
@@ -54,7 +55,6 @@ class CsvPolls:
 
     def __init__(self, formatters: Sequence[Formatter]) -> None:
         self._titles = [title for formatter in formatters for title in formatter.titles()]
-        self._writer = csv.writer(sys.stdout, lineterminator="\n")
         self._begun = False
 
     def print(self, results: Sequence[ReadResult]) -> None:
@@ -67,9 +67,13 @@ class CsvPolls:
     def _write(self, cells: list[str]) -> None:
         if not self._begun:
             self._begun = True
-            self._writer.writerow(["time", *self._titles, "error"])
-        self._writer.writerow([_now(), *cells])
+            self._print(["time", *self._titles, "error"])
+        self._print([_now(), *cells])
         sys.stdout.flush()
+
+    def _print(self, cells: list[str]) -> None:
+        text = csv_rows([cells])
+        print(without_controls(text) if sys.stdout.isatty() else text, end="")
 
 
 def _cells(result: ReadResult) -> list[str]:

@@ -11,13 +11,14 @@ import csv
 import io
 import re
 import reprlib
-from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any, Literal, NamedTuple
 
 from ...protocol.mistakes import WrongValue
+from ...protocol.plain import CONTROL
 from .file_error import FileError, FilePlace
 
-__all__ = ["CELLS", "CsvRow", "CsvText", "number_in", "whole_in"]
+__all__ = ["CELLS", "CsvRow", "CsvText", "csv_rows", "number_in", "whole_in"]
 
 DELIMITERS = ",;\t|"
 
@@ -113,6 +114,24 @@ class CsvText:
 
 def _known(head: CsvRow | FileError, is_known: Callable[[str], bool]) -> int:
     return -1 if isinstance(head, FileError) else sum(map(is_known, head.cells))
+
+
+def csv_rows(rows: Iterable[Iterable[Any]]) -> str:
+    """
+    Return rows as CSV, with a line feed after each.
+
+    Cells with commas, quotes or line feeds are quoted (RFC 4180). If there is another control
+    character, every text of these rows is quoted, because readers differ in what ends a row.
+    """
+    rows = [*rows]
+    text = _written(rows, csv.QUOTE_MINIMAL)
+    return _written(rows, csv.QUOTE_NONNUMERIC) if CONTROL.search(text) else text
+
+
+def _written(rows: Iterable[Iterable[Any]], quoting: Literal[0, 2]) -> str:
+    text = io.StringIO(newline="")
+    csv.writer(text, lineterminator="\n", quoting=quoting).writerows(rows)
+    return text.getvalue()
 
 
 # --- cells ---------------------------------------------------------------------------

@@ -4,19 +4,21 @@ Readings as JSON and CSV.
 
 from __future__ import annotations
 
-import csv
-import io
 import json
+import re
 from collections.abc import Iterable
 from functools import lru_cache
 from typing import Any
 
 from ....protocol.plain import plain
+from ....tools.files.csv_text import csv_rows
 from ..readings import Reading, time_text
 
 __all__ = ["as_csv", "as_json", "payload"]
 
 _encode = json.JSONEncoder(ensure_ascii=False).encode
+
+_C1 = re.compile(r"[\x7f-\x9f]")
 
 _quoted = json.encoder.encode_basestring
 
@@ -43,7 +45,13 @@ def as_json(readings: Iterable[Reading]) -> bytes:
         + (f', "reason": {_quoted(reason)}}}\n' if reason else "}\n")
         for time, device, name, value, unit, quality, reason in readings
     ]
-    return "".join(lines).encode()
+    text = "".join(lines)
+    # The encoder escapes the other control characters.
+    return (_C1.sub(_escaped, text) if _C1.search(text) else text).encode()
+
+
+def _escaped(found: re.Match[str]) -> str:
+    return f"\\u{ord(found[0]):04x}"
 
 
 def _number(value: Any) -> str:
@@ -52,9 +60,14 @@ def _number(value: Any) -> str:
 
 def as_csv(readings: Iterable[Reading]) -> bytes:
     """Return a row of CSV for each reading, with the fields of `Reading` in their order."""
-    text = io.StringIO(newline="")
-    writer = csv.writer(text, lineterminator="\n")
-    for each in readings:
-        value = json.dumps(plain(each.value)) if isinstance(each.value, list) else each.value
-        writer.writerow((_time_text(each.time), *each[1:3], value, *each[4:]))
-    return text.getvalue().encode()
+    rows = [
+        (
+            _time_text(time),
+            device,
+            name,
+            json.dumps(plain(value)) if isinstance(value, list) else value,
+            *others,
+        )
+        for time, device, name, value, *others in readings
+    ]
+    return csv_rows(rows).encode()

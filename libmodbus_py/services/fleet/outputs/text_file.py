@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import BinaryIO
 
 from ....protocol.mistakes import WrongType
+from ....protocol.plain import without_controls
 from ..buffer import MOST_KEPT
 from ..readings import Reading
 from .output import OutputError
@@ -66,6 +67,7 @@ class TextFile:
         self._header = header
         self._quote = quote
         self._descriptor = -1
+        self._is_terminal = False
         self._thread = WriterThread(self.path)
 
     @property
@@ -95,10 +97,13 @@ class TextFile:
             else:
                 flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC
                 self._descriptor = os.open(self.path, flags, 0o666)
+            self._is_terminal = os.isatty(self._descriptor)
             self._put_whole(self._begin())
 
     def _write(self, data: bytes) -> None:
         with self._named():
+            if self._is_terminal:
+                data = without_controls(data.decode()).encode()
             if self._is_replaced():
                 self._close()
                 self._open()

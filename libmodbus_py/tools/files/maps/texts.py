@@ -4,14 +4,13 @@ Register maps as text, in the forms that files have.
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from collections.abc import Iterable
 from dataclasses import fields
 from typing import Any
 
 from ....maps.point import Point
+from ..csv_text import csv_rows
 
 __all__ = ["csv_text", "toml_text"]
 
@@ -30,11 +29,7 @@ def csv_text(points: Iterable[Point]) -> str:
     """Return points as CSV: a line for each, without paddings, which have no column in CSV."""
     said = [dict(_said(point)) for point in points]
     used = [key for key in _DEFAULTS if key != "padding" and any(key in keys for keys in said)]
-    text = io.StringIO(newline="")
-    csv.writer(text, lineterminator="\n").writerows(
-        [used, *([keys.get(key, "") for key in used] for keys in said)]
-    )
-    return text.getvalue()
+    return csv_rows([used, *([keys.get(key, "") for key in used] for keys in said)])
 
 
 def _said(point: Point) -> list[tuple[str, Any]]:

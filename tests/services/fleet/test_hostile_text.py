@@ -1,0 +1,148 @@
+"""
+Text from devices with quotes, line ends and control characters: each reader of a file gets the
+same text back, and a terminal obeys none of it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import csv
+import io
+import json
+import os
+import pty
+import tty
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from libmodbus_py import Device, Mapping
+from libmodbus_py.fleet import Reading
+from libmodbus_py.protocol.plain import without_controls
+from libmodbus_py.services.fleet.outputs.csv_output import CsvOutput
+from libmodbus_py.services.fleet.outputs.json_output import JsonOutput
+from libmodbus_py.services.fleet.outputs.text_file import TextFile
+from libmodbus_py.tools.files.csv_text import csv_rows
+from libmodbus_py.tools.testing.recording import ServerMaker
+from tests.support.cases import each_case
+from tests.support.commands import on_terminal, run
+
+CHARACTERS = [chr(code) for code in range(0xA0)] + ["\u2028", "\u2029", "\u202e", "é"]
+
+TEXTS = [
+    *CHARACTERS,
+    *(f"a{character}b" for character in CHARACTERS),
+    'a,"b"\r\nc',
+    "\x1b[31mred\x1b[0m",
+    "\x9b2J",
+]
+
+OBEYED = {chr(code) for code in [*range(0x20), *range(0x7F, 0xA0)]} - {"\n"}
+"""What a terminal obeys."""
+
+
+def reading(value: str) -> Reading:
+    return Reading(100.0, "a", "name", value, "m", "good")
+
+
+def written(output: TextFile, *readings: Reading) -> None:
+    async def go() -> None:
+        await output.open()
+        await output.write(readings)
+        await output.close()
+
+    asyncio.run(go())
+
+
+# --- files --------------------------------------------------------------------------------------
+
+
+@each_case("text", TEXTS)
+def test_readers_of_csv_get_the_text_back(text: str) -> None:
+    for rows in ([[text]], [["a", text, 1, None, 2.5]], [["x"], [text, text], ["y"]]):
+        written_text = csv_rows(rows)
+        told = [["" if cell is None else str(cell) for cell in row] for row in rows]
+        if any(row != [""] for row in told):
+            assert list(csv.reader(io.StringIO(written_text, newline=""), strict=True)) == told
+        # Control characters are in quotes, whatever a reader takes for the end of a row.
+        outside = "".join(written_text.split('"')[::2])
+        assert not OBEYED & set(outside)
+
+
+def test_the_files_of_fleets_hold_the_text(tmp_path: Path) -> None:
+    written(CsvOutput(str(tmp_path / "csv")), *map(reading, TEXTS))
+    with (tmp_path / "csv").open(newline="") as file:
+        assert [row[3] for row in csv.reader(file, strict=True)][1:] == TEXTS
+    written(JsonOutput(str(tmp_path / "json")), *map(reading, TEXTS))
+    told = (tmp_path / "json").read_bytes()
+    lines = told.decode().split("\n")[:-1]
+    assert [json.loads(line)["value"] for line in lines] == TEXTS
+    assert not OBEYED & set(told.decode())
+
+
+# --- terminals ----------------------------------------------------------------------------------
+
+
+def test_nothing_is_left_that_a_terminal_obeys() -> None:
+    assert not OBEYED & set(without_controls("".join(CHARACTERS)))
+    assert without_controls("\x1b[31m\x9b\r\n") == "\\x1b[31m\\x9b\\x0d\n"
+
+
+@contextlib.contextmanager
+def terminal() -> Iterator[Callable[[], str]]:
+    """Make the standard output a terminal; the function returns what it got."""
+    master, slave = pty.openpty()
+    tty.setraw(slave)
+    kept = os.dup(1)
+    os.dup2(slave, 1)
+    os.close(slave)
+    try:
+        yield lambda: os.read(master, 1 << 20).decode()
+    finally:
+        os.dup2(kept, 1)
+        os.close(kept)
+        os.close(master)
+
+
+@pytest.mark.parametrize("kind", [JsonOutput, CsvOutput])
+def test_a_fleet_shows_it_harmlessly(kind: type[JsonOutput | CsvOutput]) -> None:
+    with terminal() as read:
+        written(kind("-"), reading("\x1b[31mred\x9b2J\r"))
+        shown = read()
+    assert "[31mred" in shown
+    assert not OBEYED & set(shown)
+
+
+HOSTILE = "\x1b[5m\r\x07\x9b"
+
+
+@pytest.fixture
+def url() -> Iterator[str]:
+    text = HOSTILE.encode("latin-1") + b"x"
+    registers = [int.from_bytes(text[at : at + 2], "big") for at in range(0, len(text), 2)]
+    with ServerMaker() as maker:
+        yield maker(devices=Device(Mapping(holding_registers={0: registers}))).url
+
+
+WORDS = ["holding", "0", "--type", "string:8", "--encoding", "latin-1"]
+
+
+@each_case("form", [[], ["--csv"], ["--json"]])
+def test_read_shows_it_harmlessly(url: str, form: list[str]) -> None:
+    with on_terminal("read", url, *WORDS, *form) as terminal:
+        shown = terminal.read_to_end()
+    assert "5m" in shown
+    assert not OBEYED & set(shown.replace("\r\n", "\n"))
+
+
+def test_read_writes_csv_that_readers_understand(url: str) -> None:
+    rows = list(csv.reader(io.StringIO(run("read", url, *WORDS, "--csv").out, newline="")))
+    assert rows[1][1] == f"{HOSTILE}x"
+
+
+def test_messages_show_it_harmlessly(tmp_path: Path) -> None:
+    done = run("read", "127.0.0.1:1", "holding", "0", "--map", tmp_path / "\x1b[31m")
+    assert done.code != 0
+    assert not OBEYED & set(done.err)
