@@ -230,6 +230,9 @@ class Point:
         cells = self._encoded(value)
         if self.minimum is not None or self.maximum is not None:
             self._check_bounds_of(value)
+            if self._scaling is not None and self.step:
+                # 0.25 at a scale of 0.1 is written as 0.2.
+                self._check_bounds_of(self.values_in(cells)[0], value)
         return cells
 
     def cells_for(self, values: Iterable[Any]) -> list[Any]:
@@ -263,10 +266,11 @@ class Point:
             raise WrongValue("value", f"must be in {_span(*self.limits)}, not {shown(value)}")
         return raw
 
-    def _check_bounds_of(self, value: Any) -> None:
+    def _check_bounds_of(self, value: Any, given: Any = None) -> None:
         low, high = self.minimum, self.maximum
         if not _is_within(value, low, high):
-            raise WrongValue("value", f"must be in {_span(low, high)}, not {shown(value)}")
+            told = shown(value) if given is None else f"{shown(given)}, written as {shown(value)}"
+            raise WrongValue("value", f"must be in {_span(low, high)}, not {told}")
 
     # --- checks ------------------------------------------------------------------------------
 

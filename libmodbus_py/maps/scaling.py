@@ -19,6 +19,11 @@ __all__ = ["Scaling", "exact", "number"]
 
 # Far beyond any measured quantity, and small enough for exact arithmetic.
 LARGEST = 1e30
+
+# A float that has as many digits, and is the quotient of 1 and a whole number up to this one, is
+# the result of that division.
+DIGITS_OF_DIVISION = 14
+LARGEST_DIVISOR = 1_000_000
 SMALLEST = 1e-30
 
 
@@ -54,7 +59,7 @@ class Scaling:
     def __init__(self, scale: float, offset: float) -> None:
         if abs(number("scale", scale)) < SMALLEST:
             raise WrongValue("scale", f"must not be nearer to 0 than {SMALLEST:g}: {shown(scale)}")
-        times, plus = exact(scale), exact(number("offset", offset))
+        times, plus = exact_scale(scale), exact(number("offset", offset))
         self._divisor = math.lcm(times.denominator, plus.denominator)
         self._factor = int(times * self._divisor)
         self._shift = int(plus * self._divisor)
@@ -118,6 +123,23 @@ def exact(value: Any) -> Fraction:
         raise WrongValue("value", f"must be a finite number, not {value}")
     # str() of a Decimal is exact, too; Fractions have a numerator.
     return Fraction(str(value) if _is_exact(value) else repr(float(value)))
+
+
+def exact_scale(scale: float) -> Fraction:
+    """
+    Return a scale as it is written, and 1/n where a file has the divisor n, such as 3.
+
+    Raises:
+        TypeError, ValueError: as `exact`.
+    """
+    from fractions import Fraction
+
+    written = exact(scale)
+    divisor = round(1 / scale) if abs(scale) > 1 / LARGEST_DIVISOR else 0
+    # No text of a person has as many digits as the nearest float of a third.
+    if divisor and 1 / divisor == scale and len(str(written.numerator)) >= DIGITS_OF_DIVISION:
+        return Fraction(1, divisor)
+    return written
 
 
 def _is_exact(value: object) -> bool:
