@@ -112,7 +112,7 @@ class Endpoint:
         """
         if self.is_serial:
             return "serial", posixpath.normpath(self.device), 0
-        return "udp" if self.is_datagram else "tcp", self.host.lower(), self.port
+        return "udp" if self.is_datagram else "tcp", _one_spelling(self.host), self.port
 
     @property
     def serial_settings(self) -> dict[str, Any]:
@@ -147,6 +147,19 @@ class Endpoint:
 
 def _text(value: object) -> str:
     return "none" if value is None else str(value)
+
+
+def _one_spelling(host: str) -> str:
+    """Return a host as it is usually written: ::1 for 0:0:0:0:0:0:0:1, and names in lower case."""
+    if ":" not in host:
+        return host.lower()
+    from socket import AF_INET6, inet_ntop, inet_pton
+
+    address, percent, zone = host.partition("%")
+    try:
+        return f"{inet_ntop(AF_INET6, inet_pton(AF_INET6, address))}{percent}{zone}"
+    except OSError:
+        return host.lower()
 
 
 def parse(url: str) -> Endpoint:

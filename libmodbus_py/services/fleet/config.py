@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import MISSING, dataclass, field, fields
 from functools import lru_cache
@@ -25,11 +26,15 @@ __all__ = [
     "checked",
     "devices_from_json",
     "devices_to_json",
+    "label_name",
 ]
 
 SHORTEST_INTERVAL = 0.01
 
 LONGEST_NAME = 100
+
+OWN_LABELS = ("device", "name", "unit")
+"""Labels of metrics that are not those of a device."""
 
 # Seconds; a longer interval is taken to be a mistake.
 LONGEST_INTERVAL = 86_400.0
@@ -111,8 +116,19 @@ class DeviceConfig:
         self._check_dead_bands()
         if not isinstance(self.labels, Mapping):
             raise WrongType("labels", f"must be a table, not {type(self.labels).__name__}")
+        self._check_labels()
+
+    def _check_labels(self) -> None:
+        names: dict[str, str] = dict.fromkeys(OWN_LABELS, "of every metric")
         for key, value in self.labels.items():
             _text(("labels", key), value, 0)
+            name = label_name(key)
+            if not name or name.startswith("__"):
+                raise WrongValue.about(("labels", key), f"Prometheus takes no label {key!r}")
+            if name in names:
+                reason = f"in Prometheus, {name!r} is the label {names[name]}"
+                raise WrongValue.about(("labels", key), reason)
+            names[name] = f"of {key!r}"
 
     def _check_dead_bands(self) -> None:
         if not isinstance(self.dead_bands, Mapping):
@@ -138,6 +154,11 @@ class DeviceConfig:
             return self.map.plan(self.names, gap=self.gap, max_registers=self.max_registers)
         except ValueError as error:
             raise WrongValue.about("max_registers", f"{error}") from None
+
+
+def label_name(key: str) -> str:
+    """Return the name that a label has in Prometheus: other characters are written _ there."""
+    return re.sub(r"^(?=\d)|\W", "_", key, flags=re.ASCII)
 
 
 def readable(points: RegisterMap) -> tuple[str, ...]:

@@ -55,7 +55,7 @@ def device_rows(text: str, keys: Keys, kind: type[FileError]) -> Iterator[Device
         FileError: of class `kind`: the text is not CSV, or a row contains a mistake.
     """
     columns = [key.name for key in keys.values() if key.kind in CELLS or key.name == "map"]
-    opened = CsvText(text, lambda heading: _is_column(heading, columns), kind)
+    opened = CsvText(text, lambda heading: _is_column(heading, columns), kind, names_first=True)
     headings = opened.head.cells
     try:
         _check(headings, columns)

@@ -42,6 +42,7 @@ from typing import Any, NamedTuple, Protocol
 
 from ...client.statistics import TIME_BOUNDS, Statistics
 from ...server.limits import ServerStatistics
+from ..fleet.config import label_name
 from ..fleet.outputs.last_values import KeptReadings
 from ..fleet.readings import Reading
 from ..fleet.statistics import LATENESS_BOUNDS, FleetStatistics, OutputStatistics
@@ -233,10 +234,7 @@ def _of_readings(kept: KeptReadings) -> Values:
 
 def _labels_of(reading: Reading, labels: Mapping[str, Mapping[str, str]]) -> Labels:
     own = {"device": reading.device, "name": reading.name, "unit": reading.unit}
-    others = {
-        re.sub(r"^(?=\d)|\W", "_", key, flags=re.ASCII): value
-        for key, value in labels.get(reading.device, {}).items()
-    }
+    others = {label_name(key): value for key, value in labels.get(reading.device, {}).items()}
     return tuple({**others, **own}.items())
 
 

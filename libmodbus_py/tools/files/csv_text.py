@@ -2,7 +2,7 @@
 CSV as people and programs write it: one line with headings, then one row per line.
 
 Cells are separated by commas, semicolons, tabs or bars; empty lines, lines that begin with ``#``
-and a byte order mark are ignored.
+(in quotes it begins a cell) and a byte order mark are ignored.
 """
 
 from __future__ import annotations
@@ -42,6 +42,8 @@ class CsvText:
         is_known: returns True for a known heading. The delimiter is the one with the
             most of these.
         kind: the class of the errors.
+        names_first: True if the first cell may be a name such as ``#12``, which must be quoted,
+            because without quotes it could be a comment.
 
     Attributes:
         head: the row with the headings; without cells if there is none.
@@ -51,7 +53,14 @@ class CsvText:
         FileError: of `kind`: the text contains control characters, or is not CSV.
     """
 
-    def __init__(self, text: str, is_known: Callable[[str], bool], kind: type[FileError]) -> None:
+    def __init__(
+        self,
+        text: str,
+        is_known: Callable[[str], bool],
+        kind: type[FileError],
+        *,
+        names_first: bool = False,
+    ) -> None:
         if found := _CONTROL.search(text):
             line = text.count("\n", 0, found.start()) + 1
             reason = f"contains the control character {ord(found[0]):#04x}"
@@ -59,6 +68,8 @@ class CsvText:
         self._kind = kind
         # Excel begins a file with a byte order mark.
         self._text = text.removeprefix("\ufeff")
+        self._lines = re.split("\r\n|\r|\n", self._text)
+        self._names_first = names_first
         heads = [(delimiter, self._head(delimiter)) for delimiter in DELIMITERS]
         self.delimiter, head = max(heads, key=lambda each: _known(each[1], is_known))
         if isinstance(head, FileError):
@@ -107,9 +118,17 @@ class CsvText:
             if found is None:
                 return
             cells = [cell.strip() for cell in found]
-            if any(cells) and not cells[0].startswith("#"):
+            if any(cells) and not self._is_comment(cells, line):
                 yield CsvRow(line, cells)
             line = reader.line_num + 1
+
+    def _is_comment(self, cells: list[str], line: int) -> bool:
+        if not cells[0].startswith("#") or self._lines[line - 1].lstrip().startswith('"'):
+            return False
+        if self._names_first and len(cells) > 1 and re.match("#[0-9]", cells[0]):
+            reason = f"quote {cells[0]!r} if it is a name, or put a space behind the # of a comment"
+            raise self._kind((), reason, place=FilePlace(line=line))
+        return True
 
 
 def _known(head: CsvRow | FileError, is_known: Callable[[str], bool]) -> int:

@@ -65,9 +65,9 @@ class Mqtt:
         url: the URL of the broker, such as "mqtt://192.0.2.1" or "mqtts://broker.example:8883"
             (TLS).
         user, password: credentials of the broker; None for none.
-        topic: the topic of a reading, with {device} and {name}; in both, the characters
-            ``/ + # %`` are written %2F and so on.
-        status: the topic of the status; empty for none.
+        topic: the topic of a reading, with {device} and {name} on different levels; in both,
+            the characters ``/ + # %`` are written %2F and so on.
+        status: the topic of the status, which no reading may have; empty for none.
         retain: True if the broker keeps the last value of each topic.
         qos: 0, or 1 for readings that the broker must acknowledge.
         ca: a file with the certificate authorities to trust, for mqtts; those of the system
@@ -106,6 +106,8 @@ class Mqtt:
                 raise WrongType(key, f"must be true or false, not {flag!r}")
         self._topic = _topic(topic)
         self._status = _plain_topic("status", status)
+        if _pattern(self._topic).fullmatch(self._status):
+            raise WrongValue("status", f"must not be the topic of a reading: {status!r}")
         self._retain = retain
         self._qos = integer("qos", qos, 0, 1)
         if ca is not None and not self._is_secure:
@@ -273,8 +275,12 @@ def _topic(topic: object) -> str:
     assert isinstance(topic, str)
     if sorted(re.findall(r"\{.*?\}", topic)) != ["{device}", "{name}"]:
         raise WrongValue("topic", f"must hold {{device}} and {{name}} once, not {topic!r}")
-    if re.sub(r"\{(device|name)\}", "", topic).strip("/") == topic or "}{" in topic:
-        raise WrongValue.about("topic", f"{{device}} and {{name}} must stand apart: {topic!r}")
+    if set("{}") & set(re.sub(r"\{\w+\}", "", topic)):
+        raise WrongValue.about("topic", f"a brace belongs to neither name: {topic!r}")
+    if any("{device}" in level and "{name}" in level for level in topic.split("/")):
+        # "{device}-{name}" would be a-b-c for c of a-b and for b-c of a.
+        reason = f"{{device}} and {{name}} must stand apart, with / between them: {topic!r}"
+        raise WrongValue.about("topic", reason)
     return topic
 
 
