@@ -13,7 +13,7 @@ from importlib import import_module
 
 from ..version import __version__
 from .help import Help, tell_defaults
-from .output import PROGRAM
+from .output import PROGRAM, harmless
 
 TYPE_CHECKING = False  # typing alone takes a twentieth of what --version may
 if TYPE_CHECKING:
@@ -136,6 +136,4 @@ class _Parser(argparse.ArgumentParser):
         file.write(message)
 
     def error(self, message: str) -> NoReturn:
-        from ..protocol.plain import without_controls
-
-        self.exit(2, f"{PROGRAM}: {without_controls(message)} (see {self.prog} --help)\n")
+        self.exit(2, f"{PROGRAM}: {harmless(message)} (see {self.prog} --help)\n")

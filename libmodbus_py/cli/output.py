@@ -13,7 +13,11 @@ TYPE_CHECKING = False  # see commands
 if TYPE_CHECKING:
     from typing import Any
 
-__all__ = ["PROGRAM", "abandon", "complain", "counted", "prepare", "print_json", "styled"]
+# fmt: off
+__all__ = [
+    "PROGRAM", "abandon", "complain", "counted", "harmless", "prepare", "print_json", "styled",
+]
+# fmt: on
 
 PROGRAM = "libmodbus-py"
 
@@ -39,9 +43,16 @@ def abandon() -> None:
 
 def complain(text: str) -> None:
     """Print a message to stderr, after the name of the program."""
+    print(f"{PROGRAM}: {harmless(text)}", file=sys.stderr, flush=True)
+
+
+def harmless(text: str) -> str:
+    """Return a message without characters that control a terminal."""
+    if text.isprintable():  # mostly, and then nothing else needs to be imported
+        return text
     from ..protocol.plain import without_controls
 
-    print(f"{PROGRAM}: {without_controls(text)}", file=sys.stderr, flush=True)
+    return without_controls(text)
 
 
 def print_json(fields: dict[str, Any]) -> None:
