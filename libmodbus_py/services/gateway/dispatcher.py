@@ -14,6 +14,7 @@ from ...device.caller import Auditor, Caller, Executed
 from ...device.device import Device
 from ...device.rules import Allow
 from ...ports.endpoint import Endpoint
+from ...ports.hosts import is_loopback
 from ...protocol.errors import (
     ExceptionResponse,
     GatewayPathUnavailable,
@@ -238,15 +239,21 @@ class Dispatcher:
     def _broadcast(
         self, session: ForwardingSession, frame: Frame, request: RequestBytes
     ) -> bytes | None:
-        """Send a write to all lines; refuse other requests, which would get no response."""
-        if not request.is_write:
+        """
+        Send a write to all lines, if the rules of all routes allow it.
+
+        Other requests are refused, because they would get no response.
+        """
+        routes = self.answering.routes.values()
+        lines = [line for line in {route.line: None for route in routes} if not session.is_at(line)]
+        if not request.is_write or not lines:
             return self._refuse_route(session, frame.pdu)
-        routes = {route.line: route for route in self.answering.routes.values()}
-        for route in routes.values():
-            if code := self._check(session, 0, request, route.allow):
+        # A unit of each route would carry it out. `Allow` has no hash.
+        for allow in {id(route.allow): route.allow for route in routes}.values():
+            if code := self._check(session, 0, request, allow):
                 return self._exception(session, frame.pdu, code)
         self.statistics.broadcasts += 1
-        Broadcast(session, frame, request, self.now()).ask(list(routes))
+        Broadcast(session, frame, request, self.now()).ask(lines)
         return None
 
 
@@ -329,6 +336,7 @@ class ForwardingSession(Framed):
         self.holder: CertificateHolder | None = channel.holder
         self.host: Hashable = host_of(channel.address)
         self.statistics = statistics
+        self._peer_host = channel.address.rpartition(":")[0].strip("[]")
         self.has_ids: bool = endpoint.has_transactions
         self.is_line: bool = endpoint.is_serial
         self._dispatcher = dispatcher
@@ -338,6 +346,15 @@ class ForwardingSession(Framed):
     def caller(self, unit: int) -> Caller:
         """Return the origin of a request to a unit."""
         return Caller(unit, self.peer, role=self.role, holder=self.holder)
+
+    def is_at(self, line: GatewayLine) -> bool:
+        """
+        Return True if a line leads to the machine of this client, such as another gateway.
+
+        A broadcast that goes back to it would be sent from one to the other for ever. On this
+        machine nothing tells clients from devices.
+        """
+        return line.host == self._peer_host and not is_loopback(self._peer_host)
 
     def record(
         self, unit: int, request: RequestBytes, response: bytes, *, is_change: bool = True

@@ -151,6 +151,7 @@ class GatewayLine:
         self._loop = asyncio.get_running_loop()
         self.url: str = str(endpoint)
         self.key: str = endpoint.url
+        self.host: str = endpoint.host
         self.has_broadcast: bool = not self._client.has_ids
         self.statistics: LineStatistics = LineStatistics(self.url, self._client.statistics)
         queues = [FairByHost[Forwarded](options.queue, MOST_WAITING) for _ in range(2)]

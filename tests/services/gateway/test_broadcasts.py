@@ -10,6 +10,7 @@ from libmodbus_py import (
     Context,
     GatewayPathUnavailable,
     GatewayTargetFailedToRespond,
+    IllegalFunction,
     Route,
     Server,
 )
@@ -85,3 +86,38 @@ def test_unit_0_of_a_line_may_have_a_route(stage: Stage) -> None:
             assert stage.until(lambda unit=unit: device.mapping.holding_registers[0] == unit + 1)
             with pytest.raises(GatewayTargetFailedToRespond):
                 context.for_unit(unit).read_holding_registers(0, 1)
+
+
+def test_the_rules_of_all_routes_of_a_line_hold_for_a_broadcast(stage: Stage) -> None:
+    """It reaches the units of all of them, also of routes that come before on the same line."""
+    devices = [small(), small()]
+    routes = [Route(LINE, "1", read_only=True), Route(LINE, "2")]
+    for order in (routes, routes[::-1]):
+        with (
+            Server({1: devices[0], 2: devices[1]}).background(LINE),
+            gateway(order) as (made, url),
+            Context.from_url(url, unit=0, timeout=5) as context,
+        ):
+            with pytest.raises(IllegalFunction):
+                context.write_register(0, 7)
+            stage.pass_time(1)
+            assert [each.mapping.holding_registers[0] for each in devices] == [0, 0]
+            assert made.traffic.broadcasts == 0
+
+
+def test_a_broadcast_does_not_go_back_to_the_machine_that_sent_it(stage: Stage) -> None:
+    """Two gateways that lead to each other would send it for ever."""
+    device = small()
+    sent: list[bytes] = []
+    other = Scripted(stage, "tcp://10.0.0.9:0", lambda request, write: sent.append(request))
+    with (
+        Server({1: device}).background(LINE),
+        gateway([Route(LINE, "1"), Route(other.url, "2")], "tcp://10.0.0.1:0") as (_, url),
+        stage.talk(url, "10.0.0.9") as gateway_there,
+    ):
+        write = bytes.fromhex("0007 0000 0006 00 06 0000 0007")
+        gateway_there.send(write)
+        assert gateway_there.receive(len(write)) == write
+        stage.pass_time(1)
+        assert device.mapping.holding_registers[0] == 7
+        assert sent == []
