@@ -69,7 +69,12 @@ async def _direct(world: World, url: str, numbers: range, timeout: float, most: 
     tasks = world.options.clients
     count = 1 if is_line else most
     # Waiting for others' requests does not count: for their ends before a new connection is made.
-    limit = (3 * one + 2 * timeout) * tasks if is_line else (one if count == tasks else 2 * one)
+    # Nor does a trial: what is lost beside others is asked again alone, when these have ended, and
+    # others wait meanwhile.
+    beside_others = 2 * one + 4 * timeout
+    limit = (
+        (3 * one + 2 * timeout) * tasks if is_line else (one if count == tasks else beside_others)
+    )
     async with _clients(url, count, timeout=timeout, retries=retries) as plcs:
         asks = [partial(_ask, world, plcs[number % len(plcs)], limit) for number in range(tasks)]
         await _play(world, asks, numbers)
@@ -152,7 +157,10 @@ async def _past_silent_unit(world: World) -> None:
         world.bus("/dev/line", numbers, timeout, 19_200)
         url = f"rtu:///dev/line?baudrate=19200&timeout={timeout}"
     else:
-        url = world.host("tcp://10.0.0.1", numbers, timeout) + f"?timeout={timeout}"
+        # With a given number, a request that is lost beside others is not asked again alone, which
+        # happens before the line knows that the unit is silent.
+        place = world.host("tcp://10.0.0.1", numbers, timeout)
+        url = f"{place}?timeout={timeout}&max_in_flight=16"
     world.units[0].behaviour = replace(world.units[0].behaviour, silent=1.0)
     world.witness.resting[1] = Rest(timeout)
     async with (
@@ -245,7 +253,8 @@ def _blocking(world: World) -> None:
     else:
         url = world.host(f"{kind}://10.0.0.1", numbers, timeout)
     retries = world.random.choice([0, 2])
-    limit = (timeout if kind == "tcp" else 5 * timeout) * (1 + retries)
+    # poll counts milliseconds, for each attempt anew.
+    limit = ((timeout if kind == "tcp" else 5 * timeout) + 0.001) * (1 + retries)
     witness, until = world.witness, world.events.now + world.options.seconds
     context = Context.from_url(url, native=False, timeout=timeout, retries=retries)
     with contextlib.closing(context):
