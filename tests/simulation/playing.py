@@ -66,10 +66,14 @@ class Failure:
         return self.error.rule if isinstance(self.error, Broken) else type(self.error).__name__
 
 
-def recorded() -> list[Options]:
-    """Return the runs that failed once, oldest first."""
+def recorded(*, still: bool = False) -> list[Options]:
+    """Return the runs that failed once, oldest first; or those that still do."""
     found = json.loads(Path(__file__).with_name("seeds.json").read_text())
-    return [Options(**{**each["run"], "faults": tuple(each["run"]["faults"])}) for each in found]
+    return [
+        Options(**{**each["run"], "faults": tuple(each["run"]["faults"])})
+        for each in found
+        if each.get("still", False) is still
+    ]
 
 
 def play(options: Options) -> World:
