@@ -68,7 +68,7 @@ class _Handler(logging.StreamHandler[Any]):
 
 
 class TextFormatter(logging.Formatter):
-    """Time, level, logger without the name of the package, and message; others lines follow."""
+    """Time, level, logger without the name of the package, and message; an exception below."""
 
     def format(self, record: logging.LogRecord) -> str:
         name = record.name.removeprefix(f"{PACKAGE}.")

@@ -16,7 +16,7 @@ from typing import Any, cast
 import pytest
 
 from libmodbus_py import Fleet
-from libmodbus_py.fleet import Reading
+from libmodbus_py.fleet import OutputStatistics, Reading
 from libmodbus_py.services.fleet.buffer import Buffer
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from libmodbus_py.services.fleet.outputs.nats import Nats
@@ -66,6 +66,23 @@ async def pumped(output: Output, readings: Sequence[Reading], most: int = 10_000
     return pump
 
 
+def after_refusals(output: Picky, readings: list[Reading], count: int) -> OutputStatistics:
+    """Write readings to an output that refuses so many times, then takes all; return the counts."""
+
+    async def go() -> OutputStatistics:
+        pump = Pump(output)
+        pump.buffer.put(readings)
+        pump.start()
+        await until(lambda: pump.statistics.failures >= count)
+        output.refused = ()
+        await until(lambda: not pump.buffer)
+        pump.close()
+        await pump.ended()
+        return pump.statistics
+
+    return simulated_run(go())
+
+
 def test_a_poll_that_can_never_be_written_is_dropped_and_the_others_are_written(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
@@ -82,36 +99,14 @@ def test_a_poll_that_can_never_be_written_is_dropped_and_the_others_are_written(
 def test_readings_that_fail_once_for_whatever_reason_are_not_dropped() -> None:
     output = Picky(refused=("a",), error=RuntimeError("a bug"))
 
-    async def go() -> Pump:
-        pump = Pump(output)
-        pump.buffer.put([reading("a", "one")])
-        pump.start()
-        await until(lambda: pump.statistics.failures > 0)
-        output.refused = ()
-        await until(lambda: not pump.buffer)
-        pump.close()
-        await pump.ended()
-        return pump
-
-    statistics = simulated_run(go()).statistics
+    statistics = after_refusals(output, [reading("a", "one")], 1)
     assert (statistics.dropped, statistics.written) == (0, 1)
 
 
 def test_what_fails_for_the_moment_is_never_dropped() -> None:
     output = Picky(refused=("a",), error=OSError(errno.ENOSPC, "full"))
 
-    async def go() -> Pump:
-        pump = Pump(output)
-        pump.buffer.put([reading("a", "one"), reading("b", "one")])
-        pump.start()
-        await until(lambda: pump.statistics.failures > 4)
-        output.refused = ()
-        await until(lambda: not pump.buffer)
-        pump.close()
-        await pump.ended()
-        return pump
-
-    statistics = simulated_run(go()).statistics
+    statistics = after_refusals(output, [reading("a", "one"), reading("b", "one")], 5)
     assert (statistics.dropped, statistics.written) == (0, 2)
 
 
