@@ -11,6 +11,7 @@ import errno
 import math
 import os
 import socket
+import struct
 import time
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from .endpoint import Endpoint
     from .making import PortSettings
 
-__all__ = ["SocketPort", "TcpPort", "UdpPort"]
+__all__ = ["SocketPort", "TcpPort", "UdpPort", "keep_alive"]
 
 # Room for the answers to all requests usually in flight, and small enough for one turn.
 READ_SIZE = 16_384
@@ -141,6 +142,17 @@ class SocketPort(Port):
             self._connecting = None
 
 
+def keep_alive(made: socket.socket, seconds: float) -> None:
+    """Make the system probe the other side of a TCP connection after so much silence."""
+    made.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    for option, value in (
+        (socket.TCP_KEEPIDLE, math.ceil(seconds)),
+        (socket.TCP_KEEPINTVL, math.ceil(seconds / 3)),
+        (socket.TCP_KEEPCNT, 3),
+    ):
+        made.setsockopt(socket.IPPROTO_TCP, option, value)
+
+
 def _connecting(made: socket.socket, address: Any, deadline: float) -> Steps[None]:
     made.setblocking(False)
     number = made.connect_ex(address)
@@ -148,8 +160,26 @@ def _connecting(made: socket.socket, address: Any, deadline: float) -> Steps[Non
         if not (yield Ready(made.fileno(), WRITE, deadline)):
             raise TimeoutError(errno.ETIMEDOUT, os.strerror(errno.ETIMEDOUT))
         number = made.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
+    if number == 0 and _is_own(made):
+        if made.type == socket.SOCK_STREAM:  # reset: an orderly end keeps the port for a minute
+            made.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        number = errno.ECONNREFUSED
     if number:
         raise OSError(number, os.strerror(number))
+
+
+def _is_own(made: socket.socket) -> bool:
+    """
+    Return True if a socket is connected to itself.
+
+    It happens where nothing listens on a port of this machine, and the system chooses that same
+    port for the client (RFC 9293, 3.5).
+    """
+    try:
+        return bool(made.getsockname()[:2] == made.getpeername()[:2])
+    except OSError as error:  # the other side has reset the connection already
+        of_system(error)
+        return False
 
 
 class TcpPort(SocketPort):
@@ -180,13 +210,12 @@ class TcpPort(SocketPort):
         self.has_unsent: bool = False
         made.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         if self._keepalive is not None:
-            made.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-            for option, value in (
-                (socket.TCP_KEEPIDLE, math.ceil(self._keepalive)),
-                (socket.TCP_KEEPINTVL, math.ceil(self._keepalive / 3)),
-                (socket.TCP_KEEPCNT, 3),
-            ):
-                made.setsockopt(socket.IPPROTO_TCP, option, value)
+            keep_alive(made, self._keepalive)
+
+    def detach(self) -> socket.socket:
+        """Return the socket of an open port, which from now on belongs to the caller."""
+        self.descriptor = -1
+        return self._socket
 
     def receive(self) -> list[bytes]:
         try:
