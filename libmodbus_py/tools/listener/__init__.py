@@ -13,6 +13,7 @@ Listens to what others say on a line, and pairs it into transactions.
     summary        counts: units, functions, answer times, errors
     source         where bytes come from: what all have in common, and a serial port
     tap            between: passes bytes on, both ways, and shows them
+    link           ... one connection of a tap
     capture        pcapng, written so that Wireshark decodes it, and read again
     listener       listen(url): an iterator, blocking and asyncio
 """

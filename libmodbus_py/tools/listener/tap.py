@@ -7,21 +7,21 @@ so that a slow listener delays no device.
 
 from __future__ import annotations
 
-import contextlib
 import errno
 import logging
-import select
 import socket
 import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 
 from ...ports.endpoint import Endpoint
 from ...ports.listening import listen_on, reason
 from ...ports.names import start_thread
-from ...ports.waiting import Waker
+from ...ports.waiting import Waker, Woken
 from ...protocol.errors import ModbusConnectionError
+from .link import TapLink, shut_down
 from .separator import Direction
 from .source import TimedBytes
 
@@ -29,7 +29,7 @@ __all__ = ["MAX_LINKS", "Tap"]
 
 logger: logging.Logger = logging.getLogger(__name__)
 
-# The number of connections at once; more are refused.
+# The number of connections at once; for one more, the one that has been idle longest ends.
 MAX_LINKS = 64
 
 # Bytes that are kept for the listener; more are passed on without being kept.
@@ -37,10 +37,6 @@ MAX_UNSEEN = 1 << 20
 
 # The memory of a piece apart from its bytes.
 PIECE_COST = 100
-
-CONNECT_TIMEOUT = 10.0
-
-READ_SIZE = 65_536
 
 
 class Tap:
@@ -66,7 +62,7 @@ class Tap:
         self._lock = threading.RLock()
         self._pieces: deque[TimedBytes] = deque()
         self._unseen = 0
-        self._links: dict[int, tuple[socket.socket, ...]] = {}
+        self._links: dict[int, TapLink] = {}
         self._count = 0
         self._is_closed = False
         self._listeners: list[socket.socket] = []
@@ -103,15 +99,14 @@ class Tap:
         """Close all connections; any number of times."""
         with self._lock:
             self._is_closed = True
-            for ends in self._links.values():
-                for end in ends:
-                    _shut_down(end)
+            for link in self._links.values():
+                link.end()
             self._close_listeners()
             self._waker.close()
 
     def _close_listeners(self) -> None:
         for each in self._listeners:
-            _shut_down(each)  # which ends the wait of its thread
+            shut_down(each)  # which ends the wait of its thread
             each.close()
 
     # --- in threads -------------------------------------------------------------------------
@@ -129,65 +124,47 @@ class Tap:
 
     def _begin(self, client: socket.socket) -> None:
         with self._lock:
-            if self._is_closed or len(self._links) >= MAX_LINKS:
+            try:
+                if self._is_closed:
+                    raise OSError(errno.EBADF, "closed")
+                link = TapLink(client, self._clock)
+            except OSError:  # or no descriptor is left
                 client.close()
                 return
+            self._make_room()
             self._count += 1
             number = self._count
-            self._links[number] = (client,)
-        thread = threading.Thread(target=self._link, args=(number, client), daemon=True)
+            self._links[number] = link
+        thread = threading.Thread(target=self._follow, args=(number, link), daemon=True)
         try:
             thread.start()
         except RuntimeError:  # no thread is left
-            self._end(number, client)
+            self._end(number, link)
 
-    def _link(self, number: int, client: socket.socket) -> None:
-        ends = [client]
+    def _make_room(self) -> None:
+        """End the connection that has been idle longest, if there are as many as allowed."""
+        if len(self._links) >= MAX_LINKS:
+            longest = min(self._links, key=lambda number: self._links[number].active_at)
+            self._links.pop(longest).end()
+
+    def _follow(self, number: int, link: TapLink) -> None:
         try:
-            place = self._target.host, self._target.port
-            server = socket.create_connection(place, timeout=CONNECT_TIMEOUT)
-            ends.append(server)
-            with self._lock:
-                if self._is_closed:
-                    return
-                self._links[number] = client, server
-            for end in ends:
-                end.settimeout(None)
-                end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                end.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-            self._carry(number, client, server)
-        except OSError as error:
-            if not self._is_closed and len(ends) == 1:
-                logger.warning("cannot connect to %s: %s", self._target, error)
+            link.connect(self._target)
+            link.carry(partial(self._passed, number))
+        except ModbusConnectionError as error:
+            logger.warning("%s", error)
+        except (OSError, Woken):
+            pass
         finally:
-            self._end(number, *ends)
+            self._end(number, link)
 
-    def _carry(self, number: int, client: socket.socket, server: socket.socket) -> None:
-        poll = select.poll()
-        ways: dict[int, tuple[Direction, socket.socket, socket.socket]] = {
-            client.fileno(): ("client", client, server),
-            server.fileno(): ("server", server, client),
-        }
-        for descriptor in ways:
-            poll.register(descriptor, select.POLLIN)
-        while ways:
-            for descriptor, _ in poll.poll():
-                sender, source, sink = ways[descriptor]
-                data = source.recv(READ_SIZE)
-                at = self._clock()
-                if not data:
-                    poll.unregister(descriptor)
-                    del ways[descriptor]
-                    _shut_down(sink, socket.SHUT_WR)
-                    continue
-                sink.sendall(data)
-                self._show(TimedBytes(number, sender, at, data))
+    def _passed(self, number: int, sender: Direction, at: float, data: bytes) -> None:
+        self._show(TimedBytes(number, sender, at, data))
 
-    def _end(self, number: int, *ends: socket.socket) -> None:
+    def _end(self, number: int, link: TapLink) -> None:
         with self._lock:
             self._links.pop(number, None)
-            for end in ends:
-                end.close()
+            link.close()
         self._show(TimedBytes(number, "client", self._clock(), b""))
 
     def _show(self, piece: TimedBytes) -> None:
@@ -198,8 +175,3 @@ class Tap:
             self._unseen += cost
             self._pieces.append(piece)
             self._waker.wake()
-
-
-def _shut_down(end: socket.socket, how: int = socket.SHUT_RDWR) -> None:
-    with contextlib.suppress(OSError):
-        end.shutdown(how)

@@ -1,0 +1,127 @@
+"""
+The connections through a tap: all of them end, whoever falls silent, and none keeps others out.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import threading
+import time
+from collections.abc import Iterator
+
+import pytest
+
+from libmodbus_py.listen import listen
+from libmodbus_py.ports.endpoint import parse
+from libmodbus_py.tools.listener import link, tap
+from libmodbus_py.tools.listener.link import TapLink
+from tests.support.peers import dead, until
+
+Ends = tuple[socket.socket, socket.socket]
+
+
+class Tapped:
+    """A tap, its clients, and the device's end of each connection."""
+
+    def __init__(self) -> None:
+        self._stack = contextlib.ExitStack()
+        self._device = self._stack.enter_context(socket.create_server(("127.0.0.1", 0)))
+        url = f"rtu+tcp://127.0.0.1:{self._device.getsockname()[1]}"
+        self._line = self._stack.enter_context(listen("rtu+tcp://127.0.0.1:0", between=url))
+
+    def connected(self) -> Ends:
+        """Return both ends of a new connection."""
+        port = int(self._line.url.rpartition(":")[2])
+        client = self._stack.enter_context(socket.create_connection(("127.0.0.1", port), 30))
+        self._device.settimeout(30)
+        device = self._stack.enter_context(self._device.accept()[0])
+        device.settimeout(30)
+        return client, device
+
+    def close(self) -> None:
+        self._stack.close()
+
+
+@pytest.fixture
+def tapped() -> Iterator[Tapped]:
+    with contextlib.closing(Tapped()) as made:
+        yield made
+
+
+def passes(ends: Ends) -> bool:
+    client, device = ends
+    client.sendall(b"?")
+    device.sendall(b"!")
+    return (device.recv(9), client.recv(9)) == (b"?", b"!")
+
+
+def flood(client: socket.socket) -> None:
+    while True:
+        client.sendall(bytes(1_000_000))
+
+
+def test_one_that_is_idle_ends_at_both_sides(
+    tapped: Tapped, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(link, "IDLE", 0.05)
+    client, device = tapped.connected()
+    assert (client.recv(1), device.recv(1)) == (b"", b"")
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_one_that_a_side_has_left_waits_less_for_the_other(
+    first: int, tapped: Tapped, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(link, "LEAVING", 0.05)
+    ends = tapped.connected()
+    assert passes(ends)
+    ends[first].shutdown(socket.SHUT_WR)
+    assert ends[1 - first].recv(1) == b""
+    assert ends[first].recv(1) == b""
+
+
+def test_a_side_that_takes_nothing_ends_it(tapped: Tapped, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(link, "LEAVING", 0.05)
+    client, _ = tapped.connected()
+    with pytest.raises(ConnectionError):
+        flood(client)
+
+
+def test_the_one_that_was_idle_longest_makes_room(
+    tapped: Tapped, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tap, "MAX_LINKS", 2)
+    first, second = tapped.connected(), tapped.connected()
+    assert passes(second)
+    assert passes(first)
+    third = tapped.connected()
+    assert passes(third)
+    assert passes(first)
+    assert (second[0].recv(1), second[1].recv(1)) == (b"", b"")
+
+
+def test_closing_ends_one_that_is_being_connected() -> None:
+    with dead() as port:
+        line = listen("rtu+tcp://127.0.0.1:0", between=f"rtu+tcp://127.0.0.1:{port}")
+        place = "127.0.0.1", int(line.url.rpartition(":")[2])
+        before = threading.active_count()
+        with socket.create_connection(place, 30) as client:
+            until(lambda: threading.active_count() > before)  # it has a thread
+            line.close()
+            assert client.recv(1) == b""
+
+
+def test_the_system_probes_both_sides() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        other = socket.create_connection(server.getsockname())
+        carried = TapLink(server.accept()[0], time.monotonic)
+        carried.connect(parse(f"rtu+tcp://127.0.0.1:{server.getsockname()[1]}"))
+        device = server.accept()[0]
+        other.close()
+        device.close()
+        carried.carry(lambda *_: None)
+        for end in carried._ends:
+            assert end.getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE) == 1
+            assert end.getsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE) == link.KEEPALIVE
+        carried.close()
