@@ -49,6 +49,7 @@ class Public:
 
         Raises:
             AttributeError: the stub does not have the name.
+            ImportError: its module fails with an AttributeError, or does not have it.
         """
         if home := self._homes.get(name):
             value = self._value(*home)
@@ -69,7 +70,12 @@ class Public:
 
     def _value(self, module: str, name: str) -> object:
         # The name is that of an attribute or of a module, as after "from".
-        return getattr(__import__(self._package + module, fromlist=(name,)), name)
+        try:
+            return getattr(__import__(self._package + module, fromlist=(name,)), name)
+        except AttributeError as error:
+            # Python's "from" would hide it, and name the package, which has the name.
+            text = f"cannot import {self._package}{module}: {error}"
+            raise ImportError(text) from error
 
 
 def _imports(stub: str) -> Iterator[tuple[str, str, str]]:
