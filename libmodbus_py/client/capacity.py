@@ -198,9 +198,9 @@ class Capacity:
         """Log once that the number fell."""
         if self._most < self._most_ever and not self._was_told:
             self._was_told = True
-            import logging
+            from ..protocol.logs import HarmlessLogger
 
-            logging.getLogger(__name__).warning(
+            HarmlessLogger(__name__).warning(
                 "%s: requests beside others stay without an answer that comes to one alone; "
                 "%d in flight from now on (max_in_flight sets the number)",
                 self._place,

@@ -6,18 +6,18 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import logging
 import os
 import termios
 from pathlib import Path
 from typing import Any
 
 from ..protocol.errors import ModbusConnectionError
+from ..protocol.logs import HarmlessLogger
 from .serial import SerialPort, set_odd_baudrate
 
 __all__ = ["ReadOnlySerialPort"]
 
-logger: logging.Logger = logging.getLogger(__name__)
+logger: HarmlessLogger = HarmlessLogger(__name__)
 
 _PARITIES = {"N": 0, "E": termios.PARENB, "O": termios.PARENB | termios.PARODD}
 _DATA_BITS = {bits: getattr(termios, f"CS{bits}") for bits in (5, 6, 7, 8)}

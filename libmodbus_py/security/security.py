@@ -5,7 +5,6 @@ The own certificate and key, and the certificates that are trusted.
 from __future__ import annotations
 
 import contextlib
-import logging
 import math
 import os
 import ssl
@@ -14,6 +13,7 @@ import weakref
 from collections.abc import Iterable
 from typing import Any
 
+from ..protocol.logs import HarmlessLogger
 from .acceptance import Acceptance
 from .files import File, place_of
 from .loaded import Loaded, SecurityFiles
@@ -21,7 +21,7 @@ from .tunnel import Tunnel, expiry, name_of
 
 __all__ = ["Security", "reload_all"]
 
-logger: logging.Logger = logging.getLogger(__name__)
+logger: HarmlessLogger = HarmlessLogger(__name__)
 
 DAY = 86_400
 

@@ -6,14 +6,14 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import logging
 from collections.abc import Callable, Iterator
 
+from ...protocol.logs import HarmlessLogger
 from ...server.audit import Audit, AuditFile
 
 __all__ = ["add_arguments", "audited"]
 
-logger: logging.Logger = logging.getLogger(__name__)
+logger: HarmlessLogger = HarmlessLogger(__name__)
 
 
 def add_arguments(command: argparse.ArgumentParser) -> None:

@@ -7,13 +7,13 @@ from __future__ import annotations
 import argparse
 import asyncio
 import contextlib
-import logging
 import math
 import signal
 import time
 from collections.abc import Callable, Coroutine, Sequence
 from typing import Any, TypeVar
 
+from ...protocol.logs import HarmlessLogger
 from ...server.signals import Handler, signal_handlers
 from ...services.engine.buckets import Bucket, make_bucket, open_bucket
 from ...services.engine.connection import connected, disconnect, parse_servers
@@ -36,7 +36,7 @@ from .readiness import notify_ready
 
 __all__ = ["add_arguments", "add_command", "poll"]
 
-logger: logging.Logger = logging.getLogger(__name__)
+logger: HarmlessLogger = HarmlessLogger(__name__)
 
 ENGINE = "nats://HOST[,nats://HOST...]"
 

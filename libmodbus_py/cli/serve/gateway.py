@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import argparse
 import inspect
-import logging
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
@@ -14,6 +13,7 @@ from typing import Any
 
 from ...client.asynchronous import IN_FLIGHT, MAX_PAUSE
 from ...ports.schemes import CLIENT_OPTIONS, SCHEMES, SECURITY_OPTIONS, SERIAL_OPTIONS
+from ...protocol.logs import HarmlessLogger
 from ...services.gateway import config
 from ...services.gateway.gateway import Gateway
 from ...services.gateway.routes import Route, parse_route
@@ -29,7 +29,7 @@ from .hangup import is_secure, unless_closed
 
 __all__ = ["add_command"]
 
-logger: logging.Logger = logging.getLogger(__name__)
+logger: HarmlessLogger = HarmlessLogger(__name__)
 
 OPTIONS = ("own_units", "queue", "longest_wait", "writes_first")
 """Arguments of `Gateway` that a gateway file contains too."""

@@ -5,18 +5,18 @@ SIGHUP: read files and certificates again, or end when the terminal was closed.
 from __future__ import annotations
 
 import contextlib
-import logging
 import os
 import signal
 import threading
 from collections.abc import Callable, Iterable, Iterator
 
 from ...ports.endpoint import parse
+from ...protocol.logs import HarmlessLogger
 from ...security.security import reload_all
 
 __all__ = ["is_secure", "noted", "unless_closed"]
 
-logger: logging.Logger = logging.getLogger(__name__)
+logger: HarmlessLogger = HarmlessLogger(__name__)
 
 
 def is_secure(urls: Iterable[str]) -> bool:

@@ -7,7 +7,6 @@ from __future__ import annotations
 import argparse
 import asyncio
 import contextlib
-import logging
 import resource
 import signal
 import sys
@@ -15,6 +14,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+from ...protocol.logs import HarmlessLogger
 from ...server.garbage import frozen_garbage
 from ...server.signals import Handler, signal_handlers
 from ...services.fleet.config import DeviceConfig
@@ -38,7 +38,7 @@ from .readiness import notify_ready
 
 __all__ = ["add_command"]
 
-logger: logging.Logger = logging.getLogger(__name__)
+logger: HarmlessLogger = HarmlessLogger(__name__)
 
 REDRAWN = 1.0
 """Seconds between two states of the status line."""

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-import logging
 import re
 from typing import Any
 
@@ -19,9 +18,11 @@ from nats.aio.client import Client
 from nats.aio.msg import Msg
 from nats.protocol.parser import PERMISSIONS_ERR, Parser
 
+from ...protocol.logs import HarmlessLogger
+
 __all__ = ["SteadyClient"]
 
-logger: logging.Logger = logging.getLogger(__name__)
+logger: HarmlessLogger = HarmlessLogger(__name__)
 
 # Bytes of a line, and of a message: nats-server allows no more.
 LONGEST_LINE = 1 << 20

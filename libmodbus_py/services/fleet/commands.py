@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-import logging
 import math
 import re
 import time
@@ -15,12 +14,13 @@ from typing import Any, NamedTuple, Protocol
 from weakref import WeakValueDictionary
 
 from ...protocol.errors import ModbusError
+from ...protocol.logs import HarmlessLogger
 from .readings import time_text
 from .statistics import FleetStatistics
 
 __all__ = ["Commands", "Wanted", "Writing", "encoded", "wanted_of"]
 
-logger: logging.Logger = logging.getLogger(__name__)
+logger: HarmlessLogger = HarmlessLogger(__name__)
 
 # More writes at once are refused: a flood must neither stop polling nor fill the memory.
 MOST_AT_ONCE = 32

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import logging
 import time
 import weakref
 from collections import Counter
@@ -14,6 +13,7 @@ from collections.abc import AsyncIterator, Collection, Iterable, Mapping, Sequen
 from os import PathLike
 from typing import Any, Self
 
+from ...protocol.logs import HarmlessLogger
 from .buffer import MOST_KEPT, Buffer
 from .commands import Commands
 from .config import DeviceConfig, by_connection, checked
@@ -28,7 +28,7 @@ from .statistics import FleetStatistics
 
 __all__ = ["Fleet", "Readings"]
 
-logger: logging.Logger = logging.getLogger(__name__)
+logger: HarmlessLogger = HarmlessLogger(__name__)
 
 # Polls due within this many seconds share a timer, because a timer for each would be expensive.
 TOGETHER = 0.002

@@ -5,7 +5,6 @@ Runs a worker: executes what `worker` decides, with a clock, a bucket and a flee
 from __future__ import annotations
 
 import asyncio
-import logging
 import math
 import os
 import re
@@ -15,6 +14,7 @@ import time
 from collections.abc import Callable, Collection, Sequence
 from typing import TYPE_CHECKING, Any
 
+from ...protocol.logs import HarmlessLogger
 from ..engine.buckets import Bucket, Change, Watch
 from ..engine.errors import EngineError, what
 from ..fleet.config import DeviceConfig, checked, devices_from_json
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 __all__ = ["BUCKET", "Polling", "clock"]
 
-logger: logging.Logger = logging.getLogger(__name__)
+logger: HarmlessLogger = HarmlessLogger(__name__)
 
 BUCKET = "modbus-fleet"
 

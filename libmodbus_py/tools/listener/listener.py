@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import logging
 import os
 import select
 import threading
@@ -20,6 +19,7 @@ from ...ports.outage import REOPEN_AFTER, Outage
 from ...ports.waiting import READ, Ready, Steps, Waker, Woken, run
 from ...ports.waiting_async import run_async
 from ...protocol.errors import ModbusConnectionError
+from ...protocol.logs import HarmlessLogger
 from .capture import CaptureReader, CaptureWriter
 from .separator import LineFraming, Separator
 from .source import SerialSource, Source, TimedBytes
@@ -29,7 +29,7 @@ from .transaction import Heard, OnHeard, Transaction
 
 __all__ = ["Listener", "listen"]
 
-logger: logging.Logger = logging.getLogger(__name__)
+logger: HarmlessLogger = HarmlessLogger(__name__)
 
 # Seconds after which a quiet line is checked for requests without a response.
 IDLE = 1.0

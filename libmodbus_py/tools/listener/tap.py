@@ -8,7 +8,6 @@ so that a slow listener delays no device.
 from __future__ import annotations
 
 import errno
-import logging
 import socket
 import threading
 import time
@@ -21,13 +20,14 @@ from ...ports.listening import listen_on, reason
 from ...ports.names import start_thread
 from ...ports.waiting import Waker, Woken
 from ...protocol.errors import ModbusConnectionError
+from ...protocol.logs import HarmlessLogger
 from .link import TapLink, shut_down
 from .separator import Direction
 from .source import TimedBytes
 
 __all__ = ["MAX_LINKS", "Tap"]
 
-logger: logging.Logger = logging.getLogger(__name__)
+logger: HarmlessLogger = HarmlessLogger(__name__)
 
 # The number of connections at once; for one more, the one that has been idle longest ends.
 MAX_LINKS = 64

@@ -4,15 +4,15 @@ Values that a device computes when they are read.
 
 from __future__ import annotations
 
-import logging
 import time
 
 from ...device.device import Device
 from ...protocol.errors import ExceptionResponse
+from ...protocol.logs import HarmlessLogger
 
 __all__ = ["Refreshing"]
 
-logger: logging.Logger = logging.getLogger(__name__)
+logger: HarmlessLogger = HarmlessLogger(__name__)
 
 # Seconds between two attempts: a device may refuse because it is busy, and one that refuses all
 # cells costs a call for each.

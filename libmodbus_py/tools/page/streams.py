@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import logging
 import os
 import secrets
 import threading
@@ -16,6 +15,7 @@ from dataclasses import asdict
 from typing import Any
 
 from ...ports.names import start_thread
+from ...protocol.logs import HarmlessLogger
 from ...protocol.tables import TABLES
 from ...protocol.values import ORDERS, TYPES
 from ...server.faults.fault import KINDS, OPTIONAL
@@ -27,7 +27,7 @@ from .views import CellsView, PageView, PointsView
 
 __all__ = ["MOST_STREAMS", "FullError", "PageStream", "Streams"]
 
-logger: logging.Logger = logging.getLogger(__name__)
+logger: HarmlessLogger = HarmlessLogger(__name__)
 
 MOST_STREAMS = 16
 

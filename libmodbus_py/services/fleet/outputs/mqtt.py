@@ -7,7 +7,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
-import logging
 import re
 import ssl
 from collections.abc import Coroutine, Iterator, Sequence
@@ -16,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 from ....protocol.checks import integer
+from ....protocol.logs import HarmlessLogger
 from ....protocol.mistakes import WrongType, WrongValue
 from ....security.words import in_words
 from ..buffer import MOST_KEPT
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Mqtt"]
 
-logger: logging.Logger = logging.getLogger(__name__)
+logger: HarmlessLogger = HarmlessLogger(__name__)
 
 ONLINE, OFFLINE = b"online", b"offline"
 

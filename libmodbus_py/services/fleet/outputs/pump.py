@@ -5,8 +5,8 @@ The task that moves readings from a buffer to an output, and opens the output ag
 from __future__ import annotations
 
 import asyncio
-import logging
 
+from ....protocol.logs import HarmlessLogger
 from ..buffer import MOST_KEPT, Buffer
 from ..readings import Reading
 from ..statistics import OutputStatistics
@@ -14,7 +14,7 @@ from .output import Output, OutputError
 
 __all__ = ["Pump"]
 
-logger: logging.Logger = logging.getLogger(__name__)
+logger: HarmlessLogger = HarmlessLogger(__name__)
 
 MOST_AT_ONCE = 500
 
