@@ -8,6 +8,7 @@ import asyncio
 import contextlib
 from collections import deque
 from collections.abc import Sequence
+from itertools import groupby, islice
 
 from ...protocol.checks import integer
 from .readings import Reading
@@ -88,6 +89,11 @@ class Buffer:
         while taken and self._kept and self._kept[0].poll == taken[-1].poll:
             taken.append(self._kept.popleft())
         return taken
+
+    def polls(self, most: int) -> list[list[Reading]]:
+        """Return the readings of the first polls, which stay in the buffer."""
+        groups = groupby(self._kept, lambda each: each.poll)
+        return [list(group) for _, group in islice(groups, most)]
 
     def drop(self, readings: Sequence[Reading]) -> None:
         """Count readings that were taken, and can never be written."""

@@ -39,6 +39,9 @@ SCHEMES = {"mqtt": 1883, "mqtts": 8883}
 # Seconds for a response of the broker.
 TIMEOUT = 5.0
 
+# Seconds for the broker to confirm a batch: a slow line takes that long to carry it.
+LONGEST_CONFIRMING = 60.0
+
 # Publishes with QoS 1 that wait for their acknowledgement together.
 TOGETHER = 8
 
@@ -120,7 +123,7 @@ class Mqtt:
         # The last reading of each point, if the broker retains it.
         self._retained: dict[tuple[str, str], Reading] = {}
         self._listening: asyncio.Task[None] | None = None
-        self._answering: set[asyncio.Task[None]] = set()
+        self._sending: set[asyncio.Task[None]] = set()
 
     def attach(self, commands: Commands) -> None:
         """Set the object that carries out commands."""
@@ -142,29 +145,27 @@ class Mqtt:
             tls_context=await asyncio.to_thread(_trust, self._ca) if self._is_secure else None,
             max_queued_incoming_messages=MOST_MESSAGES,
         )
-        with _as_os_error():
+        with _as_connection_error():
             try:
                 await client.__aenter__()
             except BaseException:
                 _let_go(client)
                 raise
             self._client = client
+            self._listening = asyncio.create_task(self._listen(client))
             if self._status:
                 await client.publish(self._status, ONLINE, 1, True)
                 await client.subscribe(self._status, 1)
             if self.takes_commands:
                 await client.subscribe(f"{_filter(self._topic)}/set", 1)
             # The broker may have been restarted, and may have lost what it retained.
-            await self._publish_all(client, list(self._retained.values()))
-        self._listening = asyncio.create_task(self._listen(client))
+            await self._while_connected(self._publish_all(client, list(self._retained.values())))
 
     async def write(self, readings: Sequence[Reading]) -> None:
         client = self._client
         assert client is not None
-        if self._listening is None or self._listening.done():
-            raise ConnectionResetError(f"{self.name}: the connection was lost")
-        with _as_os_error():
-            await self._publish_all(client, readings)
+        with _as_connection_error():
+            await self._while_connected(self._publish_all(client, readings))
         for each in readings if self._retain else ():
             if each.quality == "offline":
                 self._retained.pop((each.device, each.name), None)
@@ -175,6 +176,22 @@ class Mqtt:
         step = TOGETHER if self._qos else 1
         for at in range(0, len(readings), step):
             await _all([self._publish(client, each) for each in readings[at : at + step]])
+        if readings and not self._qos:
+            # The broker acknowledges no publish, but this, which comes behind them, and changes
+            # nothing: a connection that it ended because of one of them is noticed here.
+            await client.unsubscribe(_filter(self._topic), timeout=LONGEST_CONFIRMING)
+
+    async def _while_connected(self, publishing: Coroutine[Any, Any, None]) -> None:
+        """Wait for messages to be published; raise if the connection is lost before."""
+        assert self._listening is not None
+        task = self._begin(publishing)
+        try:
+            await asyncio.wait([self._listening, task], return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            task.cancel()
+        if not task.done() or self._listening.done():
+            raise ConnectionResetError("the connection was lost")
+        task.result()
 
     async def _publish(self, client: aiomqtt.Client, reading: Reading) -> None:
         device, name = _LEVELS.spell(reading.device), _LEVELS.spell(reading.name)
@@ -184,25 +201,25 @@ class Mqtt:
 
     async def close(self) -> None:
         client, self._client = self._client, None
-        tasks = [*self._answering, *([self._listening] if self._listening else [])]
+        tasks = [*self._sending, *([self._listening] if self._listening else [])]
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
         self._listening = None
         if client is None:
             return
-        with contextlib.suppress(OSError, TimeoutError), _as_os_error():
+        with contextlib.suppress(OSError, TimeoutError), _as_connection_error():
             async with asyncio.timeout(1.0):
                 if self._status:
                     await client.publish(self._status, OFFLINE, 1, True)
-        with contextlib.suppress(OSError), _as_os_error():
+        with contextlib.suppress(OSError), _as_connection_error():
             await client.__aexit__(None, None, None)
 
     # --- commands ---------------------------------------------------------------------------
 
     async def _listen(self, client: aiomqtt.Client) -> None:
         """Answer commands until the connection is lost."""
-        with contextlib.suppress(OSError), _as_os_error():
+        with contextlib.suppress(OSError), _as_connection_error():
             async for message in client.messages:
                 if str(message.topic) == self._status:
                     # The last will of another worker, or of an earlier connection of this one.
@@ -211,14 +228,15 @@ class Mqtt:
                 elif self._commands is not None and not message.retain:  # a retained one is old
                     self._begin(self._answer(client, self._commands, message))
 
-    def _begin(self, answering: Coroutine[Any, Any, None]) -> None:
+    def _begin(self, sending: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
         # In a task, because a cancellation may get lost in a call of aiomqtt.
-        task = asyncio.create_task(answering)
-        self._answering.add(task)
-        task.add_done_callback(self._answering.discard)
+        task = asyncio.create_task(sending)
+        self._sending.add(task)
+        task.add_done_callback(self._sending.discard)
+        return task
 
     async def _contradict(self, client: aiomqtt.Client) -> None:
-        with contextlib.suppress(OSError), _as_os_error():
+        with contextlib.suppress(OSError), _as_connection_error():
             await client.publish(self._status, ONLINE, 1, True)
 
     async def _answer(
@@ -235,7 +253,7 @@ class Mqtt:
         outcome = await commands.answer(device, name, wanted_of(data))
         if outcome is None:
             return
-        with contextlib.suppress(OSError), _as_os_error():
+        with contextlib.suppress(OSError), _as_connection_error():
             await client.publish(f"{topic}/result", encoded(outcome), self._qos)
 
 
@@ -335,11 +353,11 @@ class _Handshaking(ssl.SSLSocket):
 
 
 @contextlib.contextmanager
-def _as_os_error() -> Iterator[None]:
-    """Raise errors of aiomqtt as OSError."""
+def _as_connection_error() -> Iterator[None]:
+    """Raise errors of aiomqtt as ConnectionError."""
     import aiomqtt
 
     try:
         yield
     except aiomqtt.MqttError as error:
-        raise OSError(re.sub(r"^\[code:\d+\] ", "", str(error))) from None
+        raise ConnectionError(re.sub(r"^\[code:\d+\] ", "", str(error))) from None

@@ -21,8 +21,10 @@ class Output(Protocol):
     """
     A destination of readings. One task calls its methods, one call at a time.
 
-    OSError from `open` or `write` is temporary: both are tried again, after pauses. OutputError
-    is permanent, and ends the fleet. After any other exception from `write` the readings are passed
+    OSError from `open` or `write` is temporary: both are tried again, after pauses. ConnectionError
+    from `write` may be due to the readings: a poll with which it is raised three times, each time
+    after another poll was written, is dropped. OutputError is permanent, and ends the fleet. After
+    any other exception from `write` the readings are passed
     again, one poll at a time; a poll for which the exception is raised again is dropped.
     """
 
@@ -47,6 +49,7 @@ class Output(Protocol):
         to time the list is empty, so that a lost connection is noticed.
 
         Raises:
+            ConnectionError: the other side did not accept the readings; it may be away.
             OSError: the readings cannot be written now.
             OutputError: the output failed permanently.
         """

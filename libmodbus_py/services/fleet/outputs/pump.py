@@ -11,6 +11,7 @@ from ..buffer import MOST_KEPT, Buffer
 from ..readings import Reading
 from ..statistics import OutputStatistics
 from .output import Output, OutputError
+from .refusals import Refusals
 
 __all__ = ["Pump"]
 
@@ -44,6 +45,9 @@ class Pump:
         self._pause = FIRST_PAUSE
         # Polls to write one by one, because one of them may be impossible to write.
         self._doubted = 0
+        # Writes in a row during which the connection was lost.
+        self._losses = 0
+        self._refusals = Refusals(self.buffer)
         self._closing = asyncio.Event()
 
     def start(self) -> None:
@@ -85,6 +89,7 @@ class Pump:
         try:
             await self._output.open()
             while not self.buffer.is_over:
+                await self._write_other()
                 most = 1 if self._doubted else MOST_AT_ONCE
                 await self._write(await self.buffer.take_polls(most, LONGEST_SILENCE))
             return True
@@ -102,15 +107,34 @@ class Pump:
         except Exception as error:
             self._note_trouble(error)
 
+    async def _write_other(self) -> None:
+        """Write another poll before one that may be refused."""
+        others = self._refusals.others()
+        if not others:
+            return
+        is_accepted = False
+        try:
+            await self._output.write(others)
+            is_accepted = True
+            self._pause = FIRST_PAUSE
+        finally:
+            self._refusals.note_other(is_accepted=is_accepted)
+
     async def _write(self, batch: list[Reading]) -> None:
         try:
             await self._output.write(batch)
+        except ConnectionError as error:
+            self._note_loss(batch, error)
+            raise
         except BaseException as error:
             if isinstance(error, Exception) and not isinstance(error, OSError | OutputError):
                 self._note_doubt(batch, error)
             else:
                 self.buffer.put_back(batch)
             raise
+        if batch:
+            self._losses = 0
+            self._refusals.clear()
         self._doubted = max(0, self._doubted - 1)
         self.statistics.written += len(batch)
         if self.statistics.trouble:
@@ -118,16 +142,35 @@ class Pump:
             self._pause = FIRST_PAUSE
             logger.warning("%s accepts readings again", self.name)
 
+    def _note_loss(self, batch: list[Reading], error: ConnectionError) -> None:
+        """Return readings to the buffer; drop a poll that is refused while others are accepted."""
+        if not batch:
+            return
+        if self._refusals.is_refused(batch):
+            self._refusals.clear()
+            self._drop(batch, f"others were accepted and these were not, three times: {error}")
+            return
+        self.buffer.put_back(batch)
+        self._losses += 1
+        polls = len({each.poll for each in batch})
+        if polls == 1:
+            self._refusals.suspect(batch)
+        elif self._losses > 1:  # one of them may be the reason
+            self._doubted = polls
+
     def _note_doubt(self, batch: list[Reading], error: Exception) -> None:
         """Return readings to the buffer; drop them if they are one poll that failed before."""
-        if not (self._doubted and batch):
-            self.buffer.put_back(batch)
-            self._doubted = len({each.poll for each in batch})
+        if self._doubted and batch:
+            self._drop(batch, str(error))
             return
-        self._doubted -= 1
+        self.buffer.put_back(batch)
+        self._doubted = len({each.poll for each in batch})
+
+    def _drop(self, batch: list[Reading], reason: str) -> None:
+        self._doubted = max(0, self._doubted - 1)
         self.buffer.drop(batch)
         device, count = batch[0].device, len(batch)
-        logger.error("%s: %d readings of %s are dropped: %s", self.name, count, device, error)
+        logger.error("%s: %d readings of %s are dropped: %s", self.name, count, device, reason)
 
     def _note_trouble(self, error: Exception) -> None:
         self.statistics.failures += 1

@@ -75,7 +75,7 @@ class Stream:
                     ]
                     await asyncio.gather(*acknowledged)
         except EngineError as error:
-            raise OSError(str(error)) from None
+            raise ConnectionError(str(error)) from None
 
     async def close(self) -> None:
         pass

@@ -1,0 +1,73 @@
+"""
+Which poll the other side of an output refuses by ending the connection.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ..buffer import Buffer
+from ..readings import Reading
+
+__all__ = ["Refusals"]
+
+# How often a poll is refused, each time right after another one was accepted, before it is dropped.
+MOST = 3
+
+
+class Refusals:
+    """
+    Compares the first poll of a buffer with those behind it.
+
+    A connection that ends while readings are sent shows nothing about them: the other side may be
+    away. They are refused if others are accepted right before, several times.
+
+    Args:
+        buffer: the readings that wait.
+    """
+
+    def __init__(self, buffer: Buffer) -> None:
+        self._buffer = buffer
+        self._suspect: tuple[str, float] | None = None
+        self._count = 0
+        self._at = 0
+        self._is_compared = False
+
+    def suspect(self, readings: Sequence[Reading]) -> None:
+        """Compare this poll, the first that waits, with others before it is sent again."""
+        if self._suspect != readings[0].poll:
+            self._count = self._at = 0
+        self._suspect = readings[0].poll
+        self._is_compared = False
+
+    def clear(self) -> None:
+        """Suspect no poll."""
+        self._suspect = None
+
+    def others(self) -> list[Reading]:
+        """
+        Return another poll, to be sent before the suspected one; none if there is no reason to.
+
+        It stays in the buffer: sent again in its turn, it is the newest of its device in the end.
+        """
+        if self._suspect is None or self._is_compared:
+            return []
+        first, *others = self._buffer.polls(self._at + 2) or [[]]
+        if not first or first[0].poll != self._suspect:  # there was no room for it
+            self._suspect = None
+            return []
+        if len(others) <= self._at:
+            self._at = 0
+        return others[self._at] if others else []
+
+    def note_other(self, *, is_accepted: bool) -> None:
+        """Note what became of the other poll; if it was lost too, the next time it is another."""
+        self._is_compared = is_accepted
+        if not is_accepted:
+            self._at += 1
+
+    def is_refused(self, readings: Sequence[Reading]) -> bool:
+        """Note that a poll was not accepted; return True if it is never going to be."""
+        if self._suspect == readings[0].poll and self._is_compared:
+            self._count += 1
+        return self._count >= MOST

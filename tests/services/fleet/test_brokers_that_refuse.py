@@ -1,0 +1,70 @@
+"""
+Real brokers that refuse one message, and accept all others.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from libmodbus_py.fleet import Reading
+from libmodbus_py.services.fleet.outputs import pump as pumps
+from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
+from libmodbus_py.services.fleet.outputs.pump import Pump
+from tests.services.fleet.fleets import until
+from tests.services.fleet.test_fleet_mqtt import Broker, heard_of, hearing, run
+
+
+@pytest.fixture
+def broker(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Broker]:
+    """A broker that ends the connection on messages of more than 400 bytes."""
+    monkeypatch.setattr(pumps, "FIRST_PAUSE", 0.01)
+    monkeypatch.setattr(pumps, "LONGEST_SILENCE", 0.1)
+    made = Broker(tmp_path)
+    made.settings.append("max_packet_size 400")
+    made.start()
+    yield made
+    made.kill()
+
+
+def poll(device: str, value: object, at: float) -> Reading:
+    return Reading(100.0 + at, device, "text", value, "", "good")
+
+
+@pytest.mark.parametrize("qos", [0, 1])
+def test_a_message_on_which_the_broker_disconnects_is_dropped(broker: Broker, qos: int) -> None:
+    async def go() -> None:
+        async with hearing(broker, "modbus/+/text") as heard:
+            pump = Pump(Mqtt(broker.url, qos=qos))
+            pump.buffer.put([poll(*each) for each in (("a", 1, 0), ("b", "x" * 500, 1))])
+            pump.buffer.put([poll(*each) for each in (("c", 1, 2), ("b", "y", 3))])
+            pump.start()
+            await until(lambda: pump.statistics.written == 3)
+            assert (pump.statistics.dropped, len(pump.buffer)) == (1, 0)
+            await until(lambda: len({topic for topic, *_ in heard}) == 3)
+            pump.close()
+            await pump.ended()
+        assert heard_of(heard, "modbus/b/text")[-1]["value"] == "y"
+
+    run(go())
+
+
+def test_readings_of_qos_0_are_sent_again_if_the_broker_died_before_it_had_them(
+    broker: Broker,
+) -> None:
+    async def go() -> None:
+        output = Mqtt(broker.url)
+        await output.open()
+        assert broker.process is not None
+        broker.process.send_signal(19)  # SIGSTOP: what is sent stays in its socket
+        writing = asyncio.create_task(output.write([poll("a", 1, 0)]))
+        await asyncio.wait([writing], timeout=0.2)
+        broker.kill()
+        with pytest.raises(ConnectionError):
+            await writing
+        await output.close()
+
+    run(go())
