@@ -33,6 +33,9 @@ READ_SIZE = 16_384
 # Datagrams taken in one turn.
 DATAGRAMS = 64
 
+# Empty datagrams since the last request; with more, the port is flooded.
+MAX_EMPTY = 1 << 16
+
 
 class SocketPort(Port):
     """
@@ -264,11 +267,12 @@ class UdpPort(SocketPort):
     """
     A UDP socket that receives from one host only; one ADU in each datagram.
 
-    A port without a listener raises a ModbusConnectionError as soon as its host reports
-    it (ICMP).
+    Empty datagrams, which say nothing, are dropped. A port without a listener raises a
+    ModbusConnectionError as soon as its host reports it (ICMP).
     """
 
     kind = socket.SOCK_DGRAM
+    _empty = 0
 
     @classmethod
     def of(cls, endpoint: Endpoint, _settings: PortSettings) -> Self:
@@ -278,20 +282,28 @@ class UdpPort(SocketPort):
     def _preparing(self, made: socket.socket, deadline: float) -> Steps[None]:
         yield from super()._preparing(made, deadline)
         self._refusal = 0  # the system's number
+        self._empty = 0
 
     def receive(self) -> list[bytes]:
         if self._refusal:
             raise _refused(self._refusal)
         datagrams: list[bytes] = []
-        while len(datagrams) < DATAGRAMS:
+        for _ in range(DATAGRAMS):
             try:
-                datagrams.append(self._socket.recv(MAX_RECEIVED))
+                datagram = self._socket.recv(MAX_RECEIVED)
             except BlockingIOError:
                 break
             except OSError as error:
                 if self._refusal:
                     break
                 self._refusal = of_system(error).errno or errno.EIO
+            else:
+                if datagram:
+                    datagrams.append(datagram)
+                else:
+                    self._empty += 1
+        if self._empty > MAX_EMPTY:
+            raise ModbusConnectionError("flooded with empty datagrams")
         if self._refusal:
             # The system tells it once, and before what was received earlier, which is worth
             # more: the news that the port is closed now comes with the next look.
@@ -301,6 +313,7 @@ class UdpPort(SocketPort):
         return datagrams
 
     def send(self, adus: list[bytes], now: float) -> None:
+        self._empty = 0
         for adu in adus:
             try:
                 self._send_now(adu)

@@ -10,8 +10,8 @@ In the order in which a request goes through::
     signals      handlers in the loop; afterwards the previous ones are restored
     echo         EchoWatch: finds out whether a port returns what is sent
     listening    makes their sockets; forked children close them
-    tcp          takes connections and hands them to `peers`; udp answers datagrams,
-                 serial a port
+    tcp          takes connections and hands them to `peers`; udp answers datagrams (datagrams:
+                 from the address that was asked), serial a port
     peers        Peers: TCP connections within their limits (limits), all in one epoll;
                  addresses and idle choose which of them are paused or closed
     tls          TlsSession: what a connection says within TLS, and the role of who asks

@@ -14,6 +14,7 @@ from ..ports.forking import abandoned_in_children
 from ..ports.trace import Trace
 from ..protocol.framing import Framing, pdu_of
 from ..security.describing import CertificateHolder
+from .datagrams import bound_datagrams
 from .limits import ServerStatistics
 from .listening import bound
 from .service import ENDS, Service, Session, SessionState
@@ -64,7 +65,7 @@ class UdpServer:
 
     async def open(self) -> Endpoint:
         """Open the sockets, and return the endpoint with its port."""
-        self._sockets, endpoint = await bound(self._endpoint, socket.SOCK_DGRAM, _bound)
+        self._sockets, endpoint = await bound(self._endpoint, socket.SOCK_DGRAM, bound_datagrams)
         self._make_session = self._service.sessions(endpoint, self._statistics)
         self._sources.ports.add(endpoint.port)
         for made in self._sockets:
@@ -91,7 +92,7 @@ class UdpServer:
                 data, address = local.recvfrom(READ_SIZE)
             except OSError:  # nothing more, or a client that has gone away
                 return
-            if self._sources.admit(data, address) and len(self._waiting) < WAITING_MAX:
+            if data and self._sources.admit(data, address) and len(self._waiting) < WAITING_MAX:
                 try:
                     self._answer(data, local, address)
                 except ENDS:
@@ -148,15 +149,3 @@ class _Datagram:
         # An answer that cannot be sent counts as lost on the way.
         with contextlib.suppress(OSError):
             self._local.sendto(data, self._source)
-
-
-def _bound(family: socket.AddressFamily, address: tuple[str, int]) -> socket.socket:
-    made = socket.socket(family, socket.SOCK_DGRAM)
-    try:
-        if family == socket.AF_INET6:
-            made.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
-        made.bind(address)
-    except OSError:
-        made.close()
-        raise
-    return made

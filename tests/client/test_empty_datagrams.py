@@ -1,0 +1,82 @@
+"""
+Datagrams without a byte: anybody can send them, and they say nothing.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from libmodbus_py import ModbusTimeoutError
+from libmodbus_py.ports import sockets
+from tests.support.clients import ALL, asking, read
+from tests.support.peers import UdpPeer, Write, answer, until
+
+SCHEMES = pytest.mark.parametrize("scheme", ["udp", "rtu+udp"])
+
+COUNTED = ("late_answers", "invalid", "lost", "connects", "timeouts")
+
+
+def counted(client: Any) -> dict[str, int]:
+    return {name: getattr(client.statistics, name) for name in COUNTED}
+
+
+class Empties:
+    """Answers a request as its address says: with so many empty datagrams, and then the answer."""
+
+    def __init__(self, scheme: str) -> None:
+        self._scheme = scheme
+
+    def __call__(self, request: bytes, write: Write) -> None:
+        for _ in range(3):
+            write(b"")
+        write(answer(request, self._scheme))
+
+
+@SCHEMES
+@ALL
+def test_those_before_an_answer_are_no_answer(kind: str, scheme: str) -> None:
+    with UdpPeer(Empties(scheme), scheme) as peer, asking(kind, peer.url, timeout=30) as client:
+        assert [read(client, address) for address in range(20)] == list(range(20))
+        assert counted(client) == dict.fromkeys(COUNTED, 0) | {"connects": 1}
+
+
+@SCHEMES
+@ALL
+def test_those_that_come_to_an_idle_client_change_nothing(kind: str, scheme: str) -> None:
+    """Neither its connection nor the rest that a unit without an answer gets."""
+    is_silent = True
+
+    def on_request(request: bytes, write: Write) -> None:
+        if not is_silent:
+            write(answer(request, scheme))
+
+    with UdpPeer(on_request, scheme) as peer, asking(kind, peer.url, timeout=0.1) as client:
+        with pytest.raises(ModbusTimeoutError):
+            read(client, 1)
+        before = counted(client)
+        for _ in range(100):
+            peer._socket.sendto(b"", peer.clients[0])
+        is_silent = False
+        assert read(client.for_unit(1, timeout=30), 2) == 2
+        assert counted(client) == before
+
+
+@ALL
+def test_a_flood_of_them_is_one(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As of any other datagrams: the port is closed, and the next request uses another."""
+    monkeypatch.setattr(sockets, "MAX_EMPTY", 100)
+
+    def on_request(request: bytes, write: Write) -> None:
+        write(answer(request, "udp"))
+
+    with UdpPeer(on_request, "udp") as peer, asking(kind, peer.url, timeout=30) as client:
+        assert read(client, 1) == 1
+        for _ in range(120):
+            peer._socket.sendto(b"", peer.clients[0])
+        if kind == "asyncio":  # it notices at once
+            until(lambda: client.statistics.lost == 1)
+        assert read(client, 2) == 2
+        assert client.statistics.lost == 1
+        assert peer.clients[0] != peer.clients[-1]
