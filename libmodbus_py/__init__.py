@@ -8,8 +8,8 @@ each other::
     services            gateway, fleet, workers, engine, integrations
     tools               files, listener, scan, simulator, testing, page, certificates
     client   server     TcpContext, ..., AsyncClient send requests; Server answers them
-    maps                what stands where in a device, and plans of few requests for it
     ports    device     what carries bytes, and waits for them; one unit and its tables
+    maps                what stands where in a device, and plans of few requests for it
     binding  security   the C library; who may talk, proven by certificates
     protocol            bytes and values: PDUs, frames, errors; no socket, no clock
     late                public names imported when they are first used
