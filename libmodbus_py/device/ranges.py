@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-__all__ = ["joined"]
+__all__ = ["joined", "without"]
 
 
 def joined(ranges: Iterable[range]) -> list[range]:
@@ -23,3 +23,26 @@ def joined(ranges: Iterable[range]) -> list[range]:
         else:
             found.append(each)
     return found
+
+
+def without(ranges: Iterable[range], others: Iterable[range]) -> list[range]:
+    """
+    Return the parts of ranges that are in no other one.
+
+    Args:
+        ranges, others: both as `joined` returns them.
+    """
+    found: list[range] = []
+    taken = list(others)
+    at = 0
+    for each in ranges:
+        start = each.start
+        while at < len(taken) and taken[at].stop <= start:
+            at += 1
+        within = at
+        while within < len(taken) and taken[within].start < each.stop:
+            found.append(range(start, taken[within].start))
+            start = taken[within].stop
+            within += 1
+        found.append(range(start, each.stop))
+    return [each for each in found if each]

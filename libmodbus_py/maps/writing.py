@@ -13,7 +13,7 @@ from ..protocol import pdu
 from ..protocol.tables import TABLES
 from .point import Point
 
-__all__ = ["write_requests"]
+__all__ = ["encoded_changes", "write_requests"]
 
 # Table -> the requests that write one cell, and several.
 _WRITES: dict[str, tuple[Any, Any]] = {
@@ -56,16 +56,27 @@ def write_requests(changes: Iterable[tuple[Point, Any]], multiple: bool) -> list
         TypeError, ValueError: a value does not fit its point or a request, or points share cells.
             The message names the points.
     """
-    encoded = [(point, point.encode(value)) for point, value in changes]
-    _check_overlaps([point for point, _ in encoded])
     runs: list[_Run] = []
-    for point, cells in encoded:
+    for point, cells in encoded_changes(changes):
         for piece in _pieces(point, cells):
             if runs and runs[-1].takes(piece):
                 runs[-1].cells += piece.cells
             else:
                 runs.append(piece)
     return [run.request(multiple) for run in runs]
+
+
+def encoded_changes(changes: Iterable[tuple[Point, Any]]) -> list[tuple[Point, list[Any]]]:
+    """
+    Return points with the cells of their new values.
+
+    Raises:
+        TypeError, ValueError: a value does not fit its point, or points share cells. The message
+            names the points.
+    """
+    encoded = [(point, point.encode(value)) for point, value in changes]
+    _check_overlaps([point for point, _ in encoded])
+    return encoded
 
 
 def _pieces(point: Point, cells: list[Any]) -> Iterator[_Run]:

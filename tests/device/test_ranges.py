@@ -1,5 +1,5 @@
 """
-Ranges that are joined.
+Ranges that are joined, and taken from each other.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from itertools import pairwise
 from hypothesis import given
 from hypothesis import strategies as st
 
-from libmodbus_py.device.ranges import joined
+from libmodbus_py.device.ranges import joined, without
 from tests.support.cases import each_case
 
 
@@ -35,3 +35,17 @@ def test_joined_ranges_have_the_same_addresses(found: list[tuple[int, int]]) -> 
     addresses = {at for each in ranges for at in each}
     assert [at for each in together for at in each] == sorted(addresses)
     assert all(one.stop < other.start for one, other in pairwise(together))
+
+
+Spans = st.lists(st.tuples(st.integers(0, 50), st.integers(0, 9)))
+
+
+@given(Spans, Spans)
+def test_ranges_without_others(
+    given_: list[tuple[int, int]], others: list[tuple[int, int]]
+) -> None:
+    kept, taken = (joined(range(at, at + size) for at, size in each) for each in (given_, others))
+    left = without(kept, taken)
+    expected = {at for each in kept for at in each} - {at for each in taken for at in each}
+    assert [at for each in left for at in each] == sorted(expected)
+    assert all(left)
