@@ -9,6 +9,8 @@ In the order in which a request goes through::
     authorization  Authorization: decides about each request first, and logs refusals
     rules          Rules: access rights of roles, as a table
     event_log      EventLog: counters, log and silence of one line (functions 8, 11, 12)
+    point_rules    access and bounds of points, before any hook
+    named_values   values by the names of points
     hooks          Hook: functions of the application, the accesses they are for, their duration
     access         tables and addresses that a request touches, as hooks see them
     reply          Replier: libmodbus's modbus_reply in memory, by the chunk

@@ -5,7 +5,7 @@ Accesses: the tables, addresses and values that a request reads and writes, for 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from ..protocol import pdu
@@ -17,7 +17,8 @@ __all__ = ["ACCESSES", "Access", "TouchRule", "Touched", "Who", "touched", "touc
 @dataclass(frozen=True, slots=True)
 class Access:
     """
-    One run of items that a client reads or writes.
+    One run of items that a client reads or writes. Two are equal if they are the same access,
+    whatever the names and the old values are.
 
     Attributes:
         table: "coils", "discrete_inputs", "holding_registers", "input_registers",
@@ -29,6 +30,9 @@ class Access:
         unit: the unit of the request.
         peer: the client: "192.0.2.7:51234", or the serial port.
         role: the role in the client's certificate; None without a role, or without TLS.
+        names: the names of the device's points that it touches, in the order of their addresses;
+            for hooks.
+        old_values: of a write, the values before it, as many as `values`; for hooks.
     """
 
     table: str
@@ -39,6 +43,8 @@ class Access:
     unit: int = 0
     peer: str = ""
     role: str | None = None
+    names: tuple[str, ...] = field(default=(), compare=False)
+    old_values: tuple[Any, ...] = field(default=(), compare=False)
 
 
 class Touched(NamedTuple):

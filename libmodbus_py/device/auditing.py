@@ -24,7 +24,7 @@ from .caller import Auditor, Caller, Executed, ValueChange
 from .mapping import Mapping
 from .record_file import RecordFile
 
-__all__ = ["answer_audited", "changes_of", "is_change"]
+__all__ = ["answer_audited", "changes_of", "is_change", "values_at"]
 
 # Diagnostics that change how a device answers, or clear what it has counted.
 CHANGING = (
@@ -99,14 +99,14 @@ def changes_of(
     who = (caller.unit, caller.peer, caller.role)
     if mapping is not None:
         writes = kind.find(request, mapping, who).writes
-        return tuple(ValueChange(each, _values(each, mapping, files)) for each in writes)
+        return tuple(ValueChange(each, values_at(each, mapping, files)) for each in writes)
     writes = kind.find(request, Mapping(), who).writes
     if isinstance(request, MaskWriteRegister):  # its result depends on the value before
         writes = tuple(replace(each, values=()) for each in writes)
     return tuple(ValueChange(each, None) for each in writes)
 
 
-def _values(
+def values_at(
     access: Access, mapping: Mapping, files: MappingABC[int, RecordFile]
 ) -> tuple[Any, ...] | None:
     """Return the present values; None if an address does not exist."""

@@ -11,9 +11,11 @@ from __future__ import annotations
 import reprlib
 from collections.abc import Callable, Iterable, Sequence
 from collections.abc import Mapping as MappingABC
-from functools import partial
-from typing import Any, ClassVar
+from dataclasses import replace
+from functools import cached_property, partial
+from typing import Any, ClassVar, Self, TypedDict, Unpack
 
+from ..maps.register_map import RegisterMap
 from ..protocol.callbacks import checked_callback
 from ..protocol.checks import integer
 from ..protocol.errors import (
@@ -46,16 +48,19 @@ from ..protocol.pdu import (
 )
 from ..protocol.pdu.interface import OBJECT_NAMES, ReadDeviceIdCode, pages
 from .access import ACCESSES, Access, Touched
-from .auditing import answer_audited
+from .auditing import answer_audited, values_at
 from .authorization import Asked, Authorization, Authorize, UnauthorizedError
 from .caller import Caller
 from .event_log import EventLog
 from .hooks import EVERYTHING, Hook, HookCall, places, timed
 from .mapping import Mapping, Table
+from .named_values import check_points, known_point, set_values, value_of, zeros_for
+from .point_rules import PointIndex, PointRules, RuledCells
+from .ranges import joined
 from .record_file import RecordFile
 from .reply import Answered, Watched, make_tally, replier
 
-__all__ = ["Device"]
+__all__ = ["Device", "DeviceOptions"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
@@ -72,10 +77,36 @@ DEFAULT_IDENTIFICATION: dict[str | int, str | bytes] = {
 
 _UNKNOWN = Caller()
 
+NO_POINTS = RegisterMap(())
+
+
+class DeviceOptions(TypedDict, total=False):
+    """The arguments of a `Device` besides its tables and points."""
+
+    files: MappingABC[int, Iterable[int] | MappingABC[int, int]] | None
+    fifos: MappingABC[int, Sequence[int]] | None
+    identification: MappingABC[str | int, str | bytes] | None
+    server_id: ServerId
+    exception_status: int
+    canopen: Callable[[bytes], bytes] | None
+    handlers: MappingABC[type[Request[Any]], Callable[[Any], Any]] | None
+    before_write: HookLike | None
+    after_write: HookLike | None
+    before_read: HookLike | None
+    authorize: Authorize | None
+
 
 class Device:
     """
     Answers the requests of one unit. Safe from any thread.
+
+    With `points`, ``device["setpoint"]`` is the value of a point, as `Point.decode` returns it,
+    and ``device["setpoint"] = 21.5`` sets it: this is the device's own side, which may also set
+    what clients only read, and calls no hooks. Requests of clients must keep to the points:
+    exception 2 (illegal data address) for a cell that they may not read or write, and exception 3
+    (illegal data value) for a write after which a point would be out of its `minimum` and
+    `maximum`, whether all of its registers are written or some. Both come before all hooks. A cell
+    that several points have may be read if one of them may be read; writes are alike.
 
     Hooks are called with an `Access`, while the mapping is locked; they run in the
     server's loop, so they should be quick: the first time that one takes 0.1 s or more is logged. A
@@ -106,6 +137,7 @@ class Device:
             called before the write, as all that may refuse comes before any change.
         authorize: returns True if a request is allowed, such as `Rules`; called with an
             `Asked`. None allows all.
+        points: names, access and bounds of values in the tables; all their cells must exist.
 
     Attributes:
         mapping, server_id, exception_status: as given, and assignable.
@@ -135,6 +167,7 @@ class Device:
         after_write: HookLike | None = None,
         before_read: HookLike | None = None,
         authorize: Authorize | None = None,
+        points: RegisterMap = NO_POINTS,
     ) -> None:
         if not isinstance(mapping, Mapping):
             raise TypeError(f"mapping must be a Mapping, not {type(mapping).__name__}")
@@ -157,8 +190,22 @@ class Device:
         self._before_write = _listener("before_write", before_write)
         self._after_write = _listener("after_write", after_write)
         self._before_read = _listener("before_read", before_read)
-        # Request class -> the rule that finds the accesses for hooks.
-        reads, writes = places(self._before_read), places(self._before_write, self._after_write)
+        if points is not NO_POINTS:
+            check_points(mapping, points)
+            self.points = points
+        self._log = EventLog(is_serial=False)
+        self._tally = make_tally()
+        self._failed: set[int] = set()
+        self._arrange()
+
+    def _arrange(self) -> None:
+        """Decide which requests rules, hooks and handlers want; C may answer all others."""
+        self._rules = PointRules(self._ruled_cells())
+        hooks = (self._before_write, self._after_write, self._before_read)
+        self._has_hooks = any(each is not None for each in hooks)
+        # Request class -> the rule that finds the accesses for rules and hooks.
+        reads = _together(places(self._before_read), self._rules.reads)
+        writes = _together(places(self._before_write, self._after_write), self._rules.writes)
         self._finds = {
             request: kind.find
             for request, kind in ACCESSES.items()
@@ -173,9 +220,71 @@ class Device:
         if self._guard is not None:
             self.in_c = frozenset()
         self._watched = Watched(self.in_c, reads, writes)
-        self._log = EventLog(is_serial=False)
-        self._tally = make_tally()
-        self._failed: set[int] = set()
+
+    @classmethod
+    def of_map(
+        cls,
+        map: RegisterMap,
+        values: MappingABC[str, Any] | None = None,
+        **options: Unpack[DeviceOptions],
+    ) -> Self:
+        """
+        Return a device that has the cells of all points of a map, and no others.
+
+        Args:
+            map: the points, such as of `load_map`.
+            values: first values by name, such as ``{"setpoint": 21.5}``; the cells of all others
+                are 0.
+            options: as for a `Device`.
+
+        Raises:
+            KeyError: the map has no such point.
+            TypeError, ValueError: a value does not fit its point, or an argument is wrong.
+        """
+        device = cls(zeros_for(map), points=map, **options)
+        device.update(values or {})
+        return device
+
+    @cached_property
+    def points(self) -> RegisterMap:
+        """The points by name; empty unless they were given."""
+        return NO_POINTS
+
+    def __getitem__(self, name: str) -> Any:
+        """
+        Return the value of a point, without calling `before_read`.
+
+        Raises:
+            KeyError: there is no such point.
+            ValueError: its cells hold no value of its type.
+        """
+        point = known_point(self.points, name)
+        with self.mapping.lock:
+            return value_of(self.mapping, point)
+
+    def __setitem__(self, name: str, value: Any) -> None:
+        """
+        Set the value of a point; no hook is called.
+
+        Raises:
+            KeyError: there is no such point.
+            TypeError, ValueError: as of `Point.encode`; the message names the point.
+        """
+        self.update({name: value})
+
+    def update(self, values: MappingABC[str, Any]) -> None:
+        """
+        Set values of points by name, all of them or none; no hook is called.
+
+        No request is answered in between.
+
+        Raises:
+            KeyError: there is no such point.
+            TypeError, ValueError: a value does not fit its point, or points share cells; the
+                message names the points.
+        """
+        with self.mapping.lock:
+            set_values(self.mapping, self.points, values)
 
     def answer(self, pdu: bytes, caller: Caller = _UNKNOWN) -> bytes:
         """
@@ -332,7 +441,8 @@ class Device:
                 self._authorize(request.function, request, caller)
             if find is not None:
                 touched = find(request, self.mapping, (caller.unit, caller.peer, caller.role))
-                self._call_hooks_before(touched)
+                self._check_accesses(touched)
+                touched = self._call_hooks_before(touched)
             if handle is not None:
                 response = request.encode_response(handle(self, request, log))
                 if not isinstance(response, bytes) or not 1 <= len(response) <= MAX_PDU:
@@ -353,13 +463,35 @@ class Device:
 
     # --- hooks ---------------------------------------------------------------------------
 
-    def _call_hooks_before(self, touched: Touched) -> None:
+    def _check_accesses(self, touched: Touched) -> None:
         for access in (*touched.writes, *touched.reads):
             self._check_exists(access)
+        self._rules.check(touched, self.mapping)
+
+    def _call_hooks_before(self, touched: Touched) -> Touched:
+        """Call the hooks, and return the accesses with what only hooks are told."""
+        if not self._has_hooks:
+            return touched
+        touched = Touched(*(tuple(map(self._told, each)) for each in touched))
         if self._before_write is not None:
             self._before_write.tell(touched.writes)
         if self._before_read is not None:
             self._before_read.tell(touched.reads)
+        return touched
+
+    def _told(self, access: Access) -> Access:
+        """Return an access with the names of its points and the values before."""
+        names = tuple(point.name for point in self._index.touched(access))
+        before = values_at(access, self.mapping, self.files) if access.values else None
+        return replace(access, names=names, old_values=before or ())
+
+    @cached_property
+    def _index(self) -> PointIndex:
+        return PointIndex(map(RuledCells.of, self.points.values()))
+
+    def _ruled_cells(self) -> Iterable[RuledCells]:
+        """Return the cells that have a rule: those of all points."""
+        return map(RuledCells.of, self.points.values())
 
     def _check_exists(self, access: Access) -> None:
         if access.table == "file":
@@ -492,6 +624,15 @@ def _is_write(function: int) -> bool:
 
 def _listener(name: str, hook: HookLike | None) -> HookCall | None:
     return None if hook is None else HookCall(name, hook)
+
+
+def _together(
+    hooks: MappingABC[str, Sequence[range]], rules: MappingABC[str, Sequence[range]]
+) -> dict[str, tuple[range, ...]]:
+    """Return the addresses that concern a hook or a rule: ``{Access.table: ranges}``."""
+    return {
+        table: tuple(joined([*ranges, *rules.get(table, ())])) for table, ranges in hooks.items()
+    }
 
 
 def _bound(

@@ -1,0 +1,80 @@
+"""
+Values of a device by the names of its points: read, and set all or none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping as MappingABC
+from typing import Any
+
+from ..maps.point import Point
+from ..maps.register_map import RegisterMap, close_to
+from ..maps.writing import encoded_changes
+from ..protocol.mistakes import WrongType, WrongValue
+from ..protocol.tables import TABLES
+from .mapping import Mapping
+from .ranges import joined
+
+__all__ = ["check_points", "known_point", "set_values", "value_of", "zeros_for"]
+
+
+def check_points(mapping: Mapping, points: object) -> None:
+    """
+    Raises:
+        TypeError: `points` is no RegisterMap.
+        ValueError: a point has cells that the mapping lacks; the message names it.
+    """
+    if not isinstance(points, RegisterMap):
+        raise WrongType("points", f"must be a RegisterMap, not {type(points).__name__}")
+    for point in points.values():
+        table = getattr(mapping, point.table)
+        if not table.has(point.address, len(point.cells)):
+            span = f"{point.cells.start}..{point.cells.stop - 1}"
+            raise WrongValue.about(point.name, f"{table!r} lacks its cells, {span}")
+
+
+def zeros_for(map: object) -> Mapping:
+    """
+    Return a mapping with the cells of all points of a map, all zero.
+
+    Raises:
+        TypeError: the argument is no RegisterMap.
+    """
+    if not isinstance(map, RegisterMap):
+        raise WrongType("map", f"must be a RegisterMap, not {type(map).__name__}")
+    places: dict[str, list[range]] = {table: [] for table in TABLES}
+    for point in map.values():
+        places[point.table].append(point.cells)
+    return Mapping(**{table: joined(ranges) for table, ranges in places.items()})
+
+
+def known_point(points: MappingABC[str, Point], name: object) -> Point:
+    """
+    Raises:
+        KeyError: there is no point of this name; names close to it are in the message.
+    """
+    if isinstance(name, str) and name in points:
+        return points[name]
+    raise KeyError(f"the device has no point {name!r}{close_to(name, points)}")
+
+
+def value_of(mapping: Mapping, point: Point) -> Any:
+    """Return the value of a point. Raises ValueError if its cells hold none."""
+    return point.decode(getattr(mapping, point.table)[point.cells.start : point.cells.stop])
+
+
+def set_values(
+    mapping: Mapping, points: MappingABC[str, Point], values: MappingABC[str, Any]
+) -> None:
+    """
+    Set values of points, all of them or none. Hold the mapping's lock.
+
+    Raises:
+        KeyError: there is no such point.
+        TypeError, ValueError: a value does not fit its point, or points share cells.
+    """
+    if not isinstance(values, MappingABC):
+        raise WrongType("values", f"must be by names, not {type(values).__name__}")
+    changes = [(known_point(points, name), value) for name, value in values.items()]
+    for point, cells in encoded_changes(changes):
+        getattr(mapping, point.table)[point.cells.start : point.cells.stop] = cells

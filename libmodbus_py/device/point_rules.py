@@ -1,0 +1,172 @@
+"""
+Rules of points for the requests of clients: what may be read, written, and with which values.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator
+from typing import NamedTuple
+
+from ..maps.bounds import check_cells, has_bounds
+from ..maps.point import Point
+from ..protocol.errors import IllegalDataAddress, IllegalDataValue
+from ..protocol.tables import TABLES
+from .access import Access, Touched
+from .mapping import Mapping
+from .ranges import joined, without
+from .rules import WRITABLE
+
+__all__ = ["PointIndex", "PointRules", "RuledCells"]
+
+# A table, or "file", and the number of the file.
+Place = tuple[str, int]
+
+
+class RuledCells(NamedTuple):
+    """
+    Cells with one rule.
+
+    Attributes:
+        place: their table, or "file", and the number of the file.
+        cells: their addresses.
+        access: "read", "write" or "read_write"; None if only the bounds of the point count.
+        point: the point whose values they hold.
+    """
+
+    place: Place
+    cells: range
+    access: str | None
+    point: Point
+
+    @classmethod
+    def of(cls, point: Point) -> RuledCells:
+        """Return the rule that a point has in its own table."""
+        return cls((point.table, 0), point.cells, point.access, point)
+
+
+class PointIndex:
+    """Points by the addresses of their cells, which may overlap."""
+
+    def __init__(self, ruled: Iterable[RuledCells]) -> None:
+        self._rows: dict[Place, list[tuple[range, Point]]] = {}
+        # The highest end of the cells up to each of them: none before it goes on further.
+        self._ends: dict[Place, list[int]] = {}
+        for each in sorted(ruled, key=lambda each: each.cells.start):
+            ends = self._ends.setdefault(each.place, [])
+            ends.append(max(each.cells.stop, ends[-1] if ends else 0))
+            self._rows.setdefault(each.place, []).append((each.cells, each.point))
+
+    def touched(self, access: Access) -> list[Point]:
+        """Return the points that an access touches, in the order of their addresses."""
+        place = access.table, access.file
+        rows, ends = self._rows.get(place, ()), self._ends.get(place, ())
+        first, stop = access.address, access.address + access.count
+        found = []
+        at = bisect_left(rows, stop, key=lambda row: row[0].start)
+        while at and ends[at - 1] > first:
+            at -= 1
+            cells, point = rows[at]
+            if cells.stop > first:
+                found.append(point)
+        return found[::-1]
+
+
+class PointRules:
+    """
+    Access and bounds of points, which are checked before any hook is called.
+
+    A cell may be read if one of its points may be read, and written if one of them may be
+    written; a cell of no point has no rule.
+
+    Attributes:
+        reads, writes: ``{Access.table: ranges}``, the addresses for which there is something to
+            check; of "file" the numbers of the files.
+    """
+
+    def __init__(self, ruled: Iterable[RuledCells]) -> None:
+        given = list(ruled)
+        self._unreadable = _refused(given, "write", lambda place: True)
+        self._unwritable = _refused(given, "read", lambda place: place[0] in WRITABLE)
+        bounded = [
+            each
+            for each in given
+            if has_bounds(each.point) and each.access != "read" and each.place[0] in TABLES
+        ]
+        self._bounded = PointIndex(bounded)
+        self.reads: dict[str, list[range]] = _by_table(self._unreadable.items())
+        in_bounds = [(each.place, [each.cells]) for each in bounded]
+        self.writes: dict[str, list[range]] = _by_table([*self._unwritable.items(), *in_bounds])
+
+    def check(self, touched: Touched, mapping: Mapping) -> None:
+        """
+        Check the accesses of a request to addresses that exist. Hold the mapping's lock.
+
+        Raises:
+            IllegalDataAddress: a cell may not be read, or not be written.
+            IllegalDataValue: a point would have a value out of its bounds.
+        """
+        for access in touched.writes:
+            _check(self._unwritable, access, "written")
+        for access in touched.reads:
+            _check(self._unreadable, access, "read")
+        for access in touched.writes:
+            for point in self._bounded.touched(access):
+                _check_bounds(point, access, mapping)
+
+
+def _check(refused: dict[Place, list[range]], access: Access, what: str) -> None:
+    ranges = refused.get((access.table, access.file), [])
+    stop = access.address + access.count
+    # The last that begins before the access ends.
+    at = bisect_left(ranges, stop, key=lambda each: each.start) - 1
+    if at >= 0 and access.address < ranges[at].stop:
+        span = f"{access.table} {access.address}..{stop - 1}"
+        raise IllegalDataAddress(f"{span} cannot all be {what}")
+
+
+def _check_bounds(point: Point, access: Access, mapping: Mapping) -> None:
+    """Check the value that a point will have; a request may write only some of its cells."""
+    cells = point.cells
+    after = getattr(mapping, point.table)[cells.start : cells.stop]
+    first, stop = access.address, access.address + access.count
+    both = range(max(first, cells.start), min(stop, cells.stop))
+    after[both.start - cells.start : both.stop - cells.start] = access.values[
+        both.start - first : both.stop - first
+    ]
+    try:
+        check_cells(point, after)
+    except ValueError as error:
+        raise IllegalDataValue(str(error)) from None
+
+
+def _refused(
+    ruled: Iterable[RuledCells], refusing: str, concerns: Callable[[Place], bool]
+) -> dict[Place, list[range]]:
+    """Return the cells whose points all have one access, by place."""
+    refused: defaultdict[Place, list[range]] = defaultdict(list)
+    others: defaultdict[Place, list[range]] = defaultdict(list)
+    for each in ruled:
+        if each.access is not None and concerns(each.place):
+            (refused if each.access == refusing else others)[each.place].append(each.cells)
+    return {
+        place: left
+        for place, ranges in refused.items()
+        if (left := without(joined(ranges), joined(others[place])))
+    }
+
+
+def _by_table(found: Iterable[tuple[Place, list[range]]]) -> dict[str, list[range]]:
+    tables: defaultdict[str, list[range]] = defaultdict(list)
+    for table, each in _in_tables(found):
+        tables[table].append(each)
+    return {table: joined(ranges) for table, ranges in tables.items()}
+
+
+def _in_tables(found: Iterable[tuple[Place, list[range]]]) -> Iterator[tuple[str, range]]:
+    for (table, file), ranges in found:
+        if table in TABLES:
+            yield from ((table, each) for each in ranges)
+        else:
+            yield table, range(file, file + 1)
