@@ -100,7 +100,6 @@ def shown_of(server: Server) -> ShownServer:
 
 
 def _unit(number: int | None, device: Device) -> ShownUnit:
-    """Return a unit; only some devices have names, such as those of device files."""
-    points = getattr(device, "points", {})
+    """Return a unit; only devices of device files have names."""
     name, description = (str(getattr(device, key, "")) for key in ("name", "description"))
-    return ShownUnit(number, device, name, description, tuple(points.values()))
+    return ShownUnit(number, device, name, description, tuple(device.points.values()))

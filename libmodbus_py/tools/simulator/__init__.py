@@ -7,7 +7,7 @@ Simulated devices, described in a file.
     device_file    TOML to devices and faults; DeviceFileError
     units          one unit of it: a device
     simulated      SimulatedDevice: a device with named points, which can take over values of
-    another access_rules   hooks that refuse accesses, and compute moving values when they are read
+                   another
     mapped         points from register maps
     own_points     points described in the device file itself
     keys           all keys of device files

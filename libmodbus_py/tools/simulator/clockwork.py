@@ -68,6 +68,14 @@ class Clockwork:
         at = bisect_right(points, address, key=lambda point: point.first) - 1
         return points[at] if at >= 0 and address < points[at].stop else None
 
+    def moves(self, table: str, cells: range) -> bool:
+        """Return True if a value moves that has some of these cells."""
+        return any(
+            each.first < cells.stop and cells.start < each.stop
+            for each in self._points[table]
+            if each.behaviour is not None
+        )
+
     def refresh(self, table: str, address: int, count: int) -> None:
         """
         Compute the values that are about to be read.

@@ -4,15 +4,21 @@ Simulated devices: they have named points, and can take over the values of forme
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
+from ...device.access import Access
 from ...device.device import Device
+from ...device.hooks import Hook
 from ...device.mapping import Mapping as Tables
+from ...device.named_values import known_point
+from ...device.point_rules import RuledCells
+from ...maps.bounds import has_bounds
 from ...maps.point import Point
 from ...maps.register_map import RegisterMap
+from ...protocol.mistakes import WrongValue
 from ...protocol.tables import TABLES
 from ...server.faults.fault import Fault
 from .clockwork import Clockwork
@@ -41,12 +47,14 @@ class SimulatedDevice(Device):
         clockwork: Clockwork,
         **options: Any,
     ) -> None:
-        super().__init__(mapping, **options)
+        self._contents = contents  # which make the rules of the device, and so do its maps
+        self._mapped = mapped
+        moving = [each for each in contents if each.behaviour]
+        hook = _refreshing(clockwork, moving) if moving else None
+        super().__init__(mapping, before_read=hook, **options)
         self.name: str = name
         self.description: str = description
         self._definition = definition
-        self._contents = contents
-        self._mapped = mapped
         self._clockwork = clockwork
         self._first_fifos = {address: tuple(queue) for address, queue in self.fifos.items()}
 
@@ -66,6 +74,30 @@ class SimulatedDevice(Device):
                 name += "_"
             points[name] = replace(each.point, name=name, access=each.access)
         return RegisterMap(points.values())
+
+    def __getitem__(self, name: str) -> Any:
+        point = known_point(self.points, name)
+        with self.mapping:
+            self._clockwork.refresh(point.table, point.address, len(point.cells))
+            return super().__getitem__(name)
+
+    def update(self, values: Mapping[str, Any]) -> None:
+        with self.mapping:
+            for name in values:
+                point = self.points.get(name)
+                if point is not None and self._clockwork.moves(point.table, point.cells):
+                    raise WrongValue.about(name, "the device computes this value itself")
+            super().update(values)
+
+    def _ruled_cells(self) -> Iterable[RuledCells]:
+        for each in self._contents:
+            cells = range(each.first, each.stop)
+            yield RuledCells(each.place, cells, each.access, each.point)
+        # Points that share cells with others are in pieces there, which have no bounds.
+        whole = {id(each.point) for each in self._contents}
+        for point in self._mapped.values():
+            if point.is_writable and has_bounds(point) and id(point) not in whole:
+                yield RuledCells.of(point)._replace(access=None)
 
     def is_as(self, other: SimulatedDevice) -> bool:
         """Return True if the file describes both devices alike."""
@@ -98,6 +130,18 @@ class SimulatedDevice(Device):
         first, length = each.first, each.stop - each.first
         written = before.files[each.file].read(first, length)
         self.files[each.file].write(first, tuple(written))
+
+
+def _refreshing(clockwork: Clockwork, moving: Iterable[SimulatedPoint]) -> Hook:
+    """Return the hook that computes moving values when they are read."""
+
+    def refresh(access: Access) -> None:
+        clockwork.refresh(access.table, access.address, access.count)
+
+    places: dict[str, list[range]] = {}
+    for each in moving:
+        places.setdefault(each.table, []).append(range(each.first, each.stop))
+    return Hook(refresh, **places)
 
 
 def _cells(table: Any, first: int, stop: int) -> bytes:

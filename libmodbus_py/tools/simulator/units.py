@@ -18,7 +18,6 @@ from ...protocol.pdu.interface import OBJECT_NAMES
 from ...protocol.tables import TABLES
 from ..files.schema import bytes_or_text
 from ..files.toml_lines import shown_key
-from .access_rules import AccessRules
 from .clockwork import Clockwork
 from .keys import CONTENTS, FIFO, UNIT
 from .mapped import Maps, mapped_contents, mapped_points
@@ -69,7 +68,6 @@ def made_unit(
         if each.behaviour is not None:
             with inside(*each.moved_by):
                 clockwork.start(each)
-    rules = AccessRules(found, clockwork)
     device = SimulatedDevice(
         mapping,
         name=given.get("name", ""),
@@ -82,8 +80,6 @@ def made_unit(
         identification=_identification((*path, "identification"), given),
         server_id=DEFAULT_SERVER_ID._replace(**given.get("server_id", {})),
         exception_status=given.get("exception_status", 0),
-        before_write=rules.before_write,
-        before_read=rules.before_read,
         authorize=given.get("roles"),
     )
     device.files.update(_files([each for each in found if each.file], budget))
