@@ -82,7 +82,7 @@ class AsyncClient(Handle[AsyncioDriver], Awaiting):
         settings = CheckedOptions.of(endpoint, options, max_pause=MAX_PAUSE, may_send=None)
         parts = assembled(endpoint, settings, IN_FLIGHT)
         timeouts = settings.timeouts
-        driver = AsyncioDriver(parts, timeouts)
+        driver = AsyncioDriver(parts)
         super().__init__(parts, settings, driver, timeouts)
         self._matching = parts.matching
         self._life = _Life(self._driver)

@@ -27,7 +27,6 @@ from .batch import Batch
 from .conversation import forbidden
 from .options import Parts
 from .reconnecting import FORKED, State
-from .timeouts import Timeouts
 
 __all__ = ["AsyncioDriver"]
 
@@ -38,15 +37,13 @@ class AsyncioDriver:
 
     Args:
         parts: of the client.
-        timeouts: the timeouts that limit an attempt to connect.
     """
 
-    def __init__(self, parts: Parts, timeouts: Timeouts) -> None:
+    def __init__(self, parts: Parts) -> None:
         self._port = parts.port
         self._conversation = parts.conversation
         self._connection = parts.connection
         self._endpoint = str(parts.endpoint)
-        self._timeouts = timeouts
         self._notices = parts.notices
         # Batches that callers wait for, each with what tells its caller.
         self._callers: dict[Batch, Future[None] | Callable[[], object]] = {}
@@ -57,6 +54,7 @@ class AsyncioDriver:
         self._loop: asyncio.AbstractEventLoop | None = None
         self._now: Callable[[], float] = monotonic  # the clock of the loop, once there is one
         self._attempt: asyncio.Task[None] | None = None
+        self._attempt_until = 0.0
         self._retry: asyncio.TimerHandle | None = None
         self._alarm = Alarm(partial(self._enter, self._ring))
         self._resume: asyncio.TimerHandle | None = None
@@ -444,7 +442,8 @@ class AsyncioDriver:
         if not self._conversation.is_allowed():
             self._conversation.refuse(forbidden())
             return
-        opening = self._port.opening(self._now() + self._timeouts.timeout)
+        self._attempt_until = self._now() + self._conversation.time_to_connect()
+        opening = self._port.opening(self._attempt_until)
         self._attempt = self._loop.create_task(run_async(opening))
         # Not in the task itself, because a task that is cancelled early never begins.
         self._attempt.add_done_callback(partial(self._enter, self._end_attempt))
@@ -478,8 +477,10 @@ class AsyncioDriver:
             self._turn()
 
     def _fail(self, error: ModbusConnectionError) -> None:
-        self._conversation.failed(error, self._now())
-        if not self._conversation.is_wanted:  # all callers were told, and nothing is in flight
+        self._conversation.failed(error, self._now(), self._attempt_until)
+        if self._conversation.is_wanted:  # by callers with more time than the attempt had
+            self._turn()
+        else:  # all callers were told, and nothing is in flight
             self._cancel_timers()
 
     def _give_up(self, error: ModbusConnectionError) -> None:

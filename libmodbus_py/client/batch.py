@@ -148,6 +148,11 @@ class Batch:
         self._open = self.end
 
     @property
+    def wait_until(self) -> float:
+        """When a batch has waited for a connection for its timeout, which may be changed."""
+        return self.since + self.timeouts.timeout
+
+    @property
     def has_next(self) -> bool:
         return self.started < self.end
 

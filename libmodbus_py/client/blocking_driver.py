@@ -324,7 +324,7 @@ class BlockingDriver:
     # --- connecting -------------------------------------------------------------------------
 
     def _connect(self, batch: Batch, now: float) -> None:
-        deadline = batch.since + batch.timeouts.timeout
+        deadline = batch.wait_until
         refusal = self._connection.refusal(now, deadline)
         if refusal is not None:
             self._conversation.refuse(refusal)

@@ -12,7 +12,7 @@ from __future__ import annotations
 import errno
 import math
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 
 from ..ports.endpoint import Endpoint
@@ -145,12 +145,11 @@ class Conversation:
         """Enqueue a batch; `Batch.is_done` says when it is settled, perhaps at once."""
         batch.since = now
         if not self.connection.is_open:
-            deadline = now + batch.timeouts.timeout
-            refusal = self.connection.refusal(now, deadline)
+            refusal = self.connection.refusal(now, batch.wait_until)
             if refusal is not None:
                 self._refuse(batch, refusal)
                 return
-            self._wake(deadline)
+            self._wake(batch.wait_until)
         elif not batch.pdus:
             batch.finish()
             return
@@ -406,12 +405,36 @@ class Conversation:
                 batch.finish()
         self.connection.opened()
 
-    def failed(self, error: ModbusConnectionError, now: float) -> None:
-        """No connection was established: all batches that wait for it fail."""
+    def time_to_connect(self) -> float:
+        """Return the longest timeout of the batches that wait for a connection, in seconds."""
+        return max((batch.timeouts.timeout for batch in self._waiting()), default=0.0)
+
+    def failed(self, error: ModbusConnectionError, now: float, until: float = math.inf) -> None:
+        """
+        No connection was established: the batches that wait for it fail.
+
+        Args:
+            until: when the time for the attempt was over. If that was why it failed, batches that
+                have more time wait for the next attempt.
+        """
+        later: set[Batch] = set()
         try:
             self.connection.failed(error, now)
+            if error.errno == errno.ETIMEDOUT:
+                later = {each for each in self._waiting() if self._has_time(each, until, now)}
         finally:  # even if `on_state` raises
-            self.refuse(error)
+            self.refuse(error, later)
+
+    def _waiting(self) -> list[Batch]:
+        return [*self._queue, *(batch for _, batch, _ in self._repeats)]
+
+    def _has_time(self, batch: Batch, until: float, now: float) -> bool:
+        """Return True if a batch waits longer than an attempt, and so for the next one."""
+        deadline = batch.wait_until
+        if deadline <= until or self.connection.refusal(now, deadline) is not None:
+            return False
+        self._wake(deadline)
+        return True
 
     def lost(self, error: ModbusConnectionError, now: float, *, by_itself: bool = True) -> None:
         """The connection ended: requests in flight fail, the queue waits for the next one."""
@@ -472,17 +495,24 @@ class Conversation:
         self.settle(now)
         self._fail_lost(lost, now)
 
-    def refuse(self, error: ModbusError) -> None:
-        """Fail all requests that wait."""
+    def refuse(self, error: ModbusError, later: Collection[Batch] = ()) -> None:
+        """Fail all requests that wait, except those of some batches."""
         queue, self._queue = self._queue, deque()
         repeats, self._repeats = self._repeats, []
         lost, self._capacity.lost = self._capacity.lost, []
         repeats += [(0.0, pending.batch, pending.index) for pending, _ in lost]
-        for _, batch, index in repeats:
+        for repeat in repeats:
+            _, batch, index = repeat
+            if batch in later:
+                self._repeats.append(repeat)
+                continue
             self._fail_at(batch, index, error)
             self._refuse(batch, error)
         for batch in queue:
-            self._refuse(batch, error)
+            if batch in later:
+                self._queue.append(batch)
+            else:
+                self._refuse(batch, error)
 
     def _refuse(self, batch: Batch, error: ModbusError) -> None:
         batch.queued = False
@@ -727,9 +757,8 @@ class Conversation:
                 self._fail_at(batch, index, self.connection.not_in_time(batch.timeouts.timeout))
 
     def _is_too_late(self, batch: Batch, now: float) -> bool:
-        until = batch.since + batch.timeouts.timeout
-        if until > now:
-            self._wake(until)
+        if batch.wait_until > now:
+            self._wake(batch.wait_until)
             return False
         self._refuse(batch, self.connection.not_in_time(batch.timeouts.timeout))
         return True

@@ -253,8 +253,9 @@ def test_answers_that_came_before_the_port_closed_are_kept(connect: Connect) -> 
         assert found[0] == [0]
         for at, each in enumerate(found):
             if at >= 8 or each != [at]:  # the news may come before an answer is read
-                assert isinstance(each, ModbusConnectionError)
-                assert each.errno == errno.ECONNREFUSED
+                # What reached the port before it closed is lost without news.
+                assert isinstance(each, ModbusConnectionError | ModbusTimeoutError)
+                assert isinstance(each, ModbusTimeoutError) or each.errno == errno.ECONNREFUSED
 
 
 # --- the port ------------------------------------------------------------------------------
