@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+from collections import deque
 from collections.abc import Callable
 
 from ..ports.endpoint import Endpoint
@@ -23,6 +24,10 @@ from .service import ENDS, Service, SessionState
 __all__ = ["SerialServer"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
+
+# Bytes of answers that may wait while the line is turned round, as many as a driver keeps; then the
+# oldest are dropped, for which no client waits any more.
+MAX_UNSENT = 4096
 
 
 class SerialServer:
@@ -60,7 +65,7 @@ class SerialServer:
         self._loop = asyncio.get_running_loop()
         self._outage = Outage(logger, endpoint)
         self._retry: asyncio.TimerHandle | None = None
-        self._unsent = bytearray()
+        self._unsent: deque[bytes] = deque()
         self._timer: asyncio.TimerHandle | None = None
         abandoned_in_children(self)
 
@@ -140,7 +145,9 @@ class SerialServer:
 
     def write(self, data: bytes) -> None:
         """Send an answer after the silence that ends the request (serial line, 2.5.1.1)."""
-        self._unsent += data
+        self._unsent.append(data)
+        while sum(map(len, self._unsent)) > MAX_UNSENT:
+            self._unsent.popleft()
         if self._timer is None:
             wait = self._port.silence.over_at - self._loop.time()
             if wait > 0:
@@ -149,7 +156,8 @@ class SerialServer:
                 self._send_unsent()
 
     def _send_unsent(self) -> None:
-        data, self._unsent = bytes(self._unsent), bytearray()
+        data = b"".join(self._unsent)
+        self._unsent.clear()
         # The next read fails if the port is gone.
         now = self._loop.time()
         if not self._port.echo:
