@@ -8,6 +8,11 @@ The registers of a device, by name, and the requests that read and write them. N
     bounds         minimum and maximum of values that a client wrote
     scaling        raw numbers and what they stand for
     plan           few requests of many reads: Plan, Read
+    plan_run       one run of a plan at a device: its requests, and the search for what it refuses
+    strict_run     ... that ends with the first failure
+    holes          what is known of a device: what it refuses, and when that is tried again
+    pieces         the parts of a request that a device may refuse one by one
+    block_answers  what a run reads of one request of the plan
     typed          values of points and registers from typed text
     writing        few requests of many writes
 """

@@ -11,6 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from heapq import heapify, heappop, heappush
+from operator import itemgetter
 from typing import Any, Literal, NamedTuple, Required, TypedDict, TypeVar
 
 from ..protocol import pdu
@@ -20,11 +21,13 @@ from ..protocol.mistakes import WrongType, WrongValue, placed
 from ..protocol.pdu.fields import checked_span, store
 from ..protocol.tables import TABLE_SIZE, TABLES, Table
 from ..protocol.values import Order, TypeName, ValueType, value_type
+from .holes import Holes, HolesByDevice, Unreadable
+from .pieces import Block, PartialAnswer
 
 # fmt: off
 __all__ = [
-    "Forbidden", "Item", "Items", "Key", "Named", "Plan", "PlanOptions", "Read", "Strict",
-    "Tolerant", "Values", "planned",
+    "Forbidden", "Item", "Items", "Key", "Named", "Plan", "PlanOptions",
+    "Read", "Strict", "Tolerant", "Values", "planned",
 ]
 # fmt: on
 
@@ -146,7 +149,7 @@ class _Part(NamedTuple):
     stop: int
 
 
-class _Piece(NamedTuple):
+class _Rest(NamedTuple):
     """The rest of an item; groups of `step` cells in it must stay together."""
 
     start: int
@@ -173,8 +176,9 @@ class Plan:
     item is split, but never inside a typed value, because its halves would then be read at
     different moments.
 
-    A device may refuse a request that covers cells which it lacks or hides; then all items
-    merged into that request fail. Use a smaller `gap`, or name such cells in `forbidden`.
+    A device may refuse a request that covers cells which it lacks or hides. What it refuses is
+    found by halving that request, once, and then left out: see `unreadable`. What lies between
+    items can be named in `forbidden`.
 
     Args:
         items: each a `Read`, or a tuple of its arguments, such as
@@ -189,6 +193,7 @@ class Plan:
     Attributes:
         requests: request objects of `libmodbus_py.pdu`, table by table, each in the order
             of addresses.
+        holes: what is known of each device; `unreadable` returns it by items.
 
     Raises:
         TypeError, ValueError: an argument of the wrong type or range; an item that
@@ -214,6 +219,7 @@ class Plan:
         self._is_named = isinstance(items, Mapping)
         self._parts: dict[Any, list[_Part]] = {name: [] for name in self._reads}
         self._requests: list[pdu.Request[list[Any]]] = []
+        self.holes: HolesByDevice = HolesByDevice()
         self._check_reads(registers)
         for table, rules in TABLES.items():
             self._merge(table, bits if rules.is_bits else registers)
@@ -240,12 +246,54 @@ class Plan:
         found = {name: self._values(name, given) for name in self._reads}
         return found if self._is_named else list(found.values())
 
+    @property
+    def unreadable(self) -> list[Unreadable]:
+        """
+        The items that devices refused, and that are left out until they are tried again.
+
+        A client that runs this plan (`read_many`) learns them, for each device by itself: one
+        minute after the first refusal, then every ten minutes, and after a new connection, they
+        are tried again.
+        """
+        return [each for holes in self.holes for each in self.unreadable_of(holes)]
+
+    def unreadable_of(self, holes: Holes) -> list[Unreadable]:
+        """Return the items that one device refused."""
+        found: dict[Any, ModbusError] = {}
+        for block in self.blocks:
+            for piece in block.pieces:
+                error = holes.error_of(block.span) or holes.error_of(block.span_of(piece))
+                if error is not None:
+                    found |= dict.fromkeys(piece.names, error)
+        return [
+            Unreadable(holes.device, name, read.table, read.cells, found[name])
+            for name, read in self._reads.items()
+            if name in found
+        ]
+
+    @cached_property
+    def blocks(self) -> tuple[Block, ...]:
+        """The pieces of each request, for those that read them otherwise."""
+        pieces: list[dict[tuple[int, int], list[Any]]] = [{} for _ in self.requests]
+        for name, parts in self._parts.items():
+            for request, start, stop in parts:
+                pieces[request].setdefault((start, stop), []).append(name)
+        return tuple(
+            Block(
+                request,
+                [(*each, tuple(names)) for each, names in sorted(found.items(), key=itemgetter(0))],
+            )
+            for request, found in zip(self.requests, pieces, strict=True)
+        )
+
     def _values(self, name: Any, answers: list[Any]) -> Any:
         cells: list[Any] = []
         for request, start, stop in self._parts[name]:
             answer = answers[request]
             if isinstance(answer, ModbusError):
                 return answer
+            if isinstance(answer, PartialAnswer) and (error := answer.error_of(start, stop)):
+                return error
             cells += answer[start:stop]
         return self._decoded(name, cells)
 
@@ -285,7 +333,7 @@ class Plan:
         No request begins before it must: at the lowest cell that is in none yet.
         """
         pieces = [
-            _Piece(cells.start, cells.stop, place, len(cells) if len(cells) <= limit else size)
+            _Rest(cells.start, cells.stop, place, len(cells) if len(cells) <= limit else size)
             for place, (cells, size) in enumerate(self._spans(table))
         ]
         windows: list[_Window] = []
@@ -301,7 +349,7 @@ class Plan:
             number = len(self._requests) + len(windows) - 1
             parts[place].append(_Part(number, start - window.start, reached - window.start))
             if reached < stop:
-                heappush(pieces, _Piece(reached, stop, place, step))
+                heappush(pieces, _Rest(reached, stop, place, step))
         make = TABLES[table].read
         self._requests += [make(window.start, window.stop - window.start) for window in windows]
 

@@ -62,6 +62,8 @@ class ModbusError(Exception):
         endpoint: URL of the connection, such as "tcp://192.0.2.10:502", or empty.
         sent: the request as it went out, header and check bytes included, or empty.
         received: what came back until the error, its first 600 bytes, or empty.
+        names: the items of a plan, such as points of a map, that the request was for; empty if it
+            was for others, too.
         answers_another: whether that answers another request: of another unit, function or
             transaction id.
 
@@ -69,6 +71,7 @@ class ModbusError(Exception):
     """
 
     answers_another: bool = False
+    names: tuple[Any, ...] = ()
 
     def __init__(self, reason: str = "", **transaction: Unpack[_Transaction]) -> None:
         super().__init__(reason)
@@ -93,6 +96,7 @@ class ModbusError(Exception):
             "" if self.unit is None else f"unit {self.unit}",
             "" if self.function is None else f"function {self.function}",
             self.asked,
+            ", ".join(map(str, self.names)),
         ]
         prefix = ", ".join(part for part in where if part)
         reason = super().__str__()
