@@ -4,6 +4,8 @@ The clients. Decisions are made once, and two drivers wait and read for them.
 From the caller to the wire:
 
     requests           every method, once for both clients
+      procedures       what methods of several requests yield
+      plan_reading     ... and how a plan is carried out
     handle             a unit, its timeouts, and the connection that it shares
     blocking           Context, TcpContext, UdpContext, RtuContext, AsciiContext
     asynchronous       AsyncClient

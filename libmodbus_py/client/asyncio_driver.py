@@ -66,6 +66,10 @@ class AsyncioDriver:
         self._is_telling = False
         self._ended: deque[Batch] = deque()
 
+    def now(self) -> float:
+        """Return the time by which timeouts are measured."""
+        return self._now()
+
     async def run(self, batch: Batch) -> None:
         """
         Send the requests of a batch; returns when it is settled.

@@ -207,10 +207,10 @@ class Context(Handle[BlockingDriver], Blocking):
     def _take(self, step: pdu.Request[Any] | Several) -> Any:
         if not isinstance(step, Several):
             return self.execute(step)
-        batch = self._batch(*step)
+        batch = self._batch(step.requests, step.max_in_flight, step.return_exceptions)
         if batch.pdus:
             self._driver.run(batch)
-        raised(batch.outcomes, (ModbusError,) if step.return_exceptions else ())
+        raised(batch.outcomes, step.returned)
         return batch.outcomes
 
 

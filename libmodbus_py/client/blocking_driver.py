@@ -112,6 +112,10 @@ class BlockingDriver:
         self._is_busy = False
         self._is_left = False
 
+    def now(self) -> float:
+        """Return the time by which timeouts are measured."""
+        return self._now()
+
     @property
     def closed(self) -> bool:
         """True once `close` was called."""

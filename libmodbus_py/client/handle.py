@@ -5,7 +5,7 @@ A handle to one unit on a connection, blocking or not.
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterable
+from collections.abc import Hashable, Iterable
 from typing import TYPE_CHECKING, Any, Generic, Protocol, Self, TypeVar
 
 from ..protocol import pdu
@@ -26,6 +26,8 @@ class Driver(Protocol):
     """The part of a driver that handles use."""
 
     def change_timeout(self) -> None: ...
+
+    def now(self) -> float: ...
 
 
 Driving = TypeVar("Driving", bound=Driver)
@@ -161,9 +163,27 @@ class Handle(Generic[Driving]):
         Raises:
             TypeError, ValueError: as of `Plan`; registers that hold no such value.
             IllegalDataAddress: a merged request covers cells that the device
-                lacks: see `Plan`.
+                lacks. With a `Plan`, what is refused is found by halving the request: it is
+                left out with `return_exceptions` (`Plan.unreadable`), else it is named in
+                `names` of the error.
         """
         raise NotImplementedError
+
+    # --- for procedures ----------------------------------------------------------------
+
+    @property
+    def device(self) -> tuple[Hashable, int]:
+        """The device behind this handle: equal for all handles to the same unit of an endpoint."""
+        return self._endpoint.place, self._unit
+
+    @property
+    def connection(self) -> tuple[int, int]:
+        """A value that is another one after each new connection."""
+        return id(self._connection), self._statistics.connects
+
+    def now(self) -> float:
+        """Return the time in seconds, of the clock by which timeouts are measured."""
+        return self._driver.now()
 
     # --- for the clients ----------------------------------------------------------------
 

@@ -8,14 +8,13 @@ gives a coroutine.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Coroutine, Generator, Iterable, Mapping, Sequence
+from collections.abc import Callable, Coroutine, Iterable, Mapping, Sequence
 from functools import update_wrapper
 from typing import (
     TYPE_CHECKING,
     Any,
     Concatenate,
     Generic,
-    NamedTuple,
     ParamSpec,
     TypeVar,
     Unpack,
@@ -24,22 +23,13 @@ from typing import (
 
 from ..protocol import pdu
 from ..protocol.checks import integer
+from .procedures import Several, Steps
 
 __all__ = ["Awaiting", "Blocking", "Requests", "Several", "Steps"]
 
 Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")
 
-
-class Several(NamedTuple):
-    """Requests that a procedure makes together, as `execute_many` takes them."""
-
-    requests: Iterable[pdu.Request[Any]]
-    max_in_flight: int
-    return_exceptions: bool
-
-
-Steps = Generator[pdu.Request[Any] | Several, Any, Result]
 
 # What only some methods need is imported by them.
 if TYPE_CHECKING:
@@ -325,7 +315,17 @@ class Requests:
         from ..maps.plan import planned
 
         plan = planned(items, options)
-        answers = yield Several(plan.requests, max_in_flight, return_exceptions)
+        if plan is not items:  # what would be learnt of the device would be lost
+            answers = yield Several(plan.requests, max_in_flight, return_exceptions)
+            return plan.results(answers)
+        from .plan_reading import plan_answers
+
+        answers = yield from plan_answers(
+            self,  # type: ignore[arg-type]  # as part of a client it is a handle, too
+            plan,
+            max_in_flight,
+            return_exceptions,
+        )
         return plan.results(answers)
 
     # --- values ----------------------------------------------------------------------
@@ -407,8 +407,11 @@ class Requests:
         Read points of a register map, in few requests.
 
         Points that touch or overlap share a request; cells that are in no point are read with
-        a `gap` only. A device refuses a whole request for one cell that it lacks, and with it
-        the neighbours that share it.
+        a `gap` only. A device refuses a whole request for one cell that it lacks. The points that
+        it refuses are found by halving the request, once. With `return_exceptions` they are then
+        left out, and tried again after a minute, every ten minutes, and after a new connection
+        (`Plan.unreadable` of ``map.plan()``). Else the refusal of the first of them is raised, with
+        its name in `names`.
 
         Args:
             map: such as `load_map` gives it.
@@ -428,7 +431,14 @@ class Requests:
                 registers that hold no such value.
         """
         plan = _checked_map(map).plan(names, **options)
-        answers = yield Several(plan.requests, max_in_flight, return_exceptions)
+        from .plan_reading import plan_answers
+
+        answers = yield from plan_answers(
+            self,  # type: ignore[arg-type]  # as part of a client it is a handle, too
+            plan,
+            max_in_flight,
+            return_exceptions,
+        )
         return plan.results(answers, return_exceptions=return_exceptions)
 
     @follows

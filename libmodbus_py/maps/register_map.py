@@ -12,6 +12,7 @@ from typing import Any, NamedTuple, Unpack
 from ..protocol import pdu
 from ..protocol.errors import ModbusError
 from ..protocol.mistakes import WrongType, WrongValue
+from .holes import HolesByDevice
 from .plan import Plan, PlanOptions
 from .point import Point
 
@@ -32,11 +33,12 @@ class RegisterMap(Mapping[str, Point]):
         TypeError, ValueError: an argument is no Point, or a name occurs twice.
     """
 
-    __slots__ = ("_kept", "_points")
+    __slots__ = ("_holes", "_kept", "_points")
 
     def __init__(self, points: Iterable[Point]) -> None:
         self._points: dict[str, Point] = {}
         self._kept: tuple[object, PointPlan] | None = None
+        self._holes = HolesByDevice()
         for point in points:
             if not isinstance(point, Point):
                 raise WrongType("points", f"must be Points, not {type(point).__name__}")
@@ -72,6 +74,7 @@ class RegisterMap(Mapping[str, Point]):
         if (kept := self._kept) is not None and kept[0] == asked:
             return kept[1]
         made = PointPlan(self._readable(wanted), **options)
+        made.holes = self._holes
         # The caller may change the list of forbidden ranges later.
         if "forbidden" not in options:
             self._kept = (asked, made)

@@ -214,12 +214,12 @@ def test_points_may_overlap_but_not_in_one_write(connect: Connect) -> None:
 
 
 def test_a_point_that_failed_has_its_error(connect: Connect) -> None:
-    """Beside neighbours that hold, wherever they are in no request with it."""
+    """Its neighbours have their values."""
     holes = RegisterMap(
         [
             Point("there", H, 0),
             Point("missing", H, 5),
-            Point("spoilt", H, 6),
+            Point("beside", H, 6),
             Point("digits", H, 10, type="bcd16"),
         ]
     )
@@ -229,7 +229,7 @@ def test_a_point_that_failed_has_its_error(connect: Connect) -> None:
         found = plc.read_map(holes, return_exceptions=True)
         assert found["there"] == 7
         assert isinstance(found["missing"], IllegalDataAddress)
-        assert found["spoilt"] is found["missing"]
+        assert found["beside"] == 8
         assert isinstance(found["digits"], ValueError)
         assert str(found["digits"]).startswith("digits: registers[0:1] hold no bcd16")
         with pytest.raises(IllegalDataAddress):
@@ -238,8 +238,8 @@ def test_a_point_that_failed_has_its_error(connect: Connect) -> None:
             plc.read_map(holes, ["there", "digits"])
         # A gap reads what nobody asked for, and loses what lies behind it.
         with pytest.raises(IllegalDataAddress):
-            plc.read_map(holes, ["there", "spoilt"], gap=5)
-        assert plc.read_map(holes, ["there", "spoilt"]) == {"there": 7, "spoilt": 8}
+            plc.read_map(holes, ["there", "beside"], gap=5)
+        assert plc.read_map(holes, ["there", "beside"]) == {"there": 7, "beside": 8}
 
 
 def test_each_point_has_the_error_of_a_line_that_is_gone(connect: Connect) -> None:

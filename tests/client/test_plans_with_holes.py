@@ -1,0 +1,240 @@
+"""
+Maps and plans of devices that lack some registers, on both clients: requests are counted.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import copy
+import logging
+from typing import Any
+
+import pytest
+
+from libmodbus_py import (
+    AsyncClient,
+    IllegalDataAddress,
+    ModbusTimeoutError,
+    Plan,
+    Point,
+    RegisterMap,
+)
+from tests.simulation.network import Network
+from tests.simulation.scripted import Scripted
+from tests.support.clients import EVERYWHERE, Simulated, World
+from tests.support.peers import Write, mbap
+
+H = "holding_registers"
+
+
+def meter() -> RegisterMap:
+    return RegisterMap(Point(f"p{at}", H, at) for at in range(20))
+
+
+class Meter:
+    """A device whose registers hold their addresses; what it lacks is refused with exception 2."""
+
+    def __init__(self, *missing: int) -> None:
+        self.missing = set(missing)
+        self.asked: list[tuple[int, int]] = []
+        self.silent: set[int] = set()
+
+    def __call__(self, request: bytes, write: Write) -> None:
+        address, count = (int.from_bytes(request[at : at + 2], "big") for at in (8, 10))
+        self.asked.append((address, count))
+        cells = range(address, address + count)
+        if self.silent & set(cells):
+            return
+        if self.missing & set(cells):
+            write(mbap(request, b"\x83\x02"))
+            return
+        data = b"".join(cell.to_bytes(2, "big") for cell in cells)
+        write(mbap(request, bytes([3, len(data)]) + data))
+
+    def taken(self) -> int:
+        """Return the number of requests since the last call."""
+        count = len(self.asked)
+        self.asked.clear()
+        return count
+
+
+def values(*missing: int) -> dict[str, int]:
+    return {f"p{at}": at for at in range(20) if at not in missing}
+
+
+def good(found: dict[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in found.items() if not isinstance(value, Exception)}
+
+
+@EVERYWHERE
+def test_a_hole_costs_six_requests_once(world: World) -> None:
+    device, points = Meter(7), meter()
+    with world.connect(world.peer("tcp", device).url) as plc:
+        counts = []
+        for _ in range(10):
+            found = plc.read_map(points, return_exceptions=True)
+            assert good(found) == values(7)
+            assert isinstance(found["p7"], IllegalDataAddress)
+            counts.append(device.taken())
+        assert counts[0] <= 1 + 6
+        assert counts[1:] == [2] * 9
+        (hole,) = points.plan().unreadable
+        assert (hole.name, hole.table, hole.cells) == ("p7", H, range(7, 8))
+        assert hole.device == f"{plc.url}, unit {plc.unit}"
+        # Other names of the same map profit from it.
+        found = plc.read_map(points, ["p6", "p7", "p8"], return_exceptions=True)
+        assert good(found) == {"p6": 6, "p8": 8}
+        assert device.taken() == 2
+
+
+@EVERYWHERE
+def test_without_return_exceptions_the_point_is_named(world: World) -> None:
+    device, points = Meter(7, 12), meter()
+    with world.connect(world.peer("tcp", device).url) as plc:
+        for most in (1 + 6, 2, 2):
+            with pytest.raises(IllegalDataAddress, match=r"p7: illegal data address") as caught:
+                plc.read_map(points)
+            assert caught.value.names == ("p7",)
+            assert device.taken() <= most
+        device.missing.clear()
+        assert plc.read_map(points) == values()
+        assert device.taken() == 1
+
+
+@EVERYWHERE
+def test_nothing_more_is_sent_after_the_first_failure(world: World) -> None:
+    points = RegisterMap([Point("a", H, 0), Point("b", H, 10), Point("c", H, 20)])
+    device = Meter(10)
+    with world.connect(world.peer("tcp", device).url, max_in_flight=1) as plc:
+        with pytest.raises(IllegalDataAddress):
+            plc.read_map(points, max_in_flight=1)
+        assert device.asked == [(0, 1), (10, 1)]
+
+
+def test_a_plan_learns_for_each_device_by_itself(world: Simulated) -> None:
+    plan = Plan({f"p{at}": (H, at) for at in range(20)})
+    one, other = Meter(7), Meter(11)
+    with (
+        world.connect(world.peer("tcp", one).url) as first,
+        world.connect(Scripted(world.network, "tcp://10.0.0.2", other).url) as second,
+    ):
+        for _ in range(3):
+            assert len(good(first.read_many(plan, return_exceptions=True))) == 19
+            assert isinstance(second.read_many(plan, return_exceptions=True)["p11"], Exception)
+        # The same device by another handle knows already, and another unit does not.
+        one.taken()
+        first.for_unit(1).read_many(plan, return_exceptions=True)
+        assert one.taken() == 2
+        first.for_unit(9).read_many(plan, return_exceptions=True)
+        assert one.taken() > 2
+    told = {(each.device, each.name) for each in plan.unreadable}
+    assert told == {
+        (f"{first.url}, unit 1", "p7"),
+        (f"{first.url}, unit 9", "p7"),
+        (f"{second.url}, unit 1", "p11"),
+    }
+
+
+def test_items_that_are_no_plan_are_read_as_they_are(world: World) -> None:
+    device = Meter(7)
+    with world.connect(world.peer("tcp", device).url) as plc:
+        found = plc.read_many([(H, at) for at in range(20)], return_exceptions=True)
+        assert all(isinstance(each, IllegalDataAddress) for each in found)
+        assert device.taken() == 1
+
+
+def test_it_is_tried_again_when_it_is_time(world: World) -> None:
+    device, points = Meter(7), meter()
+    peer = world.peer("tcp", device)
+    with world.connect(peer.url) as plc:
+        plc.read_map(points, return_exceptions=True)
+        device.taken()
+        counts = []
+        for _ in range(70):
+            world.sleep(10)
+            plc.read_map(points, return_exceptions=True)
+            counts.append(device.taken())
+        assert [10 * (at + 1) for at, count in enumerate(counts) if count == 3] == [60, 660]
+        world.sleep(70)
+        peer.drop_all()
+        plc.read_map(points, return_exceptions=True)
+        device.taken()
+        device.missing.clear()
+        peer.drop_all()
+        world.sleep(70)
+        for _ in range(3):
+            found = plc.read_map(points, return_exceptions=True)
+        assert found == values()
+        assert points.plan().unreadable == []
+
+
+def test_silence_is_no_hole(world: World) -> None:
+    device, points = Meter(), meter()
+    device.silent.add(7)
+    with world.connect(world.peer("tcp", device).url, timeout=0.5) as plc:
+        for _ in range(3):
+            found = plc.read_map(points, return_exceptions=True)
+            assert all(isinstance(each, ModbusTimeoutError) for each in found.values())
+            assert device.taken() == 1
+
+
+def test_what_is_found_is_logged_once(world: World, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO, "libmodbus_py.client.plan_reading")
+    points = meter()
+    with world.connect(world.peer("tcp", Meter(7)).url) as plc:
+        for _ in range(3):
+            plc.read_map(points, return_exceptions=True)
+        assert caplog.messages == [
+            f"{plc.url}, unit 1: cannot be read: p7, holding_registers 7 (1 register): "
+            "illegal data address (exception 2)"
+        ]
+
+
+def test_what_was_learnt_is_in_no_copy_of_a_map(world: World) -> None:
+    points = meter()
+    with world.connect(world.peer("tcp", Meter(7)).url) as plc:
+        plc.read_map(points, return_exceptions=True)
+    assert points.plan().unreadable
+    same = copy.deepcopy(points)
+    assert same.plan().unreadable == []
+    assert dict(same) == dict(points)
+
+
+def test_cancelled_in_the_midst_of_halving() -> None:
+    """At each request: what is known then is true, and the next poll completes it."""
+    for stop in range(1, 8):
+        network, device, points = Network(), Meter(7), meter()
+        peer = Scripted(network, "tcp://10.0.0.1", device)
+
+        async def main(
+            stop: int = stop,
+            device: Meter = device,
+            points: RegisterMap = points,
+            url: str = peer.url,
+        ) -> None:
+            async with AsyncClient(url) as plc:
+                reading = asyncio.create_task(plc.read_map(points, return_exceptions=True))
+                while len(device.asked) < stop and not reading.done():
+                    await asyncio.sleep(1e-5)
+                reading.cancel()
+                await asyncio.gather(reading, return_exceptions=True)
+                assert {each.name for each in points.plan().unreadable} <= {"p7"}
+                found = await plc.read_map(points, return_exceptions=True)
+                assert good(found) == values(7)
+
+        network.run(main)
+
+
+def test_two_tasks_poll_one_plan_at_once() -> None:
+    network, device, points = Network(), Meter(7, 15), meter()
+    peer = Scripted(network, "tcp://10.0.0.1", device)
+
+    async def main() -> None:
+        async with AsyncClient(peer.url) as plc:
+            for _ in range(2):
+                polls = [plc.read_map(points, return_exceptions=True) for _ in range(5)]
+                for found in await asyncio.gather(*polls):
+                    assert good(found) == values(7, 15)
+        assert [each.name for each in points.plan().unreadable] == ["p7", "p15"]
+
+    network.run(main)
