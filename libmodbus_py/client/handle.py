@@ -178,7 +178,7 @@ class Handle(Generic[Driving]):
 
     @property
     def connection(self) -> tuple[int, int]:
-        """A value that is another one after each new connection."""
+        """The client, and how many connections it has made; another one after each connection."""
         return id(self._connection), self._statistics.connects
 
     def now(self) -> float:

@@ -33,7 +33,7 @@ class Asking(Protocol):
     def device(self) -> Hashable: ...
 
     @property
-    def connection(self) -> Hashable: ...
+    def connection(self) -> tuple[Hashable, int]: ...
 
     def now(self) -> float: ...
 
@@ -57,7 +57,7 @@ def plan_answers(
             return _raised(first, return_exceptions)
         known = plan.holes.made(client.device, f"{client.url}, unit {client.unit}")
     kind = PlanRun if return_exceptions else StrictRun
-    run = kind(plan, known, client.now(), client.connection)
+    run = kind(plan, known, client.now(), *client.connection)
     if first and run.requests == list(plan.requests):
         run.take(first)
     while run.requests:

@@ -35,10 +35,13 @@ RETRY = 600.0
 """Seconds between two trials of what a device refused."""
 
 RETRY_SOONER = 60.0
-"""Seconds until the first such trial, and until one because the connection was made again."""
+"""Seconds until the first such trial, and between those because of new connections."""
 
 REPEATEDLY = 3
 """Invalid responses to the same request, in a row, that count as a refusal."""
+
+MOST_CLIENTS = 16
+"""Clients of one device that are remembered."""
 
 MOST_DEVICES = 10_000
 """Devices of one plan whose holes are kept."""
@@ -152,24 +155,29 @@ class Holes:
         self.seen: set[Span] = set()
         self.search_after: float = -math.inf
         self._damaged: dict[Span, int] = {}
-        self._connection: Hashable = None
+        self._connections: dict[Hashable, int] = {}
         self._learnt_at = 0.0
 
     def __bool__(self) -> bool:
         return bool(self.refused or self.cuts or self.most or self._damaged)
 
-    def note_connection(self, connection: Hashable, now: float) -> None:
+    def note_connection(self, client: Hashable, connects: int, now: float) -> None:
         """
-        Note the connection that is used. After another one all holes are due, but none sooner
-        than `RETRY_SOONER` after its last trial.
+        Note the connection that is used. With another client all holes are due, because the device
+        may be another one at the same place; after another connection of the same client those
+        that were tried longer than `RETRY_SOONER` ago.
         """
-        if connection == self._connection:
+        known = self._connections.get(client)
+        if known == connects:
             return
-        is_other, self._connection = self._connection is not None, connection
-        if not is_other:
+        is_first = not self._connections
+        if known is None and len(self._connections) >= MOST_CLIENTS:
+            self._connections.clear()
+        self._connections[client] = connects
+        if is_first:
             return
-        self.expire(now, RETRY_SOONER)
-        if now - self._learnt_at >= RETRY:
+        self.expire(now, 0.0 if known is None else RETRY_SOONER)
+        if known is None or now - self._learnt_at >= RETRY:
             self.cuts.clear()
             self.most.clear()
 

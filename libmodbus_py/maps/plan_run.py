@@ -91,15 +91,18 @@ class PlanRun:
         plan: what is read.
         holes: what is known of the device.
         now: the time in seconds, of any steady clock.
-        connection: anything that is equal as long as the connection is the same.
+        client: anything that tells the clients of the device apart.
+        connects: how many connections that client has made.
 
     Attributes:
         requests: the requests to send next; empty when the run is over.
         news: sentences about what was found to be unreadable in this run.
     """
 
-    def __init__(self, plan: Plan, holes: Holes, now: float, connection: Hashable = None) -> None:
-        holes.note_connection(connection, now)
+    def __init__(
+        self, plan: Plan, holes: Holes, now: float, client: Hashable = None, connects: int = 1
+    ) -> None:
+        holes.note_connection(client, connects, now)
         self.requests: Requests = []
         self.news: list[str] = []
         self._plan = plan

@@ -79,7 +79,7 @@ class Polls:
     def poll(self, now: float = 0.0) -> tuple[int, Any]:
         """Run the plan; return the number of requests, and the values."""
         before = len(self.device.asked)
-        run = PlanRun(self.plan, self.holes, now, self.connection)
+        run = PlanRun(self.plan, self.holes, now, 1, self.connection)
         while run.requests:
             run.take([self.device(each) for each in run.requests])
         self.news += run.news
@@ -271,6 +271,17 @@ def test_a_new_connection_brings_another_trial_once_a_minute() -> None:
         polls.connection += 1
         counts.append(polls.poll(now)[0])
     assert counts == [2, 2, 3, 2, 2, 2, 2, 2, 3, 2, 2, 2]
+
+
+def test_another_client_tries_everything_again() -> None:
+    polls = Polls(singles(20), Registers([5]))
+    polls.poll(0)
+    counts = []
+    for client in (2, 2, 3, 2, 3, 2):
+        polls.holes.note_connection(client, 1, 10)
+        counts.append(len(PlanRun(polls.plan, polls.holes, 10, client, 1).requests))
+        polls.poll(10)
+    assert counts == [3, 2, 3, 2, 2, 2]
 
 
 def test_a_hole_that_moves_costs_few_requests() -> None:
