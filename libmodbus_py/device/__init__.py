@@ -15,6 +15,10 @@ In the order in which a request goes through::
     access         tables and addresses that a request touches, as hooks see them
     reply          Replier: libmodbus's modbus_reply in memory, by the chunk
     mapping        Mapping: the four tables of a device, with their holes
+    state_lines    values of devices as lines of JSON, and back
+    kept_values    the values of a device that a file keeps
+    written        values that are not the first ones
+    writing_aside  a file that is there wholly, or as before
     ranges         ranges of addresses, joined
     record_file    RecordFile: the records of functions 20 and 21
 """

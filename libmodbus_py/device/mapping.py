@@ -18,13 +18,16 @@ from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Sequence
 from collections.abc import Mapping as MappingABC
 from operator import index
-from typing import Any, ClassVar, Generic, Literal, Self, TypeVar, Unpack, overload
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, Self, TypeVar, Unpack, overload
 
 from ..binding.library import ffi, lib
 from ..protocol.checks import integer
 from ..protocol.tables import TABLE_SIZE
 from ..protocol.values import Layout, TypeName, value_type
 from .ranges import joined
+
+if TYPE_CHECKING:
+    from .state_lines import Run
 
 __all__ = ["TABLE_NUMBERS", "BitTable", "Mapping", "RegisterTable", "Table", "runs"]
 
@@ -316,6 +319,61 @@ class Mapping:
     def __exit__(self, *_: object) -> None:
         self.lock.release()
 
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """
+        Write all values to a file, so that they survive a restart of the program.
+
+        The file is written aside, forced to the disk, and then takes the place of the former one:
+        it is there wholly, or as before. A new one is readable by its owner only.
+
+        Raises:
+            OSError: the file cannot be written.
+        """
+        from .state_lines import UnitValues, text_of
+        from .writing_aside import write_aside
+
+        write_aside(path, text_of({None: UnitValues({}, self._runs())}))
+
+    def load(self, path: str | os.PathLike[str]) -> None:
+        """
+        Set all values to those of a file that `save` wrote: all of them, or none.
+
+        Raises:
+            OSError: the file cannot be read.
+            ValueError: it is damaged, of a newer version, or has values for addresses that do not
+                exist here; the message names the file, the line and the key.
+        """
+        from .state_lines import parsed, read_text
+
+        found = parsed(os.fspath(path), read_text(path), {None: _MappingAlone(self)})
+        with self:
+            for run in self._runs():
+                table = getattr(self, run.table)
+                table[run.address : run.address + len(run.values)] = [0] * len(run.values)
+            for _, run in found:
+                table = getattr(self, run.table)
+                table[run.address : run.address + len(run.values)] = run.values
+
+    def _snapshot(self) -> list[tuple[str, int, int, array[int]]]:
+        """
+        Return copies of the tables, of one moment.
+
+        Returns:
+            For each table its name, 0, its first address, and its cells, holes included.
+        """
+        with self:
+            return [
+                (name, 0, table.addresses.start, array(table.typecode, bytes(table.view)))
+                for name in TABLE_NUMBERS
+                for table in [getattr(self, name)]
+            ]
+
+    def _runs(self) -> list[Run]:
+        """Return all values that are not 0."""
+        from .written import changes
+
+        return [run for each in self._snapshot() for run in changes(*each)]
+
     def __repr__(self) -> str:
         tables = (self.coils, self.discrete_inputs, self.holding_registers, self.input_registers)
         return f"Mapping({', '.join(repr(table) for table in tables)})"
@@ -354,6 +412,20 @@ class Mapping:
             struct.ranges[TABLE_NUMBERS[table.name]] = (len(table.ranges), edges)
             self._pointers += [pointer, edges]
         return struct
+
+
+class _MappingAlone:
+    """A mapping alone, which takes values from a file."""
+
+    def __init__(self, mapping: Mapping) -> None:
+        self._mapping = mapping
+
+    def has(self, run: Run) -> bool:
+        table = getattr(self._mapping, run.table, None)
+        return table is not None and bool(table.has(run.address, len(run.values)))
+
+    def meaning(self, name: str) -> list[Any] | None:
+        return None
 
 
 _mappings: weakref.WeakSet[Mapping] = weakref.WeakSet()

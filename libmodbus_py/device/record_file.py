@@ -53,6 +53,11 @@ class RecordFile:
     def __iter__(self) -> Iterator[int]:
         return compress(self._values, self._exists)
 
+    @property
+    def view(self) -> memoryview:
+        """The records from 0 on, not a copy; those that do not exist are 0."""
+        return memoryview(self._values)
+
     def has(self, record: int, length: int) -> bool:
         """Return True if all of the `length` records from `record` on exist."""
         return record + length <= len(self._values) and all(self._exists[record : record + length])
