@@ -4,6 +4,7 @@ Simulated devices, described in a file.
 ::
 
     reloading      a file that is read again while its devices are served
+    values_file    the file that keeps the values of devices over a restart
     device_file    TOML to devices and faults; DeviceFileError
     units          one unit of it: a device
     simulated      SimulatedDevice: a device with named points, which can take over values of

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from ...server.server import Server
 from ..files.rereading import reread
 from .device_file import load
-from .simulated import Simulation
+from .simulated import SimulatedDevice, Simulation
 
 __all__ = ["Reloader"]
 
@@ -61,6 +61,11 @@ class Reloader:
         self._thread = threading.Thread(target=self._run, name="device file", daemon=True)
         self._files = (path, *simulation.files)
         self._read_signatures = self._signatures()
+
+    @property
+    def devices(self) -> SimulatedDevice | dict[int, SimulatedDevice]:
+        """The devices that are served, with the values that they took over."""
+        return self._simulation.devices
 
     def start(self) -> None:
         """Start the thread; call it in the loop of the server."""

@@ -15,6 +15,7 @@ from ...device.hooks import Hook
 from ...device.mapping import Mapping as Tables
 from ...device.named_values import known_point
 from ...device.point_rules import RuledCells
+from ...device.written import FirstValues
 from ...maps.bounds import has_bounds
 from ...maps.point import Point
 from ...maps.register_map import RegisterMap
@@ -98,6 +99,13 @@ class SimulatedDevice(Device):
         for point in self._mapped.values():
             if point.is_writable and has_bounds(point) and id(point) not in whole:
                 yield RuledCells.of(point)._replace(access=None)
+
+    def first_values(self) -> Iterator[FirstValues]:
+        """Yield the first values that are not 0, and those that the device computes."""
+        for each in self._contents:
+            if each.behaviour is not None or any(each.cells):
+                is_computed = each.behaviour is not None
+                yield FirstValues(each.table, each.file, each.first, each.all_cells, is_computed)
 
     def is_as(self, other: SimulatedDevice) -> bool:
         """Return True if the file describes both devices alike."""

@@ -1,0 +1,168 @@
+"""
+The file in which a server keeps the values of its devices, so that they survive a restart.
+"""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import os
+import threading
+from collections.abc import Callable, Mapping
+
+from ...device.device import Device
+from ...device.kept_values import KeptValues
+from ...device.state_lines import UnitValues, parsed, read_text, text_of
+from ...device.writing_aside import remove_leftovers, write_aside
+from ...ports.forking import abandoned_in_children
+from .simulated import SimulatedDevice
+
+__all__ = ["ValuesFile"]
+
+# Seconds between two times of writing.
+WRITE_EVERY = 1.0
+
+# Errors after which the devices are served all the same, and their values are not kept.
+CANNOT_WRITE = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT)
+
+Devices = Device | Mapping[int, Device]
+
+
+class ValuesFile:
+    """
+    Keeps the values of devices in a file: written aside, at most once a second and at the end.
+
+    While it exists, no other program can use the file: a second file, with the ending ".lock",
+    is locked. If the file cannot be written, that is said once, and said again when it can.
+
+    Args:
+        path: the file; a file that does not exist holds no values.
+        devices: returns the devices that are served now.
+        tell: called with one line about each failure, in the thread of this object or the caller's.
+
+    Raises:
+        ValueError: the file is used by another program, cannot be read, is damaged, of a newer
+            version or of other devices; no value is taken from it.
+    """
+
+    def __init__(
+        self, path: str, devices: Callable[[], Devices], *, tell: Callable[[str], object]
+    ) -> None:
+        self._path = path
+        self._devices = devices
+        self._tell = tell
+        self._lock: int | None = None
+        self._owner = os.getpid()
+        self._is_failing = False
+        self._is_closed = threading.Event()
+        self._seen: object = None
+        self._text = ""
+        self._thread = threading.Thread(target=self._run, name="values file", daemon=True)
+        try:
+            self._load()
+        except BaseException:
+            self.abandon()
+            raise
+        abandoned_in_children(self)
+
+    def start(self) -> None:
+        """Write the file, and begin to keep it up to date."""
+        self._write()
+        self._thread.start()
+
+    def close(self) -> None:
+        """Write the file for the last time, and let others use it. Any number of times."""
+        if self._lock is None and self._is_closed.is_set():
+            return
+        self._is_closed.set()
+        if self._thread.ident is not None:
+            self._thread.join()
+        if self._owner == os.getpid():
+            self._write()
+        self.abandon()
+
+    def abandon(self) -> None:
+        """Close the file's lock; the copy of a forked child is not that of its parent."""
+        descriptor, self._lock = self._lock, None
+        if descriptor is not None:
+            os.close(descriptor)
+
+    # --- the file ------------------------------------------------------------------------------
+
+    def _run(self) -> None:
+        while not self._is_closed.wait(WRITE_EVERY):
+            self._write()
+
+    def _take_lock(self) -> None:
+        if self._lock is not None:
+            return
+        path = f"{os.path.realpath(self._path)}.lock"  # one lock, by whatever link it is reached
+        descriptor = None
+        try:
+            descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BaseException as error:
+            if descriptor is not None:
+                os.close(descriptor)
+            if isinstance(error, BlockingIOError):
+                raise BlockingIOError(error.errno, "in use by another program") from None
+            raise
+        self._lock = descriptor
+        remove_leftovers(self._path)
+
+    def _load(self) -> None:
+        try:
+            self._take_lock()
+        except OSError as error:
+            if error.errno not in CANNOT_WRITE:
+                raise ValueError(f"{self._path}: {error.strerror}") from None
+            self._fail(error)
+        try:
+            text = read_text(self._path)
+        except FileNotFoundError:
+            return
+        except OSError as error:
+            raise ValueError(f"{self._path}: {error.strerror}") from None
+        units = {unit: KeptValues(device) for unit, device in self._units().items()}
+        for unit, run in parsed(self._path, text, units):
+            units[unit].put(run)
+        self._text = text
+
+    def _write(self) -> None:
+        """Write the file if a value has changed. Never raises an Exception."""
+        try:
+            devices = self._units()
+            seen = [
+                (unit, id(each), KeptValues(each).fingerprint()) for unit, each in devices.items()
+            ]
+            if seen == self._seen and not self._is_failing:
+                return
+            text = text_of({unit: _written(each) for unit, each in devices.items()})
+            if text != self._text or self._is_failing:
+                self._take_lock()
+                write_aside(self._path, text)
+                self._text = text
+            self._seen = seen
+        except Exception as error:
+            self._fail(error)
+            return
+        if self._is_failing:
+            self._is_failing = False
+            self._tell(f"{self._path}: values are kept again")
+
+    def _fail(self, error: Exception) -> None:
+        if not self._is_failing:
+            self._is_failing = True
+            reason = (error.strerror if isinstance(error, OSError) else None) or repr(error)
+            self._tell(f"{self._path}: {reason}; until it can be written, values are not kept")
+
+    def _units(self) -> dict[int | None, Device]:
+        devices = self._devices()
+        if isinstance(devices, Device):
+            return {None: devices}
+        return {unit: device for unit, device in devices.items()}  # noqa: C416 (its type)
+
+
+def _written(device: Device) -> UnitValues:
+    first = device.first_values() if isinstance(device, SimulatedDevice) else ()
+    return KeptValues(device).written(first)
