@@ -1,0 +1,370 @@
+"""
+The file that keeps the values of served devices: what it has, who may use it, and what fails.
+"""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import signal
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from libmodbus_py import Device, Mapping, device_file, pdu
+from libmodbus_py.tools.simulator.values_file import ValuesFile
+from tests.support.cases import each_case
+from tests.tools.simulator.simulated_units import Clock
+
+PLANT = """
+[[unit]]
+id = 1
+map = "map.csv"
+[unit.values]
+setpoint = 20
+[[unit.holding_registers]]
+address = 100
+count = 600
+value = 7
+[[unit.holding_registers]]
+address = 900
+counter = { interval = 1 }
+[[unit.file]]
+number = 4
+record = 3
+values = [1, 2, 3]
+[[unit]]
+id = 2
+[[unit.coils]]
+address = 0
+count = 8
+"""
+
+MAP = "name,table,address,type,scale\nsetpoint,holding,0,uint16,0.1\nlimit,holding,1,uint32,1\n"
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "map.csv").write_text(MAP)
+    return tmp_path
+
+
+Units = dict[int, Any]
+
+
+def plant(folder: Path, text: str = PLANT) -> Units:
+    devices = device_file.parse(text, clock=Clock(), folder=folder).devices
+    assert isinstance(devices, dict)
+    return devices
+
+
+def kept(folder: Path, units: Any, told: list[str] | None = None) -> ValuesFile:
+    tell: Callable[[str], object] = pytest.fail if told is None else told.append
+    return ValuesFile(str(folder / "state"), lambda: units, tell=tell)
+
+
+def after_a_write(folder: Path) -> Units:
+    """Serve the plant once, with values that clients write."""
+    units = plant(folder)
+    file = kept(folder, units)
+    file.start()
+    for unit, request in (
+        (1, pdu.WriteRegister(0, 215)),
+        (1, pdu.WriteRegisters(100, [8] * 100)),
+        (1, pdu.WriteRegister(200, 7)),  # as at first
+        (1, pdu.WriteFileRecords([(4, 4, [9])])),
+        (2, pdu.WriteCoil(5, True)),
+    ):
+        assert units[unit].answer(request.encode())[0] == request.function
+    units[1].answer(pdu.ReadHoldingRegisters(900, 1).encode())  # a moving value
+    file.close()
+    return units
+
+
+def test_written_values_survive_a_restart(folder: Path) -> None:
+    after_a_write(folder)
+    units = plant(folder)
+    file = kept(folder, units)
+    assert units[1]["setpoint"] == 21.5
+    assert units[1].mapping.holding_registers[100:202] == [8] * 100 + [7, 7]
+    assert list(units[1].files[4]) == [1, 9, 3]
+    assert units[2].mapping.coils[:] == [False] * 5 + [True] + [False] * 2
+    file.close()
+
+
+def test_the_file_has_only_what_is_not_as_at_first(folder: Path) -> None:
+    after_a_write(folder)
+    lines = [json.loads(line) for line in (folder / "state").read_text().splitlines()]
+    assert lines == [
+        {"libmodbus-py": "state", "version": 1},
+        {
+            "unit": 1,
+            "points": {
+                "holding_registers_100": ["holding_registers", 100, 600, "uint16", "ABCD"],
+                "setpoint": ["holding_registers", 0, 1, "uint16", "ABCD"],
+            },
+        },
+        {"unit": 1, "table": "holding_registers", "address": 0, "values": [215]},
+        {"unit": 1, "table": "holding_registers", "address": 100, "values": [8] * 100},
+        {"unit": 1, "table": "file", "file": 4, "address": 4, "values": [9]},
+        {
+            "unit": 2,
+            "points": {"coils_0": ["coils", 0, 8, None, "ABCD"]},
+        },
+        {"unit": 2, "table": "coils", "address": 5, "values": [1]},
+        {"end": 7},
+    ]
+
+
+def test_new_first_values_hold_where_nothing_was_written(folder: Path) -> None:
+    after_a_write(folder)
+    units = plant(folder, PLANT.replace("value = 7", "value = 6"))
+    kept(folder, units).close()
+    assert units[1].mapping.holding_registers[199:202] == [8, 6, 6]
+
+
+OTHERS = [
+    (("id = 2", "id = 3"), "line 6: unit must be that of a device that is served, not 2"),
+    (("address = 100", "address = 101"), "line 2: points.holding_registers_100: .* no such point"),
+    (("count = 600", "count = 601"), r"line 2: points.holding_registers_100 must be .*601"),
+    (("number = 4", "number = 5"), "line 5: address: the device lacks file 4 4..4"),
+    (("record = 3", "record = 5"), "line 5: address: the device lacks file 4 4..4"),
+    (('map = "map.csv"\n[unit.values]\nsetpoint = 20', ""), "line 2: points.setpoint: .* no such"),
+]
+
+
+@each_case(("change", "message"), OTHERS)
+def test_values_of_another_device_are_refused(
+    change: tuple[str, str], message: str, folder: Path
+) -> None:
+    after_a_write(folder)
+    before = (folder / "state").read_bytes()
+    assert change[0] in PLANT
+    units = plant(folder, PLANT.replace(*change))
+    first = {unit: list(device.mapping.holding_registers) for unit, device in units.items()}
+    with pytest.raises(ValueError, match=message):
+        kept(folder, units)
+    assert first == {unit: list(each.mapping.holding_registers) for unit, each in units.items()}
+    assert (folder / "state").read_bytes() == before
+    kept(folder, plant(folder)).close()  # and the lock is free
+
+
+def test_another_type_at_the_same_place_is_another_device(folder: Path) -> None:
+    after_a_write(folder)
+    (folder / "map.csv").write_text(MAP.replace("0,uint16", "0,int16"))
+    with pytest.raises(ValueError, match=r"line 2: points.setpoint must be \[.*'int16'"):
+        kept(folder, plant(folder))
+    (folder / "map.csv").write_text(MAP.replace("0.1", "0.01") + "more,coil,9,,\n")
+    kept(folder, plant(folder)).close()  # scales and new points do not matter
+
+
+def test_half_a_file_is_refused_wherever_it_ends(folder: Path) -> None:
+    after_a_write(folder)
+    data = (folder / "state").read_bytes()
+    for length in range(0, len(data), 7):
+        (folder / "state").write_bytes(data[:length])
+        units = plant(folder)
+        with pytest.raises(ValueError, match=r"state, line \d: "):
+            kept(folder, units)
+        assert units[1]["setpoint"] == 20
+
+
+def test_a_plain_device(folder: Path) -> None:
+    def everything() -> Device:
+        return Device(Mapping(65536, 65536, 65536, 65536), files={1: [0] * 10_000})
+
+    device = everything()
+    file = kept(folder, device)
+    file.start()
+    device.mapping.holding_registers[:] = [address ^ 0x5555 for address in range(65536)]
+    device.mapping.coils[65535] = True
+    device.files[1][9999] = 1
+    file.close()
+    other = everything()
+    kept(folder, other).close()
+    assert other.mapping.holding_registers[:] == device.mapping.holding_registers[:]
+    assert other.mapping.coils[65535] is True
+    assert other.files[1][9999] == 1
+
+
+def test_only_changes_are_written(folder: Path) -> None:
+    units = plant(folder)
+    file = kept(folder, units)
+    file._write()
+    first = os.stat(folder / "state").st_ino
+    file._write()
+    units[1].answer(pdu.ReadHoldingRegisters(900, 1).encode())
+    file._write()
+    assert os.stat(folder / "state").st_ino == first
+    units[2].mapping.coils[1] = True
+    file._write()
+    assert os.stat(folder / "state").st_ino != first
+    file.close()
+
+
+def test_it_is_written_while_it_is_served(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from libmodbus_py.tools.simulator import values_file
+
+    monkeypatch.setattr(values_file, "WRITE_EVERY", 0.001)
+    units = plant(folder)
+    file = kept(folder, units)
+    file.start()
+    units[2].mapping.coils[1] = True
+    while '"coils"' not in (folder / "state").read_text():
+        pass
+    file.close()
+
+
+# --- who may use it -------------------------------------------------------------------------
+
+
+def test_a_second_program_is_refused(folder: Path) -> None:
+    (folder / "link").symlink_to(folder / "state")
+    file = kept(folder, plant(folder))
+    file.start()
+    for name in ("state", "link"):
+        with pytest.raises(ValueError, match=f"{name}: in use by another program"):
+            ValuesFile(str(folder / name), lambda: plant(folder), tell=pytest.fail)
+    file.close()
+    file.close()
+    kept(folder, plant(folder)).close()
+
+
+def test_a_forked_child_neither_writes_nor_holds_the_lock(folder: Path) -> None:
+    units = plant(folder)
+    file = kept(folder, units)
+    file.start()
+    read, write = os.pipe()
+    child = os.fork()
+    if child == 0:
+        code = 1
+        try:
+            units[2].mapping.coils[1] = True
+            file.close()
+            code = 0
+        finally:
+            os.write(write, b"%d" % code)
+            signal.pause()
+            os._exit(0)
+    try:
+        assert os.read(read, 1) == b"0"
+        with pytest.raises(ValueError, match="in use"):
+            kept(folder, plant(folder))
+        file.close()
+        assert "coils" not in (folder / "state").read_text()
+        kept(folder, plant(folder)).close()  # though the child still lives
+    finally:
+        os.kill(child, signal.SIGKILL)
+        os.waitpid(child, 0)
+        os.close(read)
+        os.close(write)
+
+
+def test_what_a_killed_process_left_is_removed(folder: Path) -> None:
+    (folder / "state.abcd1234.new").write_text("half")
+    (folder / "state.mine.new").write_text("another")
+    kept(folder, plant(folder)).close()
+    assert {path.name for path in folder.iterdir()} == {
+        *("map.csv", "state", "state.lock", "state.mine.new")
+    }
+
+
+# --- what fails -----------------------------------------------------------------------------
+
+
+def failing(number: int) -> Callable[..., Any]:
+    def fail(*_: object, **__: object) -> None:
+        raise OSError(number, os.strerror(number))
+
+    return fail
+
+
+@each_case(
+    ("step", "number"),
+    [
+        ("fsync", errno.ENOSPC),
+        ("fsync", errno.EIO),
+        ("replace", errno.EROFS),
+        ("replace", errno.EACCES),
+    ],
+)
+def test_a_file_that_cannot_be_written_is_told_once(
+    step: str, number: int, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (folder / "state").unlink(missing_ok=True)
+    units, told = plant(folder), list[str]()
+    file = kept(folder, units, told)
+    file._write()
+    before = (folder / "state").read_bytes()
+    with monkeypatch.context() as patched:
+        patched.setattr(os, step, failing(number))
+        for number_of_coil in range(3):
+            units[2].mapping.coils[number_of_coil] = True
+            file._write()
+    reason = os.strerror(number)
+    path = folder / "state"
+    assert told == [f"{path}: {reason}; until it can be written, values are not kept"]
+    assert path.read_bytes() == before
+    file.close()
+    assert told[1:] == [f"{path}: values are kept again"]
+    assert '"values": [1, 1, 1]' in path.read_text()
+
+
+@each_case("number", [errno.EACCES, errno.EROFS, errno.ENOSPC])
+def test_a_folder_that_takes_no_files(
+    number: int, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (folder / "state").unlink(missing_ok=True)
+    (folder / "state.lock").unlink(missing_ok=True)
+    open_ = os.open
+
+    def refusing(path: Any, flags: int, *mode: Any, **more: Any) -> int:
+        if flags & os.O_CREAT and str(path).startswith(str(folder)):
+            failing(number)()
+        return open_(path, flags, *mode, **more)
+
+    units, told = plant(folder), list[str]()
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "open", refusing)
+        file = kept(folder, units, told)
+        file._write()
+        units[2].mapping.coils[1] = True
+        file._write()
+        assert len(told) == 1
+        assert units[2].answer(pdu.ReadCoils(1, 1).encode()) == b"\1\1\1"
+    file.close()
+    assert told[1:] == [f"{folder / 'state'}: values are kept again"]
+
+
+@each_case(
+    ("make", "message"),
+    [
+        (lambda path: path.mkdir(), "state: Is a directory"),
+        (lambda path: os.mkfifo(path), "state: no regular file"),
+        (lambda path: path.symlink_to(path.parent / "none" / "state"), "state: No such file"),
+        (lambda path: path.write_text("[unit]\n"), "state, line 1: column 2: not JSON"),
+        (lambda path: path.write_bytes(b"\x80"), "state, line 1: no UTF-8"),
+    ],
+)
+def test_what_cannot_be_such_a_file_is_refused(
+    make: Callable[[Path], object], message: str, folder: Path
+) -> None:
+    path = folder / f"{len(message)}" / "state"
+    path.parent.mkdir()
+    make(path)
+    with pytest.raises(ValueError, match=message):
+        ValuesFile(str(path), lambda: plant(folder), tell=pytest.fail)
+
+
+def test_a_damaged_device_does_not_end_the_thread(folder: Path) -> None:
+    units, told = plant(folder), list[str]()
+    file = kept(folder, units, told)
+    file.start()
+    units[3] = object()
+    file._write()
+    del units[3]
+    file.close()
+    assert told[0].startswith(f"{folder / 'state'}: AttributeError")
