@@ -10,6 +10,7 @@ Commands that run until a signal ends them.
     limits       the options that limit what clients may use
     metrics      the option for metrics
     page         the option for a live page
+    state        the option for a file that keeps values
     audit        the options for an audit trail
     addresses    HOST:PORT on the command line
     announcing   messages: where a server listens, and who can reach it

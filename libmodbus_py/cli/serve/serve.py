@@ -7,7 +7,6 @@ SIGHUP reads the device file again; with --reload, so does every change of the f
 from __future__ import annotations
 
 import argparse
-import contextlib
 from collections.abc import Callable
 from typing import Any
 
@@ -22,9 +21,8 @@ from ...tools.simulator.reloading import Reloader
 from .. import arguments, logs
 from ..connecting import OF_SERVERS, with_options
 from ..help import VerbatimHelp
-from ..output import complain
 from ..tracing import print_frame
-from . import audit, limits, metrics, page
+from . import audit, limits, metrics, page, state
 from .announcing import announcing
 from .hangup import is_secure, unless_closed
 
@@ -77,6 +75,7 @@ def add_command(commands: Any) -> None:
         metavar="N",
         help="device that answers units 0 and 255 too, on TCP and UDP",
     )
+    state.add_argument(command)
     metrics.add_argument(command)
     page.add_argument(command)
     limits.add_arguments(command).add_argument(
@@ -123,17 +122,20 @@ def _serve_logged(options: argparse.Namespace) -> int:
             audit=trail,
         )
         announce = announcing(options.allow)
+        reloader = None
+        if simulation is not None and path is not None:
+            is_watching = options.reload
+            reloader = Reloader(server, path, simulation, is_watching=is_watching, tell=state.tell)
         with (
+            state.kept(options.state, lambda: (reloader or server).devices),
             metrics.exposed(server, options.metrics),
             page.shown(server, options.page, announce, options.page_token) as announce_all,
         ):
-            if simulation is None or path is None:
+            if reloader is None:
                 has_files = on_hangup or is_secure(urls)
                 read_again = unless_closed(*on_hangup) if has_files else None
                 server.serve_forever(*urls, on_listening=announce_all, on_hangup=read_again)
             else:
-                is_watching = options.reload
-                reloader = Reloader(server, path, simulation, is_watching=is_watching, tell=_tell)
                 _serve_and_reload(server, urls, announce_all, reloader, on_hangup)
     return 0
 
@@ -154,11 +156,6 @@ def _serve_and_reload(
         server.serve_forever(*urls, on_listening=begin, on_hangup=read_again)
     finally:
         reloader.close()
-
-
-def _tell(line: str) -> None:
-    with contextlib.suppress(OSError, ValueError):  # without a reader it still serves
-        complain(line)
 
 
 def _list_examples() -> int:
