@@ -1,9 +1,10 @@
 """
 Matching on framings without transaction ids: one request at a time.
 
-Nothing tells a late answer of a unit from its next one there. So after a failure the line
-must have been quiet for one timeout before the same unit is asked again; an answer of
-another unit is recognised by its unit, and a collision by its check bytes.
+No frame says there which request it answers. So after a failure the line must have been quiet
+for one timeout before the same unit is asked again; an answer of another unit is recognised by
+its unit, and a collision by its check bytes. An answer that may be that to an earlier request
+(`suspicion`) is taken only if no other one follows.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from ..protocol.framing import LINE_FEED, AsciiFramer, Frame, Framer, delimiter_
 from .batch import Batch, Pending, Reply
 from .matching import MAX_KEPT, Matching, Replies, no_answer
 from .statistics import Statistics
+from .suspicion import Suspicion
 
 __all__ = ["InTurn"]
 
@@ -57,6 +59,10 @@ class InTurn(Matching):
         self._replies: Replies = []
         self._wrong: ModbusError | None = None  # what came in place of its answer so far
         self._came_early = False  # an answer came before its request can have left
+        self._suspicion = Suspicion()
+        self._held: bytes | None = None  # an answer that may be that to an earlier request
+        self._held_until = 0.0
+        self._heard_at = 0.0
         self._received = bytearray()
         self._late = bytearray()
         self._quiet_at: float | None = None
@@ -72,6 +78,9 @@ class InTurn(Matching):
         if isinstance(framer, AsciiFramer):
             framer.delimiter = self._delimiter
         return framer
+
+    def accepts(self, unit: int, request: bytes, pdu: bytes, took: float) -> bool:
+        return self._suspicion.accepts(unit, request, pdu, took)
 
     # --- asking --------------------------------------------------------------------------
 
@@ -121,6 +130,7 @@ class InTurn(Matching):
         self._quiet_at = None
         self._silence.sent(len(adu), now)
         self._wrong = None
+        self._held = None
         self._came_early = False
         self.unasked = 0
         pending = Pending(batch, index, adu, now)
@@ -140,6 +150,7 @@ class InTurn(Matching):
         if self._pending is None and not self._doubts and len(data) >= SHORTEST_COPY:
             self._doubled_until = now + LONG_MEMORY
         self._silence.heard(now)
+        self._heard_at = now
         if now < self._doubled_until:
             self._silence.over_at = max(self._silence.over_at, now + LONG_SILENCE)
         if self._pending is None:
@@ -193,7 +204,29 @@ class InTurn(Matching):
             elif each.pdu[0] & 0x7F != pending.function:
                 self._note_other_function(pending, each)
             else:
-                self._end(pending, each.pdu, now)
+                self._weigh(pending, each.pdu, now)
+
+    def _weigh(self, pending: Pending, pdu: bytes, now: float) -> None:
+        """Take an answer; one that may be that to an earlier request only if no other follows."""
+        unit, request = pending.batch.unit, pending.batch.pdus[pending.index]
+        is_first = self._held is None
+        if self._suspicion.accepts(unit, request, pdu, self._heard_at - pending.sent):
+            if not is_first:
+                self._note_surplus(now)
+            self._end(pending, pdu, now)
+            return
+        if not is_first:
+            self._note_surplus(now)
+        if is_first or not self._suspicion.repeats(unit, request, pdu):
+            self._held = pdu
+            self._held_until = pending.sent + self._suspicion.patience(unit, request, pdu)
+        self._wake(min(self._held_until, pending.deadline))
+
+    def _note_surplus(self, now: float) -> None:
+        """More answers than requests: have the line fall silent for longer for a while."""
+        self._is_noisy = True
+        self._statistics.late_answers += 1
+        self._doubled_until = now + LONG_MEMORY
 
     def _note_noise(self, error: FrameError) -> None:
         self._statistics.invalid += 1
@@ -249,6 +282,7 @@ class InTurn(Matching):
         pending = self._pending
         if (
             pending is not None
+            and self._held is None  # else that answer is what was not damaged
             and isinstance(self._wrong, FrameError)
             and self._is_damaged(pending)
         ):
@@ -282,7 +316,9 @@ class InTurn(Matching):
     def expire(self, now: float) -> Replies:
         self._note_quiet(now)
         pending = self._pending
-        if pending is not None and pending.deadline > now:
+        if pending is not None and self._held is not None:
+            self._take_held(pending, self._held, now)
+        elif pending is not None and pending.deadline > now:
             self._wake(pending.deadline)
         elif pending is not None:
             self._pending = None
@@ -293,6 +329,16 @@ class InTurn(Matching):
             error.received = received
             self._replies.append(self._time_out(pending, error))
         return self._replies_so_far()
+
+    def _take_held(self, pending: Pending, pdu: bytes, now: float) -> None:
+        """Take an answer that was doubted, once no other one came in time."""
+        if (until := min(self._held_until, pending.deadline)) > now:
+            self._wake(until)
+            return
+        request = pending.batch.pdus[pending.index]
+        took = self._heard_at - pending.sent
+        self._suspicion.clear(pending.batch.unit, request, pdu, took)
+        self._end(pending, pdu, now)
 
     def _note_quiet(self, now: float) -> None:
         """Judge what silence has ended."""
@@ -339,6 +385,8 @@ class InTurn(Matching):
     def reset(self, now: float) -> list[Pending]:
         super().reset(now)
         self._is_noisy = False
+        self._held = None
+        self._suspicion = Suspicion()
         self._doubled_until = 0.0
         self._waiting.clear()
         pending, self._pending = self._pending, None

@@ -62,6 +62,10 @@ class Matching(ABC):
         """Return the transaction id of the next request; 0 on lines, which have none."""
         return 0
 
+    def accepts(self, unit: int, request: bytes, pdu: bytes, took: float) -> bool:
+        """Return True unless an answer may be that to an earlier request."""
+        return True
+
     def ready_at(self, unit: int) -> float:
         """Return when a unit may be asked that owes an answer; 0.0 if it owes none."""
         return 0.0

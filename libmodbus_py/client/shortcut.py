@@ -142,7 +142,7 @@ class Shortcut:
             batch = Batch(unit, [request], timeouts, pdus=[pdu])
             self._conversation.add(batch, self._now())
             return batch, None
-        if answer and not (self._is_line and self._now() < self._port.silence.left_at):
+        if answer and not (self._is_line and self._may_be_older(unit, pdu, answer, since)):
             try:
                 outcome = request.decode_response(answer)
             except ModbusError:
@@ -159,6 +159,12 @@ class Shortcut:
             self._conversation.take(self._carrier.received, now)
             self._conversation.settle(now)
         return batch, self._carrier.error
+
+    def _may_be_older(self, unit: int, pdu: bytes, answer: bytes, since: float) -> bool:
+        """Return True for an answer on a line that may be that to an earlier request."""
+        now = self._now()
+        is_early = now < self._port.silence.left_at
+        return is_early or not self._matching.accepts(unit, pdu, answer, now - since)
 
     def interrupt(self) -> None:
         """Let the conversation know of a request that was sent, and whose caller is gone."""

@@ -66,14 +66,10 @@ class Failure:
         return self.error.rule if isinstance(self.error, Broken) else type(self.error).__name__
 
 
-def recorded(*, still: bool = False) -> list[Options]:
-    """Return the runs that failed once, oldest first; or those that still do."""
+def recorded() -> list[Options]:
+    """Return the runs that failed once, oldest first."""
     found = json.loads(Path(__file__).with_name("seeds.json").read_text())
-    return [
-        Options(**{**each["run"], "faults": tuple(each["run"]["faults"])})
-        for each in found
-        if each.get("still", False) is still
-    ]
+    return [Options(**{**each["run"], "faults": tuple(each["run"]["faults"])}) for each in found]
 
 
 def play(options: Options) -> World:

@@ -1,0 +1,135 @@
+"""
+Answers that come twice on lines without transaction ids: no later value is the one before.
+"""
+
+from __future__ import annotations
+
+import random
+
+import pytest
+
+from libmodbus_py import pdu
+from tests.support.clients import World, read
+from tests.support.peers import Write, answer
+from tests.support.talk import Talk, rtu, value
+
+LINE = "rtu:///dev/nowhere?silence=0"
+
+
+class Doubling:
+    """
+    A unit that answers a read of one register with its address, some answers twice.
+
+    Args:
+        share: of the answers, which come again up to `apart` seconds later.
+    """
+
+    def __init__(self, scheme: str, share: float, apart: float, seed: int) -> None:
+        self._scheme = scheme
+        self._share = share
+        self._apart = apart
+        self._random = random.Random(seed)
+        self.doubled = 0
+
+    def __call__(self, request: bytes, write: Write) -> None:
+        adu = answer(request, self._scheme)
+        after = self._random.uniform(0.004, 0.006)
+        write(adu, after)  # type: ignore[call-arg]
+        if self._random.random() < self._share:
+            self.doubled += 1
+            write(adu, after + self._random.uniform(0, self._apart))  # type: ignore[call-arg]
+
+
+@pytest.mark.parametrize("scheme", ["rtu+tcp", "rtu+udp", "ascii+tcp", "rtu", "ascii"])
+def test_no_value_is_that_of_another_request(world: World, scheme: str) -> None:
+    unit = Doubling(scheme, 0.01, 0.02, 1)
+    peer = world.peer(scheme, unit)
+    with world.connect(peer.url, timeout=1) as context:
+        wrong = [each for each in range(1, 1500) if read(context, each) != each]
+    assert not wrong
+    assert unit.doubled > 5
+
+
+def asked(talk: Talk, address: int, *answers: tuple[float, bytes]) -> object:
+    """Return the outcome of a read to which such answers come, each after so many seconds."""
+    talk.wait(0.05)
+    batch, start = talk.ask(address), talk.now
+    for after, each in answers:
+        talk.wait_until(start + after)
+        talk.come(each)
+    talk.wait_until(start + 0.2)
+    return batch.outcomes[0]
+
+
+def warm() -> Talk:
+    """Return a talk whose unit answers after 10 ms."""
+    talk = Talk(LINE, timeout=1)
+    for each in range(1, 20):
+        assert asked(talk, each, (0.01, value(each))) == [each]
+    return talk
+
+
+def test_what_comes_sooner_than_the_unit_can_answer_is_an_earlier_one() -> None:
+    talk = warm()
+    assert asked(talk, 50, (0.002, value(77)), (0.01, value(50))) == [50]
+    assert talk.statistics.late_answers == 1
+
+
+def test_what_repeats_the_answer_to_another_request_is_an_earlier_one() -> None:
+    talk = warm()
+    assert asked(talk, 50, (0.009, value(19)), (0.011, value(50))) == [50]
+
+
+def test_a_unit_that_became_faster_is_believed_at_once_after_the_first() -> None:
+    talk = warm()
+    assert asked(talk, 50, (0.002, value(50))) == [50]
+    batch = talk.ask(51)
+    talk.wait(0.002)
+    talk.come(value(51))
+    assert batch.outcomes == [[51]]
+
+
+def test_what_several_registers_have_in_common_is_believed() -> None:
+    talk = warm()
+    assert asked(talk, 50, (0.01, value(0))) == [0]
+    assert asked(talk, 51, (0.01, value(0))) == [0]
+    batch = talk.ask(52)
+    talk.wait(0.01)
+    talk.come(value(0))
+    assert batch.outcomes == [[0]]
+
+
+def test_a_poll_of_the_same_values_waits_for_nothing() -> None:
+    talk = warm()
+    for _ in range(3):
+        for each in (7, 8):
+            asked(talk, each, (0.01, value(5)))
+    batch = talk.ask(7)
+    talk.wait(0.01)
+    talk.come(value(5))
+    assert batch.outcomes == [[5]]
+
+
+def test_an_answer_that_is_doubted_behind_an_echo_is_not_taken_for_damage() -> None:
+    """The echo of a write is no frame of an answer, but it begins as its answer does."""
+    write = pdu.WriteRegisters(1, [1, 2])
+    talk = Talk(LINE, timeout=1)
+    for after in (0.01, 0.001):
+        batch, start = talk.ask(write), talk.now
+        talk.wait_until(start + after)
+        talk.come(talk.sent[-1] + rtu("01 10 0001 0002"))
+        talk.wait_until(start + 0.1)
+        assert batch.outcomes == [None]
+
+
+def test_answers_that_vary_in_time_are_believed_at_once() -> None:
+    """As on a network, where the time of one says little of the next."""
+    talk, chance, held = Talk(LINE, timeout=1), random.Random(1), 0
+    for each in range(1, 2000):
+        batch = talk.ask(each)
+        talk.wait(0.002 + chance.expovariate(200))
+        talk.come(value(each))
+        held += not batch.is_done
+        talk.wait(0.1)
+        assert batch.outcomes == [[each]]
+    assert held < 5
