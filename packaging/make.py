@@ -13,6 +13,7 @@ import sys
 from pathlib import Path
 
 import libmodbus
+import sbom
 from repair import repair
 
 ROOT = Path(__file__).parents[1]
@@ -29,6 +30,9 @@ def main() -> None:
     """
     _say(f"building libmodbus {libmodbus.VERSION}")
     libmodbus.build(PREFIX)
+    source = libmodbus.TARBALL
+    text = sbom.sbom(source.relative_to(ROOT).as_posix(), source.read_bytes())
+    (ROOT / "packaging" / sbom.NAME).write_text(text)
     _say("building the sdist, and from it the wheel")
     for old in (BUILT, DIST):
         shutil.rmtree(old, ignore_errors=True)

@@ -1,8 +1,8 @@
 """
 Make a wheel that carries libmodbus: python packaging/repair.py WHEEL FOLDER
 
-auditwheel copies the library in; its licence, the offer of its source, and how to replace
-it, are added here.
+auditwheel copies the library in; its licence, the offer of its source, how to replace it, and the
+bill of materials are added here.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import tempfile
 from pathlib import Path
 
 import libmodbus
+import sbom
 
 REPOSITORY = "https://github.com/libmodbus-py/libmodbus-py"
 OWN, BOTH = "License-Expression: MIT\n", "License-Expression: MIT AND LGPL-2.1-or-later\n"
@@ -37,6 +38,7 @@ def repair(wheel: Path, folder: Path, licence: bytes) -> Path:
         _run("wheel", "unpack", "--dest", str(place), str(repaired))
         (tree,) = (each for each in place.iterdir() if each.is_dir())
         _add_licences(tree, licence)
+        _add_sbom(tree)
         folder.mkdir(parents=True, exist_ok=True)
         _run("wheel", "pack", "--dest-dir", str(folder), str(tree))
         return folder / repaired.name
@@ -54,6 +56,15 @@ def _add_licences(tree: Path, licence: bytes) -> None:
     assert OWN in head
     files = "".join(f"License-File: libmodbus/{each.name}\n" for each in sorted(texts.iterdir()))
     metadata.write_text(head.replace(OWN, BOTH + files, 1))
+
+
+def _add_sbom(tree: Path) -> None:
+    (library,) = (tree / "libmodbus_py.libs").glob("libmodbus*.so*")
+    (info,) = tree.glob("*.dist-info")
+    folder = info / sbom.FOLDER
+    folder.mkdir(exist_ok=True)  # auditwheel may have written one of its own
+    text = sbom.sbom(library.relative_to(tree).as_posix(), library.read_bytes())
+    (folder / sbom.NAME).write_text(text)
 
 
 def _notice(library: Path) -> str:

@@ -7,6 +7,7 @@ The sdist and the wheel that were made: what is in them, and that they work alon
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 import re
 import shutil
@@ -16,9 +17,11 @@ import tarfile
 import venv
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import libmodbus
 import pytest
+import sbom
 
 SDIST, WHEEL = Path(os.environ["SDIST"]), Path(os.environ["WHEEL"])
 
@@ -65,7 +68,7 @@ def text_of(ending: str) -> str:
 
 
 def test_there_is_nothing_that_only_a_compiler_reads(names: list[str]) -> None:
-    allowed = r"\.(py|so|so\.[0-9.]+|toml|csv|html|css|js|svg)$|/py\.typed$|\.dist-info/"
+    allowed = r"\.(py|so|so\.[0-9.]+|toml|csv|html|css|js|svg|pyi)$|/py\.typed$|\.dist-info/"
     assert [name for name in names if not re.search(allowed, name)] == []
 
 
@@ -94,6 +97,42 @@ def test_the_notice_names_the_library_and_offers_its_source(names: list[str]) ->
         assert hashlib.sha256(data.read()).hexdigest() == libmodbus.SHA256
 
 
+def test_the_bill_of_materials_names_what_the_wheel_carries(names: list[str]) -> None:
+    """PEP 770; the form is checked when it is written."""
+    bom = json.loads(text_of(f".dist-info/{sbom.FOLDER}/{sbom.NAME}"))
+    own = bom["metadata"]["component"]
+    version = re.findall("^Version: (.*)$", text_of("/METADATA"), re.MULTILINE)
+    assert (own["name"], [own["version"]]) == ("libmodbus-py", version)
+    parts = {each["name"]: each for each in bom["components"]}
+    assert set(parts) == {"libmodbus", "cffi"}
+    (library,) = (name for name in names if name.startswith("libmodbus_py.libs/"))
+    with zipfile.ZipFile(WHEEL) as wheel:
+        digest = hashlib.sha256(wheel.read(library)).hexdigest()
+    check_libmodbus(parts["libmodbus"], library, digest)
+    needs = {each["ref"]: each.get("dependsOn", []) for each in bom["dependencies"]}
+    assert set(needs[own["bom-ref"]]) == {each["bom-ref"] for each in parts.values()}
+
+
+def test_the_bill_of_materials_of_the_sdist_names_the_source_that_it_carries() -> None:
+    with tarfile.open(SDIST) as sdist:
+        (name,) = (each for each in sdist if each.name.endswith(f"packaging/{sbom.NAME}"))
+        file = sdist.extractfile(name)
+        assert file is not None
+        parts = {each["name"]: each for each in json.load(file)["components"]}
+    check_libmodbus(parts["libmodbus"], f"packaging/{libmodbus.NAME}", libmodbus.SHA256)
+
+
+def check_libmodbus(part: dict[str, Any], place: str, digest: str) -> None:
+    assert part["version"] == libmodbus.VERSION
+    assert part["licenses"] == [{"license": {"id": "LGPL-2.1-or-later"}}]
+    assert part["evidence"]["occurrences"] == [{"location": place}]
+    assert part["hashes"] == [{"alg": "SHA-256", "content": digest}]
+    (source,) = (each for each in part["externalReferences"] if "hashes" in each)
+    assert source["type"] == "source-distribution"
+    assert source["url"].endswith(libmodbus.NAME)
+    assert source["hashes"] == [{"alg": "SHA-256", "content": libmodbus.SHA256}]
+
+
 def test_it_fits_every_python_from_311_on() -> None:
     assert re.search(r"-cp311-abi3-(many|musl)linux", WHEEL.name)
 
@@ -109,7 +148,7 @@ def test_it_loads_its_own_library(home: Path) -> None:
 
 
 def test_it_runs_the_demonstration(home: Path) -> None:
-    assert "all answers as they should be" in run(home / "bin" / "libmodbus-py", "demo")
+    assert "all answers are right" in run(home / "bin" / "libmodbus-py", "demo")
 
 
 def test_it_has_the_examples(home: Path) -> None:
@@ -142,7 +181,7 @@ def test_the_library_can_be_exchanged(home: Path, tmp_path: Path) -> None:
     try:
         shutil.copy(tmp_path / "lib" / "libmodbus.so.5", own)
         assert run(home / "bin" / "python", "-c", WHICH).startswith("(3, 1, 99) ")
-        assert "all answers as they should be" in run(home / "bin" / "libmodbus-py", "demo")
+        assert "all answers are right" in run(home / "bin" / "libmodbus-py", "demo")
     finally:
         shutil.copy(kept, own)
 
