@@ -15,8 +15,9 @@ Bottom up:
     framing    unit and PDU as bytes on TCP, UDP, RTU and ASCII lines, and back
     either_way  frames of a line that one only listens to: requests or responses
     tables     the four tables: what they hold, and how much of it a request may carry
-    values     numbers, text and bits in registers; references such as 40123
+    values     numbers, text, bits and times in registers; references such as 40123
                (type_names: what type checkers know of them)
+    times      dates and times in registers
     spelling   values as people read and type them
     plain      values as JSON can contain them
 """

@@ -8,11 +8,14 @@ import math
 import re
 import reprlib
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from .values import ValueType
 
-__all__ = ["bit_of", "decimal_of", "number_of", "shown", "units_of", "value_of"]
+if TYPE_CHECKING:
+    from datetime import datetime
+
+__all__ = ["bit_of", "decimal_of", "number_of", "shown", "time_of", "units_of", "value_of"]
 
 BITS = {"0": False, "1": True, "off": False, "on": True, "false": False, "true": True}
 
@@ -53,9 +56,14 @@ SHOWN: dict[str, Callable[[Any, ValueType], str]] = {
 
 
 def shown(value: Any, kind: ValueType) -> str:
-    """Return a value of a type as text: the shortest number, the lowest bit first, quoted text."""
+    """
+    Return a value of a type as text: the shortest number, the lowest bit first, quoted text, times
+    as in ISO 8601.
+    """
     show = SHOWN.get(_family(kind))
-    return show(value, kind) if show else str(value)
+    if show:
+        return show(value, kind)
+    return str(value.isoformat()) if kind.is_time else str(value)
 
 
 # --- typed ---------------------------------------------------------------------------
@@ -103,6 +111,25 @@ def decimal_of(text: str) -> float:
     return value
 
 
+def time_of(text: str) -> datetime:
+    """
+    Read a date and time with its time zone (ISO 8601), such as 2026-07-01T12:00:00Z.
+
+    Raises:
+        ValueError: it is none; the message begins with "value".
+    """
+    from datetime import datetime
+
+    try:
+        found = datetime.fromisoformat(text.strip())
+    except ValueError:
+        found = None
+    if found is None or found.utcoffset() is None:
+        wanted = "a date and time with a time zone, such as 2026-07-01T12:00:00Z"
+        raise ValueError(f"value must be {wanted}, not {reprlib.repr(text)}")
+    return found
+
+
 def _integer(text: str) -> int:
     return number_of("value", text)
 
@@ -124,7 +151,7 @@ def value_of(text: str, kind: ValueType) -> Any:
     Raises:
         ValueError: it is none; the message begins with "value".
     """
-    return PARSERS.get(_family(kind), _integer)(text)
+    return time_of(text) if kind.is_time else PARSERS.get(_family(kind), _integer)(text)
 
 
 # --- lists ---------------------------------------------------------------------------

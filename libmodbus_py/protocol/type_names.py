@@ -6,7 +6,11 @@ from __future__ import annotations
 
 from typing import Literal, TypedDict
 
-__all__ = ["BitsType", "Layout", "NumberType", "Order", "TextOptions", "TextType", "TypeName"]
+# fmt: off
+__all__ = [
+    "BitsType", "Layout", "NumberType", "Order", "TextOptions", "TextType", "TimeType", "TypeName",
+]
+# fmt: on
 
 Order = Literal["ABCD", "CDAB", "BADC", "DCBA"]
 """The orders of bytes, by the names that hold for every width."""
@@ -18,6 +22,8 @@ NumberType = Literal[
 """Types whose values are numbers."""
 BitsType = Literal["bits16", "bits32", "bits64"]
 """Types whose values are lists of True and False."""
+TimeType = Literal["unix32", "unix64", "ms64", "iec870", "date48", "bcddate48", "date96"]
+"""Types whose values are datetimes."""
 TextType = Literal[
     "string:1", "string:2", "string:3", "string:4", "string:5", "string:6", "string:7", "string:8",
     "string:9", "string:10", "string:11", "string:12", "string:13", "string:14", "string:15",
@@ -62,7 +68,7 @@ TextType = Literal[
 ]
 """Types whose values are text, of 1 to 250 bytes."""
 # fmt: on
-TypeName = Literal[NumberType, BitsType, TextType]
+TypeName = Literal[NumberType, BitsType, TimeType, TextType]
 """All of them."""
 
 

@@ -8,6 +8,10 @@ device and reader; this module knows the usual ones. Types are named by text:
 * float16, float32, float64 (IEEE 754);
 * bcd16, bcd32, bcd64: decimal digits, four in each register;
 * bits16, bits32, bits64: lists of True and False, lowest bit first;
+* unix32, unix64: seconds since 1970; ms64: milliseconds; the 32 bits without a sign, 64 with one;
+* iec870: CP56Time2a of IEC 60870-5-4 in the four registers of Schneider's devices;
+* date48: six bytes, year (of 2000), month, day, hour, minute, second; bcddate48: the same in
+  decimal digits; date96: six registers, with the whole year;
 * string:N: N bytes of text, 1..250, two in each register; of an odd N the last
   byte of the last register is no text: written as 0, not looked at when read.
 
@@ -44,13 +48,25 @@ from typing import TYPE_CHECKING, Any, NamedTuple, SupportsFloat, SupportsIndex
 
 from .checks import are_registers, integer, shown
 from .mistakes import Path, WrongType, WrongValue, item
-from .type_names import BitsType, Layout, NumberType, Order, TextOptions, TextType, TypeName
+from .type_names import (
+    BitsType,
+    Layout,
+    NumberType,
+    Order,
+    TextOptions,
+    TextType,
+    TimeType,
+    TypeName,
+)
+
+if TYPE_CHECKING:
+    from datetime import datetime
 
 # fmt: off
 __all__ = [
     "ENCODINGS", "ORDERS", "BitsType", "Interpretation", "Layout", "NumberType", "Order",
-    "Reference", "TextOptions", "TextType", "TypeName", "ValueType", "parse_reference", "readings",
-    "value_type",
+    "Reference", "TextOptions", "TextType", "TimeType", "TypeName", "ValueType", "parse_reference",
+    "readings", "value_type",
 ]
 # fmt: on
 
@@ -113,6 +129,7 @@ class ValueType:
         order: ABCD, CDAB, BADC or DCBA.
         limits: the lowest and the highest number; None if values are no numbers.
         is_text: whether its registers stand in reading order whatever the order.
+        is_time: whether values are datetimes, with a time zone.
     """
 
     name: str
@@ -122,6 +139,7 @@ class ValueType:
     limits: tuple[int, int] | tuple[float, float] | None = None
     is_text: bool = False
     order: str = "ABCD"
+    is_time: bool = False
 
     def encode(self, value: Any) -> list[int]:
         """
@@ -129,7 +147,8 @@ class ValueType:
 
         Args:
             value: a number; a list of True and False for bits, lowest first; a
-                string for string:N, which is never cut.
+                string for string:N, which is never cut; a datetime with a time zone for
+                times, whose fractions of a second are cut where the type has none.
 
         Raises:
             TypeError, ValueError: the value does not fit the type.
@@ -154,8 +173,8 @@ class ValueType:
         Turn the registers of one value into that value.
 
         Returns:
-            An int, a float, a list of True and False or a string; a string without
-            the padding at its end, whatever else it holds.
+            An int, a float, a list of True and False, a datetime in UTC or a string; a string
+            without the padding at its end, whatever else it holds.
 
         Raises:
             TypeError, ValueError: the registers are too many or too few, not
@@ -208,6 +227,15 @@ class ValueType:
             ValueError: they hold no such value.
         """
         return self._unpack(self._reordered(data))
+
+    def to_number(self, data: bytes) -> int:
+        """Return the bits of one value, of any type, as a number without a sign."""
+        return int.from_bytes(self._reordered(data), "big")
+
+    def cells_of_number(self, number: int) -> list[int]:
+        """Return the registers whose bits are those of a number, 0 up to all bits set."""
+        data = self._reordered(number.to_bytes(2 * self.registers, "big"))
+        return list(struct.unpack(f">{self.registers}H", data))
 
     def _reordered(self, data: bytes) -> bytes:
         if self.order == "ABCD":
@@ -296,6 +324,21 @@ def _flags(bits: int) -> ValueType:
     return ValueType(f"bits{bits}", bits // 16, pack, unpack)
 
 
+def _moments(type_name: str, registers: int) -> ValueType:
+    # Imported when first used: most programs read no times.
+    def pack(name: str | Path, value: object) -> bytes:
+        from .times import TIMES, pack_time
+
+        return pack_time(TIMES[type_name], name, value)
+
+    def unpack(data: bytes) -> datetime:
+        from .times import TIMES, unpack_time
+
+        return unpack_time(TIMES[type_name], data)
+
+    return ValueType(type_name, registers, pack, unpack, is_time=True)
+
+
 def _bit(name: str | Path, flag: object) -> int:
     return int(flag) if isinstance(flag, bool) else integer(name, flag, 0, 1)
 
@@ -377,6 +420,17 @@ def _fill(padding: str, encoding: str) -> bytes:
     return two[len(one) :]
 
 
+TIME_REGISTERS = {
+    "unix32": 2,
+    "unix64": 4,
+    "ms64": 4,
+    "iec870": 4,
+    "date48": 3,
+    "bcddate48": 3,
+    "date96": 6,
+}
+"""Types of times -> their registers; `times` has their forms."""
+
 TYPES: dict[str, ValueType] = {
     made.name: made
     for made in (
@@ -387,6 +441,7 @@ TYPES: dict[str, ValueType] = {
         _floats(64, "d", sys.float_info.max),
         *(_decimals(bits) for bits in (16, 32, 64)),
         *(_flags(bits) for bits in (16, 32, 64)),
+        *(_moments(name, registers) for name, registers in TIME_REGISTERS.items()),
     )
 }
 """Name -> type, in the order ABCD; strings are made by `value_type`."""
@@ -465,7 +520,7 @@ def readings(registers: Iterable[int]) -> list[Interpretation]:
     """
     cells = _cells(registers)
     count = integer("the number of registers", len(cells), 1, 125)
-    names = [name for name, kind in TYPES.items() if kind.registers == count]
+    names = [name for name, kind in TYPES.items() if kind.registers == count and not kind.is_time]
     found: dict[tuple[str, str], Interpretation] = {}
     for name in [*names, f"string:{2 * count}"]:
         for order in ORDERS:

@@ -1,0 +1,101 @@
+"""
+Times in registers, by the published layouts, and back.
+"""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime, timedelta, timezone
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from libmodbus_py.values import value_type
+from tests.support.cases import each_case
+
+NOON = datetime(2026, 7, 1, 12, 30, 15, tzinfo=UTC)
+
+# Seconds since 1970 as `date -u +%s` prints them; CP56Time2a as IEC 60870-5-4 lays it out, in
+# Schneider's registers: year; month, day of the week and day; hour and minute; milliseconds.
+TIMES = [
+    ("unix32", [0, 0], datetime(1970, 1, 1, tzinfo=UTC)),
+    ("unix32", [0x6A45, 0x0857], NOON),
+    ("unix32", [0xFFFF, 0xFFFF], datetime(2106, 2, 7, 6, 28, 15, tzinfo=UTC)),
+    ("unix64", [0xFFFF, 0xFFFF, 0xFFFF, 0xFFFF], datetime(1969, 12, 31, 23, 59, 59, tzinfo=UTC)),
+    ("ms64", [0, 0, 0, 1500], datetime(1970, 1, 1, 0, 0, 1, 500_000, tzinfo=UTC)),
+    ("iec870", [26, 7 << 8 | 3 << 5 | 1, 12 << 8 | 30, 15_000], NOON),
+    ("iec870", [26, 12 << 8 | 4 << 5 | 31, 23 << 8 | 59, 59_999],
+     datetime(2026, 12, 31, 23, 59, 59, 999_000, tzinfo=UTC)),
+    ("date48", [0x1A07, 0x010C, 0x1E0F], NOON),
+    ("bcddate48", [0x2607, 0x0112, 0x3015], NOON),
+    ("date96", [2026, 7, 1, 12, 30, 15], NOON),
+]  # fmt: skip
+
+
+@each_case(("name", "cells", "time"), TIMES)
+def test_registers_hold_times(name: str, cells: list[int], time: datetime) -> None:
+    kind = value_type(name)
+    assert kind.decode(cells) == time
+    assert kind.decode(cells).utcoffset() == timedelta(0)
+    assert kind.encode(time) == cells
+    assert kind.encode(time.astimezone(timezone(timedelta(hours=-5)))) == cells
+
+
+def test_summer_time_is_an_hour_ahead_of_utc() -> None:
+    cells = [26, 7 << 8 | 3 << 5 | 1, 0x8000 | 13 << 8 | 30, 15_000]
+    assert value_type("iec870").decode(cells) == NOON
+
+
+# What is no time: a bit says so, or a field has no such number.
+NONE = [
+    ("iec870", [26, 7 << 8 | 1, 12 << 8 | 0x80 | 30, 0]),
+    ("iec870", [0, 0, 0, 0]),
+    ("iec870", [0xFFFF] * 4),
+    ("iec870", [26, 7 << 8 | 1, 12 << 8 | 30, 60_000]),
+    ("iec870", [100, 7 << 8 | 1, 12 << 8 | 30, 0]),
+    ("iec870", [26, 2 << 8 | 30, 12 << 8 | 30, 0]),
+    ("date48", [0x1A0D, 0x010C, 0x1E0F]),
+    ("date48", [0xFFFF] * 3),
+    ("bcddate48", [0x260A, 0x0112, 0x3015]),
+    ("bcddate48", [0x2613, 0x0112, 0x3015]),
+    ("date96", [0, 0, 0, 0, 0, 0]),
+    ("ms64", [0x7FFF, 0xFFFF, 0xFFFF, 0xFFFF]),
+]
+
+
+@each_case(("name", "cells"), NONE)
+def test_registers_that_hold_no_time(name: str, cells: list[int]) -> None:
+    with pytest.raises(ValueError, match=f"hold no {name}: .* is no time"):
+        value_type(name).decode(cells)
+
+
+WRONG = [
+    ("unix32", 5, "value must be a datetime, not int"),
+    ("unix32", datetime(2026, 7, 1), "value must be a datetime with a time zone, not 2026"),
+    ("unix32", datetime(1969, 7, 1, tzinfo=UTC), "value cannot be 1969-07-01T00:00:00"),
+    ("iec870", datetime(2100, 7, 1, tzinfo=UTC), "value must be a year in 2000..2099, not 2100"),
+    ("date48", datetime(1999, 7, 1, tzinfo=UTC), "value must be a year in 2000..2255, not 1999"),
+    ("ms64", datetime(1, 1, 1, tzinfo=timezone(timedelta(hours=9))), "value must be a year in 1"),
+]
+
+
+@each_case(("name", "value", "message"), WRONG)
+def test_values_that_a_type_cannot_hold(name: str, value: Any, message: str) -> None:
+    with pytest.raises((TypeError, ValueError), match=message):
+        value_type(name).encode(value)
+
+
+STEPS = {"ms64": 1000, "iec870": 1000}
+
+
+@given(
+    st.sampled_from(["unix32", "unix64", "ms64", "iec870", "date48", "bcddate48", "date96"]),
+    st.datetimes(datetime(2000, 1, 1), datetime(2099, 12, 31), timezones=st.just(UTC)),
+    st.sampled_from(["ABCD", "CDAB", "BADC", "DCBA"]),
+)
+def test_times_come_back(name: str, time: datetime, order: str) -> None:
+    step = STEPS.get(name, 1_000_000)
+    kept = time.replace(microsecond=time.microsecond // step * step)
+    kind = value_type(name, order=order)
+    assert kind.decode(kind.encode(time)) == kept
