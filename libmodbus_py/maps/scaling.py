@@ -5,6 +5,7 @@ Scaling of raw numbers without the noise of binary fractions: 2305 * 0.1 is 230.
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, SupportsFloat, SupportsIndex
 
 from ..protocol import checks
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
     # Imported where needed: it takes as long as a read, and most programs scale nothing.
     from fractions import Fraction
 
-__all__ = ["Scaling", "exact", "number"]
+__all__ = ["Scaling", "exact", "number", "scaling_by"]
 
 # Far beyond any measured quantity, and small enough for exact arithmetic.
 LARGEST = 1e30
@@ -41,14 +42,15 @@ def number(name: str, value: object) -> int | float:
 
 class Scaling:
     """
-    value = raw * scale + offset, computed exactly and rounded once, to the nearest float.
+    value = raw * scale * factor + offset, computed exactly and rounded once, to the nearest float.
 
-    Scale and offset are taken as they are written: 0.1 is a tenth. Where both are whole,
+    Scale and offset are taken as they are written: 0.1 is a tenth. Where all are whole,
     integers give integers.
 
     Args:
         scale: -1e30..1e30, not nearer to 0 than 1e-30.
         offset: -1e30..1e30.
+        factor: another factor, which is exact; not 0.
 
     Raises:
         TypeError, ValueError: one of them is not; the message begins with its name.
@@ -56,10 +58,12 @@ class Scaling:
 
     __slots__ = ("_divisor", "_factor", "_shift")
 
-    def __init__(self, scale: float, offset: float) -> None:
+    def __init__(self, scale: float, offset: float, factor: Fraction | None = None) -> None:
         if abs(number("scale", scale)) < SMALLEST:
             raise WrongValue("scale", f"must not be nearer to 0 than {SMALLEST:g}: {shown(scale)}")
         times, plus = exact_scale(scale), exact(number("offset", offset))
+        if factor is not None:
+            times *= factor
         self._divisor = math.lcm(times.denominator, plus.denominator)
         self._factor = int(times * self._divisor)
         self._shift = int(plus * self._divisor)
@@ -104,6 +108,31 @@ class Scaling:
 
     def _to_raw(self, value: object) -> Fraction:
         return (exact(value) * self._divisor - self._shift) / self._factor
+
+
+LARGEST_EXPONENT = 30
+
+
+@lru_cache(maxsize=1024)
+def scaling_by(scale: float, offset: float, how: str, source: float) -> Scaling:
+    """
+    Return the scaling with a factor that the device tells.
+
+    Args:
+        how: "exponent" if `source` is a power of ten, "factor" if it is the factor.
+
+    Raises:
+        ValueError: `source` is no whole number in -30..30, or no factor in 1e-30..1e30.
+    """
+    from fractions import Fraction
+
+    if how == "exponent":
+        if source != source or abs(source) > LARGEST_EXPONENT or source != int(source):
+            raise ValueError(f"a power of ten in -30..30, not {shown(source)}")
+        return Scaling(scale, offset, Fraction(10) ** int(source))
+    if not SMALLEST <= abs(source) <= LARGEST:
+        raise ValueError(f"a factor in 1e-30..1e30, not {shown(source)}")
+    return Scaling(scale, offset, exact(source))
 
 
 def exact(value: Any) -> Fraction:
