@@ -7,6 +7,10 @@ The registers of a device, by name, and the requests that read and write them. N
     point          one named value: Point
     bounds         minimum and maximum of values that a client wrote
     scaling        raw numbers and what they stand for
+    meaning        raw values that mean none, states and named bits: NoValue, Judged
+                   (meaning_keys: the keys of points that say so)
+    parts          single bits, some bits, a byte of a register
+    sources        points that hold the scale of others
     plan           few requests of many reads: Plan, Read
     plan_run       one run of a plan at a device: its requests, and the search for what it refuses
     strict_run     ... that ends with the first failure

@@ -1,0 +1,51 @@
+"""
+Points that scale other points of their map: which they are, and mistakes about them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+
+from ..protocol.mistakes import WrongValue
+from .meaning_keys import has_numbers
+from .point import Point
+
+__all__ = ["scale_mistakes", "sources_of"]
+
+
+def scale_mistakes(points: Mapping[str, Point]) -> Iterator[tuple[str, WrongValue]]:
+    """Yield the name of each point whose `scale_from` is wrong, and the error."""
+    for name, point in points.items():
+        if point.scale_from is None:
+            continue
+        if reason := _unfit(points, point):
+            yield name, WrongValue.about((name, "scale_from"), reason)
+
+
+def _unfit(points: Mapping[str, Point], point: Point) -> str:
+    source = points.get(point.scale_from or "")
+    if source is None:
+        return f"the map has no point {point.scale_from!r}"
+    if not has_numbers(source) or source.count > 1:
+        return f"{source.name!r} must be one number"
+    if not source.is_readable:
+        return f"{source.name!r} cannot be read: its access is write"
+    chain = [point.name]
+    while source is not None and source.scale_from is not None:
+        chain.append(source.name)
+        if source.scale_from in chain:
+            return f"leads back to a point: {', '.join((*chain, source.scale_from))}"
+        source = points.get(source.scale_from)
+    return ""
+
+
+def sources_of(points: Iterable[Point], known: Mapping[str, Point]) -> dict[str, Point]:
+    """Return the points that scale some points, by name; each before those that it scales."""
+    found: dict[str, Point] = {}
+    for point in points:
+        chain = []
+        while (name := point.scale_from) is not None and name not in found:
+            point = known[name]
+            chain.append(point)
+        found |= {each.name: each for each in reversed(chain)}
+    return found
