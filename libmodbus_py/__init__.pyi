@@ -20,6 +20,7 @@ from .device.mapping import Mapping as Mapping
 from .device.rules import Allow as Allow
 from .device.rules import Rules as Rules
 from .maps.holes import Unreadable as Unreadable
+from .maps.meaning import NoValue as NoValue
 from .maps.plan import Plan as Plan
 from .maps.plan import Read as Read
 from .maps.point import Point as Point

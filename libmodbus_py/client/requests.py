@@ -419,12 +419,14 @@ class Requests:
                 them at a high rate makes a `RegisterMap` of these.
             max_in_flight: as for `execute_many`.
             return_exceptions: True to return the ModbusError of a point that could not be read in
-                place of its value, and a ValueError if its registers hold no such value;
-                else the first of them is raised.
+                place of its value, a ValueError if its registers hold no such value, and a
+                `NoValue` with the reason in place of None; else the first of the former
+                is raised.
             options: of `Plan`: `gap`, `forbidden`, `max_registers`, `max_bits`.
 
         Returns:
-            Values by name, scaled, as of `Point.decode`.
+            Values by name, scaled, as of `Point.decode`; None if the device says that there is
+            no value, or it is not plausible.
 
         Raises:
             TypeError, ValueError: no such point, or one that cannot be read; as of `Plan`;
@@ -452,6 +454,9 @@ class Requests:
         requests follow each other in the order of the map; neighbours share one. A failed
         one is raised, and those behind it are not sent.
 
+        Points with `scale_from` are written with the factor that the device has then: the points
+        that hold it are read first. Parts of registers are written with function 22 (mask write).
+
         Args:
             map: such as `load_map` gives it.
             values: by name, such as ``{"setpoint": 21.5}``; each becomes the nearest that its
@@ -462,8 +467,16 @@ class Requests:
         Raises:
             TypeError, ValueError: no such point, or one that cannot be written; a value that
                 it cannot have; points that share cells.
+            NoValue: a point of `scale_from` has no value that can be a scale.
         """
-        yield from _checked_map(map).writes(values, multiple=multiple)
+        points = _checked_map(map)
+        sources = points.scale_sources(values)
+        read: dict[str, Any] = {}
+        if sources:
+            plan = points.plan(sources)
+            answers = yield Several(plan.requests, 1, False)
+            read = plan.results(answers)
+        yield from points.writes(values, multiple=multiple, sources=read)
 
 
 def _checked_map(given: object) -> RegisterMap:

@@ -252,7 +252,7 @@ class Device:
 
     def __getitem__(self, name: str) -> Any:
         """
-        Return the value of a point, without calling `before_read`.
+        Return the value of a point, without calling `before_read`; None if it has none.
 
         Raises:
             KeyError: there is no such point.
@@ -260,7 +260,7 @@ class Device:
         """
         point = known_point(self.points, name)
         with self.mapping.lock:
-            return value_of(self.mapping, point)
+            return value_of(self.mapping, self.points, point)
 
     def __setitem__(self, name: str, value: Any) -> None:
         """

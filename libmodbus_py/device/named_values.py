@@ -18,6 +18,9 @@ from .ranges import joined
 __all__ = ["check_points", "known_point", "set_values", "value_of", "zeros_for"]
 
 
+NOTHING: MappingABC[str, Any] = {}
+
+
 def check_points(mapping: Mapping, points: object) -> None:
     """
     Raises:
@@ -58,9 +61,32 @@ def known_point(points: MappingABC[str, Point], name: object) -> Point:
     raise KeyError(f"the device has no point {name!r}{close_to(name, points)}")
 
 
-def value_of(mapping: Mapping, point: Point) -> Any:
-    """Return the value of a point. Raises ValueError if its cells hold none."""
-    return point.decode(getattr(mapping, point.table)[point.cells.start : point.cells.stop])
+def value_of(mapping: Mapping, points: MappingABC[str, Point], point: Point) -> Any:
+    """
+    Return the value of a point; None for no value.
+
+    Args:
+        points: all points of the device, by name, with those that scale others.
+
+    Raises:
+        ValueError: its cells hold none of its type.
+    """
+    cells = getattr(mapping, point.table)[point.cells.start : point.cells.stop]
+    return point.decode(cells, source=_source_of(mapping, points, point))
+
+
+def _source_of(
+    mapping: Mapping,
+    points: MappingABC[str, Point],
+    point: Point,
+    values: MappingABC[str, Any] = NOTHING,
+) -> Any:
+    """Return the value of the point that scales another; the new one if it is set, too."""
+    if point.scale_from is None:
+        return None
+    if point.scale_from in values:
+        return values[point.scale_from]
+    return value_of(mapping, points, known_point(points, point.scale_from))
 
 
 def set_values(
@@ -75,6 +101,13 @@ def set_values(
     """
     if not isinstance(values, MappingABC):
         raise WrongType("values", f"must be by names, not {type(values).__name__}")
-    changes = [(known_point(points, name), value) for name, value in values.items()]
-    for point, cells in encoded_changes(changes):
-        getattr(mapping, point.table)[point.cells.start : point.cells.stop] = cells
+    changed = [(known_point(points, name), value) for name, value in values.items()]
+    changes = [
+        (point, value, _source_of(mapping, points, point, values)) for point, value in changed
+    ]
+    for point, cells, masks in encoded_changes(changes):
+        place, span = getattr(mapping, point.table), slice(point.cells.start, point.cells.stop)
+        if masks is not None:
+            pairs = zip(place[span], masks, strict=True)
+            cells = [kept & ~mask | bits for (kept, mask), bits in zip(pairs, cells, strict=True)]
+        place[span] = cells

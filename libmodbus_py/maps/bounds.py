@@ -15,8 +15,12 @@ __all__ = ["check_cells", "has_bounds"]
 
 
 def has_bounds(point: Point) -> bool:
-    """Return True if a point has a minimum or a maximum."""
-    return point.minimum is not None or point.maximum is not None
+    """
+    Return True if a point has a minimum or a maximum that its cells can be checked against.
+
+    Those of a point with `scale_from` depend on what another point holds.
+    """
+    return point.scale_from is None and (point.minimum is not None or point.maximum is not None)
 
 
 def check_cells(point: Point, cells: Sequence[Any]) -> None:
@@ -36,11 +40,15 @@ def check_cells(point: Point, cells: Sequence[Any]) -> None:
     except ValueError as error:
         raise WrongValue.about(point.name, str(error)) from None
     for value in values:
-        if not (_is_above(point, value) and _is_below(point, value)):
+        if value is None or not (_is_above(point, value) and _is_below(point, value)):
             low, high = ("" if each is None else each for each in (point.minimum, point.maximum))
             raise WrongValue.about(
-                point.name, f"value must be in {low}..{high}, not {shown(value)}"
+                point.name, f"value must be in {low}..{high}, not {_told(value)}"
             )
+
+
+def _told(value: float | None) -> str:
+    return "one that means none" if value is None else shown(value)
 
 
 def _is_above(point: Point, value: float) -> bool:

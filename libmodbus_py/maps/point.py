@@ -6,18 +6,21 @@ from __future__ import annotations
 
 import functools
 import reprlib
+import struct
 import warnings
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from ..protocol.checks import shown
+from ..protocol.checks import are_registers, shown
 from ..protocol.mistakes import Mistake, WrongType, WrongValue
 from ..protocol.pdu.fields import checked_bit, checked_sequence, store
 from ..protocol.tables import TABLES, Table
 from ..protocol.values import Order, TypeName, ValueType
+from .meaning import Judged, Meaning, NoValue
+from .meaning_keys import checked_meaning, has_numbers, tidied
 from .plan import Read
-from .scaling import Scaling, exact, number
+from .scaling import Scaling, exact, number, scaling_by
 
 __all__ = ["ACCESSES", "MAX_DESCRIPTION", "Point", "Rights"]
 
@@ -50,9 +53,26 @@ class Point:
         minimum, maximum: what may be written, both included, in scaled values; None for
             no bound but the type's.
         description: up to 2000 characters.
+        missing: raw values that mean that there is no value: a number, a list of numbers, or
+            "sunspec" for the values that mean "not implemented" in SunSpec, such as 0x8000 of an
+            int16, 65535 of a uint16, only zeros of a string. A nan always means that.
+        plausible_minimum, plausible_maximum: what is believed when it is read, both included, in
+            scaled values; beyond there is no value.
+        never_falls: True for a total: one that is smaller than before is read again once.
+        scale_from: the name of a point of the same map by which the raw value is scaled, too:
+            value = raw * scale * factor + offset.
+        scale_as: what that point holds: "exponent" if it is a power of ten, -30..30, or "factor".
+        states: names of whole numbers, such as {0: "off", 1: "on"}; the value is the name, and
+            a number without a name stays a number.
+        bits: names of bits, such as {0: "door", "4..7": "mode"}, 0 the lowest; the value is a
+            dict: True and False for one bit, a number for several.
+        bit: the bit that is the value, True or False; or several, such as "4..7", a number. Other
+            bits of the registers are left as they are when it is written.
+        byte: "high" or "low": the byte of the register that is the value.
 
     Attributes:
         read: the `Read` of all cells, for a `Plan`.
+        meaning: the conversion of raw values for which scale and offset are not enough, or None.
 
     Raises:
         TypeError, ValueError: an argument of the wrong type or range; the message begins
@@ -74,8 +94,19 @@ class Point:
     minimum: float | None = None
     maximum: float | None = None
     description: str = ""
+    missing: float | Sequence[float] | Literal["sunspec"] | None = None
+    plausible_minimum: float | None = None
+    plausible_maximum: float | None = None
+    never_falls: bool = False
+    scale_from: str | None = None
+    scale_as: Literal["exponent", "factor"] = "exponent"
+    states: Mapping[int, str] | None = field(default=None, hash=False)
+    bits: Mapping[int | str, str] | None = field(default=None, hash=False)
+    bit: int | str | None = None
+    byte: Literal["high", "low"] | None = None
     read: Read = field(init=False, repr=False, compare=False)
     _scaling: Scaling | None = field(init=False, repr=False, compare=False)
+    meaning: Meaning | None = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         for name, least, most in (
@@ -92,7 +123,9 @@ class Point:
         read = Read(self.table, self.address, self.count, self.type, self.order, **text)
         order = "ABCD" if read.kind is None else read.kind.order
         store(self, read=read, address=read.address, count=read.count, order=order)
-        store(self, access=self._checked_access(), _scaling=self._checked_scaling())
+        store(self, **tidied(self))
+        store(self, access=self._checked_access(), meaning=checked_meaning(self))
+        store(self, _scaling=self._checked_scaling())
         self._check_bounds()
 
     # --- properties ----------------------------------------------------------------------
@@ -120,7 +153,11 @@ class Point:
 
     @property
     def to_value(self) -> Callable[[Any], Any] | None:
-        """The function that converts a raw value to a scaled one; None where they are the same."""
+        """
+        The function that converts a raw value to a scaled one; None where they are the same.
+
+        The factor of `scale_from` is not in it.
+        """
         return None if self._scaling is None else self._scaling.to_value
 
     @property
@@ -132,13 +169,13 @@ class Point:
     def limits(self) -> tuple[float, float] | tuple[None, None]:
         """
         The lowest and the highest value that its cells can hold, scaled; 0 and 1 in tables of
-        bits; None and None if its values are no numbers.
+        bits; None and None if its values are no numbers, or `scale_from` scales them.
         """
-        if self.read.kind is None:
+        if self.read.kind is None and self.states is None:
             return 0, 1
-        if self.read.kind.limits is None:
+        if not has_numbers(self) or self.scale_from is not None:
             return None, None
-        low, high = self.read.kind.limits
+        low, high = self._raw_limits
         if self._scaling is None:
             return low, high
         low, high = sorted(map(self._scaling.to_value, (low, high)))
@@ -147,93 +184,215 @@ class Point:
     @property
     def step(self) -> float:
         """The distance between two adjacent values; 0 for floats and where there are no numbers."""
-        limits = (0, 1) if self.read.kind is None else self.read.kind.limits
-        is_whole = limits is not None and isinstance(limits[0], int)
-        return abs(self.scale) if is_whole else 0
+        if self.read.kind is not None and not has_numbers(self):
+            return 0
+        return abs(self.scale) if isinstance(self._raw_limits[0], int) else 0
+
+    @property
+    def _raw_limits(self) -> tuple[float, float]:
+        part = None if self.meaning is None else self.meaning.part
+        if part is not None:
+            return part.limits
+        kind = self.read.kind
+        return (0, 1) if kind is None or kind.limits is None else kind.limits
 
     # --- cells and values ------------------------------------------------------------------
 
-    def decode(self, cells: Sequence[Any]) -> Any:
+    def decode(self, cells: Sequence[Any], *, source: float | None = None) -> Any:
         """
         Return the value that the cells of the point hold.
 
         Args:
             cells: True and False, or registers 0..65535: as many as `cells`.
+            source: the value of the point that `scale_from` names.
 
         Returns:
-            The value, scaled: an int, a float, True or False, a string, a list of bits;
-            a list of such unless `count` is 1.
+            The value, scaled: an int, a float, True or False, a string, a datetime, a list of
+            bits, the name of a state, a dict of named bits; None if there is no value, for
+            which `judge` has the reason. A list of such unless `count` is 1.
 
         Raises:
             TypeError, ValueError: the number of cells is wrong, or they hold no value of this
                     type; the message names the point.
         """
+        return self.judge(cells, source=source).value
+
+    def judge(self, cells: Sequence[Any], *, source: float | None = None) -> Judged:
+        """
+        Return the value that the cells of the point hold, or the reason why there is none.
+
+        Args:
+            cells, source: as for `decode`.
+
+        Raises:
+            TypeError, ValueError: as `decode`.
+        """
         try:
             if len(cells) != len(self.cells):
                 raise WrongValue("cells", f"must be {len(self.cells)}, not {len(cells)}")
-            values = self.values_in(cells)
+            try:
+                scaling = self.scaling_for(source)
+            except NoValue as none:
+                return Judged.of([none] * self.count, is_list=self.count > 1)
+            found = self.found_in(cells, None if scaling is None else scaling.to_value)
         except (TypeError, ValueError) as error:
             # A plain error: readings of fleets have the name of its class as their reason.
             kind = TypeError if isinstance(error, TypeError) else ValueError
             raise kind(f"{self.name}: {error}") from None
-        return values[0] if self.count == 1 else values
+        return Judged.of(found, is_list=self.count > 1)
+
+    def scaling_for(self, source: object) -> Scaling | None:
+        """
+        Return the scaling of the point; None if raw values are the values.
+
+        Args:
+            source: the value of the point that `scale_from` names; None if it has none.
+
+        Raises:
+            NoValue: it is no scale.
+        """
+        if self.scale_from is None:
+            return self._scaling
+        try:
+            if isinstance(source, bool) or not isinstance(source, int | float):
+                raise ValueError("a number, which it does not have")
+            return scaling_by(self.scale, self.offset, self.scale_as, source)
+        except ValueError as error:
+            text = f"has no value: {self.scale_from}, which scales it, must hold {error}"
+            raise NoValue(self.name, "BadScale", text) from None
 
     def values_in(self, cells: Sequence[Any]) -> list[Any]:
         """
         Return the values that the cells of some values of the point hold.
 
+        None stands for no value. The factor of `scale_from` is taken as 1.
+
         Raises:
             TypeError, ValueError: the cells hold no values of this type.
         """
-        values = list(cells) if self.read.kind is None else self.read.kind.decode_many(cells)
-        if self._scaling is None:
-            return values
-        return [self._scaling.to_value(raw) for raw in values]
+        found = self.found_in(cells, self.to_value)
+        return [None if isinstance(each, NoValue) else each for each in found]
 
-    def encode(self, value: Any) -> list[Any]:
+    def found_in(self, cells: Sequence[Any], scale: Callable[[Any], Any] | None) -> list[Any]:
+        """
+        Return the values that cells hold; a `NoValue` stands for no value.
+
+        Args:
+            scale: converts raw numbers to scaled ones; None if they are the same.
+
+        Raises:
+            TypeError, ValueError: the cells hold no values of this type.
+        """
+        raws = self._raws_in(cells)
+        if self.meaning is not None:
+            judge = self.meaning.judge
+            return [raw if isinstance(raw, NoValue) else judge(raw, scale) for raw in raws]
+        if scale is not None:
+            raws = [scale(raw) for raw in raws]
+        return [self.nan() if raw != raw else raw for raw in raws]
+
+    def nan(self) -> NoValue:
+        """Return the reason why a nan is no value."""
+        return NoValue(self.name, "Missing", "has no value: the device says nan")
+
+    def _raws_in(self, cells: Sequence[Any]) -> list[Any]:
+        kind = self.read.kind
+        if kind is None:
+            return list(cells)
+        from_bytes = kind.from_bytes if self.meaning is None else self.meaning.from_bytes
+        if kind.is_time:
+            return [self._time_of(kind, one) for one in _groups(cells, kind.registers)]
+        if from_bytes == kind.from_bytes:
+            return kind.decode_many(cells)
+        return [from_bytes(_packed(kind, one)) for one in _groups(cells, kind.registers)]
+
+    def _time_of(self, kind: ValueType, cells: Sequence[int]) -> Any:
+        data = _packed(kind, cells)
+        try:
+            return kind.from_bytes(data)
+        except ValueError as error:
+            return NoValue(self.name, "InvalidTime", f"has no value: {error}")
+
+    def encode(self, value: Any, *, source: float | None = None) -> list[Any]:
         """
         Return the cells of a value.
 
         A scaled value is rounded to the nearest raw integer, a tie to the even one: 21.57 at a
-        scale of 0.1 is 216. Without scaling, the value of an integer type must be whole.
+        scale of 0.1 is 216. Without scaling, the value of an integer type must be whole. Bits
+        of the registers that are no part of the point are 0.
 
         Args:
-            value: as `decode` returns it; numbers may be of any numeric type.
+            value: as `decode` returns it; numbers may be of any numeric type, a state may be
+                its name or its number.
+            source: the value of the point that `scale_from` names.
 
         Raises:
             TypeError, ValueError: the value does not fit the type, `count`, `minimum` or
-                    `maximum`; the message names the point.
+                    `maximum`, or `source` is no scale; the message names the point.
         """
         try:
-            return self.cells_of(value)
+            return self.cells_of(value, self.scaling_for(source))
+        except NoValue:
+            raise
         except (TypeError, ValueError) as error:
             raise _named(self.name, error) from None
 
-    def cells_of(self, value: Any) -> list[Any]:
+    def cells_of(self, value: Any, scaling: Scaling | None = None) -> list[Any]:
         """
         Return the cells of a value, as `encode` does.
+
+        Args:
+            scaling: that of `scaling_for`; None for the scale and offset of the point.
 
         Raises:
             TypeError, ValueError: as `encode`; the message begins with "value", not with the
                 name of the point.
         """
         given = [value] if self.count == 1 else self._checked_values(value)
-        return [cell for each in given for cell in self.cells_of_one(each)]
+        return [cell for each in given for cell in self.cells_of_one(each, scaling)]
 
-    def cells_of_one(self, value: Any) -> list[Any]:
+    def cells_of_one(self, value: Any, scaling: Scaling | None = None) -> list[Any]:
         """
         Return the cells of one of the values of the point.
 
         Raises:
             TypeError, ValueError: as `cells_of`.
         """
-        cells = self._encoded(value)
+        scaling = scaling or self._scaling
+        cells = self._encoded(value, scaling)
         if self.minimum is not None or self.maximum is not None:
             self._check_bounds_of(value)
-            if self._scaling is not None and self.step:
+            if scaling is not None and self.step:
                 # 0.25 at a scale of 0.1 is written as 0.2.
-                self._check_bounds_of(self.values_in(cells)[0], value)
+                self._check_bounds_of(scaling.to_value(self._raws_in(cells)[0]), value)
         return cells
+
+    def masks_of(self, value: Any, source: float | None = None) -> list[tuple[int, int]]:
+        """
+        Return what a value changes in each register: the bits to set, and the bits it changes.
+
+        For points that are parts of registers (`is_part`).
+
+        Args:
+            value, source: as for `encode`.
+
+        Raises:
+            TypeError, ValueError: as `encode`.
+        """
+        self.encode(value, source=source)  # which names the point in errors, and checks the bounds
+        kind, meaning, scaling = self.read.kind, self.meaning, self.scaling_for(source)
+        assert kind is not None
+        assert meaning is not None
+        found: list[tuple[int, int]] = []
+        for each in [value] if self.count == 1 else self._checked_values(value):
+            bits, mask = meaning.bits_of(self._raw_of(each, scaling))
+            found += zip(kind.cells_of_number(bits), kind.cells_of_number(mask), strict=True)
+        return found
+
+    @property
+    def is_part(self) -> bool:
+        """True if the point is a part of its registers: writing leaves the other bits alone."""
+        return self.meaning is not None and self.meaning.is_part
 
     def cells_for(self, values: Iterable[Any]) -> list[Any]:
         """
@@ -242,7 +401,7 @@ class Point:
         Raises:
             TypeError, ValueError: a value does not fit the type; the message begins with "value".
         """
-        return [cell for each in values for cell in self._encoded(each)]
+        return [cell for each in values for cell in self._encoded(each, self._scaling)]
 
     def _checked_values(self, values: object) -> Sequence[Any]:
         taken = checked_sequence("value", values, self.count)
@@ -250,20 +409,26 @@ class Point:
             raise WrongValue("value", f"must be a list of {self.count}, not of {len(taken)}")
         return taken
 
-    def _encoded(self, value: Any) -> list[Any]:
-        kind = self.read.kind
+    def _encoded(self, value: Any, scaling: Scaling | None) -> list[Any]:
+        kind, raw = self.read.kind, self._raw_of(value, scaling)
         if kind is None:
-            return [checked_bit("value", value)]
-        if self._scaling is None:
-            return kind.encode(value)
-        return kind.encode(self._raw(kind, self._scaling, value))
+            return [checked_bit("value", raw)]
+        if self.meaning is not None and self.meaning.is_part:
+            return kind.cells_of_number(self.meaning.bits_of(raw)[0])
+        return kind.encode(raw)
 
-    def _raw(self, kind: ValueType, scaling: Scaling, value: object) -> float:
-        if kind.limits is None or isinstance(kind.limits[0], float):
+    def _raw_of(self, value: Any, scaling: Scaling | None) -> Any:
+        raw = value if self.meaning is None else self.meaning.number_of(value)
+        return raw if scaling is None else self._raw(scaling, raw)
+
+    def _raw(self, scaling: Scaling, value: object) -> float:
+        low, high = self._raw_limits
+        if isinstance(low, float):
             return scaling.to_float(value)
         raw = scaling.to_whole(value)
-        if not kind.limits[0] <= raw <= kind.limits[1]:
-            raise WrongValue("value", f"must be in {_span(*self.limits)}, not {shown(value)}")
+        if not low <= raw <= high:
+            span = sorted(map(scaling.to_value, (low, high)))
+            raise WrongValue("value", f"must be in {_span(*span)}, not {shown(value)}")
         return raw
 
     def _check_bounds_of(self, value: Any, given: Any = None) -> None:
@@ -286,28 +451,17 @@ class Point:
         return self.access
 
     def _checked_scaling(self) -> Scaling | None:
-        for name, plain in (("scale", 1), ("offset", 0)):
-            if number(name, getattr(self, name)) != plain and not self._is_number:
-                raise WrongValue(
-                    name, f"must be {plain} for {self.type_name}, which has no numbers"
-                )
+        for name in ("scale", "offset"):
+            number(name, getattr(self, name))
         return None if self.scale == 1 and self.offset == 0 else Scaling(self.scale, self.offset)
 
     def _check_bounds(self) -> None:
         low, high = self.minimum, self.maximum
         for name, bound in (("minimum", low), ("maximum", high)):
-            if bound is not None and not self._is_number:
-                raise WrongValue(
-                    name, f"must be left out for {self.type_name}, which has no numbers"
-                )
             if bound is not None:
                 number(name, bound)
         if low is not None and high is not None and low > high:
             raise WrongValue("minimum", f"must not be above maximum, {shown(high)}: {shown(low)}")
-
-    @property
-    def _is_number(self) -> bool:
-        return self.read.kind is not None and self.read.kind.limits is not None
 
 
 _init = Point.__init__
@@ -322,6 +476,16 @@ def _renaming(self: Point, *args: Any, **options: Any) -> None:
 
 
 Point.__init__ = _renaming  # type: ignore[method-assign]
+
+
+def _groups(cells: Sequence[int], size: int) -> list[Sequence[int]]:
+    return [cells[at : at + size] for at in range(0, len(cells), size)]
+
+
+def _packed(kind: ValueType, cells: Sequence[int]) -> bytes:
+    if len(cells) != kind.registers or not are_registers(cells):
+        kind.decode(cells)  # raises the error that says what is wrong
+    return struct.pack(f">{len(cells)}H", *cells)
 
 
 def _is_bits(table: object) -> bool:

@@ -4,17 +4,21 @@ The points of a device by name: the requests that read them, and the values of t
 
 from __future__ import annotations
 
+import contextlib
 import reprlib
 import struct
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from typing import Any, NamedTuple, Unpack
+from typing import Any, Literal, NamedTuple, Unpack
 
 from ..protocol import pdu
 from ..protocol.errors import ModbusError
 from ..protocol.mistakes import WrongType, WrongValue
 from .holes import HolesByDevice
+from .meaning import NoValue
 from .plan import Plan, PlanOptions
 from .point import Point
+from .scaling import scaling_by
+from .sources import scale_mistakes, sources_of
 
 __all__ = ["PointPlan", "RegisterMap", "close_to"]
 
@@ -27,10 +31,11 @@ class RegisterMap(Mapping[str, Point]):
     `load_map` reads it from a file. Points may overlap, such as two readings of a register.
 
     Args:
-        points: each with a name of its own.
+        points: each with a name of its own; those of `scale_from` are among them.
 
     Raises:
-        TypeError, ValueError: an argument is no Point, or a name occurs twice.
+        TypeError, ValueError: an argument is no Point, a name occurs twice, or a `scale_from`
+            names no readable number of the map, or leads back to its point.
     """
 
     __slots__ = ("_holes", "_kept", "_points")
@@ -45,6 +50,8 @@ class RegisterMap(Mapping[str, Point]):
             if point.name in self._points:
                 raise WrongValue("name", f"{point.name!r} is there twice")
             self._points[point.name] = point
+        for _, mistake in scale_mistakes(self._points):
+            raise mistake
 
     def __getitem__(self, name: str) -> Point:
         return self._points[name]
@@ -73,7 +80,8 @@ class RegisterMap(Mapping[str, Point]):
         asked = (wanted, options)
         if (kept := self._kept) is not None and kept[0] == asked:
             return kept[1]
-        made = PointPlan(self._readable(wanted), **options)
+        points = self._readable(wanted)
+        made = PointPlan(points, sources_of(points, self._points), **options)
         made.holes = self._holes
         # The caller may change the list of forbidden ranges later.
         if "forbidden" not in options:
@@ -81,32 +89,59 @@ class RegisterMap(Mapping[str, Point]):
         return made
 
     def writes(
-        self, values: Mapping[str, Any], *, multiple: bool = False
+        self,
+        values: Mapping[str, Any],
+        *,
+        multiple: bool = False,
+        sources: Mapping[str, Any] | None = None,
     ) -> list[pdu.Request[None]]:
         """
         Return the requests that write values to points; all values are checked here.
 
         Requests follow the order of the map, not that of the values. Points that lie directly
-        behind each other are written with one request.
+        behind each other are written with one request; parts of registers with function 22.
 
         Args:
             values: by names of points, as `Point.encode` takes them.
             multiple: True to write single coils and registers with functions 15 and 16,
                     too, for devices that lack 5 and 6.
+            sources: the values of `scale_sources`, by name, as they were read.
 
         Raises:
             TypeError, ValueError: there is no such point, or it cannot be written; a value does
                     not fit its point; points share cells. The message names the points.
+            NoValue: a value of `sources` is missing or no scale.
+        """
+        self.scale_sources(values)
+        known = sources or {}
+        changes = [
+            (point, values[name], known.get(point.scale_from or ""))
+            for name, point in self.items()
+            if name in values
+        ]
+        from .writing import write_requests  # brings the functions that write
+
+        return write_requests(changes, multiple)
+
+    def scale_sources(self, values: Mapping[str, Any]) -> list[str]:
+        """
+        Return the names of the points that must be read before these values can be written.
+
+        Raises:
+            TypeError, ValueError: there is no such point, or it cannot be written; one of the
+                    points that must be read is written, too.
         """
         if not isinstance(values, Mapping):
             raise WrongType("values", f"must be by names, not {type(values).__name__}")
         for name in values:
             if not self._known(name).is_writable:
                 raise WrongValue(name, "cannot be written: its access is read")
-        changes = [(point, values[name]) for name, point in self.items() if name in values]
-        from .writing import write_requests  # brings the functions that write
-
-        return write_requests(changes, multiple)
+        for name in values:
+            source = self._points[name].scale_from
+            if source in values:
+                raise WrongValue(name, f"is scaled by {source}: write {source} before, alone")
+        found = (self._points[name].scale_from for name in values)
+        return list(dict.fromkeys(each for each in found if each is not None))
 
     def _readable(self, names: Sequence[str] | None) -> list[Point]:
         if names is None:
@@ -130,14 +165,40 @@ def close_to(name: object, known: Iterable[str]) -> str:
     return f"; close to it are {', '.join(close)}" if close else ""
 
 
+class _Scale(NamedTuple):
+    """The arguments of a scaling that depends on a point; many points have the same."""
+
+    source: str
+    how: Literal["exponent", "factor"]
+    scale: float
+    offset: float
+
+
+class _Scales(NamedTuple):
+    """
+    The scales that some answers tell.
+
+    Attributes:
+        values: the values of the points that scale others, by name, or the reason why there is
+            none.
+        functions: those that scale raw numbers; without those whose point has no fit value.
+    """
+
+    values: dict[str, Any]
+    functions: dict[_Scale, Callable[[Any], Any]]
+
+
 class _Quick(NamedTuple):
     """A point with one value in registers of one answer: their location, and their decoder."""
 
+    name: str
     request: int
     start: int
     stop: int
     from_bytes: Callable[[bytes], Any]
     to_value: Callable[[Any], Any] | None
+    judge: Callable[[Any, Callable[[Any], Any] | None], Any] | None
+    scale: _Scale | None
 
 
 class PointPlan(Plan):
@@ -145,21 +206,48 @@ class PointPlan(Plan):
     A `Plan` for points of a map, whose results are their values by name.
 
     ``plc.read_many(plan)`` returns the same dict.
+
+    Args:
+        points: the points of the results.
+        sources: the points that scale them, or each other, by name, which are read, too; each
+            stands before those that it scales.
+        options: as for `Plan`.
+
+    Raises:
+        ValueError: a point that scales another is not in `sources`; or as `Plan`.
     """
 
-    def __init__(self, points: Iterable[Point], **options: Unpack[PlanOptions]) -> None:
+    def __init__(
+        self,
+        points: Iterable[Point],
+        sources: Mapping[str, Point] | None = None,
+        **options: Unpack[PlanOptions],
+    ) -> None:
         self._points = {point.name: point for point in points}
-        super().__init__({name: point.read for name, point in self._points.items()}, **options)
-        self._quick = dict(self._quick_ones())
+        self._sources = dict(sources or {})
+        self._all = {**self._points, **self._sources}
+        self._scale_of: dict[str, _Scale] = {}
+        for name, point in self._all.items():
+            if (source := point.scale_from) is None:
+                continue
+            if source not in self._sources:
+                raise WrongValue.about("sources", f"{source}, which scales {name}, is missing")
+            self._scale_of[name] = _Scale(source, point.scale_as, point.scale, point.offset)
+        super().__init__({name: point.read for name, point in self._all.items()}, **options)
+        self._quick = list(self._quick_ones())
+        are_quick = {each.name for each in self._quick}
+        self._slow = [name for name in self._points if name not in are_quick]
 
-    def _quick_ones(self) -> Iterator[tuple[str, _Quick]]:
+    def _quick_ones(self) -> Iterator[_Quick]:
         """The points that can be decoded directly, which is ten times as fast; most can."""
         for name, point in self._points.items():
-            parts, kind = self._parts[name], point.read.kind
+            parts, kind, meaning = self._parts[name], point.read.kind, point.meaning
             if kind is not None and point.count == len(parts) == 1:
                 request, start, stop = parts[0]
-                quick = _Quick(request, 2 * start, 2 * stop, kind.from_bytes, point.to_value)
-                yield name, quick
+                decoder = kind.from_bytes if meaning is None else meaning.from_bytes
+                judge = None if meaning is None else meaning.judge
+                place = name, request, 2 * start, 2 * stop
+                yield _Quick(*place, decoder, point.to_value, judge, self._scale_of.get(name))
 
     def results(
         self, answers: Iterable[Sequence[Any] | ModbusError], *, return_exceptions: bool = False
@@ -171,10 +259,11 @@ class PointPlan(Plan):
             answers: the answer to each of `requests`, in their order: a list
                     of cells, or a ModbusError.
             return_exceptions: True to return a ValueError in place of a value that the
-                    registers do not hold, such as a bcd16 with the digit F; False to raise it.
+                    registers do not hold, such as a bcd16 with the digit F, and a `NoValue` in
+                    place of None; False to raise the former.
 
         Returns:
-            Values by name. A point that was part of a failed request has the
+            Values by name, None for no value. A point that was part of a failed request has the
             ModbusError instead.
 
         Raises:
@@ -183,30 +272,87 @@ class PointPlan(Plan):
         """
         given = self._checked_answers(list(answers))
         data = [_packed(answer) for answer in given]
-        found: dict[str, Any] = {}
-        for name in self._points:
+        scales = self._scales(given)
+        functions = scales.functions
+        found: dict[str, Any] = dict.fromkeys(self._points)
+        slow = self._slow.copy()
+        for name, request, start, stop, from_bytes, to_value, judge, scale in self._quick:
             try:
-                found[name] = self._value(name, given, data)
-            except ValueError as error:
-                if not return_exceptions:
-                    raise
-                found[name] = error
+                raw = from_bytes(data[request][start:stop])  # type: ignore[index]
+                convert = to_value if scale is None else functions[scale]
+                if judge is None:
+                    value = raw if convert is None else convert(raw)
+                    if value == value:  # only nan differs from itself
+                        found[name] = value
+                        continue
+                else:
+                    value = judge(raw, convert)
+                    if return_exceptions or value.__class__ is not NoValue:
+                        found[name] = value
+                    continue
+            except (TypeError, LookupError, ValueError):
+                pass  # an error in place of the answer or the scale, or registers without a value
+            slow.append(name)
+        for name in slow:
+            found[name] = self._slowly(name, given, scales, return_exceptions)
         return found
 
-    def _value(self, name: str, answers: list[Any], data: list[bytes | None]) -> Any:
-        quick = self._quick.get(name)
-        if quick is None or (packed := data[quick.request]) is None:
-            return self._values(name, answers)
+    def _slowly(
+        self, name: str, answers: list[Any], scales: _Scales, return_exceptions: bool
+    ) -> Any:
         try:
-            raw = quick.from_bytes(packed[quick.start : quick.stop])
-        except ValueError:
-            return self._values(
-                name, answers
-            )  # `Plan.results` raises the error that says what is wrong
-        return raw if quick.to_value is None else quick.to_value(raw)
+            value = self._value(name, answers, scales)
+        except ValueError as error:
+            if not return_exceptions:
+                raise
+            return error
+        return None if isinstance(value, NoValue) and not return_exceptions else value
+
+    def _value(self, name: str, answers: list[Any], scales: _Scales) -> Any:
+        """
+        Return the value of a point, a `NoValue`, or the error of its request.
+
+        Raises:
+            ValueError: its registers hold no value of its type.
+        """
+        point, cells = self._all[name], self._values(name, answers)
+        source = scales.values.get(point.scale_from or "")
+        for each in (cells, source):
+            if isinstance(each, ModbusError):
+                return each
+        try:
+            scaling = point.scaling_for(source)
+        except NoValue as none:
+            return none
+        try:
+            found = point.found_in(cells, None if scaling is None else scaling.to_value)
+        except ValueError as error:
+            raise ValueError(f"{name}: {error}") from None
+        if point.count == 1:
+            return found[0]
+        return [None if isinstance(each, NoValue) else each for each in found]
+
+    def _scales(self, answers: list[Any]) -> _Scales:
+        scales = _Scales({}, {})
+        for name in self._sources:
+            try:
+                scales.values[name] = self._value(name, answers, scales)
+            except ValueError:
+                scales.values[name] = None
+            for scale in set(self._scale_of.values()):
+                if scale.source == name:
+                    self._add_scale(scales, scale)
+        return scales
+
+    def _add_scale(self, scales: _Scales, scale: _Scale) -> None:
+        value = scales.values[scale.source]
+        if isinstance(value, int | float):
+            with contextlib.suppress(ValueError):
+                scaling = scaling_by(scale.scale, scale.offset, scale.how, value)
+                scales.functions[scale] = scaling.to_value
 
     def _decoded(self, name: str, cells: list[Any]) -> Any:
-        return self._points[name].decode(cells)
+        return cells  # `_value` decodes them
 
 
 def _packed(answer: Any) -> bytes | None:

@@ -6,8 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 from ..protocol import pdu
 from ..protocol.tables import TABLES
@@ -46,37 +45,101 @@ class _Run:
         return many(self.address, self.cells)  # type: ignore[no-any-return]
 
 
-def write_requests(changes: Iterable[tuple[Point, Any]], multiple: bool) -> list[pdu.Request[None]]:
+@dataclass
+class _Masked:
+    """Bits of one register that are written; the others are left as they are."""
+
+    address: int
+    bits: int = 0
+    mask: int = 0
+
+    def request(self, multiple: bool) -> pdu.Request[None]:
+        if self.mask == 0xFFFF:
+            return _Run("holding_registers", self.address, [self.bits]).request(multiple)
+        return pdu.MaskWriteRegister(self.address, 0xFFFF & ~self.mask, self.bits)
+
+
+def write_requests(
+    changes: Iterable[tuple[Point, Any, Any]], multiple: bool
+) -> list[pdu.Request[None]]:
     """
     Return the requests that write values to points, in their order.
 
-    Points that lie directly behind each other are written with one request.
+    Points that lie directly behind each other are written with one request; those that are parts
+    of one register with one request of function 22, in the place of the first of them.
+
+    Args:
+        changes: points, their values, and the values of the points that scale them, or None.
 
     Raises:
         TypeError, ValueError: a value does not fit its point or a request, or points share cells.
             The message names the points.
     """
-    runs: list[_Run] = []
-    for point, cells in encoded_changes(changes):
+    runs: list[_Run | _Masked] = []
+    masked: dict[int, _Masked] = {}
+    for point, cells, masks in encoded_changes(changes):
+        if masks is not None:
+            runs += _mask(point, cells, masks, masked)
+            continue
         for piece in _pieces(point, cells):
-            if runs and runs[-1].takes(piece):
-                runs[-1].cells += piece.cells
+            last = runs[-1] if runs else None
+            if isinstance(last, _Run) and last.takes(piece):
+                last.cells += piece.cells
             else:
                 runs.append(piece)
     return [run.request(multiple) for run in runs]
 
 
-def encoded_changes(changes: Iterable[tuple[Point, Any]]) -> list[tuple[Point, list[Any]]]:
+class Encoded(NamedTuple):
+    """
+    The new value of a point.
+
+    Attributes:
+        point: the point.
+        cells: its cells; of a part of registers, with all other bits 0.
+        masks: the bits that change in each register; None if all do.
+    """
+
+    point: Point
+    cells: list[Any]
+    masks: list[int] | None
+
+
+def encoded_changes(changes: Iterable[tuple[Point, Any, Any]]) -> list[Encoded]:
     """
     Return points with the cells of their new values.
+
+    Args:
+        changes: points, their values, and the values of the points that scale them, or None.
 
     Raises:
         TypeError, ValueError: a value does not fit its point, or points share cells. The message
             names the points.
     """
-    encoded = [(point, point.encode(value)) for point, value in changes]
-    _check_overlaps([point for point, _ in encoded])
+    encoded = [_encoded(*change) for change in changes]
+    _check_overlaps(encoded)
     return encoded
+
+
+def _encoded(point: Point, value: Any, source: Any) -> Encoded:
+    if not point.is_part:
+        return Encoded(point, point.encode(value, source=source), None)
+    changed = point.masks_of(value, source)
+    return Encoded(point, [bits for bits, _ in changed], [mask for _, mask in changed])
+
+
+def _mask(
+    point: Point, cells: list[int], masks: list[int], masked: dict[int, _Masked]
+) -> Iterator[_Masked]:
+    """Add the bits of a point; yield the registers of which none was written before."""
+    for address, bits, mask in zip(point.cells, cells, masks, strict=True):
+        if not mask:
+            continue
+        if address not in masked:
+            masked[address] = _Masked(address)
+            yield masked[address]
+        masked[address].bits |= bits
+        masked[address].mask |= mask
 
 
 def _pieces(point: Point, cells: list[Any]) -> Iterator[_Run]:
@@ -91,11 +154,16 @@ def _pieces(point: Point, cells: list[Any]) -> Iterator[_Run]:
         yield _Run(point.table, point.address + at, cells[at : at + step])
 
 
-def _check_overlaps(points: list[Point]) -> None:
-    ordered = sorted(points, key=lambda point: (point.table, point.address))
-    for first, second in pairwise(ordered):
-        if first.table == second.table and second.address < first.cells.stop:
-            raise ValueError(
-                f"{first.name} and {second.name} share {first.table} {second.address}:"
-                " write one of them"
-            )
+def _check_overlaps(encoded: list[Encoded]) -> None:
+    ordered = sorted(encoded, key=lambda each: (each.point.table, each.point.address))
+    # Bits that are taken in the cells of the table, and the point that takes them first.
+    taken: dict[tuple[str, int], tuple[int, str]] = {}
+    for point, _, masks in ordered:
+        for at, address in enumerate(point.cells):
+            mask = 0xFFFF if masks is None else masks[at]
+            before, first = taken.get((point.table, address), (0, point.name))
+            if before & mask:
+                raise ValueError(
+                    f"{first} and {point.name} share {point.table} {address}: write one of them"
+                )
+            taken[point.table, address] = before | mask, first

@@ -13,7 +13,7 @@ from ...client.waiting_room import rest_after
 from ...maps.register_map import PointPlan
 from ...protocol.errors import ModbusError
 from .config import DeviceConfig
-from .readings import Changes, Quality, Reading, is_down
+from .readings import Changes, Quality, Reading, is_down, reason_of
 
 __all__ = ["LONGEST_REST", "DeviceState", "Poller", "Reads"]
 
@@ -177,7 +177,5 @@ def _changes(config: DeviceConfig, reads: Reads) -> Changes:
 def _told(value: Any, unit: str) -> tuple[Any, str, Quality, str]:
     if isinstance(value, Exception):
         quality: Quality = "down" if is_down(value) else "bad"
-        # Consumers of readings know the reasons by these names; a ValueError may be of any class.
-        reason = "ValueError" if isinstance(value, ValueError) else type(value).__name__
-        return None, unit, quality, reason
+        return None, unit, quality, reason_of(value)
     return value, unit, "good", ""

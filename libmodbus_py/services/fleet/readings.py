@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 from typing import Any, Literal, NamedTuple
 
+from ...maps.meaning import NoValue
 from ...protocol.errors import (
     NO_UNIT,
     ExceptionResponse,
@@ -17,7 +18,7 @@ from ...protocol.errors import (
     ModbusError,
 )
 
-__all__ = ["Changes", "Quality", "Reading", "is_down", "time_text"]
+__all__ = ["Changes", "Quality", "Reading", "is_down", "reason_of", "time_text"]
 
 Quality = Literal["good", "bad", "down", "offline"]
 
@@ -35,8 +36,9 @@ class Reading(NamedTuple):
         quality: "good"; "bad" if the device refused the request or the value is invalid; "down"
             if the device did not answer; "offline" if the point is not polled any more, because it
             was removed, or because a worker lost its lease.
-        reason: the name of the error, such as "IllegalDataAddress" or "ModbusTimeoutError";
-            empty if the quality is "good" or "offline".
+        reason: the name of the error, such as "IllegalDataAddress" or "ModbusTimeoutError", or
+            why there is no value, such as "Missing" (`NoValue.reason`); empty if the quality is
+            "good" or "offline".
     """
 
     time: float
@@ -67,6 +69,17 @@ def is_down(error: BaseException) -> bool:
     return isinstance(error, NO_UNIT) or (
         isinstance(error, ModbusError) and not isinstance(error, ANSWERS)
     )
+
+
+def reason_of(error: Exception) -> str:
+    """
+    Return the reason of a reading in place of whose value there is an error.
+
+    Consumers of readings know the reasons by these words.
+    """
+    if isinstance(error, NoValue):
+        return error.reason
+    return "ValueError" if isinstance(error, ValueError) else type(error).__name__
 
 
 class Changes:
@@ -101,7 +114,7 @@ class Changes:
         return [at for at, value in enumerate(values) if self._is_told(at, value)]
 
     def _is_told(self, at: int, value: Any) -> bool:
-        reason = type(value).__name__ if isinstance(value, Exception) else ""
+        reason = reason_of(value) if isinstance(value, Exception) else ""
         if self._reasons[at] == reason and (reason or not self._is_news(at, value)):
             return False
         self._reasons[at] = reason
