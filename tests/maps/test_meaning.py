@@ -1,0 +1,344 @@
+"""
+What raw values mean: no value, states, named bits, parts of registers, and scales of the device.
+"""
+
+from __future__ import annotations
+
+import math
+from datetime import UTC, datetime
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from libmodbus_py import NoValue, Point, RegisterMap
+from libmodbus_py.maps.meaning import Judged
+from tests.support.cases import each_case
+
+H = "holding_registers"
+
+
+def point(name: str = "it", **keys: Any) -> Point:
+    return Point(**{"name": name, "table": H, "address": 0, **keys})
+
+
+MISSING = Judged(None, "bad", "Missing")
+IMPLAUSIBLE = Judged(None, "bad", "Implausible")
+
+# "Not implemented" of each type as the SunSpec Device Information Model Specification has it.
+SUNSPEC = [
+    ("int16", [0x8000]),
+    ("uint16", [0xFFFF]),
+    ("int32", [0x8000, 0]),
+    ("uint32", [0xFFFF, 0xFFFF]),
+    ("int64", [0x8000, 0, 0, 0]),
+    ("uint64", [0xFFFF] * 4),
+    ("float32", [0x7FC0, 0]),
+    ("float64", [0x7FF8, 0, 0, 0]),
+    ("bits16", [0xFFFF]),
+    ("bits32", [0xFFFF, 0xFFFF]),
+    ("string:8", [0, 0, 0, 0]),
+]
+
+
+@each_case(("type", "cells"), SUNSPEC)
+def test_not_implemented_of_sunspec_is_no_value(type: str, cells: list[int]) -> None:
+    made = point(type=type, missing="sunspec")
+    assert made.judge(cells) == MISSING
+    assert made.decode([0x4100] + [0x4101] * (len(cells) - 1)) is not None
+
+
+# Keys of a point, its cells, and what they mean.
+MEANT = [
+    ({"missing": 0xFFFF, "scale": 0.1}, [0xFFFF], MISSING),
+    ({"missing": 0xFFFF, "scale": 0.1}, [0xFFFE], Judged(6553.4)),
+    ({"missing": [0, 65535]}, [0], MISSING),
+    ({"missing": 0x8000, "type": "int16"}, [0x8000], MISSING),
+    ({"missing": -32768, "type": "int16"}, [0x8000], MISSING),
+    ({"missing": 0, "type": "uint32"}, [0, 0], MISSING),
+    ({"missing": -9999.9, "type": "float32"}, [0xC61C, 0x3F9A], MISSING),
+    ({"missing": 0, "type": "unix32"}, [0, 0], MISSING),
+    ({"missing": 3, "bit": "4..7"}, [0x3A], MISSING),
+    ({"missing": 65535, "count": 2}, [65535, 7], Judged([None, 7], "good", "Missing")),
+    ({"missing": 65535, "count": 2}, [65535, 65535], Judged([None, None], "bad", "Missing")),
+    ({"plausible_maximum": 300, "scale": 0.1}, [3000], Judged(300)),
+    ({"plausible_maximum": 300, "scale": 0.1}, [3001], IMPLAUSIBLE),
+    ({"plausible_minimum": -5, "type": "int16"}, [0xFFFA], IMPLAUSIBLE),
+    ({"plausible_minimum": 1, "type": "float32"}, [0x7FC0, 0], MISSING),
+    ({"plausible_minimum": 1, "type": "float32"}, [0x7F80, 0], Judged(math.inf)),
+    ({"plausible_maximum": 1, "type": "float32"}, [0x7F80, 0], IMPLAUSIBLE),
+    ({"states": {0: "off", 1: "on"}}, [1], Judged("on")),
+    ({"states": {0: "off", 1: "on"}}, [2], Judged(2)),
+    ({"states": {"-1": "none", "0x10": "much"}, "type": "int16"}, [0xFFFF], Judged("none")),
+    ({"states": {0: "off", 1: "on"}, "missing": 255}, [255], MISSING),
+    ({"states": {0: "shut", 1: "open"}, "table": "coils"}, [True], Judged("open")),
+    ({"states": {0: "shut", 1: "open"}, "bit": 3}, [8], Judged("open")),
+    ({"bits": {0: "door", "4..7": "mode"}}, [0x51], Judged({"door": True, "mode": 5})),
+    ({"bits": {31: "top", 0: "low"}, "type": "uint32"}, [0x8000, 0],
+     Judged({"top": True, "low": False})),
+    ({"bits": {0: "a"}, "type": "bits16", "missing": "sunspec"}, [0xFFFF], MISSING),
+    ({"bit": 3}, [8], Judged(True)),
+    ({"bit": 3}, [0xFFF7], Judged(False)),
+    ({"bit": "4..7"}, [0x1234], Judged(3)),
+    ({"bit": "4..7", "scale": 0.5}, [0x1234], Judged(1.5)),
+    ({"bit": 8, "order": "BADC"}, [1], Judged(True)),
+    ({"byte": "high"}, [0x1234], Judged(0x12)),
+    ({"byte": "low"}, [0x1234], Judged(0x34)),
+    ({"byte": "low", "type": "int16"}, [0x12FE], Judged(-2)),
+    ({"type": "iec870"}, [0xFFFF] * 4, Judged(None, "bad", "InvalidTime")),
+    ({"type": "unix32"}, [0, 60], Judged(datetime(1970, 1, 1, 0, 1, tzinfo=UTC))),
+    ({"type": "int16", "scale_from": "sf"}, [5], Judged(None, "bad", "BadScale")),
+]  # fmt: skip
+
+
+@each_case(("keys", "cells", "judged"), MEANT)
+def test_cells_mean_values(keys: dict[str, Any], cells: list[Any], judged: Judged) -> None:
+    made = point(**keys)
+    assert made.judge(cells) == judged
+    assert made.decode(cells) == judged.value
+
+
+def test_a_plan_means_the_same_as_its_points() -> None:
+    cases = [each for each in MEANT if each[0].get("table", H) == H and "scale_from" not in each[0]]
+    points, cells = [], []
+    for at, (keys, some, _) in enumerate(cases):
+        points.append(point(f"p{at}", address=len(cells), **keys))
+        cells += some
+    plan = RegisterMap(points).plan()
+    answers = [cells[each.address : each.address + each.count] for each in plan.requests]  # type: ignore[attr-defined]
+    wanted = {f"p{at}": judged for at, (_, _, judged) in enumerate(cases)}
+    assert plan.results(answers) == {name: judged.value for name, judged in wanted.items()}
+    told = plan.results(answers, return_exceptions=True)
+    reasons = {name: each.reason for name, each in told.items() if isinstance(each, NoValue)}
+    assert reasons == {name: each.reason for name, each in wanted.items() if each.quality == "bad"
+                       and each.value is None}  # fmt: skip
+    assert str(told["p0"]) == "p0 has no value: the device says 65535"
+
+
+# --- scales of the device ---------------------------------------------------------------------
+
+SCALED = RegisterMap(
+    [
+        point("v", type="int16", scale_from="v_sf", missing="sunspec"),
+        point("w", address=1, type="uint32", scale_from="v_sf", offset=-1),
+        point("v_sf", address=3, type="int16", missing="sunspec"),
+        point("energy", address=4, scale_from="ratio", scale_as="factor", scale=0.5),
+        point("ratio", address=5),
+        point("far", address=6, scale_from="ratio_of_far", scale_as="factor"),
+        point("ratio_of_far", address=7, scale_from="v_sf"),
+    ]
+)
+
+
+def scaled(cells: list[int], names: list[str] | None = None, **options: Any) -> dict[str, Any]:
+    plan = SCALED.plan(names)
+    given = [cells[each.address : each.address + each.count] for each in plan.requests]  # type: ignore[attr-defined]
+    return plan.results(given, **options)
+
+
+def test_a_point_scales_others() -> None:
+    cells = [2305, 0, 700, 0xFFFF, 9, 40, 3, 20]
+    assert scaled(cells) == {
+        "v": 230.5, "w": 69.0, "v_sf": -1, "energy": 180, "ratio": 40, "far": 6.0,
+        "ratio_of_far": 2.0,
+    }  # fmt: skip
+    assert repr(scaled([2305, 0, 7, 0, 9, 40, 3, 20])["v"]) == "2305"
+
+
+def test_what_scales_is_read_along() -> None:
+    plan = SCALED.plan(["far"])
+    read = [(each.address, each.count) for each in plan.requests]  # type: ignore[attr-defined]
+    assert read == [(3, 1), (6, 2)]
+    assert plan.results([[0xFFFE], [3, 200]]) == {"far": 6}
+
+
+# The register with the exponent, and the reason why nothing is scaled by it.
+EXPONENTS = [
+    (300, "v has no value: v_sf, which scales it, must hold a power of ten in -30..30, not 300"),
+    (
+        0xFED4,
+        "v has no value: v_sf, which scales it, must hold a power of ten in -30..30, not -300",
+    ),
+    (0x8000, "v has no value: v_sf, which scales it, must hold a number, which it does not have"),
+]
+
+
+@each_case(("cell", "reason"), EXPONENTS)
+def test_no_value_without_a_scale(cell: int, reason: str) -> None:
+    found = scaled([5, 0, 7, cell, 9, 40, 3, 20], return_exceptions=True)
+    assert str(found["v"]) == reason
+    assert found["v"].reason == found["w"].reason == found["far"].reason == "BadScale"
+    assert found["energy"] == 180
+    assert scaled([5, 0, 7, cell, 9, 40, 3, 20])["v"] is None
+
+
+def test_a_factor_of_0_scales_nothing() -> None:
+    assert scaled([5, 0, 7, 1, 9, 0, 3, 20], return_exceptions=True)["energy"].reason == "BadScale"
+
+
+def test_cells_are_written_with_the_scale_of_the_device() -> None:
+    requests = SCALED.writes({"v": 230.5}, sources={"v_sf": -1})
+    assert [(each.address, each.value) for each in requests] == [(0, 2305)]  # type: ignore[attr-defined]
+    assert SCALED.scale_sources({"v": 230.5, "far": 1}) == ["v_sf", "ratio_of_far"]
+    with pytest.raises(NoValue, match="v has no value: v_sf, which scales it, must hold a number"):
+        SCALED.writes({"v": 230.5})
+    with pytest.raises(ValueError, match="v is scaled by v_sf: write v_sf before, alone"):
+        SCALED.writes({"v": 230.5, "v_sf": 0}, sources={"v_sf": 0})
+
+
+# Points of a map, and what is wrong.
+WRONG_SCALES = [
+    ([point("a", scale_from="b")], r"a.scale_from: the map has no point 'b'"),
+    ([point("a", scale_from="b"), point("b", address=1, scale_from="a")],
+     "a.scale_from: leads back to a point: a, b, a"),
+    ([point("a", scale_from="b"), point("b", address=1, count=2)], "'b' must be one number"),
+    ([point("a", scale_from="b"), point("b", type="string:2")], "'b' must be one number"),
+    ([point("a", scale_from="b"), point("b", access="write")], "'b' cannot be read"),
+]  # fmt: skip
+
+
+@each_case(("points", "message"), WRONG_SCALES)
+def test_a_map_whose_scales_cannot_be(points: list[Point], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        RegisterMap(points)
+
+
+# --- keys that cannot be ----------------------------------------------------------------------
+
+WRONG = [
+    ({"missing": 70000}, "missing[0] must be in 0..65535, not 70000"),
+    ({"missing": -1}, "missing[0] must be in 0..65535, not -1"),
+    ({"missing": [1, 0.5]}, "missing[1] must be an integer in 0..65535, not float"),
+    ({"missing": 70000, "type": "int16"}, "missing[0] must be in -32768..65535, not 70000"),
+    ({"missing": 1e39, "type": "float32"}, "missing[0] must be in"),
+    ({"missing": "sunshine"}, "missing must be numbers or \"sunspec\", not 'sunshine'"),
+    ({"missing": "sunspec", "type": "bcd16"}, "missing must be numbers for bcd16"),
+    ({"missing": "sunspec", "byte": "low"}, "missing must be numbers for a part of a register"),
+    ({"missing": 256, "byte": "low"}, "missing[0] must be in 0..255, not 256"),
+    ({"missing": 1, "table": "coils"}, "missing must be left out for coils"),
+    ({"missing": []}, "missing must hold 1..100 numbers, not 0"),
+    ({"plausible_minimum": 5, "plausible_maximum": 4}, "plausible_minimum must not be above"),
+    ({"plausible_minimum": math.nan}, "plausible_minimum must be in"),
+    ({"plausible_minimum": 5, "type": "string:2"}, "plausible_minimum must be left out for string"),
+    ({"never_falls": 1}, "never_falls must be true or false, not 1"),
+    ({"never_falls": True, "states": {0: "a"}}, "never_falls must be left out for a point with"),
+    ({"scale_from": "it"}, "scale_from must be another point, not the point itself"),
+    ({"scale_from": 5}, "scale_from must be a name, not int"),
+    ({"scale_as": "factor"}, "scale_as must be left out without scale_from"),
+    ({"scale_as": "power", "scale_from": "a"}, "scale_as must be one of exponent, factor"),
+    ({"states": {}}, "states must hold 1..1000 names, not 0"),
+    ({"states": ["off", "on"]}, "states must be a table of names, not list"),
+    ({"states": {0: "off", 1: "off"}}, "states.1 must have a name of its own; 'off' occurs twice"),
+    ({"states": {0: "off", "0x0": "on"}}, "states.0x0 is given twice"),
+    ({"states": {"a": "off"}}, "states.a: the key must be a number"),
+    ({"states": {70000: "off"}}, "states.70000 must be in 0..65535, not 70000"),
+    ({"states": {2: "off"}, "table": "coils"}, "states.2 must be in 0..1, not 2"),
+    ({"states": {0: ""}}, "states.0 must have 1..100 printable characters"),
+    ({"states": {0: 5}}, "states.0 must be a name, not int"),
+    ({"states": {0: "a"}, "scale": 2}, "scale must be 1 for a point with states"),
+    ({"states": {0: "a"}, "type": "float32"}, "states must be left out for float32"),
+    ({"states": {0: "a"}, "bits": {0: "b"}}, "states cannot be given together with bits"),
+    ({"bits": {0: "a", 1: "a"}}, "bits.1 must have a name of its own; 'a' occurs twice"),
+    ({"bits": {16: "a"}}, "bits.16 must be in 0..15, not 16"),
+    ({"bits": {"8..16": "a"}}, "bits.8..16 must be within 0..15, the lower number first"),
+    ({"bits": {"4..7": "a", 5: "b"}}, "bits.5 overlaps bits before it"),
+    ({"bits": {0: "a"}, "type": "float32"}, "bits must be left out for float32"),
+    ({"bits": {0: "a"}, "table": "coils"}, "bits must be left out for coils"),
+    ({"bits": {0: "a"}, "minimum": 1}, "minimum must be left out for a point with bits"),
+    ({"bit": 16}, "bit must be in 0..15, not 16"),
+    ({"bit": "7..4"}, "bit must be within 0..15, the lower number first, not '7..4'"),
+    ({"bit": "high"}, "bit must be a bit such as 3, or bits such as '4..7', not 'high'"),
+    ({"bit": True}, "bit must be a bit such as 3"),
+    ({"bit": 3, "scale": 0.1}, "scale must be 1 for a point with bit"),
+    ({"bit": 3, "byte": "low"}, "byte cannot be given together with bit"),
+    ({"byte": "middle"}, "byte must be one of high, low, not 'middle'"),
+    ({"byte": "low", "type": "uint32"}, "byte must be left out for uint32, which has 32 bits"),
+    ({"byte": "low", "type": "bcd16"}, "byte must be left out for bcd16, which has no single"),
+]
+
+
+@each_case(("keys", "message"), WRONG)
+def test_keys_that_cannot_be(keys: dict[str, Any], message: str) -> None:
+    with pytest.raises((TypeError, ValueError)) as caught:
+        point(**keys)
+    assert str(caught.value).startswith(message)
+
+
+# --- writing ----------------------------------------------------------------------------------
+
+PARTS = RegisterMap(
+    [
+        point("flag", bit=3),
+        point("mode", bit="4..7", scale=0.5, maximum=5),
+        point("high", address=1, byte="high"),
+        point("low", address=1, byte="low"),
+        point("wide", address=2, type="uint32", bits={0: "a", 31: "z", "8..11": "n"}),
+        point("state", address=4, states={0: "off", 1: "on"}),
+        point("whole", address=0),
+    ]
+)
+
+# What is written, and the requests: function, address, and what follows it (as in section 6.16
+# of the specification: the bits that stay, the bits that are set).
+WRITES = [
+    ({"flag": True}, [(22, 0, 0xFFF7, 8)]),
+    ({"flag": False}, [(22, 0, 0xFFF7, 0)]),
+    ({"flag": 1, "mode": 2.5}, [(22, 0, 0xFF07, 0x58)]),
+    ({"high": 0x12}, [(22, 1, 0x00FF, 0x1200)]),
+    ({"high": 0x12, "low": 0x34}, [(6, 1, 0x1234)]),
+    ({"wide": {"z": True}}, [(22, 2, 0x7FFF, 0x8000)]),
+    ({"wide": {"a": False, "n": 5, "z": 1}}, [(22, 2, 0x7FFF, 0x8000), (22, 3, 0xF0FE, 0x0500)]),
+    ({"state": "on"}, [(6, 4, 1)]),
+    ({"state": 7}, [(6, 4, 7)]),
+]
+
+
+def told(request: Any) -> tuple[int, ...]:
+    data = request.encode()
+    return (data[0], *(int.from_bytes(data[at : at + 2], "big") for at in range(1, len(data), 2)))
+
+
+@each_case(("values", "requests"), WRITES)
+def test_what_is_written(values: dict[str, Any], requests: list[tuple[int, ...]]) -> None:
+    assert [told(each) for each in PARTS.writes(values)] == requests
+
+
+WRONG_WRITES = [
+    ({"flag": 2}, "flag: value must be in 0..1, not 2"),
+    ({"mode": 6}, "mode: value must be in ..5, not 6"),
+    ({"mode": -1}, "mode: value must be in 0.0..7.5, not -1"),
+    ({"high": 256}, "high: value must be in 0..255, not 256"),
+    ({"wide": {"b": 1}}, "wide: value must have names of a, z, n, not 'b'"),
+    ({"wide": {"n": 16}}, "wide: value.n must be in 0..15, not 16"),
+    ({"wide": 5}, "wide: value must be a dict of named bits, not int"),
+    ({"state": "On"}, "state: value must be one of off, on, or a number, not 'On'"),
+    ({"flag": True, "whole": 5}, "flag and whole share holding_registers 0: write one of them"),
+]
+
+
+@each_case(("values", "message"), WRONG_WRITES)
+def test_what_cannot_be_written(values: dict[str, Any], message: str) -> None:
+    with pytest.raises((TypeError, ValueError)) as caught:
+        PARTS.writes(values)
+    assert str(caught.value) == message
+
+
+@given(st.integers(0, 0xFFFF), st.integers(0, 15), st.integers(0, 15), st.booleans())
+def test_parts_come_back(cell: int, first: int, last: int, signed: bool) -> None:
+    first, last = sorted((first, last))
+    made = point(bit=f"{first}..{last}", type="int16" if signed else "uint16")
+    value = made.decode([cell])
+    ((bits, mask),) = made.masks_of(value)
+    assert cell & mask == bits
+    assert mask == sum(1 << at for at in range(first, last + 1))
+    assert made.decode(made.encode(value)) == value
+
+
+@given(st.integers(0, 0xFFFFFFFF), st.sampled_from(["ABCD", "CDAB", "BADC", "DCBA"]))
+def test_named_bits_come_back(number: int, order: str) -> None:
+    names: dict[int | str, str] = {0: "a", "1..15": "b", 16: "c", "17..31": "d"}
+    made = point(type="uint32", order=order, bits=names)
+    cells = point(type="uint32", order=order).encode(number)
+    assert made.encode(made.decode(cells)) == cells
+    assert all(mask == 0xFFFF for _, mask in made.masks_of(made.decode(cells)))
