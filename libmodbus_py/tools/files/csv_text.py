@@ -18,7 +18,7 @@ from ...protocol.mistakes import WrongValue
 from ...protocol.plain import CONTROL
 from .file_error import FileError, FilePlace
 
-__all__ = ["CELLS", "CsvRow", "CsvText", "csv_rows", "number_in", "whole_in"]
+__all__ = ["CELLS", "CsvRow", "CsvText", "csv_rows", "flag_in", "number_in", "whole_in"]
 
 DELIMITERS = ",;\t|"
 
@@ -191,7 +191,13 @@ def whole_in(cell: str) -> int:
     raise WrongValue((), f"must be {wanted}, not {reprlib.repr(cell)}")
 
 
-def _flag(cell: str) -> bool:
+def flag_in(cell: str) -> bool:
+    """
+    Read true or false.
+
+    Raises:
+        WrongValue: the cell holds neither.
+    """
     if cell.lower() not in ("true", "false"):
         raise WrongValue((), f"must be true or false, not {reprlib.repr(cell)}")
     return cell.lower() == "true"
@@ -206,7 +212,7 @@ CELLS: dict[str, Callable[[str], Any]] = {
     "int": whole_in,
     "float": number_in,
     "float | None": number_in,
-    "bool": _flag,
+    "bool": flag_in,
     "tuple[str, ...]": _words,
 }
 """Annotation of an argument -> reads its value from a cell."""

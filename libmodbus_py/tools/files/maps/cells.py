@@ -4,13 +4,16 @@ Readers for the cells of vendors' tables, one for each kind of column.
 
 from __future__ import annotations
 
+import json
 import re
 import reprlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
+from ....maps.meaning_keys import SCALES
+from ....maps.parts import BYTES
 from ....protocol.mistakes import WrongValue
-from ..csv_text import number_in, whole_in
+from ..csv_text import flag_in, number_in, whole_in
 from .words import (
     ACCESS_WORDS,
     FUNCTION_TABLES,
@@ -36,6 +39,10 @@ def _word(meanings: dict[str, str]) -> Callable[[str], str]:
     return read
 
 
+def _by_itself(words: Iterable[str]) -> dict[str, str]:
+    return {word: word for word in words}
+
+
 def _type(text: str) -> str:
     found = _STRING.fullmatch(plain(text))
     return f"string:{found[1]}" if found else _type_word(text)
@@ -53,6 +60,40 @@ def _function(text: str) -> str:
         allowed = ", ".join(map(str, FUNCTION_TABLES))
         raise WrongValue((), f"must be of {allowed}, all of one table, not {reprlib.repr(text)}")
     return str(*tables)
+
+
+def _missing(text: str) -> str | list[int | float]:
+    """Return the numbers of "65535" or "0x8000; -1", or the word sunspec."""
+    if plain(text) == "sunspec":
+        return "sunspec"
+    return [_raw(each) for each in re.split(r"[;,\s]+", text.strip("; "))]
+
+
+def _raw(text: str) -> int | float:
+    return whole_in(text) if text.casefold().startswith("0x") else number_in(text)
+
+
+def _names(text: str) -> dict[str, str]:
+    """Return the names of "0 = off; 1 = on", or of a JSON object."""
+    if text.startswith("{"):
+        return _object(text)
+    found: dict[str, str] = {}
+    for each in text.strip("; ").split(";"):
+        key, separator, name = each.partition("=")
+        if not separator or not name.strip():
+            raise WrongValue((), f"must be like 0 = off; 1 = on, not {reprlib.repr(text)}")
+        if key.strip() in found:
+            raise WrongValue((), f"must name {key.strip()} once, not twice")
+        found[key.strip()] = name.strip()
+    return found
+
+
+def _object(text: str) -> dict[str, str]:
+    try:
+        found = json.loads(text)
+    except (ValueError, RecursionError):
+        raise WrongValue((), f"must be a JSON object, not {reprlib.repr(text)}") from None
+    return dict(found)
 
 
 _type_word = _word({**TYPE_WORDS, "string:n": "string:N"})
@@ -74,5 +115,15 @@ READERS: dict[str, Callable[[str], Any]] = {
     "minimum": number_in,
     "maximum": number_in,
     "description": str,
+    "missing": _missing,
+    "plausible_minimum": number_in,
+    "plausible_maximum": number_in,
+    "never_falls": flag_in,
+    "scale_from": str,
+    "scale_as": _word(_by_itself(SCALES)),
+    "states": _names,
+    "bits": _names,
+    "bit": str,
+    "byte": _word(_by_itself(BYTES)),
 }
 """Kind of a column -> the reader that returns the argument of `Point`, or raises WrongValue."""

@@ -136,6 +136,8 @@ def _settled(keys: dict[str, Any], given: dict[str, str]) -> dict[str, Any]:
             raise WrongValue("divisor", "must not be 0")
         keys["scale"] = 1 / keys["divisor"]
     keys.pop("divisor", None)
+    if keys.get("missing") == "sunspec" and plain(given.get("type", "")).startswith("acc"):
+        keys["missing"] = [0]  # of accumulators, 0 means "not implemented"
     if keys.get("type") == "bool":
         if keys.get("table", "").endswith("registers"):
             reason = "of registers must not be bool; bits16 gives those of one"

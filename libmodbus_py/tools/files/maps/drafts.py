@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from ....maps.point import Point
+from ....maps.sources import scale_mistakes
 from ....protocol.mistakes import Path, WrongValue, placed
 from ..file_error import FileError, FilePlace
 from ..schema import Key, Keys, keys_of
@@ -97,6 +98,11 @@ def collected(contents: Contents, drafts: Iterable[Draft], most: int) -> Content
                 return contents
     except MapError as error:
         contents.mistakes.append(error)
+    for name, mistake in scale_mistakes(contents.points) if not contents.mistakes else ():
+        draft = contents.drafts[name]
+        path = (*draft.path, *mistake.path[1:])
+        contents.mistakes.append(MapError.of(mistake.renamed(draft.path), draft.place(path)))
+    del contents.mistakes[most:]
     if not contents.points and not contents.mistakes:
         contents.mistakes.append(MapError((), "it has no points"))
     return contents

@@ -5,12 +5,13 @@ Register maps as text, in the forms that files have.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import fields
 from typing import Any
 
 from ....maps.point import Point
 from ..csv_text import csv_rows
+from ..toml_lines import shown_key
 
 __all__ = ["csv_text", "toml_text"]
 
@@ -29,7 +30,20 @@ def csv_text(points: Iterable[Point]) -> str:
     """Return points as CSV: a line for each, without paddings, which have no column in CSV."""
     said = [dict(_said(point)) for point in points]
     used = [key for key in _DEFAULTS if key != "padding" and any(key in keys for keys in said)]
-    return csv_rows([used, *([keys.get(key, "") for key in used] for keys in said)])
+    return csv_rows([used, *([_cell(keys.get(key, "")) for key in used] for keys in said)])
+
+
+def _cell(value: Any) -> Any:
+    """Return a value as the readers of cells take it."""
+    if isinstance(value, bool):
+        return _shown(value)
+    if isinstance(value, tuple):
+        return "; ".join(map(str, value))
+    if not isinstance(value, Mapping):
+        return value
+    if any(set(name) & set(";={") for name in value.values()):
+        return json.dumps(value, ensure_ascii=False)
+    return "; ".join(f"{key} = {name}" for key, name in value.items())
 
 
 def _said(point: Point) -> list[tuple[str, Any]]:
@@ -41,5 +55,8 @@ def _said(point: Point) -> list[tuple[str, Any]]:
 
 
 def _shown(value: Any) -> str:
-    # Printable text and numbers are written alike in JSON and TOML.
+    if isinstance(value, Mapping):
+        pairs = (f"{shown_key(str(key))} = {_shown(each)}" for key, each in value.items())
+        return f"{{ {', '.join(pairs)} }}"
+    # Printable text, numbers and lists are written alike in JSON and TOML.
     return json.dumps(value, ensure_ascii=False)

@@ -56,6 +56,16 @@ COLUMNS = _by_word(
         "minimum": "min, min value, low limit, lower limit",
         "maximum": "max, max value, high limit, upper limit",
         "description": "comment, comments, remark, remarks, note, notes, details, meaning",
+        "missing": "missing value, missing values",
+        "plausible_minimum": "",
+        "plausible_maximum": "",
+        "never_falls": "",
+        "scale_from": "",
+        "scale_as": "",
+        "states": "",
+        "bits": "",
+        "bit": "",
+        "byte": "",
     }
 )
 """Heading of a column -> kind of the column."""
@@ -103,6 +113,13 @@ TYPE_WORDS = _by_word(
         "bits16": "bitfield16, bitmap16, bitmask16",
         "bits32": "bitfield32, bitmap32, bitmask32",
         "bits64": "bitfield64, bitmap64, bitmask64",
+        "unix32": "",
+        "unix64": "",
+        "ms64": "",
+        "iec870": "",
+        "date48": "",
+        "bcddate48": "",
+        "date96": "",
         "bool": "boolean, bit",
     }
 )

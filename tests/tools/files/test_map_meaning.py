@@ -1,0 +1,159 @@
+"""
+Keys that say what raw values mean, in TOML and in CSV: the same points, and where mistakes are.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from libmodbus_py import MapError, Point, RegisterMap, load_map
+from libmodbus_py.tools.files.maps.texts import csv_text, toml_text
+from tests.support.cases import each_case
+
+TOML = """
+[[point]]
+name = "v"
+table = "holding_registers"
+address = 0
+type = "int16"
+missing = "sunspec"
+scale_from = "v_sf"
+plausible_maximum = 500
+
+[[point]]
+name = "v_sf"
+table = "holding_registers"
+address = 1
+type = "int16"
+missing = 0x8000
+
+[[point]]
+name = "state"
+table = "holding_registers"
+address = 2
+states = { 0 = "off", 1 = "on", 0x10 = "a;b" }
+missing = [255, 65535]
+
+[[point]]
+name = "flags"
+table = "holding_registers"
+address = 3
+bits = { 0 = "door", "4..7" = "mode" }
+
+[[point]]
+name = "flag"
+table = "holding_registers"
+address = 3
+bit = 3
+
+[[point]]
+name = "mode"
+table = "holding_registers"
+address = 4
+byte = "high"
+never_falls = true
+
+[[point]]
+name = "at"
+table = "holding_registers"
+address = 5
+type = "iec870"
+"""
+
+CSV = """\
+name,table,address,type,missing,scale_from,plausible maximum,states,bits,bit,byte,Never falls
+v,holding,0,int16,sunspec,v_sf,500,,,,,
+v_sf,holding,1,sunssf,0x8000,,,,,,,
+state,holding,2,,255; 65535,,,"{""0"": ""off"", ""1"": ""on"", ""16"": ""a;b""}",,,,
+flags,holding,3,,,,,,0 = door; 4..7 = mode,,,
+flag,holding,3,,,,,,,3,,
+mode,holding,4,,,,,,,,high,true
+at,holding,5,iec870,,,,,,,,
+"""
+
+
+def loaded(folder: Path, name: str, text: str) -> RegisterMap:
+    (folder / name).write_text(text)
+    return load_map(folder / name)
+
+
+def test_toml_and_csv_say_the_same(tmp_path: Path) -> None:
+    points = loaded(tmp_path, "map.toml", TOML)
+    assert list(loaded(tmp_path, "map.csv", CSV).values()) == list(points.values())
+    assert points["state"].states == {0: "off", 1: "on", 16: "a;b"}
+    assert points["flags"].decode([0x51]) == {"door": True, "mode": 5}
+
+
+@pytest.mark.parametrize("form", ["toml", "csv"])
+def test_points_come_back_from_files(tmp_path: Path, form: str) -> None:
+    points = loaded(tmp_path, "map.toml", TOML)
+    text = {"toml": toml_text, "csv": csv_text}[form](points.values())
+    assert list(loaded(tmp_path, f"back.{form}", text).values()) == list(points.values())
+
+
+NAMES = st.text(st.characters(categories=("L", "N", "P", "S", "Zs")), min_size=1, max_size=8)
+KEYS: st.SearchStrategy[dict[str, Any]] = st.one_of(
+    st.fixed_dictionaries({"states": st.dictionaries(st.integers(0, 9), NAMES, min_size=1)}),
+    st.fixed_dictionaries({"bits": st.dictionaries(st.integers(0, 9), NAMES, min_size=1)}),
+    st.fixed_dictionaries({"missing": st.lists(st.integers(0, 65535), min_size=1, max_size=5)}),
+    st.fixed_dictionaries({"bit": st.one_of(st.integers(0, 15), st.just("2..5"))}),
+    st.fixed_dictionaries({"plausible_minimum": st.floats(-1e9, 1e9)}),
+)
+
+
+@pytest.mark.parametrize("form", ["toml", "csv"])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@given(keys=KEYS)
+def test_any_keys_come_back_from_files(tmp_path: Path, form: str, keys: dict[str, Any]) -> None:
+    for key in ("states", "bits"):
+        if key in keys:  # without spaces around, which no name has, and each name once
+            kept = {" ".join(name.split()): number for number, name in keys[key].items()}
+            keys = {key: {number: name for name, number in kept.items() if name}}
+            if not keys[key]:
+                return
+    point = Point("p", "holding_registers", 0, **keys)
+    text = {"toml": toml_text, "csv": csv_text}[form]([point])
+    assert loaded(tmp_path, f"back.{form}", text)["p"] == point
+
+
+def test_an_accumulator_of_sunspec_is_missing_at_0(tmp_path: Path) -> None:
+    text = "name,table,address,type,missing\nenergy,holding,0,acc32,sunspec\n"
+    point = loaded(tmp_path, "map.csv", text)["energy"]
+    assert (point.decode([0, 0]), point.decode([0xFFFF, 0xFFFF])) == (None, 0xFFFFFFFF)
+
+
+POINT = '[[point]]\nname = "a"\ntable = "holding_registers"\naddress = 0\n'
+HEAD = "name,table,address,missing,states,bits,scale from,never falls,byte\n"
+
+WRONG = [
+    ("toml", POINT + "missing = 70000\n", "line 5: point[0].missing[0] must be in 0..65535"),
+    ("toml", POINT + 'states = { 0 = "x", 1 = "x" }\n', "line 5: point[0].states.1 must have a"),
+    ("toml", POINT + 'bits = { 16 = "x" }\n', "line 5: point[0].bits.16 must be in 0..15, not 16"),
+    ("toml", POINT + 'bits = { 0 = "x", "0..1" = "y" }\n', "line 5: point[0].bits.0..1 overlaps"),
+    ("toml", POINT + 'scale_from = "b"\n', "line 5: point[0].scale_from: the map has no point 'b'"),
+    ("csv", HEAD + "a,holding,0,x,,,,,", "line 2, column missing: missing must be a number such"),
+    ("csv", HEAD + "a,holding,0,,0:off,,,,", "line 2, column states: states must be like 0 = off"),
+    ("csv", HEAD + "a,holding,0,,0=a; 0=b,,,,", "line 2, column states: states must name 0 once"),
+    ("csv", HEAD + "a,holding,0,,0=a; 1=a,,,,", "line 2, column states: states.1 must have a name"),
+    ("csv", HEAD + "a,holding,0,,,0=a; 99=b,,,", "line 2, column bits: bits.99 must be in 0..15"),
+    ("csv", HEAD + "a,holding,0,,,,b,,", "line 2, column scale from: scale_from: the map has no"),
+    ("csv", HEAD + "a,holding,0,,,,,maybe,", "line 2, column never falls: never_falls must be"),
+    ("csv", HEAD + "a,holding,0,,,,,,top", "line 2, column byte: byte must be one of high, low"),
+    ("csv", HEAD + 'a,holding,0,,"{",,,,', "line 2, column states: states must be a JSON object"),
+    ("csv", HEAD + 'a,holding,0,,"{}",,,,', "line 2, column states: states must hold 1..1000"),
+]  # fmt: skip
+
+
+@each_case(("form", "text", "message"), WRONG)
+def test_a_mistake_has_its_place(
+    tmp_path_factory: pytest.TempPathFactory, form: str, text: str, message: str
+) -> None:
+    folder = tmp_path_factory.mktemp("maps")
+    with pytest.raises(MapError) as caught:
+        loaded(folder, f"map.{form}", text)
+    assert str(caught.value).startswith(f"{folder / 'map'}.{form}, {message}")
