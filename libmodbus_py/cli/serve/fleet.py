@@ -31,7 +31,7 @@ from .. import arguments
 from ..failing import CommandError
 from ..help import VerbatimHelp
 from ..output import complain, print_json
-from .hangup import unless_closed
+from .hangup import Hangup
 from .readiness import notify_ready
 
 __all__ = ["add_arguments", "add_command", "poll"]
@@ -109,6 +109,7 @@ def poll(
     outputs: Sequence[Output],
     exposed: Exposed,
     show: Show | None,
+    hangup: Hangup,
 ) -> int:
     """
     Poll as one worker of a fleet until a signal, or only write the file to the engine.
@@ -116,6 +117,7 @@ def poll(
     Args:
         exposed: returns a context manager that serves the metrics of the fleet.
         show: draws the status line until cancelled; None for no status line.
+        hangup: noted since the command started.
     """
     servers = parse_servers(options.engine)
     settings = load_file(options.file, _settings, FleetFileError)
@@ -124,7 +126,9 @@ def poll(
         in_key(zone)
     if options.push:
         return _waited_for(_push(servers, settings, connections))
-    return _waited_for(_work(servers, settings, connections, options, outputs, exposed, show))
+    return _waited_for(
+        _work(servers, settings, connections, options, outputs, exposed, show, hangup)
+    )
 
 
 def _settings(text: str) -> FleetSettings:
@@ -223,11 +227,15 @@ async def _work(
     outputs: Sequence[Output],
     exposed: Exposed,
     show: Show | None,
+    hangup: Hangup,
 ) -> int:
+    hung_up = hangup.unless_closed(_tell_of_push)
     # From now on, though NATS may elect a leader for a while.
-    with signal_handlers({signal.SIGHUP: unless_closed(_tell_of_push)}):
+    with signal_handlers({signal.SIGHUP: hung_up}):
+        if hangup.came:
+            hung_up()
         return await _connect_and_work(
-            servers, settings, connections, options, outputs, exposed, show
+            servers, settings, connections, options, outputs, exposed, show, hung_up
         )
 
 
@@ -239,6 +247,7 @@ async def _connect_and_work(
     outputs: Sequence[Output],
     exposed: Exposed,
     show: Show | None,
+    hung_up: Handler,
 ) -> int:
     changed: list[Callable[[], None]] = []
     client = await connected(
@@ -259,7 +268,7 @@ async def _connect_and_work(
         changed.append(polling.engine_changed)
         screen = asyncio.create_task(show(polling.fleet)) if show else None
         try:
-            with signal_handlers(_handlers(polling)), exposed(polling.fleet):
+            with signal_handlers(_handlers(polling, hung_up)), exposed(polling.fleet):
                 notify_ready()
                 await polling.run()
         finally:
@@ -270,11 +279,11 @@ async def _connect_and_work(
     return 0
 
 
-def _handlers(polling: Polling) -> dict[signal.Signals, Handler]:
+def _handlers(polling: Polling, hung_up: Handler) -> dict[signal.Signals, Handler]:
     return {
         signal.SIGINT: polling.leave,
         signal.SIGTERM: polling.leave,
-        signal.SIGHUP: unless_closed(_tell_of_push),
+        signal.SIGHUP: hung_up,
     }
 
 

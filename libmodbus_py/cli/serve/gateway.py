@@ -25,7 +25,7 @@ from ..output import counted
 from ..tracing import print_frame
 from . import audit, limits, metrics
 from .announcing import announcing
-from .hangup import is_secure, unless_closed
+from .hangup import Hangup, is_secure, noted
 
 __all__ = ["add_command"]
 
@@ -113,11 +113,11 @@ def _of_clients() -> dict[str, str]:
 
 
 def _gateway(options: argparse.Namespace) -> int:
-    with logs.logged(options):
-        return _gateway_logged(options)
+    with logs.logged(options), noted() as hangup:
+        return _gateway_logged(options, hangup)
 
 
-def _gateway_logged(options: argparse.Namespace) -> int:
+def _gateway_logged(options: argparse.Namespace, hangup: Hangup) -> int:
     if (options.config is None) == (options.to is None):
         raise ValueError("either --to or --config must say where the devices are")
     file = None if options.config is None else config.load(options.config)
@@ -143,10 +143,10 @@ def _gateway_logged(options: argparse.Namespace) -> int:
         if file is not None:
             on_hangup.append(partial(_read_again, gateway, str(options.config), file))
         has_files = on_hangup or is_secure([*urls, *(route.to for route in routes)])
-        read_again = unless_closed(*on_hangup) if has_files else None
+        read_again = hangup.unless_closed(*on_hangup) if has_files else None
         announce = announcing(options.allow)
         with metrics.exposed(gateway, options.metrics):
-            gateway.serve_forever(*urls, on_listening=announce, on_hangup=read_again)
+            hangup.serve_forever(gateway, urls, announce, read_again)
     return 0
 
 

@@ -8,13 +8,14 @@ import contextlib
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
 from ...ports.endpoint import parse
 from ...protocol.logs import HarmlessLogger
 from ...security.security import reload_all
+from ...server.serving import Running, Serving
 
-__all__ = ["is_secure", "noted", "unless_closed"]
+__all__ = ["Hangup", "is_secure", "noted"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
@@ -24,52 +25,88 @@ def is_secure(urls: Iterable[str]) -> bool:
     return any(parse(url).is_secure for url in urls)
 
 
-def unless_closed(*read_again: Callable[[], object]) -> Callable[[], None]:
+class Hangup:
     """
-    Return a function for SIGHUP.
+    SIGHUP, from the start of a command on.
 
-    It reads all files of certificates again, after those of the command.
+    An administrator sends it after a change of a file, and the system when a terminal is closed. In
+    the second case the program ends as on SIGTERM; not under nohup, or without a terminal.
 
-    An administrator sends SIGHUP after a change of a file, and the system sends it when a terminal
-    is closed. In the second case the program ends as on SIGTERM; not under nohup, or without
-    a terminal.
+    Attributes:
+        came: True if the signal came while the command started.
     """
-    can_close = _has_terminal() and signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN
 
-    def hung_up() -> None:
-        if can_close and not _has_terminal():
-            signal.raise_signal(signal.SIGTERM)
-        else:
-            for each in read_again:
-                each()
-            for mistake in reload_all():
-                logger.warning("%s", mistake)
+    def __init__(self) -> None:
+        self.came: bool = False
+        self._before = signal.getsignal(signal.SIGHUP)
+        self._can_close = _has_terminal() and self._before is not signal.SIG_IGN
+        is_main = threading.current_thread() is threading.main_thread()
+        self._is_noted = is_main and self._before not in (signal.SIG_IGN, None)
+        if self._is_noted:
+            signal.signal(signal.SIGHUP, self._note)
 
-    return hung_up
+    def _note(self, number: int, frame: object) -> None:
+        self.came = True
+
+    def give_back(self) -> None:
+        """Let the signal have its earlier effect again."""
+        if self._is_noted:
+            self._is_noted = False
+            signal.signal(signal.SIGHUP, self._before)
+
+    def unless_closed(self, *read_again: Callable[[], object]) -> Callable[[], None]:
+        """
+        Return a function for the signal.
+
+        It reads all files of certificates again, after those of the command.
+        """
+
+        def hung_up() -> None:
+            if self._can_close and not _has_terminal():
+                signal.raise_signal(signal.SIGTERM)
+            else:
+                for each in read_again:
+                    each()
+                for mistake in reload_all():
+                    logger.warning("%s", mistake)
+
+        return hung_up
+
+    def serve_forever(
+        self,
+        server: Serving,
+        urls: Sequence[str],
+        begin: Callable[[Running], object],
+        read_again: Callable[[], object] | None,
+    ) -> None:
+        """
+        Serve until a signal; one that came while the command started counts from then on.
+
+        Args:
+            begin: called once, when all endpoints are open.
+            read_again: for SIGHUP; None if it ends the program.
+        """
+        if read_again is None:
+            self.give_back()
+            if self.came:
+                signal.raise_signal(signal.SIGHUP)
+
+        def begun(running: Running) -> None:
+            begin(running)
+            if self.came and read_again is not None:
+                read_again()
+
+        server.serve_forever(*urls, on_listening=begun, on_hangup=read_again)
 
 
 @contextlib.contextmanager
-def noted() -> Iterator[Callable[[], bool]]:
-    """
-    Note SIGHUP in place of ending the program, while a command starts.
-
-    It yields a function that returns True if the signal came.
-    """
-    before = signal.getsignal(signal.SIGHUP)
-    is_main = threading.current_thread() is threading.main_thread()
-    if not is_main or before in (signal.SIG_IGN, None):
-        yield lambda: False
-        return
-    times = [0]
-
-    def note(number: int, frame: object) -> None:
-        times[0] += 1
-
-    signal.signal(signal.SIGHUP, note)
+def noted() -> Iterator[Hangup]:
+    """Note SIGHUP in place of ending the program, while a command starts."""
+    hangup = Hangup()
     try:
-        yield lambda: times[0] > 0
+        yield hangup
     finally:
-        signal.signal(signal.SIGHUP, before)
+        hangup.give_back()
 
 
 def _has_terminal() -> bool:

@@ -11,7 +11,6 @@ import resource
 import signal
 import sys
 import time
-from collections.abc import Callable
 from typing import Any
 
 from ...protocol.logs import HarmlessLogger
@@ -33,7 +32,7 @@ from ..output import complain, counted
 from ..status import Status
 from . import fleet as workers
 from . import metrics
-from .hangup import noted, unless_closed
+from .hangup import Hangup, noted
 from .readiness import notify_ready
 
 __all__ = ["add_command"]
@@ -105,11 +104,11 @@ def _poll_logged(options: argparse.Namespace) -> int:
         devices = load(options.file).devices
         _allow_descriptors()
         return asyncio.run(_check(devices))
-    with noted() as was_hung_up:
-        return _start(options, was_hung_up)
+    with noted() as hangup:
+        return _start(options, hangup)
 
 
-def _start(options: argparse.Namespace, was_hung_up: Callable[[], bool]) -> int:
+def _start(options: argparse.Namespace, hangup: Hangup) -> int:
     file = load(options.file)
     _allow_descriptors()
     for each in overloads(file.devices):
@@ -117,13 +116,13 @@ def _start(options: argparse.Namespace, was_hung_up: Callable[[], bool]) -> int:
     values = LastValues()
     outputs = _outputs(file, options)
     if options.engine is not None:
-        return _poll_with_others(options, file, outputs, values)
+        return _poll_with_others(options, file, outputs, values, hangup)
     fleet = Fleet(file.devices, outputs=[*outputs, *([values] if options.metrics else [])])
     is_printed = any(map(_prints, outputs))
     has_screen = sys.stderr.isatty() and not (is_printed and sys.stdout.isatty())
     with metrics.exposed(fleet, options.metrics, values, to=sys.stderr):
         try:
-            asyncio.run(_run(fleet, options, file, was_hung_up, has_screen))
+            asyncio.run(_run(fleet, options, file, hangup, has_screen))
         except OutputError as error:
             if isinstance(error.__cause__, OSError):
                 raise error.__cause__ from None
@@ -151,7 +150,11 @@ def _allow_descriptors() -> None:
 
 
 def _poll_with_others(
-    options: argparse.Namespace, file: FleetFile, outputs: list[Output], values: LastValues
+    options: argparse.Namespace,
+    file: FleetFile,
+    outputs: list[Output],
+    values: LastValues,
+    hangup: Hangup,
 ) -> int:
     if options.once:
         raise ValueError("--once cannot be used with --engine")
@@ -162,6 +165,7 @@ def _poll_with_others(
         [*outputs, *([values] if options.metrics else [])],
         lambda fleet: metrics.exposed(fleet, options.metrics, values, to=sys.stderr),
         _show if has_screen else None,
+        hangup,
     )
 
 
@@ -189,7 +193,7 @@ async def _run(
     fleet: Fleet,
     options: argparse.Namespace,
     file: FleetFile,
-    was_hung_up: Callable[[], bool],
+    hangup: Hangup,
     has_screen: bool,
 ) -> None:
     started = time.monotonic()
@@ -197,9 +201,9 @@ async def _run(
     polling = asyncio.create_task(fleet.run(once=options.once))
     screen = asyncio.create_task(_show(fleet)) if has_screen else None
     reloading = Reloading(fleet, options.file, file)
-    handlers = _handlers(stopped, reloading.begin)
+    handlers = _handlers(stopped, hangup.unless_closed(reloading.begin))
     with signal_handlers(handlers):
-        if was_hung_up():
+        if hangup.came:
             handlers[signal.SIGHUP]()
         await asyncio.sleep(0)
         with frozen_garbage():
@@ -219,11 +223,11 @@ async def _run(
         polling.result()
 
 
-def _handlers(stopped: asyncio.Event, read_again: Handler) -> dict[signal.Signals, Handler]:
+def _handlers(stopped: asyncio.Event, hung_up: Handler) -> dict[signal.Signals, Handler]:
     return {
         signal.SIGINT: stopped.set,
         signal.SIGTERM: stopped.set,
-        signal.SIGHUP: unless_closed(read_again),
+        signal.SIGHUP: hung_up,
     }
 
 

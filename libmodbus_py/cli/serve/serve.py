@@ -7,7 +7,9 @@ SIGHUP reads the device file again; with --reload, so does every change of the f
 from __future__ import annotations
 
 import argparse
+import contextlib
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from ...device.device import Device
@@ -24,7 +26,7 @@ from ..help import VerbatimHelp
 from ..tracing import print_frame
 from . import audit, limits, metrics, page, state
 from .announcing import announcing
-from .hangup import is_secure, unless_closed
+from .hangup import Hangup, is_secure, noted
 
 __all__ = ["add_command"]
 
@@ -95,13 +97,13 @@ def add_command(commands: Any) -> None:
 
 
 def _serve(options: argparse.Namespace) -> int:
-    with logs.logged(options):
-        return _serve_logged(options)
-
-
-def _serve_logged(options: argparse.Namespace) -> int:
     if options.example == "":
         return _list_examples()
+    with logs.logged(options), noted() as hangup:
+        return _serve_logged(options, hangup)
+
+
+def _serve_logged(options: argparse.Namespace, hangup: Hangup) -> int:
     path = options.device if options.example is None else example_files.path_of(options.example)
     urls = options.urls or ([EXAMPLE_URL] if options.example is not None else [])
     if not urls:
@@ -133,29 +135,19 @@ def _serve_logged(options: argparse.Namespace) -> int:
         ):
             if reloader is None:
                 has_files = on_hangup or is_secure(urls)
-                read_again = unless_closed(*on_hangup) if has_files else None
-                server.serve_forever(*urls, on_listening=announce_all, on_hangup=read_again)
+                read_again = hangup.unless_closed(*on_hangup) if has_files else None
+                hangup.serve_forever(server, urls, announce_all, read_again)
             else:
-                _serve_and_reload(server, urls, announce_all, reloader, on_hangup)
+                read_again = hangup.unless_closed(reloader.ask, *on_hangup)
+                begin = partial(_begin, reloader, announce_all)
+                with contextlib.closing(reloader):
+                    hangup.serve_forever(server, urls, begin, read_again)
     return 0
 
 
-def _serve_and_reload(
-    server: Server,
-    urls: list[str],
-    announce: Callable[[Running], object],
-    reloader: Reloader,
-    on_hangup: list[Callable[[], object]],
-) -> None:
-    def begin(running: Running) -> None:
-        reloader.start()
-        announce(running)
-
-    read_again = unless_closed(reloader.ask, *on_hangup)
-    try:
-        server.serve_forever(*urls, on_listening=begin, on_hangup=read_again)
-    finally:
-        reloader.close()
+def _begin(reloader: Reloader, announce: Callable[[Running], object], running: Running) -> None:
+    reloader.start()
+    announce(running)
 
 
 def _list_examples() -> int:

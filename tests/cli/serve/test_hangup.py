@@ -35,7 +35,7 @@ COMMANDS = {
 BEGIN = (
     "import fcntl, os, signal, sys, termios; fcntl.ioctl(0, termios.TIOCSCTTY, 0); "
     "signal.signal(signal.SIGHUP, signal.SIG_IGN if sys.argv[1] == 'nohup' else signal.SIG_DFL); "
-    "os.execv(sys.executable, [sys.executable, '-m', 'libmodbus_py', *sys.argv[2:]])"
+    "os.execv(sys.executable, [sys.executable, *sys.argv[2:]])"
 )
 
 
@@ -44,8 +44,11 @@ class Started:
     A command in a terminal of its own, until that is closed.
 
     Attributes:
+        program: what Python runs.
         master: the terminal's other end.
     """
+
+    program: tuple[str, ...] = ("-m", "libmodbus_py")
 
     def __init__(self, folder: Path, name: str, how: str = "") -> None:
         for file, text in FILES.items():
@@ -54,7 +57,7 @@ class Started:
         self.master, slave = pty.openpty()
         with open(self._log, "wb") as log:
             self.process = subprocess.Popen(
-                [sys.executable, "-c", BEGIN, how, name, *COMMANDS[name][0]],
+                [sys.executable, "-c", BEGIN, how, *self.program, name, *COMMANDS[name][0]],
                 cwd=folder,
                 stdin=slave,
                 stdout=log,
@@ -63,6 +66,12 @@ class Started:
                 env={**os.environ, "PYTHONUNBUFFERED": "1"},
             )
         os.close(slave)
+
+    def close(self) -> None:
+        self.process.kill()
+        self.process.wait()
+        with contextlib.suppress(OSError):
+            os.close(self.master)
 
     @property
     def said(self) -> str:
@@ -83,10 +92,7 @@ def started(folder: Path, name: str, how: str = "") -> Iterator[Started]:
         until(lambda: catches_hangup(made.process.pid))
         yield made
     finally:
-        made.process.kill()
-        made.process.wait()
-        with contextlib.suppress(OSError):
-            os.close(made.master)
+        made.close()
 
 
 def catches_hangup(process: int) -> bool:
