@@ -52,7 +52,8 @@ def add_command(commands: Any) -> None:
     command = commands.add_parser(
         "listen",
         description="Print every transaction on a line, and a summary after Ctrl-C.",
-        epilog=EXAMPLES,
+        epilog="The exit code is 0, or 1 if the capture could not be written to the end.\n\n"
+        f"{EXAMPLES}",
         formatter_class=VerbatimHelp,
     )
     command.add_argument(
@@ -82,9 +83,9 @@ def _listen(options: argparse.Namespace) -> int:
                 print_json({"summary": line.summary.as_dict()})
             else:
                 print(line.summary, flush=True)
+            return 0 if line.capture_error is None else 1
     finally:
         signal.signal(signal.SIGTERM, before)
-    return 0
 
 
 def _place(options: argparse.Namespace) -> str:

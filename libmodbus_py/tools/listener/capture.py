@@ -10,6 +10,7 @@ Blocks: draft-ietf-opsawg-pcapng, sections 4.1-4.3. Tags: epan/exported_pdu.h of
 
 from __future__ import annotations
 
+import contextlib
 import os
 import struct
 from collections.abc import Iterator
@@ -144,11 +145,19 @@ class CaptureWriter:
         return head + mbap(self._ids.get(key, self._last_id), frame.unit, frame.pdu)
 
     def _write(self, data: bytes) -> None:
+        rest = data
         try:
-            while data:  # a pipe may take less
-                data = data[self._file.write(data) or 0 :]
+            while rest:  # a pipe may take less
+                rest = rest[self._file.write(rest) or 0 :]
         except OSError as error:
+            self._take_back(len(data) - len(rest))
             raise OSError(error.errno, error.strerror, self._path) from error
+
+    def _take_back(self, count: int) -> None:
+        """Remove a part of a block from the end of the file, so that the rest can be read."""
+        with contextlib.suppress(OSError):  # a pipe, or a disk that is gone
+            if count:
+                self._file.truncate(self._file.tell() - count)
 
 
 class Recorded(NamedTuple):

@@ -16,7 +16,7 @@ from typing import Self
 
 from ...ports.endpoint import Endpoint, parse_to_listen
 from ...ports.outage import REOPEN_AFTER, Outage
-from ...ports.waiting import READ, Ready, Steps, Waker, Woken, run
+from ...ports.waiting import READ, Ready, Steps, Waker, Woken, of_system, run
 from ...ports.waiting_async import run_async
 from ...protocol.errors import ModbusConnectionError
 from ...protocol.logs import HarmlessLogger
@@ -50,10 +50,11 @@ class Listener:
     Attributes:
         url: the URL, with the port that the system chose; or the path of the capture.
         summary: counts of the traffic so far.
+        capture_error: why the capture ended, if it cannot be written any more; else None. Listening
+            goes on, and a tap with it; the log tells it once, as a warning.
 
     Raises, while iterating:
         CaptureError: the capture that is read is invalid, or ends inside a block.
-        OSError: the capture cannot be written.
         RuntimeError: another thread or task is iterating.
     """
 
@@ -69,6 +70,7 @@ class Listener:
         self.url: str = url
         self._pause = pause
         self.summary: Summary = Summary()
+        self.capture_error: OSError | None = None
         self._framing: LineFraming = framing
         self._reader = source if isinstance(source, CaptureReader) else None
         self._source = None if isinstance(source, CaptureReader) else source
@@ -241,9 +243,17 @@ class Listener:
         return self._separators[link], done
 
     def _on_heard(self, link: int) -> OnHeard:
-        if self._writer is None:
-            return _ignore
-        return partial(self._writer.write, interface=0, link=link)
+        return _ignore if self._writer is None else partial(self._record, link)
+
+    def _record(self, link: int, heard: Heard) -> None:
+        """Write to the capture, which ends when it cannot be written; the line goes on."""
+        if self._writer is None or self.capture_error is not None:
+            return
+        try:
+            self._writer.write(heard, link=link)
+        except OSError as error:
+            self.capture_error = of_system(error)
+            logger.warning("%s: %s; the capture ends here", error.filename, error.strerror)
 
     def _end_all(self) -> list[Transaction]:
         separators, self._separators = self._separators, {}
