@@ -9,7 +9,6 @@ import math
 import os
 import ssl
 import time
-import weakref
 from collections.abc import Iterable
 from typing import Any
 
@@ -17,9 +16,10 @@ from ..protocol.logs import HarmlessLogger
 from .acceptance import Acceptance
 from .files import File, place_of
 from .loaded import Loaded, SecurityFiles
+from .renewed import keep_renewed
 from .tunnel import Tunnel, expiry, name_of
 
-__all__ = ["Security", "reload_all"]
+__all__ = ["Security"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
@@ -99,7 +99,7 @@ class Security:
         self._warned_at = -math.inf
         if server_name is not None:
             self._check_server_name(server_name)
-        _in_use.add(self)
+        keep_renewed(self)
 
     def __repr__(self) -> str:
         trust = self._files.trust
@@ -208,25 +208,6 @@ class Security:
         except (TypeError, ValueError, ssl.SSLError):
             text = f"server_name must be a name or an address, not {name!r}"
             raise ValueError(text) from None
-
-
-_in_use: weakref.WeakSet[Security] = weakref.WeakSet()
-
-
-def reload_all() -> list[str]:
-    """
-    Reload every `Security` of this process, as on SIGHUP.
-
-    Returns:
-        One line for each that has a mistake in a file, and keeps the former content.
-    """
-    mistakes = []
-    for security in list(_in_use):
-        try:
-            security.reload()
-        except (ImportError, TypeError, ValueError) as error:
-            mistakes.append(f"nothing is changed: {error}")
-    return mistakes
 
 
 def _ending(left: float) -> str:

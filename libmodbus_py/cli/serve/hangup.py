@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 
 from ...ports.endpoint import parse
 from ...protocol.logs import HarmlessLogger
-from ...security.security import reload_all
+from ...security.renewed import reload_all
 from ...server.serving import Running, Serving
 
 __all__ = ["Hangup", "is_secure", "noted"]

@@ -11,6 +11,7 @@ from __future__ import annotations
 import asyncio
 import json
 import re
+import ssl
 from typing import Any
 
 import nats.errors
@@ -19,6 +20,8 @@ from nats.aio.msg import Msg
 from nats.protocol.parser import PERMISSIONS_ERR, Parser
 
 from ...protocol.logs import HarmlessLogger
+from ...security.renewed import Renewed
+from .file_text import FileText
 
 __all__ = ["SteadyClient"]
 
@@ -68,9 +71,20 @@ class SteadyClient(Client):
             # Any other exception would end the attempts to connect again.
             raise nats.errors.Error(f"nats: {error or type(error).__name__}") from error
 
+    @property
+    def ssl_context(self) -> ssl.SSLContext:
+        """The settings of TLS; read again from their files for each connection."""
+        given = self.options.get("tls")
+        context: ssl.SSLContext = (
+            given.fresh() if isinstance(given, Renewed) else super().ssl_context
+        )
+        return context
+
     def _connect_command(self) -> bytes:
         if "tls" in self.options and not self._server_info.get("tls_required"):
             raise nats.errors.Error("nats: the server does not support TLS; nothing was sent")
+        if isinstance(self._nkeys_seed_str, FileText):
+            self._setup_nkeys_seed_connect()  # the public key belongs to the seed
         command: bytes = super()._connect_command()
         return command
 

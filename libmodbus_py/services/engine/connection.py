@@ -3,7 +3,7 @@ A connection to NATS. Needs nats-py (the extra ``nats``).
 
 Credentials come from environment variables, as for the tools of NATS; other users of the machine
 cannot read them: NATS_USER, NATS_PASSWORD, NATS_TOKEN; NATS_CREDS and NATS_NKEY, files; NATS_CA,
-NATS_CERT and NATS_KEY, files for TLS.
+NATS_CERT and NATS_KEY, files for TLS. The files are read again for each connection, and on SIGHUP.
 """
 
 from __future__ import annotations
@@ -13,11 +13,14 @@ import contextlib
 import os
 import ssl
 from collections.abc import Callable, Mapping
+from functools import partial
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
+from ...security.renewed import Renewed
 from .errors import EngineError, EngineGone, explained, what
+from .file_text import FileText
 
 if TYPE_CHECKING:
     from nats.aio.client import Client
@@ -45,6 +48,12 @@ TIMES: dict[str, Any] = {
 }
 
 MOST_SERVERS = 32
+
+FILES = {
+    "NATS_CREDS": ("user_credentials", ("BEGIN NATS USER JWT", "BEGIN USER NKEY SEED")),
+    "NATS_NKEY": ("nkeys_seed_str", ("SU",)),
+}
+"""Variable that names a file -> the option of nats-py, and what the file must contain."""
 
 
 def parse_servers(text: str) -> list[str]:
@@ -166,28 +175,39 @@ def _is_empty(error: Exception) -> bool:
 
 
 def _identity(environment: Mapping[str, str]) -> dict[str, Any]:
-    names = {
-        "NATS_USER": "user",
-        "NATS_PASSWORD": "password",
-        "NATS_TOKEN": "token",
-        "NATS_CREDS": "user_credentials",
-        "NATS_NKEY": "nkeys_seed",
+    names = {"NATS_USER": "user", "NATS_PASSWORD": "password", "NATS_TOKEN": "token"}
+    found: dict[str, Any] = {
+        key: environment[name] for name, key in names.items() if environment.get(name)
     }
-    for name in ("NATS_CREDS", "NATS_NKEY"):
-        if environment.get(name) and find_spec("nkeys") is None:
+    for name, (key, needed) in FILES.items():
+        if not environment.get(name):
+            continue
+        if find_spec("nkeys") is None:
             raise EngineError(f"{name} needs nkeys: pip install nkeys")
-    return {key: environment[name] for name, key in names.items() if environment.get(name)}
+        try:
+            found[key] = FileText(name, environment[name], *needed)
+        except ValueError as error:
+            raise EngineError(str(error)) from None
+    return found
 
 
 def _trust(servers: list[str], environment: Mapping[str, str]) -> dict[str, Any]:
-    ca, cert, key = (environment.get(name) for name in ("NATS_CA", "NATS_CERT", "NATS_KEY"))
+    files = tuple(environment.get(name) for name in ("NATS_CA", "NATS_CERT", "NATS_KEY"))
+    ca, cert, _ = files
     if not (ca or cert or any(server.startswith("tls:") for server in servers)):
         return {}
+    try:
+        return {"tls": Renewed(partial(_context, *files))}
+    except ValueError as error:
+        raise EngineError(str(error)) from None
+
+
+def _context(ca: str | None, cert: str | None, key: str | None) -> ssl.SSLContext:
     try:
         context = ssl.create_default_context(cafile=ca or None)
         if cert:
             context.load_cert_chain(cert, key or None)
     except OSError as error:
         files = ", ".join(filter(None, (ca, cert, key)))
-        raise EngineError(f"NATS_CA, NATS_CERT, NATS_KEY: {files}: {what(error)}") from None
-    return {"tls": context}
+        raise ValueError(f"NATS_CA, NATS_CERT, NATS_KEY: {files}: {what(error)}") from None
+    return context

@@ -44,6 +44,7 @@ from .config import DeviceConfig, checked
 from .devices_csv import DeviceRow, device_rows
 from .outputs.kinds import KINDS, made, output_keys
 from .outputs.output import Output
+from .outputs.secret_file import SecretFile
 
 __all__ = ["DEVICE", "FILE", "FleetFile", "FleetFileError", "load"]
 
@@ -220,11 +221,11 @@ class _Reader:
                 raise WrongValue(key, f"must not be written in the file: use {wanted}")
         return keys
 
-    def _secret_of(self, key: str, file: object) -> str:
+    def _secret_of(self, key: str, file: object) -> SecretFile:
         if not isinstance(file, str):
             raise WrongType(key, f"must be the name of a file, not {file!r}")
         with inside(key):
-            return read_text(self._folder / file, FleetFileError, 4096).rstrip("\r\n")
+            return SecretFile(self._folder / file, FleetFileError)
 
 
 def _filled(key: str, value: Any) -> Any:

@@ -87,15 +87,24 @@ def test_a_connection_that_is_lost_is_sought_for_ever_but_the_first_is_not(
 
 
 def test_credentials_come_from_the_environment(
-    client: type[Client], monkeypatch: pytest.MonkeyPatch
+    client: type[Client], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
+    creds, seed = tmp_path / "c", tmp_path / "n"
+    creds.write_text("BEGIN NATS USER JWT, BEGIN USER NKEY SEED")
+    seed.write_text("SUA")
     monkeypatch.setattr(connection, "find_spec", lambda name: name)
     made = connect(
-        NATS_USER="u", NATS_PASSWORD="p", NATS_TOKEN="t", NATS_CREDS="c", NATS_NKEY="n", NATS_X="x"
+        NATS_USER="u",
+        NATS_PASSWORD="p",
+        NATS_TOKEN="t",
+        NATS_CREDS=str(creds),
+        NATS_NKEY=str(seed),
+        NATS_X="x",
     )
     given = {key: made.options.get(key) for key in ("user", "password", "token")}
     assert given == {"user": "u", "password": "p", "token": "t"}
-    assert (made.options["user_credentials"], made.options["nkeys_seed"]) == ("c", "n")
+    assert made.options["user_credentials"] == creds.read_text()
+    assert made.options["nkeys_seed_str"] == "SUA"
     assert "x" not in made.options.values()
 
 

@@ -12,6 +12,7 @@ Outputs: the destinations of readings. Each is one file, and imports its librari
     subjects       the subjects of messages
     last_values    the last reading of each point, for metrics
     forms          readings as JSON and CSV
+    secret_file    a password in a file, which is read again
     text_file      a file or the standard output
     writer_thread  a thread that writes, so that nothing else waits for a disk
     pump           moves readings from a buffer to an output

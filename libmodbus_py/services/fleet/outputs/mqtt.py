@@ -10,6 +10,7 @@ import json
 import re
 import ssl
 from collections.abc import Coroutine, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
@@ -17,6 +18,7 @@ from urllib.parse import urlsplit
 from ....protocol.checks import integer
 from ....protocol.logs import HarmlessLogger
 from ....protocol.mistakes import WrongType, WrongValue
+from ....security.renewed import Renewed
 from ....security.words import in_words
 from ..buffer import MOST_KEPT
 from ..commands import Commands, encoded, wanted_of
@@ -24,6 +26,7 @@ from ..levels import Levels
 from ..readings import Reading
 from .forms import payload
 from .output import OutputError
+from .secret_file import SecretFile, text_of
 
 if TYPE_CHECKING:
     import aiomqtt
@@ -67,14 +70,15 @@ class Mqtt:
     Args:
         url: the URL of the broker, such as "mqtt://192.0.2.1" or "mqtts://broker.example:8883"
             (TLS).
-        user, password: credentials of the broker; None for none.
+        user, password: credentials of the broker; None for none. A `SecretFile` is read again for
+            each connection, and on SIGHUP.
         topic: the topic of a reading, with {device} and {name} on different levels; in both,
             the characters ``/ + # %`` are written %2F and so on.
         status: the topic of the status, which no reading may have; empty for none.
         retain: True if the broker keeps the last value of each topic.
         qos: 0, or 1 for readings that the broker must acknowledge.
         ca: a file with the certificate authorities to trust, for mqtts; those of the system
-            unless given.
+            unless given. It is read again like a `SecretFile`.
         client_id: the client identifier; None to have the broker assign one.
         commands: True to write the values published to `topic` + "/set" to the device; see
             `Commands`. The outcome is published to `topic` + "/set/result".
@@ -89,7 +93,7 @@ class Mqtt:
         url: str,
         *,
         user: str | None = None,
-        password: str | None = None,
+        password: str | SecretFile | None = None,
         topic: str = "modbus/{device}/{name}",
         status: str = "modbus/status",
         retain: bool = True,
@@ -116,7 +120,9 @@ class Mqtt:
         if ca is not None and not self._is_secure:
             raise WrongValue("ca", "can only be used with mqtts://")
         self._ca = ca
-        self._options = {"username": user, "password": password, "identifier": client_id}
+        self._password = password
+        self._trusted: Renewed[ssl.SSLContext] | None = None
+        self._options = {"username": user, "identifier": client_id}
         self.takes_commands: bool = commands
         self._commands: Commands | None = None
         self._client: aiomqtt.Client | None = None
@@ -139,10 +145,11 @@ class Mqtt:
             self._host,
             self._port,
             **self._options,  # type: ignore[arg-type]
+            password=await asyncio.to_thread(text_of, self._password),
             will=will,
             timeout=TIMEOUT,
             keepalive=30,
-            tls_context=await asyncio.to_thread(_trust, self._ca) if self._is_secure else None,
+            tls_context=await asyncio.to_thread(self._context) if self._is_secure else None,
             max_queued_incoming_messages=MOST_MESSAGES,
         )
         with _as_connection_error():
@@ -160,6 +167,12 @@ class Mqtt:
                 await client.subscribe(f"{_filter(self._topic)}/set", 1)
             # The broker may have been restarted, and may have lost what it retained.
             await self._while_connected(self._publish_all(client, list(self._retained.values())))
+
+    def _context(self) -> ssl.SSLContext:
+        if self._trusted is None:
+            self._trusted = Renewed(partial(_trust, self._ca))
+            return self._trusted.value
+        return self._trusted.fresh()
 
     async def write(self, readings: Sequence[Reading]) -> None:
         client = self._client

@@ -1,0 +1,96 @@
+"""
+What is read from files, and read again: certificates, keys and passwords.
+"""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Callable
+from typing import Generic, Protocol, TypeVar
+
+from ..protocol.logs import HarmlessLogger
+
+__all__ = ["Renewed", "keep_renewed", "reload_all"]
+
+logger: HarmlessLogger = HarmlessLogger(__name__)
+
+T = TypeVar("T")
+
+# What a mistake in a file, or a file that cannot be read, raises.
+MISTAKES = (ImportError, OSError, TypeError, ValueError)
+
+
+class _Reloadable(Protocol):
+    def reload(self) -> None:
+        """
+        Read the files again.
+
+        Raises:
+            ImportError, OSError, TypeError, ValueError: a file is wrong; nothing has changed.
+        """
+        ...
+
+
+class Renewed(Generic[T]):
+    """
+    A value made of files, which `reload_all` reads again.
+
+    Args:
+        read: reads the files and returns the value.
+
+    Attributes:
+        value: the value of the last time that all files were good.
+
+    Raises:
+        ImportError, OSError, TypeError, ValueError: a file is wrong.
+    """
+
+    def __init__(self, read: Callable[[], T]) -> None:
+        self._read = read
+        self._told = ""
+        self.value: T = read()
+        keep_renewed(self)
+
+    def reload(self) -> None:
+        """
+        Read the files again.
+
+        Raises:
+            ImportError, OSError, TypeError, ValueError: a file is wrong; the value is the former.
+        """
+        self.value = self._read()
+
+    def fresh(self) -> T:
+        """Read the files again and return the value; log a mistake, and return the former value."""
+        try:
+            self.reload()
+            self._told = ""
+        except MISTAKES as error:
+            if self._told != str(error):
+                self._told = str(error)
+                logger.warning("the former content is used: %s", error)
+        return self.value
+
+
+_in_use: weakref.WeakSet[_Reloadable] = weakref.WeakSet()
+
+
+def keep_renewed(reloadable: _Reloadable) -> None:
+    """Have `reload_all` reload an object as long as it exists."""
+    _in_use.add(reloadable)
+
+
+def reload_all() -> list[str]:
+    """
+    Reload all certificates, keys and passwords of this process, as on SIGHUP.
+
+    Returns:
+        One line for each object that has a mistake in a file, and keeps the former content.
+    """
+    mistakes = []
+    for each in list(_in_use):
+        try:
+            each.reload()
+        except MISTAKES as error:
+            mistakes.append(f"nothing is changed: {error}")
+    return mistakes

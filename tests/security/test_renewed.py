@@ -1,0 +1,174 @@
+"""
+What is read from files again: at SIGHUP, and for each connection to a broker.
+"""
+
+from __future__ import annotations
+
+import gc
+import logging
+import ssl
+from pathlib import Path
+
+import pytest
+
+from libmodbus_py.security.renewed import Renewed, reload_all
+from libmodbus_py.services.engine.connection import _identity, _trust
+from libmodbus_py.services.engine.errors import EngineError
+from libmodbus_py.services.engine.file_text import FileText
+from libmodbus_py.services.fleet.files import load
+from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
+from libmodbus_py.services.fleet.outputs.secret_file import SecretFile, text_of
+from tests.support import certificates
+from tests.support.certificates import Papers
+
+CREDENTIALS = """\
+-----BEGIN NATS USER JWT-----
+{}
+------END NATS USER JWT------
+-----BEGIN USER NKEY SEED-----
+SUAOY
+------END USER NKEY SEED------
+"""
+
+
+def authorities(context: object) -> list[bytes]:
+    """Return the authorities that a context trusts, in DER."""
+    assert isinstance(context, ssl.SSLContext)
+    return context.get_ca_certs(binary_form=True)
+
+
+def mistakes(about: Path) -> list[str]:
+    """Return what a reload reports about a file."""
+    gc.collect()
+    return [line for line in reload_all() if str(about) in line]
+
+
+@pytest.fixture
+def ca(tmp_path: Path) -> Path:
+    return Papers(tmp_path / "papers").authority(certificates.authority())
+
+
+def test_a_value_is_the_former_until_the_file_is_good_again(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = tmp_path / "number"
+    path.write_text("1")
+    renewed = Renewed(lambda: int(path.read_text()))
+    path.write_text("2")
+    assert renewed.value == 1
+    reload_all()
+    assert renewed.value == 2
+    path.write_text("two")
+    told = [line for line in reload_all() if "'two'" in line]
+    assert told == ["nothing is changed: invalid literal for int() with base 10: 'two'"]
+    assert [renewed.fresh(), renewed.fresh()] == [2, 2]
+    path.unlink()
+    assert renewed.fresh() == 2
+    path.write_text("3")
+    assert renewed.fresh() == 3
+    assert [each.levelno for each in caplog.records] == [
+        logging.WARNING
+    ] * 2  # once for each reason
+
+
+def test_what_is_not_used_any_more_is_not_read(tmp_path: Path) -> None:
+    path = tmp_path / "password"
+    path.write_text("secret")
+    kept, gone = SecretFile(path), SecretFile(path)
+    assert kept == gone
+    del gone
+    path.unlink()
+    assert len(mistakes(path)) == 1
+    del kept
+    assert mistakes(path) == []
+
+
+# --- MQTT ---------------------------------------------------------------------------------------
+
+
+def test_a_password_file_of_mqtt_is_read_again(tmp_path: Path) -> None:
+    (tmp_path / "map.csv").write_text("name,table,address,type\npower,holding,0,uint16\n")
+    (tmp_path / "secret").write_text("first\n")
+    (tmp_path / "fleet.toml").write_text(
+        "[output.mqtt]\nurl = 'mqtt://192.0.2.1'\nuser = 'u'\npassword_file = 'secret'\n"
+        "[[device]]\nname = 'a'\nurl = 'tcp://192.0.2.2'\nmap = 'map.csv'\n"
+    )
+    file = load(tmp_path / "fleet.toml")
+    password = file.outputs[0][1]["password"]
+    assert text_of(password) == "first"
+    (tmp_path / "secret").write_text("second")
+    assert text_of(password) == "second"
+    assert load(tmp_path / "fleet.toml").outputs == file.outputs
+    (tmp_path / "secret").unlink()
+    assert text_of(password) == "second"
+    assert len(mistakes(tmp_path / "secret")) == 1
+    assert "second" not in repr(file.outputs)
+
+
+def test_the_authorities_of_mqtt_are_read_again(ca: Path) -> None:
+    output = Mqtt("mqtts://192.0.2.1", ca=str(ca))
+    before = authorities(output._context())
+    ca.write_bytes(certificates.foreign_authority().pem)
+    after = authorities(output._context())
+    assert before != after
+    ca.write_text("in the midst of being written")
+    assert authorities(output._context()) == after
+    assert len(mistakes(ca)) == 1
+
+
+# --- NATS ---------------------------------------------------------------------------------------
+
+
+def test_the_authorities_of_nats_are_read_again(ca: Path) -> None:
+    from libmodbus_py.services.engine.client import SteadyClient
+
+    client = SteadyClient()
+    client.options |= _trust(["nats://192.0.2.1"], {"NATS_CA": str(ca)})
+    before = authorities(client.ssl_context)
+    ca.write_bytes(certificates.foreign_authority().pem)
+    after = authorities(client.ssl_context)
+    assert before != after
+    ca.unlink()
+    assert authorities(client.ssl_context) == after
+    assert len(mistakes(ca)) == 1
+
+
+def test_credentials_of_nats_are_read_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As nats-py reads them, which reads a file without credentials for ever."""
+    from libmodbus_py.services.engine import connection
+    from libmodbus_py.services.engine.client import SteadyClient
+
+    monkeypatch.setattr(connection, "find_spec", lambda name: name)
+    path = tmp_path / "user.creds"
+    path.write_text(CREDENTIALS.format("first"))
+    given = _identity({"NATS_CREDS": str(path)})["user_credentials"]
+    client = SteadyClient()
+    assert client._read_creds_user_jwt(given) == b"first"
+    path.write_text(CREDENTIALS.format("second"))
+    assert client._read_creds_user_jwt(given) == b"second"
+    path.write_text("")
+    assert client._read_creds_user_jwt(given) == b"second"
+    assert client._read_creds_user_nkey(given) == b"SUAOY"
+    (told,) = mistakes(path)
+    assert told.endswith("user.creds: contains no 'BEGIN NATS USER JWT'")
+
+
+@pytest.mark.parametrize("name", ["NATS_CREDS", "NATS_NKEY"])
+def test_a_file_without_credentials_is_refused_at_the_start(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    from libmodbus_py.services.engine import connection
+
+    monkeypatch.setattr(connection, "find_spec", lambda name: name)
+    path = tmp_path / "empty"
+    path.write_text("")
+    with pytest.raises(EngineError, match=f"^{name}: .*empty: contains no "):
+        _identity({name: str(path)})
+
+
+def test_a_seed_can_be_stripped_and_encoded_as_nats_py_does(tmp_path: Path) -> None:
+    path = tmp_path / "seed"
+    path.write_text("SUAOY\n")
+    assert bytearray(FileText("NATS_NKEY", str(path), "SU").strip().encode()) == b"SUAOY"
