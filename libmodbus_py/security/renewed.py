@@ -1,5 +1,5 @@
 """
-What is read from files, and read again: certificates, keys and passwords.
+Values read from files, and read again: certificates, keys and passwords.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ _in_use: weakref.WeakSet[_Reloadable] = weakref.WeakSet()
 
 
 def keep_renewed(reloadable: _Reloadable) -> None:
-    """Have `reload_all` reload an object as long as it exists."""
+    """Let `reload_all` reload an object as long as it exists."""
     _in_use.add(reloadable)
 
 

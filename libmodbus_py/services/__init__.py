@@ -8,5 +8,6 @@ Services: programs that run for months, and connections with other software.
     workers        several machines that share the devices of a fleet
     engine         the connection with NATS, which workers use to coordinate
     integrations   metrics for Prometheus; a backend for Home Assistant's modbus-connection
+    tasks          the end of tasks that may lose a cancellation
     loading        files of any kind: maps, devices, gateways, fleets
 """

@@ -185,7 +185,8 @@ class Watch:
         self.is_broken = True
         if self._subscription is not None:
             with contextlib.suppress(Exception):
-                await asyncio.wait_for(self._subscription.unsubscribe(), TIMEOUT)
+                async with asyncio.timeout(TIMEOUT):
+                    await self._subscription.unsubscribe()
             # nats-py does not cancel these tasks if the connection is closed already.
             watching: Any = getattr(self._subscription._sub, "_jsi", None)
             for task in (getattr(watching, "_hbtask", None), getattr(watching, "_fctask", None)):

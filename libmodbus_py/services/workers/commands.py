@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from ..fleet.commands import Commands, encoded, wanted_of
 from ..fleet.outputs.subjects import WRITE, asked_about, written
+from ..tasks import end_tasks
 
 if TYPE_CHECKING:
     from nats.aio.client import Client
@@ -61,7 +62,7 @@ class CommandService:
         """Stop, and unsubscribe."""
         self.stop()
         subscription, self._subscription = self._subscription, None
-        await asyncio.gather(*self._tasks, return_exceptions=True)
+        await end_tasks(list(self._tasks))
         if subscription is not None:
             with contextlib.suppress(Exception):
                 await subscription.unsubscribe()

@@ -21,6 +21,7 @@ from ..fleet.config import DeviceConfig, checked, devices_from_json
 from ..fleet.fleet import Fleet
 from ..fleet.outputs.output import Output
 from ..fleet.outputs.stream import Stream
+from ..tasks import end_tasks
 from .commands import CommandService
 from .lease import OWN_PART
 from .locations import Locations
@@ -149,9 +150,7 @@ class Polling:
         finally:
             if self._late is not None:
                 self._late.cancel()
-            for task in (*tasks, *self._writes):
-                task.cancel()
-            await asyncio.gather(*tasks, *self._writes, return_exceptions=True)
+            await end_tasks([*tasks, *self._writes])
             await self._service.end()
         for task in tasks:
             if not task.cancelled():

@@ -20,6 +20,7 @@ from ....protocol.logs import HarmlessLogger
 from ....protocol.mistakes import WrongType, WrongValue
 from ....security.renewed import Renewed
 from ....security.words import in_words
+from ...tasks import end_tasks
 from ..buffer import MOST_KEPT
 from ..commands import Commands, encoded, wanted_of
 from ..levels import Levels
@@ -215,9 +216,7 @@ class Mqtt:
     async def close(self) -> None:
         client, self._client = self._client, None
         tasks = [*self._sending, *([self._listening] if self._listening else [])]
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
+        await end_tasks(tasks)
         self._listening = None
         if client is None:
             return

@@ -7,6 +7,7 @@ from __future__ import annotations
 import asyncio
 
 from ....protocol.logs import HarmlessLogger
+from ...tasks import AGAIN
 from ..buffer import MOST_KEPT, Buffer
 from ..readings import Reading
 from ..statistics import OutputStatistics
@@ -74,8 +75,15 @@ class Pump:
         self._closing.set()
         if is_patient:
             return
-        late = asyncio.get_running_loop().call_later(LAST_WORDS, self.task.cancel)
-        self.task.add_done_callback(lambda task: late.cancel())
+        self._end_after(LAST_WORDS)
+
+    def _end_after(self, seconds: float) -> None:
+        ending = asyncio.get_running_loop().call_later(seconds, self._end)
+        self.task.add_done_callback(lambda task: ending.cancel())
+
+    def _end(self) -> None:
+        self.task.cancel()
+        self._end_after(AGAIN)  # the client of an output may lose this cancellation
 
     async def _run(self) -> None:
         try:
@@ -182,7 +190,8 @@ class Pump:
 
     async def _rest(self) -> None:
         try:
-            await asyncio.wait_for(self._closing.wait(), self._pause)
+            async with asyncio.timeout(self._pause):
+                await self._closing.wait()
         except TimeoutError:
             self._pause = min(2 * self._pause, LONGEST_PAUSE)
 

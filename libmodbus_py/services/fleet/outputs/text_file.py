@@ -85,7 +85,8 @@ class TextFile:
         if not self._thread.is_running:
             return
         with contextlib.suppress(OSError, TimeoutError, OutputError):
-            await asyncio.wait_for(self._thread.call(self._close), LAST_WAIT)
+            async with asyncio.timeout(LAST_WAIT):
+                await self._thread.call(self._close)
         self._thread.stop()
 
     # --- in the thread ----------------------------------------------------------------------
