@@ -6,6 +6,7 @@ Outputs: the destinations of readings. Each is one file, and imports its librari
     kinds          the names of outputs in fleet files and options
     json_output    a line of JSON for each reading
     csv_output     a row of CSV for each reading
+    device_states  the devices that answer, as their readings show
     mqtt           a topic for each value, retained; writes to named points
     nats           a message for each poll, kept in a stream, from one machine
     stream         ... the stream, also used by workers on several machines

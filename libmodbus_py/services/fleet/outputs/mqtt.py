@@ -9,7 +9,7 @@ import contextlib
 import json
 import re
 import ssl
-from collections.abc import Coroutine, Iterator, Sequence
+from collections.abc import Coroutine, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,6 +25,7 @@ from ..buffer import MOST_KEPT
 from ..commands import Commands, encoded, wanted_of
 from ..levels import Levels
 from ..readings import Reading
+from .device_states import DeviceStates
 from .forms import payload
 from .output import OutputError
 from .secret_file import SecretFile, text_of
@@ -76,6 +77,8 @@ class Mqtt:
         topic: the topic of a reading, with {device} and {name} on different levels; in both,
             the characters ``/ + # %`` are written %2F and so on.
         status: the topic of the status, which no reading may have; empty for none.
+        device_status: the topic with "online" while a device answers, else "offline", with
+            {device}; no reading may have it. Empty for none.
         retain: True if the broker keeps the last value of each topic.
         qos: 0, or 1 for readings that the broker must acknowledge.
         ca: a file with the certificate authorities to trust, for mqtts; those of the system
@@ -97,6 +100,7 @@ class Mqtt:
         password: str | SecretFile | None = None,
         topic: str = "modbus/{device}/{name}",
         status: str = "modbus/status",
+        device_status: str = "",
         retain: bool = True,
         qos: int = 0,
         ca: str | None = None,
@@ -116,6 +120,8 @@ class Mqtt:
         self._status = _plain_topic("status", status)
         if _pattern(self._topic).fullmatch(self._status):
             raise WrongValue("status", f"must not be the topic of a reading: {status!r}")
+        self._device_status = _of_devices(device_status, self._topic, self._status)
+        self._states = DeviceStates()
         self._retain = retain
         self._qos = integer("qos", qos, 0, 1)
         if ca is not None and not self._is_secure:
@@ -167,7 +173,7 @@ class Mqtt:
             if self.takes_commands:
                 await client.subscribe(f"{_filter(self._topic)}/set", 1)
             # The broker may have been restarted, and may have lost what it retained.
-            await self._while_connected(self._publish_all(client, list(self._retained.values())))
+            await self._while_connected(self._publish_again(client))
 
     def _context(self) -> ssl.SSLContext:
         if self._trusted is None:
@@ -180,6 +186,9 @@ class Mqtt:
         assert client is not None
         with _as_connection_error():
             await self._while_connected(self._publish_all(client, readings))
+            changed = self._states.changed(readings) if self._device_status else {}
+            await self._while_connected(self._publish_states(client, changed))
+        self._states.note(changed, readings)
         for each in readings if self._retain else ():
             if each.quality == "offline":
                 self._retained.pop((each.device, each.name), None)
@@ -194,6 +203,15 @@ class Mqtt:
             # The broker acknowledges no publish, but this, which comes behind them, and changes
             # nothing: a connection that it ended because of one of them is noticed here.
             await client.unsubscribe(_filter(self._topic), timeout=LONGEST_CONFIRMING)
+
+    async def _publish_again(self, client: aiomqtt.Client) -> None:
+        await self._publish_all(client, list(self._retained.values()))
+        await self._publish_states(client, self._states.told)
+
+    async def _publish_states(self, client: aiomqtt.Client, states: Mapping[str, bool]) -> None:
+        for name, answers in list(states.items()):
+            topic = self._device_status.format(device=_LEVELS.spell(name))
+            await client.publish(topic, ONLINE if answers else OFFLINE, 1, True)
 
     async def _while_connected(self, publishing: Coroutine[Any, Any, None]) -> None:
         """Wait for messages to be published; raise if the connection is lost before."""
@@ -320,6 +338,30 @@ def _plain_topic(key: str, topic: object) -> str:
     if set("+#\0") & set(topic) or len(topic.encode()) > 1000 or topic.startswith("$"):
         raise WrongValue(key, f"must be a topic without + and #, not {topic!r}")
     return topic
+
+
+def _of_devices(template: object, topic: str, status: str) -> str:
+    """Return the topic of the states of devices; see `Mqtt`."""
+    key = "device_status"
+    text = _plain_topic(key, template)
+    if not text:
+        return text
+    if text.count("{device}") != 1 or set("{}") & set(text.replace("{device}", "")):
+        raise WrongValue(key, f"must hold {{device}} once, not {text!r}")
+    if any(_can_meet(text, f"{topic}{ending}") for ending in ("", "/set", "/set/result")):
+        raise WrongValue(key, f"must not be the topic of a reading: {text!r}")
+    if _pattern(text).fullmatch(status):
+        raise WrongValue(key, f"must not be the topic of the status: {text!r}")
+    return text
+
+
+def _can_meet(topic: str, other: str) -> bool:
+    """Return True if two templates of topics can become the same topic."""
+    levels, others = topic.split("/"), other.split("/")
+    return len(levels) == len(others) and all(
+        level == each or "{" in level or "{" in each
+        for level, each in zip(levels, others, strict=True)
+    )
 
 
 def _filter(topic: str) -> str:
