@@ -53,6 +53,11 @@ class PartialAnswer(list[Any]):
         """Note why a piece could not be read."""
         self._errors[piece.start - self._start, piece.stop - self._start] = error
 
+    @property
+    def error(self) -> ModbusError | None:
+        """The first error of cells that could not be read."""
+        return next(iter(self._errors.values()), None)
+
     def error_of(self, start: int, stop: int) -> ModbusError | None:
         """Return why answer[start:stop] could not be read; None if it was."""
         return self._errors.get((start, stop))

@@ -389,6 +389,8 @@ class Fleet:
         statistics.polls += 1
         statistics.failures += poller.misses > 0
         statistics.refusals += poller.is_refused
+        for each in poller.news:
+            logger.warning("%s: cannot be read: %s", poller.name, each)
         if poller.told_state is not poller.state:
             self._count(poller.told_state, -1)
             self._count(poller.state, 1)

@@ -126,7 +126,8 @@ class FleetLine:
             return
         poller.planned = poller.waits_since = planned
         poller.is_trial = poller.state is DeviceState.DOWN
-        poller.begin()
+        connects = self.client.statistics.connects
+        poller.begin(self._loop.time(), id(self.client), connects)
         if poller.rest_until > self._loop.time():
             self._rest(poller)
         else:

@@ -4,12 +4,15 @@ One device while it is polled: the state of its poll, and of the device.
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Hashable, Sequence
 from enum import Enum
 from typing import Any
 
 from ...client.asynchronous import Submitted
 from ...client.waiting_room import rest_after
+from ...maps.holes import Holes, Unreadable
+from ...maps.pieces import PartialAnswer
+from ...maps.plan_run import PlanRun, says_something
 from ...maps.register_map import PointPlan
 from ...protocol.errors import ModbusError
 from .config import DeviceConfig
@@ -56,7 +59,8 @@ class Poller:
     Attributes:
         state: NEW until its first poll is over.
         told_state: the state that the statistics count.
-        error: the first error of the last poll; None if there was none.
+        error: the first error of the last poll, or that of a point that was left out; None if all
+            points were read.
         at: when the device is polled next, or was polled last.
         planned: when the current poll was due; None without one.
         misses: polls in a row without an answer.
@@ -64,12 +68,15 @@ class Poller:
         asked_at: when the request in flight was sent.
         rest_until: when the next request may be sent to the device.
         waits_since: when the current poll was due.
+        news: sentences about points that the device was found to refuse in the last poll.
     """
 
     # fmt: off
     __slots__ = (
-        "_answers", "_changes", "asked_at", "at", "config", "error", "is_trial", "misses",
-        "planned", "reads", "rest_until", "state", "submitted", "told_state", "waits_since",
+        "_answers", "_begun", "_changes", "_client", "_connects", "_error", "_first",
+        "_has_answered", "_holes", "_requests", "_run", "_taken", "asked_at", "at", "config",
+        "error", "is_trial", "misses", "news", "planned", "reads", "rest_until", "state",
+        "submitted", "told_state", "waits_since",
     )
     # fmt: on
 
@@ -87,7 +94,18 @@ class Poller:
         self.asked_at: float = 0.0
         self.rest_until: float = 0.0
         self.waits_since: float = 0.0
+        self.news: list[str] = []
         self._answers: list[Any] = []
+        self._requests: Sequence[Any] = reads.plan.requests
+        self._run: PlanRun | None = None
+        self._holes: Holes | None = None
+        self._begun = 0.0
+        self._client: Hashable = None
+        self._connects = 0
+        self._error: ModbusError | None = None
+        self._first = 0
+        self._taken: list[Any] = []
+        self._has_answered = False
         self._changes = _changes(config, reads)
 
     @property
@@ -100,37 +118,86 @@ class Poller:
 
     @property
     def has_begun(self) -> bool:
-        return bool(self._answers)
+        return self._has_answered or bool(self._taken)
+
+    @property
+    def unreadable(self) -> list[Unreadable]:
+        """The points that the device refuses, and that are left out until they are tried again."""
+        return [] if self._holes is None else self.reads.plan.unreadable_of(self._holes)
 
     @property
     def next_request(self) -> Any:
         """The next request; None when the poll is over."""
-        asked = len(self._answers)
-        return self.reads.plan.requests[asked] if asked < len(self.reads.plan.requests) else None
+        if len(self._taken) == len(self._requests):
+            return None
+        return self._requests[(self._first + len(self._taken)) % len(self._requests)]
 
-    def begin(self) -> None:
-        """Begin a poll; earlier responses are dropped."""
-        self._answers = []
+    def begin(self, now: float = 0.0, client: Hashable = None, connects: int = 1) -> None:
+        """
+        Begin a poll; earlier responses are dropped.
+
+        Args:
+            now: the time in seconds, of any steady clock.
+            client: anything that tells the clients of the device apart.
+            connects: how many connections that client has made.
+        """
+        self._begun, self._client, self._connects = now, client, connects
+        self._answers, self._taken = [], []
+        self._has_answered = False
+        self._error = None
+        self._run = self._new_run() if self._holes else None
+        self._requests = self._run.requests if self._run else self.reads.plan.requests
+
+    def _new_run(self) -> PlanRun:
+        if self._holes is None:
+            place = self.config.endpoint.place, self.config.unit
+            name = f"{self.config.endpoint}, unit {self.config.unit}"
+            self._holes = self.reads.plan.holes.made(place, name)
+        return PlanRun(self.reads.plan, self._holes, self._begun, self._client, self._connects)
 
     def take(self, outcome: Any) -> None:
         """Take a response or an error; a poll ends if its first request is not answered."""
-        self._answers.append(outcome)
-        if isinstance(outcome, ModbusError) and is_down(outcome) and not self._has_answered:
-            self._answers = [outcome] * len(self.reads.plan.requests)
+        is_error = isinstance(outcome, ModbusError)
+        if is_error and self._error is None:
+            self._error = outcome
+        self._taken.append(outcome)
+        if not (is_error and is_down(outcome)):
+            self._has_answered = True
+        elif not self._has_answered:
+            self._taken += [outcome] * (len(self._requests) - len(self._taken))
+        if len(self._taken) == len(self._requests):
+            self._go_on()
 
-    @property
-    def _has_answered(self) -> bool:
-        return any(
-            not isinstance(answer, ModbusError) or not is_down(answer) for answer in self._answers
-        )
+    def _go_on(self) -> None:
+        """Search for what was refused, or end the poll."""
+        # The first request was not the first one of the plan.
+        first = len(self._taken) - self._first % len(self._taken)
+        taken = self._taken[first:] + self._taken[:first]
+        if self._run is None and any(map(says_something, taken)):
+            self._run = self._new_run()
+            if self._run.requests != list(self._requests):  # another poller has learnt meanwhile
+                self._run = None
+        if self._run is None:
+            self._answers = taken
+            return
+        self._run.take(taken)
+        if self._run.requests:
+            self._requests, self._taken = self._run.requests, []
+        else:
+            self._answers = self._run.answers
+            if self._error is None:
+                self._error = next(filter(None, map(_error_of, self._answers)), None)
 
     def conclude(self, now: float) -> None:
         """End a poll: set the state of the device, its error and its rest."""
-        errors = [answer for answer in self._answers if isinstance(answer, ModbusError)]
-        self.error = errors[0] if errors else None
+        self.error = self._error
         self.misses = 0 if self._has_answered else self.misses + 1
+        if self.misses:
+            # The device may be silent about this request only, so that another one comes first.
+            self._first += 1
         self.state = DeviceState.DOWN if self.misses else DeviceState.UP
         self.rest_until = now + self.config.spacing
+        self.news, self._run = self._run.news if self._run else [], None
 
     def readings(self, time: float) -> list[Reading]:
         """Return the readings of the poll."""
@@ -167,6 +234,13 @@ class Poller:
     def is_refused(self) -> bool:
         """True if the device answered, but refused a request."""
         return self.state is DeviceState.UP and self.error is not None
+
+
+def _error_of(answer: Any) -> ModbusError | None:
+    """Return why an answer, or a part of it, is missing."""
+    if isinstance(answer, PartialAnswer):
+        return answer.error
+    return answer if isinstance(answer, ModbusError) else None
 
 
 def _changes(config: DeviceConfig, reads: Reads) -> Changes:

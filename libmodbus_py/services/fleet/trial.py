@@ -152,11 +152,7 @@ async def _try(client: AsyncClient, device: DeviceConfig) -> Tried:
     unit = client.for_unit(device.unit, timeout=device.timeout)
     problem = ""
     try:
-        values = plan.results(
-            await unit.execute_many(plan.requests, max_in_flight=1), return_exceptions=True
-        )
-        wrong = [each for each in values.values() if isinstance(each, ValueError)]
-        problem = str(wrong[0]) if wrong else ""
-    except ModbusError as error:
+        await unit.read_many(plan, max_in_flight=1)
+    except (ModbusError, ValueError) as error:
         problem = str(error)
     return Tried(device, len(plan.requests), now() - start, problem)
