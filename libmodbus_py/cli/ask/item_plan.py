@@ -4,13 +4,12 @@ The requests that read items, as few as possible, and the cells of each item.
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from ...maps.plan import Plan
 from ...protocol import pdu
-from ...protocol.errors import NO_UNIT, ExceptionResponse, ModbusError, ServerDeviceBusy
+from ...protocol.errors import ModbusError
 from .items import REGISTERS, Item
 
 __all__ = ["ItemPlan"]
@@ -28,44 +27,34 @@ class ItemPlan:
 
     Args:
         items: what is read.
-        alone: the indexes of the items that share no request with others.
 
     Attributes:
-        items: the items in their order.
-        requests: those of the four tables first, merged where they touch, unless alone.
+        plan: reads the items of the four tables.
+        requests: those of the other items.
 
     Raises:
         ValueError: a count or address out of range.
     """
 
-    def __init__(self, items: Sequence[Item], alone: Collection[int] = ()) -> None:
-        self.items = items
-        reads = {at: item.read for at, item in enumerate(items) if item.table not in OTHERS}
-        together = {at: read for at, read in reads.items() if at not in alone}
-        groups = [together, *({at: reads[at]} for at in reads if at in alone)]
-        self._plans = [_CellPlan(group) for group in groups]
+    def __init__(self, items: Sequence[Item]) -> None:
+        self._count = len(items)
+        self.plan: Plan = _CellPlan(
+            {at: item.read for at, item in enumerate(items) if item.table not in OTHERS}
+        )
         self._others = {
             at: OTHERS[item.table](item) for at, item in enumerate(items) if item.table in OTHERS
         }
-        self.requests: list[pdu.Request[Any]] = []
-        for plan in self._plans:
-            self.requests += plan.requests
-        for requests in self._others.values():
-            self.requests += requests
+        self.requests: list[pdu.Request[Any]] = [
+            each for requests in self._others.values() for each in requests
+        ]
 
-    def cells(self, answers: Sequence[Any]) -> list[Cells]:
+    def cells(self, answers: Sequence[Any], others: Sequence[Any]) -> list[Cells]:
         """Return the cells of each item, or the error in place of them."""
-        given = iter(answers)
-        found: dict[int, Cells] = {}
-        for plan in self._plans:
-            found |= plan.results([next(given) for _ in plan.requests])
+        found: dict[int, Cells] = self.plan.results(answers)
+        given = iter(others)
         for at, requests in self._others.items():
             found[at] = _joined([next(given) for _ in requests])
-        return [found[at] for at in range(len(self.items))]
-
-    def refused_together(self, answers: Sequence[Any]) -> set[int]:
-        """Return the indexes of the items that were part of a refused request of several items."""
-        return self._plans[0].refused_together(answers)
+        return [found[at] for at in range(self._count)]
 
 
 class _CellPlan(Plan):
@@ -73,20 +62,6 @@ class _CellPlan(Plan):
 
     def _decoded(self, name: Any, cells: list[Any]) -> Any:
         return [int(cell) for cell in cells]
-
-    def refused_together(self, answers: Sequence[Any]) -> set[int]:
-        """Return the names of the items that were part of a refused request of several items."""
-        used = {name: {part.request for part in parts} for name, parts in self._parts.items()}
-        shared = Counter(request for requests in used.values() for request in requests)
-        refused = {at for at, count in shared.items() if count > 1 and _is_refusal(answers[at])}
-        return {name for name, requests in used.items() if requests & refused}
-
-
-def _is_refusal(answer: Any) -> bool:
-    """True if a device refused what the request reads, and not the request at this time."""
-    return isinstance(answer, ExceptionResponse) and not isinstance(
-        answer, (ServerDeviceBusy, *NO_UNIT)
-    )
 
 
 def _joined(answers: list[Any]) -> Cells:

@@ -12,6 +12,8 @@ from dataclasses import replace
 from typing import Any
 
 from ...client.blocking import Context
+from ...maps.holes import Holes
+from ...maps.plan_run import PlanRun
 from ...protocol.errors import ExceptionResponse, IllegalDataAddress, ModbusError
 from ..connecting import connected, endpoint_of
 from ..failing import CommandError
@@ -45,7 +47,7 @@ class Reader:
             formatter_of(item, as_all=options.type == ALL, in_hex=options.hex) for item in items
         ]
         self._plan = ItemPlan(items)
-        self._alone: set[int] = set()
+        self._holes = Holes()
         client = endpoint_of(options).client_options
         self.unit: int = client.get("unit", 1)
         # Few devices take several requests at the same time.
@@ -55,38 +57,35 @@ class Reader:
         """
         Ask for all items; if the device refuses one, the others are still read.
 
-        Items whose common request is refused are asked for one by one, now and later.
+        What is refused is found by halving, and left out until it is tried again.
 
         Raises:
             ModbusError: there is no answer, or one that makes no sense.
             CommandError: the device refused the only item.
         """
-        answers = self._answers(context)
-        if refused := self._plan.refused_together(answers):
-            self._alone |= refused
-            self._plan = ItemPlan(self._plan.items, self._alone)
-            answers = self._answers(context)
-        found = self._plan.cells(answers)
+        context.connect()
+        self._status = Status(after=STATUS_AFTER)
+        try:
+            run = PlanRun(self._plan.plan, self._holes, context.now(), *context.connection)
+            while run.requests:
+                run.take(self._answers(context, run.requests))
+            found = self._plan.cells(run.answers, self._answers(context, self._plan.requests))
+        finally:
+            self._status.clear()
         results = [_result(*pair) for pair in zip(self.formatters, found, strict=True)]
         if len(results) == 1 and results[0].failure:
             raise CommandError(results[0].failure)
         return results
 
-    def _answers(self, context: Context) -> list[Any]:
-        context.connect()
-        requests = self._plan.requests
+    def _answers(self, context: Context, requests: Sequence[Any]) -> list[Any]:
         answers: list[Any] = []
-        status = Status(after=STATUS_AFTER)
-        try:
-            while len(answers) < len(requests):
-                status.show(f"{len(answers)} of {len(requests)} requests")
-                some = requests[len(answers) : len(answers) + self._limit]
-                answers.extend(
-                    context.execute_many(some, max_in_flight=self._limit, return_exceptions=True)
-                )
-                self._check(answers[-len(some) :])
-        finally:
-            status.clear()
+        while len(answers) < len(requests):
+            self._status.show(f"{len(answers)} of {len(requests)} requests")
+            some = requests[len(answers) : len(answers) + self._limit]
+            answers.extend(
+                context.execute_many(some, max_in_flight=self._limit, return_exceptions=True)
+            )
+            self._check(answers[-len(some) :])
         return answers
 
     def _check(self, answers: list[Any]) -> None:

@@ -95,17 +95,13 @@ def test_addresses_beside_a_refused_one_are_shown(maker: ServerMaker) -> None:
     assert "illegal data address" in items[1]["error"]
 
 
-def test_a_request_of_accepted_points_is_sent_once_more_at_most(
-    maker: ServerMaker, points: Path
-) -> None:
+def test_a_request_that_is_refused_is_halved(maker: ServerMaker, points: Path) -> None:
     server = with_a_hole(maker)
     run("read", server.url, "--map", points)
     assert [text.partition("(")[2] for text in sent(server)] == [
         "address=0, count=4)",
         "address=0, count=1)",
-        "address=0, count=1)",
-        "address=0, count=1)",
-        "address=1, count=1)",
+        "address=0, count=2)",
         "address=2, count=1)",
         "address=3, count=1)",
     ]
