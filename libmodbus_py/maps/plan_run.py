@@ -96,7 +96,9 @@ class PlanRun:
 
     Attributes:
         requests: the requests to send next; empty when the run is over.
+        first_requests: those that read what is not known to be refused, and what is tried again.
         news: sentences about what was found to be unreadable in this run.
+        is_complete: False if there is more to search for in the next run.
     """
 
     def __init__(
@@ -105,6 +107,7 @@ class PlanRun:
         holes.note_connection(client, connects, now)
         self.requests: Requests = []
         self.news: list[str] = []
+        self.is_complete: bool = True
         self._plan = plan
         self._holes = holes
         self._now = now
@@ -120,6 +123,7 @@ class PlanRun:
         # Another thread, or task, may learn something meanwhile.
         self._known = dict(holes.refused)
         self.requests = next(self._steps, [])
+        self.first_requests: Requests = self.requests
 
     def take(self, outcomes: Iterable[Any]) -> None:
         """Take the outcome of each of `requests`: a list of cells or a ModbusError."""
@@ -149,7 +153,7 @@ class PlanRun:
             while refused:
                 yield from self._search(refused.pop(0), refused)
         except Enough:
-            pass
+            self.is_complete = False
         if not self._has_learnt:
             self._holes.search_after = self._now + RETRY_SOONER
 

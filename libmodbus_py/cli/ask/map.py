@@ -15,7 +15,7 @@ __all__ = ["add_command"]
 EXAMPLES = """\
 examples:
   libmodbus-py map check meter.csv drive.toml
-  libmodbus-py map from-device 192.0.2.10 -o meter.toml
+  libmodbus-py map check meter.csv --device 192.0.2.10
   libmodbus-py map from-device /dev/ttyUSB0 -b 9600 -p none -u 7 -o meter.csv
   libmodbus-py map from-device "tcp://192.0.2.10?unit=17" > meter.toml"""
 
@@ -29,9 +29,20 @@ def add_command(commands: Any) -> None:
         "check",
         help=about,
         description=f"{about.capitalize()}.",
-        epilog="The exit code is 0 if all files are right, 2 if one contains a mistake.",
+        epilog="The exit code is 0 if all files are right, 2 if one contains a mistake, 1 if the"
+        f" device lacks\na point or does not answer.\n\n{arguments.URLS}",
+        formatter_class=VerbatimHelp,
     )
     check.add_argument("files", metavar="FILE", nargs="+", help="such as meter.csv or meter.toml")
+    check.add_argument(
+        "--device",
+        metavar="URL",
+        help="read all points of this device, and print those that it refuses",
+    )
+    arguments.add_client_options(check)
+    arguments.add_serial_options(check)
+    arguments.add_security_options(check)
+    arguments.add_verbose(check)
     check.set_defaults(run=_check, parser=check)
     about = "find the addresses of a device by reading, and write a map of them"
     skeleton = actions.add_parser(

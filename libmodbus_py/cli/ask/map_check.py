@@ -5,13 +5,20 @@ Register maps, checked.
 from __future__ import annotations
 
 import argparse
+import sys
+from contextlib import closing
 from typing import Any
 
-from ...maps.register_map import RegisterMap
+from ...client.blocking import Context
+from ...maps.holes import Holes
+from ...maps.plan_run import PlanRun
+from ...maps.register_map import PointPlan, RegisterMap
+from ...protocol.errors import ExceptionResponse, ModbusError
 from ...protocol.tables import TABLES
 from ...tools.files.maps.checking import remarks
 from ...tools.files.maps.drafts import Contents, MapError
 from ...tools.files.maps.map_file import contents_of
+from ..connecting import connected
 from ..output import complain, counted
 
 __all__ = ["check"]
@@ -20,12 +27,23 @@ MOST_MISTAKES = 20
 """Mistakes in a file that are printed, at most."""
 
 
+MOST_RUNS = 100
+"""Runs of a plan, at most, until all is known that the device refuses."""
+
+
 def check(options: argparse.Namespace) -> int:
-    """Print what each file contains, or its mistakes on stderr; return 2 after a mistake."""
-    return max([_check_file(file) for file in options.files])
+    """
+    Print what each file contains, or its mistakes on stderr, and what a device lacks of it; return
+    2 after a mistake, 1 if the device lacks something.
+    """
+    if options.device is None:
+        return max([_check_file(file) for file in options.files])
+    options.url = options.device
+    with closing(connected(options)) as context:
+        return max([_check_file(file, context) for file in options.files])
 
 
-def _check_file(file: str) -> int:
+def _check_file(file: str, context: Context | None = None) -> int:
     try:
         contents = contents_of(file, MOST_MISTAKES)
     except MapError as error:
@@ -36,7 +54,53 @@ def _check_file(file: str) -> int:
     print(f"{file}: {counted(len(contents.points), 'point')}")
     for line in [*_tables(contents), *remarks(contents)]:
         print(f"  {line}")
-    return 0
+    return 0 if context is None else _check_device(RegisterMap(contents.points.values()), context)
+
+
+def _check_device(points: RegisterMap, context: Context) -> int:
+    """Print the points that a device refuses; return 1 if there are any."""
+    plan = points.plan()
+    values, run = _read(plan, context)
+    failed = {name: value for name, value in values.items() if isinstance(value, ModbusError)}
+    device = f"{context.url}, unit {context.unit}"
+    if failed and len(failed) == len(values):
+        error = next(iter(failed.values()))
+        complain(f"{device}: all {counted(len(values), 'point')} refused: {error}")
+        return 1
+    read = f"{len(values) - len(failed)} of {counted(len(values), 'point')} can be read"
+    print(f"  {device}: {read}, in {counted(len(run.first_requests), 'request')}")
+    sys.stdout.flush()
+    for name, error in failed.items():
+        complain(f"{name} cannot be read: {error}")
+    return 1 if failed else 0
+
+
+def _read(plan: PointPlan, context: Context) -> tuple[dict[str, Any], PlanRun]:
+    """
+    Return all values of a device, or their errors, and a run without those that it refuses.
+
+    Raises:
+        ModbusError: the device does not answer.
+    """
+    holes = Holes()
+    context.connect()
+    run = _run(plan, holes, context)
+    runs = 1
+    while runs < MOST_RUNS and (run.news or not run.is_complete):
+        run = _run(plan, holes, context)
+        runs += 1
+    return plan.results(run.answers, return_exceptions=True), run
+
+
+def _run(plan: PointPlan, holes: Holes, context: Context) -> PlanRun:
+    run = PlanRun(plan, holes, context.now(), *context.connection)
+    while run.requests:
+        outcomes = context.execute_many(run.requests, max_in_flight=1, return_exceptions=True)
+        for each in outcomes:
+            if isinstance(each, ModbusError) and not isinstance(each, ExceptionResponse):
+                raise each
+        run.take(outcomes)
+    return run
 
 
 def _wrong(lines: list[str]) -> int:
