@@ -313,6 +313,10 @@ class AsyncioDriver:
         if not adus:
             return
         port = self._port
+        # Asked again, because user code was called since, and the process may have stood still.
+        if not self._conversation.is_allowed():
+            self._lose(forbidden(), by_itself=False)
+            return
         try:
             port.send(adus, now)
             if port.has_unsent or self._is_writing or port.resume_at is not None:
@@ -397,7 +401,7 @@ class AsyncioDriver:
 
     def _go_on(self) -> None:
         now = self._now()
-        if self._port.has_unsent and not self._conversation.is_allowed():
+        if not self._conversation.is_allowed():
             self._lose(forbidden(), by_itself=False)  # and with it the bytes that it had not sent
             return
         try:
