@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import json
 import logging
 import sys
 from collections.abc import Iterator
@@ -80,6 +79,8 @@ class JsonFormatter(logging.Formatter):
     """One object in one line: time, level, logger, message, and exception if there is one."""
 
     def format(self, record: logging.LogRecord) -> str:
+        from ..protocol.plain import json_text
+
         entry = {
             "time": _time(record),
             "level": record.levelname.lower(),
@@ -88,7 +89,7 @@ class JsonFormatter(logging.Formatter):
         }
         if record.exc_info:
             entry["exception"] = self.formatException(record.exc_info)
-        return json.dumps(entry)
+        return json_text(entry)
 
 
 def _time(record: logging.LogRecord) -> str:

@@ -57,9 +57,9 @@ def harmless(text: str) -> str:
 
 def print_json(fields: dict[str, Any]) -> None:
     """Print an object of JSON as one line, at once."""
-    import json
+    from ..protocol.plain import json_text
 
-    print(json.dumps(fields), flush=True)
+    print(json_text(fields), flush=True)
 
 
 def styled(text: str, style: str) -> str:

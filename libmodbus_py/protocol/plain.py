@@ -6,13 +6,20 @@ from __future__ import annotations
 
 import dataclasses
 import enum
+import json
 import math
 import re
+from datetime import datetime
 from typing import Any
 
 from .pdu import Request
 
-__all__ = ["CONTROL", "plain", "without_controls"]
+# fmt: off
+__all__ = [
+    "ASCII_JSON", "COMPACT_JSON", "CONTROL", "JSON", "SORTED_JSON", "json_text", "plain",
+    "without_controls",
+]
+# fmt: on
 
 CONTROL = re.compile(r"[\x00-\x09\x0b-\x1f\x7f-\x9f]")
 """Control characters (Cc of Unicode) beside the line feed: terminals obey them."""
@@ -22,11 +29,12 @@ def plain(value: Any) -> Any:
     """
     Return a value, or a request, made of what JSON has.
 
-    Bytes are hexadecimal text; nan and infinities, which JSON lacks, are text; requests and named
-    tuples are objects with the names of their fields, requests with the name of their class too.
+    Bytes are hexadecimal text; nan and infinities, which JSON lacks, are None; times are text as in
+    ISO 8601; requests and named tuples are objects with the names of their fields, requests with
+    the name of their class too.
     """
     if isinstance(value, float):
-        return value if math.isfinite(value) else str(value)
+        return value if math.isfinite(value) else None
     if value is None or isinstance(value, int | str):
         return value
     if isinstance(value, Request):
@@ -37,6 +45,8 @@ def plain(value: Any) -> Any:
         }
     if isinstance(value, bytes):
         return value.hex()
+    if isinstance(value, datetime):
+        return value.isoformat()
     if isinstance(value, enum.Enum):
         return value.value
     if hasattr(value, "_asdict"):
@@ -46,6 +56,23 @@ def plain(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [plain(each) for each in value]
     return value
+
+
+# All values that the package tells in JSON pass through one of these. They raise a ValueError for
+# a nan or an infinity, in place of which `plain` returns None.
+JSON = json.JSONEncoder(ensure_ascii=False, allow_nan=False)
+"""Encodes text as it is."""
+
+ASCII_JSON = json.JSONEncoder(allow_nan=False)
+"""Encodes text in ASCII."""
+
+COMPACT_JSON = json.JSONEncoder(allow_nan=False, separators=(",", ":"))
+"""Encodes text in ASCII, without spaces."""
+
+SORTED_JSON = json.JSONEncoder(allow_nan=False, separators=(",", ":"), sort_keys=True)
+"""Encodes the same for equal values, without spaces."""
+
+json_text = ASCII_JSON.encode
 
 
 def without_controls(text: str) -> str:

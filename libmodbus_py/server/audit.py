@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import json
 import os
 import time
 from collections import deque
@@ -22,6 +21,7 @@ from ..device.caller import Executed, ValueChange
 from ..protocol.callbacks import checked_callback, finished
 from ..protocol.errors import ExceptionResponse
 from ..protocol.logs import HarmlessLogger
+from ..protocol.plain import json_text
 from ..security.describing import CertificateHolder
 
 __all__ = ["Audit", "AuditEvent", "AuditFile", "OnAudited", "audit_of"]
@@ -75,7 +75,7 @@ class AuditEvent:
         found = dataclasses.asdict(dataclasses.replace(self, changes=()))
         found["time"] = self.time.isoformat(timespec="milliseconds")
         found["changes"] = [_change(each) for each in self.changes]
-        return json.dumps(
+        return json_text(
             {key: value for key, value in found.items() if value not in (None, "", [])}
         )
 

@@ -15,6 +15,7 @@ from weakref import WeakValueDictionary
 
 from ...protocol.errors import ModbusError
 from ...protocol.logs import HarmlessLogger
+from ...protocol.plain import JSON
 from .readings import time_text
 from .statistics import FleetStatistics
 
@@ -62,7 +63,7 @@ def wanted_of(data: bytes) -> Wanted:
     try:
         content = _read(data)
         # The escapes of JSON can name characters that no text can contain.
-        json.dumps(content, ensure_ascii=False).encode()
+        JSON.encode(content).encode()
     except (ValueError, RecursionError):
         return Wanted(problem=f"it must be a value in JSON, not {data[:40]!r}")
     if not isinstance(content, dict):
@@ -103,7 +104,7 @@ def _finite(text: str) -> float:
 
 def encoded(outcome: dict[str, Any]) -> bytes:
     """Return the outcome of a command in JSON."""
-    return json.dumps(outcome, ensure_ascii=False).encode(errors="backslashreplace")
+    return JSON.encode(outcome).encode(errors="backslashreplace")
 
 
 class Writing(Protocol):

@@ -18,6 +18,7 @@ from ...maps.register_map import PointPlan, RegisterMap
 from ...ports.endpoint import Endpoint, parse
 from ...protocol.checks import integer, number, seconds
 from ...protocol.mistakes import Path, WrongType, WrongValue, inside
+from ...protocol.plain import json_text
 from ...tools.files.maps.drafts import point_of
 
 __all__ = [
@@ -269,7 +270,7 @@ def devices_to_json(devices: Iterable[DeviceConfig]) -> str:
         if id(device.map) not in seen:
             seen[id(device.map)] = maps.setdefault(_map_to_json(device.map), len(maps))
         told.append({**_changed(device, DEVICE), "map": seen[id(device.map)]})
-    return f'{{"maps": [{", ".join(maps)}], "devices": {json.dumps(told)}}}'
+    return f'{{"maps": [{", ".join(maps)}], "devices": {json_text(told)}}}'
 
 
 def devices_from_json(text: str) -> list[DeviceConfig]:
@@ -281,7 +282,7 @@ def devices_from_json(text: str) -> list[DeviceConfig]:
     """
     try:
         content = json.loads(text)
-        maps = [_map_from_json(json.dumps(each)) for each in content["maps"]]
+        maps = [_map_from_json(json_text(each)) for each in content["maps"]]
         return [_device(each, maps) for each in content["devices"]]
     except (TypeError, LookupError, AttributeError, ValueError, RecursionError) as error:
         raise ValueError(f"the text does not describe devices: {error}") from None
@@ -294,7 +295,7 @@ def _device(given: dict[str, Any], maps: list[RegisterMap]) -> DeviceConfig:
 
 
 def _map_to_json(points: RegisterMap) -> str:
-    return json.dumps([_changed(point, POINT) for point in points.values()])
+    return json_text([_changed(point, POINT) for point in points.values()])
 
 
 @lru_cache(maxsize=4096)

@@ -16,7 +16,7 @@ from ...maps.plan_run import PlanRun, says_something
 from ...maps.register_map import PointPlan
 from ...protocol.errors import ModbusError
 from .config import DeviceConfig
-from .readings import Changes, Quality, Reading, is_down, reason_of
+from .readings import Changes, Quality, Reading, is_down, judged
 
 __all__ = ["LONGEST_REST", "DeviceState", "Poller", "Reads"]
 
@@ -249,7 +249,5 @@ def _changes(config: DeviceConfig, reads: Reads) -> Changes:
 
 
 def _told(value: Any, unit: str) -> tuple[Any, str, Quality, str]:
-    if isinstance(value, Exception):
-        quality: Quality = "down" if is_down(value) else "bad"
-        return None, unit, quality, reason_of(value)
-    return value, unit, "good", ""
+    found, quality, reason = judged(value)
+    return found, unit, quality, reason

@@ -18,7 +18,7 @@ from ...protocol.errors import (
     ModbusError,
 )
 
-__all__ = ["Changes", "Quality", "Reading", "is_down", "reason_of", "time_text"]
+__all__ = ["Changes", "Quality", "Reading", "is_down", "judged", "time_text"]
 
 Quality = Literal["good", "bad", "down", "offline"]
 
@@ -37,8 +37,8 @@ class Reading(NamedTuple):
             if the device did not answer; "offline" if the point is not polled any more, because it
             was removed, or because a worker lost its lease.
         reason: the name of the error, such as "IllegalDataAddress" or "ModbusTimeoutError", or
-            why there is no value, such as "Missing" (`NoValue.reason`); empty if the quality is
-            "good" or "offline".
+            why there is no value, such as "Missing" (`NoValue.reason`) or "Infinite"; empty if
+            the quality is "good" or "offline".
     """
 
     time: float
@@ -80,6 +80,19 @@ def reason_of(error: Exception) -> str:
     if isinstance(error, NoValue):
         return error.reason
     return "ValueError" if isinstance(error, ValueError) else type(error).__name__
+
+
+def judged(value: Any) -> tuple[Any, Quality, str]:
+    """
+    Return value, quality and reason of a reading, for a value of a plan or the error in its place.
+
+    A value that is not finite is none: JSON has no word for it.
+    """
+    if isinstance(value, Exception):
+        return None, "down" if is_down(value) else "bad", reason_of(value)
+    if isinstance(value, float) and not math.isfinite(value):
+        return None, "bad", "Missing" if math.isnan(value) else "Infinite"
+    return value, "good", ""
 
 
 class Changes:

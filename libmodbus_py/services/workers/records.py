@@ -19,6 +19,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple, get_args
 
 from ...protocol.checks import number
+from ...protocol.plain import SORTED_JSON, json_text
 
 __all__ = [
     "SETTINGS",
@@ -247,7 +248,7 @@ def _connection(rest: list[str], given: dict[str, Any]) -> Connection:
     if not _DIGEST.fullmatch(digest) or digest_of(key) != digest:
         raise ValueError("connection is not the one of this key")
     timeout = float(number("timeout", given["timeout"], 0, LONGEST_LEASE))
-    return Connection(_zone(zone), key, timeout, json.dumps(given["devices"]))
+    return Connection(_zone(zone), key, timeout, json_text(given["devices"]))
 
 
 def _slot(rest: list[str], given: dict[str, Any]) -> Holding:
@@ -280,7 +281,7 @@ _READERS: dict[tuple[str, int], Callable[[list[str], dict[str, Any]], Record]] =
 
 
 def _encode(**values: Any) -> bytes:
-    return json.dumps(values, separators=(",", ":"), sort_keys=True).encode()
+    return SORTED_JSON.encode(values).encode()
 
 
 def _zone(token: str) -> str:

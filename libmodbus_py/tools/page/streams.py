@@ -5,7 +5,6 @@ The changes that open pages are sent, ten times a second at most.
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import secrets
 import threading
@@ -16,6 +15,7 @@ from typing import Any
 
 from ...ports.names import start_thread
 from ...protocol.logs import HarmlessLogger
+from ...protocol.plain import COMPACT_JSON
 from ...protocol.tables import TABLES
 from ...protocol.values import ORDERS, TYPES
 from ...server.faults.fault import KINDS, OPTIONAL
@@ -313,7 +313,7 @@ def _named(key: Key, changes: dict[str, Any]) -> dict[str, Any]:
 
 def _encoded(found: dict[str, Any]) -> str:
     """Return a JSON object without its braces."""
-    return json.dumps(found, separators=(",", ":"))[1:-1]
+    return COMPACT_JSON.encode(found)[1:-1]
 
 
 def _message(*parts: str) -> str:

@@ -13,6 +13,7 @@ from importlib import resources
 from typing import Any
 from urllib.parse import urlsplit
 
+from ...protocol.plain import json_text
 from ..timed_server import TimedServer
 from .actions import Actions
 from .guard import PageGuard
@@ -227,4 +228,4 @@ class Handler(BaseHTTPRequestHandler):
 
 
 def _json(found: object) -> bytes:
-    return json.dumps(found).encode()
+    return json_text(found).encode()

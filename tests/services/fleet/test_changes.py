@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+from datetime import UTC, datetime
 from typing import Any
 
 import pytest
@@ -17,11 +18,12 @@ from libmodbus_py import (
     InvalidResponse,
     ModbusConnectionError,
     ModbusTimeoutError,
+    NoValue,
 )
 from libmodbus_py.fleet import Reading
 from libmodbus_py.services.fleet.buffer import Buffer
 from libmodbus_py.services.fleet.outputs.forms import as_csv, as_json
-from libmodbus_py.services.fleet.readings import Changes, is_down, time_text
+from libmodbus_py.services.fleet.readings import Changes, is_down, judged, time_text
 
 NAN = math.nan
 
@@ -92,7 +94,9 @@ def test_readings_as_text() -> None:
         Reading(0.0, "a,b", "voltage", 230.5, "V", "good"),
         Reading(0.0, "ä", "flags", [True, False], "", "good"),
         Reading(0.0, "c", "rest", None, "", "down", "ModbusTimeoutError"),
-        Reading(0.0, "c", "nan", NAN, "", "good"),
+        Reading(0.0, "c", "nan", *judged(NAN)[:1], "", *judged(NAN)[1:]),
+        Reading(0.0, "c", "bits", {"door": True, "mode": 5}, "", "good"),
+        Reading(0.0, "c", "at", datetime(2026, 7, 1, 12, tzinfo=UTC), "", "good"),
     ]
     time = '"time": "1970-01-01T00:00:00.000Z"'
     assert as_json(readings).decode().splitlines() == [
@@ -102,12 +106,20 @@ def test_readings_as_text() -> None:
         ' "quality": "good"}',
         f'{{"device": "c", "name": "rest", {time}, "value": null, "unit": "",'
         ' "quality": "down", "reason": "ModbusTimeoutError"}',
-        f'{{"device": "c", "name": "nan", {time}, "value": "nan", "unit": "", "quality": "good"}}',
+        f'{{"device": "c", "name": "nan", {time}, "value": null, "unit": "", "quality": "bad",'
+        ' "reason": "Missing"}',
+        f'{{"device": "c", "name": "bits", {time}, "value": {{"door": true, "mode": 5}},'
+        ' "unit": "", "quality": "good"}',
+        f'{{"device": "c", "name": "at", {time}, "value": "2026-07-01T12:00:00+00:00",'
+        ' "unit": "", "quality": "good"}',
     ]
-    assert as_csv(readings[:3]).decode().splitlines() == [
+    assert as_csv(readings).decode().splitlines() == [
         '1970-01-01T00:00:00.000Z,"a,b",voltage,230.5,V,good,',
         '1970-01-01T00:00:00.000Z,ä,flags,"[true, false]",,good,',
         "1970-01-01T00:00:00.000Z,c,rest,,,down,ModbusTimeoutError",
+        "1970-01-01T00:00:00.000Z,c,nan,,,bad,Missing",
+        '1970-01-01T00:00:00.000Z,c,bits,"{""door"": true, ""mode"": 5}",,good,',
+        "1970-01-01T00:00:00.000Z,c,at,2026-07-01T12:00:00+00:00,,good,",
     ]
 
 
@@ -158,3 +170,10 @@ def test_who_waits_is_woken() -> None:
 def test_bad_bound_is_named(most: Any) -> None:
     with pytest.raises((TypeError, ValueError), match="buffer must be"):
         Buffer(most)
+
+
+def test_a_value_that_json_cannot_tell_is_none_with_a_reason() -> None:
+    assert judged(math.inf) == judged(-math.inf) == (None, "bad", "Infinite")
+    assert judged(NAN) == (None, "bad", "Missing")
+    assert judged(NoValue("v", "Implausible", "is 5")) == (None, "bad", "Implausible")
+    assert judged(230.5) == (230.5, "good", "")

@@ -10,13 +10,13 @@ from collections.abc import Iterable
 from functools import lru_cache
 from typing import Any
 
-from ....protocol.plain import plain
+from ....protocol.plain import JSON, json_text, plain
 from ....tools.files.csv_text import csv_rows
 from ..readings import Reading, time_text
 
 __all__ = ["as_csv", "as_json", "payload"]
 
-_encode = json.JSONEncoder(ensure_ascii=False).encode
+_encode = JSON.encode
 
 _C1 = re.compile(r"[\x7f-\x9f]")
 
@@ -58,6 +58,13 @@ def _number(value: Any) -> str:
     return repr(value) if type(value) is int else _encode(plain(value))
 
 
+def _cell(value: Any) -> Any:
+    """Return a value for CSV: numbers and text as they are, all else as in JSON."""
+    if isinstance(value, list | dict):
+        return json_text(plain(value))
+    return plain(value) if value is not None else None
+
+
 def as_csv(readings: Iterable[Reading]) -> bytes:
     """Return a row of CSV for each reading, with the fields of `Reading` in their order."""
     rows = [
@@ -65,7 +72,7 @@ def as_csv(readings: Iterable[Reading]) -> bytes:
             _time_text(time),
             device,
             name,
-            json.dumps(plain(value)) if isinstance(value, list) else value,
+            _cell(value),
             *others,
         )
         for time, device, name, value, *others in readings

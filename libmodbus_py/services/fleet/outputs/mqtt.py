@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import json
 import re
 import ssl
 from collections.abc import Coroutine, Iterator, Mapping, Sequence
@@ -18,6 +17,7 @@ from urllib.parse import urlsplit
 from ....protocol.checks import integer
 from ....protocol.logs import HarmlessLogger
 from ....protocol.mistakes import WrongType, WrongValue
+from ....protocol.plain import JSON
 from ....security.renewed import Renewed
 from ....security.words import in_words
 from ...tasks import end_tasks
@@ -228,7 +228,7 @@ class Mqtt:
     async def _publish(self, client: aiomqtt.Client, reading: Reading) -> None:
         device, name = _LEVELS.spell(reading.device), _LEVELS.spell(reading.name)
         topic = self._topic.format(device=device, name=name)
-        text = json.dumps(payload(reading), ensure_ascii=False)
+        text = JSON.encode(payload(reading))
         await client.publish(topic, text.encode(), self._qos, self._retain)
 
     async def close(self) -> None:

@@ -5,11 +5,11 @@ An output to a stream of JetStream, which keeps the readings for later consumers
 from __future__ import annotations
 
 import asyncio
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
+from ....protocol.plain import JSON
 from ...engine.buckets import TIMEOUT, keep_stream
 from ...engine.errors import EngineError, explained
 from ..readings import Reading
@@ -30,7 +30,7 @@ LIMITS: dict[str, Any] = {"max_age": 86_400.0, "max_bytes": 1 << 30}
 OVERHEAD = 200
 """More than the bytes of a message beside the names of its device, its point and its subject."""
 
-_json = json.JSONEncoder(ensure_ascii=False).encode
+_json = JSON.encode
 
 
 class Stream:
