@@ -5,10 +5,11 @@ Values of points and registers from the text that a person typed.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from ..protocol.checks import shown
-from ..protocol.spelling import bit_of, decimal_of, number_of, value_of
+from ..protocol.spelling import BITS, bit_of, decimal_of, number_of, value_of
 
 if TYPE_CHECKING:
     from decimal import Decimal
@@ -23,19 +24,50 @@ def typed_value(point: Point, text: str) -> Any:
     Return one value of a point, as `Point.encode` takes it.
 
     Spaces around the text are ignored, except in strings. Scaled numbers are decimal and exact:
-    one that a float cannot hold becomes an int or a Decimal.
+    one that a float cannot hold becomes an int or a Decimal. A state is its name or its number;
+    named bits are like "door=1, mode=5".
 
     Raises:
         ValueError: the text is no value of this type; the message begins with "value".
     """
-    kind = point.read.kind
-    if kind is None:
+    if point.states is not None:
+        return _state(point.states, text.strip())
+    if point.bits is not None:
+        return _named_bits(point, text)
+    kind, meaning = point.read.kind, point.meaning
+    part = None if meaning is None else meaning.part
+    if kind is None or (part is not None and part.is_flag):
         return bit_of(text.strip())
     if kind.is_text:
         return value_of(text, kind)
-    if kind.limits is None or (point.scale, point.offset) == (1, 0):
+    is_plain = (point.scale, point.offset, point.scale_from) == (1, 0, None)
+    if is_plain and part is not None:
+        return number_of("value", text.strip())
+    if is_plain or (kind.limits is None and part is None):
         return value_of(text.strip(), kind)
     return _exact(text)
+
+
+def _state(states: Mapping[int, str], text: str) -> str | int:
+    if text in states.values():
+        return text
+    try:
+        return number_of("value", text)
+    except ValueError:
+        allowed = ", ".join(states.values())
+        raise ValueError(f"value must be one of {allowed}, or a number, not {text!r}") from None
+
+
+def _named_bits(point: Point, text: str) -> dict[str, int]:
+    """Return the bits of "door=1, mode=5"."""
+    found: dict[str, int] = {}
+    for each in text.split(","):
+        name, separator, value = each.partition("=")
+        if not separator:
+            raise ValueError(f"value must be like name=1, other=0, not {text!r}")
+        value = value.strip().lower()
+        found[name.strip()] = BITS[value] if value in BITS else number_of("value", value)
+    return found
 
 
 def typed_register(text: str) -> int:

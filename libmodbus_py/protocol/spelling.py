@@ -15,7 +15,7 @@ from .values import ValueType
 if TYPE_CHECKING:
     from datetime import datetime
 
-__all__ = ["bit_of", "decimal_of", "number_of", "shown", "time_of", "units_of", "value_of"]
+__all__ = ["BITS", "bit_of", "decimal_of", "number_of", "shown", "time_of", "units_of", "value_of"]
 
 BITS = {"0": False, "1": True, "off": False, "on": True, "false": False, "true": True}
 

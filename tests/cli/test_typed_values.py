@@ -127,8 +127,6 @@ def test_json_of_readings(url: str, where: str, count: int, types: set[str]) -> 
     ("name", "typed", "value"),
     [
         ("float32", "0.1", 0.10000000149011612),
-        ("float32", "nan", "nan"),
-        ("float64", "-inf", "-inf"),
         ("bits16", "1" + "0" * 15, [1] + [0] * 15),
         ("string:4", 'a"b', 'a"b'),
         ("uint64", "18446744073709551615", 18446744073709551615),
@@ -146,6 +144,13 @@ def test_json_says_type_and_order(url: str, name: str, typed: str, value: object
         "order": "DCBA",
         "values": [value],
     }
+
+
+@each_case(("name", "typed"), [("float32", "nan"), ("float64", "-inf")])
+def test_json_has_null_for_what_is_no_number(url: str, name: str, typed: str) -> None:
+    run("write", url, "file:8", "10", typed, "--type", name)
+    found = json.loads(run("read", url, "file:8", "10", "--type", name, "--json").out)
+    assert (found["values"], found["no_value"]) == ([None], {"10": typed})
 
 
 @each_case("form", [[], ["--json"]])

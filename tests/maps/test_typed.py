@@ -5,6 +5,7 @@ Values as people type them: exact, whatever floats make of them.
 from __future__ import annotations
 
 import math
+import re
 from typing import Any
 
 import pytest
@@ -87,3 +88,39 @@ def test_a_register_is_typed_with_or_without_a_sign(text: str, register: int) ->
 def test_more_than_16_bits_are_refused(text: str) -> None:
     with pytest.raises(ValueError, match=rf"value must be in -32768\.\.65535, not {text}"):
         typed_register(text)
+
+
+# What is typed for points with names, parts of registers and times, and the cells of it.
+NAMED = [
+    ({"states": {0: "off", 1: "on"}}, "on", [1]),
+    ({"states": {0: "off", 1: "on"}}, " 0x10 ", [16]),
+    ({"bits": {0: "door", "4..7": "mode"}}, "door=on, mode=5", [0x51]),
+    ({"bit": 3}, "on", [8]),
+    ({"bit": "4..7"}, "0xF", [0xF0]),
+    ({"bit": "4..7", "type": "bits16"}, "15", [0xF0]),
+    ({"bit": "4..7", "scale": 0.5}, "2.5", [0x50]),
+    ({"byte": "low", "type": "int16"}, "-1", [0xFF]),
+    ({"type": "unix32"}, "1970-01-01T01:00:00+01:00", [0, 0]),
+]
+
+
+@each_case(("keys", "text", "cells"), NAMED)
+def test_names_and_parts_are_typed(keys: dict[str, Any], text: str, cells: list[int]) -> None:
+    made = point(**keys)
+    assert made.encode(typed_value(made, text)) == cells
+
+
+WRONG_NAMES = [
+    ({"states": {0: "off", 1: "on"}}, "On", "value must be one of off, on, or a number, not 'On'"),
+    ({"bits": {0: "door"}}, "door", "value must be like name=1, other=0, not 'door'"),
+    ({"bits": {0: "door"}}, "door=shut", "value must be a number, not 'shut'"),
+    ({"bit": 3}, "2", "value must be one of 0, 1, off, on, false, true, not '2'"),
+    ({"type": "unix32"}, "2026-07-01", "value must be a date and time with a time zone, such as"),
+    ({"type": "unix32"}, "now", "value must be a date and time with a time zone, such as"),
+]
+
+
+@each_case(("keys", "text", "message"), WRONG_NAMES)
+def test_what_is_no_name_or_part(keys: dict[str, Any], text: str, message: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(message)):
+        typed_value(point(**keys), text)

@@ -4,14 +4,19 @@ Values that were read, as lines of text, cells of CSV and fields of JSON.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ...protocol.plain import plain
 from ...protocol.spelling import shown
 from ...protocol.values import Interpretation, ValueType, readings, value_type
 from ..failing import CommandError
 from .items import REGISTERS, Item
+
+if TYPE_CHECKING:
+    from ...maps.meaning import Judged
+    from ...maps.point import Point
 
 __all__ = ["FormattedValue", "Formatter", "ReadResult", "aligned", "formatter_of"]
 
@@ -24,7 +29,7 @@ class FormattedValue(NamedTuple):
         where: the address or the name of the value.
         text: the value for people.
         plain: the value for CSV.
-        unit: the physical unit, such as "V".
+        unit: the physical unit, such as "V"; the reason in brackets if there is no value.
     """
 
     where: str
@@ -40,10 +45,15 @@ class Formatter:
     Args:
         item: the item that is read.
         in_hex: format registers in hexadecimal.
+
+    Attributes:
+        item: as given.
+        source: the value of the point that scales the item's point.
     """
 
     def __init__(self, item: Item, *, in_hex: bool = False) -> None:
         self.item = item
+        self.source: Any = None
         self._in_hex = in_hex and item.table in (*REGISTERS, "fifo_queue")
 
     @property
@@ -69,6 +79,10 @@ class Formatter:
     def fields(self, cells: list[int]) -> dict[str, Any]:
         """Return the fields of JSON."""
         return {**self.whence, "values": cells}
+
+    def remark(self, cells: list[int]) -> str:
+        """Return why there is no value, for CSV; empty if there is one."""
+        return ""
 
     @property
     def whence(self) -> dict[str, Any]:
@@ -101,9 +115,16 @@ class _TypedFormatter(Formatter):
         ]
 
     def fields(self, cells: list[int]) -> dict[str, Any]:
-        values = [_as_json(value) for value in self._values(cells)]
+        values = self._values(cells)
         kind = {"type": self._kind.name, "order": self._kind.order}
-        return {**self.whence, **kind, "values": values}
+        told = {"values": [_as_json(value) for value in values]}
+        # Which JSON has no numbers for: the values are null, and their texts stand here.
+        texts = {
+            str(at): str(value)
+            for at, value in zip(self._numbers(len(values)), values, strict=True)
+            if isinstance(value, float) and not math.isfinite(value)
+        }
+        return {**self.whence, **kind, **told, **({"no_value": texts} if texts else {})}
 
     def _values(self, cells: list[int]) -> list[Any]:
         try:
@@ -154,30 +175,42 @@ class _AllFormatter(Formatter):
 class _PointFormatter(Formatter):
     """Formats a point of a register map."""
 
-    def __init__(self, item: Item, point: Any) -> None:
+    def __init__(self, item: Item, point: Point) -> None:
         super().__init__(item)
         self._point = point
 
     @property
     def is_text(self) -> bool:
-        return self.item.kind is not None and self.item.kind.is_text
+        is_named = self._point.states is not None or self._point.bits is not None
+        kind = self.item.kind
+        return is_named or (kind is not None and (kind.is_text or kind.is_time))
 
     def titles(self) -> list[str]:
         point = self._point
         return [point.name] if point.count == 1 else [f"{point.name}[{at}]" for at in self._range]
 
     def rows(self, cells: list[int]) -> list[FormattedValue]:
-        value, point = self._value(cells), self._point
-        values = [value] if point.count == 1 else value
+        found, point = self.judged(cells), self._point
+        values = [found.value] if point.count == 1 else found.value
         return [
-            FormattedValue(title, *self._texts(each), point.units)
+            FormattedValue(title, "-", "", f"({found.reason})")
+            if each is None
+            else FormattedValue(title, *self._texts(each), point.units)
             for title, each in zip(self.titles(), values, strict=True)
         ]
 
     def fields(self, cells: list[int]) -> dict[str, Any]:
-        value = self._value(cells)
+        found = self.judged(cells)
+        value = found.value
         shown_value = [_as_json(each) for each in value] if self._point.count > 1 else value
-        return {**self.whence, "value": _as_json(shown_value)}
+        fields = {**self.whence, "value": _as_json(shown_value)}
+        if not found.reason:
+            return fields
+        return {**fields, "no_value": {"quality": found.quality, "reason": found.reason}}
+
+    def remark(self, cells: list[int]) -> str:
+        reason = self.judged(cells).reason
+        return f"{self._point.name}: {reason}" if reason else ""
 
     @property
     def whence(self) -> dict[str, Any]:
@@ -187,19 +220,23 @@ class _PointFormatter(Formatter):
     def _range(self) -> range:
         return range(self._point.count)
 
-    def _value(self, cells: list[int]) -> Any:
+    def judged(self, cells: list[int]) -> Judged:
         bits = [bool(cell) for cell in cells] if self.item.kind is None else cells
         try:
-            return self._point.decode(bits)
+            return self._point.judge(bits, source=self.source)
         except ValueError as error:
             raise CommandError(str(error)) from None
 
     def _texts(self, value: Any) -> tuple[str, str]:
-        kind = self.item.kind
-        is_as_read = self._point.scale == 1 and self._point.offset == 0
-        if kind is not None and is_as_read:
+        kind, point = self.item.kind, self._point
+        is_as_read = (point.scale, point.offset, point.scale_from) == (1, 0, None)
+        is_named = isinstance(value, str) and point.states is not None
+        if isinstance(value, dict):
+            text = " ".join(f"{name}={int(each)}" for name, each in value.items())
+        elif kind is not None and is_as_read and not is_named and not point.is_part:
             return _texts(value, kind)
-        text = str(int(value) if isinstance(value, bool) else value)
+        else:
+            text = str(int(value) if isinstance(value, bool) else value)
         return text, text
 
 
@@ -212,12 +249,14 @@ class ReadResult(NamedTuple):
         rows: the values; empty after a failure.
         fields: the fields of JSON.
         failure: the reason of a failure; empty without one.
+        remark: why a point has no value; empty without one.
     """
 
     formatter: Formatter
     rows: list[FormattedValue]
     fields: dict[str, Any]
     failure: str = ""
+    remark: str = ""
 
 
 def formatter_of(item: Item, *, as_all: bool, in_hex: bool) -> Formatter:

@@ -8,6 +8,7 @@ import argparse
 import os
 import re
 from collections import deque
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -135,6 +136,14 @@ class Words:
         """Return all points of the map that can be read."""
         points = self.map.values() if self.map is not None else ()
         return [self._of_point(point) for point in points if point.is_readable]
+
+    def sources_of(self, items: Iterable[Item]) -> list[Item]:
+        """Return the points that scale those of some items, each before those that it scales."""
+        from ...maps.sources import sources_of
+
+        points = [item.point for item in items if item.point is not None]
+        found = sources_of(points, self.map) if self.map is not None else {}
+        return [self._of_point(point) for point in found.values()]
 
     # --- places --------------------------------------------------------------------------
 

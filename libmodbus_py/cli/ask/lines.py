@@ -59,7 +59,9 @@ class CsvPolls:
 
     def print(self, results: Sequence[ReadResult]) -> None:
         cells = [cell for each in results for cell in _cells(each)]
-        self._write([*cells, "; ".join(each.failure for each in results if each.failure)])
+        self._write(
+            [*cells, "; ".join(filter(None, (each.failure or each.remark for each in results)))]
+        )
 
     def fail(self, reason: str) -> None:
         self._write([*[""] * len(self._titles), reason])

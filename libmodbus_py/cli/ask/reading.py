@@ -5,6 +5,7 @@ The command read: the requests, and the results of all items.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import sys
 from collections.abc import Sequence
 from contextlib import closing
@@ -42,11 +43,15 @@ class Reader:
     """
 
     def __init__(self, options: argparse.Namespace) -> None:
-        items = _items(Words(options, options.what))
+        words = Words(options, options.what)
+        items = _items(words)
+        # The points that scale others are read, too, if they are not among the items.
+        sources = words.sources_of(items)
         self.formatters: list[Formatter] = [
             formatter_of(item, as_all=options.type == ALL, in_hex=options.hex) for item in items
         ]
-        self._plan = ItemPlan(items)
+        self._sources = [formatter_of(item, as_all=False, in_hex=False) for item in sources]
+        self._plan = ItemPlan([*items, *sources])
         self._holes = Holes()
         client = endpoint_of(options).client_options
         self.unit: int = client.get("unit", 1)
@@ -72,10 +77,26 @@ class Reader:
             found = self._plan.cells(run.answers, self._answers(context, self._plan.requests))
         finally:
             self._status.clear()
-        results = [_result(*pair) for pair in zip(self.formatters, found, strict=True)]
+        count = len(self.formatters)
+        self._scale(found[count:])
+        results = [_result(*pair) for pair in zip(self.formatters, found[:count], strict=True)]
         if len(results) == 1 and results[0].failure:
             raise CommandError(results[0].failure)
         return results
+
+    def _scale(self, found: Sequence[Cells]) -> None:
+        """Pass the values of the points that scale others to these; one comes before those."""
+        values: dict[str, Any] = {}
+        for formatter, cells in zip(self._sources, found, strict=True):
+            point = formatter.item.point
+            assert point is not None
+            formatter.source = values.get(point.scale_from or "")
+            if not isinstance(cells, ModbusError):
+                with contextlib.suppress(CommandError):
+                    values[point.name] = formatter.fields(cells)["value"]
+        for formatter in self.formatters:
+            if formatter.item.point is not None:
+                formatter.source = values.get(formatter.item.point.scale_from or "")
 
     def _answers(self, context: Context, requests: Sequence[Any]) -> list[Any]:
         answers: list[Any] = []
@@ -148,7 +169,8 @@ def _result(formatter: Formatter, cells: Cells) -> ReadResult:
             formatter, [], {**formatter.whence, "error": str(cells)}, _reason(cells, formatter.item)
         )
     try:
-        return ReadResult(formatter, formatter.rows(cells), formatter.fields(cells))
+        rows, fields = formatter.rows(cells), formatter.fields(cells)
+        return ReadResult(formatter, rows, fields, remark=formatter.remark(cells))
     except CommandError as error:
         return ReadResult(formatter, [], {**formatter.whence, "error": str(error)}, str(error))
 
@@ -163,5 +185,11 @@ def object_of(reader: Reader, results: Sequence[ReadResult]) -> dict[str, Any]:
     if all(formatter.item.point for formatter in reader.formatters):
         values = {each["name"]: each["value"] for each in told if "value" in each}
         errors = {each["name"]: each["error"] for each in told if "error" in each}
-        return {"unit": reader.unit, "values": values, **({"errors": errors} if errors else {})}
+        none = {each["name"]: each["no_value"] for each in told if "no_value" in each}
+        others = {"no_value": none, "errors": errors}
+        return {
+            "unit": reader.unit,
+            "values": values,
+            **{key: found for key, found in others.items() if found},
+        }
     return {"unit": reader.unit, **(told[0] if len(told) == 1 else {"items": told})}

@@ -90,7 +90,18 @@ def _point_requests(
     if options.mask or options.and_read:
         raise ValueError("--mask and --and-read need a register, not a name")
     values = {item.point.name: _point_value(item, texts)}
-    return points.writes(values, multiple=options.multiple)
+    scales = _scales(options, points, points.scale_sources(values))
+    return points.writes(values, multiple=options.multiple, sources=scales)
+
+
+def _scales(options: argparse.Namespace, points: RegisterMap, names: list[str]) -> dict[str, Any]:
+    """Read the points that scale a value, without which its registers are not known."""
+    if not names:
+        return {}
+    if options.dry_run:
+        raise ValueError(f"--dry-run asks no device, and {names[0]} of the device is the scale")
+    with closing(connected(options)) as context:
+        return context.read_map(points, names)
 
 
 def _point_value(item: Item, texts: list[str]) -> Any:

@@ -41,6 +41,8 @@ def _references(points: list[Point]) -> Iterator[str]:
 def _overlaps(contents: Contents) -> Iterator[str]:
     ordered = sorted(contents.points.values(), key=lambda point: (point.table, point.address))
     for first, second in pairwise(ordered):
+        if first.is_part and second.is_part:  # which may be different bits
+            continue
         if first.table == second.table and second.address < first.cells.stop:
             place = contents.place(second.name)
             yield f"{place}: {second.name} overlaps {first.name} at {second.table} {second.address}"
