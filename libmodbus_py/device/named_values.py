@@ -15,7 +15,7 @@ from ..protocol.tables import TABLES
 from .mapping import Mapping
 from .ranges import joined
 
-__all__ = ["check_points", "known_point", "set_values", "value_of", "zeros_for"]
+__all__ = ["check_points", "known_point", "set_values", "source_of", "value_of", "zeros_for"]
 
 
 NOTHING: MappingABC[str, Any] = {}
@@ -72,16 +72,21 @@ def value_of(mapping: Mapping, points: MappingABC[str, Point], point: Point) -> 
         ValueError: its cells hold none of its type.
     """
     cells = getattr(mapping, point.table)[point.cells.start : point.cells.stop]
-    return point.decode(cells, source=_source_of(mapping, points, point))
+    return point.decode(cells, source=source_of(mapping, points, point))
 
 
-def _source_of(
+def source_of(
     mapping: Mapping,
     points: MappingABC[str, Point],
     point: Point,
     values: MappingABC[str, Any] = NOTHING,
 ) -> Any:
-    """Return the value of the point that scales another; the new one if it is set, too."""
+    """
+    Return the value of the point that scales another; None without one.
+
+    Args:
+        values: new values by name, that are set, too.
+    """
     if point.scale_from is None:
         return None
     if point.scale_from in values:
@@ -103,7 +108,7 @@ def set_values(
         raise WrongType("values", f"must be by names, not {type(values).__name__}")
     changed = [(known_point(points, name), value) for name, value in values.items()]
     changes = [
-        (point, value, _source_of(mapping, points, point, values)) for point, value in changed
+        (point, value, source_of(mapping, points, point, values)) for point, value in changed
     ]
     for point, cells, masks in encoded_changes(changes):
         place, span = getattr(mapping, point.table), slice(point.cells.start, point.cells.stop)

@@ -389,6 +389,22 @@ class Point:
             found += zip(kind.cells_of_number(bits), kind.cells_of_number(mask), strict=True)
         return found
 
+    def put(self, before: Sequence[Any], value: Any, *, source: float | None = None) -> list[Any]:
+        """
+        Return the cells of a value, where bits that are no part of the point stay as before.
+
+        Args:
+            before: the cells that the point has.
+            value, source: as for `encode`.
+
+        Raises:
+            TypeError, ValueError: as `encode`.
+        """
+        if not self.is_part:
+            return self.encode(value, source=source)
+        pairs = zip(before, self.masks_of(value, source), strict=True)
+        return [int(cell) & ~mask | bits for cell, (bits, mask) in pairs]
+
     @property
     def is_part(self) -> bool:
         """True if the point is a part of its registers: writing leaves the other bits alone."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from ...device.named_values import source_of
 from ...maps.point import Point
 from ...maps.typed import typed_register, typed_value
 from ...protocol.spelling import shown
@@ -83,11 +84,17 @@ def _check_length(text: str) -> None:
 
 
 def _set_value(unit: ShownUnit, point: Point, value: Any) -> None:
-    try:
-        cells = point.cells_of(value)
-    except TypeError as error:
-        raise ValueError(str(error)) from None
-    _set(unit, point.table, point.address, cells)
+    with unit.device.mapping as mapping:
+        try:
+            source = source_of(mapping, {each.name: each for each in unit.points}, point)
+            cells = point.cells_of(value, point.scaling_for(source))
+            if point.is_part:
+                place = getattr(mapping, point.table)
+                before = place[point.cells.start : point.cells.stop]
+                cells = point.put(before, value, source=source)
+        except (TypeError, IndexError) as error:
+            raise ValueError(str(error)) from None
+        _set(unit, point.table, point.address, cells)
 
 
 def _set(unit: ShownUnit, table: str, address: int, cells: list[Any]) -> None:

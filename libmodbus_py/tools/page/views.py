@@ -12,6 +12,7 @@ from collections.abc import Iterable
 from typing import Any, Protocol
 
 from ...device.mapping import Table
+from ...device.named_values import source_of
 from ...maps.point import Point
 from ...protocol.spelling import shown
 from .refreshing import Refreshing
@@ -56,17 +57,18 @@ class PointsView:
     def __init__(self, unit: ShownUnit, first: int, stop: int) -> None:
         self.unit = unit
         self._points = dict(enumerate(unit.points[first : min(stop, first + MOST_POINTS)], first))
-        self._cells: dict[int, list[Any]] = {}
+        self._by_name = {each.name: each for each in unit.points}
+        self._cells: dict[int, tuple[list[Any], Any]] = {}
         self._texts: dict[int, str] = {}
         self._refreshing = Refreshing(unit.device)
 
     def look(self) -> Changes:
         changed = {}
         for at, point in self._points.items():
-            cells = self._look_at(point)
-            if cells != self._cells.get(at):
-                self._cells[at] = cells
-                text = _text(point, cells)
+            cells, source = self._look_at(point)
+            if (cells, source) != self._cells.get(at):
+                self._cells[at] = cells, source
+                text = _text(point, cells, source)
                 if text != self._texts.get(at):
                     changed[at] = self._texts[at] = text
         return {"points": changed} if changed else {}
@@ -74,22 +76,26 @@ class PointsView:
     def all(self) -> Changes:
         return {"points": self._texts}
 
-    def _look_at(self, point: Point) -> list[Any]:
+    def _look_at(self, point: Point) -> tuple[list[Any], Any]:
+        """Return the cells of a point, and the value of the point that scales it."""
         with self.unit.device.mapping as mapping:
             self._refreshing.refresh(point.table, point.cells)
             try:
                 table: Table[Any] = getattr(mapping, point.table)
                 cells: list[Any] = table[point.cells.start : point.cells.stop]
-            except IndexError:  # a map may have points that the device lacks
-                cells = []
-        return cells
+                source = source_of(mapping, self._by_name, point)
+            except (IndexError, KeyError, ValueError):  # a map may have what the device lacks
+                cells, source = [], None
+        return cells, source
 
 
-def _text(point: Point, cells: list[Any]) -> str:
+def _text(point: Point, cells: list[Any], source: Any) -> str:
     try:
-        value = point.decode(cells)
+        value, _, reason = point.judge(cells, source=source)
     except (TypeError, ValueError) as error:
         return "no such cells" if not cells else f"? {error}"
+    if value is None:
+        return f"- ({reason})"
     values = value if point.count > 1 else [value]
     text = ", ".join(_text_of(point, each) for each in values[:MOST_TEXT])
     return text if len(text) <= MOST_TEXT else f"{text[:MOST_TEXT]}..."
@@ -101,7 +107,13 @@ def _text_of(point: Point, value: Any) -> str:
         return "on" if value else "off"
     if isinstance(value, str):
         return value if value.isprintable() else reprlib.repr(value)
-    is_plain = kind is not None and (point.scale, point.offset) == (1, 0)
+    if isinstance(value, dict):
+        return " ".join(f"{name}={int(each)}" for name, each in value.items())
+    is_plain = (
+        kind is not None
+        and not point.is_part
+        and (point.scale, point.offset, point.scale_from) == (1, 0, None)
+    )
     return shown(value, kind) if is_plain and kind is not None else str(value)
 
 

@@ -6,6 +6,7 @@ So an idle simulator takes no processor time.
 
 from __future__ import annotations
 
+import math
 import random
 import time
 from bisect import bisect_right
@@ -105,9 +106,11 @@ class Clockwork:
             starts = range(0, len(cells), width * indices.step)
             cells = [cell for start in starts for cell in cells[start : start + width]]
         try:
-            return point.point.values_in(cells)
+            found = point.point.values_in(cells)
         except ValueError as error:
             raise ServerDeviceFailure(str(error)) from None
+        # A copy of no value is computed with, like a nan.
+        return [math.nan if value is None else value for value in found]
 
     def _refresh(self, point: SimulatedPoint, indices: range, now: float) -> None:
         compute = self._moving.get((point.table, point.first))

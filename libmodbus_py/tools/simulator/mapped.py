@@ -154,6 +154,7 @@ def _image(
     """Return the initial content of the tables, by table."""
     zeros = bytes(2 * TABLE_SIZE)
     image: dict[str, array[int]] = {each.table: array("H", zeros) for each in points.values()}
+    given = unit.get("values", {})
     for name, place, value in _by_name(path, "values", unit, points):
         point = points[name]
         if name in moves:
@@ -161,11 +162,22 @@ def _image(
         budget.spend(place, len(point.cells))
         budget.spend_values(place, point, point.count)
         try:
-            cells = point.cells_of(value)
+            source = _source(point, points, given)
+            before = image[point.table][point.cells.start : point.cells.stop]
+            point.cells_of(value, point.scaling_for(source))  # whose errors begin with "value"
+            cells = point.put(before, value, source=source)
         except (TypeError, ValueError) as error:
             raise placed(error, ()).renamed(place) from None
         image[point.table][point.cells.start : point.cells.stop] = array("H", map(int, cells))
     return image
+
+
+def _source(point: Point, points: Mapping[str, Point], given: Mapping[str, Any]) -> Any:
+    """Return the first value of the point that scales another; 0 unless it is given."""
+    if point.scale_from is None:
+        return None
+    value = given.get(point.scale_from, 0)
+    return value if value or point.scale_as == "exponent" else None
 
 
 def _content(

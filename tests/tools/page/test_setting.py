@@ -13,7 +13,7 @@ from tests.tools.page.watching import NAMES, NamedDevice, Visitor, shown
 
 VALUES: list[tuple[str, str, str]] = [
     ("temperature", "-3.25", "-3.25"),
-    ("temperature", "nan", "nan"),
+    ("temperature", "nan", "- (Missing)"),
     ("level", "12.34", "12.3"),
     ("label", "Kessel", "Kessel"),
     ("limits", "-5, 7", "-5, 7"),

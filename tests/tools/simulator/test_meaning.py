@@ -1,0 +1,110 @@
+"""
+Simulated devices whose maps say what registers mean: their values, and what a page shows.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from libmodbus_py import Device
+from libmodbus_py.device_file import DeviceFileError, load
+from libmodbus_py.tools.page.setting import set_point
+from libmodbus_py.tools.page.shown import ShownUnit
+from libmodbus_py.tools.page.views import PointsView
+
+MAP = """
+[[point]]
+name = "v"
+table = "holding_registers"
+address = 0
+type = "int16"
+scale_from = "v_sf"
+
+[[point]]
+name = "v_sf"
+table = "holding_registers"
+address = 1
+type = "int16"
+
+[[point]]
+name = "state"
+table = "holding_registers"
+address = 2
+states = { 0 = "off", 1 = "on" }
+
+[[point]]
+name = "flag"
+table = "holding_registers"
+address = 3
+bit = 3
+
+[[point]]
+name = "mode"
+table = "holding_registers"
+address = 3
+bit = "4..7"
+
+[[point]]
+name = "flags"
+table = "holding_registers"
+address = 4
+bits = { 0 = "door", 1 = "alarm" }
+
+[[point]]
+name = "level"
+table = "holding_registers"
+address = 5
+missing = 0
+"""
+
+DEVICE = """
+[[unit]]
+map = "map.toml"
+
+[unit.values]
+v = 230.5
+v_sf = -1
+state = "on"
+flag = true
+mode = 5
+flags = { alarm = true }
+"""
+
+
+@pytest.fixture
+def device(tmp_path: Path) -> Device:
+    (tmp_path / "map.toml").write_text(MAP)
+    (tmp_path / "device.toml").write_text(DEVICE)
+    found = load(tmp_path / "device.toml").devices
+    return found if isinstance(found, Device) else next(iter(found.values()))
+
+
+def test_values_of_device_files_are_what_points_mean(device: Device) -> None:
+    assert device.mapping.holding_registers[0:6] == [2305, 0xFFFF, 1, 0x58, 2, 0]
+
+
+def test_a_page_shows_and_sets_what_points_mean(device: Device) -> None:
+    points = device.points
+    unit = ShownUnit(None, device, "", "", tuple(points.values()))
+    view = PointsView(unit, 0, 100)
+    assert view.look()["points"] == {
+        0: "230.5", 1: "-1", 2: "on", 3: "on", 4: "5", 5: "door=0 alarm=1", 6: "- (Missing)",
+    }  # fmt: skip
+    set_point(unit, points["mode"], "2")
+    set_point(unit, points["state"], "off")
+    set_point(unit, points["flags"], "door=1")
+    assert view.look()["points"] == {2: "off", 4: "2", 5: "door=1 alarm=1"}
+    assert device.mapping.holding_registers[3] == 0x28
+    set_point(unit, points["v_sf"], "0")
+    assert view.look()["points"] == {0: "2305", 1: "0"}
+    with pytest.raises(ValueError, match="value must be one of off, on, or a number, not 'up'"):
+        set_point(unit, points["state"], "up")
+
+
+def test_a_state_that_is_not_there_has_its_place(tmp_path: Path) -> None:
+    (tmp_path / "map.toml").write_text(MAP)
+    (tmp_path / "device.toml").write_text(DEVICE.replace('"on"', '"up"'))
+    with pytest.raises(DeviceFileError, match=r"line 8: .*state must be one of off, on, or a num"):
+        load(tmp_path / "device.toml")
