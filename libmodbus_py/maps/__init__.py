@@ -11,6 +11,7 @@ The registers of a device, by name, and the requests that read and write them. N
                    (meaning_keys: the keys of points that say so)
     parts          single bits, some bits, a byte of a register
     sources        points that hold the scale of others
+    totals         totals that are smaller than before
     plan           few requests of many reads: Plan, Read
     plan_run       one run of a plan at a device: its requests, and the search for what it refuses
     strict_run     ... that ends with the first failure

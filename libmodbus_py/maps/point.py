@@ -58,7 +58,8 @@ class Point:
             int16, 65535 of a uint16, only zeros of a string. A nan always means that.
         plausible_minimum, plausible_maximum: what is believed when it is read, both included, in
             scaled values; beyond there is no value.
-        never_falls: True for a total: one that is smaller than before is read again once.
+        never_falls: True for a total. A fleet reports one that is smaller than before when the
+            next poll has read it again, with the reason "Fell".
         scale_from: the name of a point of the same map by which the raw value is scaled, too:
             value = raw * scale * factor + offset.
         scale_as: what that point holds: "exponent" if it is a power of ten, -30..30, or "factor".

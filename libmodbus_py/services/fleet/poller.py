@@ -14,6 +14,7 @@ from ...maps.holes import Holes, Unreadable
 from ...maps.pieces import PartialAnswer
 from ...maps.plan_run import PlanRun, says_something
 from ...maps.register_map import PointPlan
+from ...maps.totals import Totals
 from ...protocol.errors import ModbusError
 from .config import DeviceConfig
 from .readings import Changes, Quality, Reading, is_down, judged
@@ -73,10 +74,33 @@ class Poller:
 
     # fmt: off
     __slots__ = (
-        "_answers", "_begun", "_changes", "_client", "_connects", "_error", "_first",
-        "_has_answered", "_holes", "_requests", "_run", "_taken", "asked_at", "at", "config",
-        "error", "is_trial", "misses", "news", "planned", "reads", "rest_until", "state",
-        "submitted", "told_state", "waits_since",
+        "_answers",
+        "_begun",
+        "_changes",
+        "_client",
+        "_connects",
+        "_error",
+        "_first",
+        "_has_answered",
+        "_holes",
+        "_requests",
+        "_run",
+        "_taken",
+        "_totals",
+        "asked_at",
+        "at",
+        "config",
+        "error",
+        "is_trial",
+        "misses",
+        "news",
+        "planned",
+        "reads",
+        "rest_until",
+        "state",
+        "submitted",
+        "told_state",
+        "waits_since",
     )
     # fmt: on
 
@@ -107,6 +131,7 @@ class Poller:
         self._taken: list[Any] = []
         self._has_answered = False
         self._changes = _changes(config, reads)
+        self._totals = _totals(config, reads)
 
     @property
     def name(self) -> str:
@@ -204,9 +229,13 @@ class Poller:
         reads, device = self.reads, self.config.name
         values = list(reads.plan.results(self._answers, return_exceptions=True).values())
         self._answers = []
+        doubtful, fell = self._totals.take(values)
+        for at in doubtful:
+            values[at] = self._totals.before(at)
         return [
-            Reading(time, device, reads.names[at], *_told(values[at], reads.units[at]))
+            Reading(time, device, reads.names[at], *_told(values[at], reads.units[at], at in fell))
             for at in self._changes.pick(values)
+            if at not in doubtful
         ]
 
     def withdrawn(self, time: float, still_read: Collection[str] = ()) -> list[Reading]:
@@ -224,6 +253,7 @@ class Poller:
         self.state = self.told_state = DeviceState.NEW
         self.error = None
         self._changes = _changes(self.config, self.reads)
+        self._totals = _totals(self.config, self.reads)
 
     @property
     def pause(self) -> float:
@@ -248,6 +278,10 @@ def _changes(config: DeviceConfig, reads: Reads) -> Changes:
     return Changes(config.on_change, [bands.get(name) for name in reads.names])
 
 
-def _told(value: Any, unit: str) -> tuple[Any, str, Quality, str]:
+def _totals(config: DeviceConfig, reads: Reads) -> Totals:
+    return Totals(at for at, name in enumerate(reads.names) if config.map[name].never_falls)
+
+
+def _told(value: Any, unit: str, has_fallen: bool) -> tuple[Any, str, Quality, str]:
     found, quality, reason = judged(value)
-    return found, unit, quality, reason
+    return found, unit, quality, "Fell" if has_fallen else reason

@@ -37,8 +37,9 @@ class Reading(NamedTuple):
             if the device did not answer; "offline" if the point is not polled any more, because it
             was removed, or because a worker lost its lease.
         reason: the name of the error, such as "IllegalDataAddress" or "ModbusTimeoutError", or
-            why there is no value, such as "Missing" (`NoValue.reason`) or "Infinite"; empty if
-            the quality is "good" or "offline".
+            why there is no value, such as "Missing" (`NoValue.reason`) or "Infinite"; "Fell" of a
+            good value that is a total, and smaller than before; else empty if the quality is
+            "good" or "offline".
     """
 
     time: float
