@@ -5,6 +5,7 @@ Real brokers that refuse one message, and accept all others.
 from __future__ import annotations
 
 import asyncio
+import socket
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -65,6 +66,20 @@ def test_readings_of_qos_0_are_sent_again_if_the_broker_died_before_it_had_them(
         broker.kill()
         with pytest.raises(ConnectionError):
             await writing
+        await output.close()
+
+    run(go())
+
+
+def test_a_confirmation_waits_for_no_ack_of_tcp(broker: Broker) -> None:
+    """Nagle's algorithm would hold back the request for it until the broker acknowledged others."""
+
+    async def go() -> None:
+        output = Mqtt(broker.url)
+        await output.open()
+        assert output._client is not None
+        connection = output._client._client.socket()
+        assert connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
         await output.close()
 
     run(go())

@@ -7,6 +7,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import re
+import socket
 import ssl
 from collections.abc import Coroutine, Iterator, Mapping, Sequence
 from functools import partial
@@ -46,6 +47,9 @@ TIMEOUT = 5.0
 
 # Seconds for the broker to confirm a batch: a slow line takes that long to carry it.
 LONGEST_CONFIRMING = 60.0
+
+# Else each message whose confirmation is waited for would wait for an ACK of TCP, 40 ms.
+NO_DELAY = (socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
 # Publishes with QoS 1 that wait for their acknowledgement together.
 TOGETHER = 8
@@ -158,6 +162,7 @@ class Mqtt:
             keepalive=30,
             tls_context=await asyncio.to_thread(self._context) if self._is_secure else None,
             max_queued_incoming_messages=MOST_MESSAGES,
+            socket_options=[NO_DELAY],
         )
         with _as_connection_error():
             try:
