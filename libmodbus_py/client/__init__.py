@@ -22,6 +22,7 @@ From the caller to the wire:
       matching         ... which answer belongs to which request:
       in_flight        ... by transaction ids
       in_turn          ... and on lines without them
+      local_echo       ... requests there that come back
       suspicion        ... answers there that may be those to earlier requests
       hints            likely causes of bytes that are no answer
     waiting_room       order of requests on a line of a gateway or a fleet

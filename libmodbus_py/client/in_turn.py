@@ -21,6 +21,7 @@ from ..protocol.errors import (
 )
 from ..protocol.framing import LINE_FEED, AsciiFramer, Frame, Framer, delimiter_after, make_framer
 from .batch import Batch, Pending, Reply
+from .local_echo import LocalEcho
 from .matching import MAX_KEPT, Matching, Replies, no_answer
 from .statistics import Statistics
 from .suspicion import Suspicion
@@ -54,6 +55,7 @@ class InTurn(Matching):
         self._delimiter = delimiter
         self._pause = endpoint.pause
         super().__init__(endpoint, statistics, trace)
+        self._echo = LocalEcho(str(endpoint), statistics, bool(endpoint.options.get("echo")))
         self._silence = silence
         self._pending: Pending | None = None
         self._replies: Replies = []
@@ -80,6 +82,8 @@ class InTurn(Matching):
         return framer
 
     def accepts(self, unit: int, request: bytes, pdu: bytes, took: float) -> bool:
+        if not self._echo.accepts(request, pdu):
+            return False
         return self._suspicion.accepts(unit, request, pdu, took)
 
     # --- asking --------------------------------------------------------------------------
@@ -129,6 +133,7 @@ class InTurn(Matching):
         self._late.clear()
         self._quiet_at = None
         self._silence.sent(len(adu), now)
+        self._echo.sent(adu)
         self._wrong = None
         self._held = None
         self._came_early = False
@@ -157,9 +162,9 @@ class InTurn(Matching):
             self._take_unasked(data, now)
             return []
         self._received += data[: MAX_KEPT - len(self._received)]
-        self._judge(self._framer.scan(data), now)
+        self._judge(self._framer.scan(self._echo.without(data)), now)
         if self._pending is not None:
-            if self._framer.pending or self._wrong:
+            if self._framer.pending or self._wrong or self._echo.is_holding:
                 self._quiet_at = now + (self._framer.quiet or 0.0)
                 self._wake(self._quiet_at)
             if not self._framer.pending:
@@ -266,8 +271,10 @@ class InTurn(Matching):
 
     def _is_echo(self, pending: Pending, pdu: bytes, now: float) -> bool:
         """Return True for the request itself, unless its answer repeats it, as some do."""
-        if pdu != pending.batch.pdus[pending.index]:
+        if pdu != (request := pending.batch.pdus[pending.index]):
             return False
+        if self._echo.may_be(request, pdu):
+            return True
         try:
             pending.batch.requests[pending.index].decode_response(pdu)
         except ModbusError:
@@ -304,8 +311,10 @@ class InTurn(Matching):
             reply.received = bytes(self._received)
         elif isinstance(reply, bytes):
             self._note_life(now)
+            self._echo.learn(pending.batch.pdus[pending.index], pending.adu, self._received)
             is_exact = self._wrong is None and not self._framer.pending
-            self.is_clean = is_exact and not (self._is_noisy or self._doubts)
+            is_quiet = not (self._is_noisy or self._echo.is_there)
+            self.is_clean = is_exact and is_quiet and not self._doubts
         self._replies.append((pending, reply))
 
     def received_with(self, pending: Pending, pdu: bytes) -> bytes:
@@ -324,6 +333,7 @@ class InTurn(Matching):
             self._pending = None
             if self._came_early:  # and nothing else: bytes take no time here
                 self._silence.is_timed = False
+            self._echo.learn(pending.batch.pdus[pending.index], pending.adu, self._received)
             received = bytes(self._received)
             error = self._wrong or no_answer(pending.batch.timeouts.timeout, received)
             error.received = received
@@ -348,6 +358,7 @@ class InTurn(Matching):
             self._wake(self._quiet_at)
             return
         self._quiet_at = None
+        self._judge(self._framer.scan(self._echo.release()), now)
         self._judge(self._framer.scan_silence(), now)
         self._end_if_damaged(now)
 
@@ -386,6 +397,7 @@ class InTurn(Matching):
         super().reset(now)
         self._is_noisy = False
         self._held = None
+        self._echo.reset()
         self._suspicion = Suspicion()
         self._doubled_until = 0.0
         self._waiting.clear()

@@ -39,6 +39,7 @@ class Statistics:
         retries: requests that were sent again.
         falls: how often fewer requests were put in flight, because the device had lost some that
             were sent beside others.
+        echoes: 1 if the connection was found to return what is sent on it (local echo).
         late_answers: answers to requests that had been given up; dropped.
         invalid: bytes that were no frame, and frames that were no answer.
         connects: connections made.
@@ -63,6 +64,7 @@ class Statistics:
     timeouts: int = 0
     retries: int = 0
     falls: int = 0
+    echoes: int = 0
     late_answers: int = 0
     invalid: int = 0
     connects: int = 0

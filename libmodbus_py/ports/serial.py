@@ -18,6 +18,7 @@ from ..binding.library import check, ffi, lib, make
 from ..protocol.checks import integer, seconds
 from ..protocol.errors import ModbusConnectionError
 from ..protocol.pauses import pause_between_frames
+from ..protocol.returned import AwaitedEcho
 from .port import Port, Silence, lost
 from .schemes import SERIAL_DEFAULTS, character_bits
 from .waiting import Steps, of_system
@@ -113,8 +114,7 @@ class SerialPort(Port):
             raise TypeError(f"{min(unknown)!r} is no setting of a serial port")
         self.device = device
         self._take(settings)
-        self._awaited_echo = bytearray()
-        self._held = bytearray()
+        self._echo = AwaitedEcho(b"")
         self._sending: Iterator[float] = iter(())
         self._guards: list[int] = []
         self._number = 0
@@ -297,8 +297,8 @@ class SerialPort(Port):
             raise lost(error) from error
         if not data and self._is_gone():
             raise ModbusConnectionError("the port is gone", errno=errno.EIO)
-        if self._awaited_echo:
-            data = self._without_echo(data)
+        if not self._echo.is_over:
+            data = self._echo.without(data)
         return [data] if data else []
 
     def _is_gone(self) -> bool:
@@ -306,23 +306,8 @@ class SerialPort(Port):
         events = dict(self._poll.poll(0)).get(self.descriptor, 0)
         return bool(events & (select.POLLHUP | select.POLLERR))
 
-    def _without_echo(self, data: bytes) -> bytes:
-        """Return bytes without the echo; hold them back until they are the whole echo, or none."""
-        self._held += data
-        echo, size = self._awaited_echo, min(len(self._held), len(self._awaited_echo))
-        is_echo = self._held[:size] == echo[:size]
-        if is_echo and size < len(echo):
-            return b""
-        rest = bytes(self._held[size:] if is_echo else self._held)
-        self._forget_echo()
-        return rest
-
-    def _forget_echo(self) -> None:
-        self._awaited_echo.clear()
-        self._held.clear()
-
     def discard_input(self) -> None:
-        self._forget_echo()
+        self._echo = AwaitedEcho(b"")
         # modbus_flush would throw away output, too.
         with contextlib.suppress(termios.error):
             termios.tcflush(self.descriptor, termios.TCIFLUSH)
@@ -330,8 +315,7 @@ class SerialPort(Port):
     def send(self, adus: list[bytes], now: float) -> None:
         data = b"".join(adus)
         if self.echo:
-            self._forget_echo()
-            self._awaited_echo += data
+            self._echo = AwaitedEcho(data)
         self._sending = self._steps(data)
         self.go_on(now)
 

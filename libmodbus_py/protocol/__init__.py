@@ -13,6 +13,7 @@ Bottom up:
     pauses     the silence between frames on a serial line
     hearing_requests  requests on a line where other units answer, too
     framing    unit and PDU as bytes on TCP, UDP, RTU and ASCII lines, and back
+    returned   the echo of sent bytes among received ones
     either_way  frames of a line that one only listens to: requests or responses
     tables     the four tables: what they hold, and how much of it a request may carry
     values     numbers, text, bits and times in registers; references such as 40123

@@ -8,6 +8,7 @@ from ..protocol.either_way import may_be
 from ..protocol.errors import ServerDeviceBusy
 from ..protocol.framing import AsciiFramer, Frame, Framing, make_framer, pdu_of
 from ..protocol.pauses import ALLOWANCE
+from ..protocol.returned import AwaitedEcho
 
 __all__ = ["EchoWatch"]
 
@@ -24,47 +25,52 @@ class EchoWatch:
         framing: "rtu" or "ascii".
         pause: seconds between two frames on the line.
         character: seconds that a byte takes on the line; 0 if it takes no time.
+        longest: seconds after which an answer that comes back is a request, and no echo.
 
     Attributes:
         has_echo: True or False once it is known, else None.
         trial: the ADU to send in order to find out; empty for none.
     """
 
-    def __init__(self, framing: Framing, pause: float, character: float) -> None:
+    def __init__(
+        self,
+        framing: Framing,
+        pause: float,
+        character: float,
+        longest: float = 2 * ALLOWANCE,
+    ) -> None:
         self.has_echo: bool | None = None
         self.trial: bytes = b""
         self._framing: Framing = framing
         self._pause = pause
         self._character = character
+        self._longest = longest
         self._sent = b""
-        self._held = b""
+        self._awaited = AwaitedEcho(b"")
         self._sent_at = 0.0
         self._returns = 0
 
     def sent(self, adu: bytes, now: float) -> None:
         """Note an answer that leaves."""
-        self._sent, self._held, self._sent_at = adu, b"", now
+        self._sent, self._awaited, self._sent_at = adu, AwaitedEcho(adu), now
 
     def without_echo(self, data: bytes, now: float) -> bytes:
         """Return received bytes without an echo; hold them back until they are the whole echo."""
-        if self.has_echo is not None or not self._sent:
+        if self.has_echo is not None or self._awaited.is_over:
             return data
-        self._held += data
-        sent, size = self._sent, min(len(self._sent), len(self._held))
-        is_same = self._held[:size] == sent[:size]
-        if is_same and size < len(sent):
-            return b""
-        held, self._held, self._sent = self._held, b"", b""
-        if not is_same:
+        rest, sent = self._awaited.without(data), self._sent
+        if not self._awaited.is_over:
+            return rest
+        if not self._awaited.came:
             self.has_echo = False
         elif self._is_certain(sent, now):
             self.has_echo = True
-            return held[size:]
         elif self._returns > MOST_RETURNS:
             self._returns = 0
             self.trial = self._refusal(sent)
-            return held[size:]
-        return held
+        else:
+            return sent + rest
+        return rest
 
     def _is_certain(self, adu: bytes, now: float) -> bool:
         """Return True if an answer that came back is an echo, and no request with equal bytes."""
@@ -74,7 +80,7 @@ class EchoWatch:
         if now < earliest or not self._may_ask(adu):
             return True
         self._returns += 1
-        if now > self._sent_at + on_line + 2 * ALLOWANCE:
+        if now > self._sent_at + on_line + self._longest:
             self.has_echo = False
         return False
 

@@ -1,0 +1,99 @@
+"""
+Local echo at a client: a transceiver that returns all requests, which are no answers.
+"""
+
+from __future__ import annotations
+
+from ..protocol.returned import AwaitedEcho, begins_with_echo
+from .statistics import Statistics
+
+__all__ = ["LocalEcho"]
+
+# Functions that read: what comes back equal to the request is mostly no answer.
+READING = frozenset((1, 2, 3, 4, 7, 11, 12, 17, 20, 23, 24, 43))
+
+# Functions whose answer differs from the request, so that it shows whether an echo came before it.
+TELLING = READING | {15, 16}
+
+
+class LocalEcho:
+    """
+    Finds out from the answers of a connection whether its requests come back.
+
+    Args:
+        place: of the connection, for the log.
+        statistics: where echoes are counted.
+        is_taken_out: True if the port itself takes the echo out of what it receives.
+
+    Attributes:
+        is_there: True or False once it is known, else None.
+    """
+
+    def __init__(self, place: str, statistics: Statistics, is_taken_out: bool) -> None:
+        self.is_there: bool | None = None
+        self._place = place
+        self._statistics = statistics
+        self._is_taken_out = is_taken_out
+        self._was_told = False
+        self._awaited = AwaitedEcho(b"")
+        self.reset()
+
+    def reset(self) -> None:
+        """Know nothing of the next connection."""
+        self.is_there = False if self._is_taken_out else None
+        self._awaited = AwaitedEcho(b"")
+
+    def sent(self, adu: bytes) -> None:
+        """Note a request that leaves."""
+        if self.is_there or not self._awaited.is_over:
+            self._awaited = AwaitedEcho(adu if self.is_there else b"")
+
+    @property
+    def is_holding(self) -> bool:
+        """True while received bytes are held back."""
+        return self._awaited.is_holding
+
+    def without(self, data: bytes) -> bytes:
+        """Return received bytes without the echo of the request, if requests come back."""
+        return data if self._awaited.is_over else self._awaited.without(data)
+
+    def release(self) -> bytes:
+        """Return what is held back, because silence shows that it is no echo."""
+        return self._awaited.release() if self._awaited.is_holding else b""
+
+    def may_be(self, request: bytes, pdu: bytes) -> bool:
+        """Return True for a request PDU that came back and is probably not its own answer."""
+        if self.is_there:  # the first copy is an echo, and what follows is an answer
+            return pdu == request and not self._awaited.came
+        return self.is_there is None and pdu == request and request[0] in READING
+
+    def accepts(self, request: bytes, pdu: bytes) -> bool:
+        """Return True for an answer that came alone, unless it may be an echo; learn from it."""
+        if pdu == request:
+            return not self.is_there and not self.may_be(request, pdu)
+        if request[0] in TELLING:
+            self.is_there = False
+        return True
+
+    def learn(self, request: bytes, adu: bytes, received: bytearray) -> None:
+        """Learn from all that came until the answer, or the end of the wait for it."""
+        if request[0] not in TELLING or not received:
+            return
+        if not begins_with_echo(received, adu):
+            self.is_there = False
+            return
+        if not self._is_taken_out and not self.is_there:
+            self.is_there = True
+            self._tell()
+
+    def _tell(self) -> None:
+        if self._was_told:
+            return
+        self._was_told = True
+        self._statistics.echoes += 1
+        from ..protocol.logs import HarmlessLogger
+
+        text = (
+            "%s: what is sent comes back (local echo), and is dropped; on serial ports set echo=1"
+        )
+        HarmlessLogger(__name__).warning(text, self._place)
