@@ -9,6 +9,7 @@ In the order in which a request goes through::
     garbage      no search for garbage in what does not change
     signals      handlers in the loop; afterwards the previous ones are restored
     echo         EchoWatch: finds out whether a port returns what is sent
+    without_echo  the same for the connections of a TCP endpoint
     listening    makes their sockets; forked children close them
     tcp          takes connections and hands them to `peers`; udp answers datagrams (datagrams:
                  from the address that was asked), serial a port

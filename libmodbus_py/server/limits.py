@@ -207,7 +207,8 @@ class ServerStatistics:
         throttled: how often a client exceeded `requests_per_second`.
         reflected: datagrams not answered because they came from a port of servers, or were answers
             of this server that came back.
-        echoes: serial ports that were found to return what is sent on them (local echo).
+        echoes: serial ports, and TCP connections with frames of a line, that were found to return
+            what is sent on them (local echo).
         requests: frames that this server received, those for other units included.
         refused: requests that got an exception.
         unauthorized: requests that `authorize` of a device did not allow, a broadcast for each.
