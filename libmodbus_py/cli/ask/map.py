@@ -1,5 +1,5 @@
 """
-The command map: its actions check and from-device.
+The command map: its actions check, list and from-device.
 """
 
 from __future__ import annotations
@@ -44,6 +44,13 @@ def add_command(commands: Any) -> None:
     arguments.add_security_options(check)
     arguments.add_verbose(check)
     check.set_defaults(run=_check, parser=check)
+    about = "list the register maps that come with the package"
+    listing = actions.add_parser(
+        "list",
+        help=about,
+        description=f"{about.capitalize()}; --map takes their names.",
+    )
+    listing.set_defaults(run=_list, parser=listing)
     about = "find the addresses of a device by reading, and write a map of them"
     skeleton = actions.add_parser(
         "from-device",
@@ -72,6 +79,14 @@ def _check(options: argparse.Namespace) -> int:
     from .map_check import check
 
     return check(options)
+
+
+def _list(options: argparse.Namespace) -> int:
+    from ...tools.simulator import example_files
+
+    for name, about in example_files.maps().items():
+        print(f"{name:<12} {about}")
+    return 0
 
 
 def _from_device(options: argparse.Namespace) -> int:

@@ -7,9 +7,12 @@ from __future__ import annotations
 
 import os
 
-__all__ = ["DEVICES", "described", "map_of", "path_of"]
+__all__ = ["DEVICES", "described", "map_of", "maps", "path_of"]
 
-# The other files in the folder describe gateways and fleets.
+# CSV files in the folder that are no register maps.
+LISTS = ("fleet",)
+
+# The other TOML files in the folder describe gateways and fleets.
 DEVICES = ("iem3155", "meter", "plant", "sdm630", "victron_gx")
 
 
@@ -38,14 +41,23 @@ def map_of(name: str) -> str:
     Raises:
         ValueError: there is no example of that name.
     """
-    folder = _folder()
-    known = [each for each in DEVICES if os.path.exists(os.path.join(folder, f"{each}.csv"))]
+    known = maps()
     if name not in known:
         raise ValueError(
             f"{name!r} is no file of a register map, which ends with .csv or .toml, "
             f"and no example, which are {', '.join(known)}"
         )
-    return os.path.join(folder, f"{name}.csv")
+    return os.path.join(_folder(), f"{name}.csv")
+
+
+def maps() -> dict[str, str]:
+    """Return the name of each register map with the description in its first line."""
+    folder = _folder()
+    names = sorted(
+        each.removesuffix(".csv") for each in os.listdir(folder) if each.endswith(".csv")
+    )
+    found = {name: _first_comment(os.path.join(folder, f"{name}.csv")) for name in names}
+    return {name: text for name, text in found.items() if name not in LISTS}
 
 
 def _folder() -> str:
@@ -53,6 +65,13 @@ def _folder() -> str:
     here = os.path.dirname(__file__)
     built = os.path.join(here, "examples")
     return built if os.path.isdir(built) else os.path.join(here, *[".."] * 3, "examples")
+
+
+def _first_comment(path: str) -> str:
+    """Return the first sentence of the comment with which a file begins; "" without one."""
+    with open(path, encoding="utf-8") as file:
+        line = file.readline()
+    return line.strip("# \n").partition(". ")[0].rstrip(".") if line.startswith("#") else ""
 
 
 def _first_line(path: str) -> str:

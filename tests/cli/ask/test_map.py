@@ -17,6 +17,8 @@ from tests.support.cases import each_case
 from tests.support.commands import Done, Started, run
 from tests.support.peers import FakeServer, mbap, until
 
+EXAMPLES = Path(__file__).parents[3] / "examples"
+
 
 def mapped(*arguments: object, code: int = 0) -> Done:
     done = run("map", *arguments)
@@ -157,3 +159,11 @@ def test_ctrl_c_keeps_what_was_found(tmp_path: Path) -> None:
     assert "Traceback" not in errors
     assert list(load_map(file)) == [f"coil_{at}" for at in range(10)]
     assert ": ended by the user" in file.read_text()
+
+
+def test_the_maps_that_come_with_the_package() -> None:
+    listed = mapped("list").out.splitlines()
+    assert "sdm120       Eastron SDM120-Modbus, a single-phase meter" in listed
+    for line in listed:
+        assert mapped("check", EXAMPLES / f"{line.split()[0]}.csv").code == 0
+        assert len(line.split()) > 2

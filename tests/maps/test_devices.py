@@ -1,0 +1,69 @@
+"""
+Each file of tests/devices: a map of examples/, its sources, and what answers of the device mean.
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from libmodbus_py import Device, Mapping, TcpContext, load_map
+from libmodbus_py.tools.files.maps.map_file import contents_of
+from libmodbus_py.tools.simulator import example_files
+from libmodbus_py.tools.testing.recording import ServerMaker
+from tests.support.cases import each_case
+
+ROOT = Path(__file__).parents[2]
+DEVICES = sorted((ROOT / "tests" / "devices").glob("*.toml"))
+TABLES = {1: "coils", 2: "discrete_inputs", 3: "holding_registers", 4: "input_registers"}
+
+
+def answers_of(path: Path) -> list[dict[str, Any]]:
+    given = tomllib.loads(path.read_text())
+    assert set(given) == {"map", "answers", "answer"}, f"{path}: keys map, answers and [[answer]]"
+    assert given["map"] == path.stem, f"{path}: named for its map"
+    assert re.match(r"(recorded|computed) ", given["answers"]), f"{path}: answers says of what"
+    found: list[dict[str, Any]] = given["answer"]
+    return found
+
+
+def cells_of(answer: dict[str, Any]) -> tuple[str, int, list[int]]:
+    data = bytes.fromhex(answer["registers"])
+    cells = [int.from_bytes(data[at : at + 2], "big") for at in range(0, len(data), 2)]
+    return TABLES[answer["function"]], answer["address"], cells
+
+
+@each_case("path", DEVICES)
+def test_answers_mean_what_the_file_says(path: Path) -> None:
+    """Read by its map from a server that gives these answers, each point has its value."""
+    tables: dict[str, dict[int, list[int]]] = {}
+    expected: dict[str, Any] = {}
+    for answer in answers_of(path):
+        table, address, cells = cells_of(answer)
+        tables.setdefault(table, {})[address] = cells
+        expected |= answer["values"]
+    points = load_map(example_files.map_of(path.stem))
+    with ServerMaker() as maker:
+        server = maker(devices=Device(Mapping(**tables)))  # type: ignore[arg-type]
+        with TcpContext.from_url(server.url) as plc:
+            found = plc.read_map(points)
+    assert found == expected
+    assert set(expected) == {name for name, point in points.items() if point.is_readable}
+
+
+@each_case("path", DEVICES)
+def test_a_map_names_its_sources_and_whether_it_was_tried(path: Path) -> None:
+    contents = contents_of(example_files.map_of(path.stem), 1)
+    assert not contents.mistakes
+    lines = Path(example_files.map_of(path.stem)).read_text().splitlines()
+    comment = " ".join(line.strip("# ") for line in lines if line.startswith("#"))
+    found = re.search(r"Sources: (.*?)\. .*?Tried on: (.+)\.$", comment)
+    assert found is not None, "a comment has 'Sources: ...; ....' and at last 'Tried on: ....'"
+    assert len(found[1].split("; ")) >= 2, "two sources that agree, with ; between them"
+
+
+def test_the_files_are_found() -> None:
+    assert {path.stem for path in DEVICES} <= set(example_files.maps())
+    assert len(DEVICES) >= 3
