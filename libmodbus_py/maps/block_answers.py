@@ -36,9 +36,9 @@ class BlockAnswer:
         if self.cells is None:
             self.cells = PartialAnswer(self.block.span.start, len(range(*self.block.span[1:])))
         self.cells.put(span.start, cells)
-        for at in range(first, last):
-            self.errors.pop(at, None)
-            self._done.add(at)
+        self._done.update(range(first, last))
+        for at in [at for at in self.errors if first <= at < last]:
+            del self.errors[at]
 
     def failed(self, error: ModbusError, first: int, last: int) -> None:
         for at in range(first, last):

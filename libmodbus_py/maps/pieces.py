@@ -37,12 +37,16 @@ class PartialAnswer(list[Any]):
     Args:
         start: the address of the first cell.
         size: the number of cells.
+
+    Attributes:
+        lost: the names of the items that could not be read.
     """
 
     def __init__(self, start: int, size: int) -> None:
         super().__init__([None] * size)
         self._start = start
         self._errors: dict[tuple[int, int], ModbusError] = {}
+        self.lost: list[Any] = []
 
     def put(self, start: int, cells: Sequence[Any]) -> None:
         """Set the cells that begin at an address."""
@@ -52,6 +56,7 @@ class PartialAnswer(list[Any]):
     def fail(self, piece: BlockPiece, error: ModbusError) -> None:
         """Note why a piece could not be read."""
         self._errors[piece.start - self._start, piece.stop - self._start] = error
+        self.lost += piece.names
 
     @property
     def error(self) -> ModbusError | None:

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from ..protocol import pdu
 from ..protocol.errors import ModbusError
 from .block_answers import BlockAnswer, Portion
-from .holes import DAMAGE, RETRY_SOONER, Hole, Holes, Span, is_refusal, reason_of
+from .holes import DAMAGE, RETRY_SOONER, Hole, Holes, is_refusal, reason_of
 from .pieces import Block
 from .plan import Plan
 
@@ -167,29 +167,38 @@ class PlanRun:
 
     def _readable(self, reading: BlockAnswer) -> list[Portion]:
         """Return what is asked of a block: all pieces without holes, in few requests."""
-        block = reading.block
-        if self._known and self._note_hole(reading, 0, len(block.pieces), block.span):
+        block, last = reading.block, len(reading.block.pieces)
+        holes = self._holes_in(block)
+        if not (holes or self._holes.cuts or self._holes.most):
+            return [Portion(reading, 0, last)]
+        if hole := holes.get(block.span[1:]):
+            reading.failed(hole.copied_error, 0, last)
             return []
         asked: list[Portion] = []
         first = 0
-        for at, piece in enumerate(block.pieces):
-            if self._known and self._note_hole(reading, at, at + 1, block.span_of(piece)):
+        for at, (start, stop, _) in enumerate(block.pieces):
+            if hole := holes.get((start, stop)):
+                reading.failed(hole.copied_error, at, at + 1)
                 asked += [Portion(reading, first, at)] * (first < at)
                 first = at + 1
             elif first < at and self._is_cut(block, first, at):
                 asked.append(Portion(reading, first, at))
                 first = at
-        last = len(block.pieces)
         return asked + [Portion(reading, first, last)] * (first < last)
 
-    def _note_hole(self, reading: BlockAnswer, first: int, last: int, span: Span) -> bool:
-        hole = self._known.get(span)
-        if hole is not None:
-            reading.failed(hole.copied_error, first, last)
-        return hole is not None
+    def _holes_in(self, block: Block) -> dict[tuple[int, ...], Hole]:
+        """Return the holes within a block, by their first address and the one behind the last."""
+        table, start, stop = block.span
+        return {
+            span[1:]: hole
+            for span, hole in self._known.items()
+            if span.table == table and span.start >= start and span.stop <= stop
+        }
 
     def _is_cut(self, block: Block, first: int, at: int) -> bool:
         """True if a request for pieces from the first on must end before another piece."""
+        if not (self._holes.cuts or self._holes.most):
+            return False
         table, start, stop = block.span_between(first, at + 1)
         most = self._holes.most.get(table)
         return (table, block.pieces[at].start) in self._holes.cuts or (
@@ -201,14 +210,15 @@ class PlanRun:
         found: list[Portion] = []
         for reading in self._readings:
             block, size = reading.block, len(reading.block.pieces)
-            if block.span in self._known:
+            holes = self._holes_in(block)
+            if block.span[1:] in holes:
                 found.append(Portion(reading, 0, size))
-                continue
-            found += [
-                Portion(reading, at, at + 1)
-                for at, piece in enumerate(block.pieces)
-                if block.span_of(piece) in self._known
-            ]
+            elif holes:
+                found += [
+                    Portion(reading, at, at + 1)
+                    for at, (start, stop, _) in enumerate(block.pieces)
+                    if (start, stop) in holes
+                ]
         return found
 
     def _hole(self, asked: Portion) -> Hole:

@@ -15,6 +15,7 @@ from ..protocol.errors import ModbusError
 from ..protocol.mistakes import WrongType, WrongValue
 from .holes import HolesByDevice
 from .meaning import NoValue
+from .pieces import PartialAnswer
 from .plan import Plan, PlanOptions
 from .point import Point
 from .scaling import scaling_by
@@ -293,6 +294,9 @@ class PointPlan(Plan):
             except (TypeError, LookupError, ValueError):
                 pass  # an error in place of the answer or the scale, or registers without a value
             slow.append(name)
+        for answer in given:
+            if isinstance(answer, PartialAnswer):  # its lost cells count as zeros until here
+                slow += [name for name in answer.lost if name in found]
         for name in slow:
             found[name] = self._slowly(name, given, scales, return_exceptions)
         return found
@@ -357,6 +361,8 @@ class PointPlan(Plan):
 
 def _packed(answer: Any) -> bytes | None:
     """Return the bytes of registers; None for bits, errors and values out of 0..65535."""
+    if isinstance(answer, PartialAnswer):
+        answer = [0 if cell is None else cell for cell in answer]
     try:
         return struct.pack(f">{len(answer)}H", *answer)
     except (TypeError, struct.error):
