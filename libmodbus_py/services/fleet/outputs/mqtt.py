@@ -9,6 +9,7 @@ import contextlib
 import re
 import socket
 import ssl
+from collections import Counter
 from collections.abc import Coroutine, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -50,6 +51,10 @@ LONGEST_CONFIRMING = 60.0
 
 # Else each message whose confirmation is waited for would wait for an ACK of TCP, 40 ms.
 NO_DELAY = (socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+# After so many lost connections in a row, last values are published again one by one; the one at
+# which it is lost so many times more is forgotten.
+MOST_LOSSES = 3
 
 # Publishes with QoS 1 that wait for their acknowledgement together.
 TOGETHER = 8
@@ -139,6 +144,11 @@ class Mqtt:
         self._client: aiomqtt.Client | None = None
         # The last reading of each point, if the broker retains it.
         self._retained: dict[tuple[str, str], Reading] = {}
+        # Connections in a row that were lost while these were published again; the one that was
+        # being published alone; and how often the connection was lost at each.
+        self._lost_again = 0
+        self._alone: tuple[str, str] | None = None
+        self._losses: Counter[tuple[str, str]] = Counter()
         self._listening: asyncio.Task[None] | None = None
         self._sending: set[asyncio.Task[None]] = set()
 
@@ -210,8 +220,30 @@ class Mqtt:
             await client.unsubscribe(_filter(self._topic), timeout=LONGEST_CONFIRMING)
 
     async def _publish_again(self, client: aiomqtt.Client) -> None:
-        await self._publish_all(client, list(self._retained.values()))
+        """Publish all last values; forget one on which the broker ends the connection."""
+        self._forget_refused()
+        self._lost_again += 1
+        if self._lost_again <= MOST_LOSSES:
+            await self._publish_all(client, list(self._retained.values()))
+        else:
+            for key, reading in list(self._retained.items()):
+                self._alone = key
+                await self._publish_all(client, [reading])
+        self._alone = None
         await self._publish_states(client, self._states.told)
+        self._lost_again = 0
+        self._losses.clear()
+
+    def _forget_refused(self) -> None:
+        key, self._alone = self._alone, None
+        if key is None or key not in self._retained:
+            return
+        reading = self._retained.pop(key)
+        self._losses[key] += 1
+        if self._losses[key] < MOST_LOSSES:
+            self._retained[key] = reading  # behind all others, which show whether it is the reason
+        else:
+            logger.error("%s: %s of %s is not published again", self.name, key[1], key[0])
 
     async def _publish_states(self, client: aiomqtt.Client, states: Mapping[str, bool]) -> None:
         for name, answers in list(states.items()):
