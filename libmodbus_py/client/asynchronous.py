@@ -26,7 +26,8 @@ from .asyncio_driver import AsyncioDriver
 from .batch import Batch, raised
 from .handle import Handle
 from .options import AsyncOptions, CheckedOptions, assembled
-from .requests import Awaiting, Several
+from .procedures import ChangeRegister, Several
+from .requests import Awaiting
 
 __all__ = ["IN_FLIGHT", "MAX_PAUSE", "AsyncClient", "Submitted"]
 
@@ -228,7 +229,11 @@ class AsyncClient(Handle[AsyncioDriver], Awaiting):
         except InvalidResponse as error:
             raise self._named(error) from None
 
-    async def _take(self, step: pdu.Request[Any] | Several) -> Any:
+    async def _take(self, step: pdu.Request[Any] | Several | ChangeRegister) -> Any:
+        if isinstance(step, ChangeRegister):
+            async with self._driver.changing:
+                (register,) = await self.execute(pdu.ReadHoldingRegisters(step.request.address, 1))
+                return await self.execute(step.write(register))
         if not isinstance(step, Several):
             return await self.execute(step)
         batch = self._batch(step.requests, step.max_in_flight, step.return_exceptions)

@@ -52,6 +52,7 @@ class AsyncioDriver:
 
     def _begin_anew(self) -> None:
         self._loop: asyncio.AbstractEventLoop | None = None
+        self._changing: tuple[asyncio.AbstractEventLoop, asyncio.Lock] | None = None
         self._now: Callable[[], float] = monotonic  # the clock of the loop, once there is one
         self._attempt: asyncio.Task[None] | None = None
         self._attempt_until = 0.0
@@ -69,6 +70,14 @@ class AsyncioDriver:
     def now(self) -> float:
         """Return the time by which timeouts are measured."""
         return self._now()
+
+    @property
+    def changing(self) -> asyncio.Lock:
+        """The lock held by a task that reads, changes and writes a register, one in a loop."""
+        loop = asyncio.get_running_loop()
+        if self._changing is None or self._changing[0] is not loop:
+            self._changing = loop, asyncio.Lock()
+        return self._changing[1]
 
     async def run(self, batch: Batch) -> None:
         """

@@ -13,7 +13,8 @@ from ..protocol.errors import InvalidResponse, ModbusError
 from .batch import MAX_IN_FLIGHT, Batch, raised
 from .blocking_driver import BlockingDriver
 from .handle import Handle
-from .requests import Blocking, Several
+from .procedures import ChangeRegister, Several
+from .requests import Blocking
 
 if TYPE_CHECKING:
     from ..maps.plan import (
@@ -204,7 +205,11 @@ class Context(Handle[BlockingDriver], Blocking):
         except InvalidResponse as error:
             raise self._named(error) from None
 
-    def _take(self, step: pdu.Request[Any] | Several) -> Any:
+    def _take(self, step: pdu.Request[Any] | Several | ChangeRegister) -> Any:
+        if isinstance(step, ChangeRegister):
+            with self._driver.lock:  # requests of other threads wait
+                (register,) = self.execute(pdu.ReadHoldingRegisters(step.request.address, 1))
+                return self.execute(step.write(register))
         if not isinstance(step, Several):
             return self.execute(step)
         batch = self._batch(step.requests, step.max_in_flight, step.return_exceptions)

@@ -117,6 +117,11 @@ class BlockingDriver:
         return self._now()
 
     @property
+    def lock(self) -> threading.RLock:
+        """The lock of the connection: while a thread holds it, only that thread can ask."""
+        return self._lock
+
+    @property
     def closed(self) -> bool:
         """True once `close` was called."""
         return self._closed

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, TypeVar
 from ..protocol import pdu
 from ..protocol.errors import ModbusError
 
-__all__ = ["Several", "Steps"]
+__all__ = ["ChangeRegister", "Several", "Steps"]
 
 Result = TypeVar("Result")
 
@@ -35,4 +35,20 @@ class Several(NamedTuple):
         return (ModbusError,) if self.return_exceptions or self.stops else ()
 
 
-Steps = Generator[pdu.Request[Any] | Several, Any, Result]
+class ChangeRegister(NamedTuple):
+    """
+    A holding register that is read, changed and written, because the device has no function 22.
+
+    No other such step on the connection comes between.
+    """
+
+    request: pdu.MaskWriteRegister
+
+    def write(self, register: int) -> pdu.WriteRegister:
+        """Return the request that writes the register, as section 6.16 of the specification."""
+        request = self.request
+        value = register & request.and_mask | request.or_mask & ~request.and_mask
+        return pdu.WriteRegister(request.address, value & 0xFFFF)
+
+
+Steps = Generator[pdu.Request[Any] | Several | ChangeRegister, Any, Result]

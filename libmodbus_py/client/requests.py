@@ -23,7 +23,8 @@ from typing import (
 
 from ..protocol import pdu
 from ..protocol.checks import integer
-from .procedures import Several, Steps
+from ..protocol.errors import IllegalFunction, ModbusError
+from .procedures import ChangeRegister, Several, Steps
 
 __all__ = ["Awaiting", "Blocking", "Requests", "Several", "Steps"]
 
@@ -455,7 +456,9 @@ class Requests:
         one is raised, and those behind it are not sent.
 
         Points with `scale_from` are written with the factor that the device has then: the points
-        that hold it are read first. Parts of registers are written with function 22 (mask write).
+        that hold it are read first. Parts of registers are written with function 22 (mask write);
+        if the device lacks it, the register is read, changed and written, and no other such
+        change on this connection comes between.
 
         Args:
             map: such as `load_map` gives it.
@@ -476,7 +479,18 @@ class Requests:
             plan = points.plan(sources)
             answers = yield Several(plan.requests, 1, False)
             read = plan.results(answers)
-        yield from points.writes(values, multiple=multiple, sources=read)
+        lacks_masks = False
+        for request in points.writes(values, multiple=multiple, sources=read):
+            if not isinstance(request, pdu.MaskWriteRegister):
+                yield request
+                continue
+            if not lacks_masks:
+                (outcome,) = yield Several([request], 1, True)
+                lacks_masks = isinstance(outcome, IllegalFunction)
+                if isinstance(outcome, ModbusError) and not lacks_masks:
+                    raise outcome
+            if lacks_masks:
+                yield ChangeRegister(request)
 
 
 def _checked_map(given: object) -> RegisterMap:

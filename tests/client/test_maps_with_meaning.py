@@ -1,0 +1,106 @@
+"""
+Maps whose points have scales of the device, or are parts of registers: what clients ask.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from libmodbus_py import (
+    AsyncClient,
+    Client,
+    Device,
+    IllegalFunction,
+    Mapping,
+    NoValue,
+    Point,
+    RegisterMap,
+    Server,
+    ServerDeviceBusy,
+    pdu,
+)
+
+H = "holding_registers"
+
+
+def point(name: str, address: int, **keys: Any) -> Point:
+    return Point(name, H, address, **keys)
+
+
+POINTS = RegisterMap(
+    [
+        point("v", 0, type="int16", scale_from="v_sf"),
+        point("v_sf", 1, type="int16"),
+        *(point(f"b{at}", 2, bit=at) for at in range(16)),
+        point("none", 3, missing=0),
+    ]
+)
+
+
+def refuse(error: type[Exception]) -> Any:
+    def handler(*arguments: Any) -> Any:
+        raise error("not here")
+
+    return handler
+
+
+def device(**options: Any) -> Device:
+    return Device(Mapping(holding_registers={0: [2305, 0xFFFF, 0xFF00, 0]}), **options)
+
+
+@pytest.fixture(params=[False, True], ids=["with 22", "without 22"])
+def served(request: pytest.FixtureRequest) -> Iterator[tuple[Device, str]]:
+    options = (
+        {"handlers": {pdu.MaskWriteRegister: refuse(IllegalFunction)}} if request.param else {}
+    )
+    made = device(**options)
+    with Server(made).background("tcp://127.0.0.1:0") as serving:
+        yield made, serving.urls[0]
+
+
+def test_values_are_read_and_written_with_the_scale_of_the_device(
+    served: tuple[Device, str],
+) -> None:
+    made, url = served
+    with Client(url) as plc:
+        assert plc.read_map(POINTS, ["v", "none"]) == {"v": 230.5, "none": None}
+        found = plc.read_map(POINTS, ["none"], return_exceptions=True)["none"]
+        assert isinstance(found, NoValue)
+        plc.write_map(POINTS, {"v": 12.5})
+        assert made.mapping.holding_registers[0] == 125
+        made.mapping.holding_registers[1] = 300
+        with pytest.raises(NoValue, match="v_sf, which scales it, must hold a power"):
+            plc.write_map(POINTS, {"v": 1})
+
+
+def test_a_part_of_a_register_is_written(served: tuple[Device, str]) -> None:
+    made, url = served
+    with Client(url) as plc:
+        plc.write_map(POINTS, {"b0": True, "b8": False})
+    assert made.mapping.holding_registers[2] == 0xFE01
+
+
+def test_parts_that_are_written_at_the_same_time_are_all_written(
+    served: tuple[Device, str],
+) -> None:
+    made, url = served
+
+    async def go() -> None:
+        async with AsyncClient(url) as plc:
+            await asyncio.gather(*(plc.write_map(POINTS, {f"b{at}": True}) for at in range(8)))
+
+    asyncio.run(go())
+    assert made.mapping.holding_registers[2] == 0xFFFF
+
+
+def test_a_mask_that_is_refused_otherwise_is_raised() -> None:
+    made = device(handlers={pdu.MaskWriteRegister: refuse(ServerDeviceBusy)})
+    with Server(made).background("tcp://127.0.0.1:0") as serving:
+        plc = Client(serving.urls[0])
+        with plc, pytest.raises(ServerDeviceBusy):
+            plc.write_map(POINTS, {"b0": True})
+    assert made.mapping.holding_registers[2] == 0xFF00
