@@ -144,8 +144,10 @@ class Meaning:
             return self._named_bits
         if self._states:
             return self._state
+        if self.part is not None or (self._kind is not None and self._kind.limits is not None):
+            return self._number_judge()
         is_list = self._kind is not None and self._kind.name.startswith("bits")
-        return self._list if is_list and self.part is None else self._number
+        return self._list if is_list else self._other
 
     def _named_bits(self, raw: int, scale: Scale | None) -> Any:
         if raw in self._missing:
@@ -159,14 +161,26 @@ class Meaning:
         number = sum(bit << at for at, bit in enumerate(raw))
         return self._missed(number) if number in self._missing else raw
 
-    def _number(self, raw: Any, scale: Scale | None) -> Any:
-        """Return a number, or a text or a time, which have no scale."""
-        if raw in self._missing or raw != raw:  # only nan differs from itself
-            return self._missed(raw)
-        value = raw if scale is None else scale(raw)
-        span = self._span
-        if span is None or span[0] <= value <= span[1]:
-            return value
+    def _other(self, raw: Any, scale: Scale | None) -> Any:
+        """Return a text or a time."""
+        return self._missed(raw) if raw in self._missing else raw
+
+    def _number_judge(self) -> Callable[[Any, Scale | None], Any]:
+        # A closure, because most points are numbers, and attributes take as long as the rest.
+        missing, (low, high) = self._missing, self._span or (-math.inf, math.inf)
+
+        def judge(raw: Any, scale: Scale | None) -> Any:
+            if raw in missing:
+                return self._missed(raw)
+            value = raw if scale is None else scale(raw)
+            return value if low <= value <= high else self._doubted(value)
+
+        return judge
+
+    def _doubted(self, value: float) -> NoValue:
+        if value != value:  # only nan differs from itself
+            return self._missed(value)
+        span = self._span or ()
         wanted = "..".join("" if math.isinf(each) else str(each) for each in span)
         return NoValue(self._name, "Implausible", f"is {shown(value)}, and plausible is {wanted}")
 
