@@ -468,10 +468,14 @@ class Fleet:
             ModbusError: as for `AsyncClient`.
         """
         poller = self._pollers[device]
-        requests = poller.config.map.writes(values)
+        points = poller.config.map
         line = self._lines[poller.config.connection_key]
         client = line.client_of(poller).for_unit(poller.config.unit)
-        await client.execute_many(requests, max_in_flight=1)
+        if points.scale_sources(values) or any(points[name].is_part for name in values):
+            # More is asked than what is known before: a scale, or whether function 22 is there.
+            await client.write_map(points, values)
+        else:
+            await client.execute_many(points.writes(values), max_in_flight=1)
 
 
 class Readings(AsyncIterator[Reading]):

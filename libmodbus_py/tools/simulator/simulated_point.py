@@ -85,7 +85,9 @@ class SimulatedPoint:
     def identity(self) -> tuple[object, ...]:
         """The key by which points compare equal that have the same meaning and initial values."""
         point = self.point
-        meaning = (point.type, point.order, point.scale, point.offset)
+        scale = (point.scale, point.offset, point.scale_from, point.scale_as)
+        names = (point.missing, point.bit, point.byte, str(point.states), str(point.bits))
+        meaning = (point.type, point.order, *scale, *names)
         moves = type(self.behaviour).__name__
         return (*self.place, self.first, self.stop, meaning, moves, self.cells.tobytes())
 
