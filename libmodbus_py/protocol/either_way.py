@@ -13,7 +13,7 @@ from typing import NamedTuple
 from .framing import Frame, scanner
 from .pauses import ALLOWANCE
 from .pdu import request_length, response_length
-from .scan import AT_END, GOES_ON, SILENT, FrameScanner
+from .scan import AT_END, GOES_ON, MAX_PDU, SILENT, FrameScanner, crc16
 
 __all__ = ["EitherWay", "NoFrame", "RtuEitherWay", "may_be"]
 
@@ -106,7 +106,7 @@ class RtuEitherWay:
         if start := min(asks_at, answers_at):
             return self._skip(data, start)
         if len(data) > 1 and not data[1] & 0x7F:  # no function (application protocol, 4.1)
-            return self._skip(data, 1)
+            return self._without_function(data, is_fresh=fresh == 0)
         awaited = len(data) > 1 and is_awaited(data[0], data[1] & 0x7F)
         first, second = (answers, asks) if awaited else (asks, answers)
         if first > 0 or (second > 0 and (first == 0 or self._is_quiet)):
@@ -115,6 +115,14 @@ class RtuEitherWay:
         if start := self._later_start(data):
             return self._skip(data, start)
         return self._skip(data, 1) if self._is_over else None
+
+    def _without_function(self, data: bytes, *, is_fresh: bool) -> EitherWay | NoFrame | None:
+        """Take a frame without a function, if it is all between two silences; else skip it."""
+        if not is_fresh or len(data) > MAX_PDU + 3:
+            return self._skip(data, 1)
+        if len(data) >= 4 and not crc16(data):
+            return self._found(data, len(data), False, True)
+        return self._skip(data, 1) if self._is_quiet else None
 
     def _later_start(self, data: bytes) -> int:
         """

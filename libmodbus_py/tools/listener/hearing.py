@@ -162,7 +162,7 @@ class FramerHearing:
     def _heard(self, found: Frame | FrameError, began: float) -> Candidate | Damage:
         if isinstance(found, FrameError):
             return Damage(began, self._at, found.received)
-        if isinstance(found, Overheard):  # clients do not answer
+        if isinstance(found, Overheard) and found.pdu[0] < 0x80:  # clients do not answer
             return Damage(began, self._at, self._framer.encode(found))
         is_asking = self._is_asking
         either = may_be(found.pdu) if is_asking is None else (is_asking, not is_asking)

@@ -15,7 +15,7 @@ from math import sqrt
 from .hearing import Candidate, Damage
 from .outcome import answered, decoded
 from .pairing import OpenRequest, Pairing
-from .transaction import Heard, OnHeard
+from .transaction import Heard, OnHeard, Part
 
 __all__ = ["LearntTimes", "Naming"]
 
@@ -82,8 +82,10 @@ class Naming:
         """Take the next frame or damage."""
         self.pairing.tick(found.began)
         if isinstance(found, Candidate) and not _has_function(found):
-            found = Damage(found.began, found.ended, bytes([found.frame.unit]) + found.frame.pdu)
-        if isinstance(found, Damage):
+            part: Part = "response" if found.may_answer else "request"
+            self._note(Heard(found.began, found.ended, part, found.frame))
+            self.pairing.misuse(found.began, found.ended, found.frame)
+        elif isinstance(found, Damage):
             self._note(Heard(found.began, found.ended, "damage", None, found.data))
             self.pairing.damage(*found)
         elif self._is_request(found):

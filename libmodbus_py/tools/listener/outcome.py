@@ -11,7 +11,16 @@ from ...protocol.framing import Frame
 from ...protocol.pdu import RawRequest, Request, decode_request
 from .transaction import Kind, Transaction
 
-__all__ = ["Ending", "answered", "damage_alone", "damaged", "decoded", "request_of", "unasked"]
+__all__ = [
+    "Ending",
+    "answered",
+    "damage_alone",
+    "damaged",
+    "decoded",
+    "misused",
+    "request_of",
+    "unasked",
+]
 
 
 class Ending(NamedTuple):
@@ -62,6 +71,13 @@ def damaged(data: bytes) -> Ending:
 def damage_alone(began: float, data: bytes) -> Transaction:
     """Return the transaction for bytes that belong to no request."""
     return Transaction(began, "damaged", error=damaged(data).error)
+
+
+def misused(began: float, frame: Frame) -> Transaction:
+    """Return the transaction for a frame whose function code is not allowed there."""
+    code = frame.pdu[0]
+    error = InvalidResponse(f"a frame with function code {code:02X}h", received=frame.pdu)
+    return Transaction(began, "invalid", frame.unit, error=error)
 
 
 def unasked(began: float, frame: Frame) -> Transaction:

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 from ...protocol.errors import InvalidResponse
 from ...protocol.framing import Frame
 from ...protocol.pdu import Request
-from .outcome import Ending, answered, damage_alone, damaged, request_of, unasked
+from .outcome import Ending, answered, damage_alone, damaged, misused, request_of, unasked
 from .transaction import Transaction
 
 __all__ = ["TIMEOUT", "OpenRequest", "Pairing"]
@@ -141,6 +141,9 @@ class Pairing:
 
     def answer(self, began: float, ended: float, frame: Frame) -> Ending | None:
         """Take a response; return how it ended an open request, or None if it ended none."""
+        if not frame.pdu[0] & 0x7F:
+            self.misuse(began, ended, frame)
+            return None
         asked, outcome = self._answered(frame)
         if (asked is None or outcome.kind == "invalid") and self._end_late(began, ended, frame):
             return None
@@ -165,6 +168,15 @@ class Pairing:
             self.done.append(alone)
         else:
             self._spoil(asked, Spoiled(ended, damaged(data), alone))
+
+    def misuse(self, began: float, ended: float, frame: Frame) -> None:
+        """Take a good frame whose function code is not allowed, instead of a response or alone."""
+        alone = misused(began, frame)
+        asked = self.due
+        if asked is None or asked.frame.unit != frame.unit:
+            self.done.append(alone)
+        else:
+            self._spoil(asked, Spoiled(ended, Ending("invalid", None, alone.error), alone))
 
     def withdraw(self, asked: OpenRequest) -> None:
         """Take an open request as a response that belongs to no request."""

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from ...ports.schemes import framing_of
 from ...ports.trace import Traced
 from ...protocol.framing import Frame
-from .outcome import damage_alone
+from .outcome import damage_alone, misused
 from .pairing import TIMEOUT, Pairing
 from .transaction import Transaction
 
@@ -67,8 +67,10 @@ class TracePairing:
                 pairing.damage(at, at, traced.adu)
             else:
                 pairing.answer(at, at, frame)
-        elif frame is None or not 0 < pdu[0] < 0x80:  # application protocol, 4.1
+        elif frame is None:
             pairing.done.append(damage_alone(at, traced.adu))
+        elif not 0 < pdu[0] < 0x80:  # application protocol, 4.1
+            pairing.done.append(misused(at, frame))
         else:
             pairing.ask(at, at, frame)
         self._collect(traced.peer, pairing)

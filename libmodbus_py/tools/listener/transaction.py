@@ -28,7 +28,7 @@ Kind = Literal[
 KINDS: dict[Kind, str] = {
     "answered": "the response fits the request",
     "exception": "the unit answered with an exception",
-    "invalid": "a response came that does not fit the request",
+    "invalid": "a response came that does not fit the request, or a frame without a function",
     "late": "the response came after the request had been reported as unanswered",
     "unanswered": "no response came before the next request, or for several seconds",
     "broadcast": "a request to unit 0, or one that asks for silence, which no unit answers",

@@ -160,16 +160,35 @@ class TestOneTransaction:
 class TestNoFunction:
     @each_case("code", ["00", "80"])
     @each_case("direction", [None, "client", "server"])
-    def test_is_damage(self, code: str, direction: str | None) -> None:
-        separator = Separator("ascii")
-        frame = ascii_frame(f"01 {code} 01")
+    @each_case("framing", ["rtu", "ascii"])
+    def test_is_invalid(self, code: str, direction: str | None, framing: str) -> None:
+        separator = Separator(framing)  # type: ignore[arg-type]
+        frame = {"rtu": rtu, "ascii": ascii_frame}[framing](f"01 {code} 01")
         done = separator.feed(frame, 0.0, direction)  # type: ignore[arg-type]
-        assert [each.kind for each in done] == ["damaged"]
+        done += separator.end()
+        assert [(each.kind, each.unit) for each in done] == [("invalid", 1)]
+        assert f"{code}h" in str(done[0])
+
+    @each_case("code", ["00", "80"])
+    def test_in_place_of_a_response(self, code: str) -> None:
+        done = listen([(0.0, ASK), (0.1, rtu(f"01 {code} 02")), (0.3, ASK), (0.4, ANSWER)])
+        assert [each.kind for each in done] == ["invalid", "answered"]
+        done = listen([(0.0, ASK), (0.1, rtu(f"01 {code} 02")), (0.2, ANSWER)])
+        assert [each.kind for each in done] == ["invalid", "answered"]
+
+    def test_in_pieces(self) -> None:
+        frame = rtu("01 00 02 03")
+        done = listen([(at / 1000, frame[at : at + 1]) for at in range(len(frame))])
+        assert [each.kind for each in done] == ["invalid"]
+
+    def test_noise_of_that_form_is_damage(self) -> None:
+        done = listen([(0.0, bytes.fromhex("01 00 02 03 04 05")), (0.2, ASK), (0.3, ANSWER)])
+        assert [each.kind for each in done] == ["damaged", "answered"]
 
     def test_a_client_that_sends_a_refusal(self) -> None:
         separator = Separator("ascii")
         done = separator.feed(ascii_frame("01 83 01"), 0.0, "client")
-        assert [each.kind for each in done] == ["damaged"]
+        assert [each.kind for each in done] == ["invalid"]
 
 
 class TestRepeats:

@@ -114,7 +114,7 @@ ON_TCP: dict[str, tuple[list[Event], list[str]]] = {
         ["17:3 unanswered", "17:3 damaged"],
     ),
     "damaged request": ([damage(0, "received")], ["damaged"]),
-    "no function": ([ask(0, tcp("83 006B 0003"))], ["damaged"]),
+    "no function": ([ask(0, tcp("83 006B 0003"))], ["17:None invalid"]),
     "unit 0": ([ask(0, tcp(COIL_PDU, unit=0)), answer(1, tcp(COIL_PDU, unit=0))], ["0:5 answered"]),
     "a question that wants silence": ([ask(0, tcp("08 0004 0000"))], ["17:8 broadcast"]),
     "several clients": (
