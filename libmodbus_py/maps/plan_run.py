@@ -433,7 +433,9 @@ class PlanRun:
 
     def _found(self, asked: Portion) -> None:
         """Note a piece that was refused; it counts once the device answered something near it."""
-        error = asked.reading.errors[asked.first]
+        error = asked.reading.errors.get(asked.first)
+        if error is None:  # it was answered before, in this run
+            return
         if asked.reading.is_answered or asked.span == asked.reading.block.span:
             self._add(asked, error)
         else:

@@ -50,8 +50,8 @@ class StrictRun(PlanRun):
             found = yield from self._first_refused(asked)
         except Enough:
             return
-        if found is not None and self._failure is not None:
-            error = asked.reading.errors[found.first]
+        error = None if found is None else asked.reading.errors.get(found.first)
+        if found is not None and error is not None and self._failure is not None:
             self._add(found, error)
             error.names = asked.reading.block.pieces[found.first].names
             self._failure = self._failure[0], error

@@ -23,7 +23,7 @@ from libmodbus_py.errors import (
     ServerDeviceBusy,
     ServerDeviceFailure,
 )
-from libmodbus_py.maps.holes import Holes, HolesByDevice
+from libmodbus_py.maps.holes import Holes, HolesByDevice, Span
 from libmodbus_py.maps.plan import Plan
 from libmodbus_py.maps.plan_run import PlanRun
 from libmodbus_py.maps.strict_run import StrictRun
@@ -404,6 +404,25 @@ def test_a_strict_run_names_what_was_refused() -> None:
         assert plan.results(run.answers) == [[at] for at in range(40)]
 
 
+def test_an_item_that_is_answered_and_then_refused() -> None:
+    """The second refusal says nothing about the first value."""
+
+    class Wavering(Registers):
+        def __call__(self, request: Any) -> Any:
+            is_first = (request.address, request.count) == (2, 1) and (2, 1) not in self.asked
+            answer = super().__call__(request)
+            return [2] if is_first else answer
+
+    plan, holes = singles(20), Holes()
+    holes.add(Span(H, 2, 3), IllegalDataAddress(), 0.0)
+    device = Wavering([2])
+    run = StrictRun(plan, holes, 1.0)
+    while run.requests:
+        run.take([device(each) for each in run.requests])
+    assert [type(each) for each in run.answers] == [IllegalDataAddress]
+    assert device.asked.count((2, 1)) == 2
+
+
 # --- any device ----------------------------------------------------------------------------------
 
 
@@ -431,6 +450,40 @@ def test_each_item_has_its_value_or_is_refused_in_the_end(data: st.DataObject) -
         else:
             assert not missing & set(read.cells)
             assert value == read.decode(list(read.cells))
+
+
+FAILURES = (ModbusTimeoutError, ServerDeviceBusy, InvalidResponse, IllegalDataAddress)
+
+
+class Whims(Registers):
+    """A device that fails some requests without a reason, and loses other registers meanwhile."""
+
+    def __init__(self, seed: int) -> None:
+        super().__init__()
+        self._random = random.Random(seed)
+        self._share = self._random.choice([0.02, 0.3, 0.9])
+
+    def __call__(self, request: Any) -> Any:
+        answer = super().__call__(request)
+        if self._random.random() < 0.02:
+            self.missing = {self._random.randrange(100) for _ in range(20)}
+        return self._random.choice(FAILURES)() if self._random.random() < self._share else answer
+
+
+@each_case("kind", [PlanRun, StrictRun])
+def test_no_value_is_wrong_whatever_a_device_answers(kind: type[PlanRun]) -> None:
+    for seed in range(60):
+        device, plan, holes = Whims(seed), singles(100), Holes()
+        for now in range(0, 2000, 100):
+            run = kind(plan, holes, now)
+            before = len(device.asked) + len(run.requests)
+            while run.requests:
+                run.take([device(each) for each in run.requests])
+            assert len(device.asked) - before <= HIGHEST
+            for answer, request in zip(run.answers, plan.requests, strict=False):
+                cells = range(request.address, request.address + request.count)  # type: ignore[attr-defined]
+                if not isinstance(answer, ModbusError):
+                    assert all(got in (None, at) for got, at in zip(answer, cells, strict=True))
 
 
 def test_what_is_known_of_devices_is_bounded() -> None:
