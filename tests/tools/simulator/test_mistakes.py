@@ -97,7 +97,9 @@ BROKEN = [
     (
         "[[unit]]\n[[unit.coils]]\naddress = 0\ntable = 'coils'",
         "unit[0].coils[0].table: no such key; allowed are name, address, count, type, order,"
-        " encoding, padding, scale, offset, units, access, minimum, maximum, description, unit,"
+        " encoding, padding, scale, offset, units, access, minimum, maximum, description,"
+        " missing, plausible_minimum, plausible_maximum, never_falls, scale_from, scale_as,"
+        " states, bits, bit, byte, unit,"
         " value, values, counter, sine, random_walk, copy",
     ),
     (
@@ -127,7 +129,8 @@ BROKEN = [
     (
         HOLDING + "type = 'float'",
         f"{AT}.type must be one of int16, int32, int64, uint16, uint32, uint64, float16, float32,"
-        " float64, bcd16, bcd32, bcd64, bits16, bits32, bits64, string:N, not 'float'",
+        " float64, bcd16, bcd32, bcd64, bits16, bits32, bits64, unix32, unix64,"
+        " ms64, iec870, date48, bcddate48, date96, string:N, not 'float'",
     ),
     (HOLDING + "type = 1", f"{AT}.type must be a string, such as float32, not int"),
     (
