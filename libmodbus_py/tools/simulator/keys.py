@@ -71,7 +71,7 @@ VALUES = Keys(
     ]
 )
 
-POINT_KEYS = POINT.but("table")
+POINT_KEYS = POINT.but("table", "scale_from", "scale_as")  # which need another point of a map
 """The keys of a point; the name of the list is its table."""
 
 TYPING = POINT.only("type", "order", "encoding", "padding")
