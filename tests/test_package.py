@@ -300,7 +300,7 @@ class TestPublicNames:
         }
         lacking = (
             names
-            - {"ReadMany", "ReadMap", "ReadValues", "WriteMap", "WriteValues"}
+            - {"ReadMany", "ReadMap", "ReadValue", "ReadValues", "WriteMap", "WriteValues"}
             - set(pdu.__all__)
         )
         assert not lacking

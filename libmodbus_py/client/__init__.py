@@ -4,6 +4,7 @@ The clients. Decisions are made once, and two drivers wait and read for them.
 From the caller to the wire:
 
     requests           every method, once for both clients
+      typed_values     ... the types of values, for type checkers
       procedures       what methods of several requests yield
       plan_reading     ... and how a plan is carried out
     handle             a unit, its timeouts, and the connection that it shares

@@ -37,7 +37,8 @@ if TYPE_CHECKING:
     from ..maps.plan import Items, Plan, PlanOptions
     from ..maps.register_map import RegisterMap
     from ..protocol.tables import RegisterTable, WritableTable
-    from ..protocol.type_names import Order, TextOptions, TypeName
+    from ..protocol.type_names import Layout, Order, TextOptions, TypeName
+    from .typed_values import OneByType, SeveralByType
 
     class _Method(Generic[Arguments, Result]):
         """A method of both clients, for type checkers: returns a result, or one to await."""
@@ -60,7 +61,17 @@ if TYPE_CHECKING:
         make: Callable[Concatenate[Any, Arguments], Steps[Result]],
     ) -> _Method[Arguments, Result]: ...
 
+    def one_by_type(method: object) -> OneByType: ...
+
+    def several_by_type(method: object) -> SeveralByType: ...
+
 else:
+    # The types are for checkers: nothing else is to be known of them.
+    def one_by_type(method):
+        return method
+
+    several_by_type = one_by_type
+
     # Plain functions, so that help() and inspect.signature() work.
 
     def asks(make):
@@ -331,6 +342,29 @@ class Requests:
 
     # --- values ----------------------------------------------------------------------
 
+    @one_by_type
+    @follows
+    def read_value(
+        self, /, table: RegisterTable, address: int, type: TypeName, **layout: Unpack[Layout]
+    ) -> Steps[Any]:
+        """
+        Read one number, text or list of bits out of registers.
+
+        Args:
+            table: "holding_registers" or "input_registers".
+            address: the first register.
+            type: such as "float32"; see `libmodbus_py.values`.
+            layout: order (ABCD, CDAB, BADC or DCBA); encoding and padding of strings.
+        """
+        from ..protocol.tables import TABLES
+        from ..protocol.values import value_type
+
+        _check_registers(table)
+        kind = value_type(type, **layout)
+        cells = yield TABLES[table].read(address, kind.registers)
+        return kind.decode(cells)
+
+    @several_by_type
     @follows
     def read_values(
         self,
@@ -354,11 +388,10 @@ class Requests:
             order: ABCD, CDAB, BADC or DCBA.
             text: encoding and padding of strings.
         """
-        from ..protocol.tables import REGISTER_TABLES, TABLES
+        from ..protocol.tables import TABLES
         from ..protocol.values import value_type
 
-        if table not in REGISTER_TABLES:
-            raise ValueError(f"table must be one of {', '.join(REGISTER_TABLES)}, not {table!r}")
+        _check_registers(table)
         kind = value_type(type, order=order, **text)
         registers = kind.registers * integer("count", count, 1, 125 // kind.registers)
         cells = yield TABLES[table].read(address, registers)
@@ -491,6 +524,13 @@ class Requests:
                     raise outcome
             if lacks_masks:
                 yield ChangeRegister(request)
+
+
+def _check_registers(table: object) -> None:
+    from ..protocol.tables import REGISTER_TABLES
+
+    if table not in REGISTER_TABLES:
+        raise ValueError(f"table must be one of {', '.join(REGISTER_TABLES)}, not {table!r}")
 
 
 def _checked_map(given: object) -> RegisterMap:

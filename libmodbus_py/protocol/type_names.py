@@ -6,15 +6,28 @@ from __future__ import annotations
 
 from typing import Literal, TypedDict
 
-# fmt: off
 __all__ = [
-    "BitsType", "Layout", "NumberType", "Order", "TextOptions", "TextType", "TimeType", "TypeName",
+    "BitsType",
+    "FloatType",
+    "IntegerType",
+    "Layout",
+    "NumberType",
+    "Order",
+    "TextOptions",
+    "TextType",
+    "TimeType",
+    "TypeName",
 ]
-# fmt: on
 
 Order = Literal["ABCD", "CDAB", "BADC", "DCBA"]
 """The orders of bytes, by the names that hold for every width."""
 # fmt: off
+IntegerType = Literal[
+    "int16", "int32", "int64", "uint16", "uint32", "uint64", "bcd16", "bcd32", "bcd64",
+]
+"""Types whose values are whole numbers."""
+FloatType = Literal["float16", "float32", "float64"]
+"""Types whose values are floats."""
 NumberType = Literal[
     "int16", "int32", "int64", "uint16", "uint32", "uint64",
     "float16", "float32", "float64", "bcd16", "bcd32", "bcd64",
