@@ -8,11 +8,12 @@ import contextlib
 import reprlib
 import struct
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from typing import Any, Literal, NamedTuple, Unpack
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Unpack
 
 from ..protocol import pdu
 from ..protocol.errors import ModbusError
 from ..protocol.mistakes import WrongType, WrongValue
+from .close_names import close_to
 from .holes import HolesByDevice
 from .meaning import NoValue
 from .pieces import PartialAnswer
@@ -20,6 +21,9 @@ from .plan import Plan, PlanOptions
 from .point import Point
 from .scaling import scaling_by
 from .sources import scale_mistakes, sources_of
+
+if TYPE_CHECKING:
+    from .bound_map import BoundMap, MapClient
 
 __all__ = ["PointPlan", "RegisterMap", "close_to"]
 
@@ -144,6 +148,21 @@ class RegisterMap(Mapping[str, Point]):
         found = (self._points[name].scale_from for name in values)
         return list(dict.fromkeys(each for each in found if each is not None))
 
+    def bind(self, client: MapClient, **options: Unpack[PlanOptions]) -> BoundMap:
+        """
+        Return the map with a client: ``meter.read()``, then ``meter.voltage``.
+
+        Args:
+            client: a blocking client, or an `AsyncClient`: `read` and `write` are awaited.
+            options: of `Plan`, for reading: `gap`, `forbidden`, `max_registers`, `max_bits`.
+
+        Raises:
+            TypeError: the argument is no client.
+        """
+        from .bound_map import BoundMap  # most programs have no need of it
+
+        return BoundMap(client, self, **options)
+
     def _readable(self, names: Sequence[str] | None) -> list[Point]:
         if names is None:
             return [point for point in self._points.values() if point.is_readable]
@@ -156,14 +175,6 @@ class RegisterMap(Mapping[str, Point]):
         if name in self._points:
             return self._points[name]
         raise ValueError(f"the map has no point {reprlib.repr(name)}{close_to(name, self._points)}")
-
-
-def close_to(name: object, known: Iterable[str]) -> str:
-    """Return the end of a message about a name that is not known: those that are close to it."""
-    from difflib import get_close_matches
-
-    close = get_close_matches(name, known, 3) if isinstance(name, str) else []
-    return f"; close to it are {', '.join(close)}" if close else ""
 
 
 class _Scale(NamedTuple):

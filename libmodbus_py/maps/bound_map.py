@@ -1,0 +1,178 @@
+"""
+Register maps bound to clients: values as attributes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Coroutine, Iterable, Mapping
+from typing import Any, Protocol, Unpack
+
+from ..protocol.mistakes import WrongType
+from .attribute_names import attribute_names
+from .close_names import close_to
+from .plan import PlanOptions
+from .point import Point
+
+__all__ = ["BoundMap", "MapBinding", "MapClient"]
+
+
+class MapClient(Protocol):
+    """A client, blocking or not."""
+
+    @property
+    def read_map(self) -> Any:
+        """The method that reads points of a map."""
+        ...
+
+    @property
+    def write_map(self) -> Any:
+        """The method that writes points of a map."""
+        ...
+
+
+class MapBinding:
+    """
+    A register map with a client, and the values that were read: what bound maps have in common.
+
+    Args:
+        client: a blocking client or an `AsyncClient`.
+        map: a `RegisterMap`.
+        options: of `Plan`, for reading: `gap`, `forbidden`, `max_registers`, `max_bits`.
+
+    Attributes:
+        client, map: as given.
+
+    Raises:
+        TypeError: the first argument is no client.
+    """
+
+    def __init__(
+        self, client: MapClient, map: Mapping[str, Point], **options: Unpack[PlanOptions]
+    ) -> None:
+        if not callable(getattr(client, "read_map", None)):
+            raise WrongType("client", f"must be a client, not {type(client).__name__}")
+        self.client: Any = client
+        self.map: Mapping[str, Point] = map
+        self._options = options
+        self._values: dict[str, Any] = {}
+        self._attributes = attribute_names(map)
+        self._names = {attribute: name for name, attribute in self._attributes.items()}
+
+    def __getitem__(self, name: str) -> Any:
+        """
+        Return the value of a point by its name in the map.
+
+        Raises:
+            KeyError: there is no such point, or it has not been read.
+        """
+        if name in self._values:
+            return self._values[name]
+        if name in self.map:
+            raise KeyError(f"{name!r} has not been read: call read()")
+        raise KeyError(f"there is no point {name!r}{close_to(name, self.map)}")
+
+    def __setattr__(self, attribute: str, value: object) -> None:
+        if attribute in self.__dict__.get("_names", ()):
+            raise AttributeError(f"{attribute} is written by write({attribute}=...)")
+        super().__setattr__(attribute, value)
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__} of {len(self.map)} points: {self._values!r}>"
+
+    def _read(self, attributes: Iterable[str]) -> Any:
+        """Read points, all if no attribute is given; return None, or a coroutine for it."""
+        names = [self._named(each) for each in attributes] or None
+        found = self.client.read_map(self.map, names, **self._options)
+        if hasattr(found, "__await__"):
+            return self._keep_later(found)
+        self._values.update(found)
+        return None
+
+    async def _keep_later(self, coming: Coroutine[Any, Any, Mapping[str, Any]]) -> None:
+        self._values.update(await coming)
+
+    def _write(self, values: Mapping[str, Any]) -> Any:
+        """Write values by attribute; return None, or a coroutine for it."""
+        given = {self._named(attribute): value for attribute, value in values.items()}
+        return self.client.write_map(self.map, given)
+
+    def _value(self, name: str) -> Any:
+        """
+        Return the value of a point, None for no value.
+
+        Raises:
+            AttributeError: it has not been read.
+        """
+        if name not in self._values:
+            raise AttributeError(f"{self._attributes[name]} has not been read: call read()")
+        return self._values[name]
+
+    def _certain(self, name: str) -> Any:
+        """
+        Return the value of a point for which the map knows no values that mean none.
+
+        Raises:
+            AttributeError: it has not been read.
+            ValueError: there is no value all the same, such as for a nan.
+        """
+        value = self._value(name)
+        if value is None:
+            raise ValueError(f"{name} has no value")
+        return value
+
+    def _named(self, attribute: str) -> str:
+        if attribute in self._names:
+            return self._names[attribute]
+        close = close_to(attribute, self._names)
+        raise AttributeError(f"there is no attribute {attribute!r}{close}")
+
+
+class BoundMap(MapBinding):
+    """
+    A register map, bound to a client: ``meter.read()``, then ``meter.voltage``.
+
+    With an `AsyncClient`, `read` and `write` are awaited. An attribute has the value of the last
+    `read` that succeeded, None for no value; nothing is sent for it. Classes that
+    ``libmodbus-py map class`` writes are alike, and type checkers know their attributes.
+
+    The attribute of a point is its name, if that is an identifier. In other names every run of
+    characters that no identifier has becomes one ``_``, and those at the ends are removed; "point_"
+    comes before a digit, ``_`` behind a name that Python or this class uses, and ``_2``, ``_3``
+    and so on behind one that is taken. ``meter["voltage L1"]`` is the value of the name itself.
+    """
+
+    def read(self, *attributes: str) -> Any:
+        """
+        Read points, all that can be read unless attributes are named.
+
+        Returns:
+            None; a coroutine with an `AsyncClient`.
+
+        Raises:
+            AttributeError: there is no such attribute.
+            ModbusError, TypeError, ValueError: as of `read_map`; all values stay as they were.
+        """
+        return self._read(attributes)
+
+    def write(self, **values: Any) -> Any:
+        """
+        Write values to points, by their attributes: ``meter.write(setpoint=21.5)``.
+
+        All are checked before the first byte is sent. Attributes change with the next `read`.
+
+        Returns:
+            None; a coroutine with an `AsyncClient`.
+
+        Raises:
+            AttributeError: there is no such attribute.
+            ModbusError, TypeError, ValueError: as of `write_map`.
+        """
+        return self._write(values)
+
+    def __getattr__(self, attribute: str) -> Any:
+        if attribute.startswith("_"):  # before __init__, such as in copy.copy
+            raise AttributeError(attribute)
+        return self._value(self._named(attribute))
+
+    def __dir__(self) -> list[str]:
+        return sorted({*super().__dir__(), *self._names})

@@ -1,0 +1,17 @@
+"""
+Names that are close to one that is not known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+__all__ = ["close_to"]
+
+
+def close_to(name: object, known: Iterable[str]) -> str:
+    """Return the end of a message about a name that is not known: those that are close to it."""
+    from difflib import get_close_matches
+
+    close = get_close_matches(name, known, 3) if isinstance(name, str) else []
+    return f"; close to it are {', '.join(close)}" if close else ""
