@@ -1,0 +1,209 @@
+"""
+Python classes for register maps: what they have, and that no text of a map becomes a program.
+"""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from libmodbus_py import Client, Device, Point, RegisterMap, Server, load_map
+from libmodbus_py.maps.attribute_names import attribute_names, class_name
+from libmodbus_py.tools.files.maps.class_text import class_text
+from tests.support.cases import each_case
+
+TYPING = Path(__file__).parents[2] / "typing"
+
+
+def made(map: RegisterMap, stem: str = "meter") -> dict[str, Any]:
+    """Return the names of the module that a class is in."""
+    space: dict[str, Any] = {"__name__": "made"}
+    exec(compile(class_text(map, stem), "made.py", "exec"), space)
+    return space
+
+
+def test_the_class_of_the_type_checkers_is_as_it_is_written_now() -> None:
+    assert class_text(load_map(TYPING / "meter.csv"), "meter") == (TYPING / "meter.py").read_text()
+
+
+def test_a_class_reads_and_writes() -> None:
+    map = load_map(TYPING / "meter.csv")
+    device = Device.of_map(map, {"voltage": 230.5, "energy total": 7, "serial number": "A1"})
+    with Server(device).background("tcp://127.0.0.1:0") as running, Client(running.urls[0]) as plc:
+        meter = made(map)["Meter"](plc)
+        with pytest.raises(AttributeError, match=r"voltage has not been read: call read\(\)"):
+            print(meter.voltage)
+        meter.read()
+        assert (meter.voltage, meter.energy_total, meter.run) == (230.5, 7, False)
+        assert meter["energy total"] == 7
+        meter.write(setpoint=21.5, run=True, reset=True)
+        assert (meter.run, device["setpoint"], device["reset"]) == (False, 21.5, True)
+        meter.read("run")
+        assert (meter.run, meter.setpoint) == (True, 0)
+        with pytest.raises(AttributeError, match="'sepoint'; close to it are setpoint"):
+            meter.write(sepoint=3)
+        with pytest.raises(ValueError, match=r"setpoint: value must be in 5\.\.30"):
+            meter.write(setpoint=99)
+        with pytest.raises(AttributeError):
+            meter.setpoint = 3
+        with pytest.raises(AttributeError):
+            print(meter.reset)  # it cannot be read
+    assert "230.5" in repr(meter)
+
+
+def test_the_map_in_the_file_is_that_of_the_class() -> None:
+    for source in (TYPING / "meter.csv", Path("examples/meter-map.csv")):
+        if source.exists():
+            map = load_map(source)
+            assert list(made(map)["MAP"].values()) == list(map.values())
+
+
+# --- attacks --------------------------------------------------------------------------------
+
+TEXTS = [
+    '"""',
+    "'''",
+    '"""\nimport os\nos.abort()\n"""',
+    "\\",
+    "\\\\",
+    '\\"',
+    '"',
+    'ends with a quote"',
+    "ends with a backslash\\",
+    'a \\""" b',
+    "{} {0} %s {__import__('os').abort()}",
+    "\\N{BULLET} \\x00 \\u0000 \\",
+    "line\nline\n\n\n    line\n\ttab\n",
+    "# noqa\n# type: ignore",
+    "ä ° µ Ω 温度 🔥",
+    '""""""""""',
+    " ".join(["word"] * 300),
+    "\\" * 300,
+]
+
+
+@each_case("text", TEXTS)
+def test_descriptions_stay_texts(text: str) -> None:
+    check_texts(RegisterMap([Point("a", "coils", 0, description=text)]))
+
+
+@each_case("text", [each for each in TEXTS if "\n" not in each and len(each) < 50])
+def test_names_and_units_stay_texts(text: str) -> None:
+    name = text.strip()
+    check_texts(RegisterMap([Point(name, "coils", 0), Point("b", "coils", 1, units=name)]))
+
+
+PRINTABLE = st.characters(exclude_categories=["C", "Z"])
+
+
+@given(st.text(PRINTABLE, min_size=1, max_size=20), st.text(PRINTABLE | st.just("\n"), max_size=80))
+def test_any_text_stays_a_text(name: str, description: str) -> None:
+    check_texts(RegisterMap([Point(name, "holding_registers", 0, description=description)]))
+
+
+@given(st.text(min_size=0, max_size=20))
+def test_any_name_of_a_file_gives_a_class(stem: str) -> None:
+    if any(0xD800 <= ord(each) <= 0xDFFF for each in stem):
+        return  # no file has such a name
+    text = class_text(RegisterMap([Point("a", "coils", 0)]), stem)
+    classes = [node.name for node in ast.parse(text).body if isinstance(node, ast.ClassDef)]
+    assert len(classes) == 3
+    assert class_name(stem).isidentifier()
+
+
+def check_texts(map: RegisterMap) -> None:
+    """The file has the statements that it has for plain texts, and the points are the same."""
+    text = class_text(map, "meter")
+    plain = RegisterMap([Point(f"p{at}", "coils", at) for at in range(len(map))])
+    found, expected = (
+        [type(node).__name__ for node in ast.parse(each).body]
+        for each in (text, class_text(plain, "meter"))
+    )
+    assert found == expected
+    assert list(made(map)["MAP"].values()) == list(map.values())
+
+
+# --- names ----------------------------------------------------------------------------------
+
+
+@each_case(
+    ("names", "attributes"),
+    [
+        (["voltage", "L1", "température"], ["voltage", "L1", "température"]),
+        (["Voltage L1", "  "[:0] + "°C", "a--b"], ["Voltage_L1", "C", "a_b"]),
+        (["1st", "3", "-"], ["point_1st", "point_3", "point"]),
+        (["class", "read", "self", "float", "map"], ["class_", "read_", "self_", "float_", "map_"]),
+        (["a b", "a_b", "a-b"], ["a_b_2", "a_b", "a_b_3"]),
+        (["_private", "__init__", "__class__"], ["private", "init", "class_"]),
+        (["ﬁeld", "field"], ["field_2", "field"]),
+        (["None", "True", "lambda"], ["None_", "True_", "lambda_"]),
+        (["", "!", "?"], ["point", "point_2", "point_3"]),
+        (["a", "a_2", "a "], ["a", "a_2", "a_3"]),
+    ],
+)
+def test_attributes_of_names(names: list[str], attributes: list[str]) -> None:
+    assert list(attribute_names(names).values()) == attributes
+
+
+@given(st.lists(st.text(max_size=8), unique=True, max_size=12))
+def test_attributes_are_identifiers_and_differ(names: list[str]) -> None:
+    found = attribute_names(names)
+    assert list(found) == names
+    assert len(set(found.values())) == len(names)
+    for attribute in found.values():
+        assert attribute.isidentifier()
+        assert ast.parse(f"x.{attribute}")
+        assert not attribute.startswith("_")
+
+
+NASTY = RegisterMap(
+    [
+        Point(name, "holding_registers", at, access=access)  # type: ignore[arg-type]
+        for at, (name, access) in enumerate(
+            (name, access)
+            for name in (
+                *("float", "property", "Any", "Meter", "MeterName", "MAP", "overload", "keys"),
+                *("items", "get", "self", "values", "attributes", "Context", "super", "value"),
+                *("class", "a b", "a-b", "ClientT", "str", "int", "datetime", "Literal", "copy"),
+            )
+            for access in ("read_write",)
+        )
+    ]
+    + [
+        Point("levels", "holding_registers", 100, 3, type="float32"),
+        Point("flags", "holding_registers", 110, type="bits16"),
+        Point("texts", "holding_registers", 120, 2, type="string:4"),
+        Point("alarms", "coils", 0, 8),
+        Point("hidden", "coils", 9, access="write"),
+        Point("quotes", "coils", 10, description='say "hello"\nand \\ and """ and ""'),
+    ]
+)
+
+
+def test_checkers_and_formatters_take_a_map_of_nasty_names(tmp_path: Path) -> None:
+    (tmp_path / "meter.py").write_text(class_text(NASTY, "meter"))
+    (tmp_path / "none.py").write_text(class_text(RegisterMap([Point("a", "coils", 0)]), "class"))
+    tools = Path(sys.executable).parent
+    mypy = [tools / "mypy", "--strict", "--follow-imports=silent", "--cache-dir", tmp_path / "c"]
+    for command in (
+        [tools / "ruff", "check", "--isolated", "--no-cache", "."],
+        [tools / "ruff", "format", "--isolated", "--no-cache", "--check", "."],
+        [*mypy, "meter.py", "none.py"],
+    ):
+        done = subprocess.run(
+            [str(each) for each in command],
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            check=False,
+            env={"PATH": "/usr/bin:/bin", "MYPYPATH": str(TYPING.parents[1])},
+        )
+        assert done.returncode == 0, done.stdout + done.stderr
+    made(NASTY)
