@@ -101,6 +101,8 @@ def output(command: list[str]) -> str:
     # An editable installation is found by a hook that pyright does not run: it is told
     # the path instead. And it need not ask the network for a newer version of itself.
     surroundings = {"PYTHONPATH": str(ROOT), "PYRIGHT_PYTHON_IGNORE_WARNINGS": "1"}
+    # meter.py, which `libmodbus-py map class` has written, is beside the files that use it.
+    surroundings["MYPYPATH"] = f"{ROOT}:{HERE}"
     done = subprocess.run(
         command,
         cwd=ROOT,

@@ -9,6 +9,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, assert_type
 
+from meter import Meter
+
 from libmodbus_py import (
     Access,
     AsciiContext,
@@ -37,6 +39,7 @@ from libmodbus_py import (
     pdu,
 )
 from libmodbus_py.listen import Separator, Transaction, listen
+from libmodbus_py.protocol.type_names import TypeName
 
 ALL = [
     TcpContext("192.0.2.10", unit=17, timeout=1.0, framing="rtu", native=False),
@@ -105,6 +108,58 @@ def values(plc: TcpContext) -> None:
     plc.read_values("holding_registers", 100, "float32", 2, order="CDAB")
     plc.read_values("input_registers", 100, "string:16", encoding="latin-1", padding=" ")
     plc.write_values("holding_registers", 100, [3.14], "float64", order="DCBA")
+
+
+def typed(plc: TcpContext, type: TypeName) -> None:
+    assert_type(plc.read_value("holding_registers", 100, "float32", order="CDAB"), float)
+    assert_type(plc.read_value("input_registers", 100, "uint16"), int)
+    assert_type(plc.read_value("input_registers", 100, "bcd32"), int)
+    assert_type(plc.read_value("input_registers", 100, "string:16", padding=" "), str)
+    assert_type(plc.read_value("input_registers", 100, "bits16"), list[bool])
+    plc.read_value("input_registers", 100, type)
+    assert_type(plc.read_values("holding_registers", 100, "float64", 2), list[float])
+    assert_type(plc.read_values("holding_registers", 100, type="int64", count=2), list[int])
+    assert_type(plc.read_values("holding_registers", 100, "string:8", order="BADC"), list[str])
+    assert_type(plc.read_values("holding_registers", 100, "bits32"), list[list[bool]])
+    assert_type(plc.for_unit(3).read_value("holding_registers", 100, "float16"), float)
+
+
+def named_values() -> None:
+    map = load_map("meter.csv")
+    device = Device.of_map(map, {"setpoint": 20}, after_write=print, files={4: [0]})
+    device["setpoint"] = 21.5
+    device.update({"setpoint": 21.5, "run": True})
+    assert_type(device["setpoint"], Any)
+    assert_type(device.points["setpoint"], Point)
+    Device(Mapping(coils=8), points=map)
+    device.mapping.save("meter.state")
+    device.mapping.load(Path("meter.state"))
+
+
+def classes(plc: TcpContext) -> None:
+    meter = Meter(plc, gap=4)
+    assert_type(meter.read(), None)
+    meter.read("voltage", "energy_total")
+    assert_type(meter.voltage, float)
+    assert_type(meter.energy_total, int)
+    assert_type(meter.serial_number, str)
+    assert_type(meter.run, bool)
+    assert_type(meter.write(setpoint=21.5, run=True), None)
+    bound = load_map("meter.csv").bind(plc, gap=4)
+    bound.read("voltage")
+    assert_type(bound.voltage, Any)
+    bound.write(setpoint=21.5)
+
+
+async def awaited_classes(plc: AsyncClient) -> None:
+    meter = Meter(plc)
+    assert_type(await meter.read("voltage"), None)
+    await meter.write(setpoint=21, reset=True)
+    assert_type(meter.voltage, float)
+    assert_type(await plc.read_value("holding_registers", 0, "float32"), float)
+    assert_type(await plc.read_values("holding_registers", 0, "uint32", 4), list[int])
+    bound = load_map("meter.csv").bind(plc)
+    await bound.read()
 
 
 def many(plc: TcpContext) -> None:

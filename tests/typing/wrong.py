@@ -7,6 +7,8 @@ Nothing here runs.
 
 from __future__ import annotations
 
+from meter import Meter
+
 from libmodbus_py import (
     AsciiContext,
     AsyncClient,
@@ -113,3 +115,32 @@ def hearing(separator: Separator) -> None:
     listen("rtu:///dev/ttyUSB0", betwen="rtu+tcp://192.0.2.10")  # wrong
     Separator("tcp")  # wrong
     separator.feed(b"", 0.0, "master")  # wrong
+
+
+def misspelt(plc: TcpContext) -> None:
+    meter = Meter(plc)
+    print(meter.volttage)  # wrong
+    meter.read("volttage")  # wrong
+    meter.write(sepoint=21.5)  # wrong
+    meter.write(setpoint="warm")  # wrong
+    meter.voltage = 230.5  # wrong
+    meter.write(voltage=230.5)  # wrong
+    print(meter.reset)  # wrong
+    text: str = meter.voltage  # wrong
+    print(text)
+    count: int = plc.read_value("holding_registers", 0, "float32")  # wrong
+    print(count)
+    plc.read_value("holding_registers", 0, "flaot32")  # wrong
+    plc.read_value("holding_registers", 0, "float32", 2)  # wrong
+    Meter("tcp://192.0.2.10")  # wrong
+    Device.of_map(load_map("meter.csv"), {"setpoint": 20}, after_writes=print)  # wrong
+    Device.of_map("meter.csv")  # wrong
+
+
+async def misspelt_and_awaited(plc: AsyncClient) -> None:
+    meter = Meter(plc)
+    await meter.write(sepoint=21.5)  # wrong
+    await meter.read("volttage")  # wrong
+    values: list[str] = await plc.read_values("holding_registers", 0, "float32")  # wrong
+    print(values)
+    await Meter(TcpContext("192.0.2.10")).read()  # wrong

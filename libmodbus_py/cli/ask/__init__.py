@@ -19,5 +19,6 @@ Commands that ask one device: read, write, identify, diagnose, raw and map.
     raw              raw
     map              the arguments of map
     map_check        map check
+    map_class        map class
     map_from_device  map from-device
 """

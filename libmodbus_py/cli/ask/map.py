@@ -1,5 +1,5 @@
 """
-The command map: its actions check, list and from-device.
+The command map: its actions check, class, list and from-device.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ examples:
   libmodbus-py map check meter.csv drive.toml
   libmodbus-py map check meter.csv --device 192.0.2.10
   libmodbus-py map from-device /dev/ttyUSB0 -b 9600 -p none -u 7 -o meter.csv
+  libmodbus-py map class meter.csv -o meter.py
   libmodbus-py map from-device "tcp://192.0.2.10?unit=17" > meter.toml"""
 
 
@@ -51,6 +52,16 @@ def add_command(commands: Any) -> None:
         description=f"{about.capitalize()}; --map takes their names.",
     )
     listing.set_defaults(run=_list, parser=listing)
+    about = "write a Python class for a register map, in which type checkers find wrong names"
+    typed = actions.add_parser("class", help=about, description=f"{about.capitalize()}.")
+    typed.add_argument("file", metavar="FILE", help="such as meter.csv or meter.toml")
+    typed.add_argument(
+        "-o",
+        "--output",
+        metavar="FILE",
+        help="a .py file, new or written by this command before (printed)",
+    )
+    typed.set_defaults(run=_class, parser=typed)
     about = "find the addresses of a device by reading, and write a map of them"
     skeleton = actions.add_parser(
         "from-device",
@@ -87,6 +98,12 @@ def _list(options: argparse.Namespace) -> int:
     for name, about in example_files.maps().items():
         print(f"{name:<12} {about}")
     return 0
+
+
+def _class(options: argparse.Namespace) -> int:
+    from .map_class import write_class
+
+    return write_class(options)
 
 
 def _from_device(options: argparse.Namespace) -> int:

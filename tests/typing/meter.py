@@ -1,0 +1,204 @@
+"""
+The points of meter, written by libmodbus-py map class.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Coroutine
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    Generic,
+    Literal,
+    TypedDict,
+    TypeVar,
+    Unpack,
+    overload,
+)
+
+from libmodbus_py import Point, RegisterMap
+from libmodbus_py.bound import MapBinding
+
+if TYPE_CHECKING:
+    from libmodbus_py import AsyncClient, Context
+
+ClientT = TypeVar("ClientT", "Context", "AsyncClient")
+
+MeterName = Literal[
+    "voltage",
+    "power",
+    "energy_total",
+    "phases",
+    "setpoint",
+    "serial_number",
+    "run",
+]
+
+
+class MeterValues(TypedDict, total=False):
+    """Values that can be written."""
+
+    setpoint: float
+    run: bool
+    reset: bool
+
+
+MAP = RegisterMap(
+    [
+        Point(
+            name="voltage",
+            table="input_registers",
+            address=0,
+            type="uint16",
+            scale=0.1,
+            units="V",
+            access="read",
+            description="phase to neutral",
+        ),
+        Point(
+            name="power",
+            table="input_registers",
+            address=2,
+            type="int32",
+            scale=0.1,
+            units="W",
+            access="read",
+            description="negative when it feeds back",
+        ),
+        Point(
+            name="energy total",
+            table="input_registers",
+            address=4,
+            type="uint32",
+            units="kWh",
+            access="read",
+        ),
+        Point(
+            name="phases",
+            table="input_registers",
+            address=6,
+            type="float32",
+            units="A",
+            access="read",
+        ),
+        Point(
+            name="setpoint",
+            table="holding_registers",
+            address=0,
+            type="uint16",
+            scale=0.1,
+            units="°C",
+            access="read_write",
+            minimum=5,
+            maximum=30,
+        ),
+        Point(
+            name="serial number",
+            table="holding_registers",
+            address=10,
+            type="string:8",
+            access="read",
+        ),
+        Point(
+            name="run",
+            table="coils",
+            address=0,
+            access="read_write",
+        ),
+        Point(
+            name="reset",
+            table="coils",
+            address=1,
+            access="write",
+        ),
+    ]
+)
+
+
+class _MeterRequests(MapBinding, Generic[ClientT]):
+    def __init__(self, client: ClientT, **options: Any) -> None:
+        super().__init__(client, MAP, **options)
+
+    @overload
+    def read(self: _MeterRequests[Context], *attributes: MeterName) -> None: ...
+    @overload
+    def read(
+        self: _MeterRequests[AsyncClient], *attributes: MeterName
+    ) -> Coroutine[Any, Any, None]: ...
+    def read(self, *attributes: Any) -> Any:
+        """Read points, all that can be read unless attributes are named."""
+        return self._read(attributes)
+
+    @overload
+    def write(self: _MeterRequests[Context], **values: Unpack[MeterValues]) -> None: ...
+    @overload
+    def write(
+        self: _MeterRequests[AsyncClient], **values: Unpack[MeterValues]
+    ) -> Coroutine[Any, Any, None]: ...
+    def write(self, **values: Any) -> Any:
+        """Write values; all are checked before the first byte is sent."""
+        return self._write(values)
+
+
+class Meter(_MeterRequests[ClientT]):
+    """Values of the last read(); each is written with write()."""
+
+    @property
+    def voltage(self) -> float:
+        """
+        voltage: uint16, V, read-only.
+
+        phase to neutral
+        """
+        value: float = self._certain("voltage")
+        return value
+
+    @property
+    def power(self) -> float:
+        """
+        power: int32, W, read-only.
+
+        negative when it feeds back
+        """
+        value: float = self._certain("power")
+        return value
+
+    @property
+    def energy_total(self) -> int:
+        """
+        energy total: uint32, kWh, read-only.
+        """
+        value: int = self._certain("energy total")
+        return value
+
+    @property
+    def phases(self) -> float:
+        """
+        phases: float32, A, read-only.
+        """
+        value: float = self._certain("phases")
+        return value
+
+    @property
+    def setpoint(self) -> float:
+        """
+        setpoint: uint16, °C, 5..30.
+        """
+        value: float = self._certain("setpoint")
+        return value
+
+    @property
+    def serial_number(self) -> str:
+        """
+        serial number: string:8, read-only.
+        """
+        value: str = self._certain("serial number")
+        return value
+
+    @property
+    def run(self) -> bool:
+        """
+        run: bit.
+        """
+        value: bool = self._certain("run")
+        return value
