@@ -65,6 +65,54 @@ def test_the_map_in_the_file_is_that_of_the_class() -> None:
             assert list(made(map)["MAP"].values()) == list(map.values())
 
 
+MEANINGS = [
+    (Point("a", "holding_registers", 0), "int"),
+    (Point("a", "holding_registers", 0, scale=2, offset=-5), "int"),
+    (Point("a", "holding_registers", 0, scale=0.1), "float"),
+    (Point("a", "holding_registers", 0, offset=0.5), "float"),
+    (Point("a", "holding_registers", 0, type="float32"), "float"),
+    (Point("a", "holding_registers", 0, type="string:4"), "str"),
+    (Point("a", "holding_registers", 0, type="bits16"), "list[bool]"),
+    (Point("a", "holding_registers", 0, type="bits16", count=2), "list[list[bool]]"),
+    (Point("a", "coils", 0), "bool"),
+    (Point("a", "coils", 0, count=3), "list[bool]"),
+    (Point("a", "holding_registers", 0, type="unix32"), "datetime | None"),
+    (Point("a", "holding_registers", 0, missing=0xFFFF), "int | None"),
+    (Point("a", "holding_registers", 0, missing=[1, 2], scale=0.1), "float | None"),
+    (Point("a", "holding_registers", 0, plausible_maximum=9), "int | None"),
+    (Point("a", "holding_registers", 0, states={0: "off", 1: 'say "on"'}), "str | int"),
+    (Point("a", "holding_registers", 0, bits={0: "door", "4..7": "mode"}), "dict[str, int]"),
+    (Point("a", "holding_registers", 0, bit=3), "bool"),
+    (Point("a", "holding_registers", 0, bit="4..7"), "int"),
+    (Point("a", "holding_registers", 0, byte="high"), "int"),
+]
+
+
+@each_case(("point", "kind"), MEANINGS)
+def test_types_of_attributes(point: Point, kind: str) -> None:
+    text = class_text(RegisterMap([point]), "meter")
+    assert f"    def a(self) -> {kind}:\n" in text
+    assert list(made(RegisterMap([point]))["MAP"].values()) == [point]
+
+
+def test_a_value_that_may_be_missing_is_none_and_another_raises() -> None:
+    map = RegisterMap(
+        [
+            Point("a", "holding_registers", 0, missing=0xFFFF),
+            Point("b", "holding_registers", 1, type="float32"),
+        ]
+    )
+    device = Device.of_map(map)
+    device.mapping.holding_registers[0:3] = [0xFFFF, 0x7FC0, 0]
+    with Server(device).background("tcp://127.0.0.1:0") as running, Client(running.urls[0]) as plc:
+        meter = made(map)["Meter"](plc)
+        meter.read()
+        assert meter.a is None
+        with pytest.raises(ValueError, match="b has no value"):
+            print(meter.b)
+        assert meter["b"] is None
+
+
 # --- attacks --------------------------------------------------------------------------------
 
 TEXTS = [

@@ -177,23 +177,22 @@ def _written_kind(point: Point) -> str:
 
 
 def _kind_of_one(point: Point) -> str:
-    if getattr(point, "states", None) is not None:
+    if point.states is not None:
         return "str | int"
-    if getattr(point, "bits", None) is not None:
+    if point.bits is not None:
         return "dict[str, int]"
-    part = getattr(point, "bit", None)
-    if point.read.kind is None or (part is not None and ".." not in str(part)):
+    if point.read.kind is None or (point.bit is not None and ".." not in str(point.bit)):
         return "bool"
     is_whole = not any(each % 1 for each in (point.scale, point.offset))
     if point.type in WHOLE:
-        return "int" if is_whole and getattr(point, "scale_from", None) is None else "float"
+        return "int" if is_whole and point.scale_from is None else "float"
     if str(point.type).startswith("float"):
         return "float"
     if point.read.kind.is_text:
         return "str"
     if str(point.type).startswith("bits"):
         return "list[bool]"
-    return "datetime" if getattr(point.read.kind, "is_time", False) else "Any"
+    return "datetime" if point.read.kind.is_time else "Any"
 
 
 # --- texts ----------------------------------------------------------------------------------
