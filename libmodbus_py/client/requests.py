@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from ..maps.register_map import RegisterMap
     from ..protocol.tables import RegisterTable, WritableTable
     from ..protocol.type_names import Layout, Order, TextOptions, TypeName
-    from .typed_values import OneByType, SeveralByType
+    from .typed_values import ReadOne, ReadSeveral
 
     class _Method(Generic[Arguments, Result]):
         """A method of both clients, for type checkers: returns a result, or one to await."""
@@ -60,6 +60,44 @@ if TYPE_CHECKING:
     def follows(
         make: Callable[Concatenate[Any, Arguments], Steps[Result]],
     ) -> _Method[Arguments, Result]: ...
+
+    Later = Coroutine[Any, Any, Result]
+
+    class OneByType:
+        """The method `read_value` of both clients."""
+
+        @overload
+        def __get__(
+            self, client: Blocking, owner: object
+        ) -> ReadOne[int, float, list[bool], str, Any]: ...
+        @overload
+        def __get__(
+            self, client: Awaiting, owner: object
+        ) -> ReadOne[Later[int], Later[float], Later[list[bool]], Later[str], Later[Any]]: ...
+        @overload
+        def __get__(self, client: None, owner: object) -> Any: ...
+        def __get__(self, client: Any, owner: object) -> Any: ...
+
+    class SeveralByType:
+        """The method `read_values` of both clients."""
+
+        @overload
+        def __get__(
+            self, client: Blocking, owner: object
+        ) -> ReadSeveral[list[int], list[float], list[list[bool]], list[str], list[Any]]: ...
+        @overload
+        def __get__(
+            self, client: Awaiting, owner: object
+        ) -> ReadSeveral[
+            Later[list[int]],
+            Later[list[float]],
+            Later[list[list[bool]]],
+            Later[list[str]],
+            Later[list[Any]],
+        ]: ...
+        @overload
+        def __get__(self, client: None, owner: object) -> Any: ...
+        def __get__(self, client: Any, owner: object) -> Any: ...
 
     def one_by_type(method: object) -> OneByType: ...
 

@@ -7,15 +7,13 @@ await on the other.
 
 from __future__ import annotations
 
-from collections.abc import Coroutine
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar, Unpack, overload
+from typing import TYPE_CHECKING, Protocol, TypeVar, Unpack, overload
 
 if TYPE_CHECKING:
     from ..protocol.tables import RegisterTable
     from ..protocol.type_names import BitsType, FloatType, IntegerType, Layout, TextType, TypeName
-    from .requests import Awaiting, Blocking
 
-__all__ = ["OneByType", "SeveralByType"]
+__all__ = ["ReadOne", "ReadSeveral"]
 
 Integer = TypeVar("Integer", covariant=True)
 Real = TypeVar("Real", covariant=True)
@@ -102,44 +100,3 @@ class ReadSeveral(Protocol[Integer, Real, Bits, Text, Unknown]):
         count: int = 1,
         **layout: Unpack[Layout],
     ) -> Unknown: ...
-
-
-Result = TypeVar("Result")
-
-Later = Coroutine[Any, Any, Result]
-
-
-class OneByType(Protocol):
-    """The method `read_value` of both clients."""
-
-    @overload
-    def __get__(
-        self, client: Blocking, owner: object
-    ) -> ReadOne[int, float, list[bool], str, Any]: ...
-    @overload
-    def __get__(
-        self, client: Awaiting, owner: object
-    ) -> ReadOne[Later[int], Later[float], Later[list[bool]], Later[str], Later[Any]]: ...
-    @overload
-    def __get__(self, client: None, owner: object) -> Any: ...
-
-
-class SeveralByType(Protocol):
-    """The method `read_values` of both clients."""
-
-    @overload
-    def __get__(
-        self, client: Blocking, owner: object
-    ) -> ReadSeveral[list[int], list[float], list[list[bool]], list[str], list[Any]]: ...
-    @overload
-    def __get__(
-        self, client: Awaiting, owner: object
-    ) -> ReadSeveral[
-        Later[list[int]],
-        Later[list[float]],
-        Later[list[list[bool]]],
-        Later[list[str]],
-        Later[list[Any]],
-    ]: ...
-    @overload
-    def __get__(self, client: None, owner: object) -> Any: ...
