@@ -71,7 +71,13 @@ VALUES = Keys(
     ]
 )
 
-POINT_KEYS = POINT.but("table", "scale_from", "scale_as")  # which need another point of a map
+# Which points of a register map have.
+_MEANING = (
+    *("missing", "plausible_minimum", "plausible_maximum", "never_falls", "scale_from", "scale_as"),
+    *("states", "bits", "bit", "byte"),
+)
+
+POINT_KEYS = POINT.but("table", *_MEANING)
 """The keys of a point; the name of the list is its table."""
 
 TYPING = POINT.only("type", "order", "encoding", "padding")
