@@ -21,4 +21,5 @@ Bottom up:
     times      dates and times in registers
     spelling   values as people read and type them
     plain      values as JSON can contain them
+    json_text  the encoders of JSON
 """

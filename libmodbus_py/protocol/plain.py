@@ -6,20 +6,13 @@ from __future__ import annotations
 
 import dataclasses
 import enum
-import json
 import math
 import re
-from datetime import datetime
 from typing import Any
 
 from .pdu import Request
 
-# fmt: off
-__all__ = [
-    "ASCII_JSON", "COMPACT_JSON", "CONTROL", "JSON", "SORTED_JSON", "json_text", "plain",
-    "without_controls",
-]
-# fmt: on
+__all__ = ["CONTROL", "plain", "without_controls"]
 
 CONTROL = re.compile(r"[\x00-\x09\x0b-\x1f\x7f-\x9f]")
 """Control characters (Cc of Unicode) beside the line feed: terminals obey them."""
@@ -45,7 +38,7 @@ def plain(value: Any) -> Any:
         }
     if isinstance(value, bytes):
         return value.hex()
-    if isinstance(value, datetime):
+    if hasattr(value, "isoformat"):  # a datetime, whose module most commands never load
         return value.isoformat()
     if isinstance(value, enum.Enum):
         return value.value
@@ -56,23 +49,6 @@ def plain(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [plain(each) for each in value]
     return value
-
-
-# All values that the package tells in JSON pass through one of these. They raise a ValueError for
-# a nan or an infinity, in place of which `plain` returns None.
-JSON = json.JSONEncoder(ensure_ascii=False, allow_nan=False)
-"""Encodes text as it is."""
-
-ASCII_JSON = json.JSONEncoder(allow_nan=False)
-"""Encodes text in ASCII."""
-
-COMPACT_JSON = json.JSONEncoder(allow_nan=False, separators=(",", ":"))
-"""Encodes text in ASCII, without spaces."""
-
-SORTED_JSON = json.JSONEncoder(allow_nan=False, separators=(",", ":"), sort_keys=True)
-"""Encodes the same for equal values, without spaces."""
-
-json_text = ASCII_JSON.encode
 
 
 def without_controls(text: str) -> str:

@@ -20,8 +20,8 @@ from typing import Any
 from ..device.caller import Executed, ValueChange
 from ..protocol.callbacks import checked_callback, finished
 from ..protocol.errors import ExceptionResponse
+from ..protocol.json_text import json_text
 from ..protocol.logs import HarmlessLogger
-from ..protocol.plain import json_text
 from ..security.describing import CertificateHolder
 
 __all__ = ["Audit", "AuditEvent", "AuditFile", "OnAudited", "audit_of"]

@@ -14,8 +14,8 @@ from typing import Any, NamedTuple, Protocol
 from weakref import WeakValueDictionary
 
 from ...protocol.errors import ModbusError
+from ...protocol.json_text import JSON
 from ...protocol.logs import HarmlessLogger
-from ...protocol.plain import JSON
 from .readings import time_text
 from .statistics import FleetStatistics
 

@@ -17,8 +17,8 @@ from ...maps.point import Point
 from ...maps.register_map import PointPlan, RegisterMap
 from ...ports.endpoint import Endpoint, parse
 from ...protocol.checks import integer, number, seconds
+from ...protocol.json_text import json_text
 from ...protocol.mistakes import Path, WrongType, WrongValue, inside
-from ...protocol.plain import json_text
 from ...tools.files.maps.drafts import point_of
 
 __all__ = [

@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple, get_args
 
 from ...protocol.checks import number
-from ...protocol.plain import SORTED_JSON, json_text
+from ...protocol.json_text import SORTED_JSON, json_text
 
 __all__ = [
     "SETTINGS",

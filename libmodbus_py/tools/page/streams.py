@@ -14,8 +14,8 @@ from dataclasses import asdict
 from typing import Any
 
 from ...ports.names import start_thread
+from ...protocol.json_text import COMPACT_JSON
 from ...protocol.logs import HarmlessLogger
-from ...protocol.plain import COMPACT_JSON
 from ...protocol.tables import TABLES
 from ...protocol.values import ORDERS, TYPES
 from ...server.faults.fault import KINDS, OPTIONAL

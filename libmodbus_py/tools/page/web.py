@@ -13,7 +13,7 @@ from importlib import resources
 from typing import Any
 from urllib.parse import urlsplit
 
-from ...protocol.plain import json_text
+from ...protocol.json_text import json_text
 from ..timed_server import TimedServer
 from .actions import Actions
 from .guard import PageGuard

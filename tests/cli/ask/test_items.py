@@ -162,7 +162,7 @@ def test_addresses_that_look_like_no_reference_are_not(url: str) -> None:
         ("--watch holding 0", "must be the last argument"),
         ("holding 0 --map /dev/null/none", "/dev/null/none"),
         ("holding 0 --map none", "'none' is no file of a register map, which ends with .csv or "),
-        ("holding 0 --map plant", "and no example, which are iem3155, meter, "),
+        ("holding 0 --map plant", "and no example, which are em24, iem3155, meter, "),
     ],
 )
 def test_wrong_usage_is_one_line(url: str, words: str, named: str) -> None:

@@ -86,7 +86,7 @@ CASES: dict[str, tuple[list[tuple[str, str]], list[str]]] = {
     "no request": ([(ASKED, "00 01 00")], ["-> damaged: 3 bytes that are no frame"]),
     "no function": (
         [(ASKED, "0001 0000 0006 11 83 006B 0003")],
-        ["-> damaged: 12 bytes that are no frame"],
+        ["unit 17: -> invalid: a frame with function code 83h"],
     ),
     "an answer that nobody asked for": (
         [(ANSWERED, VALUES)],

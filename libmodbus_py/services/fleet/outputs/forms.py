@@ -10,7 +10,8 @@ from collections.abc import Iterable
 from functools import lru_cache
 from typing import Any
 
-from ....protocol.plain import JSON, json_text, plain
+from ....protocol.json_text import JSON, json_text
+from ....protocol.plain import plain
 from ....tools.files.csv_text import csv_rows
 from ..readings import Reading, time_text
 

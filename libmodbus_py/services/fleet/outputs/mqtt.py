@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 from ....protocol.checks import integer
+from ....protocol.json_text import JSON
 from ....protocol.logs import HarmlessLogger
 from ....protocol.mistakes import WrongType, WrongValue
-from ....protocol.plain import JSON
 from ....security.renewed import Renewed
 from ....security.words import in_words
 from ...tasks import end_tasks

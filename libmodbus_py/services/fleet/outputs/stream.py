@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
-from ....protocol.plain import JSON
+from ....protocol.json_text import JSON
 from ...engine.buckets import TIMEOUT, keep_stream
 from ...engine.errors import EngineError, explained
 from ..readings import Reading
