@@ -139,10 +139,12 @@ class Words:
 
     def sources_of(self, items: Iterable[Item]) -> list[Item]:
         """Return the points that scale those of some items, each before those that it scales."""
+        if self.map is None:
+            return []
         from ...maps.sources import sources_of
 
         points = [item.point for item in items if item.point is not None]
-        found = sources_of(points, self.map) if self.map is not None else {}
+        found = sources_of(points, self.map)
         return [self._of_point(point) for point in found.values()]
 
     # --- places --------------------------------------------------------------------------
