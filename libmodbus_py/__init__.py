@@ -18,7 +18,8 @@ each other::
 The public names of the package are those of ``__init__.pyi``; each is imported when it is first
 used. The other files are public modules that take their names from the folders: ``errors``,
 ``framing``, ``low_level``, ``pdu`` and ``values``; ``listen``, ``scan``, ``page`` and ``serve``;
-``fleet``, ``device_file`` and ``bound``; ``testing``; ``prometheus`` and ``modbus_connection``.
+``fleet``, ``device_file``, ``bound`` and ``sunspec``; ``testing``; ``prometheus`` and
+``modbus_connection``.
 
 A read goes ``client`` -> ``protocol.pdu`` -> ``protocol.framing`` -> ``ports`` -> the wire ->
 ``ports`` -> ``server`` -> ``device`` -> libmodbus's modbus_reply on the tables, and back. The

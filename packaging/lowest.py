@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 PYPROJECT = Path(__file__).parents[1] / "pyproject.toml"
-EXTRAS = ("security", "metrics", "homeassistant", "mqtt", "completion", "nats")
+EXTRAS = ("security", "metrics", "homeassistant", "mqtt", "completion", "nats", "sunspec")
 
 # The name, the lowest version, and the environment that wants it.
 _LOWEST = re.compile(r"([\w.-]+)(?:\[[^]]*\])?>=([\w.]+)[^;]*(;.*)?")

@@ -6,6 +6,7 @@ Tools on top of clients and servers, for people who look at what happens.
     files          what stands in files: TOML and CSV, and register maps in either
     listener       transactions of other devices on a line
     scan           units that answer, the settings of their line, and the registers that they have
+    sunspec        SunSpec models of a device, as register maps
     simulator      devices from a file, whose values move and whose answers fail
     testing        for tests: lines with a tap, servers that record, the pytest plugin
     page           a live page of a server, in a browser

@@ -1,0 +1,116 @@
+"""
+Discovery of SunSpec models, for both clients.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Coroutine, Iterable, Iterator, Mapping
+from typing import Any, overload
+
+from ...client.requests import Awaiting, Blocking, Steps
+from ...maps.point import Point
+from ...maps.register_map import RegisterMap
+from ...protocol.errors import ExceptionResponse
+from ...protocol.mistakes import WrongType
+from .chain import BASES, HEADER, Chain, Header, checked_bases, read_span, walk
+from .definitions import definition_of, folder
+from .device import SunSpecDevice, SunSpecModel, names_of
+from .points import MOST_POINTS, NOT_IMPLEMENTED, TABLE, Laid, ModelLayout, counters_of
+
+__all__ = ["discover"]
+
+
+@overload
+def discover(client: Blocking, *, bases: Iterable[int] = BASES) -> SunSpecDevice: ...
+@overload
+def discover(
+    client: Awaiting, *, bases: Iterable[int] = BASES
+) -> Coroutine[Any, Any, SunSpecDevice]: ...
+def discover(client: Any, *, bases: Iterable[int] = BASES) -> Any:
+    """
+    Find the SunSpec models of a device: ``sunspec.discover(plc)``, or with ``await``.
+
+    One request for each base that is tried, and one for each model; a few more for models whose
+    groups are repeated as often as a register says. No more than 256 models and 10000 points
+    are taken. A point whose scale factor the device does not have has no value.
+
+    Args:
+        client: a `Context` or an `AsyncClient`; its unit is asked.
+        bases: 1..16 addresses at which the chain may begin, tried in this order.
+
+    Returns:
+        The models and their points. A chain that is wrong ends where it is wrong, and `notes` say
+        why.
+
+    Raises:
+        TypeError, ValueError: an argument is wrong.
+        ImportError: pysunspec2, which has the definitions of the models, is missing.
+        SunSpecError: the registers at no base hold "SunS".
+        ModbusError: there is no answer.
+    """
+    if not isinstance(client, Blocking | Awaiting):
+        raise WrongType("client", f"must be a client, not {type(client).__name__}")
+    folder()  # before anything is sent
+    return client._follow(_discovery, (checked_bases(bases),), {})
+
+
+def _discovery(_: object, bases: Iterable[int]) -> Steps[SunSpecDevice]:
+    chain = yield from walk(bases)
+    definitions = [definition_of(header.id) for header in chain.headers]
+    names = names_of(
+        chain.headers, [None if group is None else group["name"] for group in definitions]
+    )
+    models, room = [], MOST_POINTS
+    for header, group, name in zip(chain.headers, definitions, names, strict=True):
+        if group is None:
+            models.append(_unknown(header, name))
+            continue
+        counts = yield from _counts(chain, header, group)
+        laid = ModelLayout(group, header.address, header.length, counts, room).laid()
+        room -= len(laid.points)
+        chain.notes += _notes(header, laid)
+        label, points = group.get("label", ""), RegisterMap(laid.points)
+        models.append(SunSpecModel(*_place(header), name, label, True, points))
+    return SunSpecDevice(chain.base, tuple(models), chain.end, tuple(chain.notes))
+
+
+def _counts(chain: Chain, header: Header, group: Mapping[str, Any]) -> Steps[dict[str, int]]:
+    """Read the points by which groups are repeated."""
+    offsets = counters_of(group)
+    offsets = {name: at for name, at in offsets.items() if at < HEADER + header.length}
+    if not offsets:
+        return {}
+    first, last = min(offsets.values()), max(offsets.values())
+    cells = yield from read_span(header.address + first, last - first + 1)
+    if isinstance(cells, ExceptionResponse):
+        chain.notes.append(f"{_told(header)}: its repeated groups are left out: {cells}")
+        return {}
+    found = {name: cells[at - first] for name, at in offsets.items()}
+    return {name: 0 if count == NOT_IMPLEMENTED else count for name, count in found.items()}
+
+
+def _notes(header: Header, laid: Laid) -> Iterator[str]:
+    for note in laid.notes:
+        yield f"{_told(header)} has the length {header.length}: {note}"
+    rest = HEADER + header.length - laid.used
+    if rest and not laid.notes:
+        yield f"{_told(header)} has {rest} registers more than its definition"
+
+
+def _told(header: Header) -> str:
+    return f"model {header.id} at address {header.address}"
+
+
+def _place(header: Header) -> tuple[int, int, int]:
+    return header.id, header.address, header.length
+
+
+def _unknown(header: Header, name: str) -> SunSpecModel:
+    """Return a model without a definition: its registers as they are."""
+    points = [
+        Point("ID", TABLE, header.address, access="read"),
+        Point("L", TABLE, header.address + 1, access="read"),
+    ]
+    if header.length:
+        points.append(Point("registers", TABLE, header.address + HEADER, header.length))
+    return SunSpecModel(*_place(header), name, "", False, RegisterMap(points))
