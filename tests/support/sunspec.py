@@ -1,0 +1,86 @@
+"""
+SunSpec devices for tests: chains of models as registers, and servers of them.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Generator, Iterable, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from libmodbus_py import Device, Mapping, Server
+from libmodbus_py.client.requests import Several
+from libmodbus_py.protocol.errors import IllegalDataAddress
+
+__all__ = ["END", "MARKER", "Walked", "chain", "file_device", "serving", "walked"]
+
+MARKER = [0x5375, 0x6E53]
+END = [0xFFFF, 0]
+
+
+def chain(*models: Sequence[int], end: Sequence[int] = END) -> list[int]:
+    """Return the registers of a chain; each model begins with its id and its own idea of length."""
+    return [*MARKER, *(cell for model in models for cell in model), *end]
+
+
+def file_device(name: str) -> list[int]:
+    """Return the registers of a device that pysunspec2 has in a file for its own tests."""
+    import sunspec2
+    from sunspec2.file.client import FileClientModel
+
+    path = Path(sunspec2.__file__).parent / "tests" / "test_data" / name
+    models = []
+    for given in json.loads(path.read_text())["models"]:
+        if given["ID"] == END[0]:
+            break
+        data = FileClientModel(given["ID"], 0, given.get("L"), data=given).get_mb()
+        cells = list(struct.unpack(f">{len(data) // 2}H", data))
+        models.append([cells[0], len(cells) - 2, *cells[2:]])  # one of the files has no lengths
+    return chain(*models)
+
+
+@contextmanager
+def serving(cells: Sequence[int], base: int = 40000) -> Generator[str]:
+    """Serve registers from an address on, and no others; gives the URL."""
+    device = Device(Mapping(holding_registers={base: list(cells)}))
+    with Server(device).background("tcp://127.0.0.1:0") as running:
+        yield running.urls[0]
+
+
+class Walked:
+    """
+    A procedure that is carried out on registers in memory.
+
+    Attributes:
+        result: its result.
+        requests: address and count of each of its requests.
+    """
+
+    def __init__(self, steps: Generator[Any, Any, Any], cells: dict[int, int]) -> None:
+        self.requests: list[tuple[int, int]] = []
+        self.result: Any = None
+        answers = None
+        try:
+            while True:
+                step = steps.send(answers)
+                assert isinstance(step, Several)
+                answers = [self._answer(each, cells) for each in step.requests]
+        except StopIteration as done:
+            self.result = done.value
+
+    def _answer(self, request: Any, cells: dict[int, int]) -> Any:
+        asked = range(request.address, request.address + request.count)
+        self.requests.append((request.address, request.count))
+        assert 1 <= request.count <= 125
+        assert asked.stop <= 65536
+        if not all(at in cells for at in asked):
+            return IllegalDataAddress()
+        return [cells[at] for at in asked]
+
+
+def walked(steps: Generator[Any, Any, Any], cells: Iterable[int], base: int = 40000) -> Walked:
+    """Carry out a procedure on registers from an address on."""
+    return Walked(steps, dict(enumerate(cells, base)))
