@@ -10,7 +10,18 @@ from tests.support.commands import run
 
 @each_case(
     "name",
-    ["certificates", "completion", "fleet", "gateway", "listen", "map", "poll", "scan", "serve"],
+    [
+        "certificates",
+        "completion",
+        "fleet",
+        "gateway",
+        "listen",
+        "map",
+        "poll",
+        "scan",
+        "serve",
+        "sunspec",
+    ],
 )
 def test_help_of_others_has_four_examples(name: str) -> None:
     text = run(name, "--help").out

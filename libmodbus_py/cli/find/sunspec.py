@@ -1,0 +1,116 @@
+"""
+The command sunspec: the SunSpec models of a device, and their values.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator
+from contextlib import closing
+from typing import Any
+
+from .. import arguments
+
+__all__ = ["add_command"]
+
+EXAMPLES = """\
+examples:
+  libmodbus-py sunspec 192.0.2.10
+  libmodbus-py sunspec 192.0.2.10 --base 40000 --json
+  libmodbus-py sunspec /dev/ttyUSB0 -b 9600 -u 126
+  libmodbus-py sunspec 192.0.2.10 --csv > inverter.csv"""
+
+
+def add_command(commands: Any) -> None:
+    """Add the command to argparse."""
+    command = commands.add_parser(
+        "sunspec",
+        description="Print the SunSpec models of a device, and their values with units.\n"
+        "Values that the device has not implemented are left out of the table.",
+        epilog=f"It needs: pip install 'libmodbus-py[sunspec]'.\n\n{EXAMPLES}\n\n{arguments.URLS}",
+    )
+    arguments.add_client(command)
+    command.add_argument(
+        "--base",
+        type=int,
+        metavar="A",
+        help="the address at which the models begin (0, 40000 and 50000 are tried)",
+    )
+    form = command.add_mutually_exclusive_group()
+    form.add_argument("--csv", action="store_true", help="print CSV: a header, and a row each")
+    arguments.add_json(form)
+    command.set_defaults(run=_sunspec)
+
+
+def _sunspec(options: argparse.Namespace) -> int:
+    from ...tools.sunspec.chain import BASES
+    from ...tools.sunspec.discovery import discover
+    from ..connecting import connected
+    from ..failing import CommandError
+    from ..output import complain
+
+    with closing(connected(options)) as context:
+        try:
+            device = discover(context, bases=BASES if options.base is None else (options.base,))
+        except ImportError as error:
+            raise CommandError(str(error)) from None
+        for note in device.notes:
+            complain(note)
+        rows = _rows(device, context.read_map(device.map, return_exceptions=True))
+        _FORMS["json" if options.json else "csv" if options.csv else ""](list(rows))
+    return 0
+
+
+def _rows(device: Any, values: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """Yield a row for each point of each model."""
+    for model in device:
+        for name, point in model.map.items():
+            value = values[f"{model.name}.{name}"]
+            reason = str(value) if isinstance(value, Exception) else ""
+            yield {
+                "model": model.id,
+                "address": point.address,
+                "name": f"{model.name}.{name}",
+                "value": None if reason else value,
+                "units": point.units,
+                "reason": reason,
+            }
+
+
+def _print_json(rows: list[dict[str, Any]]) -> None:
+    from ..output import print_json
+
+    for row in rows:
+        print_json(row)
+
+
+def _print_csv(rows: list[dict[str, Any]]) -> None:
+    from ...tools.files.csv_text import csv_rows
+
+    if rows:
+        cells = [[_text(each) for each in row.values()] for row in rows]
+        sys.stdout.write(csv_rows([list(rows[0]), *cells]))
+
+
+def _print_table(rows: list[dict[str, Any]]) -> None:
+    from ..output import harmless
+
+    shown = [row for row in rows if row["value"] is not None]
+    width = max((len(row["name"]) for row in shown), default=0)
+    for row in shown:
+        line = f"{row['address']:>5}  {row['name']:<{width}}  {_text(row['value'])} {row['units']}"
+        print(harmless(line.rstrip()))
+
+
+def _text(value: Any) -> str:
+    """Return a value for people: of named bits, the names of those that are set."""
+    if isinstance(value, dict):
+        return " ".join(name for name, is_set in value.items() if is_set) or "-"
+    if isinstance(value, list):
+        return " ".join(str(int(each)) for each in value)
+    return "" if value is None else str(value)
+
+
+_FORMS = {"json": _print_json, "csv": _print_csv, "": _print_table}
+"""Option -> the function that prints rows."""

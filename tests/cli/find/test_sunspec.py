@@ -1,0 +1,50 @@
+"""
+The command sunspec.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+
+from tests.support.commands import run
+from tests.support.sunspec import chain, file_device, serving
+
+IRRADIANCE = chain([302, 5, 812, 0xFFFF, 90, 0xFFFF, 0xFFFF])
+
+
+def test_the_values_of_all_models_are_printed() -> None:
+    with serving(file_device("device_1547.json")) as url:
+        done = run("sunspec", url)
+    assert (done.code, done.err) == (0, "")
+    lines = [" ".join(line.split()) for line in done.out.splitlines()]
+    assert "40004 common.Mn SunSpecTest" in lines
+    assert any(line.endswith("DERMeasureAC.W 9800 W") for line in lines)
+    assert not any("InvSt" in line for line in lines)
+
+
+def test_json_has_null_and_csv_an_empty_cell_for_no_value() -> None:
+    with serving(IRRADIANCE) as url:
+        found = [json.loads(line) for line in run("sunspec", url, "--json").out.splitlines()]
+        rows = list(csv.DictReader(run("sunspec", url, "--csv").out.splitlines()))
+    values = [each["value"] for each in found]
+    assert values == [302, 5, 812, None, 90, None, None]
+    assert [row["value"] for row in rows] == ["302", "5", "812", "", "90", "", ""]
+    assert [row["address"] for row in rows] == [str(at) for at in range(40002, 40009)]
+    assert "has no value" in found[3]["reason"]
+    assert found[2]["units"] == "W/m2"
+
+
+def test_a_device_without_models_and_a_wrong_base_fail_with_one_line() -> None:
+    with serving([1, 2, 3]) as url:
+        done = run("sunspec", url)
+        assert (done.code, len(done.err.splitlines())) == (1, 1)
+        assert "no SunS there" in done.err
+        assert run("sunspec", url, "--base", "70000").code == 2
+
+
+def test_notes_go_to_stderr() -> None:
+    with serving(IRRADIANCE[:-2]) as url:
+        done = run("sunspec", url)
+    assert done.code == 0
+    assert "has no end model" in done.err
