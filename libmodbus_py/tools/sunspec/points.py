@@ -197,10 +197,10 @@ def _named(kind: str, symbols: Any, width: int) -> dict[str, Any]:
     return {"states" if kind.startswith("enum") else "bits": names}
 
 
-def _scale(given: Any, scales: Mapping[str, str]) -> dict[str, Any]:
-    if isinstance(given, int) and not isinstance(given, bool):
+def _scale(given: int | str | None, scales: Mapping[str, str]) -> dict[str, Any]:
+    if isinstance(given, int):
         return {"scale": 10**given if given >= 0 else float(f"1e{given}")}
-    return {"scale_from": scales[given]} if given in scales else {}
+    return {} if given is None or given not in scales else {"scale_from": scales[given]}
 
 
 def _text(text: str) -> str:
