@@ -21,4 +21,5 @@ Commands that ask one device: read, write, identify, diagnose, raw and map.
     map_check        map check
     map_class        map class
     map_from_device  map from-device
+    map_from_sunspec map from-sunspec
 """

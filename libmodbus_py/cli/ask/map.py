@@ -78,6 +78,22 @@ def add_command(commands: Any) -> None:
     arguments.add_serial_options(skeleton)
     arguments.add_security_options(skeleton)
     skeleton.set_defaults(run=_from_device, parser=skeleton)
+    _add_from_sunspec(actions)
+
+
+def _add_from_sunspec(actions: Any) -> None:
+    about = "find the SunSpec models of a device, and write a map of their points"
+    sunspec = actions.add_parser(
+        "from-sunspec",
+        help=about,
+        description=f"{about[0].upper()}{about[1:]}.",
+        epilog=f"It needs: pip install 'libmodbus-py[sunspec]'.\n\n{arguments.URLS}",
+    )
+    arguments.add_client(sunspec)
+    sunspec.add_argument(
+        "-o", "--output", metavar="FILE", help="a new file, .toml or .csv (TOML, printed)"
+    )
+    sunspec.set_defaults(run=_from_sunspec, parser=sunspec)
 
 
 def _timeouts() -> dict[str, str]:
@@ -110,3 +126,9 @@ def _from_device(options: argparse.Namespace) -> int:
     from .map_from_device import from_device
 
     return from_device(options)
+
+
+def _from_sunspec(options: argparse.Namespace) -> int:
+    from .map_from_sunspec import from_sunspec
+
+    return from_sunspec(options)

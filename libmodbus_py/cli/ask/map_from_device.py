@@ -22,7 +22,7 @@ from ..output import PROGRAM, counted
 from ..progress import missing, progress
 from ..status import Status
 
-__all__ = ["from_device"]
+__all__ = ["form_of", "from_device", "write"]
 
 # With more cells the file would be too long, so points are ranges instead.
 MOST_CELLS = 4000
@@ -40,7 +40,7 @@ TEXTS: dict[str, Callable[[Iterable[Point]], str]] = {".toml": toml_text, ".csv"
 
 def from_device(options: argparse.Namespace) -> int:
     """Find what a device has, and write a map of it."""
-    text_of = _form(options.output)
+    text_of = form_of(options.output)
     url = endpoint_of(options).url
     status = Status()
     searched = search(url, on_progress=lambda state: status.show(progress(state)))
@@ -56,14 +56,14 @@ def from_device(options: argparse.Namespace) -> int:
     points = _points(searched.extents)
     if not points:
         raise CommandError(f"no table can be read: {_ended(searched.extents)}")
-    _write(options.output, "\n".join([*_heading(url, searched.extents), text_of(points)]))
+    write(options.output, "\n".join([*_heading(url, searched.extents), text_of(points)]))
     if options.output is not None:
         what = counted(len(points), "point")
         print(f"{options.output}: {what}; fill in names, types and units", file=sys.stderr)
     return code
 
 
-def _form(output: str | None) -> Callable[[Iterable[Point]], str]:
+def form_of(output: str | None) -> Callable[[Iterable[Point]], str]:
     """Return the writer of the file; a file that cannot be written is refused before the search."""
     if output is None:
         return toml_text
@@ -103,7 +103,8 @@ def _ended(extents: list[Extent]) -> str:
     return ", ".join(reasons) or "nothing was asked"
 
 
-def _write(output: str | None, text: str) -> None:
+def write(output: str | None, text: str) -> None:
+    """Write a text to a new file, or print it if there is no name."""
     if output is None:
         print(text, end="", flush=True)
         return
