@@ -25,6 +25,7 @@ from libmodbus_py.protocol.values import (
     NumberType,
     Order,
     TextType,
+    TimeType,
     parse_reference,
     readings,
     value_type,
@@ -363,7 +364,7 @@ class TestValueType:
         ],
     )
     def test_no_such_type(self, name: str) -> None:
-        with pytest.raises(ValueError, match=r"type must be one of int16, .*bits64, string:N") as e:
+        with pytest.raises(ValueError, match=r"type must be one of int16, .*date96, string:N") as e:
             value_type(name)
         assert repr(name) in str(e.value)
 
@@ -893,7 +894,7 @@ class TestParseReference:
 
 
 def test_names_for_type_checkers_are_all_there_are() -> None:
-    assert {*get_args(NumberType), *get_args(BitsType)} == set(TYPES)
+    assert {*get_args(NumberType), *get_args(BitsType), *get_args(TimeType)} == set(TYPES)
     assert get_args(TextType) == tuple(f"string:{size}" for size in range(1, 251))
     assert set(get_args(Order)) == set(ORDERS)
 

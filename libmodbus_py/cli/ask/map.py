@@ -14,7 +14,6 @@ __all__ = ["add_command"]
 
 EXAMPLES = """\
 examples:
-  libmodbus-py map check meter.csv drive.toml
   libmodbus-py map check meter.csv --device 192.0.2.10
   libmodbus-py map from-device /dev/ttyUSB0 -b 9600 -p none -u 7 -o meter.csv
   libmodbus-py map class meter.csv -o meter.py

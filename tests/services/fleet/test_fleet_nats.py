@@ -28,7 +28,8 @@ def test_each_poll_is_a_message_and_those_of_a_pause_come_later() -> None:
     async def run(servers: NatsServers, url: str) -> None:
         output = made("nats", {"url": servers.urls})
         async with polling(meter("north.1", url), outputs=[output]) as (fleet, readings):
-            while not readings:
+            given = fleet.statistics.outputs[output.name]
+            while not given.written:  # the output makes the stream before it writes
                 await asyncio.sleep(0.01)
             client = await nats.connect(servers.urls, max_reconnect_attempts=-1)
             stream = client.jetstream()
@@ -45,7 +46,6 @@ def test_each_poll_is_a_message_and_those_of_a_pause_come_later() -> None:
                 await asyncio.sleep(0.01)
             servers.start(0)
             async with asyncio.timeout(LONGEST):
-                given = fleet.statistics.outputs[output.name]
                 written = given.written
                 while given.written == written:
                     await asyncio.sleep(0.05)

@@ -62,7 +62,8 @@ async def seen(bucket: MemoryBucket, *, report: Any = REPORT) -> tuple[dict[str,
     looking = asyncio.create_task(fleet_status(cast(Bucket, bucket)))
     await asyncio.sleep(1.0)
     told = member("alive.1", beat=2, report=report)
-    bucket.write(told.bucket_key, told.encode())
+    # Others may write a NaN, which this package refuses to write.
+    bucket.write(told.bucket_key, told.encode().replace(b'"NaN"', b"NaN"))
     return await looking, now() - began
 
 
@@ -108,7 +109,7 @@ unreadable: worker.odd.4: zones is missing"""
 
 
 def test_numbers_of_a_report_that_are_none_count_as_nothing() -> None:
-    status, _ = run(seen(plant(), report={"polls": "many", "up": float("nan"), "down": 2}))
+    status, _ = run(seen(plant(), report={"polls": "many", "up": "NaN", "down": 2}))
     assert status["totals"] == {"connections": 0, "devices": 0, "up": 0, "down": 2, "polls": 0}
 
 
