@@ -81,7 +81,7 @@ class Scaling:
         try:
             return scaled / (below * self._divisor)
         except OverflowError:
-            return math.copysign(math.inf, scaled)
+            return math.inf if scaled > 0 else -math.inf  # too large for copysign, too
 
     def to_whole(self, value: object) -> int:
         """
