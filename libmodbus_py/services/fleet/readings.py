@@ -38,7 +38,8 @@ class Reading(NamedTuple):
             was removed, or because a worker lost its lease.
         reason: the name of the error, such as "IllegalDataAddress" or "ModbusTimeoutError", or
             why there is no value, such as "Missing" (`NoValue.reason`) or "Infinite"; "Fell" of a
-            good value that is a total, and smaller than before; else empty if the quality is
+            good value that is a total, and smaller than before; of a list with a value, why its
+            first item that is None has none; else empty if the quality is
             "good" or "offline".
     """
 
@@ -92,8 +93,21 @@ def judged(value: Any) -> tuple[Any, Quality, str]:
     if isinstance(value, Exception):
         return None, "down" if is_down(value) else "bad", reason_of(value)
     if isinstance(value, float) and not math.isfinite(value):
-        return None, "bad", "Missing" if math.isnan(value) else "Infinite"
+        return None, "bad", _lack(value)
+    if isinstance(value, list) and (lacks := [*filter(None, map(_lack, value))]):
+        if len(lacks) == len(value):
+            return None, "bad", lacks[0]
+        return [None if _lack(each) else each for each in value], "good", lacks[0]
     return value, "good", ""
+
+
+def _lack(item: Any) -> str:
+    """Return why an item of a list is no value; empty if it is one."""
+    if item is None:
+        return "Missing"
+    if isinstance(item, float) and not math.isfinite(item):
+        return "Missing" if math.isnan(item) else "Infinite"
+    return ""
 
 
 class Changes:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import math
 from typing import Any
 
 import pytest
@@ -15,6 +16,8 @@ from libmodbus_py.fleet import DeviceConfig, Fleet, Reading
 from libmodbus_py.services.fleet.config import devices_from_json, devices_to_json
 from libmodbus_py.services.fleet.outputs.forms import as_json
 from libmodbus_py.services.fleet.poller import Poller, Reads
+from libmodbus_py.services.fleet.readings import judged
+from tests.support.cases import each_case
 
 H = "holding_registers"
 
@@ -118,3 +121,17 @@ def test_a_fleet_writes_by_what_points_mean() -> None:
     with Server(made).background("tcp://127.0.0.1:0") as serving:
         asyncio.run(go(serving.urls[0]))
     assert made.mapping.holding_registers[0:3] == [125, 1, 0x2F]
+
+
+@each_case(
+    ("items", "reading"),
+    [
+        ([1.5, 2.5], ([1.5, 2.5], "good", "")),
+        ([1.5, None], ([1.5, None], "good", "Missing")),
+        ([math.inf, 2.5, None], ([None, 2.5, None], "good", "Infinite")),
+        ([math.nan, None], (None, "bad", "Missing")),
+        ([True, False], ([True, False], "good", "")),
+    ],
+)
+def test_each_null_of_a_list_has_a_reason(items: list[Any], reading: tuple[Any, str, str]) -> None:
+    assert judged(items) == reading
