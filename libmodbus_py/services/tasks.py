@@ -1,14 +1,14 @@
 """
-The end of tasks that may lose a cancellation.
+The end of tasks, which may lose a cancellation or have been cancelled already.
 """
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Collection
+from collections.abc import Collection, Coroutine
 from typing import Any
 
-__all__ = ["AGAIN", "end_tasks"]
+__all__ = ["AGAIN", "end_tasks", "finish"]
 
 AGAIN = 5.0
 """Seconds after which a task that was cancelled, and has not ended, is cancelled again."""
@@ -26,3 +26,18 @@ async def end_tasks(tasks: Collection[asyncio.Task[Any]]) -> None:
             task.cancel()
         await asyncio.wait(waiting, timeout=AGAIN)
     await asyncio.gather(*tasks, return_exceptions=True)  # else asyncio logs what they raised
+
+
+async def finish(call: Coroutine[Any, Any, Any], seconds: float) -> None:
+    """
+    Run the last call of something that is closed, for so many seconds; what it raises is dropped.
+
+    Within a task that was cancelled, `asyncio.timeout` of Python 3.11.2 raises CancelledError at
+    its end, so that what follows it would not be closed.
+    """
+    task = asyncio.ensure_future(call)
+    try:
+        await asyncio.wait([task], timeout=seconds)
+    finally:
+        if not task.cancel() and not task.cancelled():
+            task.exception()  # else asyncio logs it

@@ -18,7 +18,7 @@ from libmodbus_py.fleet import Reading
 from libmodbus_py.services.engine.buckets import Watch
 from libmodbus_py.services.fleet.outputs.json_output import JsonOutput
 from libmodbus_py.services.fleet.outputs.pump import LAST_WORDS, Pump
-from libmodbus_py.services.tasks import AGAIN, end_tasks
+from libmodbus_py.services.tasks import AGAIN, end_tasks, finish
 from tests.services.fleet.test_unwritable_readings import Picky, reading
 from tests.simulation.network import Network
 
@@ -140,3 +140,34 @@ def test_a_cancellation_is_not_lost_while_a_pump_rests() -> None:
         return pump.task.cancelled()
 
     assert Network().run(go)
+
+
+def test_what_is_closed_in_a_cancelled_task_is_closed_to_its_end() -> None:
+    """`asyncio.timeout` of Python 3.11.2 ends such a task before its last lines."""
+    seen: list[str] = []
+
+    async def hangs() -> None:
+        try:
+            await asyncio.Event().wait()
+        finally:
+            seen.append("given up")
+
+    async def fails() -> None:
+        raise ValueError("gone")
+
+    async def work() -> None:
+        try:
+            await asyncio.Event().wait()
+        finally:
+            await finish(hangs(), 1.0)
+            await finish(fails(), 1.0)
+            seen.append("closed")
+
+    async def scenario() -> None:
+        task = asyncio.create_task(work())
+        await asyncio.sleep(0)
+        task.cancel()
+        await asyncio.wait([task])
+
+    Network().run(scenario)
+    assert seen == ["given up", "closed"]

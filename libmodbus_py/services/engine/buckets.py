@@ -4,11 +4,10 @@ Key-value buckets and streams of JetStream: create, check, watch and conditional
 
 from __future__ import annotations
 
-import asyncio
-import contextlib
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from ..tasks import finish
 from .errors import EngineError, explained
 
 if TYPE_CHECKING:
@@ -184,9 +183,7 @@ class Watch:
         """End the watch."""
         self.is_broken = True
         if self._subscription is not None:
-            with contextlib.suppress(Exception):
-                async with asyncio.timeout(TIMEOUT):
-                    await self._subscription.unsubscribe()
+            await finish(self._subscription.unsubscribe(), TIMEOUT)
             # nats-py does not cancel these tasks if the connection is closed already.
             watching: Any = getattr(self._subscription._sub, "_jsi", None)
             for task in (getattr(watching, "_hbtask", None), getattr(watching, "_fctask", None)):

@@ -9,7 +9,6 @@ NATS_CERT and NATS_KEY, files for TLS. The files are read again for each connect
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import os
 import ssl
 from collections.abc import Callable, Mapping
@@ -19,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 from ...security.renewed import Renewed
+from ..tasks import finish
 from .errors import EngineError, EngineGone, explained, what
 from .file_text import FileText
 
@@ -163,9 +163,7 @@ async def _connect(
 
 async def disconnect(client: Client) -> None:
     """Close a connection within a second."""
-    with contextlib.suppress(Exception):
-        async with asyncio.timeout(1.0):
-            await client.close()
+    await finish(client.close(), 1.0)
 
 
 def _is_empty(error: Exception) -> bool:

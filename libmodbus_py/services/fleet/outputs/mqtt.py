@@ -22,7 +22,7 @@ from ....protocol.logs import HarmlessLogger
 from ....protocol.mistakes import WrongType, WrongValue
 from ....security.renewed import Renewed
 from ....security.words import in_words
-from ...tasks import end_tasks
+from ...tasks import end_tasks, finish
 from ..buffer import MOST_KEPT
 from ..commands import Commands, encoded, wanted_of
 from ..levels import Levels
@@ -275,10 +275,8 @@ class Mqtt:
         self._listening = None
         if client is None:
             return
-        with contextlib.suppress(OSError, TimeoutError), _as_connection_error():
-            async with asyncio.timeout(1.0):
-                if self._status:
-                    await client.publish(self._status, OFFLINE, 1, True)
+        if self._status:
+            await finish(client.publish(self._status, OFFLINE, 1, True), 1.0)
         with contextlib.suppress(OSError), _as_connection_error():
             await client.__aexit__(None, None, None)
 

@@ -5,7 +5,6 @@ nothing else.
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import os
 import select
@@ -15,6 +14,7 @@ from typing import BinaryIO
 
 from ....protocol.mistakes import WrongType
 from ....protocol.plain import without_controls
+from ...tasks import finish
 from ..buffer import MOST_KEPT
 from ..readings import Reading
 from .output import OutputError
@@ -84,10 +84,10 @@ class TextFile:
     async def close(self) -> None:
         if not self._thread.is_running:
             return
-        with contextlib.suppress(OSError, TimeoutError, OutputError):
-            async with asyncio.timeout(LAST_WAIT):
-                await self._thread.call(self._close)
-        self._thread.stop()
+        try:
+            await finish(self._thread.call(self._close), LAST_WAIT)
+        finally:
+            self._thread.stop()
 
     # --- in the thread ----------------------------------------------------------------------
 
