@@ -5,7 +5,6 @@ The words that say what is read or written: tables and addresses, references, na
 from __future__ import annotations
 
 import argparse
-import os
 import re
 from collections import deque
 from collections.abc import Iterable
@@ -242,12 +241,9 @@ def map_of(file: str) -> RegisterMap:
         ValueError: the file cannot be read or contains a mistake, or the example does not exist.
     """
     from ...tools.files.maps.map_file import load_map
+    from ...tools.simulator.example_files import map_file
 
-    if os.path.basename(file) == file and not os.path.splitext(file)[1]:
-        from ...tools.simulator import example_files
-
-        file = example_files.map_of(file)
-    return load_map(file)
+    return load_map(map_file(file))
 
 
 def _layout(options: argparse.Namespace) -> tuple[Any, ...]:

@@ -33,7 +33,9 @@ def add_command(commands: Any) -> None:
         f" device lacks\na point or does not answer.\n\n{arguments.URLS}",
         formatter_class=VerbatimHelp,
     )
-    check.add_argument("files", metavar="FILE", nargs="+", help="such as meter.csv or meter.toml")
+    check.add_argument(
+        "files", metavar="FILE", nargs="+", help="such as meter.csv, or a name that list prints"
+    )
     check.add_argument(
         "--device",
         metavar="URL",
@@ -53,7 +55,7 @@ def add_command(commands: Any) -> None:
     listing.set_defaults(run=_list, parser=listing)
     about = "write a Python class for a register map, in which type checkers find wrong names"
     typed = actions.add_parser("class", help=about, description=f"{about.capitalize()}.")
-    typed.add_argument("file", metavar="FILE", help="such as meter.csv or meter.toml")
+    typed.add_argument("file", metavar="FILE", help="such as meter.csv, or a name that list prints")
     typed.add_argument(
         "-o",
         "--output",

@@ -16,8 +16,9 @@ from ...maps.register_map import PointPlan, RegisterMap
 from ...protocol.errors import ExceptionResponse, ModbusError
 from ...protocol.tables import TABLES
 from ...tools.files.maps.checking import remarks
-from ...tools.files.maps.drafts import Contents, MapError
+from ...tools.files.maps.drafts import Contents
 from ...tools.files.maps.map_file import contents_of
+from ...tools.simulator.example_files import map_file
 from ..connecting import connected
 from ..output import complain, counted
 
@@ -45,8 +46,8 @@ def check(options: argparse.Namespace) -> int:
 
 def _check_file(file: str, context: Context | None = None) -> int:
     try:
-        contents = contents_of(file, MOST_MISTAKES)
-    except MapError as error:
+        contents = contents_of(map_file(file), MOST_MISTAKES)
+    except ValueError as error:
         return _wrong([str(error)])
     if contents.mistakes:
         more = ["and possibly more"] * (len(contents.mistakes) == MOST_MISTAKES)

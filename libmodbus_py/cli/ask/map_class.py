@@ -10,6 +10,7 @@ from pathlib import Path, PurePath
 
 from ...tools.files.maps.class_text import MARK, class_text
 from ...tools.files.maps.map_file import load_map
+from ...tools.simulator.example_files import map_file
 from ..output import counted
 
 __all__ = ["write_class"]
@@ -17,7 +18,7 @@ __all__ = ["write_class"]
 
 def write_class(options: argparse.Namespace) -> int:
     """Write a class for a register map to a file, or print it."""
-    map = load_map(options.file)
+    map = load_map(map_file(options.file))
     text = class_text(map, PurePath(options.file).stem)
     if options.output is None:
         print(text, end="", flush=True)

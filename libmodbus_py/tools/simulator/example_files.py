@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 
-__all__ = ["DEVICES", "described", "map_of", "maps", "path_of"]
+__all__ = ["DEVICES", "described", "map_file", "map_of", "maps", "path_of"]
 
 # CSV files in the folder that are no register maps.
 LISTS = ("fleet",)
@@ -32,6 +32,17 @@ def path_of(name: str) -> str:
     if name not in (known := described()):
         raise ValueError(f"there is no example {name!r}; there are {', '.join(known)}")
     return os.path.join(_folder(), f"{name}.toml")
+
+
+def map_file(word: str) -> str:
+    """
+    Return the path of a register map: that of an example for a word without folder and suffix.
+
+    Raises:
+        ValueError: there is no example of that name.
+    """
+    is_name = os.path.basename(word) == word and not os.path.splitext(word)[1]
+    return map_of(word) if is_name else word
 
 
 def map_of(name: str) -> str:

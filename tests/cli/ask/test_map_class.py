@@ -74,3 +74,14 @@ def test_a_new_file_can_be_read_by_others(folder: Path) -> None:
     finally:
         os.umask(before)
     assert stat.S_IMODE((folder / "meter.py").stat().st_mode) == 0o644
+
+
+@each_case("action", ["check", "class"])
+def test_maps_of_the_package_have_names(action: str) -> None:
+    done = run("map", action, "sdm120")
+    assert (done.code, done.err) == (0, "")
+    assert "points" in done.out
+    done = run("map", action, "sdm")
+    assert done.code == 2
+    assert "'sdm' is no file of a register map" in done.err
+    assert done.err.count("\n") == 1
