@@ -6,29 +6,23 @@ from __future__ import annotations
 
 import asyncio
 import socket
-from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
 from libmodbus_py.fleet import Reading
-from libmodbus_py.services.fleet.outputs import pump as pumps
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from libmodbus_py.services.fleet.outputs.pump import Pump
+from tests.services.fleet.brokers import Broker, heard_of, hearing, run
 from tests.services.fleet.fleets import until
-from tests.services.fleet.test_fleet_mqtt import Broker, heard_of, hearing, run
 
 
 @pytest.fixture
-def broker(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Broker]:
+def narrow(broker: Broker) -> Broker:
     """A broker that ends the connection on messages of more than 400 bytes."""
-    monkeypatch.setattr(pumps, "FIRST_PAUSE", 0.01)
-    monkeypatch.setattr(pumps, "LONGEST_SILENCE", 0.1)
-    made = Broker(tmp_path)
-    made.settings.append("max_packet_size 400")
-    made.start()
-    yield made
-    made.kill()
+    broker.kill()
+    broker.settings.append("max_packet_size 400")
+    broker.start()
+    return broker
 
 
 def poll(device: str, value: object, at: float) -> Reading:
@@ -36,10 +30,10 @@ def poll(device: str, value: object, at: float) -> Reading:
 
 
 @pytest.mark.parametrize("qos", [0, 1])
-def test_a_message_on_which_the_broker_disconnects_is_dropped(broker: Broker, qos: int) -> None:
+def test_a_message_on_which_the_broker_disconnects_is_dropped(narrow: Broker, qos: int) -> None:
     async def go() -> None:
-        async with hearing(broker, "modbus/+/text") as heard:
-            pump = Pump(Mqtt(broker.url, qos=qos))
+        async with hearing(narrow, "modbus/+/text") as heard:
+            pump = Pump(Mqtt(narrow.url, qos=qos))
             pump.buffer.put([poll(*each) for each in (("a", 1, 0), ("b", "x" * 500, 1))])
             pump.buffer.put([poll(*each) for each in (("c", 1, 2), ("b", "y", 3))])
             pump.start()

@@ -4,18 +4,14 @@ A topic of MQTT for each device: "online" while it answers, else "offline".
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from pathlib import Path
-
 import pytest
 
 from libmodbus_py.fleet import Reading
-from libmodbus_py.services.fleet.outputs import pump as pumps
 from libmodbus_py.services.fleet.outputs.device_states import DeviceStates
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from libmodbus_py.services.fleet.outputs.pump import Pump
+from tests.services.fleet.brokers import Broker, heard_of, hearing, run
 from tests.services.fleet.fleets import until
-from tests.services.fleet.test_fleet_mqtt import Broker, heard_of, hearing, run
 from tests.support.cases import each_case
 
 TOPIC = "modbus-devices/{device}"
@@ -64,16 +60,6 @@ def test_removed_devices_take_no_room() -> None:
             readings = poll(f"device {number}", letters)
             known.note(known.changed(readings), readings)
     assert (known.told, known._answered) == ({}, {})
-
-
-@pytest.fixture
-def broker(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Broker]:
-    monkeypatch.setattr(pumps, "FIRST_PAUSE", 0.05)
-    monkeypatch.setattr(pumps, "LONGEST_SILENCE", 0.1)
-    made = Broker(tmp_path)
-    made.start()
-    yield made
-    made.kill()
 
 
 def test_each_device_has_its_topic_also_after_a_restart_of_the_broker(broker: Broker) -> None:

@@ -5,114 +5,25 @@ MQTT with a real broker: last values, the last will, commands; a broker that die
 from __future__ import annotations
 
 import asyncio
-import json
 import logging
 import socket
 import subprocess
 import sys
-import time
-from collections.abc import AsyncIterator, Iterator
-from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
 
 import aiomqtt
 import pytest
 
-from libmodbus_py import Fleet, Server
+from libmodbus_py import Fleet
 from libmodbus_py.services.fleet.outputs import mqtt
-from libmodbus_py.services.fleet.outputs import pump as pumps
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from libmodbus_py.services.fleet.outputs.output import OutputError
 from libmodbus_py.tools.certificates import Identity
-from tests.services.fleet.fleets import LONGEST, RealPeer, meter, simulated, until
+from tests.services.fleet.brokers import Broker, commanded, heard_of, hearing, publish, run
+from tests.services.fleet.fleets import RealPeer, meter, until
 from tests.support import certificates
 from tests.support.certificates import Papers
-from tests.support.programs import program
-
-
-class Broker:
-    """mosquitto, which can be killed and started again at the same port."""
-
-    def __init__(self, folder: Path) -> None:
-        with socket.create_server(("127.0.0.1", 0)) as taken:
-            self.port: int = taken.getsockname()[1]
-        self.url = f"mqtt://127.0.0.1:{self.port}"
-        self._folder = folder
-        (folder / "passwords").write_text("")
-        (folder / "passwords").chmod(0o600)
-        command = [program("mosquitto_passwd"), "-b", str(folder / "passwords"), "user", "secret"]
-        subprocess.run(command, check=True, capture_output=True)
-        self.settings = [f"listener {self.port} 127.0.0.1", "allow_anonymous true"]
-        self.process: subprocess.Popen[bytes] | None = None
-
-    def start(self) -> None:
-        file = self._folder / "mosquitto.conf"
-        # Root's broker stays root's, and can read what root wrote; any other user's ignores this.
-        file.write_text("\n".join([*self.settings, "user root", ""]))
-        self.process = subprocess.Popen(
-            [program("mosquitto"), "-c", str(file)],
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-        )
-        for _ in range(int(LONGEST * 100)):
-            try:
-                socket.create_connection(("127.0.0.1", self.port), 1).close()
-                return
-            except OSError:
-                assert self.process.poll() is None
-                time.sleep(0.01)
-
-    def kill(self) -> None:
-        assert self.process is not None
-        self.process.kill()
-        self.process.wait()
-
-
-@pytest.fixture
-def broker(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Broker]:
-    monkeypatch.setattr(pumps, "FIRST_PAUSE", 0.05)
-    monkeypatch.setattr(pumps, "LONGEST_SILENCE", 0.1)
-    made = Broker(tmp_path)
-    made.start()
-    yield made
-    made.kill()
-
-
-def run(test: Any) -> Any:
-    return asyncio.run(asyncio.wait_for(test, 2 * LONGEST))
-
-
-@asynccontextmanager
-async def hearing(broker: Broker, *topics: str) -> AsyncIterator[list[tuple[str, Any, bool]]]:
-    """What a subscriber gets: topic, payload, whether it was kept."""
-    heard: list[tuple[str, Any, bool]] = []
-
-    async def listen(client: aiomqtt.Client) -> None:
-        async for message in client.messages:
-            assert isinstance(message.payload, bytes)
-            text = message.payload.decode()
-            found = json.loads(text) if text.startswith("{") else text
-            heard.append((str(message.topic), found, message.retain))
-
-    async with aiomqtt.Client("127.0.0.1", broker.port) as client:
-        for topic in topics:
-            await client.subscribe(topic, 1)
-        task = asyncio.create_task(listen(client))
-        try:
-            yield heard
-        finally:
-            task.cancel()
-            await asyncio.wait([task])
-
-
-async def publish(broker: Broker, topic: str, payload: bytes, *, retain: bool = False) -> None:
-    async with aiomqtt.Client("127.0.0.1", broker.port) as client:
-        await client.publish(topic, payload, 1, retain)
-
-
-def heard_of(heard: list[tuple[str, Any, bool]], topic: str) -> list[Any]:
-    return [payload for each, payload, _ in heard if each == topic]
 
 
 @pytest.mark.parametrize("qos", [0, 1])
@@ -320,23 +231,6 @@ def test_a_connection_that_says_nothing_stops_nobody(monkeypatch: pytest.MonkeyP
 
 
 # --- commands ---------------------------------------------------------------------------------
-
-
-@asynccontextmanager
-async def commanded(broker: Broker, **options: Any) -> AsyncIterator[tuple[Fleet, Any, Any]]:
-    device = simulated()
-    async with Server({1: device}).serving("tcp://127.0.0.1:0") as running:
-        output = Mqtt(broker.url, **options)
-        devices = [
-            meter("a", running.urls[0], interval=0.02),
-            meter("down", "tcp://127.0.0.1:1"),
-        ]
-        async with (
-            Fleet(devices, outputs=[output]) as fleet,
-            hearing(broker, "modbus/+/+/set/result") as heard,
-        ):
-            await until(lambda: fleet.statistics.outputs[output.name].written)
-            yield fleet, heard, device
 
 
 def test_writes_are_answered_with_their_outcome(broker: Broker) -> None:

@@ -4,21 +4,8 @@ Commands over MQTT with a real broker: which are taken, and who answers.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from pathlib import Path
-
-import pytest
-
+from tests.services.fleet.brokers import Broker, commanded, publish, run
 from tests.services.fleet.fleets import until
-from tests.services.fleet.test_fleet_mqtt import Broker, commanded, publish, run
-
-
-@pytest.fixture
-def broker(tmp_path: Path) -> Iterator[Broker]:
-    made = Broker(tmp_path)
-    made.start()
-    yield made
-    made.kill()
 
 
 def test_names_are_taken_in_one_spelling_only(broker: Broker) -> None:

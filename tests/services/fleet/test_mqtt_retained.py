@@ -4,26 +4,10 @@ What a real broker retains: the status of several workers, and last values after
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from pathlib import Path
-
-import pytest
-
 from libmodbus_py import Server
-from libmodbus_py.services.fleet.outputs import pump as pumps
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
+from tests.services.fleet.brokers import Broker, heard_of, hearing, publish, run
 from tests.services.fleet.fleets import meter, polling, simulated, until
-from tests.services.fleet.test_fleet_mqtt import Broker, heard_of, hearing, publish, run
-
-
-@pytest.fixture
-def broker(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Broker]:
-    monkeypatch.setattr(pumps, "FIRST_PAUSE", 0.05)
-    monkeypatch.setattr(pumps, "LONGEST_SILENCE", 0.1)
-    made = Broker(tmp_path)
-    made.start()
-    yield made
-    made.kill()
 
 
 def test_the_status_is_online_while_one_of_two_is_connected(broker: Broker) -> None:

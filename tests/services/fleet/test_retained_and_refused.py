@@ -4,28 +4,13 @@ A last value that the broker accepted once, and refuses after its restart.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from pathlib import Path
-
 import pytest
 
 from libmodbus_py.fleet import Reading
-from libmodbus_py.services.fleet.outputs import pump as pumps
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from libmodbus_py.services.fleet.outputs.pump import Pump
+from tests.services.fleet.brokers import Broker, heard_of, hearing, run
 from tests.services.fleet.fleets import until
-from tests.services.fleet.test_fleet_mqtt import Broker, heard_of, hearing, run
-
-
-@pytest.fixture
-def broker(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Broker]:
-    monkeypatch.setattr(pumps, "FIRST_PAUSE", 0.01)
-    monkeypatch.setattr(pumps, "LONGEST_PAUSE", 0.05)
-    monkeypatch.setattr(pumps, "LONGEST_SILENCE", 0.1)
-    made = Broker(tmp_path)
-    made.start()
-    yield made
-    made.kill()
 
 
 def reading(device: str, value: object, at: float = 0) -> Reading:

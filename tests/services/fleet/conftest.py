@@ -1,0 +1,30 @@
+"""
+A broker for the tests of fleets.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from libmodbus_py.services.fleet.outputs import pump as pumps
+
+if TYPE_CHECKING:
+    from tests.services.fleet.brokers import Broker
+
+
+@pytest.fixture
+def broker(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Broker]:
+    """A mosquitto that runs; outputs try again sooner than they do for users."""
+    from tests.services.fleet.brokers import Broker  # MQTT's client is an extra
+
+    monkeypatch.setattr(pumps, "FIRST_PAUSE", 0.01)
+    monkeypatch.setattr(pumps, "LONGEST_PAUSE", 0.05)
+    monkeypatch.setattr(pumps, "LONGEST_SILENCE", 0.1)
+    made = Broker(tmp_path)
+    made.start()
+    yield made
+    made.kill()
