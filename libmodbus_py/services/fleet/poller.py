@@ -224,18 +224,32 @@ class Poller:
         self.rest_until = now + self.config.spacing
         self.news, self._run = self._run.news if self._run else [], None
 
-    def readings(self, time: float) -> list[Reading]:
-        """Return the readings of the poll."""
+    def readings(self, time: float, first: int = 0) -> list[Reading]:
+        """
+        Return the readings of the poll.
+
+        Args:
+            time: when it was completed, in seconds since the epoch.
+            first: the id of the first reading; the others have the next ones. 0 for no ids.
+        """
         reads, device = self.reads, self.config.name
         values = list(reads.plan.results(self._answers, return_exceptions=True).values())
         self._answers = []
         doubtful, fell = self._totals.take(values)
         for at in doubtful:
             values[at] = self._totals.before(at)
+        told = self._changes.pick(values)
+        if doubtful:
+            told = [at for at in told if at not in doubtful]
         return [
-            Reading(time, device, reads.names[at], *_told(values[at], reads.units[at], at in fell))
-            for at in self._changes.pick(values)
-            if at not in doubtful
+            Reading(
+                time,
+                device,
+                reads.names[at],
+                *_told(values[at], reads.units[at], at in fell),
+                number if first else 0,
+            )
+            for number, at in enumerate(told, first)
         ]
 
     def withdrawn(self, time: float, still_read: Collection[str] = ()) -> list[Reading]:

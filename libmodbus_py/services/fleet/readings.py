@@ -41,6 +41,8 @@ class Reading(NamedTuple):
             good value that is a total, and smaller than before; of a list with a value, why its
             first item that is None has none; else empty if the quality is
             "good" or "offline".
+        id: the number of the reading in the journal of the fleet, by which consumers drop
+            repeats: each reading has a greater one than all before it; 0 without a journal.
     """
 
     time: float
@@ -50,6 +52,7 @@ class Reading(NamedTuple):
     unit: str
     quality: Quality
     reason: str = ""
+    id: int = 0
 
     @property
     def poll(self) -> tuple[str, float]:

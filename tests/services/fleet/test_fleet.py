@@ -50,7 +50,7 @@ def test_readings_are_named_scaled_and_timed() -> None:
         ):
             await until(lambda: len(readings) > 20)
             a = [each for each in readings if each.device == "a"]
-            assert [each[2:] for each in a[:3]] == [
+            assert [each[2:7] for each in a[:3]] == [
                 ("voltage", 230.5, "V", "good", ""),
                 ("power", -1, "W", "good", ""),
                 ("setpoint", 20, "C", "good", ""),
@@ -103,10 +103,10 @@ def test_what_a_device_refuses_is_bad_and_the_rest_good() -> None:
             polling(meter("a", running.urls[0], map=holes)) as (fleet, readings),
         ):
             await until(lambda: fleet.statistics.polls > 5 and len(readings) > 5)
-            assert [each[2:] for each in readings if each.name == "not"] == [
+            assert [each[2:7] for each in readings if each.name == "not"] == [
                 ("not", None, "", "bad", "IllegalDataAddress")
             ]
-            assert {each[2:] for each in readings if each.name == "there"} == {
+            assert {each[2:7] for each in readings if each.name == "there"} == {
                 ("there", 0, "", "good", "")
             }
             device_now = fleet.devices["a"]
@@ -130,8 +130,8 @@ def test_registers_that_hold_no_such_value_are_bad_alone() -> None:
             polling(meter("a", running.urls[0], map=clock)) as (_, readings),
         ):
             await until(lambda: len(readings) > 2)
-            assert readings[0][2:] == ("clock", None, "", "bad", "ValueError")
-            assert readings[1][2:] == ("x", 5, "", "good", "")
+            assert readings[0][2:7] == ("clock", None, "", "bad", "ValueError")
+            assert readings[1][2:7] == ("x", 5, "", "good", "")
 
     simulated_run(go())
 
@@ -230,7 +230,7 @@ def test_who_is_back_is_told_and_polled_as_before() -> None:
                 await until(lambda: len(readings) >= 3)
                 is_there = False
                 await until(lambda: readings[-1].quality == "down")
-                assert readings[-1][2:] == ("power", None, "W", "down", "ModbusTimeoutError")
+                assert readings[-1][2:7] == ("power", None, "W", "down", "ModbusTimeoutError")
                 before = len(readings)
                 await until(lambda: fleet.devices["a"].misses >= 3)
                 # It rests for 0.4 s then, not 0.1.

@@ -57,7 +57,7 @@ class Polls:
 
 
 def values(*cells: int) -> dict[str, tuple[Any, str, str]]:
-    return {each.name: (each.value, *each[5:]) for each in Polls().readings(*cells)}
+    return {each.name: (each.value, *each[5:7]) for each in Polls().readings(*cells)}
 
 
 def test_readings_have_values_by_what_they_mean() -> None:
@@ -93,7 +93,7 @@ def test_a_total_that_falls_is_told_when_it_was_read_again() -> None:
 
     def total(value: int) -> list[tuple[Any, str, str]]:
         found = polls.readings(1, 0, 0, value, 0, 0, 0)
-        return [(each.value, *each[5:]) for each in found if each.name == "total"]
+        return [(each.value, *each[5:7]) for each in found if each.name == "total"]
 
     assert total(10) == [(10, "good", "")]
     assert total(3) == []

@@ -5,13 +5,12 @@ A row of CSV for each reading.
 from __future__ import annotations
 
 from ..buffer import MOST_KEPT
-from ..readings import Reading
-from .forms import as_csv
+from .forms import COLUMNS, as_csv
 from .text_file import TextFile
 
 __all__ = ["CsvOutput"]
 
-HEADER = f"{','.join(Reading._fields)}\n".encode()
+HEADER = f"{','.join(COLUMNS)}\n".encode()
 
 
 class CsvOutput(TextFile):

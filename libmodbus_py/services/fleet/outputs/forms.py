@@ -15,7 +15,10 @@ from ....protocol.plain import plain
 from ....tools.files.csv_text import csv_rows
 from ..readings import Reading, time_text
 
-__all__ = ["as_csv", "as_json", "payload"]
+__all__ = ["COLUMNS", "as_csv", "as_json", "payload"]
+
+COLUMNS: tuple[str, ...] = tuple(name for name in Reading._fields if name != "id")
+"""The columns of CSV."""
 
 _encode = JSON.encode
 
@@ -34,7 +37,11 @@ def payload(reading: Reading) -> dict[str, Any]:
         "unit": reading.unit,
         "quality": reading.quality,
     }
-    return {**told, "reason": reading.reason} if reading.reason else told
+    if reading.reason:
+        told["reason"] = reading.reason
+    if reading.id:
+        told["id"] = reading.id
+    return told
 
 
 def as_json(readings: Iterable[Reading]) -> bytes:
@@ -43,8 +50,9 @@ def as_json(readings: Iterable[Reading]) -> bytes:
     lines = [
         f'{{"device": {_quoted(device)}, "name": {_quoted(name)}, "time": "{_time_text(time)}",'
         f' "value": {_number(value)}, "unit": {_quoted(unit)}, "quality": "{quality}"'
-        + (f', "reason": {_quoted(reason)}}}\n' if reason else "}\n")
-        for time, device, name, value, unit, quality, reason in readings
+        + (f', "reason": {_quoted(reason)}' if reason else "")
+        + (f', "id": {number}}}\n' if number else "}\n")
+        for time, device, name, value, unit, quality, reason, number in readings
     ]
     text = "".join(lines)
     # The encoder escapes the other control characters.
@@ -67,7 +75,7 @@ def _cell(value: Any) -> Any:
 
 
 def as_csv(readings: Iterable[Reading]) -> bytes:
-    """Return a row of CSV for each reading, with the fields of `Reading` in their order."""
+    """Return a row of CSV for each reading, with the fields of `Reading` in `COLUMNS`."""
     rows = [
         (
             _time_text(time),
@@ -76,6 +84,6 @@ def as_csv(readings: Iterable[Reading]) -> bytes:
             _cell(value),
             *others,
         )
-        for time, device, name, value, *others in readings
+        for time, device, name, value, *others, _ in readings
     ]
     return csv_rows(rows).encode()
