@@ -50,27 +50,28 @@ class Options(TypedDict, total=False):
         busy_retries: how often a request is repeated that was refused with Acknowledge
             or ServerDeviceBusy, 0..100, after 0.1, 0.2, 0.4, 0.8, 1, 1... s. 0 by default.
         max_in_flight: 1..256, the number of requests that wait for their answers together, and 1
-            where frames carry no transaction id. None, the default, finds out how many the
+            where frames carry no transaction id. None by default, which finds out how many the
             device takes: 1 at first, twice as many while answers come, up to 16 for
             `AsyncClient` (TCP guide, 4.3.3), and as `execute_many` says for contexts. A
             request that gets no answer beside others is sent once more, alone, if it may be
             sent twice (``pdu.Request.repeatable``), whatever `retries` is.
-        turnaround: duration of a request that gets no answer (serial line, 2.4.1); 0.1.
-        request_spacing: between the starts of two requests, at least, for devices that
-            need a rest; 0.
+        turnaround: duration of a request that gets no answer (serial line, 2.4.1). 0.1 by
+            default.
+        request_spacing: the minimum time between the starts of two requests, for devices that
+            need a rest. 0 by default.
         connect_delay: between connecting and the first request, for devices that need to
-            get ready; 0. Neither counts within `timeout`.
+            get ready. 0 by default. Neither counts within `timeout`.
         timeouts_before_reconnect: after so many in a row, requests that were cancelled
             included, a connection over a network counts as dead, 1..1000000: the next
             request goes over a new one. 3 by default.
-        max_pause: the longest pause before the next attempt to connect, which begins at 0.1
-            and doubles; 0 for none. 30 for `AsyncClient`, 0 for contexts.
+        max_pause: the longest pause before the next attempt to connect; pauses begin at 0.1 s
+            and double. 0 for none. 0 by default for contexts, 30 for `AsyncClient`.
         keepalive: of silence after which TCP probes whether the other side is there,
             1..32767; None for never. 30 by default.
         accept_unit: "any" takes answers from another unit than the one asked, as some
             devices on TCP are unit 255 for every request; "same" by default.
-        delimiter: the byte behind CR in ASCII frames, LF (10) unless the device was told
-            otherwise; `diagnostics(3, ...)` is followed.
+        delimiter: the byte behind CR in ASCII frames; 10 by default, which is LF. A delimiter
+            set with `diagnostics(3, ...)` is followed.
         security: the own certificate and the trusted ones, only for "tls"; the URL may say
             it instead. `GivenContext` is for programs that must use a context of theirs.
         trace: called with a `Traced` for every ADU sent and received; the logger
@@ -105,7 +106,7 @@ class ContextOptions(Options, total=False):
     The options of contexts.
 
     Keys:
-        native: True (the default) lets a request that may go the short way be carried in
+        native: True by default, which lets a request that may go the short way be carried in
             one call of C; False has the framers of this package carry all. Both check
             every answer in full.
     """

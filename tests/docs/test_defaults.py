@@ -1,0 +1,76 @@
+"""
+The default values that docstrings and pages name are those of the code.
+"""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import re
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from libmodbus_py.client.options import AsyncOptions, CheckedOptions, ContextOptions, Options
+from libmodbus_py.ports.serial import SERIAL_DEFAULTS
+
+DOCS = Path(__file__).parents[2] / "docs"
+
+SAID = re.compile(r'("?[\w.]+"?)(?: and ("?[\w.]+"?))? by default')
+"""A value, or two, and the words that call it a default."""
+
+KEY = re.compile(r"^    (\w+): (.*(?:\n        .*)*)", re.MULTILINE)
+"""A key of an options class in its docstring, and its text."""
+
+CLIENTS: dict[str, Any] = {each.name: each.default for each in fields(CheckedOptions)}
+
+UNSAID = {None, "", False}
+"""Defaults that set nothing, and need no words."""
+
+
+def keys_of(options: type[Any]) -> dict[str, str]:
+    return dict(KEY.findall(inspect.cleandoc(options.__doc__ or "")))
+
+
+def value(text: str) -> Any:
+    return ast.literal_eval(text)
+
+
+@pytest.mark.parametrize("options", [Options, ContextOptions, AsyncOptions])
+def test_docstrings_of_options_name_the_defaults(options: type[Any]) -> None:
+    texts = keys_of(options)
+    assert texts.keys() <= set(options.__annotations__)
+    said = {name: SAID.search(" ".join(text.split())) for name, text in texts.items()}
+    for name in texts:
+        found, default = said[name], CLIENTS[name]
+        if found is not None and found[1] != "one":
+            assert value(found[1]) == default, name
+        else:
+            assert default in UNSAID, f"{name} does not name its default, {default!r}"
+
+
+def test_docstrings_of_options_name_each_key() -> None:
+    told = [
+        name for options in (Options, ContextOptions, AsyncOptions) for name in keys_of(options)
+    ]
+    assert sorted(told) == sorted(CLIENTS)
+
+
+def test_the_page_of_serial_ports_names_the_defaults() -> None:
+    rows = re.findall(
+        r"^\| (`.*?) \| (.*?) \|$", (DOCS / "how-to/serial-ports.md").read_text(), re.M
+    )
+    compared = []
+    for names, text in rows:
+        found = SAID.search(text)
+        if found is None:
+            continue
+        keys = re.findall(r"`(\w+)`", names)
+        values = [each for each in found.groups() if each is not None]
+        for key, said in zip(keys, values, strict=True):
+            if key in SERIAL_DEFAULTS:  # others are computed, and told in words
+                assert value(said) == SERIAL_DEFAULTS[key], key
+                compared.append(key)
+    assert compared == ["baudrate", "parity", "stop_bits"]
