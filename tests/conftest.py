@@ -82,6 +82,12 @@ def device(mapping: Mapping) -> Device:
     return Device(mapping, files={4: range(10_000), 3: {9: 0x33CD, 10: 0x0040, 12: 7}})
 
 
+@pytest.fixture
+def papers(tmp_path: Path) -> Papers:
+    """Certificates of an authority, servers and clients, made when they are asked for."""
+    return Papers(tmp_path / "papers")
+
+
 @pytest.fixture(params=["tcp", "rtu+tcp", "ascii+tcp", "tls", "rtu", "ascii"])
 def url(request: pytest.FixtureRequest, device: Device, tmp_path: Path) -> Iterator[str]:
     """A client's URL for unit 17 of a server, over each transport."""

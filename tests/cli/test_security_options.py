@@ -10,7 +10,6 @@ import pty
 import subprocess
 import sys
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
@@ -22,11 +21,6 @@ from tests.support.commands import run
 from tests.support.peers import dead
 
 SECRET = "open sesame"
-
-
-@pytest.fixture
-def papers(tmp_path: Path) -> Papers:
-    return Papers(tmp_path)
 
 
 @pytest.fixture

@@ -5,7 +5,6 @@ Programs that bring statistics and a TLS context of their own.
 from __future__ import annotations
 
 import ssl
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -34,11 +33,6 @@ def test_clients_one_after_the_other_count_in_the_same_place(connect: Connect) -
 def test_statistics_must_be_some() -> None:
     with pytest.raises(TypeError, match="statistics must be Statistics, not dict"):
         TcpContext("127.0.0.1", statistics={})  # type: ignore[typeddict-item]
-
-
-@pytest.fixture
-def papers(tmp_path: Path) -> Papers:
-    return Papers(tmp_path)
 
 
 def unverified(papers: Papers) -> ssl.SSLContext:

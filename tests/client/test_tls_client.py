@@ -63,11 +63,6 @@ def connect(request: pytest.FixtureRequest) -> Iterator[Connect]:
         yield made
 
 
-@pytest.fixture
-def papers(tmp_path: Path) -> Papers:
-    return Papers(tmp_path)
-
-
 @pytest.fixture(params=["1.2", "1.3"])
 def version(request: pytest.FixtureRequest) -> str:
     found: str = request.param

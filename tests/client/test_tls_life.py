@@ -62,11 +62,6 @@ def connect(request: pytest.FixtureRequest) -> Iterator[Connect]:
         yield made
 
 
-@pytest.fixture
-def papers(tmp_path: Path) -> Papers:
-    return Papers(tmp_path)
-
-
 Serving = Callable[..., TlsServer]
 
 

@@ -9,7 +9,6 @@ import contextlib
 import ssl
 import subprocess
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -35,11 +34,6 @@ from tests.support.interop import (
     tried,
 )
 from tests.support.tls import VERSIONS, context
-
-
-@pytest.fixture
-def papers(tmp_path: Path) -> Papers:
-    return Papers(tmp_path)
 
 
 def without_names(told: ssl.SSLContext) -> ssl.SSLContext:

@@ -12,7 +12,6 @@ import ssl
 import threading
 from collections.abc import Iterator
 from concurrent.futures import Future
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -35,11 +34,6 @@ from tests.support.tls import VERSIONS, context
 tmodbus = pytest.importorskip("tmodbus", reason="tmodbus needs Python 3.13")
 
 VERSION = pytest.mark.parametrize("version", VERSIONS.values(), ids=VERSIONS)
-
-
-@pytest.fixture
-def papers(tmp_path: Path) -> Papers:
-    return Papers(tmp_path)
 
 
 # --- its client, our server ---------------------------------------------------------------------

@@ -5,7 +5,6 @@ Who one is at a tls:// endpoint: in its URL or as given, and what is wrong with 
 from __future__ import annotations
 
 import re
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -17,11 +16,6 @@ from tests.support import certificates
 from tests.support.certificates import Papers
 
 SECRET = "open sesame"
-
-
-@pytest.fixture
-def papers(tmp_path: Path) -> Papers:
-    return Papers(tmp_path)
 
 
 @pytest.mark.parametrize("make", [Context.from_url, AsyncClient])

@@ -22,11 +22,6 @@ from tests.support.certificates import Files, Papers
 DAY = 86_400
 
 
-@pytest.fixture
-def papers(tmp_path: Path) -> Papers:
-    return Papers(tmp_path / "papers")
-
-
 def renew(files: Files, identity: Identity) -> None:
     files.cert.write_bytes(identity.pem)
     files.key.write_bytes(identity.key_pem())

@@ -19,11 +19,6 @@ PEM = b"-----BEGIN X509 CRL-----\n%s\n-----END X509 CRL-----\n"
 
 
 @pytest.fixture
-def papers(tmp_path: Path) -> Papers:
-    return Papers(tmp_path / "papers")
-
-
-@pytest.fixture
 def files(papers: Papers) -> Files:
     return papers.files(certificates.client())
 

@@ -30,11 +30,6 @@ DIGEST = "ab" * 32
 
 
 @pytest.fixture
-def papers(tmp_path: Path) -> Papers:
-    return Papers(tmp_path / "papers")
-
-
-@pytest.fixture
 def files(papers: Papers) -> Files:
     return papers.files(certificates.client())
 

@@ -39,11 +39,6 @@ OPERATOR = partial(certificates.client, "Operator")
 
 
 @pytest.fixture
-def papers(tmp_path: Path) -> Papers:
-    return Papers(tmp_path / "papers")
-
-
-@pytest.fixture
 def crl(tmp_path: Path) -> Path:
     """A revocation list without entries."""
     file = tmp_path / "crl.pem"

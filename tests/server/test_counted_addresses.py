@@ -5,7 +5,6 @@ What counts as one address: in limits, rates and handshakes, and in the turns of
 from __future__ import annotations
 
 import asyncio
-from pathlib import Path
 
 import pytest
 
@@ -55,11 +54,6 @@ def test_all_addresses_of_a_64_share_an_allowance() -> None:
         assert not addresses.get("2001:db8:0:1::1").is_overspent()
 
     asyncio.run(main())
-
-
-@pytest.fixture
-def papers(tmp_path: Path) -> Papers:
-    return Papers(tmp_path)
 
 
 class Client:

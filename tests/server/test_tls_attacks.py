@@ -15,7 +15,6 @@ import subprocess
 import time
 import tracemalloc
 from collections.abc import Callable, Iterator
-from pathlib import Path
 
 import pytest
 
@@ -35,11 +34,6 @@ VERSION = pytest.mark.parametrize("version", VERSIONS.values(), ids=VERSIONS)
 
 # Much shorter than a test may take, much longer than a handshake does.
 HANDSHAKE_TIMEOUT = 1.0
-
-
-@pytest.fixture
-def papers(tmp_path: Path) -> Papers:
-    return Papers(tmp_path)
 
 
 @pytest.fixture

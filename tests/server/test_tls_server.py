@@ -17,7 +17,6 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from datetime import UTC, datetime, timedelta
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -51,11 +50,6 @@ KINDS: dict[str, tuple[Callable[[], Device], dict[str, Any]]] = {
     "faulty": (lambda: Device(Mapping(10, 10, 1000, 1000)), {"faults": {None: [NEVER]}}),
 }
 KIND = pytest.mark.parametrize("kind", KINDS)
-
-
-@pytest.fixture
-def papers(tmp_path: Path) -> Papers:
-    return Papers(tmp_path)
 
 
 @pytest.fixture

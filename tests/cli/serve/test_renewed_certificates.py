@@ -18,11 +18,6 @@ from tests.support.commands import Started
 from tests.support.peers import until
 
 
-@pytest.fixture
-def papers(tmp_path: Path) -> Papers:
-    return Papers(tmp_path)
-
-
 @pytest.fixture(params=["serve", "gateway"])
 def command(request: pytest.FixtureRequest) -> Iterator[list[str]]:
     """A command without a file of its own."""

@@ -290,11 +290,6 @@ def test_nobody_there_is_said_in_one_line() -> None:
 # --- TLS ----------------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def papers(tmp_path: Path) -> Papers:
-    return Papers(tmp_path)
-
-
 def test_tls_with_certificates_of_both(papers: Papers) -> None:
     own = papers.files(certificates.client())
     with Server(device(), security=papers.server()).background(f"tls://{HOST}:0") as running:
