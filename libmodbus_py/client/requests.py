@@ -397,9 +397,8 @@ class Requests:
         from ..protocol.tables import TABLES
         from ..protocol.values import value_type
 
-        _check_registers(table)
         kind = value_type(type, **layout)
-        cells = yield TABLES[table].read(address, kind.registers)
+        cells = yield TABLES[_registers(table)].read(address, kind.registers)
         return kind.decode(cells)
 
     @several_by_type
@@ -429,7 +428,7 @@ class Requests:
         from ..protocol.tables import TABLES
         from ..protocol.values import value_type
 
-        _check_registers(table)
+        table = _registers(table)
         kind = value_type(type, order=order, **text)
         registers = kind.registers * integer("count", count, 1, 125 // kind.registers)
         cells = yield TABLES[table].read(address, registers)
@@ -456,7 +455,9 @@ class Requests:
             values: one or more, up to what 123 registers hold.
             type, order, text: as for `read_values`.
         """
-        if table != "holding_registers":
+        from ..protocol.words import table_named
+
+        if table != "holding_registers" and table_named(table) != "holding_registers":
             raise ValueError(f"table must be holding_registers, not {table!r}")
         from ..protocol.values import value_type
 
@@ -564,11 +565,17 @@ class Requests:
                 yield ChangeRegister(request)
 
 
-def _check_registers(table: object) -> None:
+def _registers(table: object) -> Any:
+    """Return the name of a table of registers, which may be written as vendors do."""
     from ..protocol.tables import REGISTER_TABLES
+    from ..protocol.words import table_named
 
-    if table not in REGISTER_TABLES:
+    if table in REGISTER_TABLES:
+        return table
+    name = table_named(table)
+    if name not in REGISTER_TABLES:
         raise ValueError(f"table must be one of {', '.join(REGISTER_TABLES)}, not {table!r}")
+    return name
 
 
 def _checked_map(given: object) -> RegisterMap:

@@ -7,7 +7,6 @@ The registers of a device, by name, and the requests that read and write them. N
     point          one named value: Point
     bound_map      a map with a client: BoundMap
     attribute_names  names of points as attributes of Python classes
-    close_names    names that are close to one that is not known
     bounds         minimum and maximum of values that a client wrote
     scaling        raw numbers and what they stand for
     meaning        raw values that mean none, states and named bits: NoValue, Judged

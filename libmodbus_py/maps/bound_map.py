@@ -7,9 +7,9 @@ from __future__ import annotations
 from collections.abc import Coroutine, Iterable, Mapping
 from typing import Any, Protocol, Unpack
 
+from ..protocol.close_names import close_to
 from ..protocol.mistakes import WrongType
 from .attribute_names import attribute_names
-from .close_names import close_to
 from .plan import PlanOptions
 from .point import Point
 

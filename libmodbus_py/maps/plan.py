@@ -17,9 +17,9 @@ from typing import Any, Literal, NamedTuple, Required, TypedDict, TypeVar
 from ..protocol import pdu
 from ..protocol.checks import integer
 from ..protocol.errors import ModbusError
-from ..protocol.mistakes import WrongType, WrongValue, placed
+from ..protocol.mistakes import WrongType, WrongValue, inside, placed
 from ..protocol.pdu.fields import checked_span, store
-from ..protocol.tables import TABLE_SIZE, TABLES, Table
+from ..protocol.tables import TABLE_SIZE, TABLES, Table, checked_table
 from ..protocol.values import Order, TypeName, ValueType, value_type
 from .holes import Holes, HolesByDevice, Unreadable
 from .pieces import Block, PartialAnswer
@@ -63,8 +63,10 @@ class Read:
 
     def __post_init__(self) -> None:
         if not isinstance(self.table, str) or self.table not in TABLES:
-            raise WrongValue("table", f"must be one of {', '.join(TABLES)}, not {self.table!r}")
+            store(self, table=checked_table(self.table))
         store(self, kind=self._find_kind())
+        if self.kind is not None:
+            store(self, type=self.kind.name)
         count = integer("count", self.count, 1, TABLE_SIZE // self.size)
         name = "count" if self.size == 1 else f"{self.size} * count"
         address = checked_span("address", self.address, name, count * self.size)
@@ -414,8 +416,8 @@ def _checked_forbidden(forbidden: object) -> dict[str, list[range]]:
         if not isinstance(pair, tuple) or len(pair) != 2 or not isinstance(pair[1], range):
             raise WrongType(("forbidden", at), f"must be a pair (table, range), not {pair!r}")
         table, cells = pair
-        if table not in TABLES:
-            raise WrongValue.about(("forbidden", at), f"table must be one of {', '.join(TABLES)}")
+        with inside("forbidden", at):
+            table = checked_table(table)
         if cells.step != 1 or cells.start < 0 or cells.stop > TABLE_SIZE:
             raise WrongValue.about(
                 ("forbidden", at), "the range must lie in 0..65535 without steps"

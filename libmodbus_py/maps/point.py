@@ -15,7 +15,7 @@ from typing import Any, Literal
 from ..protocol.checks import are_registers, shown
 from ..protocol.mistakes import Mistake, WrongType, WrongValue
 from ..protocol.pdu.fields import checked_bit, checked_sequence, store
-from ..protocol.tables import TABLES, Table
+from ..protocol.tables import TABLES, Table, checked_table
 from ..protocol.values import Order, TypeName, ValueType
 from .meaning import Judged, Meaning, NoValue
 from .meaning_keys import checked_meaning, has_numbers, tidied
@@ -118,12 +118,15 @@ class Point:
             _check_text(name, getattr(self, name), least, most)
         for name in ("encoding", "padding"):
             _check_string(name, getattr(self, name))
-        if self.type is None and not _is_bits(self.table):
+        if not isinstance(self.table, str) or self.table not in TABLES:
+            store(self, table=checked_table(self.table))
+        if self.type is None and not TABLES[self.table].is_bits:
             store(self, type="uint16")
         text = {"encoding": self.encoding, "padding": self.padding}
         read = Read(self.table, self.address, self.count, self.type, self.order, **text)
         order = "ABCD" if read.kind is None else read.kind.order
         store(self, read=read, address=read.address, count=read.count, order=order)
+        store(self, type=read.type)
         store(self, **tidied(self))
         store(self, access=self._checked_access(), meaning=checked_meaning(self))
         store(self, _scaling=self._checked_scaling())
@@ -503,11 +506,6 @@ def _packed(kind: ValueType, cells: Sequence[int]) -> bytes:
     if len(cells) != kind.registers or not are_registers(cells):
         kind.decode(cells)  # raises the error that says what is wrong
     return struct.pack(f">{len(cells)}H", *cells)
-
-
-def _is_bits(table: object) -> bool:
-    """Return True for a table of bits; an unknown table is refused elsewhere."""
-    return not isinstance(table, str) or table not in TABLES or TABLES[table].is_bits
 
 
 def _check_string(name: str, value: object) -> None:

@@ -11,9 +11,9 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Unpack
 
 from ..protocol import pdu
+from ..protocol.close_names import close_to
 from ..protocol.errors import ModbusError
 from ..protocol.mistakes import WrongType, WrongValue
-from .close_names import close_to
 from .holes import HolesByDevice
 from .meaning import NoValue
 from .pieces import PartialAnswer

@@ -15,6 +15,8 @@ Bottom up:
     framing    unit and PDU as bytes on TCP, UDP, RTU and ASCII lines, and back
     returned   the echo of sent bytes among received ones
     either_way  frames of a line that one only listens to: requests or responses
+    words      the words of tables, types and orders, as vendors write them
+    close_names  names that are close to one that is not known
     tables     the four tables: what they hold, and how much of it a request may carry
     values     numbers, text, bits and times in registers; references such as 40123
                (type_names: what type checkers know of them)

@@ -8,12 +8,15 @@ from collections.abc import Callable
 from typing import Any, Literal, NamedTuple
 
 from . import pdu
+from .close_names import close_to
+from .mistakes import WrongValue
 from .pdu.fields import MOST_COILS_WRITTEN, MOST_REGISTERS_WRITTEN, TABLE_SIZE
+from .words import table_named
 
 # fmt: off
 __all__ = [
     "REGISTER_TABLES", "TABLES", "TABLE_SIZE", "RegisterTable", "Table", "TableRules",
-    "WritableTable",
+    "WritableTable", "checked_table",
 ]
 # fmt: on
 
@@ -51,3 +54,17 @@ TABLES: dict[str, TableRules] = {
 
 REGISTER_TABLES = [name for name, rules in TABLES.items() if not rules.is_bits]
 """The names of `RegisterTable`."""
+
+
+def checked_table(table: object) -> Any:
+    """
+    Return the name of a table, which may be written as vendors do, such as "hr" or "4x".
+
+    Raises:
+        WrongValue: there is no such table.
+    """
+    name = table_named(table)
+    if name is None:
+        close = close_to(table, TABLES)
+        raise WrongValue("table", f"must be one of {', '.join(TABLES)}, not {table!r}{close}")
+    return name

@@ -47,6 +47,7 @@ from encodings.aliases import aliases
 from typing import TYPE_CHECKING, Any, NamedTuple, SupportsFloat, SupportsIndex
 
 from .checks import are_registers, integer, shown
+from .close_names import close_to
 from .mistakes import Path, WrongType, WrongValue, item
 from .type_names import (
     BitsType,
@@ -58,6 +59,7 @@ from .type_names import (
     TimeType,
     TypeName,
 )
+from .words import order_named, type_named
 
 if TYPE_CHECKING:
     from datetime import datetime
@@ -96,6 +98,7 @@ def _order(order: object, kind: ValueType) -> str:
     if not isinstance(order, str):
         raise WrongType("order", f"must be one of {', '.join(ORDERS)}, not {type(order).__name__}")
     name, width = _SPELLINGS.get(order.upper(), (order.upper(), None))
+    name = name if name in ORDERS else order_named(order) or name
     if name not in ORDERS:
         raise WrongValue("order", f"must be one of {', '.join(ORDERS)}, not {reprlib.repr(order)}")
     if width not in (None, 1 if kind.is_text else kind.registers):
@@ -454,9 +457,9 @@ def value_type(
     Find a type; all names and options are checked here, before any value is.
 
     Args:
-        name: as in the module's docstring.
+        name: as in the module's docstring, or as vendors write it, such as "FLOAT" or "u16".
         order: ABCD, CDAB, BADC or DCBA, or written out in the type's width;
-            capitals or not.
+            capitals or not; or in words, such as "big endian" or "word swapped".
         encoding: of strings; one of `ENCODINGS`, or another name that Python has for it,
             such as "latin-1" or "windows-1252".
         padding: the character that fills up strings, and is cut off their end.
@@ -471,14 +474,15 @@ def value_type(
 def _known(name: object) -> ValueType | None:
     if not isinstance(name, str):
         raise WrongType("type", f"must be a string, such as float32, not {type(name).__name__}")
-    return TYPES.get(name)
+    return TYPES.get(name) or TYPES.get(type_named(name) or "")
 
 
 def _string(name: str, encoding: str, padding: str) -> ValueType:
-    found = re.fullmatch(r"string:([0-9]{1,9})", name)
+    found = re.fullmatch(r"string:([0-9]{1,9})", type_named(name) or "")
     if not found:
         wanted = f"one of {', '.join(TYPES)}, string:N"
-        raise WrongValue("type", f"must be {wanted}, not {reprlib.repr(name)}")
+        close = close_to(name, TYPES)
+        raise WrongValue("type", f"must be {wanted}, not {reprlib.repr(name)}{close}")
     size = int(found[1])
     if not 1 <= size <= 250:
         raise WrongValue("type", f"string:N: N must be in 1..250, not {size}")

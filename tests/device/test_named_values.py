@@ -49,7 +49,7 @@ def test_the_device_has_the_cells_of_its_points_and_no_others() -> None:
 
 
 WRONG: list[tuple[dict[Any, Any], type[Exception], str]] = [
-    ({"mode": 1, "setpont": 3}, KeyError, "no point 'setpont'; close to it are setpoint"),
+    ({"mode": 1, "setpont": 3}, KeyError, "no point 'setpont'; did you mean setpoint"),
     ({"mode": 1, 7: 3}, KeyError, "no point 7"),
     ({"mode": 1, "setpoint": 31}, ValueError, r"setpoint: value must be in 5\.\.30, not 31"),
     ({"mode": 1, "setpoint": 4.9}, ValueError, r"setpoint: value must be in 5\.\.30"),

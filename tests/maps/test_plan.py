@@ -170,7 +170,7 @@ def test_results_are_made_anew_each_time() -> None:
         (Read("coils", 1), {}, TypeError, "items must be a list"),
         ([("coils", 0), "coils"], {}, TypeError, r"items\[1\]"),
         ([("coils",)], {}, TypeError, r"items\[0\]"),
-        ([("coil", 0)], {}, ValueError, r"items\[0\].table must be one of coils"),
+        ([("coilz", 0)], {}, ValueError, r"items\[0\].table must be one of coils"),
         ([([], 0)], {}, ValueError, r"items\[0\].table"),
         ({"a": ("coils", -1)}, {}, ValueError, r"items\['a'\].address must be in 0..65535"),
         ([("coils", 0, 0)], {}, ValueError, r"count must be in 1..65536"),
@@ -187,7 +187,7 @@ def test_results_are_made_anew_each_time() -> None:
         ([], {"forbidden": [("coils", 5)]}, TypeError, r"forbidden\[0\]"),
         ([], {"forbidden": {"coils": range(5)}}, TypeError, r"forbidden\[0\]"),
         ([], {"forbidden": 5}, TypeError, r"forbidden\[0\]"),
-        ([], {"forbidden": [("coil", range(5))]}, ValueError, r"forbidden\[0\]: table"),
+        ([], {"forbidden": [("coilz", range(5))]}, ValueError, r"forbidden\[0\].table"),
         ([], {"forbidden": [("coils", range(0, 5, 2))]}, ValueError, "0..65535"),
         ([], {"forbidden": [("coils", range(65537))]}, ValueError, "0..65535"),
         (

@@ -135,7 +135,7 @@ REFUSED = [
     ({"name": 7}, "name must be a string, not int"),
     ({"name": "a\nb\x1b[2J"}, "name must be printable characters"),
     ({"name": " a"}, "name must be printable characters"),
-    ({"table": "coil"}, "table must be one of coils, discrete_inputs, "),
+    ({"table": "coilz"}, "table must be one of coils, discrete_inputs, "),
     ({"table": ["coils"]}, "table must be one of coils, discrete_inputs, "),
     ({"address": 65536}, "address must be in 0..65535, not 65536"),
     ({"address": 65535, "type": "float32"}, "address + 2 * count must not pass 65536"),

@@ -161,7 +161,7 @@ def test_what_a_request_holds_is_not_torn() -> None:
 
 # What is written, and why nothing of it is sent.
 REFUSED = [
-    ({"setpiont": 1}, ValueError, "the map has no point 'setpiont'; close to it are setpoint"),
+    ({"setpiont": 1}, ValueError, "the map has no point 'setpiont'; did you mean setpoint?"),
     ({7: 1}, ValueError, "the map has no point 7"),
     ({"setpoint": 5, "flow": 1.0}, ValueError, "flow cannot be written: its access is read"),
     ({"volts": [1, 2, 3]}, ValueError, "volts cannot be written: its access is read"),
@@ -183,7 +183,7 @@ def test_nothing_is_sent_of_what_cannot_be_written(
 
 
 UNREADABLE = [
-    (["volt"], ValueError, "the map has no point 'volt'; close to it are volts"),
+    (["volt"], ValueError, "the map has no point 'volt'; did you mean volts?"),
     (["key"], ValueError, "key cannot be read: its access is write"),
     ("volts", TypeError, "names must be a list of names, not str"),
     (7, TypeError, "names must be a list of names, not int"),

@@ -309,7 +309,7 @@ class TestOrders:
         with pytest.raises(ValueError, match=f"order of {name} must be one of .*, not '{order}'"):
             value_type(name, order=order)
 
-    @each_case("order", ["", "ABC", "ABDC", "ABCDEF", "big", "A B C D", "ABCD\n"])
+    @each_case("order", ["", "ABC", "ABDC", "ABCDEF", "big", "A B C D"])
     def test_no_such_order(self, order: str) -> None:
         with pytest.raises(ValueError, match="order must be one of ABCD, CDAB, BADC, DCBA") as e:
             decode([1, 2], "uint32", order=order)
@@ -352,15 +352,13 @@ class TestValueType:
         "name",
         [
             "",
-            "int",
             "int8",
-            "INT16",
-            "float",
+            "long",
+            "bool",
             "string",
             "string:",
             "string:-1",
             "string:8x",
-            "int16 ",
         ],
     )
     def test_no_such_type(self, name: str) -> None:

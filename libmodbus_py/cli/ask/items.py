@@ -12,9 +12,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from ...maps.plan import Read
+from ...protocol.close_names import close_to
 from ...protocol.spelling import number_of
 from ...protocol.tables import TABLE_SIZE, TABLES
 from ...protocol.values import ValueType, parse_reference, value_type
+from ...protocol.words import plain, table_named
 
 if TYPE_CHECKING:
     from ...maps.point import Point
@@ -30,7 +32,7 @@ TABLE_WORDS = {
     "file": "file",
     "fifo": "fifo_queue",
 }
-"""Word on the command line -> name of the table."""
+"""Word on the command line -> name of the table; `protocol.words` has more for the first four."""
 
 WORD_OF = {table: word for word, table in TABLE_WORDS.items()}
 
@@ -55,7 +57,7 @@ class Item:
     Values of one table, or a point of a register map.
 
     Attributes:
-        table: a value of `TABLE_WORDS`.
+        table: a name in `TABLE_WORDS`.
         address: the address of the first cell, from 0.
         count: the number of values.
         kind: the type of the values; None for cells without a type.
@@ -160,13 +162,15 @@ class Words:
             return self._in_table(first, name)
         if self.map is not None and first in self.map:
             return self._named(first, self.map)
+        if word := _table_word(name):
+            return self._in_table(first, word)
         if first.isdecimal():
             return self._referred(first)
         if self.map is not None:
             self.map.plan([first])  # raises an error with similar names
         raise ValueError(
             f"{first!r} must be one of {', '.join(TABLE_WORDS)}, a reference such as 40123,"
-            " or with --map FILE a name"
+            f" or with --map FILE a name{close_to(first.lower(), TABLE_WORDS)}"
         )
 
     def take_count(self, item: Item) -> int:
@@ -183,8 +187,12 @@ class Words:
         return values
 
     def _begins_item(self, word: str) -> bool:
-        is_table = word.partition(":")[0] in TABLE_WORDS
-        return is_table or (self.map is not None and word in self.map)
+        name = word.partition(":")[0]
+        if name in TABLE_WORDS or (self.map is not None and word in self.map):
+            return True
+        # Short words such as "di" may be texts to write; a table has an address behind it.
+        has_address = len(self._words) > 1 and re.match("[0-9]", self._words[1])
+        return bool(has_address and _table_word(name))
 
     def _has_next(self, item: Item) -> bool:
         """Return True if the next word is a reference, and not the count of a reference."""
@@ -231,6 +239,12 @@ class Words:
             raise ValueError(f"{table.replace('_', ' ')} have no --type, only {allowed} have")
         layout = self._layout
         return Item(table, address, kind=self._kind, layout=layout, first=first, **others)
+
+
+def _table_word(text: str) -> str:
+    """Return the word of `TABLE_WORDS` for a table as vendors write it; empty for none."""
+    name = "fifo_queue" if plain(text) == "fifo queue" else table_named(text)
+    return WORD_OF.get(name or "", text.lower() if text.lower() in TABLE_WORDS else "")
 
 
 def map_of(file: str) -> RegisterMap:

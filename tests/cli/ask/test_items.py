@@ -176,6 +176,6 @@ def test_wrong_usage_is_one_line(url: str, words: str, named: str) -> None:
 def test_names_that_a_map_lacks_are_guessed(url: str, meter: str) -> None:
     done = run("read", url, "--map", meter, "setpont")
     assert (done.code, done.out) == (2, "")
-    assert "no point 'setpont'; close to it are setpoint" in done.err
+    assert "no point 'setpont'; did you mean setpoint" in done.err
     done = run("read", url, "--map", meter, "pump", "--type", "int16")
     assert "pump has the type that the map gives" in done.err

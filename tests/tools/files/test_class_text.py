@@ -47,7 +47,7 @@ def test_a_class_reads_and_writes() -> None:
         assert (meter.run, device["setpoint"], device["reset"]) == (False, 21.5, True)
         meter.read("run")
         assert (meter.run, meter.setpoint) == (True, 0)
-        with pytest.raises(AttributeError, match="'sepoint'; close to it are setpoint"):
+        with pytest.raises(AttributeError, match="'sepoint'; did you mean setpoint"):
             meter.write(sepoint=3)
         with pytest.raises(ValueError, match=r"setpoint: value must be in 5\.\.30"):
             meter.write(setpoint=99)

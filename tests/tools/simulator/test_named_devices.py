@@ -315,7 +315,7 @@ BROKEN = [
     ("[[unit]]\nmap = 'device.doc'", "unit[0].map: {}/device.doc: a register map must end with"),
     ("[[unit]]\nmap = ['meter.csv', 'meter.csv']", "unit[0].map[1]: there is a point voltage in"),
     ("[[unit]]\nmap = 'bad.csv'", "unit[0].map: {}/bad.csv, line 2, column table: "),
-    (MAPPED + "values = { volt = 1 }", "unit[0].values.volt: no such point; close to it are volta"),
+    (MAPPED + "values = { volt = 1 }", "unit[0].values.volt: no such point; did you mean volta"),
     (
         "[[unit]]\nvalues = { a = 1 }",
         "unit[0].values.a: there is no point, for the unit has no m",

@@ -77,7 +77,7 @@ def test_moving_values_by_name(tmp_path: Path) -> None:
     assert device["setpoint"] == 20
     device.update({"setpoint": 30, "own": 3})
     assert (device["setpoint"], device["own"]) == (30, 3)
-    with pytest.raises(KeyError, match="no point 'setpiont'; close to it are setpoint"):
+    with pytest.raises(KeyError, match="no point 'setpiont'; did you mean setpoint"):
         device["setpiont"] = 3
     with pytest.raises(KeyError, match="no point 'setpiont'"):
         device["setpiont"]

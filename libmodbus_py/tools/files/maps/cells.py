@@ -13,19 +13,12 @@ from typing import Any
 from ....maps.meaning_keys import SCALES
 from ....maps.parts import BYTES
 from ....protocol.mistakes import WrongValue
+from ....protocol.words import ORDER_WORDS, TABLE_WORDS, TYPE_WORDS, plain, type_named
 from ..csv_text import flag_in, number_in, whole_in
-from .words import (
-    ACCESS_WORDS,
-    FUNCTION_TABLES,
-    ORDER_WORDS,
-    TABLE_WORDS,
-    TYPE_WORDS,
-    plain,
-)
+from .words import ACCESS_WORDS, FUNCTION_TABLES
 
 __all__ = ["READERS"]
 
-_STRING = re.compile(r"(?:string|str|char|ascii|text) ?:? ?([0-9]{1,9})")
 _FUNCTION = re.compile(r"(?<![0-9a-z])(?:fc|f|0x)? ?([0-9]{1,2})(?![0-9a-z])")
 
 
@@ -44,8 +37,7 @@ def _by_itself(words: Iterable[str]) -> dict[str, str]:
 
 
 def _type(text: str) -> str:
-    found = _STRING.fullmatch(plain(text))
-    return f"string:{found[1]}" if found else _type_word(text)
+    return type_named(text) or _type_word(text)
 
 
 def _order(text: str) -> str:

@@ -13,11 +13,12 @@ from typing import Any, NamedTuple
 
 from ....protocol.mistakes import Path, WrongValue, inside
 from ....protocol.values import parse_reference
+from ....protocol.words import plain
 from ..csv_text import CsvRow, CsvText
 from ..file_error import FilePlace
 from .cells import READERS
 from .drafts import MAX_POINTS, Draft, MapError
-from .words import COLUMNS, DOUBTFUL_COLUMNS, plain
+from .words import COLUMNS, DOUBTFUL_COLUMNS
 
 __all__ = ["Columns", "columns_of", "drafts", "opened"]
 

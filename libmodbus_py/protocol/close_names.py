@@ -14,4 +14,4 @@ def close_to(name: object, known: Iterable[str]) -> str:
     from difflib import get_close_matches
 
     close = get_close_matches(name, known, 3) if isinstance(name, str) else []
-    return f"; close to it are {', '.join(close)}" if close else ""
+    return f"; did you mean {' or '.join(close)}?" if close else ""
