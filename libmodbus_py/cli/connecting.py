@@ -5,7 +5,6 @@ Endpoints and clients, made of URLs and of the options that override them.
 from __future__ import annotations
 
 import argparse
-import re
 from typing import TYPE_CHECKING, Any
 
 from ..ports.schemes import CLIENT_OPTIONS, SECURITY_OPTIONS, SERIAL_OPTIONS
@@ -17,7 +16,7 @@ if TYPE_CHECKING:
     from ..client.blocking import Context
     from ..ports.endpoint import Endpoint
 
-__all__ = ["OF_SERVERS", "connected", "endpoint_of", "url_of", "with_options"]
+__all__ = ["OF_SERVERS", "connected", "endpoint_of", "with_options"]
 
 OF_SERVERS = (*SERIAL_OPTIONS, *SECURITY_OPTIONS)
 """The options of URLs that mean something to a server."""
@@ -37,7 +36,7 @@ def endpoint_of(options: argparse.Namespace) -> Endpoint:
     Raises:
         ValueError: the URL or an option is wrong.
     """
-    return with_options([url_of(options.url)], options)[0]
+    return with_options([options.url], options)[0]
 
 
 def connected(options: argparse.Namespace) -> Context:
@@ -56,7 +55,7 @@ def connected(options: argparse.Namespace) -> Context:
         from .tracing import Tracing
 
         hooks["trace"] = Tracing()
-    plain = parse(url_of(options.url))
+    plain = parse(options.url)
 
     def make(typed: Mapping[str, Any]) -> Context:
         return Context.from_url(_overridden(plain, typed).url, **hooks)
@@ -109,27 +108,3 @@ def _overridden(endpoint: Endpoint, typed: Mapping[str, Any]) -> Endpoint:
         options={**endpoint.options, **settings},
         client_options={**endpoint.client_options, **client},
     )
-
-
-def url_of(text: str) -> str:
-    """
-    Return the URL of what was typed: without a scheme a path is a serial port, all else a host.
-
-    Raises:
-        ValueError: the text is neither a URL, a path nor a host.
-    """
-    if "://" in text:
-        return text
-    if text.startswith(("/", "./", "../", "~/")):
-        from os.path import abspath, expanduser
-
-        path, mark, query = text.partition("?")
-        return f"rtu://{abspath(expanduser(path))}{mark}{query}"
-    host, mark, query = text.partition("?")
-    if host.count(":") > 1 and not host.startswith("["):
-        host = f"[{host}]"
-    if not re.fullmatch(r"\[[^\]]+\](:[0-9]+)?|[^:/\[\]@]+(:[0-9]+)?", host):
-        raise ValueError(
-            f"{text!r} must be a URL, such as tcp://192.0.2.10, a host or a path of a serial port"
-        )
-    return f"tcp://{host}{mark}{query}"

@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, TypeVar, Unpack, overload
 
-from ..ports.schemes import DEFAULT_PORT, SECURE_PORT, SERIAL_OPTIONS, Scheme
+from ..ports.schemes import DEFAULT_PORT, PARITIES, SECURE_PORT, SERIAL_OPTIONS, Scheme
 from ..protocol import pdu
 from ..protocol.errors import InvalidResponse, ModbusError
 from .batch import MAX_IN_FLIGHT, Batch, raised
@@ -354,6 +354,8 @@ def _split(options: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
     others: dict[str, Any] = {}
     for name, value in options.items():
         (settings if name in SERIAL_OPTIONS else others)[name] = value
+    if isinstance(parity := settings.get("parity"), str):
+        settings["parity"] = PARITIES.get(parity.lower(), parity)
     return settings, others
 
 

@@ -9,6 +9,9 @@ Endpoints as URLs, alike for clients, servers and the command line.
     rtu:///dev/ttyUSB0?baudrate=19200&parity=E&data_bits=8&stop_bits=1
     ascii:///dev/ttyUSB0?baudrate=9600&parity=E&data_bits=7&stop_bits=1
 
+Without a scheme, a path such as /dev/ttyUSB0 is a serial port in RTU mode, and all else a host for
+tcp: 192.0.2.10, 192.0.2.10:1502, [::1]:1502.
+
 HOST is a name, an IPv4 address or an IPv6 address in brackets; the default port
 is 502, with tls 802. udp has one frame of Modbus/TCP in each datagram, rtu+udp one of RTU. tls
 takes `cert` (or `certificate`), `key`, `ca` (or `trust`), `pin` and `server_name`, which are the
@@ -25,6 +28,7 @@ import posixpath
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from os.path import abspath, expanduser
 from typing import TYPE_CHECKING, Any
 
 from ..protocol.pauses import pause_between_frames
@@ -46,7 +50,7 @@ if TYPE_CHECKING:
 
     from ..protocol.framing import Framing
 
-__all__ = ["Endpoint", "parse", "parse_to_listen"]
+__all__ = ["Endpoint", "parse", "parse_to_listen", "url_of"]
 
 # A password has no use here, but a URL may contain one, which must not be logged.
 PASSWORD = "(?<=password=)[^&#]+|(?<=:)[^/@:]+(?=@)"
@@ -164,7 +168,7 @@ def _one_spelling(host: str) -> str:
 
 def parse(url: str) -> Endpoint:
     """
-    Read a URL.
+    Read a URL, or what stands for one: a host, HOST:PORT, or the path of a serial port.
 
     Raises:
         TypeError: not a string.
@@ -174,6 +178,7 @@ def parse(url: str) -> Endpoint:
         raise TypeError(f"url must be a string, not {type(url).__name__}")
     from urllib.parse import urlsplit
 
+    url = url_of(url)
     parts = urlsplit(url)
     url = re.sub(PASSWORD, "***", url)  # from here on the text is for error messages only
     if parts.scheme not in SCHEMES:
@@ -183,6 +188,29 @@ def parse(url: str) -> Endpoint:
     scheme: Scheme = parts.scheme
     read = _parse_serial if TRANSPORTS[SCHEMES[scheme][1]].is_serial else _parse_network
     return read(url, scheme, parts)
+
+
+def url_of(text: str) -> str:
+    """
+    Return a URL: without a scheme a path is a serial port in RTU mode, all else a host for tcp.
+
+    Raises:
+        ValueError: the text is neither a URL, a path nor a host.
+    """
+    if "://" in text:
+        return text
+    place, mark, query = text.partition("?")
+    if place.startswith(("/", "./", "../", "~/")):
+        return f"rtu://{abspath(expanduser(place))}{mark}{query}"
+    if place.count(":") > 1 and not place.startswith("["):
+        place = f"[{place}]"
+    # A number alone is no host, but a unit that stands where the URL should.
+    if not re.fullmatch(r"\[[^\]]+\](:[0-9]+)?|(?![0-9,-]+$)[^:/\[\]@\s]+(:[0-9]+)?", place):
+        shown = re.sub(PASSWORD, "***", text)
+        raise ValueError(
+            f"{shown!r}: must be a URL, such as tcp://192.0.2.10, a host or a path of a serial port"
+        )
+    return f"tcp://{place}{mark}{query}"
 
 
 def parse_to_listen(url: str) -> Endpoint:

@@ -16,6 +16,7 @@ __all__ = [
     "ASCII_DEFAULTS", "CLIENT_OPTIONS", "DEFAULT_PORT", "OTHER_NAMES", "PARITIES", "SCHEMES",
     "SECURE_PORT", "SECURITY_OPTIONS", "SERIAL_DEFAULTS", "SERIAL_OPTIONS", "TRANSPORTS", "Option",
     "Scheme", "Transport", "TransportRules", "character_bits", "framing_of",
+    "parity_of",
 ]
 # fmt: on
 
@@ -76,10 +77,16 @@ PARITIES = {"none": "N", "even": "E", "odd": "O", "n": "N", "e": "E", "o": "O"}
 """Word -> parity, as serial ports take it."""
 
 
-def _parity(text: str) -> str:
-    if text.lower() not in PARITIES:
-        raise ValueError(text)
-    return PARITIES[text.lower()]
+def parity_of(word: object) -> Any:
+    """
+    Return the parity of a word, such as "N" for "none" or "n".
+
+    Raises:
+        ValueError: it is none.
+    """
+    if not isinstance(word, str) or word.lower() not in PARITIES:
+        raise ValueError(f'parity must be "N", "E" or "O", not {word!r}')
+    return PARITIES[word.lower()]
 
 
 def _number(text: str) -> Option:
@@ -96,7 +103,7 @@ def _text(text: str, placeholder: str) -> Option:
 
 SERIAL_OPTIONS: dict[str, Option] = {
     "baudrate": _number("bits per second"),
-    "parity": Option(_parity, "none, even or odd", "parity: none, even or odd", "P"),
+    "parity": Option(parity_of, "none, even or odd", "parity: none, even or odd", "P"),
     "data_bits": _number("data bits of a character, 7 or 8"),
     "stop_bits": _number("stop bits, 1 or 2"),
     "rs485": _text("how an RS-485 transceiver is switched: kernel, rts-up or rts-down", "MODE"),

@@ -20,7 +20,7 @@ from ..protocol.errors import ModbusConnectionError
 from ..protocol.pauses import pause_between_frames
 from ..protocol.returned import AwaitedEcho
 from .port import Port, Silence, lost
-from .schemes import SERIAL_DEFAULTS, character_bits
+from .schemes import SERIAL_DEFAULTS, character_bits, parity_of
 from .waiting import Steps, of_system
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 __all__ = ["LineSettings", "SerialPort", "SerialSettings", "set_odd_baudrate"]
 
-Parity = Literal["N", "E", "O"]
+Parity = Literal["N", "E", "O", "none", "even", "odd"]
 Rs485 = Literal["kernel", "rts-up", "rts-down"]
 
 READ_SIZE = 4096
@@ -68,7 +68,7 @@ class SerialPort(Port):
             programs talk at once.
         baudrate: bits per second, 1..4000000; one that the port cannot do is
             refused when it is opened.
-        parity: "N", "E" or "O".
+        parity: "N", "E" or "O", or the words "none", "even" and "odd".
         data_bits: 5..8.
         stop_bits: 1 or 2.
         rs485: None; "kernel" (the driver turns the transceiver round); "rts-up"
@@ -133,9 +133,7 @@ class SerialPort(Port):
 
     def _take(self, settings: SerialSettings) -> None:
         usual: Any = {**SERIAL_DEFAULTS, **settings}
-        self.parity: Parity = usual["parity"]
-        if self.parity not in ("N", "E", "O"):
-            raise ValueError(f'parity must be "N", "E" or "O", not {self.parity!r}')
+        self.parity: Literal["N", "E", "O"] = parity_of(usual["parity"])
         self.rs485 = settings.get("rs485")
         if self.rs485 not in (None, "kernel", *self.rts_modes):
             raise ValueError(f'rs485 must be "kernel", "rts-up" or "rts-down", not {self.rs485!r}')
@@ -145,7 +143,7 @@ class SerialPort(Port):
         self.echo: bool = settings.get("echo", False)
         if not isinstance(self.echo, bool):
             raise TypeError(f"echo must be True or False, not {self.echo!r}")
-        bits = character_bits(usual)
+        bits = character_bits({**usual, "parity": self.parity})
         wait, silence = settings.get("rts_delay"), settings.get("silence")
         self.character: float = bits / self.baudrate
         self.rts_delay: float = self.character if wait is None else seconds("rts_delay", wait, 0, 1)

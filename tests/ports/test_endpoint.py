@@ -126,7 +126,9 @@ ALL = ", ".join([*SERIAL_OPTIONS, *CLIENT_OPTIONS])
     ("url", "text"),
     [
         ("http://h", "the scheme must be one of tcp, rtu"),
-        ("h:502", "the scheme must be one of"),
+        ("h:x", "must be a URL, such as tcp://192.0.2.10, a host or a path"),
+        ("", "must be a URL"),
+        ("1-10", "must be a URL"),
         ("tcp://me@h", "neither user nor fragment"),
         ("tcp://h#x", "neither user nor fragment"),
         ("tcp://h/x", "nothing but options may follow the port"),

@@ -95,7 +95,7 @@ def test_silence_and_characters_are_those_of_the_specification(
     [
         ({"baudrate": 0}, "baudrate"),
         ({"baudrate": 9600.5}, "baudrate"),
-        ({"parity": "e"}, "parity"),
+        ({"parity": "mark"}, "parity"),
         ({"data_bits": 9}, "data_bits"),
         ({"stop_bits": 3}, "stop_bits"),
         ({"rs485": "yes"}, "rs485"),

@@ -18,7 +18,7 @@ from ...protocol.plain import plain
 from ...tools.listener.listener import Listener, listen
 from ...tools.listener.transaction import Transaction
 from .. import arguments
-from ..connecting import url_of, with_options
+from ..connecting import with_options
 from ..help import VerbatimHelp
 from ..output import print_json, styled
 
@@ -91,12 +91,12 @@ def _listen(options: argparse.Namespace) -> int:
 def _place(options: argparse.Namespace) -> str:
     """Return the URL or the path of a capture; the path of a device is a URL without a scheme."""
     typed: str = options.url
-    if "://" not in typed and not typed.startswith("/dev/"):
+    if "://" not in typed and typed.endswith(".pcapng"):
         if settings := arguments.given(options, SERIAL_OPTIONS):
             name = arguments.flag(next(iter(settings)))
             raise ValueError(f"{name} applies to serial ports only, not to {typed}")
         return typed
-    return with_options([url_of(typed)], options, SERIAL_OPTIONS)[0].url
+    return with_options([typed], options, SERIAL_OPTIONS)[0].url
 
 
 def _write_all(line: Listener, write: Any, *, is_live: bool) -> None:

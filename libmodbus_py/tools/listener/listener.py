@@ -321,6 +321,8 @@ def listen(
             raise ValueError(f"{url}: a capture cannot be written over itself")
         name, source = url, CaptureReader(url)
     else:
+        if isinstance(url, str) and os.path.isfile(url):
+            raise ValueError(f"{url}: the name of a capture must end with .pcapng")
         endpoint = parse_to_listen(url)
         source, endpoint = _source(
             endpoint, None if between is None else parse_to_listen(between), clock

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 from ...client.blocking import Context
 from ...ports.endpoint import Endpoint
-from ...ports.schemes import SERIAL_DEFAULTS
+from ...ports.schemes import SERIAL_DEFAULTS, parity_of
 from ...protocol.checks import integer, seconds
 from ...security.security import Security
 
@@ -132,14 +132,12 @@ def places(
     return [
         Place(_set(endpoint, rate, parity), timeout, security)
         for rate in listed("baudrates", baudrates, rates)
-        for parity in listed("parities", parities, kinds)
+        for parity in dict.fromkeys(map(parity_of, listed("parities", parities, kinds)))
     ]
 
 
 def _set(endpoint: Endpoint, baudrate: int, parity: str) -> Endpoint:
     integer("baudrate", baudrate, 1, 4_000_000)
-    if parity not in STOP_BITS:
-        raise ValueError(f"parity must be one of {', '.join(STOP_BITS)}, not {parity!r}")
     stop_bits = endpoint.options.get("stop_bits", STOP_BITS[parity])
     made = {**endpoint.options, "baudrate": baudrate, "parity": parity, "stop_bits": stop_bits}
     return replace(endpoint, options=made)

@@ -40,7 +40,7 @@ WRONG: dict[str, tuple[str, int, str]] = {
     "no such key": ("colour = 1\n[[route]]\n" + TO, 1, "colour: no such key; allowed are listen"),
     "no such key of a route": (f"[[route]]\n{TO}colour = 1\n", 3, "route[0].colour: no such key"),
     "nowhere": ("[[route]]\nunits = [1]\n", 1, "route[0].to is missing"),
-    "no URL": ('[[route]]\nto = "192.0.2.1"\n', 2, "the scheme must be one of tcp"),
+    "no URL": ('[[route]]\nto = "192.0.2.1:x"\n', 2, "must be a URL"),
     "no such option": ('[[route]]\nto = "tcp://192.0.2.1?speed=1"\n', 2, "'speed' must be one of"),
     "bad option": ('[[route]]\nto = "tcp://192.0.2.1?timeout=0"\n', 2, "timeout must be in"),
     "unit of a client": ('[[route]]\nto = "tcp://192.0.2.1?unit=3"\n', 2, "use device_units"),

@@ -483,7 +483,7 @@ class TestArguments:
             ("rtu:///dev/ttyUSB0?timeout=1", None, "timeout is for clients"),
             ("rtu:///dev/ttyUSB0?baudrate=0", None, "baudrate must be in 1..4000000"),
             ("x.pcapng", "rtu+tcp://127.0.0.1:1", "between cannot be given"),
-            ("x.pcap", None, "the scheme must be one of"),
+            ("x.pcap", None, "the scheme must be rtu, ascii"),
         ],
     )
     def test_what_cannot_be(self, url: str, between: str | None, what: str) -> None:

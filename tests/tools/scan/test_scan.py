@@ -532,7 +532,7 @@ def test_it_takes_no_longer_than_it_says() -> None:
         ("udp://127.0.0.1:1", {"parities": "E"}, "parities are for serial ports"),
         ("rtu:///dev/nowhere", {"baudrates": [0]}, "baudrate must be in 1..4000000, not 0"),
         ("rtu:///dev/nowhere", {"baudrates": ["x"]}, "baudrate must be an integer"),
-        ("rtu:///dev/nowhere", {"parities": "X"}, "parity must be one of E, N, O, not 'X'"),
+        ("rtu:///dev/nowhere", {"parities": "X"}, "not 'X'"),
         ("rtu:///dev/nowhere", {"timeout": 0}, "timeout must be in"),
         ("rtu:///dev/nowhere?silence=7", {}, "silence must be in"),
         ("tcp://127.0.0.1:1?turnaround=-1", {}, "turnaround must be in"),
