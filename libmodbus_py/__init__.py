@@ -13,6 +13,7 @@ each other::
     binding  security   the C library; who may talk, proven by certificates
     protocol            bytes and values: PDUs, frames, errors; no socket, no clock
     late                public names imported when they are first used
+    system              what only Linux has, and what takes its place elsewhere
     version             a number
 
 The public names of the package are those of ``__init__.pyi``; each is imported when it is first

@@ -24,6 +24,7 @@ from ..binding.library import ffi, lib
 from ..protocol.checks import integer
 from ..protocol.tables import TABLE_SIZE
 from ..protocol.values import Layout, TypeName, value_type
+from ..system import call_in_children
 from .ranges import joined
 
 if TYPE_CHECKING:
@@ -436,7 +437,7 @@ def _renew_locks() -> None:
         mapping._renew_lock()
 
 
-os.register_at_fork(after_in_child=_renew_locks)
+call_in_children(_renew_locks)
 
 
 def runs(ranges: Sequence[range]) -> Any:

@@ -4,7 +4,6 @@ modbus_reply in memory: requests answered from a mapping, without a network.
 
 from __future__ import annotations
 
-import os
 import socket
 import struct
 import threading
@@ -13,6 +12,7 @@ from collections.abc import Mapping as MappingABC
 from typing import Any
 
 from ..binding.library import check, ffi, lib, make
+from ..system import call_in_children
 from .mapping import TABLE_NUMBERS, Mapping, runs
 
 __all__ = ["Answered", "Replier", "Watched", "make_tally", "replier"]
@@ -142,4 +142,4 @@ def _renew_repliers() -> None:
     _local = threading.local()
 
 
-os.register_at_fork(after_in_child=_renew_repliers)
+call_in_children(_renew_repliers)

@@ -8,9 +8,10 @@ port is free again.
 from __future__ import annotations
 
 import contextlib
-import os
 import weakref
 from typing import Protocol
+
+from ..system import call_in_children
 
 __all__ = ["abandoned_in_children"]
 
@@ -43,4 +44,4 @@ def _abandon_all() -> None:
             holder.abandon()
 
 
-os.register_at_fork(after_in_child=_abandon_all)
+call_in_children(_abandon_all)

@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import os
 import socket
 import threading
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
+
+from ..system import call_in_children
 
 # fmt: off
 __all__ = ["MOST_THREADS", "Question", "Resolve", "asked", "no_thread", "numeric", "start_thread"]
@@ -209,4 +210,4 @@ def _begin_anew() -> None:
     _names = Names()
 
 
-os.register_at_fork(after_in_child=_begin_anew)
+call_in_children(_begin_anew)

@@ -13,7 +13,8 @@ from typing import Any
 
 from ..protocol.errors import ModbusConnectionError
 from ..protocol.logs import HarmlessLogger
-from .serial import SerialPort, set_odd_baudrate
+from ..system import set_odd_baudrate
+from .serial import SerialPort
 
 __all__ = ["ReadOnlySerialPort"]
 

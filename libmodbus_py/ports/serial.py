@@ -19,6 +19,7 @@ from ..protocol.checks import integer, seconds
 from ..protocol.errors import ModbusConnectionError
 from ..protocol.pauses import pause_between_frames
 from ..protocol.returned import AwaitedEcho
+from ..system import has_transmission_time, set_odd_baudrate
 from .port import Port, Silence, lost
 from .schemes import SERIAL_DEFAULTS, character_bits, parity_of
 from .waiting import Steps, of_system
@@ -27,15 +28,12 @@ if TYPE_CHECKING:
     from .endpoint import Endpoint
     from .making import PortSettings
 
-__all__ = ["LineSettings", "SerialPort", "SerialSettings", "set_odd_baudrate"]
+__all__ = ["LineSettings", "SerialPort", "SerialSettings"]
 
 Parity = Literal["N", "E", "O", "none", "even", "odd"]
 Rs485 = Literal["kernel", "rts-up", "rts-down"]
 
 READ_SIZE = 4096
-
-# The major numbers of their slaves (the kernel's devices.txt): bytes take no time there.
-PSEUDO_TERMINALS = range(136, 144)
 
 # st_rdev of the ports that this process has open: the lock does not show which process has it.
 _open_here: set[int] = set()
@@ -198,7 +196,7 @@ class SerialPort(Port):
         if self.baudrate not in self.baudrates:
             set_odd_baudrate(self.descriptor, self.baudrate)
         self._set_direction_control()
-        self.silence.is_timed = os.major(self._number) not in PSEUDO_TERMINALS
+        self.silence.is_timed = has_transmission_time(self.device, self._number)
         self.discard_input()
 
     def _connect(self) -> bool:
@@ -353,25 +351,3 @@ class SerialPort(Port):
             of_system(error)
         except ValueError:
             pass
-
-
-# struct termios2 and its ioctls of asm-generic/termbits.h; where they differ the
-# ioctl fails, and the baud rate is refused.
-_TERMIOS2 = struct.Struct("4IB19B2I")
-_TCGETS2, _TCSETS2 = 0x802C542A, 0x402C542B
-_CBAUD, _BOTHER = 0o010017, 0o010000
-
-
-def set_odd_baudrate(descriptor: int, baudrate: int) -> None:
-    """Set a rate without a constant of its own, and check that the port accepted it."""
-    try:
-        fields = list(_TERMIOS2.unpack(fcntl.ioctl(descriptor, _TCGETS2, bytes(_TERMIOS2.size))))
-        fields[2] = fields[2] & ~(_CBAUD | _CBAUD << 16) | _BOTHER
-        fields[-2:] = baudrate, baudrate
-        fcntl.ioctl(descriptor, _TCSETS2, _TERMIOS2.pack(*fields))
-        *_, speed = _TERMIOS2.unpack(fcntl.ioctl(descriptor, _TCGETS2, bytes(_TERMIOS2.size)))
-    except OSError as error:
-        raise OSError(error.errno, f"baudrate {baudrate} refused: {error.strerror}") from None
-    # A receiver tolerates 2 % (serial line, 2.4).
-    if abs(speed - baudrate) > baudrate * 0.02:
-        raise OSError(errno.EINVAL, f"baudrate {baudrate} refused: the port does {speed}")

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from ..protocol.checks import integer
 from ..protocol.errors import MAX_RECEIVED, ModbusConnectionError
+from ..system import PROBES, TCP_QUICKACK
 from .names import Resolve
 from .port import Port, Silence, lost
 from .waiting import WRITE, Ready, Steps, of_system
@@ -148,12 +149,10 @@ class SocketPort(Port):
 def keep_alive(made: socket.socket, seconds: float) -> None:
     """Make the system probe the other side of a TCP connection after so much silence."""
     made.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-    for option, value in (
-        (socket.TCP_KEEPIDLE, math.ceil(seconds)),
-        (socket.TCP_KEEPINTVL, math.ceil(seconds / 3)),
-        (socket.TCP_KEEPCNT, 3),
-    ):
-        made.setsockopt(socket.IPPROTO_TCP, option, value)
+    values = (math.ceil(seconds), math.ceil(seconds / 3), 3)
+    for option, value in zip(PROBES, values, strict=True):
+        if option is not None:
+            made.setsockopt(socket.IPPROTO_TCP, option, value)
 
 
 def _connecting(made: socket.socket, address: Any, deadline: float) -> Steps[None]:
@@ -235,8 +234,10 @@ class TcpPort(SocketPort):
         # A server that leaves Nagle's algorithm on, as libmodbus's own does, sends its next
         # answer only when this one is acknowledged: after 40 ms, unless told to do it at once.
         # The system forgets this setting, so it is made each time.
+        if TCP_QUICKACK is None:
+            return
         try:
-            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_QUICKACK, 1)
+            self._socket.setsockopt(socket.IPPROTO_TCP, TCP_QUICKACK, 1)
         except OSError as error:
             of_system(error)
 

@@ -19,6 +19,7 @@ from ..security.given import GivenContext
 from ..security.security import Security
 from ..security.tunnel import READ_SIZE, Tunnel
 from ..security.words import in_words
+from ..system import KEY_REJECTED
 from .endpoint import Endpoint
 from .sockets import TcpPort
 from .waiting import READ, WRITE, Ready, Steps, of_system
@@ -173,7 +174,7 @@ class TlsPort(TcpPort):
     def _distrusting(self, reason: str, certificate: bytes) -> ModbusConnectionError:
         shown = f": {describe(certificate)}" if certificate else ""
         text = f"cannot trust {self}: {reason.rstrip('.')}{shown}"
-        return ModbusConnectionError(text, errno=errno.EKEYREJECTED)
+        return ModbusConnectionError(text, errno=KEY_REJECTED)
 
     def _unfinished(self, error: OSError) -> ModbusConnectionError:
         reason = f"no TLS handshake with {self}: {error.strerror or error}"
@@ -185,7 +186,7 @@ class TlsPort(TcpPort):
         if reason.endswith(OF_OUR_CERTIFICATE):
             own = f": {describe(self._security.own)}" if self._security.own else ""
             text = f"{self} refused our certificate ({words}){own}"
-            made = ModbusConnectionError(text, errno=errno.EKEYREJECTED)
+            made = ModbusConnectionError(text, errno=KEY_REJECTED)
         else:
             made = ModbusConnectionError(f"no TLS with {self}: {words}", errno=errno.EPROTO)
         made.__cause__ = error

@@ -7,7 +7,6 @@ connecting, and everything else that alternates with the peer, is written once.
 
 from __future__ import annotations
 
-import contextlib
 import errno
 import os
 import select
@@ -16,6 +15,7 @@ import time
 from collections.abc import Callable, Generator
 from typing import Any, NamedTuple, TypeVar
 
+from ..system import Flag
 from .names import Resolve, asked, numeric
 
 # fmt: off
@@ -60,6 +60,7 @@ class Waker:
     """
 
     descriptor: int = -1
+    _flag: Flag | None = None
     now: Callable[[], float] = staticmethod(time.monotonic)
     sleep: Callable[[float], None] = staticmethod(time.sleep)
 
@@ -71,25 +72,26 @@ class Waker:
         # Reentrant, because a signal handler may call `wake` while its own thread does.
         self._lock = threading.RLock()
         self.close()
-        self.descriptor = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+        self._flag = Flag()
+        self.descriptor = self._flag.descriptor
 
     def wake(self) -> None:
         with self._lock:
-            if self.descriptor >= 0:
-                os.eventfd_write(self.descriptor, 1)
+            if self._flag is not None:
+                self._flag.set()
 
     def clear(self) -> None:
         """Reset the descriptor after a call of `wake`."""
-        with self._lock, contextlib.suppress(BlockingIOError):
-            if self.descriptor >= 0:
-                os.eventfd_read(self.descriptor)
+        with self._lock:
+            if self._flag is not None:
+                self._flag.clear()
 
     def close(self) -> None:
         """Any number of times."""
         with self._lock:
-            descriptor, self.descriptor = self.descriptor, -1
-            if descriptor >= 0:
-                os.close(descriptor)
+            flag, self._flag, self.descriptor = self._flag, None, -1
+            if flag is not None:
+                flag.close()
 
     __del__ = close
 

@@ -13,7 +13,7 @@ In the order in which a request goes through::
     listening    makes their sockets; forked children close them
     tcp          takes connections and hands them to `peers`; udp answers datagrams (datagrams:
                  from the address that was asked), serial a port
-    peers        Peers: TCP connections within their limits (limits), all in one epoll;
+    peers        Peers: TCP connections within their limits (limits), all in one poller;
                  addresses and idle choose which of them are paused or closed
     tls          TlsSession: what a connection says within TLS, and the role of who asks
     audit        Audit: who wrote what, and who was refused

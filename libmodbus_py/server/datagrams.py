@@ -13,10 +13,9 @@ from functools import lru_cache
 from ipaddress import IPv6Address, ip_address
 from typing import Any
 
-__all__ = ["bound_datagrams"]
+from ..system import IP_PKTINFO
 
-# Of <linux/in.h>; Python has no name for it before 3.14.
-IP_PKTINFO = 8
+__all__ = ["bound_datagrams"]
 
 # struct in_pktinfo: interface, the own address, the target; struct in6_pktinfo: target, interface.
 IN_PKTINFO = struct.Struct("=i4s4s")

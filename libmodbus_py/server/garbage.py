@@ -10,8 +10,8 @@ from collections.abc import Iterator
 
 __all__ = ["frozen_garbage"]
 
-# Python 3.12 has frozen some objects of its own.
-OF_PYTHON = gc.get_freeze_count()
+# Python 3.12 has frozen some objects of its own; PyPy freezes none.
+OF_PYTHON: int | None = gc.get_freeze_count() if hasattr(gc, "freeze") else None
 
 
 @contextlib.contextmanager
@@ -22,7 +22,7 @@ def frozen_garbage() -> Iterator[None]:
 
     A program that has called `gc.freeze` itself keeps what it has frozen, and nothing is added.
     """
-    if gc.get_freeze_count() > OF_PYTHON:
+    if OF_PYTHON is None or gc.get_freeze_count() > OF_PYTHON:
         yield
         return
     gc.collect()

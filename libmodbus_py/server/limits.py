@@ -4,7 +4,6 @@ Limits of the resources that clients take from a server, and statistics of their
 
 from __future__ import annotations
 
-import resource
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -13,6 +12,7 @@ from typing import Literal
 
 from ..protocol.checks import integer, number, seconds
 from ..protocol.mistakes import WrongType, WrongValue
+from ..system import most_descriptors
 
 __all__ = [
     "FULL_POLICIES",
@@ -114,8 +114,7 @@ class Limits:
         """Return the number of connections that are allowed now."""
         if self.max_connections is not None:
             return self.max_connections
-        soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
-        return max(1, soft - SPARE_DESCRIPTORS)
+        return max(1, most_descriptors() - SPARE_DESCRIPTORS)
 
     def connections_of_address(self) -> int:
         """Return the number of connections that one address may have now."""

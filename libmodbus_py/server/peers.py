@@ -2,8 +2,8 @@
 The TCP connections of a server: which are accepted, kept and closed.
 
 asyncio's transports buffer without limit and accept every connection; here each connection costs
-at most what `Limits` allows. All of them wait in one epoll, and it alone
-in the loop. In a turn each is read once, and then all answers are sent: requests of many
+at most what `Limits` allows. All of them wait in one poller, and it
+alone in the loop. In a turn each is read once, and then all answers are sent: requests of many
 connections can be answered together, and a
 client with many connections is woken once, not for each answer.
 """
@@ -12,21 +12,19 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import fcntl
 import math
-import os
-import select
 import socket
 from collections import deque
 from collections.abc import Callable
 from heapq import nsmallest
-from select import EPOLLIN, EPOLLOUT
+from select import POLLERR, POLLHUP, POLLIN, POLLOUT
 
 from ..ports.forking import abandoned_in_children
 from ..ports.trace import Trace
 from ..protocol.errors import FrameError
 from ..protocol.logs import HarmlessLogger
 from ..security.describing import CertificateHolder
+from ..system import DescriptorPoller, make_poller, reserve_descriptors
 from .addresses import Address, Addresses
 from .audit import Audit
 from .idle import Idle, due
@@ -74,7 +72,7 @@ class Peers:
     Args:
         end: closes all endpoints of the server when a hook ends the program; None to close
             only the connections.
-        make_epoll: returns an epoll object.
+        make_poller: returns what waits for all connections.
         auditor: told of connections from networks that are not served.
     """
 
@@ -83,7 +81,7 @@ class Peers:
         limits: Limits,
         statistics: ServerStatistics,
         end: Callable[[], None] | None = None,
-        make_epoll: Callable[[], select.epoll] = select.epoll,
+        make_poller: Callable[[], DescriptorPoller] = make_poller,
         auditor: Audit | None = None,
     ) -> None:
         self.limits = limits
@@ -112,13 +110,14 @@ class Peers:
         self._in_turn = False
         self._turns = 0
         self._now = 0.0  # the time of this turn
-        self._epoll = make_epoll()
-        _make_room_for_descriptors(self._epoll.fileno(), self._most)
+        self._poller = make_poller()
+        highest = min(self._most, ROOM_AT_MOST) + SPARE_DESCRIPTORS // 2
+        reserve_descriptors(self._poller.fileno(), highest)
         self._by_descriptor: dict[int, Peer] = {}
         try:
-            self.loop.add_reader(self._epoll.fileno(), self._turn)
+            self.loop.add_reader(self._poller.fileno(), self._turn)
         except OSError:
-            self._epoll.close()
+            self._poller.close()
             raise
         self._sweeping: asyncio.TimerHandle | None = None
         timeouts = [limits.frame_timeout, limits.idle_timeout or limits.frame_timeout]
@@ -149,21 +148,21 @@ class Peers:
 
     def close(self) -> None:
         """Close all connections; any number of times."""
-        if self._epoll.closed:
+        if self._poller.closed:
             return
         for peer in list(self._idle):
             peer.close()
         for timer in (self._sweeping, self._next_turn):
             if timer is not None:
                 timer.cancel()
-        self.loop.remove_reader(self._epoll.fileno())
-        self._epoll.close()
+        self.loop.remove_reader(self._poller.fileno())
+        self._poller.close()
 
     def abandon(self) -> None:
         for peer in list(self._by_descriptor.values()):
             peer.abandon()
         self._by_descriptor.clear()
-        self._epoll.close()
+        self._poller.close()
 
     def _add(
         self, client: socket.socket, address: str, shared: Address[Peer], make: MakePeerSession
@@ -200,14 +199,14 @@ class Peers:
     def watch(self, peer: Peer, descriptor: int, events: int) -> None:
         """Report these events to a peer from now on."""
         if descriptor in self._by_descriptor:
-            self._epoll.modify(descriptor, events)
+            self._poller.modify(descriptor, events)
         else:
             self._by_descriptor[descriptor] = peer
-            self._epoll.register(descriptor, events)
+            self._poller.register(descriptor, events)
 
     def forget(self, descriptor: int) -> None:
         del self._by_descriptor[descriptor]
-        self._epoll.unregister(descriptor)
+        self._poller.unregister(descriptor)
 
     def later(self, call: Callable[[], None]) -> None:
         """Call a function when all have been read, before answers are sent."""
@@ -240,7 +239,7 @@ class Peers:
         self._in_turn = True
         self._now = self.loop.time()
         greedy = []
-        for descriptor, events in self._epoll.poll(0, EVENTS_MAX):
+        for descriptor, events in self._poller.poll(0, EVENTS_MAX):
             # The turn of another connection may have closed this one.
             if peer := self._by_descriptor.get(descriptor):
                 if peer.is_greedy:
@@ -315,16 +314,6 @@ class Peers:
             self._sweeping = self.loop.call_later(self._sweep_every, self._sweep)
 
 
-def _make_room_for_descriptors(descriptor: int, most: int) -> None:
-    """
-    Make the system's table of descriptors grow now. Growth in a process with threads delays
-    a new descriptor by 10 ms (synchronize_rcu), and with it all clients.
-    """
-    highest = min(most, ROOM_AT_MOST) + SPARE_DESCRIPTORS // 2
-    with contextlib.suppress(OSError):
-        os.close(fcntl.fcntl(descriptor, fcntl.F_DUPFD_CLOEXEC, highest))
-
-
 def _latest_turn(ready: tuple[Peer, int]) -> int:
     return ready[0].latest_turn
 
@@ -366,7 +355,7 @@ class Peer:
         self._is_reading = True
         self._is_behind = False  # True while it waits for its turn to catch up
         self._session = make(self)
-        peers.watch(self, self._descriptor, EPOLLIN)
+        peers.watch(self, self._descriptor, POLLIN)
 
     def close(self) -> None:
         """Close the connection at once; any number of times."""
@@ -389,13 +378,13 @@ class Peer:
     def act(self, events: int) -> None:
         """Handle events; without events, do work that was left for later."""
         try:
-            if events & EPOLLIN:
+            if events & POLLIN:
                 self._take()
-            elif events & (select.EPOLLHUP | select.EPOLLERR):
+            elif events & (POLLHUP | POLLERR):
                 self.close()
             elif not events:
                 self._take(b"")
-            if events & EPOLLOUT:
+            if events & POLLOUT:
                 self.send()
         except ENDS as error:
             self._peers.end_after_turn(error)
@@ -541,7 +530,7 @@ class Peer:
                 self._peers.set_deadline(self)
 
     def _watch(self) -> None:
-        events = EPOLLIN * self._is_reading | EPOLLOUT * self._is_sending
+        events = POLLIN * self._is_reading | POLLOUT * self._is_sending
         self._peers.watch(self, self._descriptor, events)
 
 
@@ -551,13 +540,13 @@ class LimitedPeer(Peer):
     __slots__ = ()
 
     def act(self, events: int) -> None:
-        takes = not events or events & EPOLLIN
+        takes = not events or events & POLLIN
         if takes and self.shared.is_overspent() and self._may_ask(events):
             self._peers.statistics.throttled += 1
             self._is_throttled = True
             self.shared.pause(self)
             self.follow()
-            events &= ~EPOLLIN
+            events &= ~POLLIN
             if not events:
                 return
         super().act(events)

@@ -14,7 +14,7 @@ from abc import ABC, abstractmethod
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import AbstractAsyncContextManager, AbstractContextManager
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from ..ports.endpoint import Endpoint, parse_to_listen
 from ..ports.listening import reason
@@ -30,13 +30,15 @@ from .background import Background
 from .garbage import frozen_garbage
 from .limits import Limits, ServerStatistics
 from .peers import Peers
-from .serial import SerialServer
 from .service import Service
 from .signals import Handler, signal_handlers
 from .sources import Sources
 from .tcp import TcpServer
 from .tracing import TracedService, Traces
 from .udp import UdpServer
+
+if TYPE_CHECKING:
+    from .serial import SerialServer
 
 __all__ = ["Running", "Serving"]
 
@@ -267,6 +269,12 @@ def _tls_server(endpoint: Endpoint, service: Service, shared: Shared) -> TcpServ
     return server
 
 
+def _serial_server(endpoint: Endpoint, service: Service, shared: Shared) -> SerialServer:
+    from .serial import SerialServer  # which not every system has
+
+    return SerialServer(endpoint, service, shared.statistics, shared.end)
+
+
 ENDPOINTS: dict[
     Transport, Callable[[Endpoint, Service, Shared], TcpServer | UdpServer | SerialServer]
 ] = {
@@ -275,9 +283,7 @@ ENDPOINTS: dict[
         endpoint, service, shared.sources, shared.statistics, shared.end
     ),
     "tls": _tls_server,
-    "serial": lambda endpoint, service, shared: SerialServer(
-        endpoint, service, shared.statistics, shared.end
-    ),
+    "serial": _serial_server,
 }
 """By transport: what answers at an endpoint."""
 

@@ -203,7 +203,7 @@ class Network:
             patch.object(client_options, "make_port", self._make_port),
             patch.object(tcp, "bound", self._bound),
             patch.object(udp, "bound", self._bound),
-            patch.object(serving, "Peers", partial(Peers, make_epoll=self._epoll)),
+            patch.object(serving, "Peers", partial(Peers, make_poller=self._epoll)),
             patch.object(serial_server, "SerialPort", self._serial),
             patch.object(gateway, "check_line", _any_line),
             # C knows no sockets in memory.

@@ -7,7 +7,6 @@ from __future__ import annotations
 import argparse
 import asyncio
 import contextlib
-import resource
 import signal
 import sys
 import time
@@ -24,6 +23,7 @@ from ...services.fleet.outputs.last_values import LastValues
 from ...services.fleet.outputs.output import Output, OutputError
 from ...services.fleet.outputs.writer_thread import WriterThread
 from ...services.fleet.trial import Tried, overloads, trying
+from ...system import allow_all_descriptors
 from ...tools.files.rereading import reread
 from .. import arguments, logs, tracing
 from ..failing import CommandError
@@ -102,7 +102,7 @@ def _poll_logged(options: argparse.Namespace) -> int:
         raise ValueError("--push needs --engine")
     if options.check:
         devices = load(options.file).devices
-        _allow_descriptors()
+        allow_all_descriptors()
         return asyncio.run(_check(devices))
     with noted() as hangup:
         return _start(options, hangup)
@@ -110,7 +110,7 @@ def _poll_logged(options: argparse.Namespace) -> int:
 
 def _start(options: argparse.Namespace, hangup: Hangup) -> int:
     file = load(options.file)
-    _allow_descriptors()
+    allow_all_descriptors()
     for each in overloads(file.devices):
         logger.warning("%s", each)
     values = LastValues()
@@ -139,14 +139,6 @@ def _is_anything_lost(fleet: Fleet) -> bool:
         trouble = f": {output.trouble}" if output.trouble else ""
         complain(f"{name}: {counted(output.dropped, 'reading')} lost{trouble}")
     return bool(lost)
-
-
-def _allow_descriptors() -> None:
-    """Allow as many descriptors as possible: each connection is one, and the usual limit is"
-    " 1024."""
-    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
-    with contextlib.suppress(OSError, ValueError):
-        resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
 
 
 def _poll_with_others(

@@ -20,6 +20,6 @@ def notify_ready() -> None:
     # A manager that is gone is no reason to stop serving.
     with (
         contextlib.suppress(OSError),
-        socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as sender,
+        socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender,
     ):
         sender.sendto(b"READY=1", address)

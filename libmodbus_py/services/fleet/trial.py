@@ -7,14 +7,16 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncGenerator, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ...client.asynchronous import AsyncClient
 from ...ports.endpoint import Endpoint
-from ...ports.serial import SerialPort
 from ...protocol.errors import ModbusError
 from ...protocol.framing import Frame, make_framer
 from .config import DeviceConfig, by_connection
+
+if TYPE_CHECKING:
+    from ...ports.serial import SerialPort
 
 __all__ = ["Overload", "Tried", "overloads", "trying"]
 
@@ -82,6 +84,8 @@ def overloads(devices: Iterable[DeviceConfig]) -> list[Overload]:
 
 
 def _port(endpoint: Endpoint) -> SerialPort:
+    from ...ports.serial import SerialPort  # which not every system has
+
     return SerialPort(endpoint.device, **endpoint.serial_settings)
 
 

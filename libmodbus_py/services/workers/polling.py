@@ -10,11 +10,11 @@ import os
 import re
 import secrets
 import socket
-import time
 from collections.abc import Callable, Collection, Sequence
 from typing import TYPE_CHECKING, Any
 
 from ...protocol.logs import HarmlessLogger
+from ...system import boot_time
 from ..engine.buckets import Bucket, Change, Watch
 from ..engine.errors import EngineError, what
 from ..fleet.config import DeviceConfig, checked, devices_from_json
@@ -58,9 +58,8 @@ TIMEOUT = 3.0
 SAID_AGAIN = 60.0
 
 
-def clock() -> float:
-    """Return seconds of a clock that continues while the machine is suspended, as leases do."""
-    return time.clock_gettime(time.CLOCK_BOOTTIME)
+clock = boot_time
+"""Leases end while the machine is suspended, too."""
 
 
 class Polling:

@@ -7,7 +7,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
-import select
 import threading
 import time
 from collections import deque
@@ -20,6 +19,7 @@ from ...ports.waiting import READ, Ready, Steps, Waker, Woken, of_system, run
 from ...ports.waiting_async import run_async
 from ...protocol.errors import ModbusConnectionError
 from ...protocol.logs import HarmlessLogger
+from ...system import make_poller
 from .capture import CaptureReader, CaptureWriter
 from .separator import LineFraming, Separator
 from .source import SerialSource, Source, TimedBytes
@@ -82,10 +82,10 @@ class Listener:
         self._is_busy = False
         self._is_closed = False
         self._waker = Waker()
-        self._epoll = select.epoll()
-        self._epoll.register(self._waker.descriptor, READ)
+        self._poller = make_poller()
+        self._poller.register(self._waker.descriptor, READ)
         if self._source is not None:
-            self._epoll.register(self._source.descriptor, READ)
+            self._poller.register(self._source.descriptor, READ)
         self._outage = Outage(logger, url)
         self._tick_after: float = IDLE
 
@@ -117,7 +117,7 @@ class Listener:
             self.close()
 
     def _free(self) -> None:
-        for each in (self._source, self._writer, self._reader, self._epoll, self._waker):
+        for each in (self._source, self._writer, self._reader, self._poller, self._waker):
             if each is not None:
                 each.close()
 
@@ -186,7 +186,7 @@ class Listener:
 
     def _hearing(self, source: Source) -> Steps[None]:
         deadline = time.monotonic() + self._tick_after
-        is_ready = yield Ready(self._epoll.fileno(), READ, deadline)
+        is_ready = yield Ready(self._poller.fileno(), READ, deadline)
         if self._is_closed:
             return
         if not is_ready:
@@ -199,18 +199,19 @@ class Listener:
             pieces = source.receive()
         except ModbusConnectionError as error:
             self._outage.begin(error)
-            source.close()  # which removes it from epoll
+            self._poller.unregister(source.descriptor)
+            source.close()
             self._ready += self._noted(self._end_all())
             return
         for piece in pieces:
             self._ready += self._noted(self._feed(piece))
 
     def _reopening(self, source: Source) -> Steps[None]:
-        yield Ready(self._epoll.fileno(), READ, time.monotonic() + REOPEN_AFTER)
+        yield Ready(self._poller.fileno(), READ, time.monotonic() + REOPEN_AFTER)
         if self._is_closed:
             return
         if self._outage.try_to_end(source.open):
-            self._epoll.register(source.descriptor, READ)
+            self._poller.register(source.descriptor, READ)
 
     # --- traffic ---------------------------------------------------------------------------
 

@@ -8,7 +8,6 @@ from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
 from ...ports.endpoint import Endpoint
-from ...ports.read_only import ReadOnlySerialPort
 from .separator import Direction
 
 __all__ = ["SerialSource", "Source", "TimedBytes"]
@@ -71,6 +70,8 @@ class SerialSource:
     """
 
     def __init__(self, endpoint: Endpoint, clock: Callable[[], float]) -> None:
+        from ...ports.read_only import ReadOnlySerialPort  # which not every system has
+
         self._port = ReadOnlySerialPort(endpoint.device, **endpoint.serial_settings)
         self._clock = clock
 

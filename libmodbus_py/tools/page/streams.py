@@ -5,7 +5,6 @@ The changes that open pages are sent, ten times a second at most.
 from __future__ import annotations
 
 import contextlib
-import os
 import secrets
 import threading
 import time
@@ -20,6 +19,7 @@ from ...protocol.tables import TABLES
 from ...protocol.values import ORDERS, TYPES
 from ...server.faults.fault import KINDS, OPTIONAL
 from ...server.server import Server
+from ...system import Flag
 from .fault_list import FaultList
 from .log import Log
 from .shown import ShownServer, ShownUnit, shown_of
@@ -70,7 +70,8 @@ class PageStream:
 
     def __init__(self) -> None:
         self.name: str = secrets.token_hex(8)
-        self.wake: int = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+        self._flag = Flag()
+        self.wake: int = self._flag.descriptor
         self.key: Key | None = None
         # What the page was sent: whether everything, for which devices, and for which view.
         self.is_behind = True
@@ -85,21 +86,19 @@ class PageStream:
             if self._message or self.wake < 0:
                 return False
             self._message = message
-            os.eventfd_write(self.wake, 1)
+            self._flag.set()
         return True
 
     def take(self) -> str:
         with self._lock:
             message, self._message = self._message, ""
-            with contextlib.suppress(BlockingIOError):
-                os.eventfd_read(self.wake)
+            self._flag.clear()
         return message
 
     def end(self) -> None:
         with self._lock:
-            descriptor, self.wake = self.wake, -1
-            if descriptor >= 0:
-                os.close(descriptor)
+            self.wake = -1
+            self._flag.close()
 
 
 class Streams:

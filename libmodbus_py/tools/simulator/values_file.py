@@ -5,7 +5,6 @@ The file in which a server keeps the values of its devices, so that they survive
 from __future__ import annotations
 
 import errno
-import fcntl
 import os
 import threading
 from collections.abc import Callable, Mapping
@@ -15,6 +14,7 @@ from ...device.kept_values import KeptValues
 from ...device.state_lines import UnitValues, parsed, read_text, text_of
 from ...device.writing_aside import remove_leftovers, write_aside
 from ...ports.forking import abandoned_in_children
+from ...system import lock_file
 from .simulated import SimulatedDevice
 
 __all__ = ["ValuesFile"]
@@ -100,7 +100,7 @@ class ValuesFile:
         descriptor = None
         try:
             descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            lock_file(descriptor)
         except BaseException as error:
             if descriptor is not None:
                 os.close(descriptor)

@@ -8,9 +8,7 @@ and read. So these functions never block in read.
 from __future__ import annotations
 
 import os
-import pty
 import select
-import tty
 
 __all__ = ["open_line", "read_what_is_there", "write_all"]
 
@@ -20,6 +18,9 @@ TIMEOUT = 1.0
 
 def open_line() -> tuple[int, int, str]:
     """Return the far end of a line that changes no byte, the near end, and the near end's path."""
+    import pty
+    import tty
+
     far, near = pty.openpty()
     tty.setraw(near)
     os.set_blocking(far, False)
