@@ -7,6 +7,7 @@ From the caller to the wire:
       typed_values     ... the types of values, for type checkers
       procedures       what methods of several requests yield
       plan_reading     ... and how a plan is carried out
+      polling          ... and how it is at a steady pace
     handle             a unit, its timeouts, and the connection that it shares
     blocking           Context, TcpContext, UdpContext, RtuContext, AsciiContext
     asynchronous       AsyncClient

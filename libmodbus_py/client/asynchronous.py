@@ -18,14 +18,16 @@ from ..maps.plan import (
     Tolerant,
     Values,
 )
+from ..maps.register_map import RegisterMap
 from ..ports.endpoint import parse
 from ..protocol import pdu
-from ..protocol.checks import integer
+from ..protocol.checks import integer, seconds
 from ..protocol.errors import InvalidResponse, ModbusError
 from .asyncio_driver import AsyncioDriver
-from .batch import Batch, raised
+from .batch import MAX_IN_FLIGHT, Batch, raised
 from .handle import Handle
 from .options import AsyncOptions, CheckedOptions, assembled
+from .polling import AwaitedPolls, watched_plan
 from .procedures import ChangeRegister, Several
 from .requests import Awaiting
 
@@ -216,6 +218,56 @@ class AsyncClient(Handle[AsyncioDriver], Awaiting):
         **options: Unpack[PlanOptions],
     ) -> Any:
         return await self._read_many(items, max_in_flight, return_exceptions, options)
+
+    @overload
+    def watch(
+        self,
+        what: RegisterMap,
+        *,
+        every: float,
+        names: Iterable[str] | None = None,
+        max_in_flight: int = 16,
+        **options: Unpack[PlanOptions],
+    ) -> AwaitedPolls[dict[str, Any]]: ...
+    @overload
+    def watch(  # type: ignore[overload-overlap]
+        self,
+        what: Named[Key],
+        *,
+        every: float,
+        max_in_flight: int = 16,
+        **options: Unpack[PlanOptions],
+    ) -> AwaitedPolls[dict[Key, Values | ModbusError]]: ...
+    @overload
+    def watch(
+        self,
+        what: Iterable[Item],
+        *,
+        every: float,
+        max_in_flight: int = 16,
+        **options: Unpack[PlanOptions],
+    ) -> AwaitedPolls[list[Values | ModbusError]]: ...
+    @overload
+    def watch(self, what: Plan, *, every: float, max_in_flight: int = 16) -> AwaitedPolls[Any]: ...
+    def watch(
+        self,
+        what: RegisterMap | Plan | Items,
+        *,
+        every: float,
+        names: Iterable[str] | None = None,
+        max_in_flight: int = 16,
+        **options: Unpack[PlanOptions],
+    ) -> AwaitedPolls[Any]:
+        interval = seconds("every", every, 0.01)
+        plan = watched_plan(what, names, options)
+        integer("max_in_flight", max_in_flight, 1, MAX_IN_FLIGHT)
+        return AwaitedPolls(
+            interval,
+            lambda: self._poll(plan, max_in_flight),
+            self._driver.loop_time,
+            self._driver.wait_until,
+            lambda: self.closed,
+        )
 
     async def _follow(self, make: Any, arguments: Any, named: Any) -> Any:
         """Carry out a procedure."""

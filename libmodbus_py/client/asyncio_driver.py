@@ -66,10 +66,42 @@ class AsyncioDriver:
         self._is_left = False
         self._is_telling = False
         self._ended: deque[Batch] = deque()
+        self._pauses: set[Future[None]] = set()
 
     def now(self) -> float:
         """Return the time by which timeouts are measured."""
         return self._now()
+
+    def loop_time(self) -> float:
+        """
+        Return the time of the event loop.
+
+        Raises:
+            RuntimeError: the client belongs to another event loop.
+        """
+        return self._bind().time()
+
+    async def wait_until(self, at: float) -> bool:
+        """
+        Wait until a time of the event loop; return False if `close` was called.
+
+        Raises:
+            RuntimeError: the client belongs to another event loop.
+        """
+        loop = self._bind()
+        if at > loop.time() and not self._is_closed():
+            pause: Future[None] = loop.create_future()
+            timer = loop.call_at(at, _end, pause)
+            self._pauses.add(pause)
+            try:
+                await pause
+            finally:
+                self._pauses.discard(pause)
+                timer.cancel()
+        return not self._is_closed()
+
+    def _is_closed(self) -> bool:
+        return self._connection.state is State.CLOSED
 
     @property
     def changing(self) -> asyncio.Lock:
@@ -175,6 +207,8 @@ class AsyncioDriver:
         self._close_port()
         self._conversation.closed(closed, self._now())
         self._cancel_timers()
+        for pause in self._pauses:
+            _end(pause)
 
     def _forget(self) -> None:
         if self._attempt is not None and self._loop is not None and not self._loop.is_closed():
@@ -507,3 +541,8 @@ class AsyncioDriver:
             self._conversation.refuse(error)
         elif self._conversation.is_wanted:  # by callers since the attempt was cancelled
             self._turn()
+
+
+def _end(pause: Future[None]) -> None:
+    if not pause.done():
+        pause.set_result(None)

@@ -9,10 +9,12 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, TypeVar, Unpack,
 
 from ..ports.schemes import DEFAULT_PORT, PARITIES, SECURE_PORT, SERIAL_OPTIONS, Scheme
 from ..protocol import pdu
+from ..protocol.checks import integer, seconds
 from ..protocol.errors import InvalidResponse, ModbusError
 from .batch import MAX_IN_FLIGHT, Batch, raised
 from .blocking_driver import BlockingDriver
 from .handle import Handle
+from .polling import Polls, watched_plan
 from .procedures import ChangeRegister, Several
 from .requests import Blocking
 
@@ -28,6 +30,7 @@ if TYPE_CHECKING:
         Tolerant,
         Values,
     )
+    from ..maps.register_map import RegisterMap
     from ..ports.endpoint import Endpoint
     from ..ports.serial import LineSettings, SerialSettings
     from .options import ContextOptions
@@ -192,6 +195,56 @@ class Context(Handle[BlockingDriver], Blocking):
         **options: Unpack[PlanOptions],
     ) -> Any:
         return self._read_many(items, max_in_flight, return_exceptions, options)
+
+    @overload
+    def watch(
+        self,
+        what: RegisterMap,
+        *,
+        every: float,
+        names: Iterable[str] | None = None,
+        max_in_flight: int = 16,
+        **options: Unpack[PlanOptions],
+    ) -> Polls[dict[str, Any]]: ...
+    @overload
+    def watch(  # type: ignore[overload-overlap]
+        self,
+        what: Named[Key],
+        *,
+        every: float,
+        max_in_flight: int = 16,
+        **options: Unpack[PlanOptions],
+    ) -> Polls[dict[Key, Values | ModbusError]]: ...
+    @overload
+    def watch(
+        self,
+        what: Iterable[Item],
+        *,
+        every: float,
+        max_in_flight: int = 16,
+        **options: Unpack[PlanOptions],
+    ) -> Polls[list[Values | ModbusError]]: ...
+    @overload
+    def watch(self, what: Plan, *, every: float, max_in_flight: int = 16) -> Polls[Any]: ...
+    def watch(
+        self,
+        what: RegisterMap | Plan | Items,
+        *,
+        every: float,
+        names: Iterable[str] | None = None,
+        max_in_flight: int = 16,
+        **options: Unpack[PlanOptions],
+    ) -> Polls[Any]:
+        interval = seconds("every", every, 0.01)
+        plan = watched_plan(what, names, options)
+        integer("max_in_flight", max_in_flight, 1, MAX_IN_FLIGHT)
+        return Polls(
+            interval,
+            lambda: self._poll(plan, max_in_flight),
+            self._driver.now,
+            self._driver.wait_until,
+            lambda: self.closed,
+        )
 
     def _follow(self, make: Any, arguments: Any, named: Any) -> Any:
         """Carry out a procedure."""

@@ -102,6 +102,7 @@ class BlockingDriver:
         self._now = self.waker.now
         self._shortcut = Shortcut(parts, native, self.waker) if is_short else None
         self._closed = False
+        self._pauses: set[Waker] = set()
         self._start_anew()
         abandoned_in_children(self)
         weakref.finalize(self, parts.port.close)
@@ -115,6 +116,26 @@ class BlockingDriver:
     def now(self) -> float:
         """Return the time by which timeouts are measured."""
         return self._now()
+
+    def wait_until(self, at: float) -> bool:
+        """
+        Wait until a time, beside the requests of other threads; return False if `close` was called.
+
+        Raises:
+            OSError: the process has no descriptor left.
+        """
+        waker = self._port.waker()
+        try:
+            self._pauses.add(waker)  # before the look at what `close` sets before it wakes
+            while not self._closed and self._now() < at:
+                try:
+                    waker.wait(-1, READ, at)
+                except Woken:
+                    waker.clear()
+            return not self._closed
+        finally:
+            self._pauses.discard(waker)
+            waker.close()
 
     @property
     def lock(self) -> threading.RLock:
@@ -186,6 +207,8 @@ class BlockingDriver:
         """Close for good, from any thread or signal handler. Requests that wait fail at once."""
         self._closed = True
         self.waker.wake()
+        for waker in tuple(self._pauses):
+            waker.wake()
         if self._lock.acquire(timeout=LEAVING):
             try:
                 if not self._is_busy:

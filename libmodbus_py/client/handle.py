@@ -169,6 +169,37 @@ class Handle(Generic[Driving]):
         """
         raise NotImplementedError
 
+    def watch(self, *args: Any, **kwargs: Any) -> Any:
+        """
+        Read the same again and again, at a steady pace.
+
+        ``for values in plc.watch(meter, every=1)``; with `AsyncClient` ``async for``.
+
+        The first values are read at once, those after them after one interval, two and so on, from
+        start to start. Where the device or the program takes longer, the polls that are late are
+        left out.
+
+        A device that does not answer ends nothing: the reasons stand in place of the values,
+        and the client connects again by itself. The loop ends when the client is closed, also from
+        another thread or task, and may be left in any way.
+
+        Args:
+            what: a `RegisterMap`, a `Plan`, or what makes one, as for `read_many`.
+            every: seconds from one poll to the next, 0.01..86400.
+            names: of the points of the map; None for all that can be read.
+            max_in_flight: as for `execute_many`.
+            options: of the plan: `gap`, `forbidden`, `max_registers`, `max_bits`.
+
+        Returns:
+            An iterator. Of a map it gives what `read_map` returns with ``return_exceptions=True``;
+            else what `read_many` returns so.
+
+        Raises:
+            TypeError, ValueError: an argument, before anything is sent. The iterator itself raises
+                ValueError for registers that hold no value of their type, if `what` is no map.
+        """
+        raise NotImplementedError
+
     # --- for procedures ----------------------------------------------------------------
 
     @property

@@ -378,6 +378,22 @@ class Requests:
         )
         return plan.results(answers)
 
+    @follows
+    def _poll(self, plan: Plan, max_in_flight: int) -> Steps[Any]:
+        """Read a plan; what fails gets the reason in place of its values."""
+        from ..maps.register_map import PointPlan
+        from .plan_reading import plan_answers
+
+        answers = yield from plan_answers(
+            self,  # type: ignore[arg-type]  # as part of a client it is a handle, too
+            plan,
+            max_in_flight,
+            True,
+        )
+        if isinstance(plan, PointPlan):
+            return plan.results(answers, return_exceptions=True)
+        return plan.results(answers)
+
     # --- values ----------------------------------------------------------------------
 
     @one_by_type

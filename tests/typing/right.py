@@ -177,6 +177,8 @@ def many(plc: TcpContext) -> None:
     assert_type(found, list[list[Any] | ModbusError])
     plc.read_many(Plan({"level": ("coils", 0, 8)}, forbidden=[("coils", range(4))]))
     assert_type(plc.execute_many([pdu.ReadCoils(0, 8), pdu.ReportServerId()]), list[Any])
+    for values in plc.watch({"level": ("coils", 0, 8)}, every=1, gap=4):
+        assert_type(values, dict[str, list[Any] | ModbusError])
 
 
 def named(plc: TcpContext) -> None:
@@ -203,6 +205,8 @@ async def asking(plc: AsyncClient) -> None:
     for key, read in (await plc.read_many({"level": ("coils", 0, 8)})).items():
         assert_type(key, str)
         assert_type(read, list[Any])
+    async for values in plc.watch(load_map("meter.toml"), every=0.5, names=["level"]):
+        assert_type(values, dict[str, Any])
     async with plc as same:
         assert_type(same, AsyncClient)
 

@@ -1,0 +1,132 @@
+"""
+Polls at a steady pace: what `watch` of both clients returns.
+
+The n-th poll is due n intervals after the first one, so that the times do not drift. A poll that
+is late, because the device or the program took longer, is left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from math import ceil
+from typing import Any, Generic, TypeVar
+
+__all__ = ["AwaitedPolls", "Polls", "watched_plan"]
+
+Values = TypeVar("Values")
+
+
+class Schedule:
+    """
+    The times of polls.
+
+    Args:
+        interval: seconds.
+    """
+
+    def __init__(self, interval: float) -> None:
+        self._interval = interval
+        self._begun: float | None = None
+        self._polls = 0
+
+    def due(self, now: float) -> float:
+        """Return when the next poll is due."""
+        if self._begun is None:
+            return now
+        first_not_missed = ceil((now - self._begun) / self._interval)
+        return self._begun + max(self._polls, first_not_missed) * self._interval
+
+    def polled(self, due: float) -> None:
+        """Note that the poll of this time takes place."""
+        if self._begun is None:
+            self._begun = due
+        self._polls = round((due - self._begun) / self._interval) + 1
+
+
+class Polls(Iterator[Values], Generic[Values]):
+    """
+    An endless iterator over the values of a device, made by `watch` of a blocking client.
+
+    It ends when the client is closed, from any thread and from signal handlers. It holds nothing
+    between two values, so that a loop over it may be left in any way.
+    """
+
+    def __init__(
+        self,
+        interval: float,
+        poll: Callable[[], Values],
+        now: Callable[[], float],
+        wait: Callable[[float], bool],
+        is_closed: Callable[[], bool],
+    ) -> None:
+        self._schedule = Schedule(interval)
+        self._poll = poll
+        self._now = now
+        self._wait = wait
+        self._is_closed = is_closed
+
+    def __iter__(self) -> Iterator[Values]:
+        return self
+
+    def __next__(self) -> Values:
+        due = self._schedule.due(self._now())
+        if not self._wait(due):
+            raise StopIteration
+        self._schedule.polled(due)
+        values = self._poll()
+        if self._is_closed():
+            raise StopIteration
+        return values
+
+
+class AwaitedPolls(AsyncIterator[Values], Generic[Values]):
+    """
+    An endless asynchronous iterator over the values of a device, made by `watch` of `AsyncClient`.
+
+    It ends when the client is closed. It holds nothing between two values, so that a loop over it
+    may be left in any way; a wait for the next values may be cancelled, and begun again.
+    """
+
+    def __init__(
+        self,
+        interval: float,
+        poll: Callable[[], Awaitable[Values]],
+        now: Callable[[], float],
+        wait: Callable[[float], Awaitable[bool]],
+        is_closed: Callable[[], bool],
+    ) -> None:
+        self._schedule = Schedule(interval)
+        self._poll = poll
+        self._now = now
+        self._wait = wait
+        self._is_closed = is_closed
+
+    def __aiter__(self) -> AsyncIterator[Values]:
+        return self
+
+    async def __anext__(self) -> Values:
+        due = self._schedule.due(self._now())
+        if not await self._wait(due):
+            raise StopAsyncIteration
+        self._schedule.polled(due)
+        values = await self._poll()
+        if self._is_closed():
+            raise StopAsyncIteration
+        return values
+
+
+def watched_plan(what: Any, names: Any, options: Any) -> Any:
+    """
+    Return the plan of what is polled.
+
+    Raises:
+        TypeError, ValueError: as of `RegisterMap.plan` and `Plan`; or `names` without a map.
+    """
+    from ..maps.plan import planned
+    from ..maps.register_map import RegisterMap
+
+    if isinstance(what, RegisterMap):
+        return what.plan(names, **options)
+    if names is not None:
+        raise ValueError("names are for a RegisterMap only")
+    return planned(what, options)
