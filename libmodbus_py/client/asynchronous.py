@@ -24,7 +24,7 @@ from ..protocol import pdu
 from ..protocol.checks import integer, seconds
 from ..protocol.errors import InvalidResponse, ModbusError
 from .asyncio_driver import AsyncioDriver
-from .batch import MAX_IN_FLIGHT, Batch, raised
+from .batch import MAX_IN_FLIGHT, Batch, encoded, raised
 from .handle import Handle
 from .options import AsyncOptions, CheckedOptions, assembled
 from .polling import AwaitedPolls, watched_plan
@@ -142,7 +142,8 @@ class AsyncClient(Handle[AsyncioDriver], Awaiting):
         if timeout is not None or retries is not None:
             timeouts = timeouts.but(timeout, retries)
         is_broadcast = self._has_broadcast and self._unit == 0
-        batch = Batch(self._unit, [request], timeouts, is_broadcast=is_broadcast)
+        pdus = [encoded(request, "request", 0, is_broadcast)]
+        batch = Batch(self._unit, [request], timeouts, is_broadcast=is_broadcast, pdus=pdus)
         await self._driver.run(batch)
         result: Result = batch.outcomes[0]
         if isinstance(result, BaseException):
@@ -169,7 +170,8 @@ class AsyncClient(Handle[AsyncioDriver], Awaiting):
         if type(unit) is not int or not 0 <= unit <= 255:
             unit = integer("unit", unit, 0, 255)
         is_broadcast = unit == 0 and self._has_broadcast
-        batch = Batch(unit, [request], self._timeouts, is_broadcast=is_broadcast)
+        pdus = [encoded(request, "request", 0, is_broadcast)]
+        batch = Batch(unit, [request], self._timeouts, is_broadcast=is_broadcast, pdus=pdus)
         self._driver.ask(batch, on_done)
         return Submitted(batch, self._driver)
 

@@ -302,7 +302,8 @@ class AsyncioDriver:
             return
         self._is_telling = True
         try:
-            self._notices.give()
+            if self._notices.waiting:
+                self._notices.give()
             while self._ended:
                 self._tell_caller()
         except BaseException:
@@ -357,7 +358,7 @@ class AsyncioDriver:
             return
         port = self._port
         # Asked again, because user code was called since, and the process may have stood still.
-        if not self._conversation.is_allowed():
+        if self._conversation.is_guarded and not self._conversation.is_allowed():
             self._lose(forbidden(), by_itself=False)
             return
         try:

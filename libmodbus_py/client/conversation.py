@@ -80,6 +80,7 @@ class Conversation:
         limit: how many may be in flight, now.
         in_flight: how many requests are, now.
         alarm: when `tick` must be called; may be too early, never too late.
+        is_guarded: True if `may_send` was given: then it is asked before each request.
         broken: why the connection should be closed for a new one, or None.
         is_flooded: True if more bytes came that belong to no request than can be an accident.
     """
@@ -110,6 +111,7 @@ class Conversation:
         self._pace = pace
         self._matching = matching
         self._trace = trace
+        self.is_guarded: bool = may_send is not None
         self._may_send = may_send
         self._is_traced = False
         self._has_ids = matching.has_ids
@@ -203,7 +205,7 @@ class Conversation:
         """
         if not (self._queue or self._repeats or self._capacity.lost):
             return []
-        if self._may_send is not None and not self.is_allowed():
+        if self.is_guarded and not self.is_allowed():
             self.refuse(forbidden())
             return []
         if self.in_flight >= self.limit or not self._is_usable():

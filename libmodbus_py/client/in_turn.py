@@ -82,7 +82,7 @@ class InTurn(Matching):
         return framer
 
     def accepts(self, unit: int, request: bytes, pdu: bytes, took: float) -> bool:
-        if not self._echo.accepts(request, pdu):
+        if self._echo.is_there is not False and not self._echo.accepts(request, pdu):
             return False
         return self._suspicion.accepts(unit, request, pdu, took)
 
@@ -93,7 +93,7 @@ class InTurn(Matching):
         if now < over_at and not self._late:  # the pause between two frames
             self._wake(over_at)
             return False
-        ready_at = max(over_at, self.ready_at(batch.unit))
+        ready_at = max(over_at, self.ready_at(batch.unit)) if self._doubts else over_at
         if ready_at <= now:
             return True
         self._wake(ready_at)
@@ -127,13 +127,16 @@ class InTurn(Matching):
             if self._is_noisy or self._framer.pending:
                 self._framer = self._make_framer()
             adu = self._framer.encode(Frame(batch.unit, batch.pdus[index]))
-        self._end_doubt(batch.unit)
-        self._waiting.pop(batch, None)
+        if self._doubts:
+            self._end_doubt(batch.unit)
+        if self._waiting:
+            self._waiting.pop(batch, None)
         self._received.clear()
         self._late.clear()
         self._quiet_at = None
         self._silence.sent(len(adu), now)
-        self._echo.sent(adu)
+        if self._echo.is_there:
+            self._echo.sent(adu)
         self._wrong = None
         self._held = None
         self._came_early = False
@@ -162,7 +165,9 @@ class InTurn(Matching):
             self._take_unasked(data, now)
             return []
         self._received += data[: MAX_KEPT - len(self._received)]
-        self._judge(self._framer.scan(self._echo.without(data)), now)
+        if self._echo.is_there:
+            data = self._echo.without(data)
+        self._judge(self._framer.scan(data), now)
         if self._pending is not None:
             if self._framer.pending or self._wrong or self._echo.is_holding:
                 self._quiet_at = now + (self._framer.quiet or 0.0)
@@ -201,12 +206,14 @@ class InTurn(Matching):
                 self.is_clean = False
             elif each.unit != pending.batch.unit:
                 self._note_other(pending, each.unit, now)
-            elif self._is_echo(pending, each.pdu, now):
+            elif each.pdu == (request := pending.batch.pdus[pending.index]) and self._is_echo(
+                pending, request, now
+            ):
                 self._is_noisy = True
                 self._wrong = InvalidResponse("the request itself came back; echo=True?")
             elif now < self._silence.left_at:
                 self._note_early()
-            elif each.pdu[0] & 0x7F != pending.function:
+            elif each.pdu[0] & 0x7F != request[0]:
                 self._note_other_function(pending, each)
             else:
                 self._weigh(pending, each.pdu, now)
@@ -215,13 +222,11 @@ class InTurn(Matching):
         """Take an answer; one that may be that to an earlier request only if no other follows."""
         unit, request = pending.batch.unit, pending.batch.pdus[pending.index]
         is_first = self._held is None
-        if self._suspicion.accepts(unit, request, pdu, self._heard_at - pending.sent):
-            if not is_first:
-                self._note_surplus(now)
-            self._end(pending, pdu, now)
-            return
         if not is_first:
             self._note_surplus(now)
+        if self._suspicion.accepts(unit, request, pdu, self._heard_at - pending.sent):
+            self._end(pending, pdu, now)
+            return
         if is_first or not self._suspicion.repeats(unit, request, pdu):
             self._held = pdu
             self._held_until = pending.sent + self._suspicion.patience(unit, request, pdu)
@@ -269,14 +274,12 @@ class InTurn(Matching):
         self._is_noisy = self._came_early = True
         self._statistics.late_answers += 1
 
-    def _is_echo(self, pending: Pending, pdu: bytes, now: float) -> bool:
-        """Return True for the request itself, unless its answer repeats it, as some do."""
-        if pdu != (request := pending.batch.pdus[pending.index]):
-            return False
-        if self._echo.may_be(request, pdu):
+    def _is_echo(self, pending: Pending, request: bytes, now: float) -> bool:
+        """Return True for a request that came back, unless its answer repeats it, as some do."""
+        if self._echo.may_be(request):
             return True
         try:
-            pending.batch.requests[pending.index].decode_response(pdu)
+            pending.batch.requests[pending.index].decode_response(request)
         except ModbusError:
             return True
         except BaseException as error:  # a mistake in a request class is its caller's
@@ -311,7 +314,8 @@ class InTurn(Matching):
             reply.received = bytes(self._received)
         elif isinstance(reply, bytes):
             self._note_life(now)
-            self._echo.learn(pending.batch.pdus[pending.index], pending.adu, self._received)
+            if self._echo.is_there is not False or pending.adu in self._received:
+                self._echo.learn(pending.batch.pdus[pending.index], pending.adu, self._received)
             is_exact = self._wrong is None and not self._framer.pending
             is_quiet = not (self._is_noisy or self._echo.is_there)
             self.is_clean = is_exact and is_quiet and not self._doubts

@@ -44,9 +44,8 @@ class LocalEcho:
         self._awaited = AwaitedEcho(b"")
 
     def sent(self, adu: bytes) -> None:
-        """Note a request that leaves."""
-        if self.is_there or not self._awaited.is_over:
-            self._awaited = AwaitedEcho(adu if self.is_there else b"")
+        """Note a request that leaves, where requests come back."""
+        self._awaited = AwaitedEcho(adu)
 
     @property
     def is_holding(self) -> bool:
@@ -61,16 +60,16 @@ class LocalEcho:
         """Return what is held back, because silence shows that it is no echo."""
         return self._awaited.release() if self._awaited.is_holding else b""
 
-    def may_be(self, request: bytes, pdu: bytes) -> bool:
+    def may_be(self, request: bytes) -> bool:
         """Return True for a request PDU that came back and is probably not its own answer."""
         if self.is_there:  # the first copy is an echo, and what follows is an answer
-            return pdu == request and not self._awaited.came
-        return self.is_there is None and pdu == request and request[0] in READING
+            return not self._awaited.came
+        return self.is_there is None and request[0] in READING
 
     def accepts(self, request: bytes, pdu: bytes) -> bool:
         """Return True for an answer that came alone, unless it may be an echo; learn from it."""
         if pdu == request:
-            return not self.is_there and not self.may_be(request, pdu)
+            return not self.is_there and not self.may_be(request)
         if request[0] in TELLING:
             self.is_there = False
         return True
@@ -81,6 +80,7 @@ class LocalEcho:
             return
         if not begins_with_echo(received, adu):
             self.is_there = False
+            self._awaited = AwaitedEcho(b"")
             return
         if not self._is_taken_out and not self.is_there:
             self.is_there = True

@@ -101,6 +101,7 @@ class Shortcut:
         self._waker = waker
         self._now = waker.now
         self._port = parts.port
+        self._silence = parts.port.silence
         self._conversation = parts.conversation
         self._matching = parts.matching
         self._statistics = parts.statistics
@@ -130,11 +131,12 @@ class Shortcut:
             connection is lost, if it is.
         """
         number = self._matching.next_number()
-        if self._is_line and (left := self._port.silence.over_at - self._now()) > 0:
-            self._waker.sleep(left)
         since = self._now()
         if self._is_line:
-            self._port.silence.sent(len(pdu) + LEAST_AROUND, since)
+            if (left := self._silence.over_at - since) > 0:
+                self._waker.sleep(left)
+                since = self._now()
+            self._silence.sent(len(pdu) + LEAST_AROUND, since)
         self._sent = unit, number, request, pdu, timeouts, since
         answer = self._carrier.carry(unit, number, pdu, timeouts.timeout, waker)
         if answer is None:
@@ -142,16 +144,17 @@ class Shortcut:
             batch = Batch(unit, [request], timeouts, pdus=[pdu])
             self._conversation.add(batch, self._now())
             return batch, None
-        if answer and not (self._is_line and self._may_be_older(unit, pdu, answer, since)):
+        now = self._now()
+        if answer and (not self._is_line or self._is_own(unit, pdu, answer, since, now)):
             try:
                 outcome = request.decode_response(answer)
             except ModbusError:
                 pass  # the conversation meets it again, and tells it all that was asked
             except BaseException as mistake:
-                self._conclude(pdu, since, "invalid")
+                self._conclude(pdu, since, now, "invalid")
                 return None, mistake
             else:
-                self._conclude(pdu, since, "ok")
+                self._conclude(pdu, since, now, "ok")
                 return None, outcome
         batch = self._hand_over()
         if self._carrier.error is None:
@@ -160,20 +163,19 @@ class Shortcut:
             self._conversation.settle(now)
         return batch, self._carrier.error
 
-    def _may_be_older(self, unit: int, pdu: bytes, answer: bytes, since: float) -> bool:
-        """Return True for an answer on a line that may be that to an earlier request."""
-        now = self._now()
-        is_early = now < self._port.silence.left_at
-        return is_early or not self._matching.accepts(unit, pdu, answer, now - since)
+    def _is_own(self, unit: int, pdu: bytes, answer: bytes, since: float, now: float) -> bool:
+        """Return True unless an answer on a line may be that to an earlier request."""
+        if now < self._silence.left_at:
+            return False
+        return self._matching.accepts(unit, pdu, answer, now - since)
 
     def interrupt(self) -> None:
         """Let the conversation know of a request that was sent, and whose caller is gone."""
         if self._sent is not None:
             self._hand_over()
 
-    def _conclude(self, pdu: bytes, since: float, result: str) -> None:
+    def _conclude(self, pdu: bytes, since: float, now: float, result: str) -> None:
         """Note the answer to the request, whatever its class made of it."""
-        now = self._now()
         self._sent = None
         self._statistics.requests += 1
         if result == "ok":
@@ -181,7 +183,7 @@ class Shortcut:
         else:
             self._statistics.note(pdu[0], result)
         if self._is_line:
-            self._port.silence.heard(now)
+            self._silence.heard(now)
 
     def _hand_over(self) -> Batch:
         """Return a batch of the request that was sent, whose answer the conversation expects."""

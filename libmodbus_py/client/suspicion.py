@@ -9,6 +9,8 @@ answers have become faster than they were. No socket, no clock.
 
 from __future__ import annotations
 
+from collections import deque
+
 __all__ = ["Suspicion"]
 
 # So many of the last answers may come again; so many requests are remembered with their answers,
@@ -28,34 +30,49 @@ BY_CHANCE, NEVER = 1.25, 4.0
 # The true answer is awaited for so much longer than usual, at least: a share of that, and seconds.
 SHARE, SHORTEST = 0.25, 0.001
 
-# Unit, function and length.
+# Unit, function and length of an answer; unit and request.
 Kind = tuple[int, int, int]
+Asked = tuple[int, bytes]
 
 
 class Times:
-    """The times that answers of one kind took: the shortest, the usual, and that of the last."""
+    """
+    The times that answers of one kind took: the shortest, the usual, and that of the last.
 
-    __slots__ = ("deviation", "last", "shortest", "usual")
+    Attributes:
+        earliest: an answer that took less came too early.
+        are_shorter: True if the last answers were faster than chance can explain.
+    """
+
+    __slots__ = ("are_shorter", "deviation", "earliest", "last", "usual")
 
     def __init__(self, took: float) -> None:
-        self.shortest = self.usual = self.last = took
+        self.earliest = EARLY * took
+        self.usual = self.last = took
         self.deviation = took / 2
+        self.are_shorter = False
 
     def note(self, took: float) -> None:
         """Note an answer."""
-        if took < self.shortest:
-            self.shortest = took
-        more = min(took, LONGEST * self.usual + SHORTEST) - self.usual
-        self.last += LAST * (self.usual + more - self.last)
-        self.deviation += USUAL * (abs(more) - self.deviation)
-        self.usual += USUAL * more
+        if EARLY * took < self.earliest:
+            self.earliest = EARLY * took
+        usual = self.usual
+        most = LONGEST * usual + SHORTEST
+        more = (took if took < most else most) - usual
+        self.last = last = self.last + LAST * (usual + more - self.last)
+        self.deviation += USUAL * ((more if more > 0 else -more) - self.deviation)
+        self.usual = usual = usual + USUAL * more
+        self.are_shorter = last < FASTER * usual and last < usual - BY_CHANCE * self.deviation
 
-    @property
-    def are_shorter(self) -> bool:
-        """True if the last answers were faster than chance can explain."""
-        return (
-            self.last < FASTER * self.usual and self.last < self.usual - BY_CHANCE * self.deviation
-        )
+    def believe(self, took: float) -> None:
+        """Let an answer of this time be no reason for doubt."""
+        self.earliest = min(self.earliest, EARLY * took)
+        self.are_shorter = False
+
+    def start_anew(self, took: float) -> None:
+        """Take it that answers are that fast from now on."""
+        self.usual = self.last = took
+        self.are_shorter = False
 
     @property
     def longest(self) -> float:
@@ -67,34 +84,44 @@ class Suspicion:
     """Learns how the units of a connection answer."""
 
     def __init__(self) -> None:
-        self._count = 0
         self._times: dict[Kind, Times] = {}
         # Unit and request -> its last answer.
-        self._answers: dict[tuple[int, bytes], bytes] = {}
-        # Unit and answer -> the request that it answered last, and its number.
-        self._recent: dict[tuple[int, bytes], tuple[bytes, int]] = {}
+        self._answers: dict[Asked, bytes] = {}
+        # The last answers, and what each of them answered.
+        self._recent: deque[bytes] = deque(maxlen=RECENT)
+        self._recently_asked: deque[Asked] = deque(maxlen=RECENT)
         # Answers that different requests of a unit have in common, such as all zeros.
         self._common: set[tuple[int, bytes]] = set()
 
     def accepts(self, unit: int, request: bytes, pdu: bytes, took: float) -> bool:
         """Return True, and learn from an answer, unless it may be that to an earlier request."""
-        times = self._times.get((unit, pdu[0], len(pdu)))
-        if times is not None and (took < EARLY * times.shortest or times.are_shorter):
+        asked, kind = (unit, request), (unit, pdu[0], len(pdu))
+        times = self._times.get(kind)
+        if times is not None and (took < times.earliest or times.are_shorter):
             return False
-        if self.repeats(unit, request, pdu):
-            return False
-        self.learn(unit, request, pdu, took)
+        if self._answers.get(asked) != pdu:
+            if pdu in self._recent and self.repeats(unit, request, pdu):
+                return False
+            if len(self._answers) >= REMEMBERED:
+                self._answers.clear()
+            self._answers[asked] = pdu
+        self._recent.append(pdu)
+        self._recently_asked.append(asked)
+        if times is not None:
+            times.note(took)
+        else:
+            if len(self._times) >= REMEMBERED:
+                self._times.clear()
+            self._times[kind] = Times(took)
         return True
 
     def repeats(self, unit: int, request: bytes, pdu: bytes) -> bool:
         """Return True for the answer to another request of late, unless it was the last to this."""
-        asked, number = self._recent.get((unit, pdu), (request, 0))
-        return (
-            asked != request
-            and self._count - number < RECENT
-            and self._answers.get((unit, request)) != pdu
-            and (unit, pdu) not in self._common
-        )
+        if self._answers.get((unit, request)) == pdu or (unit, pdu) in self._common:
+            return False
+        recent = zip(self._recently_asked, self._recent, strict=True)
+        requests = [asked[1] for asked, each in recent if each == pdu and asked[0] == unit]
+        return bool(requests) and requests[-1] != request
 
     def patience(self, unit: int, request: bytes, pdu: bytes) -> float:
         """Return how long after its request the true answer is awaited, in place of this one."""
@@ -106,31 +133,15 @@ class Suspicion:
         longest = [self._times[kind].longest for kind in kinds if kind in self._times]
         return max(longest, default=SHORTEST)
 
-    def learn(self, unit: int, request: bytes, pdu: bytes, took: float) -> None:
-        """Learn from an answer that is taken for that to its request."""
-        kind = unit, pdu[0], len(pdu)
-        times = self._times.get(kind)
-        if times is None:
-            if len(self._times) >= REMEMBERED:
-                self._times.clear()
-            self._times[kind] = Times(took)
-        else:
-            times.note(took)
-        if len(self._answers) >= REMEMBERED:
-            self._answers.clear()
-        if len(self._recent) >= REMEMBERED:
-            self._recent.clear()
-        self._count += 1
-        self._answers[unit, request] = pdu
-        self._recent[unit, pdu] = request, self._count
-
     def clear(self, unit: int, request: bytes, pdu: bytes, took: float) -> None:
         """Learn from a doubtful answer after which no other one came: it was the true one."""
         if self.repeats(unit, request, pdu):
             if len(self._common) >= MOST_COMMON:
                 self._common.clear()
             self._common.add((unit, pdu))
-        self.learn(unit, request, pdu, took)
-        times = self._times[unit, pdu[0], len(pdu)]
-        if times.are_shorter:  # answers are that fast now
-            times.usual = times.last = took
+        times = self._times.get((unit, pdu[0], len(pdu)))
+        if times is not None:
+            times.believe(took)
+        self.accepts(unit, request, pdu, took)
+        if times is not None and times.are_shorter:
+            times.start_anew(took)

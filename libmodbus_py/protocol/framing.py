@@ -81,12 +81,13 @@ def lrc(data: bytes) -> int:
 
 
 def _check(frame: Frame) -> Frame:
-    if not 0 <= frame.unit <= 0xFF:
-        raise ValueError(f"unit must be in 0..255, not {frame.unit}")
-    if not 0 <= frame.transaction <= 0xFFFF:
-        raise ValueError(f"transaction must be in 0..65535, not {frame.transaction}")
-    if not 1 <= len(frame.pdu) <= MAX_PDU:
-        raise ValueError(f"pdu must hold 1..{MAX_PDU} bytes, not {len(frame.pdu)}")
+    unit, pdu, transaction = frame
+    if not 0 <= unit <= 0xFF:
+        raise ValueError(f"unit must be in 0..255, not {unit}")
+    if not 0 <= transaction <= 0xFFFF:
+        raise ValueError(f"transaction must be in 0..65535, not {transaction}")
+    if not 1 <= len(pdu) <= MAX_PDU:
+        raise ValueError(f"pdu must hold 1..{MAX_PDU} bytes, not {len(pdu)}")
     return frame
 
 
@@ -197,6 +198,7 @@ UNIT, FUNCTION = 6, 7
 
 _HEADER = struct.Struct(">HHH")
 _PREFIX = struct.Struct(">HHHB")
+_CRC = struct.Struct("<H")
 
 
 def mbap(transaction: int, unit: int, pdu: bytes) -> bytes:
@@ -359,7 +361,7 @@ class RtuFramer(Framer):
     def encode(self, frame: Frame) -> bytes:
         unit, pdu, _ = _check(frame)
         body = bytes([unit]) + pdu
-        return body + struct.pack("<H", crc16(body))
+        return body + _CRC.pack(crc16(body))
 
     def _scan(self) -> None:
         if self._search is None:

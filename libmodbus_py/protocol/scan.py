@@ -43,7 +43,7 @@ def crc16(data: bytes | bytearray) -> int:
     On the wire its low byte comes first; over a frame with its CRC it is 0
     (serial line, appendix B).
     """
-    crc: int = lib.crc16(ffi.from_buffer(data), len(data))
+    crc: int = lib.crc16(data if type(data) is bytes else ffi.from_buffer(data), len(data))
     return crc
 
 

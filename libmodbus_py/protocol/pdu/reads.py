@@ -28,6 +28,8 @@ from .request import Request
 
 Values = TypeVar("Values", list[bool], list[int])
 
+_REQUEST = struct.Struct(">BHH")
+
 
 @dataclass(frozen=True, slots=True)
 class _Read(Request[Values]):
@@ -54,7 +56,7 @@ class _Read(Request[Values]):
         store(self, address=checked_span("address", self.address, "count", count), count=count)
 
     def encode(self) -> bytes:
-        return struct.pack(">BHH", self.function, self.address, self.count)
+        return _REQUEST.pack(self.function, self.address, self.count)
 
     @classmethod
     def decode(cls, pdu: bytes) -> Self:
