@@ -201,6 +201,7 @@ class Device:
     def _arrange(self) -> None:
         """Decide which requests rules, hooks and handlers want; C may answer all others."""
         self._rules = PointRules(self._ruled_cells())
+        self._has_rules = bool(self._rules.reads or self._rules.writes)
         hooks = (self._before_write, self._after_write, self._before_read)
         self._has_hooks = any(each is not None for each in hooks)
         # Request class -> the rule that finds the accesses for rules and hooks.
@@ -441,8 +442,12 @@ class Device:
                 self._authorize(request.function, request, caller)
             if find is not None:
                 touched = find(request, self.mapping, (caller.unit, caller.peer, caller.role))
-                self._check_accesses(touched)
-                touched = self._call_hooks_before(touched)
+                for access in touched.writes + touched.reads:
+                    self._check_exists(access)
+                if self._has_rules:
+                    self._rules.check(touched, self.mapping)
+                if self._has_hooks:
+                    touched = self._call_hooks_before(touched)
             if handle is not None:
                 response = request.encode_response(handle(self, request, log))
                 if not isinstance(response, bytes) or not 1 <= len(response) <= MAX_PDU:
@@ -463,16 +468,10 @@ class Device:
 
     # --- hooks ---------------------------------------------------------------------------
 
-    def _check_accesses(self, touched: Touched) -> None:
-        for access in (*touched.writes, *touched.reads):
-            self._check_exists(access)
-        self._rules.check(touched, self.mapping)
-
     def _call_hooks_before(self, touched: Touched) -> Touched:
         """Call the hooks, and return the accesses with what only hooks are told."""
-        if not self._has_hooks:
-            return touched
-        touched = Touched(*(tuple(map(self._told, each)) for each in touched))
+        if touched.writes or self.points is not NO_POINTS:
+            touched = Touched(*(tuple(map(self._told, each)) for each in touched))
         if self._before_write is not None:
             self._before_write.tell(touched.writes)
         if self._before_read is not None:
@@ -481,8 +480,6 @@ class Device:
 
     def _told(self, access: Access) -> Access:
         """Return an access with the names of its points and the values before."""
-        if self.points is NO_POINTS and not access.values:  # the most frequent requests
-            return access
         names = tuple(point.name for point in self._index.touched(access))
         before = values_at(access, self.mapping, self.files) if access.values else None
         return replace(access, names=names, old_values=before or ())
