@@ -1,0 +1,142 @@
+"""
+The last numbers of a value with their times, in few bytes.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from array import array
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any
+
+__all__ = ["MOST_SAMPLES", "Samples", "thinned"]
+
+MOST_SAMPLES = 600
+"""The most samples of one value: at one a second, those of ten minutes."""
+
+# Samples that are closer together replace each other.
+SHORTEST = 0.4
+
+NUMBERS = (float, int, bool)
+
+GREATEST = sys.float_info.max
+
+# Levels of a sparkline.
+LEVELS = 20
+
+Pairs = list[tuple[float, "float | None"]]
+
+
+class Samples:
+    """
+    The last samples of one value; a value that is no number, or is missing, is a gap.
+
+    Args:
+        most: the most samples that are kept, at least 2.
+
+    Attributes:
+        low, high: the least and the greatest number since the first sample; None without one.
+    """
+
+    __slots__ = ("_at", "_most", "_newest", "_times", "_values", "high", "low")
+
+    def __init__(self, most: int = MOST_SAMPLES) -> None:
+        self.low: float | None = None
+        self.high: float | None = None
+        self._most = most
+        self._at = 0
+        self._newest = -math.inf
+        self._times = array("d")
+        self._values = array("d")
+
+    def __len__(self) -> int:
+        return len(self._times)
+
+    def add(self, time: float, value: Any) -> None:
+        """Keep a sample; a value that is no finite number is a gap."""
+        number = math.nan
+        if type(value) in NUMBERS and -GREATEST <= value <= GREATEST:
+            number = value
+            if self.low is None or self.high is None:
+                self.low = self.high = number
+            elif number < self.low:
+                self.low = number
+            elif number > self.high:
+                self.high = number
+        self._keep(time, number)
+
+    def _keep(self, time: float, number: float) -> None:
+        times, at = self._times, self._at
+        if 0 <= time - self._newest < SHORTEST:
+            if number == number:  # a gap may not hide a number
+                self._values[at - 1] = number
+            return
+        self._newest = time
+        if len(times) < self._most:
+            self._values.append(number)
+            times.append(time)
+        else:
+            self._values[at] = number
+            times[at] = time
+            self._at = (at + 1) % self._most
+
+    def resize(self, most: int) -> None:
+        """Keep at most so many samples from now on; the oldest are dropped."""
+        if most != self._most:
+            at, self._most, self._at = self._at, most, 0
+            self._times = (self._times[at:] + self._times[:at])[-most:]
+            self._values = (self._values[at:] + self._values[:at])[-most:]
+
+    def pairs(self, since: float = -math.inf) -> Pairs:
+        """Return time and number of each sample after a time, the oldest first; None for a gap."""
+        at = self._at
+        times = self._times[at:] + self._times[:at]
+        values = self._values[at:] + self._values[:at]
+        found = [
+            (time, value if value == value else None)
+            for time, value in zip(times, values, strict=False)
+            if time > since
+        ]
+        # The clock may have been set back.
+        return found if all(a[0] <= b[0] for a, b in pairwise(found)) else sorted(found, key=_time)
+
+    def spark(self, count: int) -> list[int]:
+        """Return the last samples as levels from 0 to 20, and -1 for each gap."""
+        at, held = self._at, self._values
+        values = held[max(0, at - count) : at] if at >= count else (held[at:] + held[:at])[-count:]
+        numbers = [each for each in values if each == each]
+        if not numbers:
+            return []
+        low = min(numbers)
+        span = max(numbers) - low
+        if not 0 < span < math.inf:
+            return [LEVELS // 2 if each == each else -1 for each in values]
+        by = LEVELS / span
+        return [int((each - low) * by) if each == each else -1 for each in values]
+
+
+def _time(pair: tuple[float, Any]) -> float:
+    return pair[0]
+
+
+def thinned(pairs: Sequence[tuple[float, float | None]], most: int) -> Pairs:
+    """
+    Return at most so many samples of many: the extremes of each stretch, and every gap.
+
+    Args:
+        pairs: time and number of each, the oldest first; None for a gap.
+        most: at least 4.
+    """
+    if len(pairs) <= most:
+        return list(pairs)
+    length = -(-len(pairs) // (most // 4))
+    found: Pairs = []
+    for start in range(0, len(pairs), length):
+        stretch = pairs[start : start + length]
+        numbers = [(value, at) for at, (_, value) in enumerate(stretch) if value is not None]
+        gap = next((at for at, (_, value) in enumerate(stretch) if value is None), None)
+        kept = {0, *(at for _, at in (min(numbers), max(numbers)))} if numbers else {0}
+        found += [stretch[at] for at in sorted(kept | ({gap} if gap is not None else set()))]
+    return found
