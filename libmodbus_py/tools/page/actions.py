@@ -1,25 +1,51 @@
 """
-The requests of a page: choose another view, set a value, switch a fault.
+The requests of a page: set a value, switch a fault.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, Protocol
 
 from ...protocol.checks import integer
 from ...protocol.tables import TABLE_SIZE, TABLES
 from ...server.faults.fault import Fault
 from .setting import readings_at, set_cells, set_point
 from .shown import ShownUnit
-from .streams import Streams
+from .source import Action
 
-__all__ = ["Actions"]
+if TYPE_CHECKING:
+    from .fault_list import FaultList
+    from .log import Log
+
+__all__ = ["Actions", "Changed"]
 
 Given = Mapping[str, Any]
 
 # The settings of a fault that a page can give.
 SETTINGS = ("kind", "function", "every", "probability", "seconds", "code", "length")
+
+
+class Changed(Protocol):
+    """
+    The server that the requests change.
+
+    Attributes:
+        log: is told of values that are set.
+        faults: are switched.
+    """
+
+    log: Log
+    faults: FaultList
+
+    def unit(self, number: object) -> ShownUnit:
+        """
+        Return the unit of a number.
+
+        Raises:
+            ValueError: there is no such unit.
+        """
+        ...
 
 
 class Actions:
@@ -29,22 +55,17 @@ class Actions:
     They raise TypeError, ValueError or KeyError if the object is wrong or lacks a key.
     """
 
-    def __init__(self, streams: Streams) -> None:
-        self._streams = streams
-        self.by_path: dict[str, Callable[[Given], object]] = {
-            "/view": self._look,
+    def __init__(self, source: Changed) -> None:
+        self._source = source
+        self.by_path: dict[str, Action] = {
             "/value": self._set,
             "/readings": self._read,
             "/fault": self._switch,
             "/faults": self._add,
         }
 
-    def _look(self, given: Given) -> None:
-        first, stop = (_address(name, given[name]) for name in ("first", "stop"))
-        self._streams.look_at(given["stream"], given["unit"], given["what"], first, stop)
-
     def _set(self, given: Given) -> None:
-        unit, text = self._streams.unit(given["unit"]), given["text"]
+        unit, text = self._source.unit(given["unit"]), given["text"]
         if not isinstance(text, str):
             raise TypeError("text must be a string")
         if "point" in given:
@@ -59,20 +80,20 @@ class Actions:
             self._note(unit, table, cells)
 
     def _note(self, unit: ShownUnit, table: str, cells: range) -> None:
-        self._streams.log.wrote(unit.number, table, cells.start, cells.stop, "this page")
+        self._source.log.wrote(unit.number, table, cells.start, cells.stop, "this page")
 
     def _read(self, given: Given) -> object:
-        unit = self._streams.unit(given["unit"])
+        unit = self._source.unit(given["unit"])
         return readings_at(unit, _table(given["table"]), _address("address", given["address"]))
 
     def _switch(self, given: Given) -> None:
         number = integer("number", given["number"], 0, 1_000_000_000)
-        self._streams.faults.turn(number, is_on=given["on"] is True)
+        self._source.faults.turn(number, is_on=given["on"] is True)
 
     def _add(self, given: Given) -> None:
-        unit = None if given["unit"] is None else self._streams.unit(given["unit"]).number
+        unit = None if given["unit"] is None else self._source.unit(given["unit"]).number
         fault = Fault(**{name: given[name] for name in SETTINGS if given.get(name) is not None})
-        self._streams.faults.add(unit, fault)
+        self._source.faults.add(unit, fault)
 
 
 def _table(name: object) -> str:

@@ -1,5 +1,5 @@
 """
-A live page of a server, while a block runs.
+A live page of a server or of tables, while a block runs.
 """
 
 from __future__ import annotations
@@ -10,10 +10,13 @@ from dataclasses import dataclass
 
 from ...server.server import Server
 from .guard import checked_token
+from .server_source import ServerSource
+from .source import PageSource
 from .streams import Streams
+from .table_source import TableSource
 from .web import WebServer
 
-__all__ = ["Page", "live_page"]
+__all__ = ["Page", "live_page", "table_page"]
 
 
 @dataclass(frozen=True)
@@ -53,11 +56,44 @@ def live_page(
     """
     if token is not None:
         checked_token(token)
-    streams = Streams(server)
+    source = ServerSource(server)
+    with _page_of(source, host, port, token, server.tracing(source.log.note)) as page:
+        yield page
+
+
+@contextlib.contextmanager
+def table_page(
+    source: TableSource, host: str = "127.0.0.1", port: int = 0, token: str | None = None
+) -> Iterator[Page]:
+    """
+    Show tables on a live page while the ``with`` block runs; nothing can be changed on it.
+
+    Args:
+        source: the tables.
+        host, port, token: as for `live_page`.
+
+    Raises:
+        TypeError, ValueError, OSError: as for `live_page`.
+    """
+    if token is not None:
+        checked_token(token)
+    with _page_of(source, host, port, token, contextlib.nullcontext()) as page:
+        yield page
+
+
+@contextlib.contextmanager
+def _page_of(
+    source: PageSource,
+    host: str,
+    port: int,
+    token: str | None,
+    tracing: contextlib.AbstractContextManager[None],
+) -> Iterator[Page]:
+    streams = Streams(source)
     web = WebServer(host, port, streams, token)
     with contextlib.ExitStack() as stack:
         stack.callback(web.server_close)
-        stack.enter_context(server.tracing(streams.log.note))
+        stack.enter_context(tracing)
         stack.enter_context(streams.sending())
         stack.enter_context(web.serving("page web"))
         yield Page(web.url)

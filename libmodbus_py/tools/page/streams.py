@@ -8,22 +8,14 @@ import contextlib
 import secrets
 import threading
 import time
-from collections.abc import Iterator
-from dataclasses import asdict
+from collections.abc import Hashable, Iterator, Mapping
 from typing import Any
 
 from ...ports.names import start_thread
 from ...protocol.json_text import COMPACT_JSON
 from ...protocol.logs import HarmlessLogger
-from ...protocol.tables import TABLES
-from ...protocol.values import ORDERS, TYPES
-from ...server.faults.fault import KINDS, OPTIONAL
-from ...server.server import Server
 from ...system import Flag
-from .fault_list import FaultList
-from .log import Log
-from .shown import ShownServer, ShownUnit, shown_of
-from .views import CellsView, PageView, PointsView
+from .source import Changes, PageSource, PageView
 
 __all__ = ["MOST_STREAMS", "FullError", "PageStream", "Streams"]
 
@@ -36,22 +28,8 @@ MOST_STREAMS = 16
 PERIOD = 0.1
 REST = 9
 
-# The choices of the page; each kind of fault has the setting that it needs, if any.
-WORDS: dict[str, Any] = {
-    "types": list(TYPES),
-    "orders": list(ORDERS),
-    "kinds": {
-        kind: setting or next((each for each in OPTIONAL.get(kind, ()) if each == "length"), None)
-        for kind, setting in KINDS.items()
-    },
-}
-
-# The view of a page: unit, table or "points", the first of them, and the end.
-Key = tuple["int | None", str, int, int]
-
-
 # The changes of each view, as JSON.
-Texts = dict["Key | None", str]
+Texts = dict[Hashable, str]
 
 
 class FullError(Exception):
@@ -72,11 +50,11 @@ class PageStream:
         self.name: str = secrets.token_hex(8)
         self._flag = Flag()
         self.wake: int = self._flag.descriptor
-        self.key: Key | None = None
-        # What the page was sent: whether everything, for which devices, and for which view.
+        self.key: Hashable = None
+        # What the page was sent: whether everything, of which structure, and for which view.
         self.is_behind = True
-        self.shown: ShownServer | None = None
-        self.told: Key | None = None
+        self.shown: object = None
+        self.told: Hashable = None
         self._lock = threading.Lock()
         self._message = ""
 
@@ -103,45 +81,22 @@ class PageStream:
 
 class Streams:
     """
-    All open pages of a server.
+    All open pages of one address.
 
-    Attributes:
-        log, faults: shown on all pages.
+    Args:
+        source: what they show.
     """
 
-    def __init__(self, server: Server) -> None:
-        self._server = server
-        self._shown = shown_of(server)
-        self.log: Log = Log(lambda: self._shown)
-        self.faults: FaultList = FaultList(server.fault_switch)
+    def __init__(self, source: PageSource) -> None:
+        self.source = source
+        self._shown: object = None
         self._streams: dict[str, PageStream] = {}
-        self._views: dict[Key, PageView] = {}
-        self._counters: dict[str, int] = {}
-        self._told = (0, 0, -1)  # the last transaction, write and version of the faults
+        self._views: dict[Hashable, PageView] = {}
         self._changed = threading.Condition()
         self._is_wanted = True
         self._is_asked = False  # a page waits for its first message
         self._has_failed = False
         self._thread = threading.Thread(target=self._run, name="page", daemon=True)
-
-    @property
-    def shown(self) -> ShownServer:
-        """The devices that the server has now."""
-        if self._server.devices is not self._shown.given:
-            self._shown = shown_of(self._server)
-        return self._shown
-
-    def unit(self, number: object) -> ShownUnit:
-        """
-        Return the unit of a number.
-
-        Raises:
-            ValueError: there is no such unit.
-        """
-        found = self.shown.units.get(number) if isinstance(number, int | None) else None
-        if found is None:
-            raise ValueError(f"there is no unit {number}")
-        return found
 
     # --- pages that come and go ------------------------------------------------------------------
 
@@ -184,21 +139,20 @@ class Streams:
                 del self._streams[stream.name]
             stream.end()
 
-    def look_at(self, name: object, number: object, what: object, first: int, stop: int) -> None:
+    def look_at(self, given: Mapping[str, Any]) -> None:
         """
-        Set the view of a page: cells of a table, or "points".
+        Set the view of a page.
 
         Raises:
-            ValueError: there is no such page, unit or table.
+            TypeError, ValueError, KeyError: there is no such page or view.
         """
+        name = given["stream"]
         stream = self._streams.get(name) if isinstance(name, str) else None
         if stream is None:
             raise ValueError("there is no such page any more")
-        unit = self.unit(number)
-        if not isinstance(what, str) or (what != "points" and what not in TABLES):
-            raise ValueError("what must be points or a table")
+        key = self.source.key(given)
         with self._changed:
-            stream.key = (unit.number, what, max(first, 0), max(stop, 0))
+            stream.key = key
             self._is_asked = True
             self._changed.notify_all()
 
@@ -227,20 +181,18 @@ class Streams:
             return self._is_wanted
 
     def _look(self) -> None:
-        if self._shown is not self.shown or any(
-            view.unit is not self._shown.units.get(view.unit.number)
-            for view in self._views.values()
-        ):
-            self._views.clear()
+        source = self.source
+        self._shown = source.structure()
+        self._views = {key: view for key, view in self._views.items() if source.is_current(view)}
         with self._changed:
             streams = list(self._streams.values())
-        common = _encoded(self._common_changes())
+        common = _encoded(source.changes())
         keys = [each.key for each in streams]
         changes = self._changes({key for key in keys if key is not None})
         for stream, key in zip(streams, keys, strict=True):
             self._tell(stream, key, common, changes)
 
-    def _tell(self, stream: PageStream, key: Key | None, common: str, changes: Texts) -> None:
+    def _tell(self, stream: PageStream, key: Hashable, common: str, changes: Texts) -> None:
         if stream.is_behind or stream.shown is not self._shown:
             message = _message(_encoded(self._everything(stream)), self._all(key))
         elif stream.told != key:
@@ -251,66 +203,28 @@ class Streams:
         if not stream.is_behind:
             stream.shown, stream.told = self._shown, key
 
-    def _changes(self, keys: set[Key]) -> Texts:
+    def _changes(self, keys: set[Hashable]) -> Texts:
         self._views = {key: view for key in keys if (view := self._made(key)) is not None}
         found = ((key, view.look()) for key, view in self._views.items())
-        return {key: _encoded(_named(key, changes)) for key, changes in found if changes}
+        return {key: self._text(key, changes) for key, changes in found if changes}
 
-    def _made(self, key: Key) -> PageView | None:
-        if key in self._views:
-            return self._views[key]
-        number, what, first, stop = key
-        unit = self._shown.units.get(number)
-        if unit is None:  # the unit is gone
-            return None
-        if what == "points":
-            return PointsView(unit, first, stop)
-        return CellsView(unit, what, first, stop)
+    def _made(self, key: Hashable) -> PageView | None:
+        return self._views.get(key) or self.source.view(key)
 
-    def _all(self, key: Key | None) -> str:
-        view = None if key is None else self._views.get(key)
-        return "" if view is None or key is None else _encoded(_named(key, view.all()))
+    def _all(self, key: Hashable) -> str:
+        view = self._views.get(key)
+        return "" if view is None else self._text(key, view.all())
 
-    def _common_changes(self) -> dict[str, Any]:
-        passed, written, version = self._told
-        found: dict[str, Any] = {
-            "log": self.log.rows(passed),
-            "written": self.log.written(written),
-        }
-        counters: dict[str, int] = asdict(self._server.statistics)
-        found["counters"] = {
-            name: value for name, value in counters.items() if value != self._counters.get(name)
-        }
-        self._counters = counters
-        if version != (latest := self.faults.version):
-            version, found["faults"] = latest, self.faults.as_json()
-        if found["log"]:
-            passed = found["log"][-1].number
-        if found["written"]:
-            written = found["written"][-1].number
-        self._told = passed, written, version
-        return {name: value for name, value in found.items() if value or name == "faults"}
+    def _text(self, key: Hashable, changes: Changes) -> str:
+        return _encoded({**self.source.named(key), **changes})
 
-    def _everything(self, stream: PageStream) -> dict[str, Any]:
-        found: dict[str, Any] = {
-            "all": True,
-            "stream": stream.name,
-            "log": self.log.rows(),
-            "written": self.log.written(),
-            "counters": self._counters,
-            "faults": self.faults.as_json(),
-            "words": WORDS,
-        }
-        if stream.shown is not self._shown:
-            found["units"] = self._shown.as_json()
-        return found
+    def _everything(self, stream: PageStream) -> Changes:
+        found = {"all": True, "page": self.source.document, "stream": stream.name}
+        more = self.source.described() if stream.shown is not self._shown else {}
+        return {**found, **self.source.everything(), **more}
 
 
-def _named(key: Key, changes: dict[str, Any]) -> dict[str, Any]:
-    return {"unit": key[0], "what": key[1], **changes}
-
-
-def _encoded(found: dict[str, Any]) -> str:
+def _encoded(found: Changes) -> str:
     """Return a JSON object without its braces."""
     return COMPACT_JSON.encode(found)[1:-1]
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import reprlib
 from collections.abc import Iterable
-from typing import Any, Protocol
+from typing import Any
 
 from ...device.mapping import Table
 from ...device.named_values import source_of
@@ -17,8 +17,9 @@ from ...maps.point import Point
 from ...protocol.spelling import shown
 from .refreshing import Refreshing
 from .shown import ShownUnit
+from .source import Changes
 
-__all__ = ["MOST_CELLS", "MOST_POINTS", "CellsView", "PageView", "PointsView"]
+__all__ = ["MOST_CELLS", "MOST_POINTS", "CellsView", "PointsView"]
 
 MOST_POINTS = 500
 MOST_CELLS = 16_384
@@ -28,22 +29,6 @@ CHUNK = 64
 
 # Characters of a value that a row can show.
 MOST_TEXT = 200
-
-Changes = dict[str, Any]
-
-
-class PageView(Protocol):
-    """The view of one or more pages."""
-
-    unit: ShownUnit
-
-    def look(self) -> Changes:
-        """Return the changes since the last call; everything at the first."""
-        ...
-
-    def all(self) -> Changes:
-        """Return everything as of the last `look`."""
-        ...
 
 
 class PointsView:

@@ -15,8 +15,8 @@ from urllib.parse import urlsplit
 
 from ...protocol.json_text import json_text
 from ..timed_server import TimedServer
-from .actions import Actions
 from .guard import PageGuard
+from .source import Action
 from .streams import FullError, PageStream, Streams
 
 __all__ = ["WebServer"]
@@ -34,16 +34,19 @@ FOLDER = resources.files(__package__ or "")
 
 SCRIPT = "text/javascript; charset=utf-8"
 
+HTML = "text/html; charset=utf-8"
+
 FILES = {
-    "/": ("page.html", "text/html; charset=utf-8"),
+    "/": ("", HTML),
     "/page.css": ("page.css", "text/css; charset=utf-8"),
+    "/tables.css": ("tables.css", "text/css; charset=utf-8"),
     "/icon.svg": ("icon.svg", "image/svg+xml"),
 } | {
     f"/scripts/{each.name}": (f"scripts/{each.name}", SCRIPT)
     for each in FOLDER.joinpath("scripts").iterdir()
     if each.name.endswith(".js")
 }
-"""Path -> file in this folder, and its media type."""
+"""Path -> file in this folder, and its media type; the source names the document of "/"."""
 
 HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self';"
@@ -74,7 +77,7 @@ class WebServer(TimedServer):
     def __init__(self, host: str, port: int, streams: Streams, token: str | None = None) -> None:
         super().__init__(host, port, Handler, LIMIT)
         self.streams = streams
-        self.actions: Actions = Actions(streams)
+        self.actions: dict[str, Action] = {"/view": streams.look_at, **streams.source.actions}
         self.guard: PageGuard = PageGuard(host, self.addresses, self.port, token)
         self.url: str = f"{self.place}/?token={self.guard.token}"
 
@@ -160,11 +163,11 @@ class Handler(BaseHTTPRequestHandler):
         if path not in FILES:
             raise Refused(404, "there is nothing here")
         name, kind = FILES[path]
-        data = FOLDER.joinpath(name).read_bytes()
+        data = FOLDER.joinpath(name or self.server.streams.source.document).read_bytes()
         self._send(200, kind, data, with_cookie=path == "/")
 
     def _post(self, path: str) -> None:
-        action = self.server.actions.by_path.get(path)
+        action = self.server.actions.get(path)
         if action is None:
             raise Refused(404, "there is nothing here")
         try:
