@@ -1,5 +1,6 @@
 // Messages of the server are kept and shown.
 
+import { connect } from "./connection.js";
 import { showCounters } from "./counters.js";
 import { $, made } from "./elements.js";
 import { showFaults, showSetting } from "./faults.js";
@@ -59,21 +60,4 @@ function take(message) {
   if (message.all) { showCounters(); look(); }
 }
 
-function sayState(text, name) {
-  $("state").textContent = text;
-  $("state").className = name;
-}
-
-function connect() {
-  const events = new EventSource("/events");
-  events.onopen = () => sayState("live", "live");
-  events.onmessage = (event) => take(JSON.parse(event.data));
-  events.onerror = () => {
-    sayState("no connection to the server", "lost");
-    if (events.readyState === EventSource.CLOSED) setTimeout(connect, 2000);
-  };
-}
-
-// The token is in a cookie now, and need not stay in the history.
-history.replaceState(null, "", `/${location.hash}`);
-connect();
+connect(take);
