@@ -110,7 +110,7 @@ def test_the_printed_address_gives_a_cookie_that_scripts_do_not_see() -> None:
 
 def test_every_script_is_there_and_wanted() -> None:
     with shown() as (_, _, visitor):
-        wanted, seen = ["/scripts/page.js"], set()
+        wanted, seen = ["/scripts/page.js", "/scripts/tables.js"], set()
         while wanted:
             path = wanted.pop()
             status, headers, data = visitor.ask("GET", path)

@@ -76,7 +76,8 @@ class Visitor:
             "Origin": f"http://{self.host}",
             "Content-Type": "application/json",
         }
-        self.seen: dict[str, Any] = {"points": {}, "cells": {}, "log": [], "written": []}
+        self.seen: dict[str, Any] = {"log": [], "written": []}
+        self.seen |= {"points": {}, "cells": {}, "rows": {}}
 
     def ask(
         self, method: str, path: str, body: Any = None, **headers: str | None
@@ -131,7 +132,7 @@ class Visitor:
         for name, value in message.items():
             if name in ("log", "written"):
                 self.seen[name] += value
-            elif name == "points":
+            elif name in ("points", "rows"):
                 self.seen[name].update(value)
             elif name == "counters":
                 self.seen[name] = {**self.seen.get(name, {}), **value}
@@ -146,6 +147,15 @@ class Visitor:
         found = self.post(
             "/view", stream=self.seen["stream"], unit=unit, what=what, first=first, stop=stop
         )
+        assert found == {}, found
+
+    def look_at(
+        self, table: str, first: int = 0, stop: int = 50, find: str = "", *, trouble: bool = False
+    ) -> None:
+        """Look at rows of a page of tables."""
+        self.seen["rows"] = {}
+        view = {"table": table, "find": find, "trouble": trouble, "first": first, "stop": stop}
+        found = self.post("/view", stream=self.seen["stream"], **view)
         assert found == {}, found
 
 

@@ -1,0 +1,202 @@
+"""
+A page of tables as people use it: in Chromium, with a mouse, with a keyboard alone, in a window as
+narrow as that of a telephone, with names that are attacks, and with a server that goes.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import pytest
+
+from libmodbus_py.page import live_page
+from libmodbus_py.tools.page.page import table_page
+from libmodbus_py.tools.page.table_source import TableSource
+from tests.tools.page.browsers import browser, console, missing, resize
+from tests.tools.page.persons import Person
+from tests.tools.page.tables import HOSTILE, Plant
+from tests.tools.page.watching import Visitor, made_server, until
+
+pytestmark = [
+    pytest.mark.skipif(bool(missing()), reason=missing()),
+    pytest.mark.timeout(300),  # Chromium on a busy machine
+]
+
+TOKEN = "Bookmarked-by_the-plant-2026"
+
+# The contrast of the page's colours, as WCAG 2 computes it.
+CONTRAST = """
+const luminance = (color) => {
+  const canvas = document.createElement("canvas").getContext("2d");
+  canvas.fillStyle = color;
+  canvas.fillRect(0, 0, 1, 1);
+  const [r, g, b] = [...canvas.getImageData(0, 0, 1, 1).data].map((each) => {
+    const part = each / 255;
+    return part <= 0.04045 ? part / 12.92 : ((part + 0.055) / 1.055) ** 2.4;
+  });
+  return 0.2126 * r + 0.7152 * g + 0.0722 * b;
+};
+const style = getComputedStyle(document.documentElement);
+const [a, b] = [...arguments].map((name) => luminance(style.getPropertyValue(name)));
+return (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05);
+"""
+
+
+def plant_of(points: int, **options: Any) -> Plant:
+    plant = Plant(**options)
+    plant.values.describe([("meter", f"p{at}", "V") for at in range(points)])
+    return plant
+
+
+def moved_by(plant: Plant, step: int) -> None:
+    """Put values of the last five minutes, with a gap."""
+    now = time.time()
+    for at in range(60):
+        value = None if 30 <= at < 35 else 100 + at % 10
+        plant.put("meter", "p2", value, now - 300 + at * 5 + step)
+
+
+def test_a_person_looks_at_a_fleet() -> None:
+    from selenium.webdriver.common.keys import Keys
+
+    plant = plant_of(3000)
+    moved_by(plant, 0)
+    with table_page(TableSource(plant)) as page, browser() as driver:
+        person = Person(driver)
+        driver.get(page.url)
+        person.sees("#state", "live")
+        person.sees("#title", "plant.toml")
+        until(lambda: driver.title == "plant.toml - fleet")
+        assert "token" not in driver.current_url
+
+        # A real table, of which only the visible rows exist.
+        person.sees("#rows tr[data-at='2'] .value", "109")
+        assert person.attribute("#grid", "aria-rowcount") == "3001"
+        assert person.attribute("#heads th", "scope") == "col"
+        assert person.attribute("#rows tr[data-at] th", "scope") == "row"
+        assert person.text("#grid caption") == "Values"
+        assert len(person.all("#rows tr")) < 100
+        assert "M" in person.attribute("#rows tr[data-at='2'] svg path", "d")[1:]  # after the gap
+
+        # A value changes, and its device is down.
+        plant.put("meter", "p0", 21.5)
+        person.sees("#rows tr[data-at='0'] .value", "21.5")
+        plant.put("meter", "p0", None, quality="down", reason="ModbusTimeoutError")
+        plant.counts["down"] = 1
+        person.sees("#rows tr[data-at='0'] .state", "downModbusTimeoutError")
+        until(lambda: driver.title == "1 down - plant.toml - fleet")
+        driver.execute_script("document.querySelector('#trouble').click()")
+        until(lambda: person.attribute("#grid", "aria-rowcount") == "2")
+        driver.execute_script("document.querySelector('#trouble').click()")
+
+        # The last rows, and those that were searched for.
+        person.sees("#rows tr[data-at='2'] .value", "109")
+        driver.execute_script("document.querySelector('#scroll').scrollTop = 1e9")
+        person.sees("#rows", "p2999")
+        person.one("#find").send_keys("p1234")
+        until(lambda: person.attribute("#grid", "aria-rowcount") == "2")
+        person.sees("#rows", "p1234")
+        person.one("#find").send_keys(Keys.CONTROL, "a", Keys.DELETE)
+        person.sees("#rows tr[data-at='2'] .value", "109")
+
+        # With the keyboard: along the rows, and to the chart.
+        driver.execute_script("document.querySelector('#rows [data-at=\"0\"] button').focus()")
+        person.types(Keys.ARROW_DOWN, Keys.ARROW_DOWN, Keys.ENTER)
+        person.sees("#charted", "meter  p2")
+        person.sees("#read", "lowest 100 V, highest 109 V")
+        path = until(lambda: person.attribute("#plot .line", "d"))
+        assert path.count("M") == 2  # the gap
+        driver.execute_script("document.querySelector('#plot').focus()")
+        person.types(Keys.ARROW_LEFT)
+        person.sees("#read", "109 V")
+        person.types(Keys.ESCAPE)
+        until(lambda: driver.execute_script("return document.querySelector('#chart').hidden"))
+        assert [each["message"] for each in console(driver)] == []
+
+
+def test_the_hours_of_the_journal_are_drawn() -> None:
+    now = time.time()
+    hours = [(now - 20_000 + at * 100, float(at)) for at in range(150)]
+    plant = plant_of(3, older=lambda *given: hours)
+    moved_by(plant, 0)
+    with table_page(TableSource(plant)) as page, browser() as driver:
+        person = Person(driver)
+        driver.get(page.url)
+        person.click("#rows tr[data-at='2'] button")
+        person.sees("#read", "lowest 100 V, highest 109 V")
+        person.click("#spans button", "6 h")
+        person.sees("#read", "lowest 0 V, highest 149 V")
+
+
+@pytest.mark.parametrize("width", [360, 1200])
+def test_names_are_text_and_nothing_sticks_out(width: int) -> None:
+    plant = Plant(title="<script>document.title='hit'</script>")
+    given = [*HOSTILE, "n" * 1_000_000]
+    plant.values.describe([(name, name, name) for name in given])
+    for name in given:
+        plant.put(name, name, name, quality="bad", reason=name)
+    with table_page(TableSource(plant)) as page, browser() as driver:
+        person = Person(driver)
+        resize(driver, width, 740)
+        driver.get(page.url)
+        person.sees("#rows", HOSTILE[0])
+        person.sees("#rows", "__proto__")
+        person.click("#rows tr[data-at='2'] button")
+        person.sees("#read", "")
+        person.sees("#plot", "no numbers in this time")
+        assert person.all("#values script, #values img") == []
+        assert driver.title == "<script>document.title='hit'</script> - fleet"
+        assert driver.execute_script("return ({}).polluted") is None
+        assert driver.execute_script("return document.documentElement.scrollWidth") <= width
+        assert (
+            driver.execute_script(
+                "const box = document.querySelector('#scroll');"
+                "return box.scrollWidth - box.clientWidth"
+            )
+            == 0
+        )
+        assert [each["message"] for each in console(driver)] == []
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_text_and_borders_can_be_told_from_what_is_behind_them(scheme: str) -> None:
+    with table_page(TableSource(Plant())) as page, browser() as driver:
+        features = [{"name": "prefers-color-scheme", "value": scheme}]
+        media = {"cmd": "Emulation.setEmulatedMedia", "params": {"features": features}}
+        driver.execute("executeCdpCommand", media)
+        driver.get(page.url)
+        grounds = ("--paper", "--ground", "--soft", "--blue-soft")
+        ratios = {
+            (color, ground): driver.execute_script(CONTRAST, color, ground)
+            for color in ("--ink", "--faint", "--edge", "--red", "--amber", "--green", "--blue")
+            for ground in grounds
+        }
+        least = {"--edge": 3.0, "--green": 3.0, "--blue": 3.0, "--red": 4.5, "--amber": 4.5}
+        assert {
+            pair: ratio for pair, ratio in ratios.items() if ratio < least.get(pair[0], 4.5)
+        } == {}
+        assert driver.execute_script(CONTRAST, "--paper", "--paper") == 1
+
+
+def test_a_page_that_lost_its_server_is_grey_and_returns_by_itself() -> None:
+    with browser() as driver:
+        person = Person(driver)
+        with table_page(TableSource(plant_of(5)), token=TOKEN) as page:
+            port = Visitor(page.url).address[1]
+            driver.get(page.url)
+            person.sees("#rows", "p4")
+        person.sees("#state", "no connection to the server since")
+        assert "lost" in person.attribute("body", "class")
+        with table_page(TableSource(plant_of(2, title="another")), "127.0.0.1", port, TOKEN):
+            person.sees("#state", "live")
+            until(lambda: driver.title == "another - fleet")
+            until(lambda: "p4" not in person.text("#rows"))
+            assert "lost" not in person.attribute("body", "class")
+        person.sees("#state", "no connection")
+        # Another program at this address, with the same bookmark, has another page.
+        with live_page(made_server(), "127.0.0.1", port, TOKEN):
+            person.sees("#unit-name", "tank")
+        person.sees("#state", "no connection")
+        with live_page(made_server(), "127.0.0.1", port):
+            person.sees("#state", "another token")
