@@ -1,5 +1,5 @@
 """
-The option for a live page of a server.
+The options for a live page.
 """
 
 from __future__ import annotations
@@ -7,7 +7,10 @@ from __future__ import annotations
 import argparse
 import contextlib
 import os
+import sys
 from collections.abc import Callable, Iterator
+from functools import partial
+from typing import TYPE_CHECKING, TextIO, TypeGuard
 
 from ...ports.hosts import is_loopback
 from ...protocol.errors import ModbusConnectionError
@@ -15,7 +18,11 @@ from ...server.server import Running, Server
 from ..output import complain
 from .addresses import Address, address_like
 
-__all__ = ["add_argument", "shown"]
+if TYPE_CHECKING:
+    from ...tools.page.page import Page
+    from ...tools.page.table_source import Shown
+
+__all__ = ["add_argument", "shown", "tables_shown"]
 
 EXAMPLE = ("127.0.0.1", 8080)
 
@@ -26,15 +33,20 @@ TOKEN = "LIBMODBUS_PY_PAGE_TOKEN"
 MAX_FILE = 1000
 
 
-def add_argument(command: argparse.ArgumentParser) -> None:
-    """Add the option to argparse."""
+def add_argument(command: argparse.ArgumentParser, what: str = "the devices") -> None:
+    """
+    Add the options to argparse.
+
+    Args:
+        what: what the page shows.
+    """
     command.add_argument(
         "--page",
         type=address_like("{}:{}".format(*EXAMPLE)),
         nargs="?",
         const=EXAMPLE,
         metavar="HOST:PORT",
-        help="serve a live page of the devices at this address, over HTTP ({}:{})".format(*EXAMPLE),
+        help="serve a live page of {} at this address, over HTTP ({}:{})".format(what, *EXAMPLE),
     )
     command.add_argument(
         "--page-token",
@@ -81,29 +93,73 @@ def shown(
         ModbusConnectionError: the address is not available, with errno.
         ValueError: the token is wrong, or there is one but no page.
     """
-    if address is None:
-        if token_file is not None:
-            raise ValueError("--page-token needs --page")
+    if not _is_wanted(address, token_file):
         yield announce
         return
     from ...tools.page.page import live_page
 
+    with _opened(partial(live_page, server), address, token_file) as tell:
+
+        def announce_all(running: Running) -> None:
+            announce(running)
+            tell("can change all devices", sys.stdout)
+
+        yield announce_all
+
+
+@contextlib.contextmanager
+def tables_shown(
+    make: Callable[[], Shown], address: Address | None, token_file: str | None, to: TextIO
+) -> Iterator[None]:
+    """
+    Show tables on a live page while the block runs, if there is an address.
+
+    Args:
+        make: returns what is shown; called only if there is an address.
+        token_file: as for `shown`.
+        to: the stream on which the URL of the page is printed.
+
+    Raises:
+        ModbusConnectionError, ValueError: as for `shown`.
+    """
+    if not _is_wanted(address, token_file):
+        yield
+        return
+    from ...tools.page.page import table_page
+    from ...tools.page.table_source import TableSource
+
+    with _opened(partial(table_page, TableSource(make())), address, token_file) as tell:
+        tell("can see all values", to)
+        yield
+
+
+def _is_wanted(address: Address | None, token_file: str | None) -> TypeGuard[Address]:
+    if address is None and token_file is not None:
+        raise ValueError("--page-token needs --page")
+    return address is not None
+
+
+@contextlib.contextmanager
+def _opened(
+    open_page: Callable[..., contextlib.AbstractContextManager[Page]],
+    address: Address,
+    token_file: str | None,
+) -> Iterator[Callable[[str, TextIO], None]]:
+    """Open a page while the block runs; yield a function that prints its URL."""
     with contextlib.ExitStack() as stack:
         try:
-            page = stack.enter_context(live_page(server, *address, token_of(token_file)))
+            page = stack.enter_context(open_page(*address, token_of(token_file)))
         except OSError as error:
             place = ":".join(map(str, address))
             raise ModbusConnectionError(
                 f"cannot show a page on {place}: {error.strerror}", errno=error.errno
             ) from error
 
-        def announce_all(running: Running) -> None:
-            announce(running)
-            print(f"page on {page.url}", flush=True)
+        def tell(danger: str, to: TextIO) -> None:
+            print(f"page on {page.url}", file=to, flush=True)
             if not is_loopback(address[0]):
                 complain(
-                    "anyone with the URL of the page can change all devices, and the connection is"
-                    " not encrypted"
+                    f"anyone with the URL of the page {danger}, and the connection is not encrypted"
                 )
 
-        yield announce_all
+        yield tell

@@ -7,9 +7,11 @@ from __future__ import annotations
 import argparse
 import asyncio
 import contextlib
+import os
 import signal
 import sys
 import time
+from collections.abc import Iterator
 from typing import Any
 
 from ...protocol.logs import HarmlessLogger
@@ -22,6 +24,7 @@ from ...services.fleet.outputs.kinds import KINDS, made
 from ...services.fleet.outputs.last_values import LastValues
 from ...services.fleet.outputs.output import Output, OutputError
 from ...services.fleet.outputs.writer_thread import WriterThread
+from ...services.fleet.shown_fleet import PageOutput, ShownFleet
 from ...services.fleet.trial import Tried, overloads, trying
 from ...system import allow_all_descriptors
 from ...tools.files.rereading import reread
@@ -31,7 +34,7 @@ from ..help import VerbatimHelp
 from ..output import complain, counted
 from ..status import Status
 from . import fleet as workers
-from . import metrics
+from . import metrics, page
 from .hangup import Hangup, noted
 from .readiness import notify_ready
 
@@ -86,6 +89,7 @@ def add_command(commands: Any) -> None:
             help=f"append readings to a file as {form}; without PATH, print them",
         )
     metrics.add_argument(command)
+    page.add_argument(command, "the values and the devices")
     workers.add_arguments(command)
     arguments.add_verbose(command)
     logs.add_arguments(command)
@@ -117,10 +121,11 @@ def _start(options: argparse.Namespace, hangup: Hangup) -> int:
     outputs = _outputs(file, options)
     if options.engine is not None:
         return _poll_with_others(options, file, outputs, values, hangup)
-    fleet = Fleet(file.devices, outputs=[*outputs, *([values] if options.metrics else [])])
+    shown = PageOutput()
+    fleet = Fleet(file.devices, outputs=[*outputs, *_looks(options, values, shown)])
     is_printed = any(map(_prints, outputs))
     has_screen = sys.stderr.isatty() and not (is_printed and sys.stdout.isatty())
-    with metrics.exposed(fleet, options.metrics, values, to=sys.stderr):
+    with _seen(options, values, shown)(fleet):
         try:
             asyncio.run(_run(fleet, options, file, hangup, has_screen))
         except OutputError as error:
@@ -150,15 +155,38 @@ def _poll_with_others(
 ) -> int:
     if options.once:
         raise ValueError("--once cannot be used with --engine")
+    shown = PageOutput()
     has_screen = sys.stderr.isatty() and not (any(map(_prints, outputs)) and sys.stdout.isatty())
     return workers.poll(
         options,
         file,
-        [*outputs, *([values] if options.metrics else [])],
-        lambda fleet: metrics.exposed(fleet, options.metrics, values, to=sys.stderr),
+        [*outputs, *_looks(options, values, shown)],
+        _seen(options, values, shown),
         _show if has_screen else None,
         hangup,
     )
+
+
+def _looks(options: argparse.Namespace, values: LastValues, shown: PageOutput) -> list[Output]:
+    """Return the outputs of what looks at the fleet."""
+    return [*([values] if options.metrics else []), *([shown] if options.page else [])]
+
+
+def _seen(options: argparse.Namespace, values: LastValues, shown: PageOutput) -> workers.Exposed:
+    """Return a function from a fleet to a context manager with its metrics and its page."""
+
+    @contextlib.contextmanager
+    def seen(fleet: Fleet) -> Iterator[None]:
+        def make() -> ShownFleet:
+            return ShownFleet(os.path.basename(options.file), fleet, shown)
+
+        with (
+            metrics.exposed(fleet, options.metrics, values, to=sys.stderr),
+            page.tables_shown(make, options.page, options.page_token, sys.stderr),
+        ):
+            yield
+
+    return seen
 
 
 def _outputs(file: FleetFile, options: argparse.Namespace) -> list[Output]:
@@ -167,7 +195,7 @@ def _outputs(file: FleetFile, options: argparse.Namespace) -> list[Output]:
         path = getattr(options, kind)
         if path is not None:
             outputs.append(made(kind, {"path": path}))
-    if not (outputs or options.metrics or options.engine or sys.stdout.isatty()):
+    if not (outputs or options.metrics or options.page or options.engine or sys.stdout.isatty()):
         outputs.append(made("json", {"path": STANDARD_OUTPUT}))
     if sum(map(_prints, outputs)) > 1:
         raise ValueError("only one output may be the standard output")

@@ -375,8 +375,9 @@ class Fleet:
 
     def _polled(self, poller: Poller, was_sent: bool) -> None:
         if was_sent:
-            self._note(poller)
-            self._tell(poller.readings(time.time()))
+            now = time.time()
+            self._note(poller, now)
+            self._tell(poller.readings(now))
             if poller.misses:
                 self._let_rest(poller)
         if self._once is not None:
@@ -384,8 +385,10 @@ class Fleet:
             if not self._once and self._all_once is not None:
                 self._all_once.set()
 
-    def _note(self, poller: Poller) -> None:
+    def _note(self, poller: Poller, now: float) -> None:
         statistics = self.statistics
+        if not poller.misses:
+            poller.answered_at = now
         statistics.polls += 1
         statistics.failures += poller.misses > 0
         statistics.refusals += poller.is_refused
@@ -394,7 +397,7 @@ class Fleet:
         if poller.told_state is not poller.state:
             self._count(poller.told_state, -1)
             self._count(poller.state, 1)
-            poller.told_state = poller.state
+            poller.told_state, poller.since = poller.state, now
             if poller.state is DeviceState.DOWN:
                 logger.info("%s is down: %s", poller.name, poller.error)
             else:

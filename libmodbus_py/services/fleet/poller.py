@@ -67,6 +67,9 @@ class Poller:
         misses: polls in a row without an answer.
         submitted: the request that is in flight, or None.
         asked_at: when the request in flight was sent.
+        answered_at: when the last poll that was answered was over, in seconds since the epoch; 0
+            before the first.
+        since: since when the device is up or down, in seconds since the epoch; 0 if NEW.
         rest_until: when the next request may be sent to the device.
         waits_since: when the current poll was due.
         news: sentences about points that the device was found to refuse in the last poll.
@@ -87,6 +90,7 @@ class Poller:
         "_run",
         "_taken",
         "_totals",
+        "answered_at",
         "asked_at",
         "at",
         "config",
@@ -97,6 +101,7 @@ class Poller:
         "planned",
         "reads",
         "rest_until",
+        "since",
         "state",
         "submitted",
         "told_state",
@@ -115,6 +120,8 @@ class Poller:
         self.misses: int = 0
         self.is_trial: bool = False
         self.submitted: Submitted | None = None
+        self.answered_at: float = 0.0
+        self.since: float = 0.0
         self.asked_at: float = 0.0
         self.rest_until: float = 0.0
         self.waits_since: float = 0.0
@@ -265,6 +272,7 @@ class Poller:
     def forget(self) -> None:
         """Forget the state of the device, and what was reported of it."""
         self.state = self.told_state = DeviceState.NEW
+        self.since = 0.0
         self.error = None
         self._changes = _changes(self.config, self.reads)
         self._totals = _totals(self.config, self.reads)

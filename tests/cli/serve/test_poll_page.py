@@ -1,0 +1,73 @@
+"""
+poll --page: the values of a fleet in a browser, while its file is read again.
+"""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from libmodbus_py import Device, Mapping, Server
+from tests.support.commands import Started, run
+from tests.tools.page.watching import Visitor
+
+TOKEN = "Bookmarked-by_the-plant-2026"
+
+METER = "name,table,address,unit\nlevel,holding_registers,0,m\npressure,holding_registers,1,bar\n"
+
+
+@pytest.fixture
+def fleet(tmp_path: Path) -> Iterator[Path]:
+    (tmp_path / "meter.csv").write_text(METER)
+    mapping = Mapping(holding_registers={0: [17, 4]})
+    with Server(Device(mapping)).background("tcp://127.0.0.1:0") as running:
+        text = f"[defaults]\nmap = 'meter.csv'\ninterval = 0.02\nurl = '{running.urls[0]}'\n"
+        (tmp_path / "plant.toml").write_text(text + "[[device]]\nname = 'one'\n")
+        yield tmp_path / "plant.toml"
+
+
+def test_the_fleet_is_shown_and_follows_its_file(fleet: Path) -> None:
+    command = ("poll", fleet, "--page", "127.0.0.1:0")
+    with Started(*command, environment={"LIBMODBUS_PY_PAGE_TOKEN": TOKEN}) as process:
+        line = process.stderr.readline()
+        assert line.startswith("page on http://127.0.0.1:")
+        visitor = Visitor(line.removeprefix("page on ").rstrip("\n"))
+        assert visitor.token == TOKEN
+        with visitor.watching():
+            assert (visitor.seen["kind"], visitor.seen["title"]) == ("fleet", "plant.toml")
+            visitor.look_at("values")
+            rows = visitor.seen["rows"]
+            visitor.receive(lambda: rows.get("1", [0, 0])[1] == "4")
+            assert [each[:3] for each in rows.values()] == [
+                [["one", "level"], "17", "m"],
+                [["one", "pressure"], "4", "bar"],
+            ]
+            fleet.write_text(fleet.read_text().replace("'one'", "'two'"))
+            process.send_signal(signal.SIGHUP)
+            visitor.receive(lambda: rows["0"][0] == ["two", "level"] and rows["0"][1] == "17")
+            visitor.look_at("devices")
+            visitor.receive(lambda: visitor.seen["rows"])
+            assert visitor.seen["rows"]["0"][0][1] == "two"
+        process.send_signal(signal.SIGINT)
+        assert process.wait() == 0
+        assert process.stdout.read() == ""
+
+
+def test_an_address_in_use_is_told(fleet: Path) -> None:
+    with Started("poll", fleet, "--page", "127.0.0.1:0") as process:
+        place = Visitor(process.stderr.readline().split()[-1]).host
+        done = run("poll", fleet, "--page", place)
+        assert (done.code, done.err) == (
+            1,
+            f"libmodbus-py: cannot show a page on {place}: Address already in use\n",
+        )
+        process.terminate()
+        process.wait()
+
+
+def test_a_token_needs_a_page(fleet: Path) -> None:
+    done = run("poll", fleet, "--page-token", fleet)
+    assert (done.code, "--page-token needs --page" in done.err) == (2, True)
