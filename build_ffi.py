@@ -27,7 +27,8 @@ scan = FFI()
 scan.cdef((PROTOCOL / "scan.h").read_text())
 scan.set_source(
     "libmodbus_py.protocol._scan",
-    "#include <stdint.h>\n" + "".join((PROTOCOL / f"scan.{end}").read_text() for end in "hc"),
+    "#include <stddef.h>\n#include <stdint.h>\n"
+    + "".join((PROTOCOL / f"scan.{end}").read_text() for end in "hc"),
 )
 
 if __name__ == "__main__":

@@ -1,10 +1,31 @@
+import os
 import shutil
+import subprocess
+import sys
+import sysconfig
 from pathlib import Path
 
 from setuptools import setup
+from setuptools.command.build_ext import build_ext
 from setuptools.command.build_py import build_py
 
 EXAMPLES = "examples"
+
+# What the C compiler must find -> the Debian package that has it.
+NEEDED = {
+    "#include <stdio.h>": "gcc libc6-dev",
+    "#include <Python.h>": "python3-dev",
+    "#include <modbus/modbus.h>": "libmodbus-dev",
+}
+
+MAN = "build/shared/libmodbus-py.1"
+
+# Where shells and man look below the prefix of an installation -> what they find there.
+SHARED = {
+    "share/man/man1": [MAN],
+    "share/bash-completion/completions": ["packaging/shared/libmodbus-py"],
+    "share/zsh/site-functions": ["packaging/shared/_libmodbus-py"],
+}
 
 
 class BuildPy(build_py):
@@ -17,8 +38,51 @@ class BuildPy(build_py):
             shutil.copytree(EXAMPLES, into, dirs_exist_ok=True)
 
 
-setup(
-    cmdclass={"build_py": BuildPy},
-    cffi_modules=["build_ffi.py:ffi", "build_ffi.py:scan"],
-    options={"bdist_wheel": {"py_limited_api": "cp311"}},
-)
+class BuildExt(build_ext):
+    """Says in one line what is missing, in place of the errors of a compiler; makes the manual."""
+
+    def run(self) -> None:
+        super().run()
+        if not (self.inplace or self.editable_mode):
+            write_manual(self.build_lib)
+
+    def build_extensions(self) -> None:
+        missing = [package for line, package in NEEDED.items() if not self._compiles(line)]
+        if missing:
+            raise SystemExit(
+                "libmodbus-py is compiled against libmodbus of the system; install what is missing:"
+                f" sudo apt install {' '.join(missing)}"
+            )
+        super().build_extensions()
+
+    def _compiles(self, line: str) -> bool:
+        folders = [f"-I{folder}" for folder in [*self.include_dirs, *self.compiler.include_dirs]]
+        command = [*self.compiler.compiler_so, *folders, "-fsyntax-only", "-x", "c", "-"]
+        try:
+            done = subprocess.run(command, input=f"{line}\n", text=True, capture_output=True)
+        except OSError:  # there is no such compiler
+            return False
+        return done.returncode == 0
+
+
+def write_manual(package: str) -> None:
+    """Write the manual page from the help of what was built."""
+    Path(MAN).parent.mkdir(parents=True, exist_ok=True)
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([package, *sys.path])}
+    subprocess.run([sys.executable, "packaging/man.py", MAN], env=environment, check=True)
+
+
+def tags() -> dict[str, dict[str, str]]:
+    """Return the options of wheels: one for all Pythons, where Python has a limited API."""
+    if sysconfig.get_config_var("Py_GIL_DISABLED"):
+        return {}
+    return {"bdist_wheel": {"py_limited_api": "cp311"}}
+
+
+if __name__ == "__main__":
+    setup(
+        cmdclass={"build_py": BuildPy, "build_ext": BuildExt},
+        cffi_modules=["build_ffi.py:ffi", "build_ffi.py:scan"],
+        data_files=list(SHARED.items()),
+        options=tags(),
+    )

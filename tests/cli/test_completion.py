@@ -91,24 +91,3 @@ def test_without_argcomplete_it_says_what_to_install() -> None:
 
 def test_shells_nobody_knows_are_refused() -> None:
     assert run("completion", "tcsh").code == 2
-
-
-@pytest.mark.skipif(shutil.which("man") is None, reason="man is not installed")
-def test_the_manual_page_has_every_command_and_no_mistake(tmp_path: Path) -> None:
-    pytest.importorskip("argparse_manpage")
-    page = tmp_path / "libmodbus-py.1"
-    command = [str(Path(sys.executable).with_name("argparse-manpage"))]
-    command += ["--module", "libmodbus_py.cli.commands", "--function", "whole_parser"]
-    command += ["--prog", "libmodbus-py", "--project-name", "libmodbus-py", "--output", str(page)]
-    subprocess.run(command, check=True, timeout=60)
-    environment = os.environ | {"MANWIDTH": "100", "LC_ALL": "C.UTF-8"}
-    done = subprocess.run(
-        ["man", "--warnings", "-l", str(page)],
-        env=environment,
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
-    assert (done.returncode, done.stderr) == (0, "")
-    for text in ("libmodbus-py read", "--watch", "libmodbus-py diagnose", "baudrate=9600"):
-        assert text in done.stdout

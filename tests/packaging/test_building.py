@@ -1,0 +1,105 @@
+"""The build of the package: for which Pythons, and what it says when something is missing."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import shutil
+import subprocess
+import sys
+import sysconfig
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+from tests.support.cases import each_case
+
+ROOT = Path(__file__).parents[2]
+BINDING, PROTOCOL = ROOT / "libmodbus_py" / "binding", ROOT / "libmodbus_py" / "protocol"
+
+
+def loaded(path: Path) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize(("is_free", "tags"), [(1, {}), (0, {"py_limited_api": "cp311"})])
+def test_the_limited_api_is_asked_for_where_there_is_one(
+    is_free: int, tags: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A free-threaded Python has none, and setuptools refuses to ask for it there."""
+    real = sysconfig.get_config_var
+
+    def variable(name: str) -> Any:
+        return is_free if name == "Py_GIL_DISABLED" else real(name)
+
+    monkeypatch.setattr(sysconfig, "get_config_var", variable)
+    assert loaded(ROOT / "setup.py").tags().get("bdist_wheel", {}) == tags
+
+
+@pytest.fixture
+def tree(tmp_path: Path) -> Path:
+    """What the build reads."""
+    place = tmp_path / "tree"
+    place.mkdir()
+    for name in ("setup.py", "build_ffi.py", "pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(ROOT / name, place)
+    for folder in ("binding", "protocol"):
+        (place / "libmodbus_py" / folder).mkdir(parents=True)
+        for source in (ROOT / "libmodbus_py" / folder).glob("*.[ch]"):
+            shutil.copy(source, place / "libmodbus_py" / folder)
+    return place
+
+
+@each_case(
+    ("hidden", "packages"),
+    [
+        ("modbus/modbus.h", "libmodbus-dev"),
+        ("Python.h", "python3-dev"),
+        ("#include", "gcc libc6-dev python3-dev libmodbus-dev"),
+    ],
+)
+def test_what_is_missing_is_said_in_one_line(tree: Path, hidden: str, packages: str) -> None:
+    compiler = tree / "cc"
+    compiler.write_text(
+        f"#!/bin/sh\n! grep -qF '{hidden}' && exit 0\necho raw errors >&2; exit 1\n"
+    )
+    compiler.chmod(0o755)
+    done = subprocess.run(
+        [sys.executable, "setup.py", "-q", "build_ext", "--build-lib", "built"],
+        cwd=tree,
+        env=os.environ | {"CC": str(compiler)},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 1
+    assert done.stderr.splitlines()[-1] == (
+        "libmodbus-py is compiled against libmodbus of the system; install what is missing:"
+        f" sudo apt install {packages}"
+    )
+    assert "raw errors" not in done.stderr
+
+
+@pytest.mark.skipif(shutil.which("musl-gcc") is None, reason="musl-gcc is not installed")
+@each_case("source", ["scan", "exchange", "answer_chunk", "_libmodbus"])
+def test_musl_compiles_all_c(tmp_path: Path, source: str) -> None:
+    (tmp_path / "modbus").mkdir(exist_ok=True)
+    for header in Path("/usr/include/modbus").glob("*.h"):
+        shutil.copy(header, tmp_path / "modbus")
+    if source == "scan":
+        text = loaded(ROOT / "build_ffi.py").scan._assigned_source[1]
+    else:
+        text = (BINDING / f"{source}.c").read_text()
+    done = subprocess.run(
+        ["musl-gcc", "-fsyntax-only", f"-I{tmp_path}", "-Wall", "-x", "c", "-"],
+        input=text,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
