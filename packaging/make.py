@@ -6,10 +6,13 @@ Make what an index wants: an sdist, and a wheel of this machine that carries lib
 
 from __future__ import annotations
 
+import gzip
 import os
+import re
 import shutil
 import subprocess
 import sys
+import tarfile
 from pathlib import Path
 
 import libmodbus
@@ -31,24 +34,11 @@ def main() -> None:
     _say(f"building libmodbus {libmodbus.VERSION}")
     libmodbus.build(PREFIX)
     source = libmodbus.TARBALL
+    os.environ.setdefault("SOURCE_DATE_EPOCH", _latest_change())
     text = sbom.sbom(source.relative_to(ROOT).as_posix(), source.read_bytes())
     (ROOT / "packaging" / sbom.NAME).write_text(text)
-    _say("building the sdist, and from it the wheel")
-    for old in (BUILT, DIST):
-        shutil.rmtree(old, ignore_errors=True)
-    # The compiler takes this libmodbus, not the one of the system; so does auditwheel.
-    os.environ |= {
-        "CFLAGS": f"-I{PREFIX}/include",
-        "LDFLAGS": f"-L{PREFIX}/lib",
-        "LD_LIBRARY_PATH": f"{PREFIX}/lib",
-    }
-    _run("build", "--outdir", str(BUILT), str(ROOT))
-    (sdist,), (plain,) = BUILT.glob("*.tar.gz"), BUILT.glob("*.whl")
-    _say("putting libmodbus into the wheel")
-    wheel = repair(plain, DIST, libmodbus.licence())
-    sdist = Path(shutil.copy(sdist, DIST))
-    for name in ("CFLAGS", "LDFLAGS", "LD_LIBRARY_PATH"):
-        del os.environ[name]
+    shutil.rmtree(DIST, ignore_errors=True)
+    sdist, wheel = made(DIST)
     _say("trying both")
     _run("twine", "check", "--strict", str(sdist), str(wheel))
     os.environ |= {"SDIST": str(sdist), "WHEEL": str(wheel)}
@@ -60,8 +50,84 @@ def main() -> None:
     )  # fmt: skip
     if tried.returncode:
         raise SystemExit("wheel: what was made fails its tests")
-    for made in (sdist, wheel):
-        print(made.relative_to(ROOT))
+    print(sdist.relative_to(ROOT))
+    print(f"{wheel.relative_to(ROOT)}: {systems(wheel.name)}")
+
+
+def made(folder: Path) -> tuple[Path, Path]:
+    """
+    Return an sdist and a wheel that were made in a folder; of the same files, always the same.
+
+    Raises:
+        SystemExit: a step failed; its output is told.
+    """
+    _say("building the sdist, and from it the wheel")
+    for old in (BUILT, ROOT / "build" / "lib"):
+        shutil.rmtree(old, ignore_errors=True)
+    # The compiler takes this libmodbus, not the one of the system; so does auditwheel.
+    own = {
+        "CFLAGS": f"-I{PREFIX}/include",
+        "LDFLAGS": f"-L{PREFIX}/lib",
+        "LD_LIBRARY_PATH": f"{PREFIX}/lib",
+    }
+    os.environ |= own
+    try:
+        _run("build", "--outdir", str(BUILT), str(ROOT))
+        (sdist,), (plain,) = BUILT.glob("*.tar.gz"), BUILT.glob("*.whl")
+        _say("putting libmodbus into the wheel")
+        wheel = repair(plain, folder, libmodbus.licence())
+    finally:
+        for name in own:
+            del os.environ[name]
+    return repacked(sdist, folder), wheel
+
+
+def repacked(sdist: Path, folder: Path) -> Path:
+    """Return a copy of an sdist that holds no time, order or user of the build."""
+    time = int(os.environ["SOURCE_DATE_EPOCH"])
+    path = folder / sdist.name
+    with (
+        tarfile.open(sdist) as old,
+        path.open("wb") as file,
+        gzip.GzipFile("", "wb", 9, file, mtime=time) as packed,
+        tarfile.open(fileobj=packed, mode="w", format=tarfile.PAX_FORMAT) as new,
+    ):
+        for each in sorted(old, key=lambda each: each.name):
+            each.mtime, each.uid, each.gid, each.uname, each.gname = time, 0, 0, "", ""
+            each.mode, each.pax_headers = each.mode & 0o755 | 0o644, {}
+            new.addfile(each, old.extractfile(each) if each.isfile() else None)
+    return path
+
+
+# Releases of systems, and their glibc.
+GLIBC = {
+    "Debian 11": (2, 31),
+    "Ubuntu 22.04": (2, 35),
+    "Debian 12": (2, 36),
+    "Ubuntu 24.04": (2, 39),
+    "Debian 13": (2, 41),
+}
+
+
+def systems(wheel: str) -> str:
+    """Return the systems that take a wheel, by its name."""
+    machine = wheel.removesuffix(".whl").rpartition("linux_")[2].split("_", 2)[-1]
+    found = [tuple(map(int, each)) for each in re.findall(r"manylinux_(\d+)_(\d+)_", wheel)]
+    if not found:
+        return "for this machine only; an index would refuse it"
+    lowest = min(found)
+    takes = [name for name, glibc in GLIBC.items() if glibc >= lowest]
+    refuse = [name for name in GLIBC if name not in takes]
+    text = f"Linux on {machine} with glibc {lowest[0]}.{lowest[1]} or newer: {', '.join(takes)}"
+    return f"{text}; refused by {', '.join(refuse)}" if refuse else text
+
+
+def _latest_change() -> str:
+    """Return the time of the latest commit; outside a clone, of the change log."""
+    done = subprocess.run(
+        ["git", "log", "-1", "--format=%ct"], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    return done.stdout.strip() or str(int((ROOT / "CHANGELOG.md").stat().st_mtime))
 
 
 def _say(text: str) -> None:

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import libmodbus
+import make
 import pytest
 import sbom
 
@@ -69,6 +70,7 @@ def text_of(ending: str) -> str:
 
 def test_there_is_nothing_that_only_a_compiler_reads(names: list[str]) -> None:
     allowed = r"\.(py|so|so\.[0-9.]+|toml|csv|html|css|js|svg|pyi)$|/py\.typed$|\.dist-info/"
+    allowed += r"|\.data/data/share/(man/man1|bash-completion/completions|zsh/site-functions)/"
     assert [name for name in names if not re.search(allowed, name)] == []
 
 
@@ -131,6 +133,24 @@ def check_libmodbus(part: dict[str, Any], place: str, digest: str) -> None:
     assert source["type"] == "source-distribution"
     assert source["url"].endswith(libmodbus.NAME)
     assert source["hashes"] == [{"alg": "SHA-256", "content": libmodbus.SHA256}]
+
+
+def test_there_are_a_manual_page_and_completion_where_shells_look(home: Path) -> None:
+    assert (home / "share/man/man1/libmodbus-py.1").read_text().startswith(".TH LIBMODBUS-PY 1")
+    for shell in ("bash-completion/completions/libmodbus-py", "zsh/site-functions/_libmodbus-py"):
+        assert (home / "share" / shell).exists()
+
+
+def test_a_second_build_gives_the_same_bytes(tmp_path: Path) -> None:
+    again = make.made(tmp_path)
+    assert [each.name for each in again] == [SDIST.name, WHEEL.name]
+    equal = [a.read_bytes() == b.read_bytes() for a, b in zip(again, (SDIST, WHEEL), strict=True)]
+    assert equal == [True, True]
+
+
+def test_debian_12_takes_it() -> None:
+    if "manylinux" in WHEEL.name:
+        assert "Debian 12" in make.systems(WHEEL.name).partition("; refused")[0]
 
 
 def test_it_fits_every_python_from_311_on() -> None:
