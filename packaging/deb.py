@@ -1,0 +1,81 @@
+"""
+Build the Debian package: python packaging/deb.py FOLDER
+
+`./run deb` calls it. The source is that of this clone; what Debian needs beside it is in
+packaging/debian. FOLDER gets the source package and the binary package.
+"""
+
+from __future__ import annotations
+
+import gzip
+import io
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tarfile
+import tempfile
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+DEBIAN = ROOT / "packaging" / "debian"
+
+
+def main(folder: Path) -> None:
+    """
+    Build the package, and print the files that were made.
+
+    Raises:
+        SystemExit: a step failed, or the versions differ.
+    """
+    text = (DEBIAN / "changelog").read_text()
+    upstream = re.findall(r"^libmodbus-py \(([^-]+)-", text)[0]
+    folder.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory() as name:
+        place = Path(name)
+        tree = place / f"libmodbus-py-{upstream}"
+        packed = _source(tree.name)
+        (place / f"libmodbus-py_{upstream}.orig.tar.gz").write_bytes(packed)
+        with tarfile.open(fileobj=io.BytesIO(packed)) as tarball:
+            tarball.extractall(place, **({"filter": "data"} if sys.version_info >= (3, 12) else {}))
+        shutil.copytree(DEBIAN, tree / "debian")
+        command = ["dpkg-buildpackage", "-us", "-uc", "--no-sign", "-F"]
+        if subprocess.run(command, cwd=tree, check=False, stdout=sys.stderr).returncode:
+            raise SystemExit("deb: dpkg-buildpackage failed")
+        for each in sorted(place.glob("*libmodbus-py*_*")):
+            shutil.copy(each, folder)
+            print(folder / each.name)
+
+
+def _source(top: str) -> bytes:
+    """Return the files of this clone as a tarball, without what Debian adds."""
+    if (ROOT / ".git").exists():
+        found = subprocess.run(
+            ["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=True
+        )
+        names = found.stdout.split("\0")[:-1]
+    else:  # unpacked from a tarball: all of it belongs there
+        names = [str(path.relative_to(ROOT)) for path in ROOT.rglob("*") if path.is_file()]
+    made = io.BytesIO()
+    with (
+        gzip.GzipFile("", "wb", 9, made, mtime=0) as packed,
+        tarfile.open(fileobj=packed, mode="w") as tarball,
+    ):
+        for name in sorted(names):
+            if not name.startswith(("packaging/debian/", "build/", "dist/")):
+                tarball.add(ROOT / name, f"{top}/{name}", filter=_without_user)
+    return made.getvalue()
+
+
+def _without_user(member: tarfile.TarInfo) -> tarfile.TarInfo:
+    member.uid = member.gid = 0
+    member.uname = member.gname = ""
+    member.mtime = int(os.environ.get("SOURCE_DATE_EPOCH", member.mtime))
+    return member
+
+
+if __name__ == "__main__":
+    if len(sys.argv) != 2:
+        raise SystemExit(__doc__)
+    main(Path(sys.argv[1]).resolve())
