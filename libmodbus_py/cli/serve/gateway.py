@@ -5,11 +5,13 @@ The command gateway: forward requests until a signal; SIGHUP reads the gateway f
 from __future__ import annotations
 
 import argparse
+import contextlib
 import inspect
-from collections.abc import Mapping
+import sys
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ...client.asynchronous import IN_FLIGHT, MAX_PAUSE
 from ...ports.schemes import CLIENT_OPTIONS, SCHEMES, SECURITY_OPTIONS, SERIAL_OPTIONS
@@ -23,9 +25,12 @@ from ..connecting import with_options
 from ..help import VerbatimHelp
 from ..output import counted
 from ..tracing import print_frame
-from . import audit, limits, metrics
+from . import audit, limits, metrics, page
 from .announcing import announcing
 from .hangup import Hangup, is_secure, noted
+
+if TYPE_CHECKING:
+    from ...tools.page.table_source import Shown
 
 __all__ = ["add_command"]
 
@@ -69,6 +74,7 @@ def add_command(commands: Any) -> None:
     )
     command.add_argument("--config", metavar="FILE", help="read routes and options from a file")
     metrics.add_argument(command)
+    page.add_argument(command, "lines, units and clients")
     arguments.add_verbose(command)
     logs.add_arguments(command)
     _add_options(command)
@@ -145,9 +151,25 @@ def _gateway_logged(options: argparse.Namespace, hangup: Hangup) -> int:
         has_files = on_hangup or is_secure([*urls, *(route.to for route in routes)])
         read_again = hangup.unless_closed(*on_hangup) if has_files else None
         announce = announcing(options.allow)
-        with metrics.exposed(gateway, options.metrics):
+        with metrics.exposed(gateway, options.metrics), _shown(gateway, options):
             hangup.serve_forever(gateway, urls, announce, read_again)
     return 0
+
+
+@contextlib.contextmanager
+def _shown(gateway: Gateway, options: argparse.Namespace) -> Iterator[None]:
+    """Show a gateway on a page while the block runs, if there is an address."""
+    with contextlib.ExitStack() as stack:
+
+        def make() -> Shown:
+            from ...services.gateway.shown_gateway import ShownGateway
+
+            shown = ShownGateway(options.config or ", ".join(options.urls), gateway)
+            stack.enter_context(gateway.tracing(shown.note))
+            return shown
+
+        stack.enter_context(page.tables_shown(make, options.page, options.page_token, sys.stdout))
+        yield
 
 
 def _overridden(

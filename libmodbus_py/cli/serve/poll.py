@@ -12,7 +12,7 @@ import signal
 import sys
 import time
 from collections.abc import Iterator
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ...protocol.logs import HarmlessLogger
 from ...server.garbage import frozen_garbage
@@ -24,7 +24,6 @@ from ...services.fleet.outputs.kinds import KINDS, made
 from ...services.fleet.outputs.last_values import LastValues
 from ...services.fleet.outputs.output import Output, OutputError
 from ...services.fleet.outputs.writer_thread import WriterThread
-from ...services.fleet.shown_fleet import PageOutput, ShownFleet
 from ...services.fleet.trial import Tried, overloads, trying
 from ...system import allow_all_descriptors
 from ...tools.files.rereading import reread
@@ -37,6 +36,10 @@ from . import fleet as workers
 from . import metrics, page
 from .hangup import Hangup, noted
 from .readiness import notify_ready
+
+if TYPE_CHECKING:
+    from ...services.fleet.shown_fleet import PageOutput
+    from ...tools.page.table_source import Shown
 
 __all__ = ["add_command"]
 
@@ -121,7 +124,7 @@ def _start(options: argparse.Namespace, hangup: Hangup) -> int:
     outputs = _outputs(file, options)
     if options.engine is not None:
         return _poll_with_others(options, file, outputs, values, hangup)
-    shown = PageOutput()
+    shown = _page_output(options)
     fleet = Fleet(file.devices, outputs=[*outputs, *_looks(options, values, shown)])
     is_printed = any(map(_prints, outputs))
     has_screen = sys.stderr.isatty() and not (is_printed and sys.stdout.isatty())
@@ -155,7 +158,7 @@ def _poll_with_others(
 ) -> int:
     if options.once:
         raise ValueError("--once cannot be used with --engine")
-    shown = PageOutput()
+    shown = _page_output(options)
     has_screen = sys.stderr.isatty() and not (any(map(_prints, outputs)) and sys.stdout.isatty())
     return workers.poll(
         options,
@@ -167,17 +170,32 @@ def _poll_with_others(
     )
 
 
-def _looks(options: argparse.Namespace, values: LastValues, shown: PageOutput) -> list[Output]:
+def _page_output(options: argparse.Namespace) -> PageOutput | None:
+    if options.page is None:
+        return None
+    from ...services.fleet.shown_fleet import PageOutput
+
+    return PageOutput()
+
+
+def _looks(
+    options: argparse.Namespace, values: LastValues, shown: PageOutput | None
+) -> list[Output]:
     """Return the outputs of what looks at the fleet."""
-    return [*([values] if options.metrics else []), *([shown] if options.page else [])]
+    return [*([values] if options.metrics else []), *([shown] if shown else [])]
 
 
-def _seen(options: argparse.Namespace, values: LastValues, shown: PageOutput) -> workers.Exposed:
+def _seen(
+    options: argparse.Namespace, values: LastValues, shown: PageOutput | None
+) -> workers.Exposed:
     """Return a function from a fleet to a context manager with its metrics and its page."""
 
     @contextlib.contextmanager
     def seen(fleet: Fleet) -> Iterator[None]:
-        def make() -> ShownFleet:
+        def make() -> Shown:
+            from ...services.fleet.shown_fleet import ShownFleet
+
+            assert shown is not None
             return ShownFleet(os.path.basename(options.file), fleet, shown)
 
         with (

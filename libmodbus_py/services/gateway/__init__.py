@@ -15,4 +15,5 @@ In the order in which a request passes::
     silent_units  units that do not answer, and when they are tried again
     cache         responses to earlier reads
     statistics    counters by line and by unit
+    shown_gateway lines, units and clients as the live page shows them
 """

@@ -5,6 +5,7 @@ A line of a gateway: one client, and the requests that wait for it.
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import Hashable
 from functools import partial
 from typing import Any, Protocol
@@ -382,9 +383,16 @@ class GatewayLine:
 
     def _note_state(self, state: State, error: ModbusError | None) -> None:
         if error is not None:
+            self._tell_state(str(error))
             self._outage.begin(error)
         elif state is State.CONNECTED:
+            self._tell_state("")
             self._outage.end()
+
+    def _tell_state(self, trouble: str) -> None:
+        if bool(trouble) != bool(self.statistics.trouble) or not self.statistics.since:
+            self.statistics.since = time.time()
+        self.statistics.trouble = trouble
 
 
 def _reads_last(each: Forwarded) -> int:

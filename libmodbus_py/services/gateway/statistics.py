@@ -59,6 +59,8 @@ class LineStatistics:
         in_flight: requests that wait for their response now.
         full: requests refused with exception 6 because the queue was full, or after a long wait.
         unwanted: responses dropped because the client did not wait any more.
+        trouble: why there is no connection now; empty if there is one, or none was wanted.
+        since: since when that is so, in seconds since the epoch; 0 before the first connection.
     """
 
     url: str
@@ -68,6 +70,8 @@ class LineStatistics:
     in_flight: int = 0
     full: int = 0
     unwanted: int = 0
+    trouble: str = ""
+    since: float = 0.0
 
     def unit(self, number: int) -> UnitStatistics:
         """Return the counters of a unit."""

@@ -167,7 +167,9 @@ LATENESS = Family(
     "modbus_fleet_lateness_seconds", "histogram", "Seconds by which polls began late."
 )
 VALUE = Family("modbus_fleet_value", "gauge", "The last value of a point.", max)
-LINE = _counters("modbus_gateway_line", LineStatistics, ("url", "connection", "units"))
+LINE = _counters(
+    "modbus_gateway_line", LineStatistics, ("url", "connection", "units", "trouble", "since")
+)
 UNIT = _counters("modbus_gateway_unit", UnitStatistics, ())
 for _families, _gauges in (
     (LINE, ("waiting", "in_flight")),

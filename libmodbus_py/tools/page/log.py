@@ -21,7 +21,7 @@ from ...protocol.pdu import Request
 from ..listener.traces import Exchange, TracePairing
 from .shown import ShownServer
 
-__all__ = ["Log", "LogRow", "Written"]
+__all__ = ["Log", "LogRow", "Written", "request_name"]
 
 # ADUs that wait until a page looks, and rows that are remembered.
 MOST_ADUS = 2000
@@ -194,13 +194,18 @@ def _listed(values: Any) -> str:
 
 
 def _all_words(request: Request[Any]) -> str:
-    name = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", type(request).__name__).lower()
+    name = request_name(type(request))
     given = [
         f"{each.name.replace('_', ' ')} {_short.repr(getattr(request, each.name))}"
         for each in fields(request)  # type: ignore[arg-type]
         if each.repr
     ]
     return f"{name}: {', '.join(given)}" if given else name
+
+
+def request_name(kind: type[Request[Any]]) -> str:
+    """Return the name of a kind of requests in words, such as "read holding registers"."""
+    return re.sub(r"(?<=[a-z])(?=[A-Z])", " ", kind.__name__).lower()
 
 
 def _cut(text: str) -> str:

@@ -40,7 +40,9 @@ class Column(NamedTuple):
     """
 
     title: str
-    kind: Literal["row", "text", "value", "number", "age", "since", "state", "spark"] = "text"
+    kind: Literal["row", "text", "note", "value", "number", "age", "since", "state", "spark"] = (
+        "text"
+    )
     is_wide: bool = False
 
 

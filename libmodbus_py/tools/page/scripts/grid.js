@@ -176,6 +176,7 @@ const FILL = {
     cell.title = given.filter(Boolean).join("  ");
   },
   text: plain,
+  note: plain,
   number: plain,
   value(cell, value, glows) {
     const text = value === undefined || value === null ? "…" : String(value);
