@@ -1,0 +1,42 @@
+"""
+gateway --page: its lines, units and clients in a browser.
+"""
+
+from __future__ import annotations
+
+import signal
+
+from libmodbus_py import Context, Device, Mapping, Server
+from tests.support.commands import Started, run
+from tests.tools.page.watching import Visitor
+
+
+def test_the_gateway_is_shown() -> None:
+    with Server(Device(Mapping(holding_registers=10))).background("tcp://127.0.0.1:0") as behind:
+        place = behind.urls[0]
+        command = ("gateway", "tcp://127.0.0.1:0", "--to", place, "--page", "127.0.0.1:0")
+        with Started(*command) as process:
+            lines = [process.stdout.readline() for _ in range(2)]
+            urls = {line.split()[0]: line.split()[-1] for line in lines}
+            with Visitor(urls["page"]).watching() as visitor:
+                assert visitor.seen["kind"] == "gateway"
+                assert visitor.seen["title"] == "tcp://127.0.0.1:0"
+                with Context.from_url(urls["listening"], unit=5, timeout=10) as plc:
+                    plc.read_holding_registers(0, 2)
+                visitor.receive(lambda: visitor.seen["log"])
+                visitor.look_at("clients")
+                visitor.receive(lambda: visitor.seen["rows"])
+                assert visitor.seen["rows"]["0"][:3] == [
+                    ["127.0.0.1", "unit 5"],
+                    "3 read holding registers",
+                    1,
+                ]
+            process.send_signal(signal.SIGTERM)
+            process.wait()
+
+
+def test_a_token_needs_a_page() -> None:
+    done = run(
+        *("gateway", "tcp://127.0.0.1:0", "--to", "tcp://127.0.0.1:1", "--page-token", "file")
+    )
+    assert (done.code, "--page-token needs --page" in done.err) == (2, True)
