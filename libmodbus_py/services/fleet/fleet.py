@@ -19,7 +19,7 @@ from .commands import Commands
 from .config import DeviceConfig, by_connection, checked
 from .files import load
 from .line import FleetLine, MayAsk
-from .outputs.output import Commanded, Labelled, Output
+from .outputs.output import Commanded, Described, Labelled, Output
 from .outputs.pump import Pump
 from .poller import DeviceState, Poller, Reads
 from .readings import Reading
@@ -180,6 +180,8 @@ class Fleet:
         for output in self._outputs:
             if isinstance(output, Labelled):
                 output.label(labels)
+            if isinstance(output, Described):
+                output.describe(self._devices)
 
     async def _stop(self) -> None:
         if self._timer is not None:

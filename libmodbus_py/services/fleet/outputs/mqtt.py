@@ -12,7 +12,6 @@ import ssl
 from collections import Counter
 from collections.abc import Coroutine, Iterator, Mapping, Sequence
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
@@ -21,7 +20,6 @@ from ....protocol.json_text import JSON
 from ....protocol.logs import HarmlessLogger
 from ....protocol.mistakes import WrongType, WrongValue
 from ....security.renewed import Renewed
-from ....security.words import in_words
 from ...tasks import end_tasks, finish
 from ..buffer import MOST_KEPT
 from ..commands import Commands, encoded, wanted_of
@@ -31,6 +29,7 @@ from .device_states import DeviceStates
 from .forms import payload
 from .output import OutputError
 from .secret_file import SecretFile, text_of
+from .trust import trust
 
 if TYPE_CHECKING:
     import aiomqtt
@@ -414,18 +413,8 @@ def _pattern(topic: str) -> re.Pattern[str]:
 
 
 def _trust(ca: str | None) -> ssl.SSLContext:
-    """
-    Return the context of TLS.
-
-    Raises:
-        OSError: the file is missing, or holds no certificate; it may be replaced while this runs.
-    """
-    if ca is not None and not Path(ca).is_file():
-        raise OSError(f"ca: there is no file {ca!r}")
-    try:
-        context = ssl.create_default_context(cafile=ca)
-    except ssl.SSLError as error:
-        raise OSError(f"ca: {ca!r} contains no certificate: {in_words(error)}") from None
+    """Return the context of TLS; raise OSError as `trust`."""
+    context = trust(ca)
     context.sslsocket_class = _Handshaking
     return context
 

@@ -8,13 +8,18 @@ from collections.abc import Mapping, Sequence
 from typing import Protocol, runtime_checkable
 
 from ..commands import Commands
+from ..config import DeviceConfig
 from ..readings import Reading
 
-__all__ = ["Commanded", "Labelled", "Output", "OutputError"]
+__all__ = ["Commanded", "Described", "Labelled", "Output", "OutputError", "ReadingsRefused"]
 
 
 class OutputError(Exception):
     """An output failed permanently: it will not accept readings again."""
+
+
+class ReadingsRefused(ValueError):
+    """The other side will never accept these readings, or one of them."""
 
 
 class Output(Protocol):
@@ -51,6 +56,7 @@ class Output(Protocol):
         Raises:
             ConnectionError: the other side did not accept the readings; it may be away.
             OSError: the readings cannot be written now.
+            ReadingsRefused: these readings, or one of them, can never be written.
             OutputError: the output failed permanently.
         """
         ...
@@ -85,5 +91,16 @@ class Labelled(Protocol):
         Set the labels of devices, by the names of the devices.
 
         It is called before `Output.open`, and when the devices of the fleet change.
+        """
+        ...
+
+
+@runtime_checkable
+class Described(Protocol):
+    """An output that also uses the maps and labels of devices."""
+
+    def describe(self, devices: Mapping[str, DeviceConfig]) -> None:
+        """
+        Set the devices, by their names; called as `Labelled.label`.
         """
         ...

@@ -11,7 +11,7 @@ from ...tasks import AGAIN
 from ..buffer import MOST_KEPT, Buffer
 from ..readings import Reading
 from ..statistics import OutputStatistics
-from .output import Output, OutputError
+from .output import Output, OutputError, ReadingsRefused
 from .refusals import Refusals
 
 __all__ = ["Pump"]
@@ -105,7 +105,8 @@ class Pump:
             raise
         except Exception as error:
             self._note_trouble(error)
-            return self._closing.is_set()
+            # Others are written after readings that are refused, also the last ones.
+            return self._closing.is_set() and not isinstance(error, ReadingsRefused)
         finally:
             await self._close_output()
 
@@ -184,7 +185,7 @@ class Pump:
         self.statistics.failures += 1
         told = _told(error)
         if told != self.statistics.trouble:
-            is_usual = isinstance(error, OSError)
+            is_usual = isinstance(error, OSError | ReadingsRefused)
             logger.warning("%s: %s", self.name, told, exc_info=None if is_usual else error)
         self.statistics.trouble = told
 

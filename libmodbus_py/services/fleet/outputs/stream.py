@@ -14,6 +14,7 @@ from ...engine.buckets import TIMEOUT, keep_stream
 from ...engine.errors import EngineError, explained
 from ..readings import Reading
 from .forms import payload
+from .output import ReadingsRefused
 from .subjects import READINGS, readings_of
 
 if TYPE_CHECKING:
@@ -89,7 +90,7 @@ def _messages(readings: Sequence[Reading], largest: int) -> Iterator[tuple[str, 
         largest: the bytes that a message may have, with its headers.
 
     Raises:
-        ValueError: a single reading has more bytes.
+        ReadingsRefused: a single reading has more bytes.
     """
     for (device, time), group in groupby(readings, lambda each: each.poll):
         subject = readings_of(device)
@@ -112,7 +113,7 @@ def _parts(values: Mapping[str, str], room: int) -> Iterator[list[str]]:
     for name, text in values.items():
         size = len(text.encode()) + len(", ")
         if size > room:
-            raise ValueError(f"{name}: the server takes no message of {size} bytes")
+            raise ReadingsRefused(f"{name}: the server takes no message of {size} bytes")
         if used + size > room:
             yield names
             names, used = [], 0
