@@ -1,0 +1,142 @@
+"""
+Readings in the line protocol of InfluxDB.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from itertools import groupby
+from typing import Any
+
+from ....protocol.mistakes import WrongType, WrongValue
+from ....protocol.plain import plain, without_controls
+from ..config import DeviceConfig
+from ..readings import Reading
+
+__all__ = ["LineProtocol"]
+
+_MEASUREMENT = re.compile(r"([, ])")
+
+_KEY = re.compile(r"([,= ])")
+
+RESERVED = ("time", "_time", "_measurement", "_field", "_value", "_start", "_stop")
+"""Keys that InfluxDB 1 and 2 use themselves: points and labels of these names get a "_" behind."""
+
+LARGEST = 2**63
+
+
+class LineProtocol:
+    """
+    Writes a line for each poll of a device: the tags are the device and its labels, and each
+    point is a field.
+
+    ``modbus,device=north,site=Halle voltage=230.5,power=1200 1700000000000000000``
+
+    Numbers are floats, because a field has one type for good in InfluxDB, and scaled values are
+    whole numbers now and then. A point with named states is text, also a number without a name.
+    The items of a list, and the members of a point with named bits, are fields of their own, such
+    as ``flags.door``. A point without a value has the fields ``NAME.quality`` and
+    ``NAME.reason`` in its place.
+
+    Args:
+        measurement: the name of the measurement.
+
+    Raises:
+        TypeError, ValueError: `measurement` is not a name that can be written.
+
+    Source: the line protocol of InfluxDB 1.x and 2.x.
+    """
+
+    def __init__(self, measurement: str) -> None:
+        self._measurement = _MEASUREMENT.sub(r"\\\1", _name("measurement", measurement))
+        # device -> the beginning of its lines, up to the fields.
+        self._heads: dict[str, str] = {}
+        # device -> its points whose values are text.
+        self._texts: dict[str, frozenset[str]] = {}
+
+    def describe(self, devices: Mapping[str, DeviceConfig]) -> None:
+        """Set the devices of the readings, by their names."""
+        self._heads = {name: self._head(name, each.labels) for name, each in devices.items()}
+        self._texts = {
+            name: frozenset(point for point in each.map if each.map[point].states is not None)
+            for name, each in devices.items()
+        }
+
+    def lines(self, readings: Iterable[Reading]) -> bytes:
+        """Return the lines of readings, in UTF-8; times are in nanoseconds."""
+        return "".join(
+            f"{self._head_of(device)} {','.join(fields)} {_nanoseconds(time)}\n"
+            for (device, time), group in groupby(readings, lambda each: each.poll)
+            if (fields := [field for each in group for field in self._fields(each)])
+        ).encode()
+
+    def _head_of(self, device: str) -> str:
+        head = self._heads.get(device)
+        return self._head(device, {}) if head is None else head
+
+    def _head(self, device: str, labels: Mapping[str, str]) -> str:
+        tags = {"device": device, **labels}
+        # InfluxDB recommends tags in order; a tag without a value is no tag.
+        told = [f"{_key(name)}={_spelled(tags[name])}" for name in sorted(tags) if tags[name]]
+        return ",".join((self._measurement, *told))
+
+    def _fields(self, reading: Reading) -> Iterator[str]:
+        name = reading.name
+        if reading.value is None:
+            yield f"{_key(f'{name}.quality')}={_text(reading.quality)}"
+        elif name in self._texts.get(reading.device, ()):
+            yield f"{_key(name)}={_text(str(reading.value))}"
+        else:
+            yield from _values(name, reading.value)
+        if reading.reason:
+            yield f"{_key(f'{name}.reason')}={_text(reading.reason)}"
+
+
+def _values(name: str, value: Any) -> Iterator[str]:
+    """Yield the fields of a value."""
+    if isinstance(value, dict):
+        for key, each in value.items():
+            yield from _values(f"{name}.{key}", each)
+    elif isinstance(value, list | tuple):
+        for at, each in enumerate(value):
+            yield from _values(f"{name}.{at}", each)
+    elif value is not None and not (isinstance(value, float) and not math.isfinite(value)):
+        yield f"{_key(name)}={_field(value)}"
+
+
+def _field(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return repr(value) if isinstance(value, int | float) else _text(str(plain(value)))
+
+
+def _text(text: str) -> str:
+    """Return text as a field, in one line."""
+    told = without_controls(text).replace("\n", "\\x0a").replace("\\", "\\\\")
+    return '"' + told.replace('"', '\\"') + '"'
+
+
+def _key(name: str) -> str:
+    return _spelled(f"{name}_" if name in RESERVED else name)
+
+
+def _spelled(name: str) -> str:
+    # A backslash cannot be escaped, and would escape the character behind it.
+    told = without_controls(name).replace("\n", "%0A").replace("\\", "%5C")
+    return _KEY.sub(r"\\\1", told)
+
+
+def _nanoseconds(time: float) -> int:
+    return round(time * 1e6) * 1000
+
+
+def _name(key: str, name: object) -> str:
+    if not isinstance(name, str):
+        raise WrongType(key, f"must be text, not {type(name).__name__}")
+    is_written = 1 <= len(name) <= 200 and name.isprintable() and "\\" not in name
+    if not is_written or name.startswith(("_", "#")):
+        allowed = "1 to 200 printable characters without \\, the first neither _ nor #"
+        raise WrongValue(key, f"must be {allowed}, not {name[:50]!r}")
+    return name
