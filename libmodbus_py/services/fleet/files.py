@@ -52,7 +52,7 @@ __all__ = ["DEVICE", "FILE", "FleetFile", "FleetFileError", "load"]
 MOST_OF_CSV = 1 << 24
 
 # Keys whose values must not be written in the fleet file, which many can read.
-SECRET = ("password",)
+SECRET = ("password", "token")
 
 _NAME = re.compile(r"\$\{(\w*)\}")
 

@@ -185,7 +185,7 @@ SIMPLE = '[[device]]\nname = "a"\nurl = "tcp://h"\nmap = "meter.csv"\n'
             3,
             "output.csv[1].pth: no such key; allowed are path, buffer",
         ),
-        ("[output.jsn]\n" + SIMPLE, 1, "output.jsn: no such key; allowed are json, csv, mqtt"),
+        ("[output.jsn]\n" + SIMPLE, 1, "output.jsn: no such key; allowed are json, csv, influx"),
         ("[output.json]\npath = 7\n" + SIMPLE, 2, "output.json.path must be text"),
         ("[output.mqtt]\nuser = 'x'\n" + SIMPLE, 1, "output.mqtt.url is missing"),
         (

@@ -7,12 +7,16 @@ Outputs: the destinations of readings. Each is one file, and imports its librari
     json_output    a line of JSON for each reading
     csv_output     a row of CSV for each reading
     device_states  the devices that answer, as their readings show
+    influx         the line protocol of InfluxDB, to a file or a server
+    influx_server  ... the server, by HTTP
+    line_protocol  ... the lines
     mqtt           a topic for each value, retained; writes to named points
     nats           a message for each poll, kept in a stream, from one machine
     stream         ... the stream, also used by workers on several machines
     subjects       the subjects of messages
     last_values    the last reading of each point, for metrics
     forms          readings as JSON and CSV
+    trust          the certificate authorities that are trusted
     secret_file    a password in a file, which is read again
     text_file      a file or the standard output
     writer_thread  a thread that writes, so that nothing else waits for a disk

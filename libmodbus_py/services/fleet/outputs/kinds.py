@@ -32,6 +32,7 @@ class OutputKind(NamedTuple):
 KINDS: dict[str, OutputKind] = {
     "json": OutputKind("json_output", "JsonOutput", "lines of JSON"),
     "csv": OutputKind("csv_output", "CsvOutput", "CSV"),
+    "influx": OutputKind("influx", "Influx", "line protocol of InfluxDB"),
     "mqtt": OutputKind("mqtt", "Mqtt"),
     "nats": OutputKind("nats", "Nats"),
 }
