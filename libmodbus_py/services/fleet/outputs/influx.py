@@ -20,7 +20,7 @@ __all__ = ["Influx"]
 
 
 class _Sink(Protocol):
-    """What takes lines: a file or a server."""
+    """A file or a server, which takes lines."""
 
     @property
     def name(self) -> str: ...

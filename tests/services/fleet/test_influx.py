@@ -1,0 +1,281 @@
+"""
+The output `influx` and its servers, which may refuse, demand a pause, or lie.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import time
+from pathlib import Path
+from typing import Any
+from urllib.parse import parse_qs
+
+import pytest
+
+from libmodbus_py import DeviceConfig, Fleet, Point, RegisterMap
+from libmodbus_py.fleet import FleetFileError, Reading
+from libmodbus_py.services.fleet.files import load
+from libmodbus_py.services.fleet.outputs import influx_server, pump
+from libmodbus_py.services.fleet.outputs.influx import Influx
+from libmodbus_py.services.fleet.outputs.secret_file import SecretFile
+from tests.services.fleet.http_server import NO_CONTENT, Answer, HttpServer, Last, answered, serving
+from tests.support.cases import each_case
+
+READING = Reading(1_700_000_000.0, "north", "level", 7, "m", "good")
+LINE = b"modbus,device=north level=7 1700000000000000000\n"
+
+FLEET = """
+[[device]]
+name = "north"
+url = "tcp://127.0.0.1"
+[[device.point]]
+name = "level"
+table = "holding_registers"
+address = 0
+"""
+
+LOGIN = {"user": "me", "password": "secret"}
+
+
+def write(*answers: Answer, **keys: Any) -> HttpServer:
+    """Write a reading to a server that answers so, and return the server."""
+
+    async def go() -> HttpServer:
+        async with serving(answers) as server:
+            output = Influx(url=server.url, **({"database": "plant"} | keys))
+            await output.open()
+            try:
+                await output.write([READING])
+            finally:
+                await output.close()
+            return server
+
+    return asyncio.run(go())
+
+
+def test_influxdb_1() -> None:
+    (received,) = write(user="me", password="secret").received
+    assert received.line == "POST /write?db=plant&precision=ns"
+    login = base64.b64encode(b"me:secret").decode()
+    assert received.headers["authorization"] == f"Basic {login}"
+    assert received.body == LINE
+
+
+def test_influxdb_2(tmp_path: Path) -> None:
+    (tmp_path / "token").write_text("a secret\n")
+    token = SecretFile(tmp_path / "token")
+    keys = {"database": None, "bucket": "a b", "organization": "plant"}
+    (received,) = write(token=token, **keys).received
+    path, _, query = received.line.partition("?")
+    assert path == "POST /api/v2/write"
+    assert parse_qs(query) == {"bucket": ["a b"], "org": ["plant"], "precision": ["ns"]}
+    assert received.headers["authorization"] == "Token a secret"
+    assert received.body == LINE
+
+
+def test_no_credentials() -> None:
+    (received,) = write().received
+    assert "authorization" not in received.headers
+
+
+def test_an_empty_write_asks_nothing() -> None:
+    async def go() -> None:
+        async with serving() as server:
+            output = Influx(url=server.url, database="plant")
+            await output.open()
+            await output.write([])
+            await output.close()
+            assert server.received == []
+
+    asyncio.run(go())
+
+
+@each_case(
+    ("answer", "error", "told"),
+    [
+        (answered("400 Bad", b'{"error":"partial write"}'), ValueError, "400 .*partial write"),
+        (answered("413 Too Large"), ValueError, "413"),
+        (answered("422 Unprocessable"), ValueError, "422"),
+        (answered("401 Unauthorized", b"token?"), OSError, "401 token?"),
+        (answered("403 Forbidden"), OSError, "403"),
+        (answered("404 Not Found", b"no database"), OSError, "404 no database"),
+        (answered("500 Broken"), OSError, "500"),
+        (answered("503 Busy"), OSError, "503"),
+        # Servers that lie, and other programs at this port.
+        (answered("200 OK", b"<html>welcome</html>"), OSError, "200 <html>welcome"),
+        (answered("302 Found", b"", "Location: http://192.0.2.9/"), OSError, "302"),
+        (answered("400 Bad", b"\x1b[2Jred"), ValueError, r"400 \\x1b\[2Jred"),
+        (answered("999 What"), OSError, "999"),
+        (Last(b"SSH-2.0-OpenSSH\r\n"), ConnectionError, None),
+        (Last(b"HTTP/1.1 204 No Content\r\nContent-Len"), ConnectionError, None),
+        (None, ConnectionError, None),
+    ],
+)
+def test_answers_that_do_not_confirm(
+    answer: Answer, error: type[Exception], told: str | None
+) -> None:
+    with pytest.raises(error, match=told) as raised:
+        write(answer)
+    # Only a lost connection may be due to the readings.
+    assert isinstance(raised.value, ConnectionError) is (error is ConnectionError)
+
+
+def test_secrets_are_not_shown() -> None:
+    with pytest.raises(OSError, match="401 who is") as raised:
+        write(answered("401 No", b"who is s3cret?"), token="s3cret", database=None, bucket="b")
+    assert "s3cret" not in str(raised.value)
+
+
+@each_case(
+    "answer",
+    [
+        [b"HTTP/1.1 200 OK\r\n\r\n", b"x" * 65536],
+        [b"HTTP/1.1 500 No\r\nTransfer-Encoding: chunked\r\n\r\n", b"1\r\nx\r\n"],
+    ],
+)
+def test_an_answer_without_end_is_not_read_to_the_end(answer: Answer) -> None:
+    with pytest.raises(OSError, match=r"(200|500) x{200}$"):
+        write(answer)
+
+
+@each_case(
+    "answer",
+    [
+        [b"HTTP/1.1 204 No", b""],
+        [b"HTTP/1.1 204 No Content\r\n", b"X: y\r\n"],
+    ],
+)
+def test_an_answer_that_never_comes_takes_the_timeout(answer: Answer) -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(influx_server, "TIMEOUT", 0.2)
+        with pytest.raises(TimeoutError, match="did not answer"):
+            write(answer)
+
+
+def test_a_demanded_pause_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    pauses: list[float] = []
+    rest = asyncio.sleep
+
+    async def sleep(seconds: float, result: Any = None) -> Any:
+        pauses.append(seconds)
+        return await rest(0, result)
+
+    async def go(demand: str) -> None:
+        async with serving([answered("429 Slow", b"", f"Retry-After: {demand}")]) as server:
+            output = Influx(url=server.url, database="plant")
+            await output.open()
+            with pytest.raises(OSError, match="429"):
+                await output.write([READING])
+            await output.close()
+            before = time.monotonic()
+            monkeypatch.setattr(influx_server.asyncio, "sleep", sleep)
+            await output.open()
+            monkeypatch.setattr(influx_server.asyncio, "sleep", rest)
+            pauses.append(time.monotonic() - before)
+            await output.write([READING])
+            await output.close()
+
+    for demand, most, least in (("20", 20, 10), ("999999", 300, 290), ("soon", 0, 0), ("-3", 0, 0)):
+        pauses.clear()
+        asyncio.run(go(demand))
+        assert least <= pauses[0] <= most
+
+
+@each_case(
+    ("keys", "told"),
+    [
+        ({"url": "ftp://192.0.2.1"}, "url must be such as"),
+        ({"url": "http://"}, "url must be such as"),
+        ({"url": "http://192.0.2.1:99999", "database": "d"}, "url must be such as"),
+        ({"url": "http://192.0.2.1/?db=x", "database": "d"}, "url must be such as"),
+        ({"url": "http://me:pw@192.0.2.1", "database": "d"}, "keys of their own"),
+        ({"url": "http://192.0.2.1"}, "either database"),
+        ({"url": "http://192.0.2.1", "database": "d", "bucket": "b"}, "either database"),
+        ({"url": "http://192.0.2.1", "database": "d", "organization": "o"}, "organization"),
+        ({"url": "http://192.0.2.1", "database": "d", "user": "me"}, "user and password"),
+        ({"url": "http://192.0.2.1", "database": ""}, "database must be text"),
+        ({"url": "http://192.0.2.1", "database": "d", "ca": "ca.pem"}, "ca can only"),
+        ({"url": "http://192.0.2.1", "database": "d", "path": "x"}, "path cannot be used with url"),
+        ({"database": "d"}, "database can only be used with url"),
+        ({"measurement": "_x"}, "measurement must be"),
+        ({"url": "http://192.0.2.1", "bucket": "b", "token": "c", **LOGIN}, "token cannot be"),
+    ],
+)
+def test_bad_keys_are_refused(keys: dict[str, Any], told: str) -> None:
+    with pytest.raises((TypeError, ValueError), match=told):
+        Influx(**keys)
+
+
+def test_a_token_stands_in_no_fleet_file(tmp_path: Path) -> None:
+    file = tmp_path / "fleet.toml"
+    file.write_text(
+        f'{FLEET}[output.influx]\nurl = "http://127.0.0.1"\nbucket = "b"\ntoken = "x"\n'
+    )
+    with pytest.raises(FleetFileError, match="token must not be written in the file"):
+        load(file)
+    file.write_text(file.read_text().replace('token = "x"', 'token_file = "token"'))
+    (tmp_path / "token").write_text("x")
+    assert load(file).made_outputs()[0].name == "influx 127.0.0.1:80"
+
+
+def test_a_poll_that_is_refused_is_dropped_and_others_are_written(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The server refuses one device; nothing of the other ones is lost."""
+    monkeypatch.setattr(pump, "FIRST_PAUSE", 0.001)
+
+    async def go() -> None:
+        points = RegisterMap([Point("level", "holding_registers", 0)])
+        devices = [DeviceConfig(name, "tcp://127.0.0.1:9", points) for name in ("north", "south")]
+        async with serving() as server:
+            refuse_south(server)
+            output = Influx(url=server.url, database="plant")
+            writing = pump.Pump(output)
+            output.describe({each.name: each for each in devices})
+            writing.buffer.put([READING, READING._replace(device="south")])
+            writing.start()
+            writing.close(is_patient=True)
+            await writing.ended()
+            assert (writing.statistics.written, writing.statistics.dropped) == (1, 1)
+            assert b"device=north" in server.received[-2].body
+
+    def refuse_south(server: HttpServer) -> None:
+        class Answers(list[Answer]):
+            def __bool__(self) -> bool:
+                return True
+
+            def pop(self, at: Any = 0) -> Answer:
+                is_bad = b"device=south" in server.received[-1].body
+                return answered("400 Bad", b"partial write") if is_bad else NO_CONTENT
+
+        server.answers = Answers()
+
+    asyncio.run(go())
+
+
+def test_a_file_of_lines(tmp_path: Path) -> None:
+    async def go() -> None:
+        output = Influx(str(tmp_path / "lines"), measurement="plant")
+        await output.open()
+        await output.write([READING])
+        await output.close()
+
+    asyncio.run(go())
+    asyncio.run(go())
+    assert (tmp_path / "lines").read_bytes() == 2 * LINE.replace(b"modbus", b"plant")
+
+
+def test_fleets_describe_their_devices(tmp_path: Path) -> None:
+    """Labels are tags, also those of devices that were added later."""
+
+    async def go() -> None:
+        points = RegisterMap([Point("level", "holding_registers", 0)])
+        output = Influx(str(tmp_path / "lines"))
+        first = DeviceConfig("a", "tcp://127.0.0.1:1", points, labels={"site": "x"}, interval=60)
+        async with Fleet([first], outputs=[output]) as fleet:
+            fleet.add([DeviceConfig("b", "tcp://127.0.0.1:1", points, labels={"site": "y"})])
+            lines = output._protocol.lines([READING._replace(device="b")])
+        assert lines.startswith(b"modbus,device=b,site=y ")
+
+    asyncio.run(go())
