@@ -1,0 +1,211 @@
+"""
+InfluxDB itself, version 1 as Debian 12 has it: it takes the lines, and answers with what they said.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import socket
+import subprocess
+import time
+import urllib.error
+import urllib.parse
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from libmodbus_py import DeviceConfig, Fleet, Point, RegisterMap, Server
+from libmodbus_py.fleet import Reading
+from libmodbus_py.services.fleet.outputs import pump
+from libmodbus_py.services.fleet.outputs.influx import Influx
+from libmodbus_py.services.fleet.outputs.output import ReadingsRefused
+from tests.services.fleet.fleets import LONGEST, meter, simulated
+from tests.support.programs import missing, program
+
+pytestmark = pytest.mark.skipif(bool(missing("influxd")), reason="Debian 13 has no InfluxDB")
+
+CONFIGURATION = """
+reporting-disabled = true
+bind-address = "127.0.0.1:0"
+[meta]
+dir = "{folder}/meta"
+[data]
+dir = "{folder}/data"
+wal-dir = "{folder}/wal"
+[monitor]
+store-enabled = false
+[http]
+bind-address = "127.0.0.1:{port}"
+"""
+
+
+class Database:
+    """An influxd with the database `plant`."""
+
+    def __init__(self, folder: Path) -> None:
+        with socket.create_server(("127.0.0.1", 0)) as taken:
+            self.port: int = taken.getsockname()[1]
+        self.url = f"http://127.0.0.1:{self.port}"
+        self._file = folder / "influxdb.conf"
+        self._file.write_text(CONFIGURATION.format(folder=folder, port=self.port))
+        self.process: subprocess.Popen[bytes]
+
+    def start(self) -> None:
+        environment = {**os.environ, "HOME": str(self._file.parent)}
+        self.process = subprocess.Popen(
+            [program("influxd"), "-config", str(self._file)],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            env=environment,
+        )
+        for _ in range(int(LONGEST * 100)):
+            try:
+                self.ask("CREATE DATABASE plant")
+                return
+            except OSError:
+                assert self.process.poll() is None
+                time.sleep(0.01)
+
+    def stop(self) -> None:
+        self.process.kill()
+        self.process.wait()
+
+    def ask(self, question: str) -> list[dict[str, Any]]:
+        """Return the rows of a question, each by the names of the columns."""
+        query = urllib.parse.urlencode({"db": "plant", "q": question})
+        request = urllib.request.Request(f"{self.url}/query", query.encode())
+        with urllib.request.urlopen(request, timeout=LONGEST) as answer:
+            (result,) = json.load(answer)["results"]
+        return [
+            dict(zip(series["columns"], values, strict=True))
+            for series in result.get("series", ())
+            for values in series["values"]
+        ]
+
+
+@pytest.fixture
+def database(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Database]:
+    monkeypatch.setattr(pump, "FIRST_PAUSE", 0.01)
+    monkeypatch.setattr(pump, "LONGEST_PAUSE", 0.1)
+    made = Database(tmp_path)
+    made.start()
+    yield made
+    made.stop()
+
+
+def write(database: Database, *readings: Reading, **labels: str) -> None:
+    points = RegisterMap([Point("state", "holding_registers", 0, states={0: "off"})])
+
+    async def go() -> None:
+        output = Influx(url=database.url, database="plant")
+        names = {each.device for each in readings}
+        output.describe(
+            {each: DeviceConfig(each, "tcp://127.0.0.1", points, labels=labels) for each in names}
+        )
+        await output.open()
+        try:
+            await output.write(readings)
+        finally:
+            await output.close()
+
+    asyncio.run(go())
+
+
+def reading(name: str, value: Any, time: float = 1_700_000_000.25, **keys: Any) -> Reading:
+    return Reading(time, keys.pop("device", "north"), name, value, "m", "good", **keys)
+
+
+def test_a_fleet_writes_to_it(database: Database) -> None:
+    async def go() -> None:
+        output = Influx(url=database.url, database="plant")
+        with Server({1: simulated()}).background("tcp://127.0.0.1:0") as served:
+            devices = [meter("north", served.urls[0], labels={"site": "Halle 2"})]
+            await Fleet(devices, outputs=[output]).run(once=True)
+
+    asyncio.run(go())
+    (row,) = database.ask("SELECT * FROM modbus")
+    assert row.pop("time")
+    assert row == {
+        "device": "north",
+        "site": "Halle 2",
+        "voltage": 230.5,
+        "power": -1,
+        "setpoint": 20,
+    }
+
+
+def test_names_and_values_arrive_as_they_were(database: Database) -> None:
+    values = {
+        "a b,c=d": 1,
+        'quo"te': -2.5,
+        "time": 3,
+        "text": 'five" pipe\\ and more\n',
+        "flag": True,
+        "Füllstand": 1e300,
+    }
+    readings = [reading(name, value) for name, value in values.items()]
+    write(database, *readings, site="a b,c=d\\", line="ü", area="")
+    (row,) = database.ask("SELECT * FROM modbus")
+    del values["time"]  # the key of all times
+    assert row == {
+        "time": "2023-11-14T22:13:20.25Z",
+        "device": "north",
+        "site": "a b,c=d%5C",
+        "line": "ü",
+        **values,
+        "time_": 3,
+        "text": 'five" pipe\\ and more\\x0a',
+    }
+
+
+def test_what_is_sent_again_is_stored_once(database: Database) -> None:
+    for _ in range(2):
+        write(database, reading("level", 1), reading("level", 2, 1_700_000_001.0))
+    (row,) = database.ask("SELECT count(level) FROM modbus")
+    assert row["count"] == 2
+
+
+def test_whole_numbers_and_states_without_a_name_are_no_conflict(database: Database) -> None:
+    write(database, reading("level", 1), reading("state", "off"))
+    write(database, reading("level", 1.5, 1_700_000_001.0), reading("state", 7, 1_700_000_001.0))
+    rows = database.ask("SELECT level, state FROM modbus")
+    assert [(row["level"], row["state"]) for row in rows] == [(1, "off"), (1.5, "7")]
+
+
+def test_a_conflict_of_types_is_a_refusal(database: Database) -> None:
+    write(database, reading("level", 1))
+    with pytest.raises(ReadingsRefused, match=r"400 .*conflict"):
+        write(database, reading("level", "text", 1_700_000_001.0))
+
+
+def test_a_missing_database_is_tried_again(database: Database) -> None:
+    database.ask("DROP DATABASE plant")
+    with pytest.raises(OSError, match=r"404 .*not found"):
+        write(database, reading("level", 1))
+
+
+def test_readings_wait_while_it_is_away(database: Database) -> None:
+    async def go() -> None:
+        output = Influx(url=database.url, database="plant")
+        writing = pump.Pump(output)
+        database.stop()
+        writing.start()
+        for number in range(1000):
+            writing.buffer.put([reading("level", number, 1_700_000_000.0 + number)])
+        while not writing.statistics.failures:
+            await asyncio.sleep(0.01)
+        await asyncio.to_thread(database.start)
+        while writing.statistics.written < 1000:
+            await asyncio.sleep(0.01)
+        writing.close()
+        await writing.ended()
+        assert writing.statistics.dropped == 0
+
+    asyncio.run(go())
+    (row,) = database.ask("SELECT count(level), sum(level) FROM modbus")
+    assert (row["count"], row["sum"]) == (1000, sum(range(1000)))
