@@ -6,8 +6,12 @@ from __future__ import annotations
 
 import os
 import shutil
+import socket
+import subprocess
+import time
+from typing import Any
 
-__all__ = ["find", "missing", "program"]
+__all__ = ["find", "listens", "missing", "program"]
 
 # Debian installs servers here, and leaves these folders out of the PATH of ordinary users.
 SERVER_FOLDERS = ("/usr/local/sbin", "/usr/sbin", "/sbin")
@@ -35,3 +39,20 @@ def program(name: str) -> str:
 def missing(*names: str) -> list[str]:
     """Return those of these programs that are not installed."""
     return [name for name in names if find(name) is None]
+
+
+def listens(process: subprocess.Popen[Any], port: int) -> None:
+    """
+    Wait until a server accepts connections at a port of 127.0.0.1.
+
+    Raises:
+        AssertionError: the server ended, or does not listen for 20 s.
+    """
+    for _ in range(2000):
+        try:
+            socket.create_connection(("127.0.0.1", port), 1).close()
+            return
+        except OSError:
+            assert process.poll() is None, "the server ended"
+            time.sleep(0.01)
+    raise AssertionError("the server does not listen")

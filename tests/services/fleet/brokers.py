@@ -8,7 +8,6 @@ import asyncio
 import json
 import socket
 import subprocess
-import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -19,7 +18,7 @@ import aiomqtt
 from libmodbus_py import Fleet, Server
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from tests.services.fleet.fleets import LONGEST, meter, simulated, until
-from tests.support.programs import program
+from tests.support.programs import listens, program
 
 
 class Broker:
@@ -46,13 +45,7 @@ class Broker:
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
         )
-        for _ in range(int(LONGEST * 100)):
-            try:
-                socket.create_connection(("127.0.0.1", self.port), 1).close()
-                return
-            except OSError:
-                assert self.process.poll() is None
-                time.sleep(0.01)
+        listens(self.process, self.port)
 
     def kill(self) -> None:
         assert self.process is not None

@@ -9,8 +9,6 @@ import json
 import os
 import socket
 import subprocess
-import time
-import urllib.error
 import urllib.parse
 import urllib.request
 from collections.abc import Iterator
@@ -24,8 +22,8 @@ from libmodbus_py.fleet import Reading
 from libmodbus_py.services.fleet.outputs import pump
 from libmodbus_py.services.fleet.outputs.influx import Influx
 from libmodbus_py.services.fleet.outputs.output import ReadingsRefused
-from tests.services.fleet.fleets import LONGEST, meter, simulated
-from tests.support.programs import missing, program
+from tests.services.fleet.fleets import LONGEST, meter, simulated, until
+from tests.support.programs import listens, missing, program
 
 pytestmark = pytest.mark.skipif(bool(missing("influxd")), reason="Debian 13 has no InfluxDB")
 
@@ -63,13 +61,8 @@ class Database:
             stderr=subprocess.DEVNULL,
             env=environment,
         )
-        for _ in range(int(LONGEST * 100)):
-            try:
-                self.ask("CREATE DATABASE plant")
-                return
-            except OSError:
-                assert self.process.poll() is None
-                time.sleep(0.01)
+        listens(self.process, self.port)
+        self.ask("CREATE DATABASE plant")
 
     def stop(self) -> None:
         self.process.kill()
@@ -197,11 +190,9 @@ def test_readings_wait_while_it_is_away(database: Database) -> None:
         writing.start()
         for number in range(1000):
             writing.buffer.put([reading("level", number, 1_700_000_000.0 + number)])
-        while not writing.statistics.failures:
-            await asyncio.sleep(0.01)
+        await until(lambda: writing.statistics.failures)
         await asyncio.to_thread(database.start)
-        while writing.statistics.written < 1000:
-            await asyncio.sleep(0.01)
+        await until(lambda: writing.statistics.written == 1000)
         writing.close()
         await writing.ended()
         assert writing.statistics.dropped == 0
