@@ -1,4 +1,5 @@
 import os
+import runpy
 import shutil
 import subprocess
 import sys
@@ -72,6 +73,15 @@ def write_manual(package: str) -> None:
     subprocess.run([sys.executable, "packaging/man.py", MAN], env=environment, check=True)
 
 
+def readme() -> str:
+    """Return the first page for an index, which has no files beside it."""
+    links = runpy.run_path("packaging/docs/links.py")
+    root = Path.cwd()
+    text = Path("README.md").read_text(encoding="utf-8")
+    address = links["repository"](root)
+    return str(links["absolute"](text, "", root, address)) if address else text
+
+
 def tags() -> dict[str, dict[str, str]]:
     """Return the options of wheels: one for all Pythons, where Python has a limited API."""
     if sysconfig.get_config_var("Py_GIL_DISABLED"):
@@ -83,6 +93,8 @@ if __name__ == "__main__":
     setup(
         cmdclass={"build_py": BuildPy, "build_ext": BuildExt},
         cffi_modules=["build_ffi.py:ffi", "build_ffi.py:scan"],
+        long_description=readme(),
+        long_description_content_type="text/markdown",
         data_files=list(SHARED.items()),
         options=tags(),
     )

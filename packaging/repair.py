@@ -11,12 +11,13 @@ import os
 import subprocess
 import sys
 import tempfile
+import tomllib
 from pathlib import Path
 
 import libmodbus
 import sbom
 
-REPOSITORY = "https://github.com/libmodbus-py/libmodbus-py"
+PYPROJECT = Path(__file__).parents[1] / "pyproject.toml"
 OWN, BOTH = "License-Expression: MIT\n", "License-Expression: MIT AND LGPL-2.1-or-later\n"
 
 
@@ -77,9 +78,15 @@ def _notice(library: Path) -> str:
             tarball=libmodbus.NAME,
             sha256=libmodbus.SHA256,
             place=libmodbus.PLACES[0],
-            repository=REPOSITORY,
+            issues=_issues(),
         )
     )
+
+
+def _issues() -> str:
+    """Return where to ask, if the repository has a public address."""
+    urls = tomllib.loads(PYPROJECT.read_text())["project"].get("urls", {})
+    return f", at {urls['Source']}/issues" if "Source" in urls else ""
 
 
 def _run(tool: str, *arguments: str) -> None:

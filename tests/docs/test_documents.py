@@ -82,12 +82,6 @@ def headings(path: Path) -> set[str]:
     }
 
 
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-# Where files of this repository are seen, and the bare ones, such as pictures.
-SEEN = re.compile(
-    PROJECT["urls"]["Source"].replace("//github.com", r"//(?:github|raw\.githubusercontent)\.com")
-    + "/(?:blob/|tree/|raw/)?main/"
-)
 LINK = re.compile(r"""\]\(([^)\s]*)\)|^\[[^]]+\]:\s*(\S+)|(?:src|href)="([^"]*)\"""", re.MULTILINE)
 
 
@@ -98,20 +92,10 @@ def links_of(text: str) -> list[str]:
 @each_case("path", DOCUMENTS, ids=NAMES)
 def test_links_lead_somewhere(path: Path) -> None:
     for link in links_of(path.read_text()):
-        inside = SEEN.match(link)
-        if re.match(r"\w+:", link) and not inside:
+        if re.match(r"\w+:", link):
             continue
-        target, _, heading = link[inside.end() if inside else 0 :].partition("#")
-        found = (ROOT if inside else path.parent) / target if target else path
+        target, _, heading = link.partition("#")
+        found = path.parent / target if target else path
         assert found.exists(), link
         if heading and found.suffix == ".md":
             assert heading in headings(found), link
-
-
-def test_links_of_the_first_page_hold_on_an_index() -> None:
-    """There it stands alone; and a picture is what GitHub gives, not its page about it."""
-    assert PROJECT["readme"] == "README.md"
-    links = links_of((ROOT / PROJECT["readme"]).read_text())
-    assert [link for link in links if not link.startswith(("https://", "#"))] == []
-    pictures = [link for link in links if link.endswith((".png", ".svg"))]
-    assert [link for link in pictures if "/blob/" in link] == []

@@ -50,6 +50,8 @@ def tree(tmp_path: Path) -> Path:
     place.mkdir()
     for name in ("setup.py", "build_ffi.py", "pyproject.toml", "README.md", "LICENSE"):
         shutil.copy(ROOT / name, place)
+    (place / "packaging" / "docs").mkdir(parents=True)
+    shutil.copy(ROOT / "packaging" / "docs" / "links.py", place / "packaging" / "docs")
     for folder in ("binding", "protocol"):
         (place / "libmodbus_py" / folder).mkdir(parents=True)
         for source in (ROOT / "libmodbus_py" / folder).glob("*.[ch]"):
