@@ -1,0 +1,231 @@
+"""How the documentation is built from its pages: links, copy buttons, search, pictures."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.docs.documents import DOCUMENTS, ROOT
+
+SCRIPTS = ROOT / "packaging" / "docs"
+ADDRESS = "https://forge.example/group/libmodbus-py"
+
+
+def loaded(name: str) -> Any:
+    sys.path.insert(0, str(SCRIPTS))
+    try:
+        return import_module(name)
+    finally:
+        sys.path.remove(str(SCRIPTS))
+
+
+# --- links ----------------------------------------------------------------------------------------
+
+TEXT_FILES = (".md", ".py", ".toml", ".in", ".service", ".yml", ".cfg", ".sh")
+
+
+def files() -> Iterator[Path]:
+    if (ROOT / ".git").exists():
+        listed = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True)
+        yield from (ROOT / name for name in listed.stdout.splitlines())
+    else:
+        yield from DOCUMENTS
+
+
+def test_nothing_names_an_address_that_nobody_has_made() -> None:
+    """As long as pyproject.toml names no repository, there is none to link to."""
+    if loaded("links").repository(ROOT):
+        pytest.skip("the repository has a public address")
+    address = re.compile(
+        r"git(hub|lab)(usercontent)?\.(com|io)/libmodbus-py|libmodbus-py\.github\.io"
+    )
+    found = [
+        str(path.relative_to(ROOT))
+        for path in files()
+        if path.suffix in TEXT_FILES and path.exists() and address.search(path.read_text())
+    ]
+    assert found == []
+
+
+PAGE = "[map](../../examples/meter.toml), [here](tls.md#roles), [units](../../deploy), [web](https://a.b)"
+
+
+@pytest.mark.parametrize(
+    ("address", "page"),
+    [
+        (
+            "",
+            "[map](../files/examples/meter.toml), [here](tls.md#roles), units, [web](https://a.b)",
+        ),
+        (
+            ADDRESS,
+            f"[map]({ADDRESS}/blob/main/examples/meter.toml), [here](tls.md#roles),"
+            f" [units]({ADDRESS}/tree/main/deploy), [web](https://a.b)",
+        ),
+    ],
+)
+def test_links_out_of_the_pages_lead_to_the_repository_or_to_copies(
+    address: str, page: str, tmp_path: Path
+) -> None:
+    links = loaded("links")
+    assert links.prepared(PAGE, Path("how-to/x.md"), ROOT, tmp_path, address) == page
+    assert (tmp_path / "files" / "examples" / "meter.toml").exists() == (not address)
+
+
+def test_an_index_gets_absolute_links() -> None:
+    text = "[a](docs/index.md#x) ![b](docs/page.png) [c](deploy) [d](https://e.f) [g](#h)"
+    assert loaded("links").absolute(text, "", ROOT, ADDRESS) == (
+        f"[a]({ADDRESS}/blob/main/docs/index.md#x) ![b]({ADDRESS}/raw/main/docs/page.png)"
+        f" [c]({ADDRESS}/tree/main/deploy) [d](https://e.f) [g](#h)"
+    )
+
+
+def test_the_address_is_that_of_the_project(tmp_path: Path) -> None:
+    file = tmp_path / "pyproject.toml"
+    file.write_text(f'[project]\nname = "x"\n[project.urls]\nSource = "{ADDRESS}/"\n')
+    assert loaded("links").repository(tmp_path) == ADDRESS
+
+
+# --- copy buttons ---------------------------------------------------------------------------------
+
+SESSION = """$ libmodbus-py serve tcp://127.0.0.1:1502 &
+listening on tcp://127.0.0.1:1502
+$ libmodbus-py read 'a "b"' \\
+>     --json
+  0  $ 5
+"""
+
+
+def test_the_commands_of_a_session_are_copied() -> None:
+    assert loaded("copying").commands_of(SESSION) == [
+        "libmodbus-py serve tcp://127.0.0.1:1502 &",
+        "libmodbus-py read 'a \"b\"' \\",
+        "    --json",
+    ]
+
+
+def test_copy_buttons_find_the_commands() -> None:
+    """The theme copies the attribute data-copy of the block, or else all that it shows."""
+    from html import escape, unescape
+
+    shown = escape(SESSION).replace("$ ", '<span class="gp">$ </span>')
+    other = '<div class="language-python highlight"><pre><code>x</code></pre></div>'
+    page = f'<div class="language-console highlight"><pre><code>{shown}</code></pre></div>{other}'
+    made = loaded("copying").with_commands(page)
+    (found,) = re.findall(r'<div class="language-console highlight" data-copy="([^"]*)">', made)
+    assert unescape(found).splitlines() == loaded("copying").commands_of(SESSION)
+    assert made.endswith(other)
+
+
+# --- the search -----------------------------------------------------------------------------------
+
+
+def item(location: str, title: str) -> dict[str, Any]:
+    return {"location": location, "title": title, "text": "", "path": ["x"], "level": 2, "tags": []}
+
+
+INDEX = json.dumps(
+    {
+        "config": {},
+        "items": [
+            item("api/clients/#note_answer", "note_answer"),
+            item("api/servers/", "no answer"),
+            item("troubleshooting/", "Troubleshooting"),
+            item("troubleshooting/#lines", "Lines"),
+        ],
+    }
+)
+
+
+@pytest.fixture
+def site(tmp_path: Path) -> Path:
+    (tmp_path / "troubleshooting").mkdir()
+    (tmp_path / "troubleshooting" / "index.html").write_text('<h2 id="lines">Lines</h2>')
+    return tmp_path
+
+
+def test_questions_come_first_and_names_of_the_api_last(site: Path) -> None:
+    searching = loaded("searching")
+    asked = {"no answer": "troubleshooting/#lines"}
+    assert searching.mistakes(INDEX, asked, site) == [
+        "search: 'no answer' leads to api/servers/, not to troubleshooting/#lines"
+    ]
+    arranged = searching.arranged(INDEX, asked)
+    locations = [each["location"] for each in json.loads(arranged)["items"]]
+    assert locations == [
+        *("troubleshooting/#lines", "troubleshooting/", "troubleshooting/#lines"),
+        *("api/clients/#note_answer", "api/servers/"),
+    ]
+    assert searching.mistakes(arranged, asked, site) == []
+
+
+def test_a_question_that_leads_nowhere_is_a_mistake(site: Path) -> None:
+    searching = loaded("searching")
+    for location in ("nowhere/", "troubleshooting/#nothing"):
+        arranged = searching.arranged(INDEX, {"no answer": location})
+        (mistake,) = searching.mistakes(arranged, {"no answer": location}, site)
+        assert mistake == f"search: 'no answer' leads to {location}, which does not exist"
+
+
+def test_what_people_ask_leads_to_pages_that_exist() -> None:
+    asked = tomllib.loads((SCRIPTS / "asked.toml").read_text())
+    assert {"no answer", "reconnect", "log to csv", "influxdb"} <= set(asked)
+    for location in asked.values():
+        page = location.partition("#")[0].rstrip("/")
+        assert (ROOT / "docs" / f"{page}.md").exists() or (ROOT / "docs" / page).is_dir(), location
+
+
+# --- installing -----------------------------------------------------------------------------------
+
+
+def install_blocks(path: Path) -> list[str]:
+    return re.findall(r"```sh\n(sudo apt install lib.*?)```", path.read_text(), re.DOTALL)
+
+
+def test_there_is_one_block_that_installs() -> None:
+    pages = [ROOT / "README.md", ROOT / "docs" / "index.md", ROOT / "docs/how-to/packages.md"]
+    blocks = [install_blocks(page) for page in pages]
+    assert blocks == [blocks[0]] * 3
+    assert len(blocks[0]) == 1
+
+
+def test_what_is_not_published_is_not_installed_from_an_index() -> None:
+    found = [
+        str(path.relative_to(ROOT))
+        for path in DOCUMENTS
+        if re.search(r"pip install (-U )?libmodbus-py\b", path.read_text())
+    ]
+    assert found == []
+
+
+# --- pictures -------------------------------------------------------------------------------------
+
+SHOWN = "\x1b[1mtop\x1b[0m\r\nlow\r\n\x1b[2A\x1b[Jnew & \x1b[31mred\x1b[0m\r\nnext\x1b[K"
+
+
+def test_a_terminal_is_drawn_as_it_looks_at_the_end() -> None:
+    terminal = loaded("terminal")
+    screen = terminal.Screen()
+    screen.show(SHOWN)
+    assert ["".join(each for each, _ in row) for row in screen.rows] == ["new & red", "next"]
+    picture = terminal.picture("libmodbus-py read", screen)
+    assert re.findall(r">([^<>\n]+)</text>", picture) == [
+        *("$", " libmodbus-py read", "new &amp; ", "red", "next")
+    ]
+    assert 'fill="#ff7b72">red<' in picture
+
+
+def test_the_picture_of_the_first_page_is_a_session() -> None:
+    picture = (ROOT / "docs" / "watch.svg").read_text()
+    assert "<title>libmodbus-py read tcp://127.0.0.1:1502 --map meter --watch 1</title>" in picture
+    for text in ("voltage", "kWh", "frequency"):
+        assert text in picture
