@@ -5,16 +5,24 @@ Local echo at a server: a transceiver that returns all that is sent, which must 
 from __future__ import annotations
 
 from ..protocol.either_way import may_be
-from ..protocol.errors import ServerDeviceBusy
-from ..protocol.framing import AsciiFramer, Frame, Framing, make_framer, pdu_of
+from ..protocol.framing import Framing, pdu_of
 from ..protocol.pauses import ALLOWANCE
 from ..protocol.returned import AwaitedEcho
 
 __all__ = ["EchoWatch"]
 
-# So many answers come back one after the other as if each were a request. Then an exception is
-# the answer, which is no request, so that it shows whether they are an echo.
-MOST_RETURNS = 64
+# So many answers come back one after the other as if each were a request. Then the next answer is
+# tried: its last byte is held back. No client sends part of a request before it has all of the
+# answer, so what comes back without that byte is an echo. A client gets its answer a little later,
+# and the next trial only after so many times as many answers.
+MOST_RETURNS, MORE_RETURNS = 64, 8
+
+# The last byte is held back for so many times the longest time that an answer took to come back,
+# and so many seconds.
+LONGER, LATER = 1.25, 0.01
+
+# More bytes during a trial are no echo of answers.
+MOST_HEARD = 4096
 
 
 class EchoWatch:
@@ -29,7 +37,7 @@ class EchoWatch:
 
     Attributes:
         has_echo: True or False once it is known, else None.
-        trial: the ADU to send in order to find out; empty for none.
+        is_trying: True while the last byte of an answer is held back, until `end_trial`.
     """
 
     def __init__(
@@ -40,7 +48,7 @@ class EchoWatch:
         longest: float = 2 * ALLOWANCE,
     ) -> None:
         self.has_echo: bool | None = None
-        self.trial: bytes = b""
+        self.is_trying: bool = False
         self._framing: Framing = framing
         self._pause = pause
         self._character = character
@@ -48,14 +56,47 @@ class EchoWatch:
         self._sent = b""
         self._awaited = AwaitedEcho(b"")
         self._sent_at = 0.0
+        self._returned = b""
         self._returns = 0
+        self._most_returns = MOST_RETURNS
+        self._longest_way = 0.0
+        self._heard = b""
 
-    def sent(self, adu: bytes, now: float) -> None:
-        """Note an answer that leaves."""
+    @property
+    def gap(self) -> float:
+        """For how many seconds the last byte of an answer is held back."""
+        return LONGER * self._longest_way + LATER
+
+    def sent(self, adu: bytes, now: float) -> bytes:
+        """Note an answer that leaves, and return the bytes of its end to hold back, if any."""
         self._sent, self._awaited, self._sent_at = adu, AwaitedEcho(adu), now
+        if self._returns <= self._most_returns or adu != self._returned:
+            return b""
+        self.is_trying = True
+        return adu[-1:]
+
+    def end_trial(self, now: float) -> bytes:
+        """
+        End a trial: the last byte leaves now.
+
+        Returns:
+            What came meanwhile, unless it was an echo: requests of a client that does not wait.
+        """
+        heard, self._heard = self._heard, b""
+        self.is_trying = False
+        self._returns = 0
+        self._most_returns *= MORE_RETURNS
+        if self._sent[:-1] in heard.replace(self._sent, b""):
+            self.has_echo = True
+            return b""
+        self.sent(self._sent, now - (len(self._sent) - 1) * self._character)
+        return heard
 
     def without_echo(self, data: bytes, now: float) -> bytes:
         """Return received bytes without an echo; hold them back until they are the whole echo."""
+        if self.is_trying:
+            self._heard += data
+            return self.end_trial(now) if len(self._heard) > MOST_HEARD else b""
         if self.has_echo is not None or self._awaited.is_over:
             return data
         rest, sent = self._awaited.without(data), self._sent
@@ -65,9 +106,6 @@ class EchoWatch:
             self.has_echo = False
         elif self._is_certain(sent, now):
             self.has_echo = True
-        elif self._returns > MOST_RETURNS:
-            self._returns = 0
-            self.trial = self._refusal(sent)
         else:
             return sent + rest
         return rest
@@ -79,22 +117,14 @@ class EchoWatch:
         earliest = self._sent_at + 2 * on_line + (0 if on_line else self._pause)
         if now < earliest or not self._may_ask(adu):
             return True
+        way = now - self._sent_at
+        if adu != self._returned:
+            self._returned, self._returns, self._longest_way = adu, 0, 0.0
         self._returns += 1
-        if now > self._sent_at + on_line + self._longest:
+        self._longest_way = max(way, self._longest_way)
+        if way > on_line + self._longest:
             self.has_echo = False
         return False
-
-    def _refusal(self, adu: bytes) -> bytes:
-        """Return the exception for the request that an answer may be; no bytes if it is none."""
-        framer = make_framer(self._framing, "server")
-        try:
-            pdu = pdu_of(self._framing, adu)
-            if isinstance(framer, AsciiFramer):
-                framer.delimiter = adu[-1]
-            unit = int(adu[1:3], 16) if self._framing == "ascii" else adu[0]
-            return framer.encode(Frame(unit, bytes([pdu[0] | 0x80, ServerDeviceBusy.code])))
-        except ValueError:  # a part of a frame
-            return b""
 
     def _may_ask(self, adu: bytes) -> bool:
         try:

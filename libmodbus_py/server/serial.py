@@ -67,6 +67,9 @@ class SerialServer:
         self._retry: asyncio.TimerHandle | None = None
         self._unsent: deque[bytes] = deque()
         self._timer: asyncio.TimerHandle | None = None
+        # The end of an answer on trial, and when it leaves: see `EchoWatch`.
+        self._held = b""
+        self._trial: asyncio.TimerHandle | None = None
         abandoned_in_children(self)
 
     async def open(self) -> Endpoint:
@@ -97,6 +100,10 @@ class SerialServer:
             if self._timer is not None:
                 self._timer.cancel()
                 self._timer = None
+            if self._trial is not None:
+                self._trial.cancel()
+                self._trial = None
+            self._held = b""
             self._unsent.clear()
             self._port.close()
 
@@ -114,15 +121,38 @@ class SerialServer:
     def _without_echo(self, data: bytes) -> bytes:
         """Return received bytes without the echo of an answer; from the first on the port does."""
         rest = self._echo.without_echo(data, self._loop.time())
+        self._note_verdict()
+        if self._held and not self._echo.is_trying:
+            self._send_held()
+        return rest
+
+    def _note_verdict(self) -> None:
         if self._echo.has_echo and not self._port.echo:
             self._port.echo = True
             self._statistics.echoes += 1
             text = "%s: what is sent comes back (local echo), and is dropped; set echo=1"
             logger.warning(text, self._endpoint)
-        if self._echo.trial:
-            trial, self._echo.trial = self._echo.trial, b""
-            self.write(trial)
-        return rest
+
+    def _end_trial(self) -> None:
+        """Judge what has come while the end of an answer was held back, and send that."""
+        if self._timer is not None:  # the line is still being turned round
+            self._trial = self._loop.call_later(self._echo.gap, self._end_trial)
+            return
+        heard = self._echo.end_trial(self._loop.time())
+        self._note_verdict()
+        self._send_held()
+        if heard:
+            self._receive(heard)
+
+    def _send_held(self) -> None:
+        """Send what was held back for a trial, which is over, before what waits."""
+        if self._trial is not None:
+            self._trial.cancel()
+            self._trial = None
+        held, self._held = self._held, b""
+        with contextlib.suppress(ModbusConnectionError):
+            self._port.send([held], self._loop.time())
+        self._follow_port()
 
     def _receive(self, data: bytes = b"") -> None:
         try:
@@ -148,7 +178,7 @@ class SerialServer:
         self._unsent.append(data)
         while sum(map(len, self._unsent)) > MAX_UNSENT:
             self._unsent.popleft()
-        if self._timer is None:
+        if self._timer is None and not self._held:
             wait = self._port.silence.over_at - self._loop.time()
             if wait > 0:
                 self._timer = self._loop.call_later(wait, self._send_unsent)
@@ -161,7 +191,10 @@ class SerialServer:
         # The next read fails if the port is gone.
         now = self._loop.time()
         if not self._port.echo:
-            self._echo.sent(data, now)
+            self._held = self._echo.sent(data, now)
+            if self._held:
+                data = data[: -len(self._held)]
+                self._trial = self._loop.call_later(self._echo.gap, self._end_trial)
         with contextlib.suppress(ModbusConnectionError):
             self._port.send([data], now)
         self._follow_port()
@@ -177,5 +210,5 @@ class SerialServer:
         if self._port.resume_at is not None:
             pause = self._port.resume_at - self._loop.time()
             self._timer = self._loop.call_later(pause, self._go_on)
-        elif self._unsent:
+        elif self._unsent and not self._held:
             self._send_unsent()

@@ -5,6 +5,7 @@ Local echo at a TCP endpoint with frames of a line: a converter passes on what i
 from __future__ import annotations
 
 import asyncio
+from typing import Protocol
 
 from ..ports.endpoint import Endpoint
 from ..ports.trace import Trace
@@ -21,7 +22,19 @@ __all__ = ["WithoutEcho"]
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
 # An answer that comes back after this many seconds is a request that a client repeats.
-LONGEST_WAY = 1.0
+LONGEST_WAY = 0.15
+
+
+class _Receive(Protocol):
+    """See `Session`."""
+
+    def __call__(self, data: bytes) -> int: ...
+
+
+class _Write(Protocol):
+    """See `Channel`."""
+
+    def __call__(self, data: bytes) -> None: ...
 
 
 class WithoutEcho:
@@ -66,7 +79,12 @@ class _WatchedSession:
         self._watch = EchoWatch(endpoint.framing, 0.0, 0.0, LONGEST_WAY)
         self._awaited = AwaitedEcho(b"")
         self._written = b""
+        # The end of an answer on trial, what is to follow it, and when it leaves.
+        self._held = self._behind = b""
+        self._trial: asyncio.TimerHandle | None = None
         self._session = endpoint.make(self)
+        self.receive: _Receive = self._receive
+        self.write: _Write = self._write
 
     # --- the session ----------------------------------------------------------------------
 
@@ -74,30 +92,39 @@ class _WatchedSession:
     def state(self) -> SessionState:
         return self._session.state
 
-    def receive(self, data: bytes) -> int:
-        if not data or self._watch.has_echo is False:
-            return self._session.receive(data)
-        rest = self._without_echo(data)
-        return self._session.receive(rest) if rest else 0
+    def _receive(self, data: bytes) -> int:
+        rest = self._without_echo(data) if data else data
+        return self._session.receive(rest) if rest or not data else 0
 
     def _without_echo(self, data: bytes) -> bytes:
         if self._watch.has_echo:
             return self._awaited.without(data)
         rest = self._watch.without_echo(data, self._loop.time())
-        trial, self._watch.trial = self._watch.trial, b""
-        if rest or trial:
+        if rest:
             self._written = b""
-        if self._watch.has_echo:
-            self._written = b""
-            self._endpoint.note_echo()
-        if trial:
-            self.write(trial)
+        self._note_verdict()
         return rest
 
+    def _note_verdict(self) -> None:
+        """Look no longer at what comes and goes on a connection without an echo."""
+        has_echo = self._watch.has_echo
+        if has_echo is False:
+            self.receive, self.write = self._session.receive, self._channel.write
+        elif has_echo:
+            self._written = b""
+            self._endpoint.note_echo()
+        if self._held and not self._watch.is_trying:
+            self._send_held()
+
     def end(self) -> None:
+        if self._held:
+            self._end_trial()
         self._session.end()
 
     def close(self) -> None:
+        if self._trial is not None:
+            self._trial.cancel()
+            self._trial = None
         self._session.close()
 
     # --- the channel ----------------------------------------------------------------------
@@ -106,13 +133,40 @@ class _WatchedSession:
     def trace(self) -> Trace | None:
         return self._channel.trace
 
-    def write(self, data: bytes) -> None:
+    def _write(self, data: bytes) -> None:
+        if self._held:
+            self._behind += data
+            return
         if self._watch.has_echo:
             self._awaited.expect(data)
         elif self._watch.has_echo is None:
             self._written += data
-            self._watch.sent(self._written, self._loop.time())
+            self._held = self._watch.sent(self._written, self._loop.time())
+            if self._held:
+                data = data[: -len(self._held)]
+                self._trial = self._loop.call_later(self._watch.gap, self._end_trial)
         self._channel.write(data)
+
+    def _end_trial(self) -> None:
+        heard = self._watch.end_trial(self._loop.time())
+        self._note_verdict()
+        if heard:
+            self._written = b""
+            self._session.receive(heard)
+            self._channel.follow()
+
+    def _send_held(self) -> None:
+        """Send what was held back for a trial, which is over."""
+        if self._trial is not None:
+            self._trial.cancel()
+            self._trial = None
+        held, self._held = self._held, b""
+        behind, self._behind = self._behind, b""
+        if self._watch.has_echo:
+            self._awaited.expect(held)
+        self._channel.write(held)
+        if behind:
+            self.write(behind)
 
     def follow(self) -> None:
         self._channel.follow()

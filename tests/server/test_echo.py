@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import Context, Device, Gateway, Mapping, Route, Server, ServerDeviceBusy
+from libmodbus_py import Context, Device, Gateway, Mapping, Route, Server
 from tests.simulation.lines import SerialLine
 from tests.simulation.stage import LineEnd, Stage
 from tests.support.talk import ascii_frame, rtu
@@ -106,21 +106,6 @@ def test_a_client_that_repeats_a_write_is_no_echo(stage: Stage, pause: float) ->
                 plc.write_register(1, 3)
                 stage.pass_time(pause)
         assert len(writes) == 60
-        assert server.statistics.echoes == 0
-
-
-def test_what_may_be_an_echo_is_answered_with_an_exception_once(stage: Stage) -> None:
-    """Nothing but the same write, as soon as the line allows."""
-    with served(stage, "rtu", False) as (server, writes):
-        refused = 0
-        line = "rtu:///dev/line?baudrate=9600"
-        with Context.from_url(line, unit=1, timeout=1, busy_retries=0) as plc:
-            for _ in range(300):
-                try:
-                    plc.write_register(1, 3)
-                except ServerDeviceBusy:
-                    refused += 1
-        assert (refused, len(writes)) == (1, 299)
         assert server.statistics.echoes == 0
 
 
