@@ -8,6 +8,8 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
+from ..protocol.durations import DURATION, duration_of
+
 if TYPE_CHECKING:
     from ..protocol.framing import Framing
 
@@ -94,7 +96,7 @@ def _number(text: str) -> Option:
 
 
 def _seconds(text: str) -> Option:
-    return Option(float, "a number", text, "S")
+    return Option(duration_of, DURATION, text, "S")
 
 
 def _text(text: str, placeholder: str) -> Option:
@@ -176,8 +178,8 @@ CLIENT_OPTIONS: dict[str, Option] = {
     "connect_delay": _seconds("seconds between connecting and the first request"),
     "timeouts_before_reconnect": _number("timeouts in a row after which to connect again"),
     "keepalive": Option(
-        lambda text: None if text == "none" else float(text),
-        "a number or none",
+        lambda text: None if text == "none" else duration_of(text),
+        f"{DURATION}, or none",
         "seconds of silence after which TCP probes the connection, or none",
         "S",
     ),

@@ -21,6 +21,7 @@ Bottom up:
     values     numbers, text, bits and times in registers; references such as 40123
                (type_names: what type checkers know of them)
     times      dates and times in registers
+    durations  seconds, as people type them
     spelling   values as people read and type them
     plain      values as JSON can contain them
     json_text  the encoders of JSON

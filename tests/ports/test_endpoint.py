@@ -153,8 +153,11 @@ ALL = ", ".join([*SERIAL_OPTIONS, *CLIENT_OPTIONS])
         ("rtu:///dev/x?echo=yes", "echo must be 0 or 1, not 'yes'"),
         ("tcp://h?native=", "native must be 0 or 1, not ''"),
         ("tcp://h?unit=0x1", "unit must be a number, not '0x1'"),
-        ("tcp://h?timeout=1s", "timeout must be a number, not '1s'"),
-        ("tcp://h?keepalive=never", "keepalive must be a number or none, not 'never'"),
+        ("tcp://h?timeout=1y", "timeout must be a number of seconds, or such as 500ms"),
+        (
+            "tcp://h?keepalive=never",
+            "keepalive must be a number of seconds, or such as 500ms, 10s, 2m, 1h30m or 1d, or none",
+        ),
         ("tcp://h?delimiter=LF", "delimiter must be a number such as 10 or 0x0A, not 'LF'"),
     ],
 )
