@@ -5,6 +5,7 @@ The command raw: any function code, its data and its response in hexadecimal.
 from __future__ import annotations
 
 import argparse
+import re
 from contextlib import closing
 from typing import Any
 
@@ -53,15 +54,29 @@ def _raw(options: argparse.Namespace) -> int:
 
 def _bytes_of(word: str) -> bytes:
     """
-    Return the bytes of one word.
+    Return the bytes of one word, such as 000a, "00 0a", 0x00,0x0a or 00:0a.
 
     Raises:
         ValueError: it is no pairs of hex digits; digits of two words are never joined to a byte.
     """
+    data = b""
+    for part in re.split("[ ,:]+", word.strip(" ,")):
+        digits = part[2:] if part[:2] in ("0x", "0X") else part
+        if not re.fullmatch("(?:[0-9A-Fa-f]{2})+", digits):
+            raise ValueError(f"HEX must be pairs of hex digits, not {part!r}{_hint(digits)}")
+        data += bytes.fromhex(digits)
+    return data
+
+
+def _hint(digits: str) -> str:
+    """Return what was meant by half a byte: of a number, both bytes of a field are typed."""
+    if not re.fullmatch("[0-9A-Fa-f]+", digits):
+        return ""
     try:
-        return bytes.fromhex(word)
+        number = int(digits)
     except ValueError:
-        raise ValueError(f"HEX must be pairs of hex digits, not {word!r}") from None
+        return f"; a byte has two digits, such as {digits[-1:]:>02}"
+    return f"; the number {number} of 16 bits is {number & 0xFFFF:04x}"
 
 
 def _decoded(request: bytes, response: bytes) -> str | None:

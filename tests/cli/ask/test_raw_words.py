@@ -20,7 +20,7 @@ def server() -> Iterator[RecordingServer]:
         yield maker(devices=Device(Mapping(holding_registers={0: [1, 2, 3]})))
 
 
-@each_case("words", ["0 0 0 2", "000 0002", "0000 000 2", "0000 2", "00 0 0 02", "0x00000002", ""])
+@each_case("words", ["0 0 0 2", "000 0002", "0000 000 2", "0000 2", "00 0 0 02", "0x0000000", ""])
 def test_words_that_are_no_whole_bytes_are_refused(server: RecordingServer, words: str) -> None:
     done = run("raw", server.url, 3, *(words.split() or ["0"]))
     assert done.code == 2
@@ -28,6 +28,33 @@ def test_words_that_are_no_whole_bytes_are_refused(server: RecordingServer, word
     assert not server.transactions
 
 
-@each_case("words", [["0000", "0002"], ["00", "00", "00", "02"], ["00 00 00 02"], ["00000002"]])
+@each_case(
+    "words",
+    [
+        ["0000", "0002"],
+        ["00", "00", "00", "02"],
+        ["00 00 00 02"],
+        ["00000002"],
+        ["0x00000002"],
+        ["0x00,0x00, 0x00,02"],
+        ["00:00", "0X0002"],
+        ["0000,0002,"],
+    ],
+)
 def test_words_of_whole_bytes_are_taken(server: RecordingServer, words: list[str]) -> None:
     assert run("raw", server.url, 3, *words).out.startswith("03 04 00 01 00 02\n")
+
+
+@each_case(
+    ("word", "said"),
+    [
+        ("10", None),
+        ("100", "not '100'; the number 100 of 16 bits is 0064"),
+        ("0", "not '0'; the number 0 of 16 bits is 0000"),
+        ("a", "not 'a'; a byte has two digits, such as 0a"),
+        ("0g", "not '0g' (see"),
+    ],
+)
+def test_the_error_says_how_a_number_is_typed(word: str, said: str | None) -> None:
+    done = run("raw", "127.0.0.1:1", 100, word)
+    assert (said or "cannot connect") in done.err
