@@ -14,7 +14,7 @@ from .help import VerbatimHelp
 
 TYPE_CHECKING = False  # see commands
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Mapping
+    from collections.abc import Callable, Collection, Mapping, Sequence
     from typing import Any, TypeVar
 
     from ..ports.schemes import Option
@@ -23,8 +23,9 @@ if TYPE_CHECKING:
 
 # fmt: off
 __all__ = [
-    "URLS", "add_client", "add_client_options", "add_defaults", "add_json", "add_security_options",
-    "add_serial_options", "add_url", "add_verbose", "checked", "flag", "given", "read_as",
+    "URLS", "add_client", "add_client_options", "add_csv", "add_defaults", "add_json",
+    "add_security_options", "add_serial_options", "add_units", "add_url", "add_verbose", "checked",
+    "flag", "given", "read_as", "with_forms",
 ]
 # fmt: on
 
@@ -39,6 +40,16 @@ URL: tcp://HOST[:502], tls://HOST[:802], udp://HOST[:502], rtu+tcp://HOST:PORT,
 """The end of each --help of a client."""
 
 SHORT = {"unit": "-u", "baudrate": "-b", "parity": "-p", "data_bits": "-d", "stop_bits": "-s"}
+
+SUFFIXES = (".csv", ".json", ".jsonl", ".ndjson", ".tsv", ".txt", ".log")
+
+_ASKS = ("--timeout", "--retries")
+
+MEANINGLESS = {
+    "listen": dict.fromkeys(_ASKS, "; listen sends nothing, so that there is nothing to wait for"),
+    "serve": dict.fromkeys(_ASKS, "; serve sends no requests; --frame-timeout limits its clients"),
+}
+"""Command -> options of other commands, and why the command does not take them."""
 
 REPEATED = ("pin",)
 """Options that may be given several times; a URL has their values with commas between."""
@@ -101,8 +112,59 @@ def add_verbose(command: argparse.ArgumentParser) -> None:
     )
 
 
-def add_json(group: Any) -> None:
-    group.add_argument("--json", action="store_true", help="print JSON, an object in each line")
+def add_json(group: Any, text: str = "print JSON, an object in each line") -> None:
+    _add_form(group, "--json", text)
+
+
+def add_csv(group: Any, text: str) -> None:
+    _add_form(group, "--csv", text)
+
+
+def _add_form(group: Any, name: str, text: str) -> None:
+    """Add a form of output; with the name of a file the output is written there."""
+    text += "; to a new file, if one is named"
+    group.add_argument(name, action=_Form, nargs="?", const="", metavar="FILE", help=text)
+
+
+class _Form(argparse.Action):
+    """Sets the form of output, and the attribute `written_to`: the name of a file, or None."""
+
+    def __call__(
+        self, parser: Any, namespace: argparse.Namespace, values: Any, option_string: Any = None
+    ) -> None:
+        setattr(namespace, self.dest, True)
+        namespace.written_to = values or None
+
+
+def with_forms(parser: argparse.ArgumentParser, words: Sequence[str]) -> list[str]:
+    """
+    Return the words typed, in which no --csv or --json takes the word behind it by mistake.
+
+    The word behind is a file only if its suffix says so.
+    """
+    forms = _forms(parser)
+    pairs = zip(words, [*words[1:], ""], strict=False)
+    end = words.index("--") if "--" in words else len(words)
+    return [
+        f"{word}="
+        if at < end and word in forms and not following.lower().endswith(SUFFIXES)
+        else word
+        for at, (word, following) in enumerate(pairs)
+    ]
+
+
+def _forms(parser: argparse.ArgumentParser) -> set[str]:
+    """Return the options of a command and of its actions that a file may follow."""
+    found = {
+        flag
+        for action in parser._actions
+        if isinstance(action, _Form)
+        for flag in action.option_strings
+    }
+    for action in parser._actions:
+        if action.nargs == argparse.PARSER:
+            found = found.union(*map(_forms, dict(action.choices or {}).values()))
+    return found
 
 
 def read_as(option: Option) -> Callable[[str], Any]:
@@ -120,18 +182,43 @@ def read_as(option: Option) -> Callable[[str], Any]:
 # --- groups of options --------------------------------------------------------------------------
 
 
-def add_client(command: argparse.ArgumentParser) -> None:
-    """Add what a client of one device takes."""
+def add_client(command: argparse.ArgumentParser, *, several: bool = False) -> None:
+    """
+    Add what a client takes.
+
+    Args:
+        several: True if the command asks several units, one after the other.
+    """
     add_url(command)
-    add_client_options(command)
+    if several:
+        group = command.add_argument_group("requests")
+        add_units(group, "unit that is addressed, 0..255, or several, such as 1-9,17 (1)")
+        add_client_options(group, without=("unit",))
+    else:
+        add_client_options(command.add_argument_group("requests"))
     add_verbose(command)
     add_serial_options(command)
     add_security_options(command)
 
 
+def add_units(group: Any, text: str) -> None:
+    """Add -u with a list of units."""
+    group.add_argument(
+        "-u", "--unit", "--units", dest="units", type=_units, metavar="LIST", help=text
+    )
+
+
+def _units(text: str) -> list[int]:
+    from ..protocol.spelling import units_of
+
+    try:
+        return list(dict.fromkeys(units_of(text)))
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+
+
 def add_client_options(
-    command: argparse.ArgumentParser,
-    title: str = "requests",
+    group: Any,
     *,
     without: Collection[str] = (),
     defaults: Callable[[], Mapping[str, str]] = dict,
@@ -140,19 +227,20 @@ def add_client_options(
     Add the options of clients.
 
     Args:
-        title: of the group in --help.
         without: options that mean nothing to the command.
         defaults: returns texts in place of the defaults of clients.
     """
     options = {name: each for name, each in CLIENT_OPTIONS.items() if name not in without}
-    added = _add(command.add_argument_group(title), options)
+    added = _add(group, options)
     add_defaults(added, lambda: {**_of_clients(), **defaults()})
 
 
-def add_serial_options(command: argparse.ArgumentParser) -> None:
-    """Add the settings of serial ports."""
+def add_serial_options(command: argparse.ArgumentParser, *, without: Collection[str] = ()) -> Any:
+    """Add the settings of serial ports, and return their group."""
     group = command.add_argument_group("serial port")
-    add_defaults(_add(group, SERIAL_OPTIONS), _of_serial_ports)
+    options = {name: each for name, each in SERIAL_OPTIONS.items() if name not in without}
+    add_defaults(_add(group, options), _of_serial_ports)
+    return group
 
 
 def add_security_options(command: argparse.ArgumentParser) -> None:

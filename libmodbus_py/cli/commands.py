@@ -64,6 +64,9 @@ def parsed(arguments: Sequence[str]) -> argparse.Namespace:
         names.error("COMMAND must come first")
     name, *others = arguments
     parser = parser_of(name)
+    from .arguments import with_forms
+
+    others = with_forms(parser, others)
     if any(action.nargs == argparse.PARSER for action in parser._actions):
         return parser.parse_args(others)  # its actions have their own parsers
     return parser.parse_intermixed_args(others)  # options may be anywhere between the words
@@ -135,6 +138,41 @@ class _Parser(argparse.ArgumentParser):
     def _print_message(self, message: str, file: Any = None) -> None:
         # argparse would ignore a full disk.
         file.write(message)
+
+    def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
+        found, unknown = self.parse_known_args(args, namespace)
+        self._refuse(unknown, getattr(found, "parser", self))
+        return found
+
+    def parse_intermixed_args(self, args: Any = None, namespace: Any = None) -> Any:
+        found, unknown = self.parse_known_intermixed_args(args, namespace)
+        self._refuse(unknown, self)
+        return found
+
+    def _refuse(self, unknown: Sequence[str], parser: argparse.ArgumentParser) -> None:
+        """Refuse arguments that the command does not take, and name a close one that it does."""
+        if not unknown:
+            return
+        from ..protocol.close_names import close_to
+        from .arguments import MEANINGLESS
+
+        option = next((word for word in unknown if word.startswith("-")), "").partition("=")[0]
+        known = [flag[2:] for flag in parser._option_string_actions if flag.startswith("--")]
+        command = parser.prog.removeprefix(f"{PROGRAM} ")
+        reason = MEANINGLESS.get(command, {}).get(option) or close_to(option[2:], known, "--")
+        self.error(f"unrecognized arguments: {' '.join(unknown)}{reason}")
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        """Refuse a word that is no choice, and name a close one."""
+        if action.choices is None or value in action.choices:
+            return
+        from ..protocol.close_names import close_to
+
+        close = close_to(value, action.choices)
+        if action.nargs == argparse.PARSER and close:
+            raise argparse.ArgumentError(None, f"there is no command {value!r}{close}")
+        known = ", ".join(map(str, action.choices))
+        raise argparse.ArgumentError(action, f"must be one of {known}, not {value!r}{close}")
 
     def error(self, message: str) -> NoReturn:
         self.exit(2, f"{PROGRAM}: {harmless(message)} (see {self.prog} --help)\n")

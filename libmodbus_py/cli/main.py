@@ -55,6 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _run(arguments: Sequence[str] | None) -> int:
     from .commands import parsed
+    from .output import written_to
 
     if "_ARGCOMPLETE" in os.environ:
         from .completion import complete
@@ -62,7 +63,8 @@ def _run(arguments: Sequence[str] | None) -> int:
         complete()
     options = parsed(sys.argv[1:] if arguments is None else arguments)
     try:
-        return int(options.run(options))
+        with written_to(getattr(options, "written_to", None)):
+            return int(options.run(options))
     except (ValueError, TypeError) as error:
         parser: argparse.ArgumentParser = options.parser
         parser.error(str(error))

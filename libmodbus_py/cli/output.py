@@ -11,11 +11,13 @@ import sys
 
 TYPE_CHECKING = False  # see commands
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from typing import Any
 
 # fmt: off
 __all__ = [
     "PROGRAM", "abandon", "complain", "counted", "harmless", "prepare", "print_json", "styled",
+    "written_to",
 ]
 # fmt: on
 
@@ -60,6 +62,30 @@ def print_json(fields: dict[str, Any]) -> None:
     from ..protocol.json_text import json_text
 
     print(json_text(fields), flush=True)
+
+
+@contextlib.contextmanager
+def written_to(path: str | None) -> Iterator[None]:
+    """
+    Write all that is printed to a new file while the block runs; print it if there is no path.
+
+    Raises:
+        ValueError: the file exists.
+        OSError: the file cannot be written.
+    """
+    if path is None:
+        yield
+        return
+    try:
+        file = open(path, "x", encoding="utf-8", newline="")  # noqa: SIM115 (closed below)
+    except FileExistsError:
+        raise ValueError(f"{path} exists, and would be overwritten") from None
+    with file, contextlib.redirect_stdout(file):
+        yield
+        try:
+            file.flush()
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, path) from None
 
 
 def styled(text: str, style: str) -> str:

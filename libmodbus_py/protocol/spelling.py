@@ -176,6 +176,7 @@ def units_of(text: str) -> list[int]:
             raise ValueError(f"{reprlib.repr(part)} must be a unit, or a range such as 1-247")
         first, last = int(found[1]), int(found[2] or found[1])
         if not first <= last <= 255:
-            raise ValueError(f"{part!r} must go up, within 0..255")
+            wanted = "be" if found[2] is None else "go up,"
+            raise ValueError(f"{part!r} must {wanted} within 0..255")
         units += range(first, last + 1)
     return units

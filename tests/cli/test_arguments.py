@@ -48,6 +48,8 @@ def test_options_of_urls_are_those_of_the_command_line(command: str) -> None:
 
 def test_the_same_option_has_the_same_text_in_all_commands() -> None:
     names = [*SERIAL_OPTIONS, *SECURITY_OPTIONS, "retries", "turnaround", "verbose"]
+    # A scan tries several of these.
+    names = [name for name in names if name not in ("baudrate", "parity")]
     every = [texts(command) for command in [*TAKING, "serve", "listen"]]
     for name in names:
         flag = f"--{name.replace('_', '-')}"
@@ -67,12 +69,12 @@ def test_defaults_are_those_of_clients() -> None:
 @each_case(
     ("arguments", "said"),
     [
-        ("read h holding 0 --unit 256", "--unit: unit must be in 0..255, not 256"),
-        ("read h holding 0 -u x", "argument -u/--unit: must be a number, not 'x'"),
+        ("read h holding 0 --unit 256", "-u/--unit/--units: '256' must be within 0..255"),
+        ("read h holding 0 -u x", "'x' must be a unit, or a range such as 1-247"),
         ("read h holding 0 --timeout 0", "--timeout: timeout must be"),
         ("read h holding 0 --retries 101", "--retries: retries must be in 0..100, not 101"),
         ("read h holding 0 --delimiter 300", "--delimiter: delimiter must be in 0..255"),
-        ("read h holding 0 --keepalive x", "argument --keepalive: must be a number or none"),
+        ("read h holding 0 --keepalive x", "argument --keepalive: must be a number of seconds, or"),
         ("read /dev/x holding 0 -d 9", "--data-bits: data_bits must be in 5..8, not 9"),
         ("read /dev/x holding 0 -p mark", "argument -p/--parity: must be none, even or odd"),
         ("read /dev/x holding 0 --rs485 up", '--rs485: rs485 must be "kernel"'),

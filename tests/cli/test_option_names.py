@@ -47,7 +47,7 @@ def test_no_command_completes_the_beginning_of_an_option(name: str) -> None:
 @each_case(
     ("words", "option"),
     [
-        ("read 127.0.0.1:9 holding 0 --count 3", "--count"),
+        ("read 127.0.0.1:9 holding 0 --time 3", "--time"),
         ("write 127.0.0.1:9 holding 0 1 --typ float32", "--typ"),
         ("map check meter --js", "--js"),
         ("map from-device 127.0.0.1:9 --time 1", "--time"),

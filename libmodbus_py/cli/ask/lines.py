@@ -24,13 +24,20 @@ def _now() -> str:
 class TextPolls:
     """Prints the time and the values; with their addresses if there are several items."""
 
-    def print(self, results: Sequence[ReadResult]) -> None:
+    def __init__(self, *, has_unit: bool = False) -> None:
+        self._has_unit = has_unit
+
+    def print(self, unit: int, results: Sequence[ReadResult]) -> None:
         several = len(results) > 1
         parts = [_text(each, several) for each in results]
-        print(f"{_now()}  {'  '.join(parts)}", flush=True)
+        self._print(unit, "  ".join(parts))
 
-    def fail(self, reason: str) -> None:
-        print(f"{_now()}  {reason}", flush=True)
+    def fail(self, unit: int, reason: str) -> None:
+        self._print(unit, reason)
+
+    def _print(self, unit: int, text: str) -> None:
+        whence = f"unit {unit}  " if self._has_unit else ""
+        print(f"{_now()}  {whence}{text}", flush=True)
 
 
 def _text(result: ReadResult, several: bool) -> str:
@@ -48,29 +55,30 @@ class CsvPolls:
 
     Args:
         formatters: those of the items, which name the columns.
+        has_unit: True for a column with the unit that was asked.
 
     Raises:
         ValueError: an item has no fixed number of columns.
     """
 
-    def __init__(self, formatters: Sequence[Formatter]) -> None:
+    def __init__(self, formatters: Sequence[Formatter], *, has_unit: bool = False) -> None:
         self._titles = [title for formatter in formatters for title in formatter.titles()]
+        self._has_unit = has_unit
         self._begun = False
 
-    def print(self, results: Sequence[ReadResult]) -> None:
+    def print(self, unit: int, results: Sequence[ReadResult]) -> None:
         cells = [cell for each in results for cell in _cells(each)]
-        self._write(
-            [*cells, "; ".join(filter(None, (each.failure or each.remark for each in results)))]
-        )
+        errors = "; ".join(filter(None, (each.failure or each.remark for each in results)))
+        self._write(unit, [*cells, errors])
 
-    def fail(self, reason: str) -> None:
-        self._write([*[""] * len(self._titles), reason])
+    def fail(self, unit: int, reason: str) -> None:
+        self._write(unit, [*[""] * len(self._titles), reason])
 
-    def _write(self, cells: list[str]) -> None:
+    def _write(self, unit: int, cells: list[str]) -> None:
         if not self._begun:
             self._begun = True
-            self._print(["time", *self._titles, "error"])
-        self._print([_now(), *cells])
+            self._print(["time", *["unit"] * self._has_unit, *self._titles, "error"])
+        self._print([_now(), *[str(unit)] * self._has_unit, *cells])
         sys.stdout.flush()
 
     def _print(self, cells: list[str]) -> None:
@@ -84,21 +92,17 @@ def _cells(result: ReadResult) -> list[str]:
 
 class JsonPolls:
     """
-    Prints an object for each poll.
+    Prints an object for each poll of a unit.
 
     Args:
         object_of: returns the fields of results.
-        unit: the unit that is asked.
     """
 
-    def __init__(
-        self, object_of: Callable[[Sequence[ReadResult]], dict[str, Any]], unit: int
-    ) -> None:
+    def __init__(self, object_of: Callable[[int, Sequence[ReadResult]], dict[str, Any]]) -> None:
         self._object_of = object_of
-        self._unit = unit
 
-    def print(self, results: Sequence[ReadResult]) -> None:
-        print_json({"time": _now(), **self._object_of(results)})
+    def print(self, unit: int, results: Sequence[ReadResult]) -> None:
+        print_json({"time": _now(), **self._object_of(unit, results)})
 
-    def fail(self, reason: str) -> None:
-        print_json({"time": _now(), "unit": self._unit, "error": reason})
+    def fail(self, unit: int, reason: str) -> None:
+        print_json({"time": _now(), "unit": unit, "error": reason})

@@ -41,7 +41,7 @@ def add_command(commands: Any) -> None:
         metavar="URL",
         help="read all points of this device, and print those that it refuses",
     )
-    arguments.add_client_options(check)
+    arguments.add_client_options(check.add_argument_group("requests"))
     arguments.add_serial_options(check)
     arguments.add_security_options(check)
     arguments.add_verbose(check)
@@ -75,7 +75,7 @@ def add_command(commands: Any) -> None:
     skeleton.add_argument(
         "-o", "--output", metavar="FILE", help="a new file, .toml or .csv (TOML, printed)"
     )
-    arguments.add_client_options(skeleton, defaults=_timeouts)
+    arguments.add_client_options(skeleton.add_argument_group("requests"), defaults=_timeouts)
     arguments.add_serial_options(skeleton)
     arguments.add_security_options(skeleton)
     skeleton.set_defaults(run=_from_device, parser=skeleton)

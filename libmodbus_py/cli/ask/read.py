@@ -9,6 +9,7 @@ import contextlib
 import math
 from typing import Any, get_args
 
+from ...protocol.durations import DURATION, duration_of
 from ...protocol.type_names import BitsType, NumberType, Order
 from .. import arguments
 
@@ -24,8 +25,8 @@ EXAMPLES = """\
 examples:
   libmodbus-py read 192.0.2.10 holding 0 10 coils 0 8
   libmodbus-py read /dev/ttyUSB0 -b 9600 -p none -u 7 30001 2 --type float32
-  libmodbus-py read 192.0.2.10 --map meter.csv voltage current --watch
-  libmodbus-py read 'tcp://192.0.2.10?unit=7&timeout=0.5' input 0 20 --watch 10 --csv > log.csv"""
+  libmodbus-py read 192.0.2.10 -u 1-3,17 --map meter.csv voltage current --watch
+  libmodbus-py read 'tcp://192.0.2.10?unit=7&timeout=0.5' ir 0 9 --watch 10 --csv log.csv"""
 
 
 def add_command(commands: Any) -> None:
@@ -38,16 +39,14 @@ def add_command(commands: Any) -> None:
         "and without WHAT, all points of the map are read.",
         epilog=f"{EXAMPLES}\n\n{arguments.URLS}",
     )
-    arguments.add_client(command)
+    arguments.add_client(command, several=True)
     what = command.add_argument("what", metavar="WHAT", nargs="*", help="the values to read")
     add_completer(what)
     add_item_arguments(command, ", or all, which shows every interpretation", can_show_all=True)
     group = command.add_argument_group("output")
     form = group.add_mutually_exclusive_group()
     form.add_argument("--hex", action="store_true", help="print registers in hexadecimal")
-    form.add_argument(
-        "--csv", action="store_true", help="print CSV: a header, and a row for each poll"
-    )
+    arguments.add_csv(form, "print CSV: a header, and a row for each poll")
     arguments.add_json(form)
     group.add_argument(
         "--watch",
@@ -56,6 +55,16 @@ def add_command(commands: Any) -> None:
         type=_seconds,
         metavar="SECONDS",
         help="poll until Ctrl-C, each second unless given; on a terminal in a table",
+    )
+    group.add_argument(
+        "--count", type=_polls, metavar="N", help="end after so many polls; implies --watch"
+    )
+    group.add_argument(
+        "--for",
+        dest="lasts",
+        type=_seconds,
+        metavar="SECONDS",
+        help="end after this time, such as 90, 10m or 1h30m; implies --watch",
     )
     command.set_defaults(run=_read)
 
@@ -107,17 +116,27 @@ def _names(parsed_args: argparse.Namespace, **_: Any) -> list[str]:
 
 def _seconds(text: str) -> float:
     try:
-        seconds = float(text)
+        seconds = duration_of(text)
     except ValueError:
         raise argparse.ArgumentTypeError(
-            f"{text!r} must be seconds; --watch without a number must be the last argument"
+            f"{text!r} must be {DURATION}; --watch without a number must be the last argument"
         ) from None
     if not (math.isfinite(seconds) and 0.01 <= seconds <= 86_400):
         raise argparse.ArgumentTypeError(f"must be in 0.01..86400 seconds, not {text}")
     return seconds
 
 
+def _polls(text: str) -> int:
+    if not text.isdecimal() or not 1 <= int(text) <= 1_000_000_000:
+        raise argparse.ArgumentTypeError(f"must be a number of polls, 1 or more, not {text!r}")
+    return int(text)
+
+
 def _read(options: argparse.Namespace) -> int:
+    if options.units:
+        options.unit = options.units[0]
+    if options.watch is None and (options.count or options.lasts):
+        options.watch = 1.0
     if options.watch is None:
         from .reading import read
 

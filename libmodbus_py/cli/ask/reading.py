@@ -10,12 +10,17 @@ import sys
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import replace
-from typing import Any
+from typing import Any, Protocol
 
 from ...client.blocking import Context
 from ...maps.holes import Holes
 from ...maps.plan_run import PlanRun
-from ...protocol.errors import ExceptionResponse, IllegalDataAddress, ModbusError
+from ...protocol.errors import (
+    ExceptionResponse,
+    IllegalDataAddress,
+    ModbusConnectionError,
+    ModbusError,
+)
 from ..connecting import connected, endpoint_of
 from ..failing import CommandError
 from ..output import complain, print_json
@@ -24,7 +29,7 @@ from .formatters import Formatter, ReadResult, aligned, formatter_of
 from .item_plan import Cells, ItemPlan
 from .items import ALL, Item, Words
 
-__all__ = ["Reader", "object_of", "read"]
+__all__ = ["Printer", "Reader", "object_of", "read", "readers_of"]
 
 STATUS_AFTER = 1.0
 """Seconds until a status line is shown."""
@@ -38,11 +43,14 @@ class Reader:
         formatters: one for each item.
         unit: the unit that is asked.
 
+    Args:
+        unit: the unit that is asked; None for that of the options or the URL.
+
     Raises:
         ValueError: an argument is wrong.
     """
 
-    def __init__(self, options: argparse.Namespace) -> None:
+    def __init__(self, options: argparse.Namespace, unit: int | None = None) -> None:
         words = Words(options, options.what)
         items = _items(words)
         # The points that scale others are read, too, if they are not among the items.
@@ -54,7 +62,7 @@ class Reader:
         self._plan = ItemPlan([*items, *sources])
         self._holes = Holes()
         client = endpoint_of(options).client_options
-        self.unit: int = client.get("unit", 1)
+        self.unit: int = client.get("unit", 1) if unit is None else unit
         # Few devices take several requests at the same time.
         self._limit: int = client.get("max_in_flight") or 1
 
@@ -69,6 +77,8 @@ class Reader:
             CommandError: the device refused the only item.
         """
         context.connect()
+        if context.unit != self.unit:
+            context = context.for_unit(self.unit)
         self._status = Status(after=STATUS_AFTER)
         try:
             run = PlanRun(self._plan.plan, self._holes, context.now(), *context.connection)
@@ -118,29 +128,79 @@ class Reader:
                 raise CommandError(_reason(answer, self.formatters[0].item))
 
 
-def read(options: argparse.Namespace) -> int:
-    """Read once, and print."""
-    reader = Reader(options)
-    lines = None
-    if options.csv:
-        from .lines import CsvPolls
+def readers_of(options: argparse.Namespace) -> list[Reader]:
+    """
+    Return a reader for each unit that was typed.
 
-        lines = CsvPolls(reader.formatters)
+    Raises:
+        ValueError: an argument is wrong.
+    """
+    return [Reader(options, unit) for unit in options.units or [None]]
+
+
+def read(options: argparse.Namespace) -> int:
+    """Read each unit once, and print."""
+    readers = readers_of(options)
+    printer = _printer(options, readers)
+    codes = []
     with closing(connected(options)) as context:
+        for reader in readers:
+            codes.append(_read_unit(reader, context, printer, several=len(readers) > 1))
+    return max(codes)
+
+
+def _read_unit(reader: Reader, context: Context, printer: Printer, *, several: bool) -> int:
+    try:
         results = reader.ask(context)
-    if options.json:
-        print_json(object_of(reader, results))
-    elif lines is not None:
-        lines.print(results)
-    else:
-        _print_rows(results)
+    except (ModbusError, CommandError) as error:
+        if not several or isinstance(error, ModbusConnectionError):
+            raise
+        printer.fail(reader.unit, str(error))
+        return 1
+    printer.print(reader.unit, results)
     return _say_failures(results)
 
 
-def _print_rows(results: Sequence[ReadResult]) -> None:
-    lines = aligned([(each.formatter, each.rows) for each in results])
-    if lines:
-        print("\n".join(lines))
+def _printer(options: argparse.Namespace, readers: Sequence[Reader]) -> Printer:
+    several = len(readers) > 1
+    if options.csv:
+        from .lines import CsvPolls
+
+        return CsvPolls(readers[0].formatters, has_unit=several)
+    return _JsonOnce() if options.json else _TextOnce(has_unit=several)
+
+
+class Printer(Protocol):
+    """Prints the results of a unit, or why there are none."""
+
+    def print(self, unit: int, results: Sequence[ReadResult]) -> None: ...
+
+    def fail(self, unit: int, reason: str) -> None: ...
+
+
+class _JsonOnce:
+    def print(self, unit: int, results: Sequence[ReadResult]) -> None:
+        print_json(object_of(unit, results))
+
+    def fail(self, unit: int, reason: str) -> None:
+        print_json({"unit": unit, "error": reason})
+
+
+class _TextOnce:
+    def __init__(self, *, has_unit: bool) -> None:
+        self._has_unit = has_unit
+
+    def print(self, unit: int, results: Sequence[ReadResult]) -> None:
+        lines = aligned([(each.formatter, each.rows) for each in results])
+        if self._has_unit:
+            print(f"unit {unit}:")
+            lines = [f"  {line}" for line in lines]
+        if lines:
+            print("\n".join(lines))
+
+    def fail(self, unit: int, reason: str) -> None:
+        print(f"unit {unit}: no values", flush=True)
+        complain(reason)
 
 
 def _say_failures(results: Sequence[ReadResult]) -> int:
@@ -179,17 +239,17 @@ def _reason(error: ModbusError, item: Item) -> str:
     return f"{error}{item.hint}" if isinstance(error, IllegalDataAddress) else str(error)
 
 
-def object_of(reader: Reader, results: Sequence[ReadResult]) -> dict[str, Any]:
+def object_of(unit: int, results: Sequence[ReadResult]) -> dict[str, Any]:
     """Return the object of JSON: values by name, one item, or a list of items."""
     told = [each.fields for each in results]
-    if all(formatter.item.point for formatter in reader.formatters):
+    if all(each.formatter.item.point for each in results):
         values = {each["name"]: each["value"] for each in told if "value" in each}
         errors = {each["name"]: each["error"] for each in told if "error" in each}
         none = {each["name"]: each["no_value"] for each in told if "no_value" in each}
         others = {"no_value": none, "errors": errors}
         return {
-            "unit": reader.unit,
+            "unit": unit,
             "values": values,
             **{key: found for key, found in others.items() if found},
         }
-    return {"unit": reader.unit, **(told[0] if len(told) == 1 else {"items": told})}
+    return {"unit": unit, **(told[0] if len(told) == 1 else {"items": told})}

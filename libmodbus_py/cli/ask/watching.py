@@ -1,5 +1,5 @@
 """
-read --watch: polls at a steady pace, whatever fails, until Ctrl-C.
+read --watch: polls at a steady pace, whatever fails, until Ctrl-C or the end that was asked for.
 """
 
 from __future__ import annotations
@@ -8,58 +8,63 @@ import argparse
 import os
 import sys
 import time
-from collections.abc import Sequence
 from contextlib import closing
-from functools import partial
-from typing import Any, Protocol
+from typing import Any
 
 from ...protocol.errors import ModbusError
 from ..connecting import connected
 from ..failing import CommandError
-from .formatters import ReadResult
 from .lines import CsvPolls, JsonPolls, TextPolls
-from .reading import Reader, object_of
+from .reading import Printer, Reader, object_of, readers_of
 from .table import TerminalTable
 
 __all__ = ["watch"]
 
 
-class PollPrinter(Protocol):
-    """Prints the results of polls."""
-
-    def print(self, results: Sequence[ReadResult]) -> None: ...
-
-    def fail(self, reason: str) -> None: ...
-
-
 def watch(options: argparse.Namespace) -> int:
-    """Poll until Ctrl-C; a lost connection is established again."""
-    reader = Reader(options)
+    """Poll each unit; a lost connection is established again. Return 1 if no poll succeeded."""
+    readers = readers_of(options)
     interval: float = options.watch
+    left = options.count
     with closing(connected(options)) as context:
-        shown = _shown(options, reader, f"{context.url}, unit {context.unit}, every {interval:g} s")
+        units = ",".join(str(reader.unit) for reader in readers)
+        title = f"{context.url}, unit {units}, every {interval:g} s"
+        shown = _shown(options, readers, title)
         begun = time.monotonic()
+        until = begun + (options.lasts or float("inf"))
+        code = 1
         while True:
-            _poll(reader, context, shown)
+            for reader in readers:
+                if _poll(reader, context, shown):
+                    code = 0
+            left = left and left - 1
             # From start to start; polls that are late are left out.
             passed = time.monotonic() - begun
-            time.sleep(interval - passed % interval)
+            following = begun + (passed // interval + 1) * interval
+            if left == 0 or following >= until:
+                return code
+            time.sleep(max(0.0, following - time.monotonic()))
 
 
-def _poll(reader: Reader, context: Any, shown: PollPrinter) -> None:
+def _poll(reader: Reader, context: Any, shown: Printer) -> bool:
+    """Return True if the unit answered."""
     try:
         results = reader.ask(context)
     except (ModbusError, CommandError) as error:
-        shown.fail(str(error))
-    else:
-        shown.print(results)
+        shown.fail(reader.unit, str(error))
+        return False
+    shown.print(reader.unit, results)
+    return True
 
 
-def _shown(options: argparse.Namespace, reader: Reader, title: str) -> PollPrinter:
+def _shown(options: argparse.Namespace, readers: list[Reader], title: str) -> Printer:
+    several = len(readers) > 1
     if options.csv:
-        return CsvPolls(reader.formatters)
+        return CsvPolls(readers[0].formatters, has_unit=several)
     if options.json:
-        return JsonPolls(partial(object_of, reader), reader.unit)
+        return JsonPolls(object_of)
     has_cursor = sys.stdout.isatty() and os.environ.get("TERM", "dumb") != "dumb"
     # Frames of --verbose would be printed into the table.
-    return TerminalTable(title) if has_cursor and not options.verbose else TextPolls()
+    if has_cursor and not options.verbose:
+        return TerminalTable(title, [reader.unit for reader in readers])
+    return TextPolls(has_unit=several)

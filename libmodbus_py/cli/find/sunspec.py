@@ -38,7 +38,7 @@ def add_command(commands: Any) -> None:
         help="the address at which the models begin (0, 40000 and 50000 are tried)",
     )
     form = command.add_mutually_exclusive_group()
-    form.add_argument("--csv", action="store_true", help="print CSV: a header, and a row each")
+    arguments.add_csv(form, "print CSV: a header, and a row each")
     arguments.add_json(form)
     command.set_defaults(run=_sunspec)
 

@@ -93,8 +93,8 @@ def test_csv(url: str, meter: str) -> None:
     out = run("read", url, "--map", meter, "--csv").out
     header, row = csv.reader(io.StringIO(out))
     assert header == [
-        "time", "voltage", "phases[0]", "phases[1]", "phases[2]", "label", "setpoint", "pump",
-        "error",
+        "time", "voltage (V)", "phases[0] (A)", "phases[1] (A)", "phases[2] (A)", "label",
+        "setpoint (C)", "pump", "error",
     ]  # fmt: skip
     assert row[1:] == ["230.5", "1", "2", "-1", "abcd", "0.0", "0", ""]
     out = run("read", url, "holding", "0", "2", "coils", "5", "--csv").out

@@ -99,7 +99,7 @@ def test_csv_has_an_empty_cell_and_the_reason(served: Served) -> None:
     url, file, _ = served
     titles, cells = csv.reader(run("read", url, "--map", file, "--csv").out.splitlines())
     found: dict[str, Any] = dict(zip(titles, cells, strict=True))
-    assert (found["v"], found["none"], found["error"]) == ("230.5", "", "none: Missing")
+    assert (found["v (V)"], found["none"], found["error"]) == ("230.5", "", "none: Missing")
     assert found["flags"] == "door=1 mode=5"
 
 

@@ -1,0 +1,158 @@
+"""
+read of several units, with an end of --watch, and output to a file.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from libmodbus_py import Context, Device, Mapping, Server
+from libmodbus_py.protocol.durations import duration_of
+from tests.support.cases import each_case
+from tests.support.commands import on_terminal, run
+
+
+@pytest.fixture
+def url() -> Iterator[str]:
+    devices = {unit: Device(Mapping(holding_registers=20)) for unit in (1, 2, 17)}
+    for unit, device in devices.items():
+        device.mapping.holding_registers[0] = unit
+    with Server(devices).background("tcp://127.0.0.1:0") as running:
+        yield running.urls[0]
+
+
+def test_units_are_read_one_after_the_other(url: str) -> None:
+    done = run("read", url, "-u", "1-2,17", "hr", 0)
+    assert (done.code, done.err) == (0, "")
+    assert done.out == "unit 1:\n      0  1\nunit 2:\n      0  2\nunit 17:\n      0  17\n"
+
+
+def test_a_unit_that_is_away_leaves_the_others(url: str) -> None:
+    done = run("read", url, "-u", "2,3,17", "hr", 0)
+    assert done.code == 1
+    assert "unit 3: no values" in done.out
+    assert "unit 17:\n      0  17\n" in done.out
+    assert done.err.startswith("libmodbus-py: unit 3")
+    assert done.err.count("\n") == 1
+
+
+def test_json_and_csv_name_the_unit(url: str) -> None:
+    lines = run("read", url, "-u", "2,3", "hr", 0, "--json").out.splitlines()
+    first, second = map(json.loads, lines)
+    assert (first["unit"], first["values"]) == (2, [2])
+    assert second["unit"] == 3
+    assert "error" in second
+    rows = list(csv.reader(run("read", url, "-u", "2,3", "hr", 0, "--csv").out.splitlines()))
+    assert rows[0] == ["time", "unit", "holding 0", "error"]
+    assert rows[1][1:] == ["2", "2", ""]
+    assert rows[2][1:3] == ["3", ""]
+
+
+def test_what_json_prints_can_be_typed(url: str) -> None:
+    found = json.loads(run("read", url, "4x", 0, "--type", "U16", "--order", "be", "--json").out)
+    again = run(
+        *("read", url, "-u", found["unit"], found["table"], found["address"], "--json"),
+        *("--type", found["type"], "--order", found["order"]),
+    )
+    assert json.loads(again.out) == found
+
+
+@each_case(
+    ("end", "polls"),
+    [
+        (["--count", "3"], 3),
+        (["--watch", "0.01", "--count", "2"], 2),
+        (["--watch", "0.5", "--for", "10ms"], 1),
+        (["--for", "0.01"], 1),
+    ],
+)
+def test_a_watch_ends(url: str, end: list[str], polls: int) -> None:
+    end = end if "--watch" in end or "--for" in end else [*end, "--watch", "0.01"]
+    done = run("read", url, "hr", 0, *end)
+    assert (done.code, done.err) == (0, "")
+    assert done.out.count("\n") == polls
+
+
+def test_a_watch_without_any_answer_ends_with_1(url: str) -> None:
+    done = run("read", url, "-u", "9", "hr", 0, "--watch", "0.01", "--count", "2")
+    assert done.code == 1
+    assert done.out.count("\n") == 2
+
+
+def test_several_units_are_watched(url: str) -> None:
+    done = run("read", url, "-u", "1,17", "hr", 0, "--watch", "0.01", "--count", "2")
+    texts = [line.partition("  ")[2] for line in done.out.splitlines()]
+    assert texts == ["unit 1  1", "unit 17  17"] * 2
+    end = ["--watch", "0.01", "--count", "3"]
+    with on_terminal("read", url, "-u", "1,17", "hr", "0", *end) as terminal:
+        terminal.until(lambda shown: "3 polls" in shown and shown.count("unit 17\r\n") >= 3)
+        assert terminal.process.wait() == 0
+
+
+@each_case("option", ["--csv", "--json"])
+def test_output_goes_to_a_new_file(url: str, tmp_path: Path, option: str) -> None:
+    path = tmp_path / f"log{option.replace('--', '.')}"
+    done = run("read", url, option, path, "hr", 0)
+    assert done == (0, "", "")
+    assert path.read_text().count("\n") == (2 if option == "--csv" else 1)
+    again = run("read", url, "hr", 0, option, path)
+    assert again.code == 2
+    assert f"{path} exists, and would be overwritten" in again.err
+    other = tmp_path / f"without a suffix{option}"
+    assert run("read", url, "hr", 0, f"{option}={other}").code == 0
+    assert other.read_text()
+
+
+@each_case("option", ["--csv", "--json"])
+def test_words_behind_the_option_are_no_files(url: str, option: str) -> None:
+    assert run("read", option, url, "hr", 0).out
+    assert run("read", url, option, "hr", 0).out
+    assert run("read", url, "hr", 0, option).out
+
+
+def test_a_file_that_cannot_be_written(url: str) -> None:
+    done = run("read", url, "hr", 0, "--json=/nowhere/x")
+    assert (done.code, done.err) == (1, "libmodbus-py: /nowhere/x: No such file or directory\n")
+
+
+@each_case(
+    ("words", "said"),
+    [
+        ("--count 0", "argument --count: must be a number of polls, 1 or more"),
+        ("--for soon", "argument --for: 'soon' must be a number of seconds, or such as 500ms"),
+        ("--watch 10x", "argument --watch: '10x' must be a number of seconds"),
+        ("-u 9-1", "'9-1' must go up"),
+        ("-u 1,x", "'x' must be a unit, or a range such as 1-247"),
+        ("--timeout 1y", "argument --timeout: must be a number of seconds, or such as 500ms"),
+    ],
+)
+def test_the_word_that_is_wrong_is_named(words: str, said: str) -> None:
+    done = run("read", "127.0.0.1:1", "hr", 0, *words.split())
+    assert done.code == 2
+    assert said in done.err
+
+
+@each_case(
+    ("typed", "seconds"),
+    [("500ms", 0.5), ("10s", 10.0), ("2m", 120.0), ("1h30m", 5400.0), ("1d", 86400.0), ("3", 3.0)],
+)
+def test_durations(typed: str, seconds: float) -> None:
+    assert duration_of(typed) == seconds
+    client = Context.from_url(f"tcp://127.0.0.1:1?timeout={typed}")
+    assert client.timeout == seconds
+    client.close()
+
+
+def test_a_terminal_shows_the_range_and_the_last_values(url: str) -> None:
+    end = ["--watch", "0.02"]
+    with on_terminal("read", url, "-u", "1", "hr", "0", "2", *end) as terminal:
+        terminal.until(lambda shown: "1 polls" in shown)
+        assert run("write", url, "hr", 0, 9).code == 0
+        terminal.until(lambda shown: "9  1..9  " in shown and "█" in shown)
+        terminal.process.terminate()
+        terminal.process.wait()
