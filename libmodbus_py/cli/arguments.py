@@ -43,9 +43,9 @@ SHORT = {"unit": "-u", "baudrate": "-b", "parity": "-p", "data_bits": "-d", "sto
 
 SUFFIXES = (".csv", ".json", ".jsonl", ".ndjson", ".tsv", ".txt", ".log")
 
-_ASKS = ("--timeout", "--retries")
+_ASKS: tuple[str, ...] = ("--timeout", "--retries")
 
-MEANINGLESS = {
+MEANINGLESS: dict[str, dict[str, str]] = {
     "listen": dict.fromkeys(_ASKS, "; listen sends nothing, so that there is nothing to wait for"),
     "serve": dict.fromkeys(_ASKS, "; serve sends no requests; --frame-timeout limits its clients"),
 }

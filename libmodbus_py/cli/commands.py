@@ -68,8 +68,25 @@ def parsed(arguments: Sequence[str]) -> argparse.Namespace:
 
     others = with_forms(parser, others)
     if any(action.nargs == argparse.PARSER for action in parser._actions):
-        return parser.parse_args(others)  # its actions have their own parsers
-    return parser.parse_intermixed_args(others)  # options may be anywhere between the words
+        found, unknown = parser.parse_known_args(others)  # its actions have their own parsers
+    else:  # options may be anywhere between the words
+        found, unknown = parser.parse_known_intermixed_args(others)
+    _refuse(found.parser, unknown)
+    return found
+
+
+def _refuse(parser: argparse.ArgumentParser, unknown: Sequence[str]) -> None:
+    """Refuse arguments that the command does not take, and name a close one that it does."""
+    if not unknown:
+        return
+    from ..protocol.close_names import close_to
+    from .arguments import MEANINGLESS
+
+    option = next((word for word in unknown if word.startswith("-")), "").partition("=")[0]
+    known = [flag[2:] for flag in parser._option_string_actions if flag.startswith("--")]
+    command = parser.prog.removeprefix(f"{PROGRAM} ")
+    reason = MEANINGLESS.get(command, {}).get(option) or close_to(option[2:], known, "--")
+    parser.error(f"unrecognized arguments: {' '.join(unknown)}{reason}")
 
 
 def parser_of(name: str) -> argparse.ArgumentParser:
@@ -138,29 +155,6 @@ class _Parser(argparse.ArgumentParser):
     def _print_message(self, message: str, file: Any = None) -> None:
         # argparse would ignore a full disk.
         file.write(message)
-
-    def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
-        found, unknown = self.parse_known_args(args, namespace)
-        self._refuse(unknown, getattr(found, "parser", self))
-        return found
-
-    def parse_intermixed_args(self, args: Any = None, namespace: Any = None) -> Any:
-        found, unknown = self.parse_known_intermixed_args(args, namespace)
-        self._refuse(unknown, self)
-        return found
-
-    def _refuse(self, unknown: Sequence[str], parser: argparse.ArgumentParser) -> None:
-        """Refuse arguments that the command does not take, and name a close one that it does."""
-        if not unknown:
-            return
-        from ..protocol.close_names import close_to
-        from .arguments import MEANINGLESS
-
-        option = next((word for word in unknown if word.startswith("-")), "").partition("=")[0]
-        known = [flag[2:] for flag in parser._option_string_actions if flag.startswith("--")]
-        command = parser.prog.removeprefix(f"{PROGRAM} ")
-        reason = MEANINGLESS.get(command, {}).get(option) or close_to(option[2:], known, "--")
-        self.error(f"unrecognized arguments: {' '.join(unknown)}{reason}")
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         """Refuse a word that is no choice, and name a close one."""

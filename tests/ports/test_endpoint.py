@@ -156,7 +156,7 @@ ALL = ", ".join([*SERIAL_OPTIONS, *CLIENT_OPTIONS])
         ("tcp://h?timeout=1y", "timeout must be a number of seconds, or such as 500ms"),
         (
             "tcp://h?keepalive=never",
-            "keepalive must be a number of seconds, or such as 500ms, 10s, 2m, 1h30m or 1d, or none",
+            "keepalive must be a number of seconds, or such as 500ms, 10s, 2m, 1h30m or 1d",
         ),
         ("tcp://h?delimiter=LF", "delimiter must be a number such as 10 or 0x0A, not 'LF'"),
     ],

@@ -37,7 +37,7 @@ _shown.maxstring = _shown.maxother = 200
 EXAMPLES = """\
 examples:
   libmodbus-py listen /dev/ttyUSB0
-  libmodbus-py listen /dev/ttyUSB0 -b 9600 -p none --capture line.pcapng
+  libmodbus-py listen /dev/ttyUSB0 -b 9600 -p none -u 1-9 --capture line.pcapng
   libmodbus-py listen rtu+tcp://127.0.0.1:1502 --between rtu+tcp://192.0.2.10:502 --json
   libmodbus-py listen line.pcapng
 
@@ -68,6 +68,7 @@ def add_command(commands: Any) -> None:
         "--capture", metavar="FILE.pcapng", help="write what is heard to a file for Wireshark"
     )
     arguments.add_json(command)
+    arguments.add_units(command, "print the transactions of these units only, such as 1-9,17")
     arguments.add_serial_options(command)
     command.set_defaults(run=_listen)
 
@@ -78,6 +79,7 @@ def _listen(options: argparse.Namespace) -> int:
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         with listen(_place(options), between=options.between, capture=options.capture) as line:
+            write = _of_units(options.units, write)
             _write_all(line, write, is_live=not options.url.endswith(".pcapng"))
             if options.json:
                 print_json({"summary": line.summary.as_dict()})
@@ -86,6 +88,13 @@ def _listen(options: argparse.Namespace) -> int:
             return 0 if line.capture_error is None else 1
     finally:
         signal.signal(signal.SIGTERM, before)
+
+
+def _of_units(units: list[int] | None, write: Any) -> Any:
+    """Return a function that prints a transaction of these units; of none, all."""
+    if units is None:
+        return write
+    return lambda transaction: write(transaction) if transaction.unit in units else None
 
 
 def _place(options: argparse.Namespace) -> str:

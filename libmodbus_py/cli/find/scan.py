@@ -9,9 +9,9 @@ import re
 import sys
 from typing import Any
 
+from ...ports.schemes import PARITIES as WORDS_OF_PARITY
 from ...protocol.pdu import DeviceIdentification, ServerId
 from ...protocol.pdu.interface import OBJECT_NAMES
-from ...protocol.spelling import units_of
 from ...tools.scan.places import BAUDRATES, ON_LINES, ON_NETWORKS, PARITIES
 from ...tools.scan.scan import Found, Progress, Scan, scan
 from ...tools.scan.search import MOST_REQUESTS, Extent, Search, Searching, search
@@ -34,8 +34,8 @@ MOST_SHOWN = 60
 EXAMPLES = """\
 examples:
   libmodbus-py scan /dev/ttyUSB0
-  libmodbus-py scan /dev/ttyUSB0 --baudrates 9600,19200 --parities E --units 1-20,42
-  libmodbus-py scan 192.0.2.10 --units 1,17,255 --json
+  libmodbus-py scan /dev/ttyUSB0 -b 9600,19200 -p none,even -u 1-20,42
+  libmodbus-py scan 192.0.2.10 -u 1,17,255 --json
   libmodbus-py scan "rtu:///dev/ttyUSB0?baudrate=9600&parity=N" --deep"""
 
 
@@ -52,50 +52,40 @@ def add_command(commands: Any) -> None:
         f"\n\n{EXAMPLES}\n\n{arguments.URLS}",
     )
     arguments.add_url(command)
-    command.add_argument(
-        "--baudrates",
-        type=_baudrates,
-        metavar="LIST",
-        help=f"baud rates to try ({','.join(map(str, BAUDRATES))})",
-    )
-    command.add_argument(
-        "--parities",
-        type=_parities,
-        metavar="LIST",
-        help=f"parities to try ({','.join(PARITIES)}); N is tried with 2 stop bits, which finds"
-        " devices with 1 stop bit too",
-    )
-    command.add_argument(
-        "--units",
-        type=_units,
-        metavar="LIST",
-        help="units to ask, such as 1,5,9-12 (1-247; on networks also 255)",
-    )
+    arguments.add_units(command, "units to ask, such as 1,5,9-12 (1-247; on networks also 255)")
     command.add_argument(
         "--deep",
         action="store_true",
         help="find the tables and ranges of each unit, in at most "
         f"{MOST_REQUESTS} requests to each",
     )
-    command.add_argument("--json", action="store_true", help="print JSON, one object in the end")
+    arguments.add_json(command, "print JSON, one object in the end")
     arguments.add_client_options(
-        command,
+        command.add_argument_group("requests"),
         without=("unit",),
         defaults=lambda: {"timeout": f"{ON_LINES:g}; on networks {ON_NETWORKS:g}"},
     )
-    arguments.add_serial_options(command)
+    group = arguments.add_serial_options(command, without=("baudrate", "parity"))
+    group.add_argument(
+        *("-b", "--baudrate", "--baudrates"),
+        dest="baudrates",
+        type=_baudrates,
+        metavar="LIST",
+        help=f"baud rates to try ({','.join(map(str, BAUDRATES))})",
+    )
+    group.add_argument(
+        *("-p", "--parity", "--parities"),
+        dest="parities",
+        type=_parities,
+        metavar="LIST",
+        help=f"parities to try, such as none,even ({','.join(PARITIES)}); none is tried with 2"
+        " stop bits, which finds devices with 1 stop bit too",
+    )
     arguments.add_security_options(command)
     command.set_defaults(run=_scan)
 
 
 # --- what is typed ---------------------------------------------------------------------
-
-
-def _units(text: str) -> list[int]:
-    try:
-        return units_of(text)
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(str(error)) from None
 
 
 def _baudrates(text: str) -> list[int]:
@@ -107,11 +97,11 @@ def _baudrates(text: str) -> list[int]:
 
 
 def _parities(text: str) -> list[str]:
-    parts = [part.strip().upper() for part in text.split(",")]
+    parts = [part.strip() for part in text.split(",")]
     for part in parts:
-        if part not in PARITIES:
-            raise argparse.ArgumentTypeError(f"{part!r} must be one of {', '.join(PARITIES)}")
-    return parts
+        if part.lower() not in WORDS_OF_PARITY:
+            raise argparse.ArgumentTypeError(f"{part!r} must be none, even or odd")
+    return [WORDS_OF_PARITY[part.lower()] for part in parts]
 
 
 # --- the scan --------------------------------------------------------------------------

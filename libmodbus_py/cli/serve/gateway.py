@@ -48,7 +48,7 @@ ROUTE = "[UNITS[:DEVICE_UNITS]=]URL"
 EXAMPLES = """\
 examples:
   libmodbus-py gateway tcp://0.0.0.0:502 --to rtu:///dev/ttyUSB0
-  libmodbus-py gateway tcp://127.0.0.1:1502 --to 1-10=rtu:///dev/ttyUSB0 -b 9600 -p none
+  libmodbus-py gateway 127.0.0.1:1502 --to /dev/ttyUSB0 -b 9600 -p none -u 1-10
   libmodbus-py gateway tcp://0.0.0.0:502 --to 1-10=tcp://192.0.2.10 --to 11:1=tcp://192.0.2.11
   libmodbus-py gateway --config gateway.toml --metrics 127.0.0.1:9400"""
 
@@ -72,15 +72,15 @@ def add_command(commands: Any) -> None:
         metavar=ROUTE,
         help="forward requests to these units, or to all, to this URL; may be repeated",
     )
+    arguments.add_units(command, "units of each --to that names none, such as 1-10,17 (all)")
     command.add_argument("--config", metavar="FILE", help="read routes and options from a file")
     metrics.add_argument(command)
     page.add_argument(command, "lines, units and clients")
     arguments.add_verbose(command)
     logs.add_arguments(command)
     _add_options(command)
-    arguments.add_client_options(
-        command, "requests to the devices", without=("unit", "native"), defaults=_of_clients
-    )
+    group = command.add_argument_group("requests to the devices")
+    arguments.add_client_options(group, without=("unit", "native"), defaults=_of_clients)
     limits.add_arguments(command)
     audit.add_arguments(command)
     arguments.add_serial_options(command)
@@ -133,7 +133,9 @@ def _gateway_logged(options: argparse.Namespace, hangup: Hangup) -> int:
     if file is not None and (typed := arguments.given(options, OF_DEVICES)):
         name = arguments.flag(next(iter(typed)))
         raise ValueError(f"{name} needs --to: {options.config} has its own options of requests")
-    routes = [parse_route(text) for text in options.to or ()]
+    if file is not None and options.units:
+        raise ValueError(f"--units needs --to: {options.config} has its own units")
+    routes = [parse_route(text, options.units) for text in options.to or ()]
     urls, routes = _overridden(urls, routes, options)
     hooks: dict[str, Any] = {"trace": print_frame if options.verbose else None}
     if bounds := limits.limits_of(options):

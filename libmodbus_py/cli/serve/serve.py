@@ -34,10 +34,10 @@ EXAMPLE_URL = "tcp://127.0.0.1:1502"
 
 EXAMPLES = """\
 examples:
-  libmodbus-py serve tcp://127.0.0.1:1502
+  libmodbus-py serve 127.0.0.1:1502 -u 1-10
   libmodbus-py serve tcp://0.0.0.0:502 --device plant.toml --reload --page
   libmodbus-py serve --example meter
-  libmodbus-py serve rtu:///dev/ttyUSB0 -b 9600 -p none --device plant.toml"""
+  libmodbus-py serve /dev/ttyUSB0 -b 9600 -p none --device plant.toml"""
 
 
 def add_command(commands: Any) -> None:
@@ -64,6 +64,9 @@ def add_command(commands: Any) -> None:
         nargs="?",
         const="",
         help="serve a device file of the package; without NAME, list them",
+    )
+    arguments.add_units(
+        command, "without --device and --example: units that exist, such as 1-10,17 (all)"
     )
     command.add_argument(
         "--reload",
@@ -111,8 +114,11 @@ def _serve_logged(options: argparse.Namespace, hangup: Hangup) -> int:
     urls = [each.url for each in with_options(urls, options, OF_SERVERS)]
     if options.reload and path is None:
         raise ValueError("--reload needs --device or --example")
+    if options.units and path is not None:
+        raise ValueError(f"--units cannot be given with {path}, which has its own units")
     simulation = None if path is None else device_file.load(path)
-    devices, faults = simulation or (_everything(), None)
+    units = {unit: _everything() for unit in options.units or ()}
+    devices, faults = simulation or (units or _everything(), None)
     with audit.audited(options) as (trail, on_hangup):
         server = Server(
             devices,

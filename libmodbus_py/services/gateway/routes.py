@@ -147,18 +147,21 @@ def units_of(name: str, given: object, *, distinct: bool = True) -> list[int]:
     return found
 
 
-def parse_route(text: str) -> Route:
+def parse_route(text: str, units: Iterable[int] | None = None) -> Route:
     """
     Read a route of a command line: a URL, or ``UNITS=URL``, or ``UNITS:DEVICE_UNITS=URL``.
+
+    Args:
+        units: those of a URL alone; None for all.
 
     Raises:
         ValueError: the text is not a valid route.
     """
     before, equals, url = text.partition("=")
-    if not equals or "://" in before:
-        return Route(text)
-    units, colon, device_units = before.partition(":")
-    return Route(url, units, device_units if colon else None)
+    if not equals or "://" in before or "?" in before:
+        return Route(text, units)
+    typed, colon, device_units = before.partition(":")
+    return Route(url, typed, device_units if colon else None)
 
 
 def by_unit(routes: Iterable[Route], name: str = "routes") -> dict[int, Route]:

@@ -1,0 +1,131 @@
+"""
+The same words on every command, and what is said about words that a command does not know.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from libmodbus_py import Client, Device, Mapping, Server
+from libmodbus_py.cli.commands import parser_of
+from tests.support.cases import each_case
+from tests.support.commands import Started, run
+
+DECODED = Path(__file__).parents[1] / "tools" / "listener" / "decoded.pcapng"
+
+SERIAL = ["-b", "-p", "-d", "-s", "--echo", "--rs485"]
+OF_CLIENTS = ["--timeout", "--retries"]
+OF_TLS = ["--cert", "--key", "--ca", "--pin"]
+
+
+def known(command: str, action: str = "") -> set[str]:
+    parser = parser_of(command)
+    if action:
+        (nested,) = (each for each in parser._actions if each.nargs == argparse.PARSER)
+        parser = dict(nested.choices or {})[action]
+    return set(parser._option_string_actions)
+
+
+@each_case(
+    ("command", "action", "words"),
+    [
+        *((name, "", [*SERIAL, *OF_CLIENTS, *OF_TLS, "-u"]) for name in ("read", "write", "scan")),
+        *((name, "", [*SERIAL, *OF_CLIENTS, *OF_TLS, "-u"]) for name in ("identify", "diagnose")),
+        *((name, "", [*SERIAL, *OF_CLIENTS, *OF_TLS, "-u"]) for name in ("raw", "gateway")),
+        ("map", "from-device", [*SERIAL, *OF_CLIENTS, *OF_TLS, "-u"]),
+        ("map", "check", [*SERIAL, *OF_CLIENTS, *OF_TLS, "-u"]),
+        ("serve", "", [*SERIAL, *OF_TLS, "-u"]),
+        ("listen", "", [*SERIAL, "-u"]),
+    ],
+)
+def test_the_same_words(command: str, action: str, words: list[str]) -> None:
+    assert set(words) <= known(command, action)
+
+
+@pytest.fixture
+def url() -> Iterator[str]:
+    devices = {unit: Device(Mapping(holding_registers=20)) for unit in (1, 2, 17)}
+    with Server(devices).background("tcp://127.0.0.1:0") as running:
+        yield running.urls[0]
+
+
+@each_case("word", ["-u", "--unit", "--units"])
+def test_scan_takes_the_words_of_read(url: str, word: str) -> None:
+    found = json.loads(run("scan", url.removeprefix("tcp://"), word, "2,3,17", "--json").out)
+    assert [each["unit"] for each in found["found"]] == [2, 17]
+
+
+@each_case(
+    ("words", "probes"),
+    [
+        (["-b", "9600", "-p", "none", "-u", "1"], "1 probe"),
+        (["-b", "9600,19200", "-p", "none,Even,O", "-u", "1-2"], "12 probes"),
+        (["--baudrate", "9600", "--parity", "n,N,none", "--unit", "1"], "1 probe"),
+        (["--baudrates", "9600", "--parities", "E,N", "--units", "1"], "2 probes"),
+    ],
+)
+def test_scan_of_a_line_takes_them(words: list[str], probes: str) -> None:
+    assert run("scan", "/dev/no-such", *words).err.startswith(probes)
+
+
+def test_serve_has_the_units_that_were_typed() -> None:
+    with Started("serve", "127.0.0.1:0", "-u", "3,5-6") as process:
+        url = process.stdout.readline().removeprefix("listening on ").strip()
+        with Client(url, timeout=5) as plc:
+            plc.for_unit(3).write_register(0, 7)
+            assert plc.for_unit(6).read_holding_registers(0, 1) == [0]
+        assert run("read", url, "-u", "4", "hr", 0).code == 1
+        process.terminate()
+        assert process.wait() == 0
+
+
+def test_a_gateway_has_the_units_that_were_typed(url: str) -> None:
+    to = url.removeprefix("tcp://")
+    with Started("gateway", "127.0.0.1:0", "--to", to, "-u", "2") as process:
+        place = process.stdout.readline().removeprefix("listening on ").strip()
+        assert run("read", place, "-u", "2", "hr", 0).code == 0
+        done = run("read", place, "-u", "1", "hr", 0)
+        assert "gateway path unavailable (exception 10)" in done.err
+        process.terminate()
+        assert process.wait() == 0
+
+
+def test_listen_prints_the_units_that_were_typed() -> None:
+    everything = [json.loads(line) for line in run("listen", DECODED, "--json").out.splitlines()]
+    units = {each.get("unit") for each in everything[:-1]}
+    unit = min(each for each in units if each is not None)
+    assert len(units) > 1
+    some = [
+        json.loads(line) for line in run("listen", DECODED, "-u", unit, "--json").out.splitlines()
+    ]
+    assert some[:-1] == [each for each in everything[:-1] if each["unit"] == unit]
+
+
+@each_case(
+    ("words", "said"),
+    [
+        ("reed 127.0.0.1", "there is no command 'reed'; did you mean read?"),
+        ("map chek x", "there is no command 'chek'; did you mean check?"),
+        ("read h hr 0 --ordr CDAB", "unrecognized arguments: --ordr CDAB; did you mean --order?"),
+        ("map check x --devce h", "unrecognized arguments: --devce h; did you mean --device?"),
+        ("read h holdng 0", "did you mean holding?"),
+        ("read h hr 0 --type flaot32", "did you mean float32"),
+        ("serve h --unknown-unit refus", "not 'refus'; did you mean refuse?"),
+        ("listen /dev/x --timeout 3", "--timeout 3; listen sends nothing"),
+        ("serve h --retries 3", "--retries 3; serve sends no requests"),
+        ("serve h --device x -u 3", "--units cannot be given with x"),
+        ("gateway --config x -u 3", "x: No such file"),
+        ("gateway h --to 1-x=192.0.2.1", "'1-x' must be a unit"),
+        ("scan h -p even,mark", "'mark' must be none, even or odd"),
+    ],
+)
+def test_only_the_word_that_is_wrong_is_blamed(words: str, said: str) -> None:
+    done = run(*words.split())
+    assert done.code in (1, 2)
+    assert said in done.err
+    assert done.err.count("\n") == 1
