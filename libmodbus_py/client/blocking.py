@@ -4,6 +4,7 @@ The blocking client: a context for each kind of endpoint.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, TypeVar, Unpack, overload
 
@@ -295,7 +296,8 @@ class TcpContext(Context, schemes=("tcp", "rtu+tcp", "ascii+tcp")):
     A client over TCP.
 
     Args:
-        host: a name with all its addresses, an IPv4 or an IPv6 address.
+        host: a name with all its addresses, an IPv4 or an IPv6 address; the port may be in it, as
+            in "192.0.2.1:1502".
         port: 1..65535.
         framing: "tcp" (MBAP); "rtu" or "ascii" for such a line behind a
             serial device server.
@@ -313,7 +315,7 @@ class TcpContext(Context, schemes=("tcp", "rtu+tcp", "ascii+tcp")):
         if framing not in ("tcp", "rtu", "ascii"):
             raise ValueError(f"framing must be one of tcp, rtu, ascii, not {framing!r}")
         scheme = framing if framing == "tcp" else f"{framing}+tcp"
-        super().__init__(_endpoint(scheme, host=host, port=port), options)
+        super().__init__(_at(scheme, host, port, DEFAULT_PORT), options)
 
 
 class TlsContext(Context, schemes=("tls",)):
@@ -325,7 +327,8 @@ class TlsContext(Context, schemes=("tls",)):
     speaks TLS 1.3.
 
     Args:
-        host: a name with all its addresses, an IPv4 or an IPv6 address.
+        host: a name with all its addresses, an IPv4 or an IPv6 address; the port may be in it, as
+            in "192.0.2.1:1502".
         port: 1..65535.
         options: `security`, which it needs, `unit`, `timeout` and others; see
             `client.options.ContextOptions`.
@@ -334,7 +337,7 @@ class TlsContext(Context, schemes=("tls",)):
     def __init__(
         self, host: str, port: int = SECURE_PORT, **options: Unpack[ContextOptions]
     ) -> None:
-        super().__init__(_endpoint("tls", host=host, port=port), options)
+        super().__init__(_at("tls", host, port, SECURE_PORT), options)
 
 
 class UdpContext(Context, schemes=("udp", "rtu+udp")):
@@ -346,7 +349,7 @@ class UdpContext(Context, schemes=("udp", "rtu+udp")):
     Damaged datagrams and those of other hosts do not end the wait.
 
     Args:
-        host: a name, an IPv4 or an IPv6 address.
+        host: a name, an IPv4 or an IPv6 address; the port may be in it, as in "192.0.2.1:1502".
         port: 1..65535.
         options: `unit`, `timeout` and others; see `client.options.ContextOptions`.
     """
@@ -354,7 +357,7 @@ class UdpContext(Context, schemes=("udp", "rtu+udp")):
     def __init__(
         self, host: str, port: int = DEFAULT_PORT, **options: Unpack[ContextOptions]
     ) -> None:
-        super().__init__(_endpoint("udp", host=host, port=port), options)
+        super().__init__(_at("udp", host, port, DEFAULT_PORT), options)
 
 
 class RtuContext(Context, schemes=("rtu",)):
@@ -410,6 +413,24 @@ def _split(options: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
     if isinstance(parity := settings.get("parity"), str):
         settings["parity"] = PARITIES.get(parity.lower(), parity)
     return settings, others
+
+
+def _at(scheme: Any, host: str, port: int, usual: int) -> Endpoint:
+    """
+    Return an endpoint of a network; a host such as 192.0.2.1:1502 or [::1]:1502 contains its port.
+
+    Raises:
+        ValueError: the host is a URL, or two ports are given.
+    """
+    if isinstance(host, str) and (":" in host or "/" in host):
+        if "/" in host:
+            raise ValueError(f"host must be a name or an address, not {host!r}; Client takes URLs")
+        if found := re.fullmatch(r"\[([^\]]+)\](?::([0-9]{1,5}))?|([^:]+):([0-9]{1,5})", host):
+            text = found[2] or found[4]
+            if text is not None and port not in (usual, int(text)):
+                raise ValueError(f"host {host!r} contains another port than {port}")
+            host, port = found[1] or found[3], port if text is None else int(text)
+    return _endpoint(scheme, host=host, port=port)
 
 
 def _endpoint(scheme: Any, **where: Any) -> Endpoint:

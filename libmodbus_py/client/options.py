@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypedDict
 from ..ports.endpoint import Endpoint
 from ..ports.making import make_port
 from ..ports.port import Port
+from ..ports.schemes import SERIAL_OPTIONS, unknown_option
 from ..ports.trace import OnTraced, Trace
 from ..protocol.callbacks import checked_callback
 from ..protocol.checks import integer, seconds
@@ -195,7 +196,8 @@ class CheckedOptions:
         known = [name for name in names if name not in OF_ONE_KIND or name in usual]
         for name in options:
             if name not in known:
-                raise TypeError(f"{name!r} must be one of {', '.join(known)}")
+                serial = SERIAL_OPTIONS if endpoint.is_serial and "native" in usual else ()
+                raise unknown_option(name, [*known, *serial])
         return cls(**{**usual, **endpoint.client_options, **options})
 
     @property

@@ -21,7 +21,7 @@ from ..protocol.pauses import pause_between_frames
 from ..protocol.returned import AwaitedEcho
 from ..system import has_transmission_time, set_odd_baudrate
 from .port import Port, Silence, lost
-from .schemes import SERIAL_DEFAULTS, character_bits, parity_of
+from .schemes import SERIAL_DEFAULTS, character_bits, parity_of, unknown_option
 from .waiting import Steps, of_system
 
 if TYPE_CHECKING:
@@ -109,7 +109,7 @@ class SerialPort(Port):
             raise ValueError(f"device must be the path of a serial port, not {device!r}")
         unknown = settings.keys() - SerialSettings.__annotations__.keys()
         if unknown:
-            raise TypeError(f"{min(unknown)!r} is no setting of a serial port")
+            raise unknown_option(min(unknown), [*SerialSettings.__annotations__])
         self.device = device
         self._take(settings)
         self._echo = AwaitedEcho(b"")

@@ -1,0 +1,93 @@
+"""
+Options by the names of other packages, and hosts that contain a port.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from libmodbus_py import (
+    AsciiContext,
+    AsyncClient,
+    Client,
+    Context,
+    RtuContext,
+    TcpContext,
+    UdpContext,
+)
+from libmodbus_py.ports.serial import SerialPort
+from tests.support.cases import each_case
+
+LINE, HOST = "/dev/ttyUSB0", "192.0.2.1"
+
+
+@each_case(
+    ("make", "option", "meant"),
+    [
+        *((make, "stopbits", "stop_bits") for make in (RtuContext, AsciiContext, SerialPort)),
+        *((make, "bytesize", "data_bits") for make in (RtuContext, Client, Context.from_url)),
+        *((make, "stopbit", "stop_bits") for make in (RtuContext, Client, SerialPort)),
+        (SerialPort, "baud", "baudrate"),
+        (Client, "baud_rate", "baudrate"),
+        (RtuContext, "slave", "unit"),
+        (RtuContext, "timout", "timeout"),
+        (RtuContext, "handle_local_echo", "echo"),
+    ],
+)
+def test_serial_lines(make: Any, option: str, meant: str) -> None:
+    with pytest.raises(TypeError, match=f"'{option}' must be one of .*; did you mean {meant}"):
+        make(LINE, **{option: 1})
+
+
+@each_case(
+    ("make", "option", "meant"),
+    [
+        *((make, "device_id", "unit") for make in (TcpContext, UdpContext, Client, AsyncClient)),
+        *((make, "retry", "retries") for make in (TcpContext, AsyncClient, Context.from_url)),
+        *((make, "time_out", "timeout") for make in (TcpContext, Client, AsyncClient)),
+    ],
+)
+def test_networks(make: Any, option: str, meant: str) -> None:
+    with pytest.raises(TypeError, match=f"'{option}' must be one of .*; did you mean {meant}"):
+        make(HOST, **{option: 1})
+
+
+def test_an_option_that_nothing_is_like() -> None:
+    with pytest.raises(TypeError, match=r"'colour' must be one of .*native$"):
+        TcpContext(HOST, colour=1)  # type: ignore[call-arg]
+
+
+@each_case(
+    ("host", "port", "url"),
+    [
+        ("192.0.2.1:1502", None, "192.0.2.1:1502"),
+        ("plc.example:1502", 1502, "plc.example:1502"),
+        ("[::1]:1502", None, "[::1]:1502"),
+        ("[::1]", 1502, "[::1]:1502"),
+        ("::1", 1502, "[::1]:1502"),
+        ("fe80::1", 7, "[fe80::1]:7"),
+        ("plc", 7, "plc:7"),
+    ],
+)
+def test_a_host_may_contain_its_port(host: str, port: int | None, url: str) -> None:
+    for kind, scheme in ((TcpContext, "tcp"), (UdpContext, "udp")):
+        made: Any = kind(host) if port is None else kind(host, port)
+        assert made.url == f"{scheme}://{url}"
+        made.close()
+
+
+@each_case(
+    ("host", "port", "message"),
+    [
+        ("192.0.2.1:1502", 1503, "host '192.0.2.1:1502' contains another port than 1503"),
+        ("tcp://192.0.2.1", 502, "host must be a name or an address, .*; Client takes URLs"),
+        ("/dev/ttyUSB0", 502, "host must be a name or an address"),
+        ("192.0.2.1:99999", 502, "port must be in"),
+    ],
+)
+def test_hosts_that_cannot_be(host: str, port: int, message: str) -> None:
+    for kind in (TcpContext, UdpContext):
+        with pytest.raises(ValueError, match=message):
+            kind(host, port)
