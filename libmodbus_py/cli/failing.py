@@ -7,10 +7,10 @@ from __future__ import annotations
 import contextlib
 import os
 
-from ..protocol.errors import ModbusError
+from ..protocol.errors import NO_UNIT, ModbusError, ModbusTimeoutError
 from . import output
 
-__all__ = ["CommandError", "failed"]
+__all__ = ["CommandError", "advice", "failed"]
 
 
 class CommandError(Exception):
@@ -28,8 +28,19 @@ def failed(error: Exception) -> int:
     return 1
 
 
+def advice(error: ModbusError) -> str:
+    """Return what to try after a failure; empty if nothing is known that would help."""
+    is_silent = isinstance(error, ModbusTimeoutError) and not error.received
+    if not error.endpoint or not (is_silent or isinstance(error, NO_UNIT)):
+        return ""
+    place = error.endpoint.removeprefix("tcp://").removesuffix(":502").removeprefix("rtu://")
+    return f"; {output.PROGRAM} scan {place.partition('?')[0]} finds the units that answer"
+
+
 def _line(error: Exception) -> str:
-    if isinstance(error, ModbusError | CommandError | ImportError):
+    if isinstance(error, ModbusError):
+        text = f"{error}{advice(error)}"
+    elif isinstance(error, CommandError | ImportError):
         text = str(error)
     elif isinstance(error, OSError):
         text = f"{error.filename or 'standard output'}: {error.strerror or error}"

@@ -31,7 +31,7 @@ from ..protocol.errors import (
 )
 from .batch import Batch, Pending, Reply
 from .capacity import Capacity, Lost
-from .hints import explain
+from .hints import explain, explain_end
 from .matching import Matching, Replies
 from .reconnecting import Reconnecting, State
 from .statistics import Statistics, result_of
@@ -440,6 +440,9 @@ class Conversation:
 
     def lost(self, error: ModbusConnectionError, now: float, *, by_itself: bool = True) -> None:
         """The connection ended: requests in flight fail, the queue waits for the next one."""
+        if by_itself and self.connection.fruitless and self.in_flight:
+            hint = explain_end(self._scheme, error.errno)
+            error.args = (f"{error.args[0]}; {hint}",) if hint else error.args
         try:
             self.connection.lost(error, now, by_itself=by_itself)
         finally:
@@ -549,7 +552,11 @@ class Conversation:
         if index is not None:
             request = batch.requests[index]
             error.function, error.asked = request.function, str(request)
-        if error.received and sent and isinstance(error, FrameError | ModbusTimeoutError):
+        if (
+            error.received
+            and sent
+            and isinstance(error, FrameError | ModbusTimeoutError | ModbusConnectionError)
+        ):
             hint = explain(self._scheme, sent, error.received)
             error.args = (f"{error.args[0]}; {hint}",) if hint else error.args
         return error

@@ -4,11 +4,15 @@ Likely causes of bytes that are no answer: the usual mistakes, recognised by the
 
 from __future__ import annotations
 
+import errno
 import re
 
 from ..protocol.framing import crc16
 
-__all__ = ["explain"]
+__all__ = ["explain", "explain_end"]
+
+PLAIN = ("tcp", "rtu+tcp", "ascii+tcp")
+"""The schemes of connections without TLS."""
 
 ASCII_FRAME = rb":[0-9A-Fa-f]{6}"
 
@@ -23,6 +27,8 @@ def explain(scheme: str, sent: bytes, received: bytes) -> str:
         received: the bytes that came and were no answer.
     """
     framing = scheme.partition("+")[0]
+    if scheme in PLAIN and _looks_tls(received):
+        return "this looks like tls://"
     if framing in ("rtu", "ascii") and received.startswith(sent):
         return "the request itself came back; echo=True?"
     for looks_so, other in _LOOKS.items():
@@ -32,6 +38,23 @@ def explain(scheme: str, sent: bytes, received: bytes) -> str:
     if scheme == "rtu" and not _has_start(sent, received):
         return "only noise; baud rate, parity, A and B swapped?"
     return ""
+
+
+def explain_end(scheme: str, number: int | None) -> str:
+    """
+    Return what may be wrong where a connection ends before anything was answered over it.
+
+    Args:
+        scheme: of the endpoint's URL.
+        number: the number of the error, or None.
+    """
+    is_ended = number in (errno.ECONNRESET, errno.EPIPE)
+    return "nothing was answered yet; does it want tls://?" if scheme in PLAIN and is_ended else ""
+
+
+def _looks_tls(data: bytes) -> bool:
+    """The header of a record of TLS (RFC 8446, 5.1)."""
+    return len(data) >= 5 and data[0] in range(20, 24) and data[1] == 3 and data[2] <= 4
 
 
 def _looks_ascii(data: bytes) -> bool:

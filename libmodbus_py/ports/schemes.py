@@ -198,7 +198,9 @@ OTHER_SPELLINGS = {
     **dict.fromkeys(("baud", "baud_rate", "speed", "bps"), "baudrate"),
     **dict.fromkeys(("stopbits", "stop"), "stop_bits"),
     **dict.fromkeys(("bytesize", "databits", "byte_size"), "data_bits"),
-    **dict.fromkeys(("slave", "slave_id", "device_id", "unit_id", "dev_id", "slaveaddress"), "unit"),
+    **dict.fromkeys(
+        ("slave", "slave_id", "device_id", "unit_id", "dev_id", "slaveaddress"), "unit"
+    ),
     **dict.fromkeys(("timeout_s", "response_timeout", "read_timeout"), "timeout"),
     **dict.fromkeys(("retry", "retry_count", "tries"), "retries"),
     **dict.fromkeys(("handle_local_echo", "local_echo"), "echo"),

@@ -177,7 +177,9 @@ class TlsPort(TcpPort):
         return ModbusConnectionError(text, errno=KEY_REJECTED)
 
     def _unfinished(self, error: OSError) -> ModbusConnectionError:
-        reason = f"no TLS handshake with {self}: {error.strerror or error}"
+        is_ended = error.errno in (errno.ECONNRESET, errno.ETIMEDOUT)
+        hint = "; does it speak TLS, or is it tcp://?" if is_ended else ""
+        reason = f"no TLS handshake with {self}: {error.strerror or error}{hint}"
         return ModbusConnectionError(reason, errno=error.errno)
 
     def _because(self, error: ssl.SSLError) -> ModbusConnectionError:

@@ -9,7 +9,7 @@ import ssl
 __all__ = ["in_words"]
 
 MEANINGS = {
-    "WRONG_VERSION_NUMBER": "what answers there is no TLS",
+    "WRONG_VERSION_NUMBER": "what answers there is no TLS; is it tcp://?",
     "UNSUPPORTED_PROTOCOL": "it speaks no TLS 1.2 or newer",
     "TLSV1_ALERT_PROTOCOL_VERSION": "it speaks no TLS 1.2 or newer",
     "SSLV3_ALERT_HANDSHAKE_FAILURE": "handshake failure: no cipher in common?",

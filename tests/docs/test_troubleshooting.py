@@ -45,7 +45,7 @@ RTU: dict[str, Came] = {
 }
 ASCII: dict[str, Came] = {"this looks like rtu://": lambda request: GOOD}
 TCP: dict[str, Came | None] = {
-    "closed by the other side": None,
+    "closed by the other side; nothing was answered yet; does it want tls://?": None,
     "this looks like rtu+tcp://": lambda request: GOOD,
     "header with length 12081, not 2..254": lambda request: b"HTTP/1.1 400 Bad Request\r\n\r\n",
     'unit 255 answered; accept_unit="any" would take it': (

@@ -22,14 +22,14 @@ from ...protocol.errors import (
     ModbusError,
 )
 from ..connecting import connected, endpoint_of
-from ..failing import CommandError
+from ..failing import CommandError, advice
 from ..output import complain, print_json
 from ..status import Status
 from .formatters import Formatter, ReadResult, aligned, formatter_of
 from .item_plan import Cells, ItemPlan
 from .items import ALL, Item, Words
 
-__all__ = ["Printer", "Reader", "object_of", "read", "readers_of"]
+__all__ = ["Printer", "Reader", "object_of", "read", "readers_of", "reason_of"]
 
 STATUS_AFTER = 1.0
 """Seconds until a status line is shown."""
@@ -155,7 +155,7 @@ def _read_unit(reader: Reader, context: Context, printer: Printer, *, several: b
     except (ModbusError, CommandError) as error:
         if not several or isinstance(error, ModbusConnectionError):
             raise
-        printer.fail(reader.unit, str(error))
+        printer.fail(reader.unit, reason_of(error))
         return 1
     printer.print(reader.unit, results)
     return _say_failures(results)
@@ -168,6 +168,11 @@ def _printer(options: argparse.Namespace, readers: Sequence[Reader]) -> Printer:
 
         return CsvPolls(readers[0].formatters, has_unit=several)
     return _JsonOnce() if options.json else _TextOnce(has_unit=several)
+
+
+def reason_of(error: ModbusError | CommandError) -> str:
+    """Return why a unit has no values, and what to try."""
+    return f"{error}{advice(error)}" if isinstance(error, ModbusError) else str(error)
 
 
 class Printer(Protocol):
@@ -236,7 +241,8 @@ def _result(formatter: Formatter, cells: Cells) -> ReadResult:
 
 
 def _reason(error: ModbusError, item: Item) -> str:
-    return f"{error}{item.hint}" if isinstance(error, IllegalDataAddress) else str(error)
+    hint = item.hint if isinstance(error, IllegalDataAddress) else advice(error)
+    return f"{error}{hint}"
 
 
 def object_of(unit: int, results: Sequence[ReadResult]) -> dict[str, Any]:

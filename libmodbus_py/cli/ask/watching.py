@@ -15,7 +15,7 @@ from ...protocol.errors import ModbusError
 from ..connecting import connected
 from ..failing import CommandError
 from .lines import CsvPolls, JsonPolls, TextPolls
-from .reading import Printer, Reader, object_of, readers_of
+from .reading import Printer, Reader, object_of, readers_of, reason_of
 from .table import TerminalTable
 
 __all__ = ["watch"]
@@ -51,7 +51,7 @@ def _poll(reader: Reader, context: Any, shown: Printer) -> bool:
     try:
         results = reader.ask(context)
     except (ModbusError, CommandError) as error:
-        shown.fail(reader.unit, str(error))
+        shown.fail(reader.unit, reason_of(error))
         return False
     shown.print(reader.unit, results)
     return True
