@@ -229,3 +229,35 @@ def test_the_picture_of_the_first_page_is_a_session() -> None:
     assert "<title>libmodbus-py read tcp://127.0.0.1:1502 --map meter --watch 1</title>" in picture
     for text in ("voltage", "kWh", "frequency"):
         assert text in picture
+
+
+DIAGRAMS = sorted((ROOT / "docs" / "diagrams").glob("*.txt"))
+
+
+def test_the_diagrams_are_what_their_texts_say() -> None:
+    """python packaging/docs/diagrams.py docs/diagrams draws them again."""
+    diagrams = loaded("diagrams")
+    assert len(DIAGRAMS) >= 4
+    for path in DIAGRAMS:
+        assert path.with_suffix(".svg").read_text() == diagrams.drawn(
+            diagrams.read(path.read_text())
+        )
+    pages = "".join(path.read_text() for path in DOCUMENTS)
+    assert [path.stem for path in DIAGRAMS if f"diagrams/{path.stem}.svg" not in pages] == []
+
+
+def test_a_diagram_shows_its_boxes_and_lines() -> None:
+    diagrams = loaded("diagrams")
+    text = "title: T & U\ncolumn: a / small; b\ncolumn: c\na -- c: x\nc -- b\n"
+    picture = diagrams.drawn(diagrams.read(text))
+    assert "<title>T &amp; U</title>" in picture
+    assert re.findall(r">([^<>\n]+)</text>", picture) == ["x", "a", "small", "b", "c"]
+    assert picture.count("<line ") == 2
+
+
+@pytest.mark.parametrize(
+    ("text", "message"), [("column: a\na -- b\n", "'b' is in no column"), ("a b", "'a b': neither")]
+)
+def test_a_mistake_in_the_text_of_a_diagram_is_named(text: str, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        loaded("diagrams").read(text)
