@@ -9,6 +9,7 @@ Files that describe devices, gateways and fleets, and register maps: readers and
     file_error   what is wrong in a file: its place, the path of the key, the reason
     toml_text    TOML within bounds: its size, its depth, its numbers and texts
     toml_lines   the line of a key in a TOML document
+    amounts      times and sizes with their units: "90 days", "2 GB"
     csv_text     CSV: headings, rows, cells
     roles        rights of roles in certificates
     maps         register maps
