@@ -12,6 +12,7 @@ From the fleet file to the wire, and back::
         poller     ... one device: its next request, and the outcome of the last one
     readings       values of devices, and the choice of those that are reported: Reading
     buffer         readings that wait for an output; the oldest are dropped if there are too many
+    journal        readings on the disk, a folder of its own
     outputs        the destinations of readings, a folder of its own
     commands       writes to named points that are received over an output
     levels         names of devices and points as levels of subjects and topics

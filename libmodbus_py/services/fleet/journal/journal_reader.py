@@ -1,0 +1,215 @@
+"""
+What a journal contains, read while it is being written. These functions block.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import sqlite3
+from collections.abc import Iterable, Iterator
+from heapq import merge
+from itertools import chain, groupby, islice
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from ....protocol.checks import integer
+from ....protocol.logs import HarmlessLogger
+from .errors import raised
+from .polls import JournalPoll, Points, Row, decoded
+
+__all__ = ["HistoricalValue", "JournalReader", "history", "thinned"]
+
+logger: HarmlessLogger = HarmlessLogger(__name__)
+
+# Milliseconds to wait for a lock; readers need one only while a journal is opened or closed.
+BUSY = 2000
+
+POLLS = f"SELECT {', '.join(Row._fields)} FROM poll WHERE id > ? ORDER BY id"
+
+POINTS = "SELECT device, name, unit FROM point WHERE points = ? ORDER BY id"
+
+POSITIONS = """
+SELECT point.device, point.points, point.id - point.points
+  FROM device JOIN point ON point.device = device.id
+ WHERE device.name = ? AND point.name = ?
+"""
+
+# The value is extracted by SQLite, which is faster, unless the position differs in each row.
+VALUES = """
+SELECT time,
+       CASE WHEN chosen IS NULL THEN json_extract(data, ?) END,
+       CASE WHEN chosen IS NULL THEN json_extract(trouble, ?) END,
+       chosen,
+       CASE WHEN chosen IS NOT NULL THEN data END,
+       CASE WHEN chosen IS NOT NULL THEN trouble END
+  FROM poll
+ WHERE device = ? AND time BETWEEN ? AND ? AND points = ?
+ ORDER BY time
+"""
+
+
+class HistoricalValue(NamedTuple):
+    """
+    A value of a point in the past.
+
+    Attributes:
+        time: seconds since the epoch.
+        value: the value; True and False are 1 and 0, a list or an object is text in JSON. None
+            unless the quality is "good".
+        quality: as of `Reading`.
+    """
+
+    time: float
+    value: Any
+    quality: str
+
+
+def _connected(path: str) -> sqlite3.Connection:
+    place = f"{Path(path).absolute().as_uri()}?mode=ro"
+    database = sqlite3.connect(place, uri=True, isolation_level=None, check_same_thread=False)
+    database.execute(f"PRAGMA busy_timeout = {BUSY}")
+    return database
+
+
+class JournalReader:
+    """
+    Reads polls for outputs that are behind; one thread at a time calls its methods.
+
+    Args:
+        path: the path of the journal.
+    """
+
+    def __init__(self, path: str) -> None:
+        self._path = path
+        self._database: sqlite3.Connection | None = None
+        self._points: dict[int, tuple[str, Points]] = {}
+
+    def read(self, after: int, most: int) -> list[JournalPoll]:
+        """
+        Return the polls behind an id, at least one if there is one, with at most so many readings.
+
+        A damaged row is left out.
+
+        Raises:
+            JournalError: the journal cannot be read.
+        """
+        with raised(self._path):
+            if self._database is None:
+                self._database = _connected(self._path)
+            found: list[JournalPoll] = []
+            count = 0
+            with contextlib.closing(self._database.execute(POLLS, (after,))) as rows:
+                for row in map(Row._make, rows):
+                    count += row.readings
+                    if found and count > most:
+                        break
+                    if (poll := self._decoded(row)) is not None:
+                        found.append(poll)
+            return found
+
+    def _decoded(self, row: Row) -> JournalPoll | None:
+        try:
+            if row.points not in self._points:
+                self._points[row.points] = self._points_of(row.points)
+            return decoded(row, *self._points[row.points])
+        except (AttributeError, LookupError, TypeError, ValueError, RecursionError) as error:
+            logger.error("%s: poll %s cannot be read: %s", self._path, row.id, error)
+            return None
+
+    def _points_of(self, number: int) -> tuple[str, Points]:
+        assert self._database is not None
+        points = self._database.execute(POINTS, (number,)).fetchall()
+        device = points[0][0]
+        [[name]] = self._database.execute("SELECT name FROM device WHERE id = ?", (device,))
+        _, names, units = zip(*points, strict=True)
+        return name, Points(number, device, names, units)
+
+    def close(self) -> None:
+        """Close the file, until `read` is called again."""
+        database, self._database = self._database, None
+        self._points = {}
+        if database is not None:
+            database.close()
+
+
+def history(
+    path: str, device: str, name: str, since: float, until: float, most: int = 1000
+) -> list[HistoricalValue]:
+    """
+    Return the values of a point from a journal, which may be in use; any thread may call this.
+
+    Args:
+        path: the path of the journal.
+        device, name: the names of the device and of the point.
+        since, until: the first and the last time, in seconds since the epoch.
+        most: the most values that are returned, 3..1000000, see `thinned`.
+
+    Returns:
+        The values in the order of their times; none if the journal has no such device or point.
+
+    Raises:
+        JournalError: the journal cannot be read.
+        TypeError, ValueError: `most` has the wrong type or range.
+    """
+    integer("most", most, 3, 1_000_000)
+    with raised(path), contextlib.closing(_connected(path)) as database:
+        positions = database.execute(POSITIONS, (device, name)).fetchall()
+        series = [_values(database, each, since, until) for each in positions]
+        return thinned(merge(*series, key=lambda each: each.time), since, until, most)
+
+
+def _values(
+    database: sqlite3.Connection, position: tuple[int, int, int], since: float, until: float
+) -> Iterator[HistoricalValue]:
+    device, points, at = position
+    paths = f"$[{at}]", f'$."{at}"[0]'
+    rows = database.execute(VALUES, (*paths, device, since, until, points))
+    for time, value, quality, chosen, data, trouble in rows:
+        if chosen is None:
+            yield HistoricalValue(time, value, quality or "good")
+        elif at in (positions := json.loads(chosen)):
+            place = positions.index(at)
+            known = json.loads(trouble) if trouble else {}
+            told = known.get(str(place), ["good"])[0]
+            yield HistoricalValue(time, json.loads(data)[place], told)
+
+
+def thinned(
+    values: Iterable[HistoricalValue], since: float, until: float, most: int
+) -> list[HistoricalValue]:
+    """
+    Return at most so many values: all, or of each of equal spans of time the smallest, the
+    greatest, and the first that is not good.
+
+    Args:
+        values: in the order of their times.
+        since, until: the first and the last time, in seconds since the epoch.
+        most: 3 or more.
+    """
+    values = iter(values)
+    whole = list(islice(values, most + 1))
+    if len(whole) <= most:
+        return whole
+    spans = most // 3
+    length = max(until - since, 1e-6) / spans
+    found: list[HistoricalValue] = []
+    for _, group in groupby(
+        chain(whole, values), lambda each: min(spans - 1, int((each.time - since) / length))
+    ):
+        found += _of_span(group)
+    return found
+
+
+def _of_span(group: Iterable[HistoricalValue]) -> list[HistoricalValue]:
+    smallest = greatest = bad = None
+    for at, each in enumerate(group):
+        if each.quality != "good" or not isinstance(each.value, int | float):
+            bad = bad or (at, each)
+            continue
+        if smallest is None or each.value < smallest[1].value:
+            smallest = (at, each)
+        if greatest is None or each.value >= greatest[1].value:
+            greatest = (at, each)
+    chosen = dict(each for each in (smallest, greatest, bad) if each is not None)
+    return [chosen[at] for at in sorted(chosen)]
