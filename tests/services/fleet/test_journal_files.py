@@ -1,0 +1,367 @@
+"""
+The file of a journal: what is written is read, by us and by a person with SQL, and what cannot be
+used is refused in one line.
+"""
+
+from __future__ import annotations
+
+import os
+import sqlite3
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from libmodbus_py.fleet import Reading
+from libmodbus_py.services.fleet.journal import journal_file
+from libmodbus_py.services.fleet.journal.errors import (
+    JournalDamaged,
+    JournalError,
+    JournalTrouble,
+)
+from libmodbus_py.services.fleet.journal.journal_file import JournalFile
+from libmodbus_py.services.fleet.journal.journal_reader import JournalReader, history
+from libmodbus_py.services.fleet.journal.numbers import MARGIN
+from libmodbus_py.services.fleet.journal.polls import numbered
+from tests.services.fleet.journals import polls, readings
+
+DAY = 86_400.0
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> str:
+    return str(tmp_path / "fleet.db")
+
+
+def opened(path: str, *outputs: str, keep: float = 90 * DAY, size: int = 10**9) -> JournalFile:
+    file = JournalFile(path, keep, size)
+    file.open(outputs)
+    return file
+
+
+@pytest.fixture
+def file(path: str) -> Iterator[JournalFile]:
+    made = opened(path, "a", "b")
+    yield made
+    made.close()
+
+
+def asked(path: str, sql: str) -> list[tuple[object, ...]]:
+    with sqlite3.connect(path) as database:
+        rows = database.execute(sql).fetchall()
+    database.close()
+    return rows
+
+
+# --- what is written ------------------------------------------------------------------------
+
+
+def test_polls_are_read_as_they_were_written(file: JournalFile) -> None:
+    every = polls(1000, 10)
+    file.write(every[:7], {}, 0)
+    file.write(every[7:], {}, 0)
+    reader = JournalReader(file.path)
+    assert reader.read(999, 1000) == every
+    assert reader.read(1003, 5) == every[2:4]
+    assert reader.read(1019, 1000) == []
+    reader.close()
+    assert reader.read(1017, 1) == every[9:]
+    reader.close()
+
+
+def test_a_poll_that_is_written_again_is_there_once(file: JournalFile) -> None:
+    file.write(polls(1, 2), {}, 0)
+    file.write(polls(1, 3), {}, 0)
+    assert asked(file.path, "SELECT id FROM poll") == [(1,), (3,), (5,)]
+
+
+def test_a_person_sees_names_units_and_labels(file: JournalFile) -> None:
+    hostile = "'; DROP TABLE poll; --"
+    told = [
+        Reading(0.5, hostile, 'a"b', 230.5, "V", "good"),
+        Reading(0.5, hostile, "$.x[0]", None, "", "bad", "IllegalDataAddress"),
+        Reading(0.5, hostile, "on", True, "", "good"),
+        Reading(0.5, hostile, "list", [1, 2], "", "good"),
+    ]
+    later = [told[2]._replace(time=1.5, value=False), told[0]._replace(time=1.5, value="x")]
+    file.write([*numbered(told, 10), *numbered(later, 20)], {}, 0, {hostile: {"site": "north"}})
+    columns = "id, time, device, name, value, unit, quality, reason, labels, seconds"
+    at, labels = "1970-01-01T00:00:00.500Z", '{"site":"north"}'
+    assert asked(file.path, f"SELECT {columns} FROM reading ORDER BY id") == [
+        (10, at, hostile, 'a"b', 230.5, "V", "good", "", labels, 0.5),
+        (11, at, hostile, "$.x[0]", None, "", "bad", "IllegalDataAddress", labels, 0.5),
+        (12, at, hostile, "on", 1, "", "good", "", labels, 0.5),
+        (13, at, hostile, "list", "[1,2]", "", "good", "", labels, 0.5),
+        (20, "1970-01-01T00:00:01.500Z", hostile, "on", 0, "", "good", "", labels, 1.5),
+        (21, "1970-01-01T00:00:01.500Z", hostile, 'a"b', "x", "V", "good", "", labels, 1.5),
+    ]
+
+
+def test_a_question_about_one_device_uses_the_index(file: JournalFile) -> None:
+    plan = asked(
+        file.path,
+        "EXPLAIN QUERY PLAN SELECT * FROM reading WHERE device = 'a' AND seconds > 5",
+    )
+    assert any("poll_of_device (device=? AND time>?)" in str(row) for row in plan), plan
+
+
+def test_points_keep_their_rows_in_other_runs(path: str) -> None:
+    for first in (1, 100):
+        file = opened(path)
+        file.write(polls(first, 1), {}, 0)
+        file.close()
+    file = opened(path)
+    changed = [each._replace(unit="mV") for each in readings()]
+    file.write(list(numbered(changed, 200)), {}, 0, {"a": {}})
+    file.close()
+    assert asked(path, "SELECT id, points, unit FROM point") == [
+        (1, 1, "V"),
+        (2, 1, "V"),
+        (3, 3, "mV"),
+        (4, 3, "mV"),
+    ]
+    assert {unit for (unit,) in asked(path, "SELECT unit FROM reading WHERE id < 200")} == {"V"}
+
+
+def test_a_poll_that_cannot_be_written_delays_no_other(
+    file: JournalFile, caplog: pytest.LogCaptureFixture
+) -> None:
+    strange = [Reading(1.0, "b", "p0", object(), "", "good")]
+    file.write([*polls(1, 1), *numbered(strange, 3), *polls(4, 1)], {}, 0)
+    assert asked(file.path, "SELECT id FROM poll") == [(1,), (4,)]
+    assert "a poll of b is not written: Object of type object" in caplog.text
+
+
+def test_names_that_no_file_can_contain_are_written_with_escapes(file: JournalFile) -> None:
+    file.write(list(numbered([Reading(1.0, "\ud800", "\udfff", 1, "", "good")], 1)), {}, 0)
+    assert asked(file.path, "SELECT device, name FROM reading") == [("\\ud800", "\\udfff")]
+
+
+# --- places and runs ------------------------------------------------------------------------
+
+
+def test_places_are_kept_for_each_output(path: str) -> None:
+    file = JournalFile(path, DAY, 10**9)
+    first = file.open(["a"])
+    assert first.places == {"a": first.first - 1}
+    file.write(polls(first.first, 5), {"a": first.first + 3}, 0)
+    file.write([], {"a": first.first + 1}, 0)  # a place never falls
+    file.close()
+    second = file.open(["a", "new"])
+    assert second.first >= first.first + 9 + MARGIN or second.first > first.first + 10
+    assert second.places == {"a": first.first + 3, "new": second.first - 1}
+    assert second.runs == [
+        (first.first, 0),
+        (second.first, second.first - (first.first + 10)),
+    ]
+    file.close()
+    file.open(["new"])  # an output that is away keeps its place
+    file.close()
+    assert dict(asked(path, "SELECT * FROM place"))["a"] == first.first + 3
+
+
+@pytest.mark.parametrize("now", [0.0, 4e9])
+def test_ids_rise_whatever_the_clock_says(
+    path: str, now: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = JournalFile(path, DAY, 10**9)
+    begun = file.open([])
+    file.write(polls(begun.first, 5), {}, 0)
+    file.close()
+    monkeypatch.setattr(journal_file.time, "time", lambda: now)
+    assert file.open([]).first >= begun.first + 9 + MARGIN
+    file.close()
+
+
+# --- what is deleted ------------------------------------------------------------------------
+
+
+def test_old_readings_are_deleted_once_all_outputs_confirmed_them(path: str) -> None:
+    file = opened(path, "a", keep=100.0)
+    old, now = polls(1, 10, time=time.time() - 1000), polls(21, 10, time=time.time())
+    assert file.write([*old, *now], {}, 8).deleted == 8  # later ones wait for an output
+    assert file.write([], {}, 40).deleted == 20
+    assert file.write([], {}, 40).deleted == 0
+    assert asked(path, "SELECT min(id), count(*) FROM poll") == [(21, 10)]
+    file.close()
+
+
+@pytest.mark.parametrize("now", [0.0, 4e9])
+def test_a_clock_that_is_wrong_for_a_while_deletes_little(
+    path: str, now: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = opened(path, keep=90 * DAY)
+    file.write(polls(1, 1000, time=time.time()), {}, 10_000)
+    file._to_delete = 0  # what these allowed was used up long ago
+    monkeypatch.setattr(journal_file.time, "time", lambda: now)
+    file.write(polls(5001, 3, time=now), {}, 10_000)
+    [[left]] = asked(path, "SELECT count(*) FROM poll WHERE id < 5000")
+    assert left == (970 if now else 1000)
+    file.close()
+
+
+def test_the_oldest_readings_make_room_confirmed_or_not(path: str) -> None:
+    size = 200_000
+    file = opened(path, "a", size=size)
+    first, deleted = 1, 0
+    for _ in range(100):
+        written = file.write(polls(first, 100, time=time.time()), {}, 0)
+        first += 200
+        while not written.is_over:
+            deleted = written.deleted
+            written = file.write([], {}, 0)
+    [[oldest, count]] = asked(path, "SELECT min(id), count(*) FROM poll")
+    assert oldest == deleted + 1
+    assert 500 < count < 10_000
+    file.close()
+    assert os.path.getsize(path) < 1.2 * size
+
+
+def test_a_file_above_a_new_limit_becomes_smaller(path: str) -> None:
+    file = opened(path)
+    for at in range(50):
+        file.write(polls(1 + 1000 * at, 500, time=time.time()), {}, 0)
+    file.close()
+    before = os.path.getsize(path)
+    file = opened(path, size=100_000)
+    while not file.write([], {}, 0).is_over:
+        pass
+    for _ in range(20):
+        file.write([], {}, 0)
+    file.close()
+    assert os.path.getsize(path) < 200_000 < before
+
+
+# --- what is refused ------------------------------------------------------------------------
+
+
+def refused(path: str) -> str:
+    with pytest.raises(JournalError) as error:
+        JournalFile(path, DAY, 10**9).open(["a"])
+    assert "\n" not in str(error.value)
+    return str(error.value).removeprefix(path)
+
+
+def test_a_journal_of_another_version_is_refused(path: str) -> None:
+    opened(path).close()
+    database = sqlite3.connect(path)
+    database.execute("PRAGMA user_version = 7")
+    database.close()
+    assert refused(path) == (
+        ": is a journal of version 7, and this program knows version 1 only; name another file"
+    )
+
+
+def test_a_database_of_another_program_is_refused_and_not_changed(path: str) -> None:
+    database = sqlite3.connect(path)
+    database.execute("CREATE TABLE reading (id)")
+    database.close()
+    before = Path(path).read_bytes()
+    assert refused(path) == ": is a database of another program"
+    assert Path(path).read_bytes() == before
+
+
+def test_a_file_that_is_no_database_is_refused_and_not_changed(path: str) -> None:
+    Path(path).write_text("time,device,name\n" * 100)
+    assert refused(path) == ": is not a journal"
+    assert Path(path).read_text() == "time,device,name\n" * 100
+
+
+def test_a_second_program_is_refused_and_a_reader_is_not(path: str, file: JournalFile) -> None:
+    code = (
+        "import sys; from libmodbus_py.services.fleet.journal.journal_file import JournalFile\n"
+        "try: JournalFile(sys.argv[1], 1e9, 10**9).open([])\n"
+        "except Exception as error: print(error)"
+    )
+    program = [sys.executable, "-c", code, path]
+    found = subprocess.run(program, capture_output=True, text=True, check=True)
+    assert found.stdout == f"{path}: is used by another program\n"
+    assert asked(path, "SELECT count(*) FROM reading") == [(0,)]
+    file.write(polls(1, 1), {}, 0)
+    file.close()
+    opened(path).close()
+
+
+def test_a_folder_that_is_missing_is_named(tmp_path: Path) -> None:
+    path = str(tmp_path / "none" / "fleet.db")
+    assert refused(path) == "-lock: No such file or directory"
+
+
+def test_a_file_that_cannot_be_written_to_is_refused(path: str) -> None:
+    opened(path).close()
+    database = sqlite3.connect(path)
+    database.execute("PRAGMA journal_mode = DELETE")
+    database.close()
+    os.chmod(path, 0o444)
+    os.chmod(os.path.dirname(path), 0o555)
+    try:
+        if os.geteuid() == 0:
+            pytest.skip("root may write to each file")
+        assert "cannot be" in refused(path)
+    finally:
+        os.chmod(os.path.dirname(path), 0o755)
+
+
+def test_a_full_disk_leaves_all_as_it_was(file: JournalFile) -> None:
+    file.write(polls(1, 10), {"a": 1 << 60}, 0)
+    [[pages]] = file._used.execute("PRAGMA page_count")
+    file._used.execute(f"PRAGMA max_page_count = {pages}").fetchall()
+    many = polls(21, 5000)
+    with pytest.raises(JournalTrouble, match=r"the disk is full$"):
+        file.write(many, {"a": 1 << 61}, 0)
+    assert asked(file.path, "SELECT count(*), max(id) FROM poll") == [(10, 19)]
+    assert dict(asked(file.path, "SELECT * FROM place"))["a"] == 1 << 60
+    file._used.execute("PRAGMA max_page_count = 1000000").fetchall()
+    file.write(many, {"a": 9}, 0)
+    assert asked(file.path, "SELECT count(*) FROM poll") == [(5010,)]
+
+
+def test_a_damaged_file_is_set_aside(path: str, file: JournalFile) -> None:
+    file.write(polls(1, 5000), {}, 0)
+    file.close()
+    whole = bytearray(Path(path).read_bytes())
+    whole[4096:] = os.urandom(len(whole) - 4096)
+    Path(path).write_bytes(whole)
+    with pytest.raises(JournalDamaged, match="is damaged"):
+        file.open(["a"])
+    moved = file.set_aside()
+    assert moved == f"{path}-damaged"
+    assert Path(moved).read_bytes() == whole
+    file.open({"a": 70}, 71)
+    assert asked(path, "SELECT output, confirmed FROM place") == [("a", 70)]
+
+
+def test_a_damaged_row_is_left_out(file: JournalFile, caplog: pytest.LogCaptureFixture) -> None:
+    every = polls(1, 5)
+    file.write(every, {}, 0)
+    for number, column, text in ((3, "data", "[1"), (5, "data", "[1]"), (7, "trouble", "[]")):
+        file._used.execute(f"UPDATE poll SET {column} = ? WHERE id = ?", (text, number))
+    reader = JournalReader(file.path)
+    assert reader.read(0, 100) == [every[0], every[4]]
+    assert caplog.text.count("cannot be read") == 3
+    reader.close()
+
+
+# --- histories ------------------------------------------------------------------------------
+
+
+def test_a_history_is_read_while_the_journal_is_written(file: JournalFile) -> None:
+    file.write(polls(1, 100), {}, 0)
+    some = [each._replace(time=300.0, value=9.5) for each in readings()[1:]]
+    bad = [each._replace(time=301.0, value=None, quality="bad") for each in reversed(readings())]
+    file.write([*numbered(some, 500), *numbered(bad, 502)], {}, 0)
+    found = history(file.path, "a", "p1", 150.0, 1000.0)
+    assert [each.time for each in found] == [*map(float, range(150, 200)), 300.0, 301.0]
+    assert [tuple(each)[1:] for each in found[-3:]] == [(0.1, "good"), (9.5, "good"), (None, "bad")]
+    assert history(file.path, "a", "p0", 299.0, 300.0) == []
+    assert history(file.path, "a", "none", 0.0, 1000.0) == []
+    assert len(history(file.path, "a", "p1", 0.0, 1000.0, most=9)) <= 9
+
+
+def test_a_history_without_a_journal_is_an_error(path: str) -> None:
+    with pytest.raises(JournalError, match="cannot be opened"):
+        history(path, "a", "p1", 0.0, 1.0)
+    assert not Path(path).exists()
