@@ -26,6 +26,7 @@ from libmodbus_py.server import serial as serial_server
 from libmodbus_py.server import serving, tcp, udp
 from libmodbus_py.server.peers import Peers
 from libmodbus_py.services.fleet import fleet
+from libmodbus_py.services.fleet.journal import journal_file
 from libmodbus_py.services.gateway import gateway
 
 from .events import Events
@@ -210,6 +211,11 @@ class Network:
             patch.object(Shortcut, "__init__", _in_python(Shortcut.__init__)),
             # The phases of polls come of the time of day.
             patch.object(fleet, "time", SimpleNamespace(time=self.time_of_day)),
+            patch.object(
+                journal_file,
+                "time",
+                SimpleNamespace(time=self.time_of_day, monotonic=lambda: self.events.now),
+            ),
         ):
             yield
 

@@ -9,13 +9,62 @@ import contextlib
 from collections import deque
 from collections.abc import Sequence
 from itertools import groupby, islice
+from typing import Protocol
 
 from ...protocol.checks import integer
 from .readings import Reading
 
-__all__ = ["MOST_KEPT", "Buffer"]
+__all__ = ["MOST_KEPT", "Buffer", "WaitingReadings"]
 
 MOST_KEPT = 100_000
+
+
+class WaitingReadings(Protocol):
+    """
+    The readings that wait for an output: a `Buffer`, or a place in a journal.
+
+    Attributes:
+        dropped: number of readings that were lost, or can never be written.
+    """
+
+    dropped: int
+
+    def __len__(self) -> int:
+        """Return the number of readings that wait."""
+        ...
+
+    @property
+    def is_over(self) -> bool:
+        """True if there are no readings, and will be none."""
+        ...
+
+    async def take_polls(self, most: int, timeout: float | None = None) -> list[Reading]:
+        """Wait for readings, and return whole polls, with about so many; none after the time."""
+        ...
+
+    async def polls(self, most: int) -> list[list[Reading]]:
+        """Return the readings of the first polls, which are not taken."""
+        ...
+
+    def put_back(self, readings: Sequence[Reading]) -> None:
+        """Return readings that were taken, and could not be written."""
+        ...
+
+    def drop(self, readings: Sequence[Reading]) -> None:
+        """Count readings that were taken, and can never be written."""
+        ...
+
+    async def confirm(self, readings: Sequence[Reading]) -> None:
+        """Note that readings that were taken were written."""
+        ...
+
+    def close(self) -> None:
+        """Expect no more readings; those that wait can still be taken."""
+        ...
+
+    def give_up(self) -> None:
+        """Close; nothing is taken any more."""
+        ...
 
 
 class Buffer:
@@ -90,7 +139,7 @@ class Buffer:
             taken.append(self._kept.popleft())
         return taken
 
-    def polls(self, most: int) -> list[list[Reading]]:
+    async def polls(self, most: int) -> list[list[Reading]]:
         """Return the readings of the first polls, which stay in the buffer."""
         groups = groupby(self._kept, lambda each: each.poll)
         return [list(group) for _, group in islice(groups, most)]
@@ -98,3 +147,6 @@ class Buffer:
     def drop(self, readings: Sequence[Reading]) -> None:
         """Count readings that were taken, and can never be written."""
         self.dropped += len(readings)
+
+    async def confirm(self, readings: Sequence[Reading]) -> None:
+        """Do nothing: what was taken is not kept."""

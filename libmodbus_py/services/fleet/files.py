@@ -7,6 +7,8 @@ Fleet files: devices and outputs, described in TOML.
     [defaults]                  keys of devices, used where a device does not set them
     [[device]]                  as `DeviceConfig`; map is a file; instead of it there may be
                                 [[device.point]] tables with the keys of `Point`
+    journal, keep, journal_size
+                                as `journal.Journal`: path, keep, size
     [engine]                    for several machines, see `workers.pushing`
     [output.json] [output.csv] [output.mqtt] ...
                                 as `outputs.kinds`; [[output.json]] for several of a kind;
@@ -34,6 +36,7 @@ from ...protocol.mistakes import (
     path_text,
     placed,
 )
+from ...tools.files.amounts import in_bytes, in_seconds
 from ...tools.files.file_error import FileError
 from ...tools.files.maps.drafts import POINT
 from ...tools.files.maps.map_file import load_map
@@ -42,6 +45,7 @@ from ...tools.files.texts import load_file, read_text
 from ...tools.files.toml_text import read_toml
 from .config import DeviceConfig, checked
 from .devices_csv import DeviceRow, device_rows
+from .journal.journal import KEEP_BOUNDS, SIZE_BOUNDS, Journal
 from .outputs.kinds import KINDS, made, output_keys
 from .outputs.output import Output
 from .outputs.secret_file import SecretFile
@@ -69,14 +73,20 @@ class FleetFile:
     Attributes:
         devices: the devices of the fleet.
         outputs: the kind of each output, and the arguments of its class, secrets included.
+        journal: the arguments of the `Journal`; empty if there is none.
     """
 
     devices: list[DeviceConfig]
     outputs: list[tuple[str, dict[str, Any]]] = field(default_factory=list, repr=False)
+    journal: dict[str, str] = field(default_factory=dict)
 
     def made_outputs(self) -> list[Output]:
         """Return new outputs; each can be used by one fleet only."""
         return [made(kind, keys) for kind, keys in self.outputs]
+
+    def made_journal(self) -> Journal | None:
+        """Return a new journal, which can be used by one fleet only; None if there is none."""
+        return Journal(**self.journal) if self.journal else None
 
 
 def load(path: str | PathLike[str]) -> FleetFile:
@@ -137,7 +147,8 @@ class _Reader:
         if not devices:
             raise WrongValue("device", "must hold at least one table: [[device]]")
         self._check(devices)
-        return FleetFile(devices, self._outputs(given.get("output", {})))
+        outputs = self._outputs(given.get("output", {}))
+        return FleetFile(devices, outputs, self._journal(given))
 
     def _check(self, devices: list[DeviceConfig]) -> None:
         try:
@@ -193,7 +204,15 @@ class _Reader:
             self._maps[path] = load_map(path)
         return self._maps[path]
 
-    # --- outputs ----------------------------------------------------------------------------
+    # --- journal and outputs ----------------------------------------------------------------
+
+    def _journal(self, given: Mapping[str, Any]) -> dict[str, str]:
+        keys = {name: given[key] for key, name in JOURNAL.items() if key in given}
+        if not keys:
+            return {}
+        if "path" not in keys:
+            raise WrongValue("journal", "is missing: the journal that keep and journal_size limit")
+        return {**keys, "path": str(self._folder / keys["path"])}
 
     def _outputs(self, given: Mapping[str, Any]) -> list[tuple[str, dict[str, Any]]]:
         return [
@@ -266,6 +285,16 @@ def _file_name(path: Path, given: object) -> str:
     return given
 
 
+def _keep(path: Path, given: object) -> str:
+    in_seconds(path, given, *KEEP_BOUNDS)
+    return str(given)
+
+
+def _size(path: Path, given: object) -> str:
+    in_bytes(path, given, *SIZE_BOUNDS)
+    return str(given)
+
+
 def _points(path: Path, given: object) -> RegisterMap:
     if not isinstance(given, list) or not given:
         raise WrongType(path, "must be an array of tables: [[device.point]]")
@@ -294,8 +323,14 @@ POINTS = Key("point", _points, "a table for each point, [[device.point]], instea
 
 TABLE = (DEVICE | Keys([POINTS])).optional()
 
+JOURNAL: dict[str, str] = {"journal": "path", "keep": "keep", "journal_size": "size"}
+"""Keys of the file -> arguments of `Journal`."""
+
 FILE = Keys(
     [
+        Key("journal", _file_name, "a file that keeps readings for outputs that are away"),
+        Key("keep", _keep, "how long the journal keeps readings, such as 90 days"),
+        Key("journal_size", _size, "the size of the journal, such as 2 GB"),
         Key("devices", _file_name, "a file of devices in CSV"),
         Key("defaults", DEVICE.but("name").optional().read, "defaults of the keys of devices"),
         Key("device", tables, "a table for each device: [[device]]"),

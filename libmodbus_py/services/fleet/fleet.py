@@ -18,6 +18,8 @@ from .buffer import MOST_KEPT, Buffer
 from .commands import Commands
 from .config import DeviceConfig, by_connection, checked
 from .files import load
+from .journal.journal import Journal
+from .journal.place import JournalPlace
 from .line import FleetLine, MayAsk
 from .outputs.output import Commanded, Described, Labelled, Output
 from .outputs.pump import Pump
@@ -59,6 +61,8 @@ class Fleet:
     Args:
         devices: the first devices; `add`, `remove` and `replace` change them.
         outputs: receive all readings.
+        journal: keeps the readings on the disk for outputs that are away; None for none. A
+            journal can be used by one fleet only.
         may_ask: called with the `connection_key` of a device before the fleet connects to the
             device, and before each request is sent. While it returns False, nothing is sent, and
             polls are counted as `held`. It must not block.
@@ -70,6 +74,7 @@ class Fleet:
     Raises:
         TypeError, ValueError: two devices have the same name, or two URLs with different
             options lead to the same host and port or serial port.
+        JournalError: when polling begins: the journal cannot be used.
     """
 
     def __init__(
@@ -77,14 +82,19 @@ class Fleet:
         devices: Iterable[DeviceConfig] = (),
         *,
         outputs: Sequence[Output] = (),
+        journal: Journal | None = None,
         may_ask: MayAsk | None = None,
     ) -> None:
         self._devices: dict[str, DeviceConfig] = {each.name: each for each in checked(devices)}
         self._outputs = list(outputs)
+        self._journal = journal
         self._may_ask = may_ask
         self.statistics: FleetStatistics = FleetStatistics()
+        self.statistics.journal = journal.statistics if journal else None
         self.commands: Commands = Commands(self)
         self._pumps: list[Pump] = []
+        # Of outputs that read nothing from the journal.
+        self._live: list[Buffer] = []
         self._buffers: weakref.WeakSet[Buffer] = weakref.WeakSet()
         self._lines: dict[str, FleetLine] = {}
         self._pollers: dict[str, Poller] = {}
@@ -113,7 +123,8 @@ class Fleet:
                 values.
         """
         file = load(path)
-        return cls(file.devices, outputs=file.made_outputs(), may_ask=may_ask)
+        outputs, journal = file.made_outputs(), file.made_journal()
+        return cls(file.devices, outputs=outputs, journal=journal, may_ask=may_ask)
 
     # --- life -------------------------------------------------------------------------------
 
@@ -133,6 +144,7 @@ class Fleet:
 
         Raises:
             OutputError: an output failed permanently.
+            JournalError: the journal cannot be used.
         """
         if once:
             self._once = set(self._devices)
@@ -159,21 +171,40 @@ class Fleet:
     async def _start(self) -> None:
         if self._loop is not None:
             raise RuntimeError("this fleet is already polling; make another one")
+        names = self._names()
+        places = await self._places(names)
         self._loop = asyncio.get_running_loop()
         self._wall = time.time() - self._loop.time()
         self._label()
-        names: Counter[str] = Counter()
-        for output in self._outputs:
+        for output, name in zip(self._outputs, names, strict=True):
             if isinstance(output, Commanded) and output.takes_commands:
                 output.attach(self.commands)
-            pump = Pump(output)
-            names[pump.name] += 1
-            number = f" ({names[pump.name]})" if names[pump.name] > 1 else ""
-            self.statistics.outputs[f"{pump.name}{number}"] = pump.statistics
+            pump = Pump(output, waiting=places.get(name))
+            self.statistics.outputs[name] = pump.statistics
             self._pumps.append(pump)
+            if isinstance(pump.buffer, Buffer):
+                self._live.append(pump.buffer)
             pump.start()
         for device in self._devices.values():
             self._begin(device)
+
+    def _names(self) -> list[str]:
+        """Return a name for each output, which no other has."""
+        counts: Counter[str] = Counter()
+        names: list[str] = []
+        for output in self._outputs:
+            counts[output.name] += 1
+            number = counts[output.name]
+            names.append(f"{output.name} ({number})" if number > 1 else output.name)
+        return names
+
+    async def _places(self, names: Sequence[str]) -> Mapping[str, JournalPlace]:
+        """Open the journal, and return the places of the outputs that read from it."""
+        if self._journal is None:
+            return {}
+        pairs = zip(self._outputs, names, strict=True)
+        kept = [name for output, name in pairs if not getattr(output, "is_live", False)]
+        return {each.name: each for each in await self._journal.open(kept)}
 
     def _label(self) -> None:
         labels = {each.name: each.labels for each in self._devices.values()}
@@ -182,6 +213,8 @@ class Fleet:
                 output.label(labels)
             if isinstance(output, Described):
                 output.describe(self._devices)
+        if self._journal is not None:
+            self._journal.describe(labels)
 
     async def _stop(self) -> None:
         if self._timer is not None:
@@ -199,8 +232,10 @@ class Fleet:
         finally:
             for pump in self._pumps:
                 pump.task.cancel()
-            self._pumps = []
+            self._pumps, self._live = [], []
             self._loop = None
+            if self._journal is not None:
+                await self._journal.close()
 
     # --- devices ------------------------------------------------------------------------------
 
@@ -379,7 +414,8 @@ class Fleet:
         if was_sent:
             now = time.time()
             self._note(poller, now)
-            self._tell(poller.readings(now))
+            first = self._journal.next_id if self._journal else 0
+            self._tell(poller.readings(now, first))
             if poller.misses:
                 self._let_rest(poller)
         if self._once is not None:
@@ -435,8 +471,10 @@ class Fleet:
         if not readings:
             return
         self.statistics.readings += len(readings)
-        for pump in self._pumps:
-            pump.buffer.put(readings)
+        if self._journal is not None:
+            readings = self._journal.put(readings)
+        for live in self._live:
+            live.put(readings)
         for buffer in self._buffers:
             buffer.put(readings)
 

@@ -7,9 +7,9 @@ from __future__ import annotations
 from bisect import bisect_left
 from dataclasses import dataclass, field
 
-from .buffer import Buffer
+from .buffer import WaitingReadings
 
-__all__ = ["LATENESS_BOUNDS", "FleetStatistics", "OutputStatistics"]
+__all__ = ["LATENESS_BOUNDS", "FleetStatistics", "JournalStatistics", "OutputStatistics"]
 
 LATENESS_BOUNDS: tuple[float, ...] = (*(0.001, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 5.0),)
 """Upper bounds of the classes in which polls are counted by their lateness, in seconds."""
@@ -21,26 +21,46 @@ class OutputStatistics:
     Counters of one output.
 
     Attributes:
-        buffer: contains the readings that wait for the output.
+        buffer: the readings that wait for the output.
         written: readings written to the output.
         failures: failed attempts to open the output or to write to it.
         trouble: the error of the output now; empty if it works.
     """
 
-    buffer: Buffer = field(repr=False)
+    buffer: WaitingReadings = field(repr=False)
     written: int = 0
     failures: int = 0
     trouble: str = ""
 
     @property
     def dropped(self) -> int:
-        """Readings dropped because the buffer was full, or because they could never be written."""
+        """Readings dropped because too many waited, or because they could never be written."""
         return self.buffer.dropped
 
     @property
     def waiting(self) -> int:
-        """Readings in the buffer."""
+        """Readings that wait for the output."""
         return len(self.buffer)
+
+
+@dataclass(slots=True)
+class JournalStatistics:
+    """
+    Counters of a journal.
+
+    Attributes:
+        bytes: the size of the journal on the disk.
+        written: readings written to the journal.
+        dropped: readings that the journal lacks, because the disk took none for too long.
+        failures: failed attempts to write to the journal, or to read it.
+        trouble: the error of the journal now; empty if it works.
+    """
+
+    bytes: int = 0
+    written: int = 0
+    dropped: int = 0
+    failures: int = 0
+    trouble: str = ""
 
 
 @dataclass(slots=True, weakref_slot=True)
@@ -64,6 +84,7 @@ class FleetStatistics:
             seconds, up to the second, and so on; the last number is of all others.
         late_seconds: the lateness of all polls together, in seconds.
         outputs: the counters of each output, by its name.
+        journal: the counters of the journal; None without one.
         worst: the greatest lateness since `take_worst` was called, in seconds.
     """
 
@@ -83,6 +104,7 @@ class FleetStatistics:
     )
     late_seconds: float = field(default=0.0, repr=False)
     outputs: dict[str, OutputStatistics] = field(default_factory=dict, repr=False)
+    journal: JournalStatistics | None = field(default=None, repr=False)
     worst: float = field(default=0.0, repr=False)
 
     def note_start(self, late: float) -> None:

@@ -126,7 +126,11 @@ SIMPLE = '[[device]]\nname = "a"\nurl = "tcp://h"\nmap = "meter.csv"\n'
     [
         ("", None, "device must hold at least one table: [[device]]"),
         ("device = 3", 1, "device must be a list of tables"),
-        ("x = 3", 1, "x: no such key; allowed are devices, defaults, device, output"),
+        (
+            "x = 3",
+            1,
+            "x: no such key; allowed are journal, keep, journal_size, devices, defaults,",
+        ),
         ("[[device]]\nnam = 3", 2, "device[0].nam: no such key; allowed are name, url, map, unit"),
         ("[[device]]\nname = 'a'", 1, "device[0].url is missing"),
         (SIMPLE + "unit = 256", 5, "device[0].unit must be in 0..255, not 256"),

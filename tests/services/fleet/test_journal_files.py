@@ -12,6 +12,7 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -171,7 +172,7 @@ def test_ids_rise_whatever_the_clock_says(
     begun = file.open([])
     file.write(polls(begun.first, 5), {}, 0)
     file.close()
-    monkeypatch.setattr(journal_file.time, "time", lambda: now)
+    monkeypatch.setattr(journal_file, "time", SimpleNamespace(time=lambda: now, monotonic=float))
     assert file.open([]).first >= begun.first + 9 + MARGIN
     file.close()
 
@@ -196,7 +197,7 @@ def test_a_clock_that_is_wrong_for_a_while_deletes_little(
     file = opened(path, keep=90 * DAY)
     file.write(polls(1, 1000, time=time.time()), {}, 10_000)
     file._to_delete = 0  # what these allowed was used up long ago
-    monkeypatch.setattr(journal_file.time, "time", lambda: now)
+    monkeypatch.setattr(journal_file, "time", SimpleNamespace(time=lambda: now, monotonic=float))
     file.write(polls(5001, 3, time=now), {}, 10_000)
     [[left]] = asked(path, "SELECT count(*) FROM poll WHERE id < 5000")
     assert left == (970 if now else 1000)

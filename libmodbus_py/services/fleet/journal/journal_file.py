@@ -29,7 +29,7 @@ from .errors import JournalDamaged, JournalError, raised
 from .numbers import first_id
 from .polls import JournalPoll, Points, Row, encoded
 
-__all__ = ["Begun", "JournalFile", "Written"]
+__all__ = ["Begun", "JournalFile", "JournalState"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
@@ -130,7 +130,7 @@ class Begun(NamedTuple):
     places: dict[str, int]
 
 
-class Written(NamedTuple):
+class JournalState(NamedTuple):
     """
     The state of a journal after a transaction.
 
@@ -337,7 +337,7 @@ class JournalFile:
         places: Mapping[str, int],
         confirmed: int,
         labels: Mapping[str, Mapping[str, str]] | None = None,
-    ) -> Written:
+    ) -> JournalState:
         """
         Write polls and the places of outputs in one transaction, and delete what is too old.
 
@@ -418,7 +418,7 @@ class JournalFile:
 
     # --- deleting ---------------------------------------------------------------------------
 
-    def _delete(self, confirmed: int, is_forced: bool) -> Written:
+    def _delete(self, confirmed: int, is_forced: bool) -> JournalState:
         """Delete the oldest polls, if there are too many or they are too old."""
         [[page], [pages], [free]] = (
             self._used.execute(f"PRAGMA {name}").fetchone()
@@ -436,7 +436,7 @@ class JournalFile:
         wal = _size_of(f"{self.path}-wal")
         if wal > max(self._size / 2, LARGEST_WAL):
             raise OSError(errno.EBUSY, "another program has been reading it for too long")
-        return Written(pages * page + wal, deleted, not deleted, is_forced)
+        return JournalState(pages * page + wal, deleted, not deleted, is_forced)
 
     def _oldest(self, most: int, last: int = 1 << 62) -> list[tuple[int, int, float]]:
         return self._used.execute(

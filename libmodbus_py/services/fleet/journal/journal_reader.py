@@ -1,5 +1,5 @@
 """
-What a journal contains, read while it is being written. These functions block.
+Readers of a journal, also while it is being written. These functions block.
 """
 
 from __future__ import annotations

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 from collections import deque
 from collections.abc import Sequence
 from itertools import groupby, islice
@@ -15,12 +16,15 @@ from ....protocol.logs import HarmlessLogger
 from ..readings import Reading
 from .polls import JournalPoll
 
-__all__ = ["JournalPlace", "Supply"]
+__all__ = ["LONGEST_EPISODE", "JournalPlace", "Supply"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
 # The most polls that `polls` returns.
 MOST_POLLS = 100
+
+LONGEST_EPISODE = 600.0
+"""Seconds without a dropped reading after which the next one is reported again."""
 
 # Seconds after which an output that confirmed readings goes on, though the disk has not noted it.
 LONGEST_NOTING = 1.0
@@ -28,7 +32,7 @@ LONGEST_NOTING = 1.0
 
 class Supply(Protocol):
     """
-    What a place needs of its journal.
+    The part of a journal that a place uses.
 
     Attributes:
         last: the last id that was given to a reading.
@@ -37,7 +41,7 @@ class Supply(Protocol):
     last: int
 
     async def after(self, number: int, most: int) -> tuple[list[JournalPoll], int]:
-        """Return polls behind an id, and the id up to which there is none before them."""
+        """Return polls behind an id, and the id up to which there are no others."""
         ...
 
     def between(self, after: int, last: int) -> int:
@@ -45,7 +49,7 @@ class Supply(Protocol):
         ...
 
     def note(self) -> asyncio.Future[None]:
-        """Have the places written; return a future that ends when they are, or cannot be."""
+        """Begin to write the places; return a future that ends when they are, or cannot be."""
         ...
 
 
@@ -77,7 +81,7 @@ class JournalPlace:
         self._waiting: deque[Reading] = deque()
         self._filled = asyncio.Event()
         self._is_closed = False
-        self._is_told = False
+        self._told_until = -math.inf
 
     def __len__(self) -> int:
         return self._supply.between(self.confirmed, self._supply.last)
@@ -89,18 +93,18 @@ class JournalPlace:
     def deleted(self, last: int) -> None:
         """Count the readings that were deleted from the journal before they were confirmed."""
         if last <= self.confirmed:
-            self._is_told = self._is_told and len(self) > 0
             return
         self.dropped += self._supply.between(self.confirmed, last)
         self.confirmed = last
         self._read = max(self._read, last)
         while self._waiting and self._waiting[0].id <= last:
             self._waiting.popleft()
-        if not self._is_told:
-            self._is_told = True
+        now = asyncio.get_running_loop().time()
+        if now > self._told_until:
             logger.error(
                 "%s: the journal is full; its oldest readings are dropped unconfirmed", self.name
             )
+        self._told_until = now + LONGEST_EPISODE
 
     # --- as a buffer ------------------------------------------------------------------------
 
@@ -125,17 +129,22 @@ class JournalPlace:
         """Take readings from the journal; return False if there are no more now."""
         self._filled.clear()
         before = self._read
-        polls, skipped = await self._supply.after(before, most)
-        if skipped > self._read:  # else these were deleted while they were read
-            self.dropped += self._supply.between(self._read, skipped)
-            if self.confirmed == self._read:
-                self.confirmed = skipped
-            self._read = skipped
+        polls, end = await self._supply.after(before, most)
         for each in polls:
-            if each.first > self._read:
+            if each.first > self._read:  # else these were deleted while they were read
+                self._skip_to(each.first - 1)
                 self._waiting.extend(each.readings)
                 self._read = each.last
+        self._skip_to(end)
         return self._read > before
+
+    def _skip_to(self, number: int) -> None:
+        """Count the readings up to an id, which the journal lacks."""
+        if number > self._read:
+            self.dropped += self._supply.between(self._read, number)
+            if self.confirmed == self._read:
+                self.confirmed = number
+            self._read = number
 
     @property
     def _is_at_end(self) -> bool:

@@ -20,7 +20,7 @@ Outputs: the destinations of readings. Each is one file, and imports its librari
     secret_file    a password in a file, which is read again
     text_file      a file or the standard output
     writer_thread  a thread that writes, so that nothing else waits for a disk
-    pump           moves readings from a buffer to an output
+    pump           moves the readings that wait to an output
     refusals       the poll on which the other side ends the connection
     output         the protocols that outputs implement
 """

@@ -32,9 +32,11 @@ class LastValues:
 
     Attributes:
         statistics: the last readings.
+        is_live: True, because readings of earlier runs are not wanted.
     """
 
     name = "metrics"
+    is_live = True
 
     def __init__(self) -> None:
         self.statistics: KeptReadings = KeptReadings()

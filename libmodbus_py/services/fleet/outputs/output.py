@@ -31,6 +31,9 @@ class Output(Protocol):
     after another poll was written, is dropped. OutputError is permanent, and ends the fleet. After
     any other exception from `write` the readings are passed
     again, one poll at a time; a poll for which the exception is raised again is dropped.
+
+    With a journal, readings are passed again in the next run of the program unless `write` has
+    returned. An output with an attribute `is_live` that is True gets those of this run only.
     """
 
     @property

@@ -1,5 +1,5 @@
 """
-The task that moves readings from a buffer to an output, and opens the output again if it fails.
+The task that moves readings to an output, and opens the output again if it fails.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ import asyncio
 
 from ....protocol.logs import HarmlessLogger
 from ...tasks import AGAIN
-from ..buffer import MOST_KEPT, Buffer
+from ..buffer import MOST_KEPT, Buffer, WaitingReadings
 from ..readings import Reading
 from ..statistics import OutputStatistics
 from .output import Output, OutputError, ReadingsRefused
@@ -31,16 +31,21 @@ LAST_WORDS = 2.0
 
 class Pump:
     """
-    Writes the readings of a buffer to an output.
+    Writes the readings that wait for an output.
 
     Args:
         output: the output.
-        most: the most readings that wait, unless the output has an attribute `buffer`.
+        most: the most readings that a buffer keeps, unless the output has an attribute `buffer`.
+        waiting: the readings, from a journal; None for a buffer.
     """
 
-    def __init__(self, output: Output, most: int = MOST_KEPT) -> None:
+    def __init__(
+        self, output: Output, most: int = MOST_KEPT, *, waiting: WaitingReadings | None = None
+    ) -> None:
         self.name: str = output.name
-        self.buffer: Buffer = Buffer(getattr(output, "buffer", most))
+        if waiting is None:
+            waiting = Buffer(getattr(output, "buffer", most))
+        self.buffer: WaitingReadings = waiting
         self.statistics: OutputStatistics = OutputStatistics(self.buffer)
         self._output = output
         self._pause = FIRST_PAUSE
@@ -118,7 +123,7 @@ class Pump:
 
     async def _write_other(self) -> None:
         """Write another poll before one that may be refused."""
-        others = self._refusals.others()
+        others = await self._refusals.others()
         if not others:
             return
         is_accepted = False
@@ -141,6 +146,7 @@ class Pump:
             else:
                 self.buffer.put_back(batch)
             raise
+        await self.buffer.confirm(batch)
         if batch:
             self._losses = 0
             self._refusals.clear()
@@ -152,7 +158,7 @@ class Pump:
             logger.warning("%s accepts readings again", self.name)
 
     def _note_loss(self, batch: list[Reading], error: ConnectionError) -> None:
-        """Return readings to the buffer; drop a poll that is refused while others are accepted."""
+        """Put readings back; drop a poll that is refused while others are accepted."""
         if not batch:
             return
         if self._refusals.is_refused(batch):
@@ -168,7 +174,7 @@ class Pump:
             self._doubted = polls
 
     def _note_doubt(self, batch: list[Reading], error: Exception) -> None:
-        """Return readings to the buffer; drop them if they are one poll that failed before."""
+        """Put readings back; drop them if they are one poll that failed before."""
         if self._doubted and batch:
             self._drop(batch, str(error))
             return

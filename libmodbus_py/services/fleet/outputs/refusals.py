@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ..buffer import Buffer
+from ..buffer import WaitingReadings
 from ..readings import Reading
 
 __all__ = ["Refusals"]
@@ -17,17 +17,17 @@ MOST = 3
 
 class Refusals:
     """
-    Compares the first poll of a buffer with those behind it.
+    Compares the first poll that waits with those behind it.
 
     A connection that ends while readings are sent shows nothing about them: the other side may be
     away. They are refused if others are accepted right before, several times.
 
     Args:
-        buffer: the readings that wait.
+        waiting: the readings that wait.
     """
 
-    def __init__(self, buffer: Buffer) -> None:
-        self._buffer = buffer
+    def __init__(self, waiting: WaitingReadings) -> None:
+        self._waiting = waiting
         self._suspect: tuple[str, float] | None = None
         self._count = 0
         self._at = 0
@@ -44,15 +44,15 @@ class Refusals:
         """Suspect no poll."""
         self._suspect = None
 
-    def others(self) -> list[Reading]:
+    async def others(self) -> list[Reading]:
         """
         Return another poll, to be sent before the suspected one; none if there is no reason to.
 
-        It stays in the buffer: sent again in its turn, it is the newest of its device in the end.
+        It is not taken: sent again in its turn, it is the newest of its device in the end.
         """
         if self._suspect is None or self._is_compared:
             return []
-        first, *others = self._buffer.polls(self._at + 2) or [[]]
+        first, *others = await self._waiting.polls(self._at + 2) or [[]]
         if not first or first[0].poll != self._suspect:  # there was no room for it
             self._suspect = None
             return []

@@ -71,6 +71,11 @@ class TextFile:
         self._thread = WriterThread(self.path)
 
     @property
+    def is_live(self) -> bool:
+        """True if readings of earlier runs are not wanted."""
+        return self.path == "-"
+
+    @property
     def name(self) -> str:
         return self._name if self.path == "-" else f"{self._name} {self.path}"
 
