@@ -1,0 +1,463 @@
+"""
+A fleet with a journal, on simulated time and real files: outputs that are away, slow or gone, and
+disks that are full, damaged or hang.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import sqlite3
+import threading
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from libmodbus_py import Fleet
+from libmodbus_py.fleet import Journal, JournalError, Reading
+from libmodbus_py.services.fleet.journal import journal as journals
+from libmodbus_py.services.fleet.journal.errors import JournalDamaged, JournalTrouble
+from libmodbus_py.services.fleet.journal.journal_file import JournalFile
+from libmodbus_py.services.fleet.journal.journal_reader import JournalReader
+from tests.services.fleet.fleets import LONGEST, Peer, meter, simulated_run, until
+from tests.services.fleet.journals import Inline, readings
+from tests.simulation.network import Network
+
+HOUR = 3600.0
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> str:
+    return str(tmp_path / "fleet.db")
+
+
+@pytest.fixture
+def inline(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Disks take no time."""
+    monkeypatch.setattr(journals, "WriterThread", Inline)
+
+
+class Broker:
+    """
+    An output that is away at times.
+
+    Attributes:
+        is_away: True while it cannot be reached.
+        ids: of all readings that it accepted.
+        ends: raised by `write` after the readings were accepted, once.
+    """
+
+    def __init__(self, name: str = "broker", *, is_away: bool = False) -> None:
+        self.name = name
+        self.is_away = is_away
+        self.ids: list[int] = []
+        self.ends: BaseException | None = None
+        self.values: list[Reading] = []
+
+    async def open(self) -> None:
+        if self.is_away:
+            raise ConnectionRefusedError("away")
+
+    async def write(self, readings: Sequence[Reading]) -> None:
+        if self.is_away:
+            raise ConnectionResetError("away")
+        await asyncio.sleep(0.001)
+        self.ids += [each.id for each in readings]
+        self.values += readings
+        if readings and self.ends is not None:
+            end, self.ends = self.ends, None
+            raise end
+
+    async def close(self) -> None:
+        pass
+
+
+def in_journal(path: str) -> list[int]:
+    database = sqlite3.connect(path)
+    found = [number for (number,) in database.execute("SELECT id FROM reading ORDER BY id")]
+    database.close()
+    return found
+
+
+def run_for(path: str, seconds: float, *outputs: Any, change: Any = None) -> Fleet:
+    """Poll a device each 10 s, for simulated seconds."""
+
+    async def go() -> Fleet:
+        async with Peer() as peer:
+            fleet = Fleet(
+                [meter("a", peer.url, interval=10)], outputs=outputs, journal=Journal(path)
+            )
+            async with fleet:
+                await asyncio.sleep(seconds)
+                if change is not None:
+                    await change(fleet)
+            return fleet
+
+    return simulated_run(go(), Network())
+
+
+# --- outputs --------------------------------------------------------------------------------
+
+
+def test_a_broker_that_is_away_for_an_hour_misses_nothing(path: str, inline: None) -> None:
+    broker, other = Broker("north", is_away=True), Broker("south")
+
+    async def come_back(fleet: Fleet) -> None:
+        # As long as the broker was away, its readings were on the disk only.
+        assert fleet.statistics.outputs["north"].waiting == len(other.ids) > 1000
+        broker.is_away = False
+        await until(lambda: fleet.statistics.outputs["north"].waiting == 0)
+
+    fleet = run_for(path, HOUR - 60, broker, other, change=come_back)
+    assert broker.ids == other.ids == in_journal(path)
+    assert [each.dropped for each in fleet.statistics.outputs.values()] == [0, 0]
+    assert len({*broker.ids}) == len(broker.ids)
+
+
+def test_an_output_goes_on_in_the_next_run(path: str, inline: None) -> None:
+    away, present = Broker("north", is_away=True), Broker("south")
+    run_for(path, 100, away, present)
+    assert away.ids == []
+    first = list(present.ids)
+    again, new = Broker("north"), Broker("new")
+    run_for(path, 100, again, new)
+    every = in_journal(path)
+    assert again.ids == every
+    assert new.ids == every[len(first) :]  # it begins with the next reading
+    late = Broker("south")
+    run_for(path, 100, late)
+    assert late.ids == in_journal(path)[len(first) :]
+
+
+def test_a_write_that_was_accepted_and_failed_is_repeated_with_the_same_ids(
+    path: str, inline: None
+) -> None:
+    broker = Broker()
+    broker.ends = TimeoutError("the confirmation was lost")
+    run_for(path, 100, broker)
+    assert sorted({*broker.ids}) == in_journal(path)
+    assert len(broker.ids) == len({*broker.ids}) + 3  # one batch
+
+
+def test_a_live_output_gets_the_readings_of_this_run_only(path: str, inline: None) -> None:
+    run_for(path, 100, Broker("live", is_away=True))
+    live = Broker("live")
+    live.is_live = True  # type: ignore[attr-defined]
+    fleet = run_for(path, 100, live)
+    assert len(live.ids) == fleet.statistics.readings
+    assert live.ids == in_journal(path)[-len(live.ids) :]
+
+
+def test_readings_have_ids_for_programs_too(path: str, inline: None) -> None:
+    async def go() -> list[Reading]:
+        async with Peer() as peer:
+            device = meter("a", peer.url, interval=10)
+            fleet = Fleet([device], journal=Journal(path))
+            kept = fleet.readings()
+            async with fleet:
+                await asyncio.sleep(25)
+                fleet.replace([])
+                await asyncio.sleep(1)
+            return [each async for each in kept]
+
+    found = simulated_run(go())
+    assert found[-1].quality == "offline"
+    assert [each.id for each in found] == list(range(found[0].id, found[0].id + len(found)))
+    assert [each.id for each in found] == in_journal(path)
+
+
+def test_an_output_that_is_slower_than_the_readings_is_bounded_by_the_journal(
+    path: str, inline: None, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(journals, "SIZE_BOUNDS", ("1 kB", "1 TB"))
+    monkeypatch.setattr(journals, "MOST_IN_MEMORY", 100)
+
+    async def go() -> None:
+        journal = Journal(path, size="120 kB")
+        [place] = await journal.open(["slow"])
+        for at in range(5000):
+            journal.put(readings("a", float(at)))
+            if at % 10 == 0:
+                await asyncio.sleep(1)
+        await asyncio.sleep(10)
+        left = in_journal(path)
+        assert 100 < len(left) < 9000
+        assert place.dropped == 10_000 - len(left)
+        assert len(place) == len(left)
+        taken = []
+        while batch := await place.take_polls(500, 0.1):
+            taken += batch
+            await place.confirm(batch)
+        assert [each.id for each in taken] == left
+        assert place.dropped == 10_000 - len(left)
+        await journal.close()
+
+    simulated_run(go())
+    assert [each.getMessage() for each in caplog.records] == [
+        "slow: the journal is full; its oldest readings are dropped unconfirmed"
+    ]
+
+
+# --- disks ----------------------------------------------------------------------------------
+
+
+class Failing:
+    """Lets calls of a method fail while `error` is set."""
+
+    def __init__(
+        self, monkeypatch: pytest.MonkeyPatch, kind: type, name: str, error: Exception | None
+    ) -> None:
+        self.error = error
+        self.calls = 0
+        original = getattr(kind, name)
+
+        def call(this: Any, *arguments: Any) -> Any:
+            self.calls += 1
+            if self.error is not None:
+                raise self.error
+            return original(this, *arguments)
+
+        monkeypatch.setattr(kind, name, call)
+
+
+def test_a_full_disk_delays_no_output_and_loses_nothing(
+    path: str, inline: None, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    disk = Failing(monkeypatch, JournalFile, "write", None)
+    broker = Broker()
+
+    async def fill(fleet: Fleet) -> None:
+        journal = fleet.statistics.journal
+        assert journal is not None
+        disk.error = JournalTrouble("fleet.db: the disk is full")
+        before = len(broker.ids)
+        await asyncio.sleep(1000)
+        assert len(broker.ids) >= before + 300 - 3
+        assert journal.trouble == "fleet.db: the disk is full"
+        assert journal.failures >= 100
+        disk.error = None
+        await asyncio.sleep(20)
+        assert (journal.trouble, journal.dropped) == ("", 0)
+
+    run_for(path, 100, broker, change=fill)
+    assert broker.ids == in_journal(path)
+    assert caplog.text.count("fleet.db: the disk is full") == 1
+    assert caplog.text.count("accepts readings again") == 1
+
+
+def test_while_a_disk_is_full_for_long_memory_is_bounded(
+    path: str, inline: None, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(journals, "MOST_IN_MEMORY", 60)
+    disk = Failing(monkeypatch, JournalFile, "write", None)
+    broker, away = Broker(), Broker("away", is_away=True)
+
+    async def fill(fleet: Fleet) -> None:
+        journal = fleet.statistics.journal
+        assert journal is not None
+        disk.error = JournalTrouble("the disk is full")
+        await asyncio.sleep(1000)
+        disk.error = None
+        away.is_away = False
+        await until(lambda: fleet.statistics.outputs["away"].waiting == 0)
+        dropped = journal.dropped
+        assert 200 < dropped < 300
+        assert fleet.statistics.outputs["away"].dropped == dropped  # they were on no disk
+
+    run_for(path, 100, broker, away, change=fill)
+    assert len(broker.ids) == len({*broker.ids})  # this one had them from memory
+    assert away.ids == in_journal(path)
+    assert caplog.text.count("the oldest are dropped") == 1
+
+
+def test_a_journal_that_is_damaged_while_it_is_used_is_replaced(
+    path: str, inline: None, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    disk = Failing(monkeypatch, JournalFile, "write", None)
+    broker, away = Broker(), Broker("away", is_away=True)
+
+    async def damage(fleet: Fleet) -> None:
+        before = fleet.statistics.outputs["away"].waiting
+        disk.error = JournalDamaged("fleet.db: is damaged")
+        calls = disk.calls
+        await until(lambda: disk.calls > calls)
+        disk.error = None
+        await asyncio.sleep(100)
+        away.is_away = False
+        await until(lambda: fleet.statistics.outputs["away"].waiting == 0)
+        # What was only in the damaged file is there still, but not for this output.
+        assert fleet.statistics.outputs["away"].dropped in range(before - 9, before + 1)
+
+    monkeypatch.setattr(journals, "MOST_IN_MEMORY", 3)
+    fleet = run_for(path, 300, broker, away, change=damage)
+    old, new = in_journal(f"{path}-damaged"), in_journal(path)
+    assert old + new == broker.ids
+    assert away.ids == new
+    assert fleet.statistics.journal is not None
+    assert fleet.statistics.journal.dropped == 0
+    assert caplog.text.count(f"it is kept as {path}-damaged, and a new journal begins") == 1
+
+
+def test_damage_that_a_reader_meets_is_healed_too(
+    path: str, inline: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    reader = Failing(monkeypatch, JournalReader, "read", None)
+    monkeypatch.setattr(journals, "MOST_IN_MEMORY", 3)
+    away = Broker("away", is_away=True)
+
+    async def damage(fleet: Fleet) -> None:
+        reader.error = JournalDamaged("fleet.db: is damaged")
+        away.is_away = False
+        await until(lambda: Path(f"{path}-damaged").exists())
+        reader.error = None
+        await asyncio.sleep(100)
+        assert fleet.statistics.outputs["away"].waiting == 0
+
+    run_for(path, 300, away, change=damage)
+    assert away.ids[-30:] == in_journal(path)[-30:]
+
+
+def test_a_damaged_journal_is_replaced_when_a_fleet_begins(
+    path: str, inline: None, caplog: pytest.LogCaptureFixture
+) -> None:
+    run_for(path, 100, Broker())
+    whole = bytearray(Path(path).read_bytes())
+    whole[4096:] = b"\xff" * (len(whole) - 4096)
+    Path(path).write_bytes(whole)
+    broker = Broker()
+    run_for(path, 100, broker)
+    assert broker.ids == in_journal(path) != []
+    assert Path(f"{path}-damaged").read_bytes() == bytes(whole)
+    assert caplog.text.count("a new journal begins") == 1
+
+
+def test_a_disk_that_reports_errors_to_a_reader_is_asked_again(
+    path: str, inline: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    reader = Failing(monkeypatch, JournalReader, "read", None)
+    monkeypatch.setattr(journals, "MOST_IN_MEMORY", 3)
+    away = Broker("away", is_away=True)
+
+    async def read(fleet: Fleet) -> None:
+        reader.error = JournalTrouble("the disk reports an error")
+        away.is_away = False
+        await asyncio.sleep(100)
+        assert 10 < reader.calls < 250
+        reader.error = None
+        await until(lambda: fleet.statistics.outputs["away"].waiting == 0)
+
+    fleet = run_for(path, 300, away, change=read)
+    assert away.ids == in_journal(path)
+    assert fleet.statistics.outputs["away"].dropped == 0
+
+
+def test_a_disk_that_hangs_delays_nothing(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    hangs, goes_on = threading.Event(), threading.Event()
+    write = JournalFile.write
+
+    def slow(this: Any, *arguments: Any) -> Any:
+        if hangs.is_set():
+            goes_on.wait()
+        return write(this, *arguments)
+
+    monkeypatch.setattr(JournalFile, "write", slow)
+    monkeypatch.setattr("libmodbus_py.services.fleet.journal.place.LONGEST_NOTING", 0.01)
+    broker = Broker()
+
+    async def go() -> None:
+        journal = Journal(path)
+        [place] = await journal.open(["broker"])
+        hangs.set()
+        for at in range(50):
+            journal.put(readings("a", time.time() + at))
+            batch = await place.take_polls(100)
+            broker.ids += [each.id for each in batch]
+            await place.confirm(batch)
+        goes_on.set()
+        await journal.close()
+
+    asyncio.run(asyncio.wait_for(go(), 2 * LONGEST))
+    assert broker.ids == in_journal(path)
+    assert len(broker.ids) == 100
+
+
+# --- the beginning and the end --------------------------------------------------------------
+
+
+def test_a_journal_that_cannot_be_used_ends_the_fleet_before_it_polls(
+    path: str, inline: None
+) -> None:
+    Path(path).write_text("not a journal")
+
+    async def go() -> None:
+        async with Peer() as peer:
+            fleet = Fleet([meter("a", peer.url)], journal=Journal(path))
+            with pytest.raises(JournalError, match=r"is not a journal$"):
+                await fleet.run()
+            assert peer.connections == []
+
+    simulated_run(go())
+
+
+def test_a_journal_belongs_to_one_fleet(path: str) -> None:
+    async def go() -> None:
+        journal = Journal(path)
+        await journal.open([])
+        with pytest.raises(RuntimeError, match="is already in use"):
+            await journal.open([])
+        with pytest.raises(JournalError, match="is used by another program"):
+            await Journal(path).open([])
+        await journal.close()
+        await journal.close()
+
+    asyncio.run(go())
+
+
+def test_what_waits_is_written_when_the_fleet_ends(path: str) -> None:
+    async def go() -> int:
+        journal = Journal(path)
+        await journal.open(["x"])
+        told = [journal.put(readings("a", time.time() + at)) for at in range(1000)]
+        await journal.close()
+        assert journal.put(readings()) == readings()  # nothing is expected any more
+        return told[-1][-1].id
+
+    last = asyncio.run(go())
+    found = in_journal(path)
+    assert len(found) == 2000
+    assert found[-1] == last
+
+
+def test_a_cancelled_opening_leaves_the_file_to_others(
+    path: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opening, goes_on = threading.Event(), threading.Event()
+    original = JournalFile.open
+
+    def slow(this: Any, *arguments: Any) -> Any:
+        opening.set()
+        goes_on.wait()
+        return original(this, *arguments)
+
+    monkeypatch.setattr(JournalFile, "open", slow)
+
+    async def go() -> None:
+        task = asyncio.create_task(Journal(path).open(["x"]))
+        await until(opening.is_set)
+        task.cancel()
+        asyncio.get_running_loop().call_later(0.01, goes_on.set)
+        with pytest.raises(asyncio.CancelledError):
+            await task
+        other = Journal(path)
+        await other.open(["x"])
+        await other.close()
+
+    asyncio.run(go())
+
+
+@pytest.mark.parametrize("wrong", [{"keep": "90"}, {"size": "1 MB"}, {"path": ""}])
+def test_wrong_arguments_are_named(wrong: dict[str, Any]) -> None:
+    with pytest.raises((TypeError, ValueError), match="must be"):
+        Journal(**{"path": "fleet.db", **wrong})
