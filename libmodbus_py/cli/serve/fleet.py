@@ -20,6 +20,8 @@ from ...services.engine.connection import connected, disconnect, parse_servers
 from ...services.engine.errors import EngineError, EngineGone, NothingThere
 from ...services.fleet.files import FleetFile, FleetFileError
 from ...services.fleet.fleet import Fleet
+from ...services.fleet.journal.errors import JournalError
+from ...services.fleet.journal.journal import Journal
 from ...services.fleet.outputs.output import Output
 from ...services.workers.polling import BUCKET, Polling
 from ...services.workers.pushing import Pushed, changes, connections_of, push, seen_now, settings_of
@@ -127,7 +129,17 @@ def poll(
     if options.push:
         return _waited_for(_push(servers, settings, connections))
     return _waited_for(
-        _work(servers, settings, connections, options, outputs, exposed, show, hangup)
+        _work(
+            servers,
+            settings,
+            connections,
+            options,
+            outputs,
+            file.made_journal(),
+            exposed,
+            show,
+            hangup,
+        )
     )
 
 
@@ -141,7 +153,7 @@ def _settings(text: str) -> FleetSettings:
 def _waited_for(running: Coroutine[Any, Any, int]) -> int:
     try:
         return asyncio.run(running)
-    except EngineError as error:
+    except (EngineError, JournalError) as error:
         raise CommandError(str(error)) from None
 
 
@@ -225,6 +237,7 @@ async def _work(
     connections: list[Connection],
     options: argparse.Namespace,
     outputs: Sequence[Output],
+    journal: Journal | None,
     exposed: Exposed,
     show: Show | None,
     hangup: Hangup,
@@ -235,7 +248,7 @@ async def _work(
         if hangup.came:
             hung_up()
         return await _connect_and_work(
-            servers, settings, connections, options, outputs, exposed, show, hung_up
+            servers, settings, connections, options, outputs, journal, exposed, show, hung_up
         )
 
 
@@ -245,6 +258,7 @@ async def _connect_and_work(
     connections: list[Connection],
     options: argparse.Namespace,
     outputs: Sequence[Output],
+    journal: Journal | None,
     exposed: Exposed,
     show: Show | None,
     hung_up: Handler,
@@ -264,6 +278,7 @@ async def _connect_and_work(
             name=options.worker,
             zones=options.zone,
             outputs=outputs,
+            journal=journal,
         )
         changed.append(polling.engine_changed)
         screen = asyncio.create_task(show(polling.fleet)) if show else None

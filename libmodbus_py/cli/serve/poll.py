@@ -20,10 +20,12 @@ from ...server.signals import Handler, signal_handlers
 from ...services.fleet.config import DeviceConfig
 from ...services.fleet.files import FleetFile, load
 from ...services.fleet.fleet import Fleet
+from ...services.fleet.journal.errors import JournalError
 from ...services.fleet.outputs.kinds import KINDS, made
 from ...services.fleet.outputs.last_values import LastValues
 from ...services.fleet.outputs.output import Output, OutputError
 from ...services.fleet.outputs.writer_thread import WriterThread
+from ...services.fleet.statistics import JournalStatistics, OutputStatistics
 from ...services.fleet.trial import Tried, overloads, trying
 from ...system import allow_all_descriptors
 from ...tools.files.rereading import reread
@@ -125,7 +127,11 @@ def _start(options: argparse.Namespace, hangup: Hangup) -> int:
     if options.engine is not None:
         return _poll_with_others(options, file, outputs, values, hangup)
     shown = _page_output(options)
-    fleet = Fleet(file.devices, outputs=[*outputs, *_looks(options, values, shown)])
+    fleet = Fleet(
+        file.devices,
+        outputs=[*outputs, *_looks(options, values, shown)],
+        journal=file.made_journal(),
+    )
     is_printed = any(map(_prints, outputs))
     has_screen = sys.stderr.isatty() and not (is_printed and sys.stdout.isatty())
     with _seen(options, values, shown)(fleet):
@@ -135,14 +141,19 @@ def _start(options: argparse.Namespace, hangup: Hangup) -> int:
             if isinstance(error.__cause__, OSError):
                 raise error.__cause__ from None
             raise CommandError(str(error)) from None
+        except JournalError as error:
+            raise CommandError(str(error)) from None
     if not options.once:
         return 0
     return 1 if _is_anything_lost(fleet) or fleet.statistics.failures else 0
 
 
 def _is_anything_lost(fleet: Fleet) -> bool:
-    """Print the outputs that have not taken all readings, and return True if there is one."""
-    lost = {name: each for name, each in fleet.statistics.outputs.items() if each.dropped}
+    """Print the parts of a fleet that have lost readings, and return True if there is one."""
+    parts = dict[str, OutputStatistics | JournalStatistics](fleet.statistics.outputs)
+    if fleet.statistics.journal is not None:
+        parts["journal"] = fleet.statistics.journal
+    lost = {name: each for name, each in parts.items() if each.dropped}
     for name, output in lost.items():
         trouble = f": {output.trouble}" if output.trouble else ""
         complain(f"{name}: {counted(output.dropped, 'reading')} lost{trouble}")
@@ -282,7 +293,7 @@ class Reloading:
     def __init__(self, fleet: Fleet, path: str, file: FleetFile) -> None:
         self._fleet = fleet
         self._path = path
-        self._outputs = file.outputs
+        self._kept = file.outputs, file.journal
         self._thread = WriterThread(path)
         self._is_wanted = False
         self._task: asyncio.Task[None] | None = None
@@ -320,7 +331,7 @@ class Reloading:
     def _use(self, file: FleetFile) -> list[str]:
         self._fleet.replace(file.devices)
         lines = [f"{self._path}: {counted(len(file.devices), 'device')}"]
-        if file.outputs != self._outputs:
+        if (file.outputs, file.journal) != self._kept:
             lines.append(f"{self._path}: its outputs have changed; they are used after a restart")
         return lines
 
@@ -354,6 +365,9 @@ def _errors(fleet: Fleet) -> str:
     for name, output in statistics.outputs.items():
         if output.trouble or output.dropped:
             told += f"; {name}: {output.dropped} dropped"
+    journal = statistics.journal
+    if journal is not None and (journal.trouble or journal.dropped):
+        told += f"; journal: {journal.dropped} dropped"
     return told
 
 
@@ -368,6 +382,14 @@ def _summary(fleet: Fleet, seconds: float) -> str:
     for name, output in statistics.outputs.items():
         trouble = f": {output.trouble}" if output.trouble else ""
         lines.append(f"{name}: {output.written} written, {output.dropped} dropped{trouble}")
+    if statistics.journal is not None:
+        journal = statistics.journal
+        trouble = f": {journal.trouble}" if journal.trouble else ""
+        waiting = max((each.waiting for each in statistics.outputs.values()), default=0)
+        lines.append(
+            f"journal: {journal.written} written, {journal.dropped} dropped,"
+            f" {journal.bytes / 1e6:.1f} MB; {waiting} wait for an output{trouble}"
+        )
     return "\n".join(lines)
 
 

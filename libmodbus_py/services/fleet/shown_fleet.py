@@ -26,6 +26,7 @@ class PageOutput:
     """
 
     name = "page"
+    is_live = True
 
     def __init__(self) -> None:
         self.fleet: Fleet | None = None

@@ -45,7 +45,12 @@ from ...server.limits import ServerStatistics
 from ..fleet.config import label_name
 from ..fleet.outputs.last_values import KeptReadings
 from ..fleet.readings import Reading
-from ..fleet.statistics import LATENESS_BOUNDS, FleetStatistics, OutputStatistics
+from ..fleet.statistics import (
+    LATENESS_BOUNDS,
+    FleetStatistics,
+    JournalStatistics,
+    OutputStatistics,
+)
 from ..gateway.statistics import GatewayStatistics, LineStatistics, UnitStatistics
 
 try:
@@ -155,14 +160,20 @@ FLEET = _counters(
         "lateness",
         "late_seconds",
         "outputs",
+        "journal",
         "worst",
     ),
 )
 OUTPUT = _counters("modbus_fleet_output", OutputStatistics, ("buffer", "trouble"))
 OUTPUT["dropped"] = Family(
-    "modbus_fleet_output_dropped", "counter", "Readings dropped because the buffer was full."
+    "modbus_fleet_output_dropped",
+    "counter",
+    "Readings dropped because too many waited, or because they could never be written.",
 )
-OUTPUT["waiting"] = Family("modbus_fleet_output_waiting", "gauge", "Readings in the buffer.")
+OUTPUT["waiting"] = Family(
+    "modbus_fleet_output_waiting", "gauge", "Readings that wait for the output."
+)
+JOURNAL = _counters("modbus_fleet_journal", JournalStatistics, ("trouble",))
 LATENESS = Family(
     "modbus_fleet_lateness_seconds", "histogram", "Seconds by which polls began late."
 )
@@ -175,6 +186,7 @@ for _families, _gauges in (
     (LINE, ("waiting", "in_flight")),
     (UNIT, ("is_silent",)),
     (FLEET, ("devices", "up", "down")),
+    (JOURNAL, ("bytes",)),
 ):
     for _name in _gauges:
         _families[_name] = _families[_name]._replace(type="gauge")
@@ -223,6 +235,8 @@ def _of_fleet(statistics: FleetStatistics) -> Values:
     values |= _histogram(LATENESS, LATENESS_BOUNDS, statistics.lateness, statistics.late_seconds)
     for name, output in statistics.outputs.copy().items():
         _label(values, _attributes(OUTPUT, output), ("output", name))
+    if statistics.journal is not None:
+        values |= _attributes(JOURNAL, statistics.journal)
     return values
 
 
@@ -277,7 +291,7 @@ KINDS: dict[type, MetricKind] = {
         lambda gateway, name: (("server", name),) if name else (),
     ),
     FleetStatistics: MetricKind(
-        [*FLEET.values(), *OUTPUT.values(), LATENESS],
+        [*FLEET.values(), *OUTPUT.values(), *JOURNAL.values(), LATENESS],
         _of_fleet,
         lambda fleet, name: (("fleet", name),) if name else (),
     ),

@@ -19,6 +19,7 @@ from ..engine.buckets import Bucket, Change, Watch
 from ..engine.errors import EngineError, what
 from ..fleet.config import DeviceConfig, checked, devices_from_json
 from ..fleet.fleet import Fleet
+from ..fleet.journal.journal import Journal
 from ..fleet.outputs.output import Output
 from ..fleet.outputs.stream import Stream
 from ..tasks import end_tasks
@@ -73,6 +74,7 @@ class Polling:
         name: the name of this worker; empty for the name of the machine.
         zones: zones whose devices this worker polls, besides devices without a zone.
         outputs: outputs that get all readings, besides the stream of NATS.
+        journal: keeps the readings on the disk of this machine; None for none.
         clock: returns the time in seconds, for leases.
     """
 
@@ -85,6 +87,7 @@ class Polling:
         name: str = "",
         zones: Collection[str] = (),
         outputs: Sequence[Output] = (),
+        journal: Journal | None = None,
         clock: Callable[[], float] = clock,
     ) -> None:
         self.now: Callable[[], float] = clock
@@ -93,7 +96,9 @@ class Polling:
         self._name = re.sub(r"[^A-Za-z0-9_-]", "-", name or socket.gethostname())[:60]
         self.worker: Worker = Worker(self._new_id, {"", *zones})
         results = Stream(client, settings.results)
-        self.fleet: Fleet = Fleet(outputs=[results, *outputs], may_ask=self._may_ask)
+        self.fleet: Fleet = Fleet(
+            outputs=[results, *outputs], journal=journal, may_ask=self._may_ask
+        )
         self.fleet.commands.refusal = self._refusal
         self._service = CommandService(client, self.fleet.commands)
         self._takes_commands = settings.commands
@@ -132,6 +137,7 @@ class Polling:
 
         Raises:
             EngineError: the connection to NATS was closed for good.
+            JournalError: the journal cannot be used.
             OutputError: an output failed and cannot be opened again.
         """
         tasks = [
