@@ -19,6 +19,7 @@ Outputs: the destinations of readings. Each is one file, and imports its librari
     trust          the certificate authorities that are trusted
     secret_file    a password in a file, which is read again
     text_file      a file or the standard output
+    rotation       ... when the file is renamed, and how many old ones are kept
     writer_thread  a thread that writes, so that nothing else waits for a disk
     pump           moves the readings that wait to an output
     refusals       the poll on which the other side ends the connection

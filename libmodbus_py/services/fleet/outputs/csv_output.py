@@ -18,11 +18,18 @@ class CsvOutput(TextFile):
     Appends readings to a file; the first line of a new file contains the names of the columns.
 
     Args:
-        path, buffer: as for `JsonOutput`.
+        path, buffer, rotate, keep: as for `JsonOutput`.
 
     Raises:
-        TypeError: `path` is not text.
+        TypeError, ValueError: an argument of the wrong type or range, or `rotate` for the
+            standard output.
     """
 
-    def __init__(self, path: str = "-", buffer: int = MOST_KEPT) -> None:
-        super().__init__("csv", path, as_csv, HEADER, buffer, quote=b'"')
+    def __init__(
+        self,
+        path: str = "-",
+        buffer: int = MOST_KEPT,
+        rotate: str | None = None,
+        keep: int | None = None,
+    ) -> None:
+        super().__init__("csv", path, as_csv, HEADER, buffer, rotate, keep, quote=b'"')

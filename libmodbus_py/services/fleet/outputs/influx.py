@@ -49,7 +49,8 @@ class Influx:
         ca: a file with the certificate authorities to trust, for https; those of the system
             unless given. It is read again when it changes.
         measurement: the name of the measurement.
-        buffer: the most readings that wait for the server; the oldest are dropped beyond.
+        buffer: the most readings that wait; the oldest are dropped beyond.
+        rotate, keep: of the file, as for `JsonOutput`.
 
     Raises:
         TypeError, ValueError: an argument of the wrong type or range, or two that exclude each
@@ -72,6 +73,8 @@ class Influx:
         ca: str | None = None,
         measurement: str = "modbus",
         buffer: int = MOST_KEPT,
+        rotate: str | None = None,
+        keep: int | None = None,
     ) -> None:
         self._protocol = LineProtocol(measurement)
         self.buffer: int = buffer
@@ -86,15 +89,16 @@ class Influx:
         }
         self._sink: _Sink
         if url is not None:
-            if path is not None:
-                raise WrongValue("path", "cannot be used with url")
+            for key, value in {"path": path, "rotate": rotate, "keep": keep}.items():
+                if value is not None:
+                    raise WrongValue(key, "cannot be used with url")
             self._sink = InfluxServer(self._protocol.lines, url, **of_servers)  # type: ignore[arg-type]
             return
         needless = [name for name, value in of_servers.items() if value is not None]
         if needless:
             raise WrongValue(needless[0], "can only be used with url")
         self.path: str = "-" if path is None else path
-        self._sink = TextFile("influx", self.path, self._protocol.lines, buffer=buffer)
+        self._sink = TextFile("influx", self.path, self._protocol.lines, b"", buffer, rotate, keep)
 
     @property
     def name(self) -> str:

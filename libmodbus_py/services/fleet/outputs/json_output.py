@@ -20,10 +20,21 @@ class JsonOutput(TextFile):
         path: the path of the file; "-" for the standard output. The fleet ends when the standard
             output is closed.
         buffer: the most readings that wait for the file; the oldest are dropped beyond.
+        rotate: "daily" (at midnight, UTC), or a size such as "100 MB", "1 kB" to "1 TB": the file
+            is renamed then, and the time of its last reading is added to its name:
+            ``readings.csv.20260131T235959Z``. None for never.
+        keep: how many renamed files are kept, 0..100000; None for all.
 
     Raises:
-        TypeError: `path` is not text.
+        TypeError, ValueError: an argument of the wrong type or range, or `rotate` for the
+            standard output.
     """
 
-    def __init__(self, path: str = "-", buffer: int = MOST_KEPT) -> None:
-        super().__init__("json", path, as_json, buffer=buffer)
+    def __init__(
+        self,
+        path: str = "-",
+        buffer: int = MOST_KEPT,
+        rotate: str | None = None,
+        keep: int | None = None,
+    ) -> None:
+        super().__init__("json", path, as_json, b"", buffer, rotate, keep)
