@@ -47,7 +47,7 @@ from .config import DeviceConfig, checked
 from .devices_csv import DeviceRow, device_rows
 from .journal.journal import KEEP_BOUNDS, SIZE_BOUNDS, Journal
 from .outputs.kinds import KINDS, made, output_keys
-from .outputs.output import Output
+from .outputs.output import Labelled, Output
 from .outputs.secret_file import SecretFile
 
 __all__ = ["DEVICE", "FILE", "FleetFile", "FleetFileError", "load"]
@@ -138,6 +138,7 @@ class _Reader:
         self._maps: dict[FilePath, RegisterMap] = {}
         self._origins: list[_Origin] = []
         self._defaults: dict[str, Any] = {}
+        self._labels: dict[str, Mapping[str, str]] = {}
 
     def parse(self, text: str) -> FleetFile:
         """Return the contents of a text in TOML."""
@@ -147,6 +148,7 @@ class _Reader:
         if not devices:
             raise WrongValue("device", "must hold at least one table: [[device]]")
         self._check(devices)
+        self._labels = {each.name: each.labels for each in devices}
         outputs = self._outputs(given.get("output", {}))
         return FleetFile(devices, outputs, self._journal(given))
 
@@ -226,7 +228,9 @@ class _Reader:
             keys = {key: _filled(key, value) for key, value in self._secrets(given).items()}
             if isinstance(keys.get("path"), str) and keys["path"] != "-":
                 keys["path"] = str(self._folder / keys["path"])
-            output_keys(kind).read((), keys)
+            output = made(kind, keys)
+            if isinstance(output, Labelled):
+                output.label(self._labels)
         return keys
 
     def _secrets(self, given: Mapping[str, Any]) -> dict[str, Any]:

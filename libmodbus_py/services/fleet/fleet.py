@@ -171,11 +171,11 @@ class Fleet:
     async def _start(self) -> None:
         if self._loop is not None:
             raise RuntimeError("this fleet is already polling; make another one")
+        self._label(self._devices)
         names = self._names()
         places = await self._places(names)
         self._loop = asyncio.get_running_loop()
         self._wall = time.time() - self._loop.time()
-        self._label()
         for output, name in zip(self._outputs, names, strict=True):
             if isinstance(output, Commanded) and output.takes_commands:
                 output.attach(self.commands)
@@ -206,13 +206,14 @@ class Fleet:
         kept = [name for output, name in pairs if not getattr(output, "is_live", False)]
         return {each.name: each for each in await self._journal.open(kept)}
 
-    def _label(self) -> None:
-        labels = {each.name: each.labels for each in self._devices.values()}
+    def _label(self, devices: Mapping[str, DeviceConfig]) -> None:
+        """Pass labels and maps to the outputs; raise ValueError if a device lacks a label."""
+        labels = {each.name: each.labels for each in devices.values()}
         for output in self._outputs:
             if isinstance(output, Labelled):
                 output.label(labels)
             if isinstance(output, Described):
-                output.describe(self._devices)
+                output.describe(devices)
         if self._journal is not None:
             self._journal.describe(labels)
 
@@ -274,10 +275,16 @@ class Fleet:
             TypeError, ValueError: as for `Fleet`; the devices do not change then.
         """
         after = {each.name: each for each in checked(devices)}
-        before, self._devices = self._devices, after
+        before = self._devices
+        if self._loop is not None:
+            try:
+                self._label(after)
+            except ValueError:
+                self._label(before)
+                raise
+        self._devices = after
         if self._loop is None:
             return
-        self._label()
         self._tell(self._withdrawn(before, after, passed_on))
         moved = self._moved(after)
         for name, device in before.items():

@@ -26,10 +26,10 @@ from tests.support.cases import each_case
     [
         ("x/{device}-{name}", "must stand apart"),
         ("x/{name}.{device}/y", "must stand apart"),
-        ("x/{device}/{name}/{", "a brace belongs to neither"),
-        ("x}/{device}/{name}", "a brace belongs to neither"),
+        ("x/{device}/{name}/{", "a brace belongs to no name"),
+        ("x}/{device}/{name}", "a brace belongs to no name"),
         ("x/{{device}/{name}", "topic"),
-        ("x/{device}}/{name}", "a brace belongs to neither"),
+        ("x/{device}}/{name}", "a brace belongs to no name"),
         ("x/{device!r}/{name}", "topic must hold"),
     ],
 )

@@ -11,6 +11,7 @@ Outputs: the destinations of readings. Each is one file, and imports its librari
     influx_server  ... the server, by HTTP
     line_protocol  ... the lines
     mqtt           a topic for each value, retained; writes to named points
+    topics         ... the topics, with names and labels
     nats           a message for each poll, kept in a stream, from one machine
     stream         ... the stream, also used by workers on several machines
     subjects       the subjects of messages

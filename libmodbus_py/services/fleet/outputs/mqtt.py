@@ -23,12 +23,12 @@ from ....security.renewed import Renewed
 from ...tasks import end_tasks, finish
 from ..buffer import MOST_KEPT
 from ..commands import Commands, encoded, wanted_of
-from ..levels import Levels
 from ..readings import Reading
 from .device_states import DeviceStates
 from .forms import payload
 from .output import OutputError
 from .secret_file import SecretFile, text_of
+from .topics import Topic, plain_topic
 from .trust import trust
 
 if TYPE_CHECKING:
@@ -58,9 +58,6 @@ MOST_LOSSES = 3
 # Publishes with QoS 1 that wait for their acknowledgement together.
 TOGETHER = 8
 
-# Names as levels of topics.
-_LEVELS = Levels(r"[/+#%\0]")
-
 # The most received messages that wait; paho drops further ones.
 MOST_MESSAGES = 100
 
@@ -82,11 +79,12 @@ class Mqtt:
             (TLS).
         user, password: credentials of the broker; None for none. A `SecretFile` is read again for
             each connection, and on SIGHUP.
-        topic: the topic of a reading, with {device} and {name} on different levels; in both,
-            the characters ``/ + # %`` are written %2F and so on.
+        topic: the topic of a reading, with {device} and {name} on different levels, and labels
+            of devices such as {label.site}; in all of them, the characters ``/ + # %`` are
+            written %2F and so on.
         status: the topic of the status, which no reading may have; empty for none.
         device_status: the topic with "online" while a device answers, else "offline", with
-            {device}; no reading may have it. Empty for none.
+            {device} and labels; no reading may have it. Empty for none.
         retain: True if the broker keeps the last value of each topic.
         qos: 0, or 1 for readings that the broker must acknowledge.
         ca: a file with the certificate authorities to trust, for mqtts; those of the system
@@ -124,12 +122,13 @@ class Mqtt:
         for key, flag in (("retain", retain), ("commands", commands)):
             if not isinstance(flag, bool):
                 raise WrongType(key, f"must be true or false, not {flag!r}")
-        self._topic = _topic(topic)
-        self._status = _plain_topic("status", status)
-        if _pattern(self._topic).fullmatch(self._status):
+        self._topic = Topic("topic", topic, ("device", "name"))
+        self._status = plain_topic("status", status)
+        if self._topic.can_be(self._status):
             raise WrongValue("status", f"must not be the topic of a reading: {status!r}")
         self._device_status = _of_devices(device_status, self._topic, self._status)
         self._states = DeviceStates()
+        self._labels: Mapping[str, Mapping[str, str]] = {}
         self._retain = retain
         self._qos = integer("qos", qos, 0, 1)
         if ca is not None and not self._is_secure:
@@ -150,6 +149,17 @@ class Mqtt:
         self._losses: Counter[tuple[str, str]] = Counter()
         self._listening: asyncio.Task[None] | None = None
         self._sending: set[asyncio.Task[None]] = set()
+
+    def label(self, labels: Mapping[str, Mapping[str, str]]) -> None:
+        """
+        Set the labels of devices.
+
+        Raises:
+            ValueError: a device lacks a label that a topic holds; nothing changes then.
+        """
+        for topic in filter(None, (self._topic, self._device_status)):
+            topic.check(labels)
+        self._labels = dict(labels)
 
     def attach(self, commands: Commands) -> None:
         """Set the object that carries out commands."""
@@ -185,7 +195,7 @@ class Mqtt:
                 await client.publish(self._status, ONLINE, 1, True)
                 await client.subscribe(self._status, 1)
             if self.takes_commands:
-                await client.subscribe(f"{_filter(self._topic)}/set", 1)
+                await client.subscribe(f"{self._topic.filter}/set", 1)
             # The broker may have been restarted, and may have lost what it retained.
             await self._while_connected(self._publish_again(client))
 
@@ -216,7 +226,7 @@ class Mqtt:
         if readings and not self._qos:
             # The broker acknowledges no publish, but this, which comes behind them, and changes
             # nothing: a connection that it ended because of one of them is noticed here.
-            await client.unsubscribe(_filter(self._topic), timeout=LONGEST_CONFIRMING)
+            await client.unsubscribe(self._topic.filter, timeout=LONGEST_CONFIRMING)
 
     async def _publish_again(self, client: aiomqtt.Client) -> None:
         """Publish all last values; forget one on which the broker ends the connection."""
@@ -246,7 +256,8 @@ class Mqtt:
 
     async def _publish_states(self, client: aiomqtt.Client, states: Mapping[str, bool]) -> None:
         for name, answers in list(states.items()):
-            topic = self._device_status.format(device=_LEVELS.spell(name))
+            assert self._device_status is not None
+            topic = self._device_status.of(self._labels.get(name, {}), device=name)
             await client.publish(topic, ONLINE if answers else OFFLINE, 1, True)
 
     async def _while_connected(self, publishing: Coroutine[Any, Any, None]) -> None:
@@ -262,8 +273,8 @@ class Mqtt:
         task.result()
 
     async def _publish(self, client: aiomqtt.Client, reading: Reading) -> None:
-        device, name = _LEVELS.spell(reading.device), _LEVELS.spell(reading.name)
-        topic = self._topic.format(device=device, name=name)
+        labels = self._labels.get(reading.device, {})
+        topic = self._topic.of(labels, device=reading.device, name=reading.name)
         text = JSON.encode(payload(reading))
         await client.publish(topic, text.encode(), self._qos, self._retain)
 
@@ -307,13 +318,13 @@ class Mqtt:
         self, client: aiomqtt.Client, commands: Commands, message: aiomqtt.Message
     ) -> None:
         topic = str(message.topic)
-        found = _pattern(self._topic).fullmatch(topic.removesuffix("/set"))
+        asked = topic.removesuffix("/set")
+        names = self._topic.read(asked)
         data = message.payload if isinstance(message.payload, bytes) else b""
-        if found is None:
+        # A rule of the broker that goes by a label must hold: only the own topic of a point counts.
+        if names is None or self._topic.of(self._labels.get(names["device"], {}), **names) != asked:
             return
-        device, name = _LEVELS.read(found["device"]), _LEVELS.read(found["name"])
-        if device is None or name is None:
-            return
+        device, name = names["device"], names["name"]
         outcome = await commands.answer(device, name, wanted_of(data))
         if outcome is None:
             return
@@ -352,64 +363,17 @@ def _place(url: object) -> tuple[str, int, bool]:
     return parts.hostname, port, parts.scheme == "mqtts"
 
 
-def _topic(topic: object) -> str:
-    _plain_topic("topic", topic)
-    assert isinstance(topic, str)
-    if sorted(re.findall(r"\{.*?\}", topic)) != ["{device}", "{name}"]:
-        raise WrongValue("topic", f"must hold {{device}} and {{name}} once, not {topic!r}")
-    if set("{}") & set(re.sub(r"\{\w+\}", "", topic)):
-        raise WrongValue.about("topic", f"a brace belongs to neither name: {topic!r}")
-    if any("{device}" in level and "{name}" in level for level in topic.split("/")):
-        # "{device}-{name}" would be a-b-c for c of a-b and for b-c of a.
-        reason = f"{{device}} and {{name}} must stand apart, with / between them: {topic!r}"
-        raise WrongValue.about("topic", reason)
-    return topic
-
-
-def _plain_topic(key: str, topic: object) -> str:
-    if not isinstance(topic, str):
-        raise WrongType(key, f"must be text, not {type(topic).__name__}")
-    if set("+#\0") & set(topic) or len(topic.encode()) > 1000 or topic.startswith("$"):
-        raise WrongValue(key, f"must be a topic without + and #, not {topic!r}")
-    return topic
-
-
-def _of_devices(template: object, topic: str, status: str) -> str:
+def _of_devices(template: str, topic: Topic, status: str) -> Topic | None:
     """Return the topic of the states of devices; see `Mqtt`."""
     key = "device_status"
-    text = _plain_topic(key, template)
-    if not text:
-        return text
-    if text.count("{device}") != 1 or set("{}") & set(text.replace("{device}", "")):
-        raise WrongValue(key, f"must hold {{device}} once, not {text!r}")
-    if any(_can_meet(text, f"{topic}{ending}") for ending in ("", "/set", "/set/result")):
-        raise WrongValue(key, f"must not be the topic of a reading: {text!r}")
-    if _pattern(text).fullmatch(status):
-        raise WrongValue(key, f"must not be the topic of the status: {text!r}")
-    return text
-
-
-def _can_meet(topic: str, other: str) -> bool:
-    """Return True if two templates of topics can become the same topic."""
-    levels, others = topic.split("/"), other.split("/")
-    return len(levels) == len(others) and all(
-        level == each or "{" in level or "{" in each
-        for level, each in zip(levels, others, strict=True)
-    )
-
-
-def _filter(topic: str) -> str:
-    """Return the topic filter that matches all topics of a template."""
-    return "/".join("+" if "{" in level else level for level in topic.split("/"))
-
-
-def _pattern(topic: str) -> re.Pattern[str]:
-    return re.compile(
-        "".join(
-            f"(?P<{part[1:-1]}>[^/]+)" if part.startswith("{") else re.escape(part)
-            for part in re.split(r"(\{\w+\})", topic)
-        )
-    )
+    if not plain_topic(key, template):
+        return None
+    made = Topic(key, template, ("device",))
+    if any(made.can_be(f"{topic.template}{ending}") for ending in ("", "/set", "/set/result")):
+        raise WrongValue(key, f"must not be the topic of a reading: {template!r}")
+    if made.can_be(status):
+        raise WrongValue(key, f"must not be the topic of the status: {template!r}")
+    return made
 
 
 def _trust(ca: str | None) -> ssl.SSLContext:

@@ -94,6 +94,9 @@ class Labelled(Protocol):
         Set the labels of devices, by the names of the devices.
 
         It is called before `Output.open`, and when the devices of the fleet change.
+
+        Raises:
+            ValueError: a device lacks a label that this output needs; nothing changes then.
         """
         ...
 

@@ -1,0 +1,150 @@
+"""
+Topics of MQTT with the labels of devices.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+
+import pytest
+
+from libmodbus_py import Fleet, Server
+from libmodbus_py.fleet import FleetFileError, load
+from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
+from libmodbus_py.services.fleet.outputs.topics import Topic
+from tests.services.fleet.brokers import Broker, hearing, publish, run
+from tests.services.fleet.fleets import meter, simulated, until
+from tests.support.cases import each_case
+
+TEMPLATE = "plant/{label.site}/{device}/{name}"
+
+
+def topic(template: str = TEMPLATE) -> Topic:
+    return Topic("topic", template, ("device", "name"))
+
+
+def test_labels_are_levels() -> None:
+    made = topic()
+    assert made.of({"site": "Halle"}, device="north", name="power") == "plant/Halle/north/power"
+    assert made.of({"site": "a/b+#%"}, device="n/x", name="p") == "plant/a%2Fb%2B%23%25/n%2Fx/p"
+    assert made.filter == "plant/+/+/+"
+    assert made.read("plant/Halle/north/power") == {"device": "north", "name": "power"}
+    assert made.read("plant/Halle/n%6Frth/power") is None
+    assert made.read("plant/Halle/north") is None
+
+
+def test_a_label_may_be_part_of_a_level() -> None:
+    made = topic("site-{label.the site}/{device}/{name}")
+    assert made.of({"the site": "1"}, device="a", name="b") == "site-1/a/b"
+
+
+def test_a_device_that_was_removed_has_no_labels() -> None:
+    assert topic().of({}, device="north", name="power") == "plant/unknown/north/power"
+
+
+@each_case(
+    "template",
+    [
+        "plant/{label.site}{device}/{name}",
+        "plant/{label.site}-{label.line}/{device}/{name}",
+        "plant/{label.}/{device}/{name}",
+        "plant/{site}/{device}/{name}",
+        "plant/{label.site/{device}/{name}",
+    ],
+)
+def test_bad_templates_are_refused(template: str) -> None:
+    with pytest.raises(ValueError, match="topic"):
+        topic(template)
+
+
+def test_the_status_is_no_topic_of_a_reading() -> None:
+    with pytest.raises(ValueError, match="status must not be the topic of a reading"):
+        Mqtt("mqtt://127.0.0.1", topic="{label.site}/{device}/{name}", status="a/b/c")
+
+
+FLEET = """
+[[device]]
+name = "north"
+url = "tcp://127.0.0.1"
+labels = { site = "Halle" }
+[[device.point]]
+name = "level"
+table = "holding_registers"
+address = 0
+
+[[device]]
+name = "south"
+url = "tcp://127.0.0.2"
+LABELS
+[[device.point]]
+name = "level"
+table = "holding_registers"
+address = 0
+
+[output.mqtt]
+url = "mqtt://127.0.0.1"
+topic = "plant/{label.site}/{device}/{name}"
+"""
+
+
+@each_case("labels", ["", 'labels = { place = "Hof" }', 'labels = { site = "" }'])
+def test_a_device_without_the_label_is_told_when_the_file_is_read(
+    labels: str, tmp_path: Path
+) -> None:
+    file = tmp_path / "fleet.toml"
+    file.write_text(FLEET.replace("LABELS", labels))
+    with pytest.raises(FleetFileError) as raised:
+        load(file)
+    said = "output.mqtt.topic: {label.site}: the device 'south' has no label 'site'"
+    assert said in str(raised.value)
+    line = FLEET.splitlines().index('topic = "plant/{label.site}/{device}/{name}"') + 1
+    assert str(raised.value).startswith(f"{file}, line {line}: ")
+
+
+def test_a_device_without_the_label_is_not_added() -> None:
+    async def go() -> None:
+        with Server({1: simulated()}).background("tcp://127.0.0.1:0") as served:
+            url = served.urls[0]
+            output = Mqtt("mqtt://127.0.0.1:1", topic=TEMPLATE)
+            async with Fleet([meter("a", url, labels={"site": "x"})], outputs=[output]) as fleet:
+                with pytest.raises(ValueError, match="'b' has no label 'site'"):
+                    fleet.add([meter("b", url)])
+                assert [*fleet.devices] == ["a"]
+                fleet.add([meter("b", url, labels={"site": "y"})])
+                assert [*fleet.devices] == ["a", "b"]
+            with pytest.raises(ValueError, match="'a' has no label 'site'"):
+                await Fleet([meter("a", url)], outputs=[output]).run(once=True)
+
+    asyncio.run(go())
+
+
+def test_readings_and_commands_go_by_the_labels(broker: Broker) -> None:
+    """A command to the topic of another site is none: rules of the broker go by topics."""
+
+    async def go() -> None:
+        device = simulated()
+        with Server({1: device}).background("tcp://127.0.0.1:0") as served:
+            output = Mqtt(
+                broker.url,
+                topic=TEMPLATE,
+                device_status="states/{label.site}/{device}",
+                status="",
+                commands=True,
+            )
+            north = meter("north", served.urls[0], labels={"site": "Halle 1"})
+            async with (
+                hearing(broker, "#") as heard,
+                Fleet([north], outputs=[output]),
+            ):
+                await until(lambda: any(each[0] == "plant/Halle 1/north/power" for each in heard))
+                await until(lambda: ("states/Halle 1/north", "online") in [e[:2] for e in heard])
+                await publish(broker, "plant/Hof/north/setpoint/set", b"25")
+                await publish(broker, "plant/Halle 1/north/setpoint/set", b"21")
+                await until(lambda: any(each[0].endswith("/set/result") for each in heard))
+                results = [each for each in heard if each[0].endswith("/set/result")]
+                assert [each[0] for each in results] == ["plant/Halle 1/north/setpoint/set/result"]
+                assert device.mapping.holding_registers[2] == 21
+                assert results[0][1]["ok"]
+
+    run(go())
