@@ -31,7 +31,9 @@ COMMON = {"server", "gateway", "listener", "page", "closing", "commands"}
 """What works on every system; its check in the program is named so."""
 
 
-@pytest.mark.parametrize(("level", "more"), [("macos", {"serial"}), ("bare", {"no_serial"})])
+@pytest.mark.parametrize(
+    ("level", "more"), [("macos", {"serial", "children"}), ("bare", {"no_serial"})]
+)
 def test_the_package_works_without_what_only_linux_has(level: str, more: set[str]) -> None:
     done = subprocess.run(
         [sys.executable, "-W", "error", str(ELSEWHERE), level],
@@ -61,6 +63,21 @@ def test_one_file_alone_names_what_only_linux_has() -> None:
         if isinstance(node, ast.Attribute) and node.attr in ONLY_LINUX
     }
     assert {each.partition(":")[0] for each in found} == {"system.py"}
+
+
+ONLY_POSIX = {"resource", "fcntl", "termios", "tty", "pty"}
+
+
+def test_modules_that_only_posix_has_are_imported_where_they_are_used() -> None:
+    """Serial ports need them; all else works without them."""
+    package = Path(libmodbus_py.__file__).parent
+    found = {
+        str(path.relative_to(package))
+        for path in package.rglob("*.py")
+        for node in ast.parse(path.read_text()).body
+        if isinstance(node, ast.Import) and {each.name for each in node.names} & ONLY_POSIX
+    }
+    assert found == {"ports/serial.py", "ports/read_only.py"}
 
 
 # --- flags --------------------------------------------------------------------------------------

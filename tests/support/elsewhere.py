@@ -133,6 +133,20 @@ def check_closing() -> None:
         timer.join()
 
 
+def check_children() -> None:
+    """A forked child closes its copies, and asks over a connection of its own."""
+    with (
+        Server({1: device()}).background("tcp://127.0.0.1:0") as running,
+        Context.from_url(running.urls[0], unit=1) as plc,
+    ):
+        assert plc.read_holding_registers(0, 3) == WORDS
+        child = os.fork()
+        if child == 0:
+            os._exit(0 if plc.read_holding_registers(0, 3) == WORDS else 1)
+        assert os.waitpid(child, 0)[1] == 0
+        assert plc.read_holding_registers(0, 3) == WORDS
+
+
 def check_serial() -> None:
     from libmodbus_py.tools.testing.wires import SerialWire
 
@@ -155,10 +169,13 @@ def check_commands() -> None:
         assert not main(["read", running.urls[0], "holding", "0", "3", "--unit", "1"])
 
 
+NOT_ON = {"check_serial": "bare", "check_children": "bare", "check_no_serial": "macos"}
+
+
 def checks() -> Iterator[str]:
     for name, check in list(globals().items()):
         wanted = name.startswith("check_") and name not in ("check_blocking", "check_asyncio")
-        is_other = {"check_serial": "bare", "check_no_serial": "macos"}.get(name) == LEVEL
+        is_other = NOT_ON.get(name) == LEVEL
         if wanted and not is_other:
             check()
             yield name.removeprefix("check_")
