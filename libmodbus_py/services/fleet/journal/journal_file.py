@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import fcntl
 import os
 import sqlite3
 import time
@@ -25,6 +24,7 @@ from typing import NamedTuple
 
 from ....protocol.json_text import SORTED_JSON
 from ....protocol.logs import HarmlessLogger
+from ....system import lock_file
 from .errors import JournalDamaged, JournalError, raised
 from .numbers import first_id
 from .polls import JournalPoll, Points, Row, encoded
@@ -207,7 +207,7 @@ class JournalFile:
                 self._was_used = os.path.exists(path)
             if self._lock < 0:
                 self._lock = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
-            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            lock_file(self._lock)
         except BlockingIOError:
             raise JournalError(f"{self.path}: is used by another program") from None
         except OSError as error:
