@@ -18,7 +18,6 @@ from tests.support.commands import run
         "listen",
         "map",
         "poll",
-        "ports",
         "scan",
         "serve",
         "sunspec",

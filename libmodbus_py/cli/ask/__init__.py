@@ -6,6 +6,7 @@ Commands that ask one device: read, write, identify, diagnose, raw and map.
     read             the arguments of read
     reading          the requests of read, and their results
     watching         read --watch: reading again and again
+    shown_watch      the values of read --watch as the live page shows them
     table            ... on a terminal, drawn again in place
     lines            ... elsewhere, a line for each poll
     write            the arguments of write

@@ -12,6 +12,7 @@ from typing import Any, get_args
 from ...protocol.durations import DURATION, duration_of
 from ...protocol.type_names import BitsType, NumberType, Order
 from .. import arguments
+from ..serve import page
 
 __all__ = ["WHAT", "add_command", "add_completer", "add_item_arguments"]
 
@@ -66,6 +67,7 @@ def add_command(commands: Any) -> None:
         metavar="SECONDS",
         help="end after this time, such as 90, 10m or 1h30m; implies --watch",
     )
+    page.add_argument(group, "the values of --watch")
     command.set_defaults(run=_read)
 
 
@@ -135,7 +137,7 @@ def _polls(text: str) -> int:
 def _read(options: argparse.Namespace) -> int:
     if options.units:
         options.unit = options.units[0]
-    if options.watch is None and (options.count or options.lasts):
+    if options.watch is None and (options.count or options.lasts or options.page):
         options.watch = 1.0
     if options.watch is None:
         from .reading import read

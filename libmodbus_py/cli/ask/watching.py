@@ -8,12 +8,14 @@ import argparse
 import os
 import sys
 import time
-from contextlib import closing
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from typing import Any
 
 from ...protocol.errors import ModbusError
 from ..connecting import connected
 from ..failing import CommandError
+from ..serve import page
 from .lines import CsvPolls, JsonPolls, TextPolls
 from .reading import Printer, Reader, object_of, readers_of, reason_of
 from .table import TerminalTable
@@ -29,21 +31,34 @@ def watch(options: argparse.Namespace) -> int:
     with closing(connected(options)) as context:
         units = ",".join(str(reader.unit) for reader in readers)
         title = f"{context.url}, unit {units}, every {interval:g} s"
-        shown = _shown(options, readers, title)
-        begun = time.monotonic()
-        until = begun + (options.lasts or float("inf"))
-        code = 1
-        while True:
-            for reader in readers:
-                if _poll(reader, context, shown):
-                    code = 0
-            left = left and left - 1
-            # From start to start; polls that are late are left out.
-            passed = time.monotonic() - begun
-            following = begun + (passed // interval + 1) * interval
-            if left == 0 or following >= until:
-                return code
-            time.sleep(max(0.0, following - time.monotonic()))
+        with _on_page(options, title, _shown(options, readers, title)) as shown:
+            begun = time.monotonic()
+            until = begun + (options.lasts or float("inf"))
+            code = 1
+            while True:
+                for reader in readers:
+                    if _poll(reader, context, shown):
+                        code = 0
+                left = left and left - 1
+                # From start to start; polls that are late are left out.
+                passed = time.monotonic() - begun
+                following = begun + (passed // interval + 1) * interval
+                if left == 0 or following >= until:
+                    return code
+                time.sleep(max(0.0, following - time.monotonic()))
+
+
+@contextmanager
+def _on_page(options: argparse.Namespace, title: str, printer: Printer) -> Iterator[Printer]:
+    """Show the values on a page too while the block runs, if there is an address."""
+    if options.page is None and options.page_token is None:
+        yield printer
+        return
+    from .shown_watch import ShownWatch
+
+    shown = ShownWatch(title, printer)
+    with page.tables_shown(lambda: shown, options.page, options.page_token, sys.stderr):
+        yield shown
 
 
 def _poll(reader: Reader, context: Any, shown: Printer) -> bool:

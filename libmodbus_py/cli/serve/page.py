@@ -12,13 +12,12 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from typing import TYPE_CHECKING, TextIO, TypeGuard
 
-from ...ports.hosts import is_loopback
 from ...protocol.errors import ModbusConnectionError
-from ...server.server import Running, Server
 from ..output import complain
 from .addresses import Address, address_like
 
 if TYPE_CHECKING:
+    from ...server.server import Running, Server
     from ...tools.page.page import Page
     from ...tools.page.table_source import Shown
 
@@ -33,7 +32,7 @@ TOKEN = "LIBMODBUS_PY_PAGE_TOKEN"
 MAX_FILE = 1000
 
 
-def add_argument(command: argparse.ArgumentParser, what: str = "the devices") -> None:
+def add_argument(command: argparse._ActionsContainer, what: str = "the devices") -> None:
     """
     Add the options to argparse.
 
@@ -146,6 +145,8 @@ def _opened(
     token_file: str | None,
 ) -> Iterator[Callable[[str, TextIO], None]]:
     """Open a page while the block runs; yield a function that prints its URL."""
+    from ...ports.hosts import is_loopback
+
     with contextlib.ExitStack() as stack:
         try:
             page = stack.enter_context(open_page(*address, token_of(token_file)))
