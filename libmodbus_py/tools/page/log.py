@@ -8,8 +8,9 @@ import re
 import reprlib
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import fields
+from datetime import UTC, datetime
 from itertools import count
 from typing import Any, NamedTuple
 
@@ -18,7 +19,9 @@ from ...ports.schemes import framing_of
 from ...ports.trace import Traced
 from ...protocol import pdu
 from ...protocol.pdu import Request
+from ..files.csv_text import csv_rows
 from ..listener.traces import Exchange, TracePairing
+from .named import named_cells
 from .shown import ShownServer
 
 __all__ = ["Log", "LogRow", "Written", "request_name"]
@@ -42,8 +45,25 @@ WRITES = frozenset(request.function for request, kind in ACCESSES.items() if kin
 DONE = ("answered", "broadcast", "late", "invalid")
 
 
+GOOD = ("answered", "broadcast")
+
+HEAD = (
+    *("time", "client", "unit", "function", "request", "points", "response", "kind", "seconds"),
+)
+
+# With these a spreadsheet begins a formula.
+FORMULAS = ("=", "+", "-", "@", "\t", "\r")
+
+
 class LogRow(NamedTuple):
-    """A transaction as a row of the log; `number` counts all rows since the page began."""
+    """
+    A transaction as a row of the log.
+
+    Attributes:
+        number: counts all rows since the page began.
+        named: the points that are read or written, with their values.
+        writes: True for a write.
+    """
 
     number: int
     time: float
@@ -54,6 +74,8 @@ class LogRow(NamedTuple):
     outcome: str
     kind: str
     seconds: float | None
+    named: str = ""
+    writes: bool = False
 
 
 class Written(NamedTuple):
@@ -129,8 +151,40 @@ class Log:
             self._pairing.take(self._adus.popleft())
         self._pairing.tick(time.time())
         done, self._pairing.done = self._pairing.done, []
-        self._rows += [_row(next(self._row_numbers), each) for each in done]
+        self._rows += [_row(next(self._row_numbers), each, self._named(each)) for each in done]
         return [each for each in self._rows if each.number > after]
+
+    def download(self, query: Mapping[str, str]) -> str:
+        """Return the remembered rows that a query wants as CSV; see `as_csv`."""
+        writes, errors = ("1" in query.get(name, "") for name in ("writes", "errors"))
+        return self.as_csv(query.get("unit", ""), writes=writes, errors=errors)
+
+    def as_csv(self, unit: str = "", *, writes: bool = False, errors: bool = False) -> str:
+        """
+        Return the remembered rows as CSV.
+
+        Args:
+            unit: only of this unit; empty for all.
+            writes, errors: only writes, and only what was not answered well; both for either.
+        """
+        rows = [
+            [_time_text(each.time), *each[2:6], each.named, each.outcome, each.kind, each.seconds]
+            for each in self.rows()
+            if unit in ("", str(each.unit)) and _is_wanted(each, writes=writes, errors=errors)
+        ]
+        return csv_rows([HEAD, *(map(_cell, row) for row in rows)])
+
+    def _named(self, exchange: Exchange) -> str:
+        """Return the points of a transaction with their values; it may be of no unit here."""
+        each, shown = exchange.transaction, self._shown()
+        if each.request is None or each.unit is None or each.kind not in DONE:
+            return ""
+        for number in shown.units_of(each.unit, is_line=False):
+            try:
+                return named_cells(shown.units[number], each.request, each.response)
+            except (ValueError, TypeError, LookupError):  # the device was replaced meanwhile
+                return ""
+        return ""
 
     def written(self, after: int = 0) -> list[Written]:
         """Return the writes after this number, the oldest first."""
@@ -142,7 +196,23 @@ class Log:
         return newest[::-1]
 
 
-def _row(number: int, exchange: Exchange) -> LogRow:
+def _time_text(time: float) -> str:
+    """Return a time in ISO 8601, in UTC, with milliseconds."""
+    return f"{datetime.fromtimestamp(time, UTC).isoformat(timespec='milliseconds')[:-6]}Z"
+
+
+def _is_wanted(row: LogRow, *, writes: bool, errors: bool) -> bool:
+    if not (writes or errors):
+        return True
+    return (writes and row.writes) or (errors and row.kind not in GOOD)
+
+
+def _cell(value: Any) -> Any:
+    """Return a cell of CSV that no program takes for a formula."""
+    return f"'{value}" if isinstance(value, str) and value[:1] in FORMULAS and value else value
+
+
+def _row(number: int, exchange: Exchange, named: str) -> LogRow:
     peer, each = exchange
     return LogRow(
         number,
@@ -154,6 +224,8 @@ def _row(number: int, exchange: Exchange) -> LogRow:
         _cut(each.outcome(_listed)),
         each.kind,
         each.duration,
+        named,
+        each.function in WRITES,
     )
 
 

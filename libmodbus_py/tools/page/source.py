@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Mapping
 from typing import Any, Protocol
 
-__all__ = ["Action", "Changes", "PageSource", "PageView"]
+__all__ = ["Action", "Changes", "Download", "PageSource", "PageView"]
 
 Changes = dict[str, Any]
 """The fields of a message, for JSON."""
@@ -17,6 +17,9 @@ Action = Callable[[Mapping[str, Any]], object]
 Takes the JSON object of a request, and returns that of the response; it raises TypeError,
 ValueError or KeyError if the object is wrong or lacks a key.
 """
+
+Download = Callable[[Mapping[str, str]], str]
+"""Takes the fields of a query, and returns CSV."""
 
 
 class PageView(Protocol):
@@ -44,6 +47,11 @@ class PageSource(Protocol):
     @property
     def actions(self) -> Mapping[str, Action]:
         """Requests of pages, by path; they are called in any thread."""
+        ...
+
+    @property
+    def downloads(self) -> Mapping[str, Download]:
+        """Files that pages offer, by path; they are called in any thread."""
         ...
 
     def structure(self) -> object:

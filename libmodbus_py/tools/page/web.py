@@ -11,7 +11,7 @@ from collections.abc import Callable
 from http.server import BaseHTTPRequestHandler
 from importlib import resources
 from typing import Any
-from urllib.parse import urlsplit
+from urllib.parse import parse_qsl, urlsplit
 
 from ...protocol.json_text import json_text
 from ..timed_server import TimedServer
@@ -29,6 +29,7 @@ HEARTBEAT = 5.0
 
 MOST_HEAD = 16_384
 MOST_BODY = 65_536
+MOST_FIELDS = 8
 
 FOLDER = resources.files(__package__ or "")
 
@@ -139,13 +140,13 @@ class Handler(BaseHTTPRequestHandler):
             self.send_header(name, value)
         super().end_headers()
 
-    def _answer(self, answer: Callable[[str], None]) -> None:
+    def _answer(self, answer: Callable[[str, str], None]) -> None:
         try:
             path, query = self._split()
             why = self.server.guard.refusal(query, self.headers, is_change=self.command != "GET")
             if why:
                 raise Refused(403, why)
-            answer(path)
+            answer(path, query)
         except Refused as refusal:
             self._send(refusal.status, "application/json", _json({"error": str(refusal)}))
 
@@ -156,9 +157,14 @@ class Handler(BaseHTTPRequestHandler):
             raise Refused(400, "no such path") from None
         return parts.path, parts.query
 
-    def _get(self, path: str) -> None:
+    def _get(self, path: str, query: str) -> None:
         if path == "/events":
             self._stream()
+            return
+        download = self.server.streams.source.downloads.get(path)
+        if download is not None:
+            text = download(_fields(query))
+            self._send(200, "text/csv; charset=utf-8", text.encode(errors="replace"))
             return
         if path not in FILES:
             raise Refused(404, "there is nothing here")
@@ -166,7 +172,7 @@ class Handler(BaseHTTPRequestHandler):
         data = FOLDER.joinpath(name or self.server.streams.source.document).read_bytes()
         self._send(200, kind, data, with_cookie=path == "/")
 
-    def _post(self, path: str) -> None:
+    def _post(self, path: str, query: str) -> None:
         action = self.server.actions.get(path)
         if action is None:
             raise Refused(404, "there is nothing here")
@@ -228,6 +234,13 @@ class Handler(BaseHTTPRequestHandler):
                 return
             message = stream.take() if ready else ": \n\n"
             self.wfile.write(message.encode())
+
+
+def _fields(query: str) -> dict[str, str]:
+    try:
+        return dict(parse_qsl(query, max_num_fields=MOST_FIELDS))
+    except ValueError:
+        raise Refused(400, "there are too many fields") from None
 
 
 def _json(found: object) -> bytes:
