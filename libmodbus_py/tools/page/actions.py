@@ -7,11 +7,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Protocol
 
+from ...maps.point import Point
 from ...protocol.checks import integer
 from ...protocol.tables import TABLE_SIZE, TABLES
 from ...server.faults.fault import Fault
 from .setting import readings_at, set_cells, set_point
-from .shown import ShownUnit
+from .shown import CanHold, ShownUnit
 from .source import Action
 
 if TYPE_CHECKING:
@@ -60,18 +61,24 @@ class Actions:
         self.by_path: dict[str, Action] = {
             "/value": self._set,
             "/readings": self._read,
+            "/hold": self._hold,
             "/fault": self._switch,
             "/faults": self._add,
         }
+
+    def _hold(self, given: Given) -> None:
+        unit = self._source.unit(given["unit"])
+        point = _point(unit, given)
+        if not isinstance(unit.device, CanHold):
+            raise ValueError(f"{point.name} never moves by itself")
+        unit.device.hold(point, is_on=given["on"] is True)
 
     def _set(self, given: Given) -> None:
         unit, text = self._source.unit(given["unit"]), given["text"]
         if not isinstance(text, str):
             raise TypeError("text must be a string")
         if "point" in given:
-            point = unit.points[integer("point", given["point"], 0, len(unit.points) - 1)]
-            if point.name != given["name"]:
-                raise ValueError("there is no such point any more")
+            point = _point(unit, given)
             set_point(unit, point, text)
             self._note(unit, point.table, point.cells)
         else:
@@ -94,6 +101,13 @@ class Actions:
         unit = None if given["unit"] is None else self._source.unit(given["unit"]).number
         fault = Fault(**{name: given[name] for name in SETTINGS if given.get(name) is not None})
         self._source.faults.add(unit, fault)
+
+
+def _point(unit: ShownUnit, given: Given) -> Point:
+    point = unit.points[integer("point", given["point"], 0, len(unit.points) - 1)]
+    if point.name != given["name"]:
+        raise ValueError("there is no such point any more")
+    return point
 
 
 def _table(name: object) -> str:

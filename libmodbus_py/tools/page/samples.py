@@ -11,10 +11,13 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
-__all__ = ["MOST_SAMPLES", "Samples", "thinned"]
+__all__ = ["MOST_PAIRS", "MOST_SAMPLES", "Samples", "charted", "thinned"]
 
 MOST_SAMPLES = 600
 """The most samples of one value: at one a second, those of ten minutes."""
+
+MOST_PAIRS = 1000
+"""Samples of a chart."""
 
 # Samples that are closer together replace each other.
 SHORTEST = 0.4
@@ -115,6 +118,17 @@ class Samples:
             return [LEVELS // 2 if each == each else -1 for each in values]
         by = LEVELS / span
         return [int((each - low) * by) if each == each else -1 for each in values]
+
+
+def charted(pairs: Pairs, now: float, units: str) -> dict[str, Any]:
+    """Return samples as JSON for a chart."""
+    kept = thinned(pairs, MOST_PAIRS)
+    return {
+        "now": now,
+        "times": [round(at, 2) for at, _ in kept],
+        "values": [each for _, each in kept],
+        "units": units,
+    }
 
 
 def _time(pair: tuple[float, Any]) -> float:

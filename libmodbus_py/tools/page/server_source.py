@@ -4,11 +4,13 @@ A server as a page shows it: units, values, log, counters and faults.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
-from ...protocol.checks import integer
+from ...maps.point import Point
+from ...protocol.checks import integer, number
 from ...protocol.tables import TABLE_SIZE, TABLES
 from ...protocol.values import ORDERS, TYPES
 from ...server.faults.fault import KINDS, OPTIONAL
@@ -16,8 +18,9 @@ from ...server.server import Server
 from .actions import Actions
 from .fault_list import FaultList
 from .log import Log
+from .samples import Samples, charted
 from .shown import ShownServer, ShownUnit, shown_of
-from .source import Action, Changes, PageView
+from .source import Action, Changes, Download, PageView
 from .views import CellsView, PointsView
 
 __all__ = ["ServerSource"]
@@ -31,6 +34,9 @@ WORDS: dict[str, Any] = {
         for kind, setting in KINDS.items()
     },
 }
+
+MOST_SAMPLED = 5000
+"""Points whose samples are kept."""
 
 # The view of a page: unit, table or "points", the first of them, and the end.
 Key = tuple["int | None", str, int, int]
@@ -54,7 +60,12 @@ class ServerSource:
         self._shown = shown_of(server)
         self.log: Log = Log(lambda: self._shown)
         self.faults: FaultList = FaultList(server.fault_switch)
-        self.actions: Mapping[str, Action] = Actions(self).by_path
+        self.actions: Mapping[str, Action] = {
+            **Actions(self).by_path,
+            "/history": self._history,
+        }
+        self._samples: dict[tuple[int | None, str], Samples] = {}
+        self.downloads: Mapping[str, Download] = {"/log.csv": self.log.download}
         self._counters: dict[str, int] = {}
         self._told = (0, 0, -1)  # the last transaction, write and version of the faults
 
@@ -92,7 +103,11 @@ class ServerSource:
     def changes(self) -> Changes:
         passed, written, version = self._told
         found: Changes = {"log": self.log.rows(passed), "written": self.log.written(written)}
-        counters: dict[str, int] = asdict(self._server.statistics)
+        counters: dict[str, int] = {
+            name: value
+            for name, value in asdict(self._server.statistics).items()
+            if isinstance(value, int)
+        }
         found["counters"] = {
             name: value for name, value in counters.items() if value != self._counters.get(name)
         }
@@ -105,6 +120,30 @@ class ServerSource:
             written = found["written"][-1].number
         self._told = passed, written, version
         return {name: value for name, value in found.items() if value or name == "faults"}
+
+    # --- history -------------------------------------------------------------------------------
+
+    def _samples_of(self, unit: ShownUnit, point: Point) -> Samples:
+        """Return the samples of a point; those that were looked at first make room for new ones."""
+        key = unit.number, point.name
+        samples = self._samples.pop(key, None) or Samples()
+        while len(self._samples) >= MOST_SAMPLED:
+            self._samples.pop(next(iter(self._samples)))
+        self._samples[key] = samples
+        return samples
+
+    def _history(self, given: Mapping[str, Any]) -> Changes:
+        row = given["row"]
+        if not isinstance(row, list) or len(row) != 2 or not isinstance(row[1], str):
+            raise ValueError("row must be a unit and a name")
+        unit = self.unit(row[0])
+        samples = self._samples.get((unit.number, row[1]))
+        points = [each for each in unit.points if each.name == row[1]]
+        if samples is None or not points:
+            raise ValueError("there is no such value any more")
+        now = time.time()
+        since = now - number("seconds", given["seconds"], 1, 86_400)
+        return charted(samples.pairs(since), now, points[0].units)
 
     # --- views ---------------------------------------------------------------------------------
 
@@ -121,7 +160,7 @@ class ServerSource:
         if unit is None:  # the unit is gone
             return None
         if what == "points":
-            return PointsView(unit, first, stop)
+            return PointsView(unit, first, stop, self._samples_of)
         return CellsView(unit, what, first, stop)
 
     def is_current(self, view: PointsView | CellsView) -> bool:

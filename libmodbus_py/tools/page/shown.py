@@ -4,9 +4,11 @@ The units of a server, with their tables and points, as a page shows them.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from bisect import bisect_left
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from functools import cached_property
+from typing import Any, Protocol, runtime_checkable
 
 from ...device.device import Device
 from ...maps.point import Point
@@ -14,7 +16,25 @@ from ...protocol.tables import TABLES
 from ...server.server import Server
 from ...server.units import SERVER_ITSELF
 
-__all__ = ["ShownServer", "ShownUnit", "shown_of"]
+__all__ = ["CanHold", "ShownServer", "ShownUnit", "shown_of"]
+
+
+@runtime_checkable
+class CanHold(Protocol):
+    """A device that computes values, and can hold them."""
+
+    def movement(self, point: Point) -> bool | None:
+        """Return True if a point moves, False if it is held, None if it never moves."""
+        ...
+
+    def hold(self, point: Point, *, is_on: bool) -> None:
+        """
+        Hold a moving point at its value, or let it go on.
+
+        Raises:
+            ValueError: the point never moves.
+        """
+        ...
 
 
 @dataclass(frozen=True)
@@ -34,6 +54,22 @@ class ShownUnit:
     description: str
     points: tuple[Point, ...]
 
+    def movement(self, point: Point) -> bool | None:
+        """Return True if a point moves, False if it is held, None if it never moves by itself."""
+        return self.device.movement(point) if isinstance(self.device, CanHold) else None
+
+    @cached_property
+    def _by_address(self) -> dict[str, list[Point]]:
+        found: dict[str, list[Point]] = {}
+        for each in sorted(self.points, key=_place):
+            found.setdefault(each.table, []).append(each)
+        return found
+
+    def points_from(self, table: str, address: int) -> Iterator[Point]:
+        """Yield the points of a table that begin at an address or behind it, in order."""
+        points = self._by_address.get(table, [])
+        yield from points[bisect_left(points, (table, address), key=_place) :]
+
     def as_json(self) -> dict[str, Any]:
         mapping = self.device.mapping
         tables = {table: getattr(mapping, table).ranges for table in TABLES}
@@ -48,6 +84,10 @@ class ShownUnit:
             },
             "points": [_point_as_json(each) for each in self.points],
         }
+
+
+def _place(point: Point) -> tuple[str, int]:
+    return point.table, point.address
 
 
 def _point_as_json(point: Point) -> list[Any]:

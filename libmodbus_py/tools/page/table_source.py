@@ -10,8 +10,8 @@ from typing import Any, Protocol
 
 from ...protocol.checks import integer, number
 from .log import Log
-from .samples import Pairs, thinned
-from .source import Action, Changes
+from .samples import MOST_PAIRS, Pairs, charted
+from .source import Action, Changes, Download
 from .tables import PageTable, TableValue, ValuesTable, cell_text
 
 __all__ = ["MOST_VISIBLE", "Older", "Shown", "TableSource", "TableView"]
@@ -25,9 +25,6 @@ MOST_FOUND = 100
 MOST_ROWS = 10_000_000
 
 MOST_SECONDS = 7 * 86_400.0
-
-MOST_PAIRS = 1000
-"""Samples of a chart."""
 
 # Seconds for which a journal is not asked.
 SHORTEST = 2.0
@@ -94,6 +91,8 @@ class TableSource:
         self._figures: dict[str, float] = {}
         self._passed = 0
         self.actions: Mapping[str, Action] = {"/history": self._history}
+        log = shown.log
+        self.downloads: Mapping[str, Download] = {} if log is None else {"/log.csv": log.download}
 
     def structure(self) -> object:
         return self._structure
@@ -169,13 +168,7 @@ class TableSource:
             raise ValueError("there is no such value any more")
         now = time.time()
         since = now - number("seconds", given["seconds"], 1, MOST_SECONDS)
-        kept = thinned(self._with_older(value, since, now), MOST_PAIRS)
-        return {
-            "now": now,
-            "times": [round(at, 2) for at, _ in kept],
-            "values": [each for _, each in kept],
-            "units": cell_text(value.units),
-        }
+        return charted(self._with_older(value, since, now), now, cell_text(value.units))
 
     def _with_older(self, value: TableValue, since: float, now: float) -> Pairs:
         recent = value.samples.pairs(since)

@@ -8,7 +8,8 @@ because clients may not read them, the page shows the cells as they are.
 from __future__ import annotations
 
 import reprlib
-from collections.abc import Iterable
+import time
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from ...device.mapping import Table
@@ -16,16 +17,21 @@ from ...device.named_values import source_of
 from ...maps.point import Point
 from ...protocol.spelling import shown
 from .refreshing import Refreshing
+from .samples import Samples
 from .shown import ShownUnit
 from .source import Changes
 
-__all__ = ["MOST_CELLS", "MOST_POINTS", "CellsView", "PointsView"]
+__all__ = ["MOST_CELLS", "MOST_POINTS", "CellsView", "PointsView", "point_text"]
 
 MOST_POINTS = 500
 MOST_CELLS = 16_384
 
 # Cells are compared and sent in chunks of this size.
 CHUNK = 64
+
+# Seconds between two samples of a point that is looked at, and the samples of its line.
+SAMPLED = 1.0
+SPARK = 60
 
 # Characters of a value that a row can show.
 MOST_TEXT = 200
@@ -37,14 +43,29 @@ class PointsView:
 
     Args:
         first, stop: the range of their indexes.
+        samples_of: returns the samples of a point, to which its values are added.
     """
 
-    def __init__(self, unit: ShownUnit, first: int, stop: int) -> None:
+    def __init__(
+        self,
+        unit: ShownUnit,
+        first: int,
+        stop: int,
+        samples_of: Callable[[ShownUnit, Point], Samples] = lambda unit, point: Samples(),
+    ) -> None:
         self.unit = unit
         self._points = dict(enumerate(unit.points[first : min(stop, first + MOST_POINTS)], first))
         self._by_name = {each.name: each for each in unit.points}
         self._cells: dict[int, tuple[list[Any], Any]] = {}
         self._texts: dict[int, str] = {}
+        self._values: dict[int, Any] = {}
+        self._samples = {at: samples_of(unit, point) for at, point in self._points.items()}
+        self._sampled = 0.0
+        self._sparks: dict[int, list[int]] = {}
+        self._moving: dict[int, bool] = {}
+        self._can_move = [
+            at for at, point in self._points.items() if unit.movement(point) is not None
+        ]
         self._refreshing = Refreshing(unit.device)
 
     def look(self) -> Changes:
@@ -53,13 +74,33 @@ class PointsView:
             cells, source = self._look_at(point)
             if (cells, source) != self._cells.get(at):
                 self._cells[at] = cells, source
-                text = _text(point, cells, source)
+                self._values[at], text = judged_point(point, cells, source)
                 if text != self._texts.get(at):
                     changed[at] = self._texts[at] = text
-        return {"points": changed} if changed else {}
+        found: Changes = {"points": changed} if changed else {}
+        moving = {at: self.unit.movement(self._points[at]) is True for at in self._can_move}
+        if moving != self._moving:
+            self._moving = found["moving"] = moving
+        if sparks := self._new_sparks():
+            found["sparks"] = sparks
+        return found
+
+    def _new_sparks(self) -> dict[int, list[int]]:
+        """Add the values to their samples, once a second, and return the lines that changed."""
+        now = time.time()
+        if 0 <= now - self._sampled < SAMPLED:
+            return {}
+        self._sampled = now
+        changed = {}
+        for at, samples in self._samples.items():
+            samples.add(now, self._values.get(at))
+            levels = samples.spark(SPARK)
+            if levels != self._sparks.get(at):
+                changed[at] = self._sparks[at] = levels
+        return changed
 
     def all(self) -> Changes:
-        return {"points": self._texts}
+        return {"points": self._texts, "moving": self._moving, "sparks": self._sparks}
 
     def _look_at(self, point: Point) -> tuple[list[Any], Any]:
         """Return the cells of a point, and the value of the point that scales it."""
@@ -74,13 +115,23 @@ class PointsView:
         return cells, source
 
 
-def _text(point: Point, cells: list[Any], source: Any) -> str:
+def point_text(point: Point, cells: list[Any], source: Any) -> str:
+    """Return the value of a point as a row shows it, or why there is none."""
+    return judged_point(point, cells, source)[1]
+
+
+def judged_point(point: Point, cells: list[Any], source: Any) -> tuple[Any, str]:
+    """Return the value of a point, None without one, and the value as a row shows it."""
     try:
         value, _, reason = point.judge(cells, source=source)
     except (TypeError, ValueError) as error:
-        return "no such cells" if not cells else f"? {error}"
+        return None, "no such cells" if not cells else f"? {error}"
     if value is None:
-        return f"- ({reason})"
+        return None, f"- ({reason})"
+    return value, _value_text(point, value)
+
+
+def _value_text(point: Point, value: Any) -> str:
     values = value if point.count > 1 else [value]
     text = ", ".join(_text_of(point, each) for each in values[:MOST_TEXT])
     return text if len(text) <= MOST_TEXT else f"{text[:MOST_TEXT]}..."

@@ -48,6 +48,7 @@ class Clockwork:
         for point in sorted(points, key=lambda point: point.first):
             self._points[point.table].append(point)
         self._moving: dict[tuple[str, int], Compute] = {}
+        self._held: set[tuple[str, int]] = set()
 
     def start(self, point: SimulatedPoint) -> None:
         """
@@ -60,8 +61,9 @@ class Clockwork:
             self._moving[point.table, point.first] = point.behaviour.begin(point, self)
 
     def go_on_from(self, before: Clockwork) -> None:
-        """Continue with the start and the seed of another clockwork."""
+        """Continue with the start, the seed and the held values of another clockwork."""
         self._start, self.seed = before._start, before.seed
+        self._held = before._held & self._moving.keys()
 
     def find(self, table: str, address: int) -> SimulatedPoint | None:
         """Return the point that has an address."""
@@ -70,12 +72,28 @@ class Clockwork:
         return points[at] if at >= 0 and address < points[at].stop else None
 
     def moves(self, table: str, cells: range) -> bool:
-        """Return True if a value moves that has some of these cells."""
-        return any(
-            each.first < cells.stop and cells.start < each.stop
+        """Return True if a value moves that has some of these cells, and is not held."""
+        return any(each not in self._held for each in self._with(table, cells))
+
+    def holds(self, table: str, cells: range) -> bool:
+        """Return True if all moving values that have some of these cells are held."""
+        found = self._with(table, cells)
+        return bool(found) and self._held.issuperset(found)
+
+    def hold(self, table: str, cells: range, *, is_on: bool) -> None:
+        """Hold the moving values that have some of these cells, or let them move again."""
+        if is_on:
+            self._held.update(self._with(table, cells))
+        else:
+            self._held.difference_update(self._with(table, cells))
+
+    def _with(self, table: str, cells: range) -> list[tuple[str, int]]:
+        """Return the keys of the moving points that have some of these cells."""
+        return [
+            (table, each.first)
             for each in self._points[table]
-            if each.behaviour is not None
-        )
+            if each.first < cells.stop and cells.start < each.stop and each.behaviour is not None
+        ]
 
     def refresh(self, table: str, address: int, count: int) -> None:
         """
@@ -113,8 +131,9 @@ class Clockwork:
         return [math.nan if value is None else value for value in found]
 
     def _refresh(self, point: SimulatedPoint, indices: range, now: float) -> None:
-        compute = self._moving.get((point.table, point.first))
-        if compute is None:
+        key = point.table, point.first
+        compute = self._moving.get(key)
+        if compute is None or key in self._held:
             return
         table = self._table(point)
         values = [fitting(point.point, value) for value in compute(indices, now)]

@@ -90,6 +90,26 @@ class SimulatedDevice(Device):
                     raise WrongValue.about(name, "the device computes this value itself")
             super().update(values)
 
+    def movement(self, point: Point) -> bool | None:
+        """Return True if a point moves, False if it is held, None if it never moves."""
+        with self.mapping:
+            if self._clockwork.moves(point.table, point.cells):
+                return True
+            return False if self._clockwork.holds(point.table, point.cells) else None
+
+    def hold(self, point: Point, *, is_on: bool) -> None:
+        """
+        Hold a moving point at its value, or let it go on as if it had never been held.
+
+        Raises:
+            ValueError: the point never moves.
+        """
+        with self.mapping:
+            if self.movement(point) is None:
+                raise WrongValue.about(point.name, "never moves by itself")
+            self._clockwork.refresh(point.table, point.address, len(point.cells))
+            self._clockwork.hold(point.table, point.cells, is_on=is_on)
+
     def _ruled_cells(self) -> Iterable[RuledCells]:
         for each in self._contents:
             cells = range(each.first, each.stop)

@@ -1,20 +1,23 @@
 // The chart of one value: minutes from memory, hours from the journal.
 
 import { $, clock, made } from "./elements.js";
-import { choose, grid } from "./grid.js";
 import { post } from "./requests.js";
 import { drawn } from "./spark.js";
 
 const SPANS = [["5 min", 300], ["15 min", 900], ["1 h", 3600], ["6 h", 21600], ["24 h", 86400], ["7 d", 604800]];
 const ROOM = { left: 64, right: 14, top: 12, bottom: 22 };
 
+let choose = () => {};
+
+export function onChosen(call) { choose = call; }
+
 const chart = { row: null, seconds: 300, data: null, at: null };
 
-export function openChart(row) {
+export function openChart(row, name) {
   const isNew = JSON.stringify(row) !== JSON.stringify(chart.row);
   if (isNew) { chart.row = row; chart.data = null; chart.at = null; }
   choose(JSON.stringify(row));
-  $("charted").textContent = row.filter(Boolean).join("  ");
+  $("charted").textContent = name;
   $("chart").hidden = false;
   showSpans();
   refresh();
@@ -183,6 +186,5 @@ $("plot").addEventListener("keydown", (event) => {
   draw();
 });
 $("chart").addEventListener("keydown", (event) => { if (event.key === "Escape") closeChart(); });
-$("close").addEventListener("click", closeChart);
+$("close-chart").addEventListener("click", closeChart);
 new ResizeObserver(draw).observe($("plot"));
-export const isCharted = (row) => grid.chosen === JSON.stringify(row);

@@ -1,5 +1,6 @@
 // Changing a value.
 
+import { openChart } from "./chart.js";
 import { $, clock, made } from "./elements.js";
 import { chooseCell, refill } from "./list.js";
 import { post } from "./requests.js";
@@ -17,10 +18,26 @@ function openEditor(what) {
   $("text").removeAttribute("aria-invalid");
   say("", true);
   $("editor").hidden = false;
+  showHold();
   refill(false);
   $("text").focus();
   $("text").select();
 }
+
+// A moving value of a simulator can be held, and set then.
+export function showHold() {
+  const moves = view.edited?.isPoint ? view.moving.get(view.edited.point) : undefined;
+  $("hold").hidden = moves === undefined;
+  $("hold").textContent = moves === false ? "Release" : "Hold";
+  $("hold").setAttribute("aria-pressed", String(moves === false));
+}
+
+$("hold").addEventListener("click", () => {
+  const { point, name } = view.edited;
+  const on = view.moving.get(point) === true;
+  post("/hold", { unit: view.unit, point, name, on }).then(() => say(on ? "held" : "released", true),
+    (error) => say(error.message, false));
+});
 
 export function closeEditor(isFocused) {
   const was = view.edited;
@@ -116,6 +133,11 @@ $("meanings").addEventListener("toggle", () => {
 $("list").addEventListener("click", (event) => {
   const button = event.target.closest("button");
   if (!button) return;
+  if (button.dataset.chart !== undefined) {
+    const [name] = unit().points[Number(button.dataset.chart)];
+    openChart([view.unit, name], name);
+    return;
+  }
   if (button.dataset.point !== undefined) editPoint(Number(button.dataset.point));
   else editCell(Number(button.dataset.cell));
 });

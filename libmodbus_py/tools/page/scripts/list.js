@@ -54,7 +54,7 @@ function showColumns() {
   columns.replaceChildren();
   if (view.what === "points") {
     columns.className = "row columns point";
-    for (const [text, name] of [["Name", ""], ["Value", "value"], ["", ""], ["Address", "wide"],
+    for (const [text, name] of [["Name", ""], ["Value", "value"], ["", ""], ["Last values", "wide"], ["Address", "wide"],
       ["Type", "wide"], ["Last written", "wide"]]) columns.append(made("span", text, name));
   } else {
     columns.className = "row columns cells";

@@ -9,18 +9,45 @@ const GOOD = new Set(["answered", "broadcast"]);
 let paused = false;
 let cleared = 0;
 
-function logRow([, time, , unitNumber, , asked, outcome, kind, seconds]) {
+function logRow([, time, peer, unitNumber, , asked, outcome, kind, seconds, named]) {
   const row = made("li", undefined, GOOD.has(kind) ? "" : "bad");
   const said = made("span", asked || "bytes", "said");
   said.append(" ", made("span", `→ ${outcome}`, "outcome"));
+  if (named) said.append(made("span", named, "named"));
+  row.title = peer;
   const took = seconds === null ? "" : `${(seconds * 1000).toFixed(seconds < 0.01 ? 1 : 0)} ms`;
   row.append(made("time", clock(time)), made("span", unitNumber ?? "", "unit"), said, made("span", took, "took"));
   return row;
 }
 
-function wanted([number, , , unitNumber]) {
+function wanted([number, , , unitNumber, , , , kind, , , isWrite]) {
   const filter = $("filter").value;
-  return number > cleared && (filter === "" || filter === "null" || JSON.stringify(unitNumber) === filter);
+  if (number <= cleared || (filter !== "" && filter !== "null" && JSON.stringify(unitNumber) !== filter)) return false;
+  const [writes, errors] = [$("only-writes").checked, $("only-errors").checked];
+  return !(writes || errors) || (writes && isWrite) || (errors && !GOOD.has(kind));
+}
+
+// What is saved is what is chosen.
+function aim() {
+  const fields = new URLSearchParams();
+  if (!["", "null"].includes($("filter").value)) fields.set("unit", $("filter").value);
+  if ($("only-writes").checked) fields.set("writes", "1");
+  if ($("only-errors").checked) fields.set("errors", "1");
+  $("save").href = `/log.csv${fields.size ? "?" : ""}${fields}`;
+}
+
+// Where the units are not known beforehand, they are those that were seen.
+function addUnits(entries) {
+  const filter = $("filter");
+  const known = new Set([...filter.options].map((each) => each.value));
+  for (const [, , , unit] of entries) {
+    const name = JSON.stringify(unit);
+    if (unit === null || known.has(name) || known.size > 256) continue;
+    known.add(name);
+    const option = made("option", String(unit));
+    option.value = name;
+    filter.append(option);
+  }
 }
 
 function showLog() {
@@ -30,6 +57,7 @@ function showLog() {
 export function addToLog(entries) {
   known.log.push(...entries);
   known.log.splice(0, Math.max(0, known.log.length - MOST_LOG));
+  if (!known.units.length) addUnits(entries);
   if (paused) return;
   const log = $("log");
   log.prepend(...entries.slice(-MOST_LOG).filter(wanted).reverse().map(logRow));
@@ -46,4 +74,6 @@ $("clear").addEventListener("click", () => {
   cleared = known.log.at(-1)?.[0] || cleared;
   showLog();
 });
-$("filter").addEventListener("change", showLog);
+for (const id of ["filter", "only-writes", "only-errors"]) {
+  $(id).addEventListener("change", () => { aim(); showLog(); });
+}

@@ -1,7 +1,9 @@
 // Messages of the server are kept and shown.
 
+import { closeChart } from "./chart.js";
 import { connect } from "./connection.js";
 import { showCounters } from "./counters.js";
+import { showHold } from "./editor.js";
 import { $, made } from "./elements.js";
 import { showFaults, showSetting } from "./faults.js";
 import { look, refill } from "./list.js";
@@ -51,13 +53,19 @@ function take(message) {
   if (isHere && message.points) {
     for (const [index, text] of Object.entries(message.points)) view.points.set(Number(index), text);
   }
+  const keep = (name) => {
+    for (const [index, value] of Object.entries(message[name] || {})) view[name].set(Number(index), value);
+  };
+  if (isHere) { keep("moving"); keep("sparks"); }
+  if (isHere && message.moving) showHold();
   if (isHere && message.cells) {
     for (const [first, values] of Object.entries(message.cells)) {
       values.forEach((value, at) => view.cells.set(Number(first) + at, value));
     }
   }
-  if ((isHere && (message.points || message.cells)) || message.written) refill(!message.all);
+  if ((isHere && (message.points || message.cells || message.moving || message.sparks)) || message.written) refill(!message.all);
   if (message.all) { showCounters(); look(); }
 }
 
+closeChart();
 connect(take);

@@ -2,6 +2,7 @@
 
 import { clock, glow, made } from "./elements.js";
 import { addressOf, layout } from "./layout.js";
+import { fillSpark, sparkline } from "./spark.js";
 import { SHORT, has, isBits, lastWrite, unit, view } from "./state.js";
 
 export function template() {
@@ -16,7 +17,12 @@ export function pointRow(index) {
   const value = made("button", "", "value");
   value.type = "button";
   value.dataset.point = index;
-  row.append(label, value, made("span", measure, "faint"),
+  const drawing = made("button", undefined, "drawing wide");
+  drawing.type = "button";
+  drawing.dataset.chart = index;
+  drawing.setAttribute("aria-label", `${name}: chart`);
+  drawing.append(sparkline());
+  row.append(label, value, made("span", measure, "faint"), drawing,
     made("span", `${SHORT[table]} ${address}`, "faint wide"), made("span", kind, "faint wide"),
     made("span", "", "faint wide written"));
   fillPoint(row, index, false);
@@ -40,6 +46,8 @@ export function fillPoint(row, index, glows) {
     value.setAttribute("role", "switch");
     value.setAttribute("aria-checked", String(text === "on"));
   }
+  fillSpark(row.querySelector(".drawing svg"), view.sparks.get(index) || []);
+  row.classList.toggle("held", view.moving.get(index) === false);
   row.classList.toggle("selected", view.edited?.point === index);
   const last = lastWrite(table, address);
   const written = row.querySelector(".written");

@@ -1,9 +1,9 @@
 // A page of tables: messages of the server are kept and shown.
 
-import { closeChart, openChart, setJournal } from "./chart.js";
+import { closeChart, onChosen, openChart, setJournal } from "./chart.js";
 import { connect } from "./connection.js";
 import { $, made } from "./elements.js";
-import { clear, grid, onView, range, setTable, take as takeRows } from "./grid.js";
+import { choose, clear, grid, onView, range, setTable, take as takeRows } from "./grid.js";
 import { addToLog } from "./log.js";
 import { post } from "./requests.js";
 import { known } from "./state.js";
@@ -62,7 +62,9 @@ $("rows").addEventListener("click", (event) => {
   const row = event.target.closest("tr");
   const cells = row && grid.rows.get(Number(row.dataset.at));
   if (!cells) return;
-  if (grid.table.name === "values") openChart(cells[0].slice(0, 2));
+  if (grid.table.name === "values") {
+    openChart(cells[0].slice(0, 2), cells[0].slice(0, 2).filter(Boolean).join("  "));
+  }
   else if (page.tables[0].name === "values" && grid.table.name === "devices") show("values", cells[0][1]);
 });
 
@@ -111,5 +113,6 @@ function showFigures() {
   document.title = `${down}${page.title} - ${page.kind}`;
 }
 
+onChosen(choose);
 closeChart();
 connect(take);

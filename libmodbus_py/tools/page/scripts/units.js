@@ -1,5 +1,6 @@
 // The tabs of units and tables.
 
+import { closeChart } from "./chart.js";
 import { closeEditor } from "./editor.js";
 import { $, made } from "./elements.js";
 import { clearRows, rebuild } from "./list.js";
@@ -12,6 +13,9 @@ function choose(number, what) {
   if (other) {
     clearRows();  // they are of what was looked at before
     view.points.clear();
+    view.moving.clear();
+    view.sparks.clear();
+    closeChart();
     view.cells.clear();
     $("list").scrollTop = 0;
     view.chosen = null;
@@ -31,6 +35,7 @@ function showTabs() {
   refocused($("units"), buttons);
   const here = unit();
   if (!here) return;
+  document.title = `${here.name || `Unit ${unitName(here.number)}`} - libmodbus-py`;
   $("unit-name").textContent = here.name || `Unit ${unitName(here.number)}`;
   document.querySelector("#values .head").hidden = !here.description;
   $("unit-description").textContent = here.description;
