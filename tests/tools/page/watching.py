@@ -77,7 +77,7 @@ class Visitor:
             "Content-Type": "application/json",
         }
         self.seen: dict[str, Any] = {"log": [], "written": []}
-        self.seen |= {"points": {}, "cells": {}, "rows": {}}
+        self.seen |= {"points": {}, "cells": {}, "rows": {}, "sparks": {}}
 
     def ask(
         self, method: str, path: str, body: Any = None, **headers: str | None
@@ -132,7 +132,7 @@ class Visitor:
         for name, value in message.items():
             if name in ("log", "written"):
                 self.seen[name] += value
-            elif name in ("points", "rows"):
+            elif name in ("points", "rows", "sparks"):
                 self.seen[name].update(value)
             elif name == "counters":
                 self.seen[name] = {**self.seen.get(name, {}), **value}
