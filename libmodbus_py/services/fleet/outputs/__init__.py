@@ -17,6 +17,7 @@ Outputs: the destinations of readings. Each is one file, and imports its librari
     subjects       the subjects of messages
     last_values    the last reading of each point, for metrics
     forms          readings as JSON and CSV
+    labels         the labels of devices, as an output needs them
     trust          the certificate authorities that are trusted
     secret_file    a password in a file, which is read again
     text_file      a file or the standard output

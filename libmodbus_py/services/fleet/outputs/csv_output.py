@@ -4,13 +4,20 @@ A row of CSV for each reading.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
+from ....protocol.mistakes import WrongType, WrongValue
+from ....tools.files.csv_text import csv_rows
 from ..buffer import MOST_KEPT
+from ..readings import Reading
 from .forms import COLUMNS, as_csv
+from .labels import Labels
 from .text_file import TextFile
 
 __all__ = ["CsvOutput"]
 
 HEADER = f"{','.join(COLUMNS)}\n".encode()
+"""The first line without labels."""
 
 
 class CsvOutput(TextFile):
@@ -19,6 +26,8 @@ class CsvOutput(TextFile):
 
     Args:
         path, buffer, rotate, keep: as for `JsonOutput`.
+        labels: names of labels of devices, each of which is a column behind the others; empty
+            for devices that lack the label.
 
     Raises:
         TypeError, ValueError: an argument of the wrong type or range, or `rotate` for the
@@ -31,5 +40,29 @@ class CsvOutput(TextFile):
         buffer: int = MOST_KEPT,
         rotate: str | None = None,
         keep: int | None = None,
+        labels: Sequence[str] = (),
     ) -> None:
-        super().__init__("csv", path, as_csv, HEADER, buffer, rotate, keep, quote=b'"')
+        columns = _columns(labels)
+        header = csv_rows([(*COLUMNS, *columns)]).encode() if columns else HEADER
+        super().__init__("csv", path, self._rows, header, buffer, rotate, keep, quote=b'"')
+        self._empty = ("",) * len(columns)
+        self._labels = Labels(lambda device, each: tuple(each.get(key, "") for key in columns))
+
+    def label(self, labels: Mapping[str, Mapping[str, str]]) -> None:
+        """Set the labels of devices."""
+        self._labels.set(labels)
+
+    def _rows(self, readings: Sequence[Reading]) -> bytes:
+        return as_csv(readings, self._labels.by_device, self._empty)
+
+
+def _columns(labels: object) -> list[str]:
+    """Return the names of the columns for labels."""
+    if isinstance(labels, str) or not isinstance(labels, Sequence):
+        raise WrongType("labels", f"must be a list of names, not {labels!r}")
+    for at, name in enumerate(labels):
+        if not isinstance(name, str) or not name:
+            raise WrongType(("labels", at), f"must be text, not {name!r}")
+        if name in COLUMNS or name in labels[:at]:
+            raise WrongValue.about(("labels", at), f"there is a column {name!r} already")
+    return [*labels]

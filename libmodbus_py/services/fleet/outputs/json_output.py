@@ -4,8 +4,12 @@ A line of JSON for each reading.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 from ..buffer import MOST_KEPT
-from .forms import as_json
+from ..readings import Reading
+from .forms import as_json, labels_text
+from .labels import Labels
 from .text_file import TextFile
 
 __all__ = ["JsonOutput"]
@@ -14,7 +18,7 @@ __all__ = ["JsonOutput"]
 class JsonOutput(TextFile):
     """
     Appends readings to a file: device, name, time (ISO 8601, UTC), value, unit, quality, and
-    the reason if there is no value.
+    the reason if there is no value, and the labels of the device if it has any.
 
     Args:
         path: the path of the file; "-" for the standard output. The fleet ends when the standard
@@ -37,4 +41,12 @@ class JsonOutput(TextFile):
         rotate: str | None = None,
         keep: int | None = None,
     ) -> None:
-        super().__init__("json", path, as_json, b"", buffer, rotate, keep)
+        super().__init__("json", path, self._lines, b"", buffer, rotate, keep)
+        self._labels = Labels(lambda device, labels: labels_text(labels))
+
+    def label(self, labels: Mapping[str, Mapping[str, str]]) -> None:
+        """Set the labels of devices."""
+        self._labels.set(labels)
+
+    def _lines(self, readings: Sequence[Reading]) -> bytes:
+        return as_json(readings, self._labels.by_device)

@@ -14,6 +14,7 @@ from ....protocol.mistakes import WrongType, WrongValue
 from ....protocol.plain import plain, without_controls
 from ..config import DeviceConfig
 from ..readings import Reading
+from .labels import Labels
 
 __all__ = ["LineProtocol"]
 
@@ -51,14 +52,14 @@ class LineProtocol:
 
     def __init__(self, measurement: str) -> None:
         self._measurement = _MEASUREMENT.sub(r"\\\1", _name("measurement", measurement))
-        # device -> the beginning of its lines, up to the fields.
-        self._heads: dict[str, str] = {}
+        # The beginnings of lines, up to the fields.
+        self._heads = Labels(self._head)
         # device -> its points whose values are text.
         self._texts: dict[str, frozenset[str]] = {}
 
     def describe(self, devices: Mapping[str, DeviceConfig]) -> None:
         """Set the devices of the readings, by their names."""
-        self._heads = {name: self._head(name, each.labels) for name, each in devices.items()}
+        self._heads.set({name: each.labels for name, each in devices.items()})
         self._texts = {
             name: frozenset(point for point in each.map if each.map[point].states is not None)
             for name, each in devices.items()
@@ -73,7 +74,7 @@ class LineProtocol:
         ).encode()
 
     def _head_of(self, device: str) -> str:
-        head = self._heads.get(device)
+        head = self._heads.by_device.get(device)
         return self._head(device, {}) if head is None else head
 
     def _head(self, device: str, labels: Mapping[str, str]) -> str:

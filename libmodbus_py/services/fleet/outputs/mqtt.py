@@ -26,6 +26,7 @@ from ..commands import Commands, encoded, wanted_of
 from ..readings import Reading
 from .device_states import DeviceStates
 from .forms import payload
+from .labels import Labels
 from .output import OutputError
 from .secret_file import SecretFile, text_of
 from .topics import Topic, plain_topic
@@ -128,7 +129,7 @@ class Mqtt:
             raise WrongValue("status", f"must not be the topic of a reading: {status!r}")
         self._device_status = _of_devices(device_status, self._topic, self._status)
         self._states = DeviceStates()
-        self._labels: Mapping[str, Mapping[str, str]] = {}
+        self._labels = Labels(lambda device, labels: dict(labels))
         self._retain = retain
         self._qos = integer("qos", qos, 0, 1)
         if ca is not None and not self._is_secure:
@@ -159,7 +160,7 @@ class Mqtt:
         """
         for topic in filter(None, (self._topic, self._device_status)):
             topic.check(labels)
-        self._labels = dict(labels)
+        self._labels.set(labels)
 
     def attach(self, commands: Commands) -> None:
         """Set the object that carries out commands."""
@@ -257,7 +258,7 @@ class Mqtt:
     async def _publish_states(self, client: aiomqtt.Client, states: Mapping[str, bool]) -> None:
         for name, answers in list(states.items()):
             assert self._device_status is not None
-            topic = self._device_status.of(self._labels.get(name, {}), device=name)
+            topic = self._device_status.of(self._labels.by_device.get(name, {}), device=name)
             await client.publish(topic, ONLINE if answers else OFFLINE, 1, True)
 
     async def _while_connected(self, publishing: Coroutine[Any, Any, None]) -> None:
@@ -273,9 +274,9 @@ class Mqtt:
         task.result()
 
     async def _publish(self, client: aiomqtt.Client, reading: Reading) -> None:
-        labels = self._labels.get(reading.device, {})
+        labels = self._labels.by_device.get(reading.device, {})
         topic = self._topic.of(labels, device=reading.device, name=reading.name)
-        text = JSON.encode(payload(reading))
+        text = JSON.encode(payload(reading, labels))
         await client.publish(topic, text.encode(), self._qos, self._retain)
 
     async def close(self) -> None:
@@ -322,7 +323,10 @@ class Mqtt:
         names = self._topic.read(asked)
         data = message.payload if isinstance(message.payload, bytes) else b""
         # A rule of the broker that goes by a label must hold: only the own topic of a point counts.
-        if names is None or self._topic.of(self._labels.get(names["device"], {}), **names) != asked:
+        if (
+            names is None
+            or self._topic.of(self._labels.by_device.get(names["device"], {}), **names) != asked
+        ):
             return
         device, name = names["device"], names["name"]
         outcome = await commands.answer(device, name, wanted_of(data))

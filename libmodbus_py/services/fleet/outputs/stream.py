@@ -13,7 +13,8 @@ from ....protocol.json_text import JSON
 from ...engine.buckets import TIMEOUT, keep_stream
 from ...engine.errors import EngineError, explained
 from ..readings import Reading
-from .forms import payload
+from .forms import NO_LABELS, payload
+from .labels import Labels
 from .output import ReadingsRefused
 from .subjects import READINGS, readings_of
 
@@ -50,6 +51,11 @@ class Stream:
         self.name: str = "nats"
         self._client = client
         self._limits = {**LIMITS, **limits}
+        self._labels = Labels(lambda device, labels: dict(labels))
+
+    def label(self, labels: Mapping[str, Mapping[str, str]]) -> None:
+        """Set the labels of devices."""
+        self._labels.set(labels)
 
     async def open(self) -> None:
         assert self._client is not None
@@ -63,7 +69,7 @@ class Stream:
         client = self._client
         if not readings or client is None:
             return
-        messages = list(_messages(readings, client.max_payload))
+        messages = list(_messages(readings, client.max_payload, self._labels.by_device))
         try:
             with explained(STREAM):
                 async with asyncio.timeout(TIMEOUT):
@@ -82,12 +88,17 @@ class Stream:
         pass
 
 
-def _messages(readings: Sequence[Reading], largest: int) -> Iterator[tuple[str, str, bytes]]:
+def _messages(
+    readings: Sequence[Reading],
+    largest: int,
+    labels: Mapping[str, Mapping[str, str]] = NO_LABELS,
+) -> Iterator[tuple[str, str, bytes]]:
     """
     Yield the subject, a mark that no other message has, and the data of each message.
 
     Args:
         largest: the bytes that a message may have, with its headers.
+        labels: of devices, by their names.
 
     Raises:
         ReadingsRefused: a single reading has more bytes.
@@ -96,6 +107,8 @@ def _messages(readings: Sequence[Reading], largest: int) -> Iterator[tuple[str, 
         subject = readings_of(device)
         values = {each.name: f"{_json(each.name)}: {_json(payload(each))}" for each in group}
         begin = f'{{"device": {_json(device)}, '
+        if labels.get(device):
+            begin += f'"labels": {_json(labels[device])}, '
         longest = max(len(name.encode()) for name in values)
         room = largest - OVERHEAD - 2 * len(begin.encode()) - len(subject.encode()) - longest
         parts = list(_parts(values, room))
