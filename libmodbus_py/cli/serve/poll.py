@@ -21,6 +21,7 @@ from ...services.fleet.config import DeviceConfig
 from ...services.fleet.files import FleetFile, load
 from ...services.fleet.fleet import Fleet
 from ...services.fleet.journal.errors import JournalError
+from ...services.fleet.outputs.exclusive import check_exclusive
 from ...services.fleet.outputs.kinds import KINDS, made
 from ...services.fleet.outputs.last_values import LastValues
 from ...services.fleet.outputs.output import Output, OutputError
@@ -89,9 +90,11 @@ def add_command(commands: Any) -> None:
         command.add_argument(
             f"--{name}",
             nargs="?",
+            action="append",
             const=STANDARD_OUTPUT,
+            default=[],
             metavar="PATH",
-            help=f"append readings to a file as {form}; without PATH, print them",
+            help=f"append readings to a file as {form}; without PATH, print them; may be repeated",
         )
     metrics.add_argument(command)
     page.add_argument(command, "the values and the devices")
@@ -221,13 +224,10 @@ def _seen(
 def _outputs(file: FleetFile, options: argparse.Namespace) -> list[Output]:
     outputs = file.made_outputs()
     for kind in FILES:
-        path = getattr(options, kind)
-        if path is not None:
-            outputs.append(made(kind, {"path": path}))
+        outputs += (made(kind, {"path": path}) for path in getattr(options, kind))
     if not (outputs or options.metrics or options.page or options.engine or sys.stdout.isatty()):
         outputs.append(made("json", {"path": STANDARD_OUTPUT}))
-    if sum(map(_prints, outputs)) > 1:
-        raise ValueError("only one output may be the standard output")
+    check_exclusive(outputs)
     return outputs
 
 

@@ -46,6 +46,7 @@ from ...tools.files.toml_text import read_toml
 from .config import DeviceConfig, checked
 from .devices_csv import DeviceRow, device_rows
 from .journal.journal import KEEP_BOUNDS, SIZE_BOUNDS, Journal
+from .outputs.exclusive import shared
 from .outputs.kinds import KINDS, made, output_keys
 from .outputs.output import Labelled, Output
 from .outputs.secret_file import SecretFile
@@ -217,13 +218,23 @@ class _Reader:
         return {**keys, "path": str(self._folder / keys["path"])}
 
     def _outputs(self, given: Mapping[str, Any]) -> list[tuple[str, dict[str, Any]]]:
-        return [
-            (kind, self._output(path, kind, keys))
-            for kind, tables in given.items()
-            for path, keys in tables
-        ]
+        outputs, places, trial = [], [], []
+        for kind, described in given.items():
+            for path, raw in described:
+                keys, output = self._output(path, kind, raw)
+                outputs.append((kind, keys))
+                places.append(path)
+                trial.append(output)
+        found = shared(trial)
+        if found is not None:
+            first = path_text(places[found.first])
+            raise WrongValue.about(places[found.second], f"uses {found.what}, as {first} does")
+        return outputs
 
-    def _output(self, path: Path, kind: str, given: Mapping[str, Any]) -> dict[str, Any]:
+    def _output(
+        self, path: Path, kind: str, given: Mapping[str, Any]
+    ) -> tuple[dict[str, Any], Output]:
+        """Return the keys of an output, and an output that was made to check them."""
         with inside(*path):
             keys = {key: _filled(key, value) for key, value in self._secrets(given).items()}
             if isinstance(keys.get("path"), str) and keys["path"] != "-":
@@ -231,7 +242,7 @@ class _Reader:
             output = made(kind, keys)
             if isinstance(output, Labelled):
                 output.label(self._labels)
-        return keys
+            return keys, output
 
     def _secrets(self, given: Mapping[str, Any]) -> dict[str, Any]:
         keys = dict(given)

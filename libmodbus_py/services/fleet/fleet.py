@@ -21,6 +21,7 @@ from .files import load
 from .journal.journal import Journal
 from .journal.place import JournalPlace
 from .line import FleetLine, MayAsk
+from .outputs.exclusive import check_exclusive
 from .outputs.output import Commanded, Described, Labelled, Output
 from .outputs.pump import Pump
 from .poller import DeviceState, Poller, Reads
@@ -73,7 +74,8 @@ class Fleet:
 
     Raises:
         TypeError, ValueError: two devices have the same name, or two URLs with different
-            options lead to the same host and port or serial port.
+            options lead to the same host and port or serial port; two outputs write to the same
+            file or topic.
         JournalError: when polling begins: the journal cannot be used.
     """
 
@@ -88,6 +90,7 @@ class Fleet:
         self._devices: dict[str, DeviceConfig] = {each.name: each for each in checked(devices)}
         self._outputs = list(outputs)
         self._journal = journal
+        check_exclusive(self._outputs)
         self._may_ask = may_ask
         self.statistics: FleetStatistics = FleetStatistics()
         self.statistics.journal = journal.statistics if journal else None

@@ -73,6 +73,18 @@ def test_once(fleet: Path) -> None:
     assert done.err == ""
 
 
+def test_options_of_outputs_may_be_repeated(fleet: Path) -> None:
+    folder = fleet.parent
+    paths = [folder / name for name in ("a.csv", "b.csv", "a.jsonl", "b.jsonl")]
+    options = ["--csv", paths[0], "--json", paths[2], "--csv", paths[1], "--json", paths[3]]
+    done = ended("poll", fleet, "--once", *options, "--csv")
+    assert done.err == ""
+    a, b, *lines = [path.read_text() for path in paths]
+    assert (sorted(a.splitlines()), len(a.splitlines())) == (sorted(b.splitlines()), 7)
+    assert sorted(done.out.splitlines()) == sorted(a.splitlines())
+    assert [len(each.splitlines()) for each in lines] == [6, 6]
+
+
 def test_check_prints_a_table_and_what_is_too_much(fleet: Path) -> None:
     text = fleet.read_text() + (
         '[[device]]\nname = "slow"\nurl = "rtu:///dev/nowhere?baudrate=1200"\ninterval = 0.05\n'
@@ -205,7 +217,12 @@ def test_sighup_reads_the_file_again(fleet: Path) -> None:
     [
         (["/nowhere/fleet.toml"], "cannot read /nowhere/fleet.toml: No such file or directory"),
         (["FLEET", "--once", "--check"], "not allowed with argument --once"),
-        (["FLEET", "--json", "--csv"], "only one output may be the standard output"),
+        (["FLEET", "--json", "--csv"], "two outputs use the standard output"),
+        (["FLEET", "--csv", "--csv"], "two outputs use the standard output"),
+        (
+            ["FLEET", "--csv", "/tmp/a", "--json", "/tmp/../tmp/a"],
+            "two outputs use the file /tmp/a",
+        ),
         (["FLEET", "--metrics", "x"], "must be HOST:PORT"),
     ],
 )

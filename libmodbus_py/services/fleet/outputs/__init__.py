@@ -6,6 +6,7 @@ Outputs: the destinations of readings. Each is one file, and imports its librari
     kinds          the names of outputs in fleet files and options
     json_output    a line of JSON for each reading
     csv_output     a row of CSV for each reading
+    exclusive      things that only one output may use, such as a file
     device_states  the devices that answer, as their readings show
     influx         the line protocol of InfluxDB, to a file or a server
     influx_server  ... the server, by HTTP

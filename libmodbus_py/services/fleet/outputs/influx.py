@@ -93,12 +93,19 @@ class Influx:
                 if value is not None:
                     raise WrongValue(key, "cannot be used with url")
             self._sink = InfluxServer(self._protocol.lines, url, **of_servers)  # type: ignore[arg-type]
+            place = "/".join(each for each in (organization, bucket, database) if each)
+            self.exclusive: tuple[str, ...] = (
+                f"the measurement {measurement!r} in {place!r} of {self.name}",
+            )
             return
         needless = [name for name, value in of_servers.items() if value is not None]
         if needless:
             raise WrongValue(needless[0], "can only be used with url")
         self.path: str = "-" if path is None else path
-        self._sink = TextFile("influx", self.path, self._protocol.lines, b"", buffer, rotate, keep)
+        self._sink = file = TextFile(
+            "influx", self.path, self._protocol.lines, b"", buffer, rotate, keep
+        )
+        self.exclusive = file.exclusive
 
     @property
     def name(self) -> str:

@@ -123,6 +123,9 @@ class Mqtt:
         for key, flag in (("retain", retain), ("commands", commands)):
             if not isinstance(flag, bool):
                 raise WrongType(key, f"must be true or false, not {flag!r}")
+        self.exclusive: tuple[str, ...] = (f"the topic {topic!r} of {self.name}",)
+        if client_id is not None:  # with which a broker has one connection
+            self.exclusive += (f"the client_id {client_id!r} at {self.name}",)
         self._topic = Topic("topic", topic, ("device", "name"))
         self._status = plain_topic("status", status)
         if self._topic.can_be(self._status):

@@ -66,7 +66,10 @@ class TextFile:
     ) -> None:
         if not isinstance(path, str | os.PathLike) or not os.fspath(path):
             raise WrongType("path", f"must be text, not {path!r}")
+        if "\0" in os.fspath(path):
+            raise WrongValue("path", "must not contain the character 0")
         self.path: str = os.fspath(path)
+        self.exclusive: tuple[str, ...] = (_thing(self.path),)
         self.buffer: int = buffer
         self._name = name
         self._rotation = Rotation(rotate, keep)
@@ -205,3 +208,8 @@ class TextFile:
         if self._descriptor >= 0:
             descriptor, self._descriptor = self._descriptor, -1
             os.close(descriptor)
+
+
+def _thing(path: str) -> str:
+    """Return what an output to this path has for itself, in words."""
+    return "the standard output" if path == "-" else f"the file {os.path.realpath(path)}"

@@ -1,0 +1,166 @@
+"""
+Several outputs of one kind, and two outputs that would write to the same place.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from libmodbus_py import Fleet
+from libmodbus_py.services.fleet.files import FleetFileError, load
+from libmodbus_py.services.fleet.outputs.csv_output import CsvOutput
+from libmodbus_py.services.fleet.outputs.exclusive import shared
+from libmodbus_py.services.fleet.outputs.json_output import JsonOutput
+from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
+from libmodbus_py.services.fleet.outputs.nats import Nats
+from libmodbus_py.services.fleet.outputs.output import Output
+from tests.services.fleet.fleets import meter, simulated_run
+from tests.support.cases import each_case
+
+MAP = "name,table,address\nlevel,holding_registers,0\n"
+
+DEVICE = '[[device]]\nname = "a"\nurl = "tcp://h"\nmap = "meter.csv"\n'
+
+SERVER = '[[output.influx]]\nurl = "http://h:8086"\n'
+
+BROKER = '[[output.mqtt]]\nurl = "mqtt://h"\n'
+
+
+def fleet_file(folder: Path, outputs: str) -> Path:
+    (folder / "meter.csv").write_text(MAP)
+    (folder / "fleet.toml").write_text(DEVICE + outputs)
+    return folder / "fleet.toml"
+
+
+def test_a_file_may_have_several_outputs_of_each_kind(tmp_path: Path) -> None:
+    file = load(
+        fleet_file(
+            tmp_path,
+            '[[output.csv]]\npath = "a.csv"\n[[output.csv]]\npath = "b.csv"\n'
+            '[[output.json]]\npath = "a.jsonl"\n[[output.json]]\npath = "-"\n'
+            f'{BROKER}topic = "x/{{device}}/{{name}}"\n{BROKER}topic = "y/{{device}}/{{name}}"\n'
+            '[[output.mqtt]]\nurl = "mqtt://other"\n'
+            '[[output.nats]]\nurl = "nats://h"\n[[output.nats]]\nurl = "nats://other"\n'
+            f'{SERVER}database = "a"\n{SERVER}database = "b"\n'
+            f'{SERVER}database = "a"\nmeasurement = "raw"\n[[output.influx]]\npath = "a.lines"\n',
+        )
+    )
+    assert len(Fleet(file.devices, outputs=file.made_outputs())._outputs) == 13
+
+
+@each_case(
+    ("outputs", "line", "said"),
+    [
+        (
+            '[[output.csv]]\npath = "a"\n[[output.csv]]\npath = "../FOLDER/a"\n',
+            7,
+            "output.csv[1]: uses the file FILE/a, as output.csv[0] does",
+        ),
+        (
+            '[output.json]\npath = "a"\n[output.csv]\npath = "a"\n',
+            7,
+            "output.csv: uses the file FILE/a, as output.json does",
+        ),
+        (
+            "[output.json]\n[[output.csv]]\n",
+            6,
+            "output.csv[0]: uses the standard output, as output.json does",
+        ),
+        (
+            f"{BROKER}{BROKER}",
+            7,
+            "output.mqtt[1]: uses the topic 'modbus/{device}/{name}' of mqtt h:1883, as",
+        ),
+        (
+            f'{BROKER}client_id = "x"\n{BROKER}client_id = "x"\ntopic = "x/{{name}}/{{device}}"\n',
+            8,
+            "output.mqtt[1]: uses the client_id 'x' at mqtt h:1883, as output.mqtt[0] does",
+        ),
+        (
+            '[[output.nats]]\nurl = "nats://h"\n[[output.nats]]\nurl = "nats://h"\n',
+            7,
+            "output.nats[1]: uses the stream modbus-readings of h:4222, as",
+        ),
+        (
+            f'{SERVER}database = "a"\n{SERVER}database = "a"\n',
+            8,
+            "output.influx[1]: uses the measurement 'modbus' in 'a' of influx h:8086, as",
+        ),
+        (
+            '[output.csv]\npath = "a"\n[output.influx]\npath = "a"\n',
+            7,
+            "output.influx: uses the file FILE/a, as output.csv does",
+        ),
+    ],
+)
+def test_a_file_with_two_outputs_to_one_place(
+    tmp_path: Path, outputs: str, line: int, said: str
+) -> None:
+    path = fleet_file(tmp_path, outputs.replace("FOLDER", tmp_path.name))
+    with pytest.raises(FleetFileError) as caught:
+        load(path)
+    assert said.replace("FILE", os.path.realpath(tmp_path)) in str(caught.value)
+    assert f"line {line}" in str(caught.value)
+
+
+def test_a_link_leads_to_the_same_file(tmp_path: Path) -> None:
+    (tmp_path / "link").symlink_to(tmp_path / "a")
+    outputs = [JsonOutput(str(tmp_path / "a")), CsvOutput(str(tmp_path / "link"))]
+    with pytest.raises(ValueError, match=r"^two outputs use the file .*/a$"):
+        Fleet([], outputs=outputs)
+
+
+@each_case(
+    ("one", "other"),
+    [
+        (lambda: JsonOutput(), lambda: CsvOutput()),
+        (lambda: Mqtt("mqtt://h"), lambda: Mqtt("mqtt://h:1883", user="x")),
+        (lambda: Nats("nats://a:b@h"), lambda: Nats("tls://g,nats://H:4222")),
+    ],
+)
+def test_a_program_with_two_outputs_to_one_place(
+    one: Callable[[], Output], other: Callable[[], Output]
+) -> None:
+    with pytest.raises(ValueError, match=r"^two outputs use ") as caught:
+        Fleet([], outputs=[one(), other()])
+    assert "a:b" not in str(caught.value)
+
+
+class Plain:
+    """An output of a program, which says nothing of what it uses."""
+
+    name = "plain"
+
+    async def open(self) -> None: ...
+
+    async def write(self, readings: object) -> None: ...
+
+    async def close(self) -> None: ...
+
+
+def test_one_output_given_twice_is_refused() -> None:
+    output = Plain()
+    with pytest.raises(ValueError, match="two outputs use the same plain"):
+        Fleet([], outputs=[output, output])
+
+
+def test_a_server_may_stand_twice_in_one_output() -> None:
+    output = Nats("nats://h,nats://h:4222")
+    assert shared([output, Nats("nats://other")]) is None
+
+
+def test_two_outputs_of_a_program_with_one_name_are_counted_apart() -> None:
+    async def test() -> None:
+        async with Fleet([meter("a", "tcp://10.9.0.9")], outputs=[Plain(), Plain()]) as fleet:
+            assert list(fleet.statistics.outputs) == ["plain", "plain (2)"]
+
+    simulated_run(test())
+
+
+def test_the_path_of_a_file_has_no_character_0() -> None:
+    with pytest.raises(ValueError, match="path must not contain the character 0"):
+        JsonOutput("a\0b")
