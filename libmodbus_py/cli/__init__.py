@@ -13,6 +13,7 @@ The command line, on top of everything: arguments become requests and servers.
     logs           the log of commands that run for long
     tracing        --verbose: frames in columns
     status         a status line for long work
+    redrawn        ... lines that are drawn again in place
     progress       progress and results of scans and searches, in words
     ask            read, write, identify, diagnose, raw, map
     find           scan, listen

@@ -4,13 +4,12 @@ A table on a terminal, drawn again in place.
 
 from __future__ import annotations
 
-import shutil
 import sys
 import time
 from collections import deque
 from collections.abc import Sequence
 
-from ..output import styled
+from ..redrawn import Redrawn
 from .formatters import FormattedValue, ReadResult, aligned
 
 __all__ = ["TerminalTable"]
@@ -40,7 +39,7 @@ class TerminalTable:
         self._groups = {unit: _Group() for unit in units}
         self._polls = self._failed = 0
         self._last_failure = ""
-        self._drawn: list[str] = []
+        self._redrawn = Redrawn(sys.stdout)
 
     def print(self, unit: int, results: Sequence[ReadResult]) -> None:
         self._count(unit, any(each.failure for each in results))
@@ -59,20 +58,9 @@ class TerminalTable:
             self._last_failure = _clock()
 
     def _draw(self) -> None:
-        columns, rows = shutil.get_terminal_size()
-        lines = list(self._lines())
-        room = max(1, rows - 2)
-        if len(lines) > room:
-            more = len(lines) - room + 1
-            lines = [*lines[: room - 1], (f"... {more} more", False)]
         failed = f", {self._failed} failed, last at {self._last_failure}" if self._failed else ""
         title = f"{_clock()}  {self._title}, {self._polls} polls{failed}"
-        all_lines = [(title, False), *lines]
-        drawn = [(_fitting(line, columns), is_new) for line, is_new in all_lines]
-        text = "\n".join(styled(line, "1" if is_new else "") for line, is_new in drawn)
-        sys.stdout.write(f"{self._back(columns)}{text}\n")
-        sys.stdout.flush()
-        self._drawn = [line for line, _ in drawn]
+        self._redrawn.draw([(title, False), *self._lines()])
 
     def _lines(self) -> Sequence[tuple[str, bool]]:
         if len(self._groups) == 1:
@@ -82,11 +70,6 @@ class TerminalTable:
         for unit, group in self._groups.items():
             found += [(f"unit {unit}", False), *group.lines]
         return found
-
-    def _back(self, columns: int) -> str:
-        """Return the sequence that moves to the first line and clears all lines."""
-        height = sum(max(1, -(-len(line) // columns)) for line in self._drawn)
-        return f"\x1b[{height}A\r\x1b[J" if height else ""
 
 
 class _Group:
@@ -167,7 +150,3 @@ def _has_sparks() -> bool:
 
 def _clock() -> str:
     return time.strftime("%H:%M:%S")
-
-
-def _fitting(line: str, columns: int) -> str:
-    return "".join(each if each.isprintable() else "?" for each in line)[: max(1, columns - 1)]

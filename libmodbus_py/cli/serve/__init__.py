@@ -6,6 +6,7 @@ Commands that run until a signal ends them.
     serve        simulated devices
     gateway      requests forwarded to other lines
     poll         a fleet of devices, polled
+    fleet_table  ... as lines for a terminal
     fleet        the workers that poll a fleet together
     limits       the options that limit what clients may use
     metrics      the option for metrics

@@ -7,11 +7,13 @@ from __future__ import annotations
 import argparse
 import asyncio
 import contextlib
+import logging
 import os
 import signal
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import AsyncIterator, Iterator
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from ...protocol.logs import HarmlessLogger
@@ -34,9 +36,11 @@ from .. import arguments, logs, tracing
 from ..failing import CommandError
 from ..help import VerbatimHelp
 from ..output import complain, counted
+from ..redrawn import Redrawn
 from ..status import Status
 from . import fleet as workers
 from . import metrics, page
+from .fleet_table import fleet_lines
 from .hangup import Hangup, noted
 from .readiness import notify_ready
 
@@ -137,9 +141,9 @@ def _start(options: argparse.Namespace, hangup: Hangup) -> int:
     )
     is_printed = any(map(_prints, outputs))
     has_screen = sys.stderr.isatty() and not (is_printed and sys.stdout.isatty())
-    with _seen(options, values, shown)(fleet):
+    with _seen(options, file, values, shown)(fleet):
         try:
-            asyncio.run(_run(fleet, options, file, hangup, has_screen))
+            asyncio.run(_run(fleet, options, file, hangup, _screen(options, values, has_screen)))
         except OutputError as error:
             if isinstance(error.__cause__, OSError):
                 raise error.__cause__ from None
@@ -178,8 +182,8 @@ def _poll_with_others(
         options,
         file,
         [*outputs, *_looks(options, values, shown)],
-        _seen(options, values, shown),
-        _show if has_screen else None,
+        _seen(options, file, values, shown),
+        _screen(options, values, has_screen),
         hangup,
     )
 
@@ -196,11 +200,19 @@ def _looks(
     options: argparse.Namespace, values: LastValues, shown: PageOutput | None
 ) -> list[Output]:
     """Return the outputs of what looks at the fleet."""
-    return [*([values] if options.metrics else []), *([shown] if shown else [])]
+    is_kept = options.metrics or _has_table(options)
+    return [*([values] if is_kept else []), *([shown] if shown else [])]
+
+
+def _has_table(options: argparse.Namespace) -> bool:
+    """Return True if both streams are a terminal that can be drawn on again."""
+    is_dumb = os.environ.get("TERM", "dumb") == "dumb"
+    # Frames of --verbose would be printed into the table.
+    return sys.stdout.isatty() and sys.stderr.isatty() and not (is_dumb or options.verbose)
 
 
 def _seen(
-    options: argparse.Namespace, values: LastValues, shown: PageOutput | None
+    options: argparse.Namespace, file: FleetFile, values: LastValues, shown: PageOutput | None
 ) -> workers.Exposed:
     """Return a function from a fleet to a context manager with its metrics and its page."""
 
@@ -210,7 +222,12 @@ def _seen(
             from ...services.fleet.shown_fleet import ShownFleet
 
             assert shown is not None
-            return ShownFleet(os.path.basename(options.file), fleet, shown)
+            older = None
+            if "path" in file.journal:
+                from ...services.fleet.journal_past import past_in
+
+                older = past_in(file.journal["path"])
+            return ShownFleet(os.path.basename(options.file), fleet, shown, older)
 
         with (
             metrics.exposed(fleet, options.metrics, values, to=sys.stderr),
@@ -243,12 +260,12 @@ async def _run(
     options: argparse.Namespace,
     file: FleetFile,
     hangup: Hangup,
-    has_screen: bool,
+    show: workers.Show | None,
 ) -> None:
     started = time.monotonic()
     stopped = asyncio.Event()
     polling = asyncio.create_task(fleet.run(once=options.once))
-    screen = asyncio.create_task(_show(fleet)) if has_screen else None
+    screen = asyncio.create_task(show(fleet)) if show else None
     reloading = Reloading(fleet, options.file, file)
     handlers = _handlers(stopped, hangup.unless_closed(reloading.begin))
     with signal_handlers(handlers):
@@ -266,7 +283,7 @@ async def _run(
                         task.cancel()
                 await asyncio.wait([polling, *([screen] if screen else [])])
                 await reloading.end()
-                if stopped.is_set() or has_screen:
+                if stopped.is_set() or show:
                     print(_summary(fleet, time.monotonic() - started), file=sys.stderr, flush=True)
     if not polling.cancelled():
         polling.result()
@@ -336,22 +353,56 @@ class Reloading:
         return lines
 
 
-async def _show(fleet: Fleet) -> None:
+def _screen(
+    options: argparse.Namespace, values: LastValues, has_screen: bool
+) -> workers.Show | None:
+    """Return what draws the state of a fleet again and again; None without a terminal."""
+    if not has_screen:
+        return None
+    return partial(_show_table, values) if _has_table(options) else _show_line
+
+
+async def _show_line(fleet: Fleet) -> None:
     """Draw the status line again and again, until cancelled."""
     status = Status()
-    polls, at = 0, time.monotonic()
     try:
-        while True:
-            await asyncio.sleep(REDRAWN)
-            now, statistics = time.monotonic(), fleet.statistics
-            rate = (statistics.polls - polls) / (now - at)
-            polls, at = statistics.polls, now
-            status.show(
-                f"{_state(fleet)}; {rate:.0f} polls a second,"
-                f" at most {statistics.take_worst() * 1000:.0f} ms late{_errors(fleet)}"
-            )
+        async for text in _status_texts(fleet):
+            status.show(text)
     finally:
         status.clear()
+
+
+async def _show_table(values: LastValues, fleet: Fleet) -> None:
+    """Draw the devices that are down and the values again and again, until cancelled."""
+    table = Redrawn(sys.stderr)
+
+    def make_room(record: logging.LogRecord) -> bool:
+        table.clear()
+        return True
+
+    handlers = list(logging.getLogger("libmodbus_py").handlers)
+    for each in handlers:
+        each.addFilter(make_room)
+    try:
+        async for text in _status_texts(fleet):
+            table.draw(fleet_lines(fleet, values.statistics, text))
+    finally:
+        for each in handlers:
+            each.removeFilter(make_room)
+        table.clear()
+
+
+async def _status_texts(fleet: Fleet) -> AsyncIterator[str]:
+    polls, at = 0, time.monotonic()
+    while True:
+        await asyncio.sleep(REDRAWN)
+        now, statistics = time.monotonic(), fleet.statistics
+        rate = (statistics.polls - polls) / (now - at)
+        polls, at = statistics.polls, now
+        yield (
+            f"{_state(fleet)}; {rate:.0f} polls a second,"
+            f" at most {statistics.take_worst() * 1000:.0f} ms late{_errors(fleet)}"
+        )
 
 
 def _state(fleet: Fleet) -> str:

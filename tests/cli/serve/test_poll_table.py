@@ -1,0 +1,97 @@
+"""
+poll on a terminal: the values and what is down, redrawn in place within the terminal's size.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import signal
+import types
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from libmodbus_py import Device, Fleet, Mapping, Server
+from libmodbus_py.cli import redrawn
+from libmodbus_py.cli.redrawn import Redrawn
+from libmodbus_py.cli.serve.fleet_table import fleet_lines
+from libmodbus_py.fleet import Reading
+from libmodbus_py.services.fleet.outputs.last_values import KeptReadings
+from tests.support.cases import each_case
+from tests.support.commands import on_terminal
+
+METER = "name,table,address,unit,scale\nlevel,holding_registers,0,m,0.1\n"
+
+
+def kept(*readings: Reading) -> KeptReadings:
+    return KeptReadings({(each.device, each.name): each for each in readings}, {})
+
+
+def test_the_lines_of_a_fleet() -> None:
+    values = kept(
+        Reading(0.0, "north", "voltage", 230.5, "V", "good"),
+        Reading(0.0, "north", "on", True, "", "good"),
+        Reading(0.0, "south-1", "power", None, "W", "bad", "IllegalDataAddress"),
+        Reading(0.0, "east", "power", None, "W", "down", "ModbusTimeoutError"),
+        Reading(0.0, "n" * 99, "p" * 99, "x" * 999, "W", "good"),
+    )
+    title, *lines = fleet_lines(Fleet(), values, "4 devices")
+    assert title == ("4 devices", True)
+    texts = [line.split() for line, is_bold in lines]
+    assert texts[:3] == [
+        ["north", "voltage", "230.5", "V"],
+        ["north", "on", "on"],
+        ["south-1", "power", "-", "(IllegalDataAddress)", "W"],
+    ]
+    assert max(len(line) for line, _ in lines) < 140
+    assert len(lines) == 4
+
+
+@each_case(
+    ("columns", "rows", "shown"),
+    [
+        (80, 24, 9),
+        (80, 6, 5),
+        (80, 2, 1),
+        (80, 1, 1),
+        (3, 24, 9),
+    ],
+)
+def test_what_is_drawn_fits_the_terminal(
+    monkeypatch: pytest.MonkeyPatch, columns: int, rows: int, shown: int
+) -> None:
+    size = os.terminal_size((columns, rows))
+    monkeypatch.setattr(redrawn, "shutil", types.SimpleNamespace(get_terminal_size=lambda: size))
+    stream = io.StringIO()
+    table = Redrawn(stream)
+    lines = [(f"line {at} \x1b[2J" + "x" * 200, False) for at in range(9)]
+    table.draw(lines)
+    first = stream.getvalue().split("\n")[:-1]
+    assert len(first) == shown
+    assert all(len(line) < columns and "\x1b" not in line for line in first)
+    table.draw(lines[:1])
+    assert f"\x1b[{shown}A\r\x1b[J" in stream.getvalue()
+    table.clear()
+    table.clear()
+    assert stream.getvalue().endswith("\x1b[1A\r\x1b[J")
+
+
+def test_a_terminal_shows_values_and_is_left_in_order(tmp_path: Path) -> None:
+    (tmp_path / "meter.csv").write_text(METER)
+    devices: Any = {1: Device(Mapping(holding_registers={0: [17]}))}
+    with Server(devices).background("tcp://127.0.0.1:0") as running:
+        text = f"[defaults]\nmap = 'meter.csv'\ninterval = 0.05\nurl = '{running.urls[0]}'\n"
+        for unit, name in ((1, "north"), (2, "south")):
+            text += f"[[device]]\nname = '{name}'\nunit = {unit}\n"
+        (tmp_path / "fleet.toml").write_text(text)
+        environment = {"TERM": "xterm"}
+        with on_terminal("poll", tmp_path / "fleet.toml", environment=environment) as terminal:
+            terminal.until(lambda shown: "level" in shown and "1.7 m" in shown)
+            terminal.until(lambda shown: "south is down since" in shown)
+            terminal.until(lambda shown: shown.count("1.7 m") > 1)
+            terminal.process.send_signal(signal.SIGINT)
+            seen = terminal.read_to_end()
+    assert "\r\x1b[J" in seen
+    assert "polls in" in seen.rpartition("\x1b[J")[2]  # the summary is what remains
