@@ -23,6 +23,7 @@ class PageOutput:
     Attributes:
         values: what it was given.
         fleet: whose readings they are; set before the first.
+        is_live: True, because readings of earlier runs are not wanted.
     """
 
     name = "page"
