@@ -5,6 +5,11 @@ A fleet on this machine: ./run fleet-bench
 processes; 20 registers of each are read every 5 s. Wanted: 99 of 100 polls begin within
 100 ms of their time, with less than 25 KiB of memory for each device. Nobody else should use
 the machine meanwhile.
+
+--workload neuron is one that Neuron publishes: 500 devices of 30 points, each 0.5 s; --workload
+gateway is one of NG Gateway: 100 devices of 1000 points, each second. Each device has a connection
+of its own there. --journal and --mqtt have the readings kept on the disk, and published to a
+mosquitto that is started for it.
 """
 
 from __future__ import annotations
@@ -13,16 +18,21 @@ import argparse
 import asyncio
 import gc
 import json
+import socket
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from typing import Any, NamedTuple
 
 from bench.children import resident_memory
 from bench.memory import raise_descriptor_limit
 from libmodbus_py import Device, DeviceConfig, Fleet, Limits, Mapping, Point, RegisterMap, Server
+from libmodbus_py.fleet import Journal
 from libmodbus_py.services.fleet.outputs.json_output import JsonOutput
+from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from libmodbus_py.services.fleet.statistics import LATENESS_BOUNDS
 
 ON_TIME, WANTED_ON_TIME = 0.1, 0.99
@@ -30,23 +40,41 @@ WANTED_MEMORY = 25 * 1024
 
 SERVERS = 2
 
-REGISTERS = 20
+
+class Workload(NamedTuple):
+    """Connections, devices behind each, registers of each, and seconds from poll to poll."""
+
+    connections: int
+    units: int
+    registers: int
+    interval: float
+
+
+WORKLOADS = {
+    "ours": Workload(1000, 10, 20, 5.0),
+    "neuron": Workload(500, 1, 30, 0.5),
+    "gateway": Workload(100, 1, 1000, 1.0),
+}
 
 
 def main() -> None:
     options = parse()
     raise_descriptor_limit()
     if options.serve:
-        asyncio.run(serve(options.serve, options.units))
+        asyncio.run(serve(options.serve, options.units, options.registers))
         return
     with ExitStack() as stack:
         share = options.connections // SERVERS
         urls = [
             url
             for _ in range(SERVERS)
-            for url in stack.enter_context(servers(share, options.units))
+            for url in stack.enter_context(servers(share, options.units, options.registers))
         ]
-        figures = asyncio.run(measure(urls, options))
+        outputs = [JsonOutput(options.output)] if options.output else []
+        if options.mqtt:
+            outputs.append(stack.enter_context(published()))
+        journal = stack.enter_context(kept()) if options.journal else None
+        figures = asyncio.run(measure(urls, options, outputs, journal))
     print(told(figures))
     if options.json:
         print(json.dumps(figures))
@@ -59,23 +87,31 @@ def parse() -> argparse.Namespace:
         description=__doc__,
         formatter_class=argparse.RawTextHelpFormatter,
     )
-    parser.add_argument("--connections", type=int, default=1000, metavar="N", help="(1000)")
-    parser.add_argument("--units", type=int, default=10, metavar="N", help="behind each (10)")
-    parser.add_argument("--interval", type=float, default=5.0, metavar="S", help="seconds (5)")
+    parser.add_argument("--workload", choices=WORKLOADS, default="ours", help="(ours)")
+    parser.add_argument("--connections", type=int, metavar="N", help="(1000)")
+    parser.add_argument("--units", type=int, metavar="N", help="behind each (10)")
+    parser.add_argument("--registers", type=int, metavar="N", help="of each device (20)")
+    parser.add_argument("--interval", type=float, metavar="S", help="seconds (5)")
     parser.add_argument("--seconds", type=float, default=60.0, metavar="S", help="measured (60)")
     parser.add_argument(
         "--output", metavar="PATH", help="have all readings written there, as lines of JSON, too"
     )
+    parser.add_argument("--journal", action="store_true", help="keep all readings in a journal")
+    parser.add_argument("--mqtt", action="store_true", help="publish all readings to a mosquitto")
     parser.add_argument("--json", action="store_true", help="print the figures as JSON, too")
     parser.add_argument("--serve", type=int, default=0, help=argparse.SUPPRESS)
-    return parser.parse_args()
+    options = parser.parse_args()
+    for name, value in WORKLOADS[options.workload]._asdict().items():
+        if getattr(options, name) is None:
+            setattr(options, name, value)
+    return options
 
 
 # --- the devices ------------------------------------------------------------------------------
 
 
-async def serve(connections: int, units: int) -> None:
-    devices = {unit: Device(Mapping(holding_registers=REGISTERS)) for unit in range(1, units + 1)}
+async def serve(connections: int, units: int, registers: int) -> None:
+    devices = {unit: Device(Mapping(holding_registers=registers)) for unit in range(1, units + 1)}
     limits = Limits(max_connections=2 * connections, connections_per_address=2 * connections)
     places = ["tcp://127.0.0.1:0"] * connections
     async with Server(devices, limits=limits).serving(*places) as running:
@@ -87,13 +123,13 @@ async def serve(connections: int, units: int) -> None:
             await asyncio.sleep(1)
             moving = (moving + 1) % 1000
             for device in devices.values():  # half of the values move
-                device.mapping.holding_registers[: REGISTERS // 2] = range(
-                    moving, moving + REGISTERS // 2
+                device.mapping.holding_registers[: registers // 2] = range(
+                    moving, moving + registers // 2
                 )
 
 
 @contextmanager
-def servers(connections: int, units: int) -> Iterator[list[str]]:
+def servers(connections: int, units: int, registers: int) -> Iterator[list[str]]:
     program = [
         sys.executable,
         "-m",
@@ -102,6 +138,8 @@ def servers(connections: int, units: int) -> Iterator[list[str]]:
         str(connections),
         "--units",
         str(units),
+        "--registers",
+        str(registers),
     ]
     with subprocess.Popen(program, stdout=subprocess.PIPE, text=True) as child:
         try:
@@ -114,9 +152,31 @@ def servers(connections: int, units: int) -> Iterator[list[str]]:
 # --- the fleet --------------------------------------------------------------------------------
 
 
-async def measure(urls: list[str], options: argparse.Namespace) -> dict[str, float]:
+@contextmanager
+def kept() -> Iterator[Journal]:
+    """A journal on the disk of this folder."""
+    with tempfile.TemporaryDirectory(dir=".") as folder:
+        yield Journal(f"{folder}/fleet.db")
+
+
+@contextmanager
+def published() -> Iterator[Mqtt]:
+    """An output to a mosquitto."""
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+    program = ["mosquitto", "-p", str(port)]
+    with subprocess.Popen(program, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as broker:
+        try:
+            yield Mqtt(f"mqtt://127.0.0.1:{port}")
+        finally:
+            broker.kill()
+
+
+async def measure(
+    urls: list[str], options: argparse.Namespace, outputs: list[Any], journal: Journal | None
+) -> dict[str, float]:
     points = RegisterMap(
-        Point(f"p{at}", "holding_registers", at, scale=0.1) for at in range(REGISTERS)
+        Point(f"p{at}", "holding_registers", at, scale=0.1) for at in range(options.registers)
     )
     gc.collect()
     before = resident_memory("self")
@@ -125,8 +185,7 @@ async def measure(urls: list[str], options: argparse.Namespace) -> dict[str, flo
         for at, url in enumerate(urls)
         for unit in range(1, options.units + 1)
     ]
-    outputs = [JsonOutput(options.output)] if options.output else []
-    fleet = Fleet(devices, outputs=outputs)
+    fleet = Fleet(devices, outputs=outputs, journal=journal)
     async with fleet:
         gc.collect()
         gc.freeze()
@@ -134,7 +193,8 @@ async def measure(urls: list[str], options: argparse.Namespace) -> dict[str, flo
         statistics = fleet.statistics
         statistics.take_worst()
         statistics.lateness[:] = [0] * len(statistics.lateness)
-        polls, skipped = statistics.polls, statistics.skipped
+        polls, skipped, readings = statistics.polls, statistics.skipped, statistics.readings
+        written = [each.written for each in statistics.outputs.values()]
         start, cpu = time.monotonic(), time.process_time()
         await wait(fleet, options.seconds, "measuring")
         seconds = time.monotonic() - start
@@ -142,6 +202,14 @@ async def measure(urls: list[str], options: argparse.Namespace) -> dict[str, flo
             "devices": statistics.devices,
             "up": statistics.up,
             "polls": (statistics.polls - polls) / seconds,
+            "points": (statistics.readings - readings) / seconds,
+            "written": sum(
+                each.written - before
+                for each, before in zip(statistics.outputs.values(), written, strict=True)
+            )
+            / seconds,
+            "waiting": sum(each.waiting for each in statistics.outputs.values()),
+            "journal": statistics.journal.bytes if statistics.journal else 0,
             "skipped": statistics.skipped - skipped,
             "on_time": statistics.within(ON_TIME),
             "half": percentile(statistics.lateness, 0.5),
@@ -149,6 +217,7 @@ async def measure(urls: list[str], options: argparse.Namespace) -> dict[str, flo
             "worst": statistics.take_worst(),
             "cpu": (time.process_time() - cpu) / seconds,
             "memory": (resident_memory("self") - before) / len(devices),
+            "resident": resident_memory("self"),
             "dropped": sum(each.dropped for each in statistics.outputs.values()),
         }
 
@@ -176,12 +245,17 @@ def percentile(counts: list[int], share: float) -> float:
 def told(figures: dict[str, float]) -> str:
     return (
         f"{figures['up']:.0f} of {figures['devices']:.0f} devices up,"
-        f" {figures['polls']:.0f} polls a second, {figures['skipped']:.0f} skipped\n"
+        f" {figures['polls']:.0f} polls and {figures['points']:.0f} points a second,"
+        f" {figures['skipped']:.0f} skipped\n"
         f"{figures['on_time']:.2%} began within 100 ms of their time (wanted: 99 %);"
         f" half within {figures['half'] * 1000:g} ms, 99 % within {figures['most'] * 1000:g} ms,"
         f" the worst {figures['worst'] * 1000:.0f} ms late\n"
         f"{figures['memory'] / 1024:.1f} KiB of memory for each device (wanted: less than 25),"
-        f" {figures['cpu']:.0%} of a processor"
+        f" {figures['resident'] / 1e6:.0f} MB in all, {figures['cpu']:.0%} of a processor,"
+        f" {figures['cpu'] / max(figures['points'], 1) * 1e6:.2f} us for each point\n"
+        f"{figures['written']:.0f} readings a second written to outputs,"
+        f" {figures['waiting']:.0f} wait, {figures['dropped']:.0f} dropped,"
+        f" {figures['journal'] / 1e6:.1f} MB of journal"
     )
 
 
