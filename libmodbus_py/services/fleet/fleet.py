@@ -175,15 +175,15 @@ class Fleet:
         if self._loop is not None:
             raise RuntimeError("this fleet is already polling; make another one")
         self._label(self._devices)
-        names = self._names()
-        places = await self._places(names)
+        places = await self._places()
         self._loop = asyncio.get_running_loop()
         self._wall = time.time() - self._loop.time()
-        for output, name in zip(self._outputs, names, strict=True):
+        names = _unlike(each.name for each in self._outputs)
+        for at, output in enumerate(self._outputs):
             if isinstance(output, Commanded) and output.takes_commands:
                 output.attach(self.commands)
-            pump = Pump(output, waiting=places.get(name))
-            self.statistics.outputs[name] = pump.statistics
+            pump = Pump(output, waiting=places.get(at))
+            self.statistics.outputs[names[at]] = pump.statistics
             self._pumps.append(pump)
             if isinstance(pump.buffer, Buffer):
                 self._live.append(pump.buffer)
@@ -191,23 +191,17 @@ class Fleet:
         for device in self._devices.values():
             self._begin(device)
 
-    def _names(self) -> list[str]:
-        """Return a name for each output, which no other has."""
-        counts: Counter[str] = Counter()
-        names: list[str] = []
-        for output in self._outputs:
-            counts[output.name] += 1
-            number = counts[output.name]
-            names.append(f"{output.name} ({number})" if number > 1 else output.name)
-        return names
-
-    async def _places(self, names: Sequence[str]) -> Mapping[str, JournalPlace]:
-        """Open the journal, and return the places of the outputs that read from it."""
+    async def _places(self) -> Mapping[int, JournalPlace]:
+        """Open the journal; return the places of the outputs that read from it, by their index."""
         if self._journal is None:
             return {}
-        pairs = zip(self._outputs, names, strict=True)
-        kept = [name for output, name in pairs if not getattr(output, "is_live", False)]
-        return {each.name: each for each in await self._journal.open(kept)}
+        names = _unlike(getattr(each, "identity", each.name) for each in self._outputs)
+        kept = {
+            at: names[at]
+            for at, output in enumerate(self._outputs)
+            if not getattr(output, "is_live", False)
+        }
+        return dict(zip(kept, await self._journal.open([*kept.values()]), strict=True))
 
     def _label(self, devices: Mapping[str, DeviceConfig]) -> None:
         """Pass labels and maps to the outputs; raise ValueError if a device lacks a label."""
@@ -561,3 +555,13 @@ async def _all(tasks: Iterable[asyncio.Task[None]]) -> None:
     """Wait for tasks; their errors are ignored."""
     with contextlib.suppress(asyncio.InvalidStateError):
         await asyncio.gather(*tasks, return_exceptions=True)
+
+
+def _unlike(names: Iterable[str]) -> list[str]:
+    """Return names with numbers behind those that others have too."""
+    counts: Counter[str] = Counter()
+    found: list[str] = []
+    for name in names:
+        counts[name] += 1
+        found.append(f"{name} ({counts[name]})" if counts[name] > 1 else name)
+    return found

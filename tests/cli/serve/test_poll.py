@@ -5,6 +5,7 @@ The command poll: what it prints, writes and exposes, and how it ends.
 from __future__ import annotations
 
 import json
+import re
 import signal
 import socket
 import time
@@ -232,3 +233,40 @@ def test_wrong_usage_is_one_line(fleet: Path, arguments: list[str], said: str) -
     assert said in done.err
     assert len(done.err.splitlines()) == 1
     assert done.out == ""
+
+
+# --- a journal ------------------------------------------------------------------------------
+
+
+def with_journal(fleet: Path) -> Path:
+    file = fleet.with_name("kept.toml")
+    file.write_text(f'journal = "fleet.db"\n{fleet.read_text()}[output.csv]\npath = "kept.csv"\n')
+    return file
+
+
+def test_a_journal_is_told_of_at_the_end(fleet: Path) -> None:
+    with started(with_journal(fleet), "--json") as process:
+        ids = [json.loads(process.stdout.readline())["id"] for _ in range(10)]
+        assert ids == list(range(ids[0], ids[0] + 10))
+        process.terminate()
+        _, err = process.communicate()
+    assert process.returncode == 0, err
+    told = r"^journal: \d+ written, 0 dropped, 0\.\d MB; 0 wait for an output$"
+    assert re.search(told, err, re.MULTILINE), err
+
+
+def test_a_journal_that_is_used_is_one_line(fleet: Path) -> None:
+    file = with_journal(fleet)
+    with started(file, "--json") as process:
+        assert process.stdout.readline()
+        code, _, err = run("poll", file)
+    assert code == 1
+    assert err == f"libmodbus-py: {fleet.with_name('fleet.db')}: is used by another program\n"
+
+
+def test_the_standard_output_has_the_readings_of_this_run_only(fleet: Path) -> None:
+    file = with_journal(fleet)
+    for _ in range(2):
+        code, out, _ = ended("poll", file, "--once", "--json")
+        assert code == 1  # one device does not answer
+        assert out.count('"voltage"') == 3

@@ -21,6 +21,7 @@ from libmodbus_py.services.fleet.journal import journal as journals
 from libmodbus_py.services.fleet.journal.errors import JournalDamaged, JournalTrouble
 from libmodbus_py.services.fleet.journal.journal_file import JournalFile
 from libmodbus_py.services.fleet.journal.journal_reader import JournalReader
+from libmodbus_py.services.fleet.outputs.json_output import JsonOutput
 from tests.services.fleet.fleets import LONGEST, Peer, meter, simulated_run, until
 from tests.services.fleet.journals import Inline, readings
 from tests.simulation.network import Network
@@ -200,6 +201,19 @@ def test_an_output_that_is_slower_than_the_readings_is_bounded_by_the_journal(
     ]
 
 
+def test_a_file_is_the_same_output_in_whatever_folder_the_program_starts(
+    path: str, inline: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    run_for(path, 30, JsonOutput("readings.jsonl"), JsonOutput("readings.jsonl"))
+    run_for(path, 30, JsonOutput(str(tmp_path / "readings.jsonl")))
+    database = sqlite3.connect(path)
+    names = [name for (name,) in database.execute("SELECT output FROM place")]
+    database.close()
+    file = f"json {tmp_path}/readings.jsonl"
+    assert names == [file, f"{file} (2)"]
+
+
 # --- disks ----------------------------------------------------------------------------------
 
 
@@ -250,6 +264,7 @@ def test_a_full_disk_delays_no_output_and_loses_nothing(
 def test_while_a_disk_is_full_for_long_memory_is_bounded(
     path: str, inline: None, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
+    monkeypatch.setattr(journals, "MOST_WAITING", 60)
     monkeypatch.setattr(journals, "MOST_IN_MEMORY", 60)
     disk = Failing(monkeypatch, JournalFile, "write", None)
     broker, away = Broker(), Broker("away", is_away=True)

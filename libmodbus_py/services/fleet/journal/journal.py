@@ -33,8 +33,11 @@ logger: HarmlessLogger = HarmlessLogger(__name__)
 KEEP_BOUNDS = ("1 minute", "100 years")
 SIZE_BOUNDS = ("10 MB", "100 TB")
 
-# The most readings in memory: those that wait for the disk, and the newest for outputs.
-MOST_IN_MEMORY = 100_000
+# The most readings that wait for the disk, about 75 MB; it may take none for seconds.
+MOST_WAITING = 500_000
+
+# The newest readings, kept for outputs that keep up.
+MOST_IN_MEMORY = 50_000
 
 # The most readings of a transaction.
 MOST_AT_ONCE = 20_000
@@ -59,7 +62,7 @@ class Journal:
 
     A reading is in the file 0.05 s after its poll, which a program that is killed cannot undo,
     and is forced onto the disk at most 0.5 s later: what a machine without power has lost is
-    younger than a second. While the disk takes no readings, the newest 100000 wait in memory;
+    younger than a second. While the disk takes no readings, the newest 500000 wait in memory;
     outputs that keep up still receive them.
 
     The file is an SQLite database, which other programs can read at the same time.
@@ -243,12 +246,16 @@ class Journal:
         self._drop_oldest()
         for place in self._places:
             place.wake()
-        if self._gathering is None:
-            self._gathering = asyncio.get_running_loop().call_later(GATHERED, self._ring)
+        self._gather()
         return told
 
+    def _gather(self) -> None:
+        """Write what waits after a while, together with what comes until then."""
+        if self._gathering is None:
+            self._gathering = asyncio.get_running_loop().call_later(GATHERED, self._ring)
+
     def _drop_oldest(self) -> None:
-        while self._queued > MOST_IN_MEMORY:
+        while self._queued > MOST_WAITING:
             count = len(self._queue.popleft().readings)
             self._queued -= count
             self.statistics.dropped += count
@@ -371,8 +378,10 @@ class Journal:
         for place in self._places:
             place.deleted(written.deleted)
             place.wake()
-        if self._queue or not written.is_over:
+        if self._queued >= MOST_AT_ONCE or not written.is_over:
             self._wake.set()
+        elif self._queue:
+            self._gather()
         elif not written.is_forced and self._task is not None:
             if self._forcing is not None:
                 self._forcing.cancel()

@@ -111,6 +111,16 @@ class Influx:
     def name(self) -> str:
         return self._sink.name
 
+    @property
+    def is_live(self) -> bool:
+        """True if readings of earlier runs are not wanted."""
+        return getattr(self._sink, "is_live", False)
+
+    @property
+    def identity(self) -> str:
+        """The name of its place in a journal."""
+        return getattr(self._sink, "identity", self.name)
+
     def describe(self, devices: Mapping[str, DeviceConfig]) -> None:
         """Set the devices of the readings."""
         self._protocol.describe(devices)

@@ -33,7 +33,8 @@ class Output(Protocol):
     again, one poll at a time; a poll for which the exception is raised again is dropped.
 
     With a journal, readings are passed again in the next run of the program unless `write` has
-    returned. An output with an attribute `is_live` that is True gets those of this run only.
+    returned. An output with an attribute `is_live` that is True gets those of this run only. The
+    name of its place in the journal is its attribute `identity`, or else its name.
     """
 
     @property

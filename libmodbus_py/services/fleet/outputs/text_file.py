@@ -90,6 +90,11 @@ class TextFile:
         return self.path == "-"
 
     @property
+    def identity(self) -> str:
+        """The name of its place in a journal, the same in whatever folder the program starts."""
+        return f"{self._name} {os.path.abspath(self.path)}"
+
+    @property
     def name(self) -> str:
         return self._name if self.path == "-" else f"{self._name} {self.path}"
 
