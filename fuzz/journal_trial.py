@@ -28,7 +28,7 @@ from pathlib import Path
 
 from fuzz.command import numbers
 from libmodbus_py import Device, Mapping, Server
-from libmodbus_py.services.fleet.outputs.pump import MOST_AT_ONCE
+from libmodbus_py.services.fleet.outputs.pump import MOST_OF_JOURNAL
 
 POINTS = 10
 
@@ -235,7 +235,7 @@ async def trial(folder: Path, kills: int, count: int) -> bool:
         [confirmed] = [at for output, at in polls.places().items() if output.startswith(name)]
         found = Found(journal, confirmed, ids)
         print(f"{name:8} {len(ids):9} {found.lost:6} {found.repeated:9} {found.ahead:21}")
-        is_good = is_good and not found.lost and found.repeated <= kills * MOST_AT_ONCE
+        is_good = is_good and not found.lost and found.repeated <= kills * MOST_OF_JOURNAL
     print(polls.errors(), end="", file=sys.stderr)
     return is_good
 

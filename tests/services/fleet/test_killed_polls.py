@@ -13,7 +13,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from fuzz.journal_trial import Found, KilledPolls, devices, until
-from libmodbus_py.services.fleet.outputs.pump import MOST_AT_ONCE
+from libmodbus_py.services.fleet.outputs.pump import MOST_OF_JOURNAL
 
 KILLS = 3
 
@@ -43,6 +43,6 @@ def test_a_poll_that_is_killed_loses_nothing_that_was_journalled(tmp_path: Path)
     arrived, journal = polls.in_file(), polls.in_journal()
     found = Found(journal, confirmed(polls), arrived)
     assert found.lost == 0
-    assert found.repeated <= KILLS * (MOST_AT_ONCE + 10)
+    assert found.repeated <= KILLS * (MOST_OF_JOURNAL + 10)
     assert confirmed(polls) == journal[-1]
     assert len(journal) > 100

@@ -19,7 +19,7 @@ from ..outputs.writer_thread import WriterThread
 from ..readings import Reading
 from ..statistics import JournalStatistics
 from .errors import JournalDamaged, JournalError, JournalTrouble
-from .journal_file import Begun, JournalFile, JournalState
+from .journal_file import Begun, JournalFile, JournalState, force
 from .journal_reader import HistoricalValue, JournalReader, history
 from .numbers import Unused
 from .place import LONGEST_EPISODE, JournalPlace
@@ -97,6 +97,7 @@ class Journal:
         )
         self._writing = WriterThread(self.path)
         self._reading = WriterThread(self.path)
+        self._forcing_thread = WriterThread(self.path)
         self._reader = JournalReader(self.path)
         self._places: list[JournalPlace] = []
         self._labels: Mapping[str, Mapping[str, str]] | None = None
@@ -113,7 +114,9 @@ class Journal:
         self._pause = FIRST_PAUSE
         self._wake = asyncio.Event()
         self._gathering: asyncio.TimerHandle | None = None
+        # Until what was written is on the disk.
         self._forcing: asyncio.TimerHandle | None = None
+        self._forced: asyncio.Task[None] | None = None
         self._task: asyncio.Task[None] | None = None
         self.last: int = 0
 
@@ -158,6 +161,7 @@ class Journal:
         self._start_thread(self._writing)
         try:
             self._start_thread(self._reading)
+            self._start_thread(self._forcing_thread)
             begun = await self._begun(outputs)
         except BaseException as error:
             if self._reading.is_running:  # the thread may be opening the file now
@@ -189,7 +193,7 @@ class Journal:
             raise JournalError(f"{self.path}: {error.strerror}") from None
 
     def _stop_threads(self) -> None:
-        for thread in (self._writing, self._reading):
+        for thread in (self._writing, self._reading, self._forcing_thread):
             if thread.is_running:
                 thread.stop()
 
@@ -202,7 +206,9 @@ class Journal:
         for timer in (self._gathering, self._forcing):
             if timer is not None:
                 timer.cancel()
-        self._gathering = self._forcing = None
+        if self._forced is not None:
+            await end_tasks([self._forced])
+        self._gathering = self._forcing = self._forced = None
         try:
             await finish(self._end(), LAST_WAIT)
         finally:
@@ -251,7 +257,7 @@ class Journal:
 
     def _gather(self) -> None:
         """Write what waits after a while, together with what comes until then."""
-        if self._gathering is None:
+        if self._gathering is None and self._task is not None:
             self._gathering = asyncio.get_running_loop().call_later(GATHERED, self._ring)
 
     def _drop_oldest(self) -> None:
@@ -382,10 +388,19 @@ class Journal:
             self._wake.set()
         elif self._queue:
             self._gather()
-        elif not written.is_forced and self._task is not None:
-            if self._forcing is not None:
-                self._forcing.cancel()
-            self._forcing = asyncio.get_running_loop().call_later(FORCED, self._wake.set)
+        if self._forcing is None and self._task is not None:
+            self._forcing = asyncio.get_running_loop().call_later(FORCED, self._force)
+
+    def _force(self) -> None:
+        self._forced = asyncio.create_task(self._force_onto_disk())
+
+    async def _force_onto_disk(self) -> None:
+        try:
+            await self._forcing_thread.call(force, self.path)
+        except JournalError as error:
+            self._note_trouble(error)
+        finally:
+            self._forcing = None
 
     def _note_trouble(self, error: JournalError) -> None:
         self.statistics.failures += 1

@@ -29,7 +29,7 @@ from .errors import JournalDamaged, JournalError, raised
 from .numbers import first_id
 from .polls import JournalPoll, Points, Row, encoded
 
-__all__ = ["Begun", "JournalFile", "JournalState"]
+__all__ = ["Begun", "JournalFile", "JournalState", "force"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
@@ -37,8 +37,8 @@ logger: HarmlessLogger = HarmlessLogger(__name__)
 APPLICATION = 0x4D424A31
 VERSION = 1
 
-# Seconds between two times that the data are forced onto the disk.
-FORCED = 0.5
+# Bytes of changes that are merged into the database at once.
+MERGED = 1 << 22
 
 # Milliseconds to wait for a person who writes to the database.
 BUSY = 2000
@@ -138,13 +138,11 @@ class JournalState(NamedTuple):
         size: bytes of the file.
         deleted: the last id that was deleted; 0 if none was.
         is_over: False if there is more to delete.
-        is_forced: True if all data are on the disk.
     """
 
     size: int
     deleted: int
     is_over: bool
-    is_forced: bool
 
 
 class JournalFile:
@@ -167,7 +165,6 @@ class JournalFile:
         self._devices: dict[str, int] = {}
         self._points: dict[str, Points] = {}
         self._labels: dict[str, str] = {}
-        self._forced_at = 0.0
         self._to_delete = 0.0
 
     # --- life -------------------------------------------------------------------------------
@@ -241,7 +238,9 @@ class JournalFile:
             )
         if pragma("journal_mode = WAL") != "wal":
             raise JournalError(f"{self.path}: its file system is not suitable for a journal")
+        # `force` does both, in another thread: outputs wait for no disk.
         pragma("synchronous = NORMAL")
+        pragma("wal_autocheckpoint = 0")
         pragma(f"journal_size_limit = {1 << 26}")
         if not tables:
             # IMMEDIATE, else the tables are created one by one.
@@ -354,18 +353,13 @@ class JournalFile:
         with raised(self.path):
             if labels is not None:
                 self._forget()  # the points of devices may have changed too
-            now = time.monotonic()
-            is_forced = not (polls or places) or now - self._forced_at >= FORCED
-            self._used.execute(f"PRAGMA synchronous = {'FULL' if is_forced else 'NORMAL'}")
             with self._transaction():
                 self._put_labels(labels or {})
                 rows = [row for poll in polls if (row := self._row(poll)) is not None]
                 self._used.executemany(INSERT_POLL, rows)
                 self._used.executemany(SET_PLACE, places.items())
-            if is_forced:
-                self._forced_at = now
             self._to_delete = min(1e6, self._to_delete + DELETED_FOR_EACH * len(rows))
-            return self._delete(confirmed, is_forced)
+            return self._delete(confirmed)
 
     def _row(self, poll: JournalPoll) -> Row | None:
         name = poll.readings[0].device
@@ -418,7 +412,7 @@ class JournalFile:
 
     # --- deleting ---------------------------------------------------------------------------
 
-    def _delete(self, confirmed: int, is_forced: bool) -> JournalState:
+    def _delete(self, confirmed: int) -> JournalState:
         """Delete the oldest polls, if there are too many or they are too old."""
         [[page], [pages], [free]] = (
             self._used.execute(f"PRAGMA {name}").fetchone()
@@ -436,7 +430,7 @@ class JournalFile:
         wal = _size_of(f"{self.path}-wal")
         if wal > max(self._size / 2, LARGEST_WAL):
             raise OSError(errno.EBUSY, "another program has been reading it for too long")
-        return JournalState(pages * page + wal, deleted, not deleted, is_forced)
+        return JournalState(pages * page + wal, deleted, not deleted)
 
     def _oldest(self, most: int, last: int = 1 << 62) -> list[tuple[int, int, float]]:
         return self._used.execute(
@@ -486,3 +480,24 @@ def _free_name(path: str) -> str:
     """Return a path that no file has."""
     names = (path, *(f"{path}-{number}" for number in range(2, 1000)))
     return next((name for name in names if not os.path.exists(name)), path)
+
+
+def force(path: str) -> None:
+    """
+    Force what was written to a journal onto the disk, while it is being written.
+
+    Raises:
+        JournalError: the disk reports an error.
+    """
+    wal = f"{path}-wal"
+    with raised(path):
+        with contextlib.suppress(FileNotFoundError):
+            descriptor = os.open(wal, os.O_RDONLY | os.O_CLOEXEC)
+            try:
+                os.fsync(descriptor)
+            finally:
+                os.close(descriptor)
+        if _size_of(wal) > MERGED:
+            with contextlib.closing(sqlite3.connect(path, isolation_level=None)) as database:
+                database.execute(f"PRAGMA busy_timeout = {BUSY}")
+                database.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchall()

@@ -20,6 +20,12 @@ logger: HarmlessLogger = HarmlessLogger(__name__)
 
 MOST_AT_ONCE = 500
 
+MOST_OF_JOURNAL = 5000
+"""The most readings at once for an output that is fast, and behind in a journal."""
+
+# Seconds within which such an output takes a batch; else the next ones are as small as before.
+QUICK = 0.25
+
 FIRST_PAUSE, LONGEST_PAUSE = 0.5, 30.0
 
 # Seconds after which an output without readings is checked by an empty write.
@@ -43,6 +49,8 @@ class Pump:
         self, output: Output, most: int = MOST_KEPT, *, waiting: WaitingReadings | None = None
     ) -> None:
         self.name: str = output.name
+        self._most = MOST_AT_ONCE
+        self._may_grow = waiting is not None
         if waiting is None:
             waiting = Buffer(getattr(output, "buffer", most))
         self.buffer: WaitingReadings = waiting
@@ -103,7 +111,7 @@ class Pump:
             await self._output.open()
             while not self.buffer.is_over:
                 await self._write_other()
-                most = 1 if self._doubted else MOST_AT_ONCE
+                most = 1 if self._doubted else self._most
                 await self._write(await self.buffer.take_polls(most, LONGEST_SILENCE))
             return True
         except OutputError:
@@ -135,6 +143,8 @@ class Pump:
             self._refusals.note_other(is_accepted=is_accepted)
 
     async def _write(self, batch: list[Reading]) -> None:
+        begun = asyncio.get_running_loop().time()
+        self._most, most = MOST_AT_ONCE, self._most
         try:
             await self._output.write(batch)
         except ConnectionError as error:
@@ -146,6 +156,9 @@ class Pump:
             else:
                 self.buffer.put_back(batch)
             raise
+        is_quick = asyncio.get_running_loop().time() - begun < QUICK
+        if self._may_grow and is_quick and len(batch) >= MOST_AT_ONCE:
+            self._most = min(2 * most, MOST_OF_JOURNAL)
         await self.buffer.confirm(batch)
         if batch:
             self._losses = 0
