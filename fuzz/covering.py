@@ -164,7 +164,9 @@ class Covering:
                 digests.pop(name, None)
 
     def add(self, parts: list[dict[str, Any]], path: Path) -> None:
-        """Take what was written down while the tests of a file ran."""
+        """Take what was written down while the tests of a file ran, if anything was."""
+        if not parts:
+            return
         self.files[str(path)] = digest(path)
         for part in parts:
             self.seconds.update(part["seconds"])

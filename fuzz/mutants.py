@@ -337,6 +337,8 @@ def _kill(pid: int) -> None:
 
 def cover(tests: list[Path], jobs: int) -> Covering:
     """Return which tests execute which lines; test files that changed run for it."""
+    if importlib.util.find_spec("coverage") is None:
+        raise SystemExit("coverage is not installed: ./run mutants installs it")
     BUILD.mkdir(parents=True, exist_ok=True)
     covering = Covering.read(BUILD / "covering.json")
     stale = covering.stale(tests)
