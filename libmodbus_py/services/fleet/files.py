@@ -43,6 +43,7 @@ from ...tools.files.maps.map_file import load_map
 from ...tools.files.schema import REQUIRED, Key, Keys, keys_of, tables
 from ...tools.files.texts import load_file, read_text
 from ...tools.files.toml_text import read_toml
+from ...tools.simulator.example_files import map_file
 from .config import DeviceConfig, checked
 from .devices_csv import DeviceRow, device_rows
 from .journal.journal import KEEP_BOUNDS, SIZE_BOUNDS, Journal
@@ -197,7 +198,7 @@ class _Reader:
             if not isinstance(keys["map"], RegisterMap):
                 base = self._folder if keys["map"] is self._defaults.get("map") else folder
                 with inside("map"):
-                    keys["map"] = self._map(base / keys["map"])
+                    keys["map"] = self._map(base / map_file(keys["map"]))
             return DeviceConfig(**keys)
         except (TypeError, ValueError) as error:
             raise origin.of(error) from None

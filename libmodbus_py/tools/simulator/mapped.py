@@ -15,6 +15,7 @@ from ...protocol.mistakes import Path, WrongValue, inside, placed
 from ...protocol.tables import TABLE_SIZE, TABLES
 from ..files.maps.map_file import load_map
 from ..files.toml_lines import shown_key
+from .example_files import map_file
 from .keys import MOVES
 from .own_points import Budget
 from .simulated_point import Behaviour, SimulatedPoint
@@ -46,7 +47,7 @@ class Maps:
 
     def get(self, where: Path, name: str) -> RegisterMap:
         """
-        Return a register map.
+        Return a register map: a file, or one that comes with the package, by its name.
 
         Args:
             where: the path of the key that names the map.
@@ -54,7 +55,8 @@ class Maps:
             Raises:
                 WrongValue: the map cannot be read, or there are too many.
         """
-        path = os.path.normpath(os.path.join(self._folder, name))
+        with inside(*where):
+            path = os.path.normpath(os.path.join(self._folder, map_file(name)))
         if path not in self._maps:
             if len(self._maps) >= MAX_MAPS:
                 raise WrongValue.about(where, f"more than {MAX_MAPS} register maps in one file")
