@@ -18,6 +18,7 @@ from tests.support.commands import run
         "listen",
         "map",
         "poll",
+        "ports",
         "scan",
         "serve",
         "sunspec",

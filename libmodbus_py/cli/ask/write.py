@@ -14,7 +14,7 @@ __all__ = ["add_command"]
 
 EXAMPLES = """\
 examples:
-  libmodbus-py write 192.0.2.10 holding 0 555 0 100 coils 7 on
+  libmodbus-py write 192.0.2.10 holding 0 555 0 100 coils 7 on --verify
   libmodbus-py write /dev/ttyUSB0 -b 9600 40123 3.14 --type float32 --order CDAB
   libmodbus-py write 192.0.2.10 --map meter.csv setpoint 21.5 --dry-run -v
   libmodbus-py write 'tcp://192.0.2.10?unit=7&timeout=0.5' holding 4 --mask 0xFFF0 0x0005"""
@@ -53,6 +53,11 @@ def add_command(commands: Any) -> None:
         nargs=2,
         metavar=("ADDRESS", "COUNT"),
         help="holding registers that are read after the write, by the same request (23)",
+    )
+    group.add_argument(
+        "--verify",
+        action="store_true",
+        help="read back what was written, and compare; the exit code is 1 if anything differs",
     )
     group.add_argument(
         "--dry-run", action="store_true", help="print the frames instead of sending them"

@@ -15,9 +15,10 @@ from ...protocol.framing import Frame, make_framer
 from ...protocol.spelling import bit_of, number_of, value_of
 from ..connecting import connected, endpoint_of
 from ..failing import CommandError
-from ..output import counted
+from ..output import complain, counted
 from .formatters import Formatter, aligned
 from .items import REGISTERS, Item, Words
+from .verifying import verified
 
 if TYPE_CHECKING:
     from ...maps.register_map import RegisterMap
@@ -33,6 +34,9 @@ def write(options: argparse.Namespace) -> int:
     if options.dry_run:
         _show(options, [request for request, _ in requests])
         return 0
+    if options.verify:
+        _check_unit(options)
+    differing: list[str] = []
     with closing(connected(options)) as context:
         for request, item in requests:
             try:
@@ -41,7 +45,22 @@ def write(options: argparse.Namespace) -> int:
                 raise CommandError(f"{error}{item.hint}") from None
             if options.and_read:
                 _print_registers(options, request, result)
-    return 0
+        # After the last write, because one may change what another wrote.
+        for request, item in requests if options.verify else ():
+            differing += verified(context, request, item)
+    for line in differing:
+        complain(line)
+    return 1 if differing else 0
+
+
+def _check_unit(options: argparse.Namespace) -> None:
+    """
+    Raises:
+        ValueError: nothing could be read back.
+    """
+    endpoint = endpoint_of(options)
+    if not endpoint.has_transactions and endpoint.client_options.get("unit") == 0:
+        raise ValueError("--verify cannot be used with unit 0: nothing answers a broadcast")
 
 
 def _show(options: argparse.Namespace, requests: list[Request]) -> None:

@@ -1,0 +1,78 @@
+"""
+The command ports: the serial ports of this machine.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import asdict
+from typing import Any
+
+from ...ports.serial_devices import SerialDevice, serial_devices
+from .. import arguments
+from ..help import VerbatimHelp
+from ..output import harmless, print_json
+
+__all__ = ["add_command"]
+
+EXAMPLES = """\
+examples:
+  libmodbus-py ports
+  libmodbus-py ports --all
+  libmodbus-py ports --json
+  libmodbus-py ports --csv ports.csv"""
+
+COLUMNS = ("path", "state", "driver", "vendor", "product", "serial_number", "stable_path")
+
+
+def add_command(commands: Any) -> None:
+    """Add the command to argparse."""
+    command = commands.add_parser(
+        "ports",
+        description="List the serial ports of this machine, and what the system knows of them.\n"
+        "Nothing is sent, and no setting is changed. The name in /dev/serial/by-id stays the\n"
+        "same when ports change their numbers.",
+        epilog=f"The exit code is 0, or 1 if there is no serial port.\n\n{EXAMPLES}",
+        formatter_class=VerbatimHelp,
+    )
+    command.add_argument(
+        "--all", action="store_true", help="list those without a USB device too, such as ttyS0"
+    )
+    form = command.add_mutually_exclusive_group()
+    arguments.add_csv(form, "print CSV: a header, and a row each")
+    arguments.add_json(form)
+    command.set_defaults(run=_ports)
+
+
+def _ports(options: argparse.Namespace) -> int:
+    every = serial_devices()
+    found = [each for each in every if each.vendor] or every
+    shown = every if options.all else found
+    if options.json:
+        for each in shown:
+            print_json(asdict(each))
+    elif options.csv:
+        _print_csv(shown)
+    else:
+        _print_table(shown)
+    return 0 if every else 1
+
+
+def _print_csv(found: list[SerialDevice]) -> None:
+    from ...tools.files.csv_text import csv_rows
+
+    rows = [[getattr(each, name) for name in COLUMNS] for each in found]
+    print(csv_rows([[*COLUMNS], *rows]), end="")
+
+
+def _print_table(found: list[SerialDevice]) -> None:
+    if not found:
+        print("no serial port was found")
+    width = max((len(each.path) for each in found), default=0)
+    for each in found:
+        number = each.serial_number and f"serial number {each.serial_number}"
+        parts = [each.driver, each.vendor, each.product, number]
+        about = ", ".join(part for part in parts if part)
+        print(harmless(f"{each.path:<{width}}  {each.state}; {about}".rstrip("; ")))
+        if each.stable_path:
+            print(harmless(f"{'':<{width}}  {each.stable_path}"))
