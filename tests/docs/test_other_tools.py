@@ -1,0 +1,52 @@
+"""
+The tables of options for who comes from another tool: each option of ours exists.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+import pytest
+
+from libmodbus_py.cli.ask.items import TABLE_WORDS
+from libmodbus_py.cli.commands import COMMANDS, parser_of
+from libmodbus_py.ports.schemes import SCHEMES
+from libmodbus_py.protocol.words import order_named, table_named, type_named
+from tests.docs.documents import ROOT
+
+PAGE = ROOT / "docs" / "coming-from" / "mbpoll.md"
+
+TOOLS = ("mbpoll", "modpoll", "modbus-cli", "QModMaster")
+
+
+def rows(tool: str) -> Iterator[tuple[str, list[str]]]:
+    """Yield what stands in the two columns of a table: their text, and our commands."""
+    part = PAGE.read_text().partition(f"\n## {tool}\n")[2].partition("\n## ")[0]
+    for line in part.splitlines():
+        cells = [cell.strip() for cell in line.strip("|").split(" | ")]
+        if line.startswith("|") and not set(line) <= set("|-: ") and len(cells) == 2:
+            yield cells[0], re.findall("`([^`]+)`", cells[1])
+
+
+@pytest.mark.parametrize("tool", TOOLS)
+def test_every_option_of_ours_exists(tool: str) -> None:
+    known = {*parser_of("read")._option_string_actions, *parser_of("write")._option_string_actions}
+    found = list(rows(tool))
+    assert len(found) >= 8
+    for theirs, ours in found:
+        for words in ours:
+            for word in words.split():
+                if word.startswith("-") and not word[1:].isdigit():
+                    assert word in known, (theirs, word)
+
+
+@pytest.mark.parametrize("tool", TOOLS)
+def test_every_word_of_ours_is_taken(tool: str) -> None:
+    names = {*COMMANDS, *TABLE_WORDS, *(f"{scheme}://" for scheme in SCHEMES)}
+    for _, ours in rows(tool):
+        for words in ours:
+            first = words.split()[0]
+            if first.islower() and first.isalnum():
+                is_known = first in names or table_named(first) or type_named(first)
+                assert is_known or order_named(first), words
