@@ -7,12 +7,15 @@ from __future__ import annotations
 import argparse
 import re
 import sys
+from collections.abc import Iterable
 from typing import Any
 
 from ...ports.schemes import PARITIES as WORDS_OF_PARITY
+from ...protocol.errors import ModbusConnectionError
 from ...protocol.pdu import DeviceIdentification, ServerId
 from ...protocol.pdu.interface import OBJECT_NAMES
-from ...tools.scan.places import BAUDRATES, ON_LINES, ON_NETWORKS, PARITIES
+from ...protocol.spelling import units_of
+from ...tools.scan.places import BAUDRATES, ON_LINES, ON_NETWORKS, PARITIES, STOP_BITS
 from ...tools.scan.scan import Found, Progress, Scan, scan
 from ...tools.scan.search import MOST_REQUESTS, Extent, Search, Searching, search
 from .. import arguments
@@ -21,6 +24,7 @@ from ..main import INTERRUPTED
 from ..output import counted, print_json
 from ..progress import duration, missing, progress
 from ..status import Status
+from .hosts import AT_ONCE, host_range, may_go_on
 
 __all__ = ["add_command"]
 
@@ -31,12 +35,20 @@ MOST_SHOWN = 60
 """Characters of an identification that are printed, at most."""
 
 
+QUICK = "1-10,17,100,247"
+"""Units that a quick scan asks, besides 255 on networks."""
+
+QUICK_BAUDRATES = (9600, 19200)
+
+QUICK_PARITIES = ("N", "E")
+
+
 EXAMPLES = """\
 examples:
-  libmodbus-py scan /dev/ttyUSB0
+  libmodbus-py scan /dev/ttyUSB0 --quick
   libmodbus-py scan /dev/ttyUSB0 -b 9600,19200 -p none,even -u 1-20,42
-  libmodbus-py scan 192.0.2.10 -u 1,17,255 --json
-  libmodbus-py scan "rtu:///dev/ttyUSB0?baudrate=9600&parity=N" --deep"""
+  libmodbus-py scan 192.0.2.10 -u 1,17,255 --deep --json
+  libmodbus-py scan 192.0.2.0/24 --timeout 300ms"""
 
 
 def add_command(commands: Any) -> None:
@@ -46,13 +58,23 @@ def add_command(commands: Any) -> None:
         description="Ask each unit for one register at each setting of the line, and print"
         " those that answer.\n"
         "Nothing is written. A baud rate, parity, unit or timeout in the URL limits the"
-        " search to it.",
+        " search to it.\n"
+        "A range such as 192.0.2.0/24 tries each host, and scans those that accept a connection.",
         epilog="The exit code is 0 if a unit was found, 1 if none was found or the line"
         " failed, 130 on Ctrl-C."
         f"\n\n{EXAMPLES}\n\n{arguments.URLS}",
     )
     arguments.add_url(command)
     arguments.add_units(command, "units to ask, such as 1,5,9-12 (1-247; on networks also 255)")
+    command.add_argument(
+        "--quick",
+        action="store_true",
+        help=f"try usual settings and units only: {','.join(map(str, QUICK_BAUDRATES))};"
+        f" {','.join(QUICK_PARITIES)}; {QUICK}",
+    )
+    command.add_argument(
+        "--yes", action="store_true", help="try more than 1024 hosts without a question"
+    )
     command.add_argument(
         "--deep",
         action="store_true",
@@ -114,6 +136,7 @@ class _Report:
         self.found: list[Found] = []
         self.extents: dict[str, list[Extent]] = {}
         self.notes: list[str] = []
+        self.place: str = ""
         self._as_json = as_json
         self._status = Status()
 
@@ -127,7 +150,7 @@ class _Report:
 
     def add(self, found: Found) -> None:
         self.found.append(found)
-        self._print(_line(found))
+        self._print(f"{self.place}{_line(found)}")
 
     def deepen(self, found: Found, extents: list[Extent], requests: int) -> None:
         self.extents[found.url] = extents
@@ -151,30 +174,76 @@ class _Report:
 
 def _scan(options: argparse.Namespace) -> int:
     report = _Report(options.json)
-    scanned = scan(
-        endpoint_of(options).url,
-        baudrates=options.baudrates,
-        parities=options.parities,
-        units=options.units,
-        on_progress=report.progress,
+    hosts = host_range(options.url)
+    if hosts is None:
+        return _ended(options, report, [options.url])
+    if not may_go_on(hosts, is_confirmed=options.yes):
+        return 1
+    timeout = options.timeout or ON_NETWORKS
+    rounds = -(-len(hosts.hosts) // AT_ONCE)
+    report.say(
+        f"{counted(len(hosts.hosts), 'host')}, {duration(rounds * timeout)} at most, and more for"
+        " each host that accepts a connection; Ctrl-C stops the scan"
     )
-    report.say(_estimate(scanned, options.deep))
-    stopped = True
+    options.quick = options.quick or options.units is None
+    return _ended(options, report, hosts.listening(timeout))
+
+
+def _ended(options: argparse.Namespace, report: _Report, urls: Iterable[str]) -> int:
+    """Scan each place, and report; return the exit code."""
+    stopped, is_wrong = True, False
     try:
-        with scanned:
-            try:
-                for found in scanned:
-                    report.add(found)
-            finally:
-                report.notes += scanned.notes
+        for url in urls:
+            _scan_place(options, report, url)
         if options.deep:
             _search(report)
         stopped = False
     except KeyboardInterrupt:
         return INTERRUPTED
+    except (TypeError, ValueError):  # wrong usage: nothing was tried
+        is_wrong = True
+        raise
     finally:
-        report.end(stopped=stopped)
+        if not is_wrong:
+            report.end(stopped=stopped)
     return 0 if report.found else 1
+
+
+def _scan_place(options: argparse.Namespace, report: _Report, url: str) -> None:
+    is_one = url == options.url
+    options_of_place = argparse.Namespace(**{**vars(options), "url": url})
+    endpoint = endpoint_of(options_of_place)
+    scanned = scan(
+        endpoint.url, on_progress=report.progress, **_chosen(options, is_serial=endpoint.is_serial)
+    )
+    report.say(_estimate(scanned, options.deep) if is_one else f"{url}: {_estimate_short(scanned)}")
+    report.place = "" if is_one else f"{url}: "
+    try:
+        with scanned:
+            for found in scanned:
+                report.add(found)
+    except ModbusConnectionError:
+        if is_one:
+            raise
+        report.notes.append(f"{url}: the connection was lost")
+    finally:
+        report.notes += scanned.notes
+
+
+def _chosen(options: argparse.Namespace, *, is_serial: bool) -> dict[str, Any]:
+    """Return what is tried: as typed, else the usual for a quick scan, else everything."""
+    chosen = {name: getattr(options, name) for name in ("baudrates", "parities", "units")}
+    if not options.quick:
+        return chosen
+    units = [*units_of(QUICK), *[255] * (not is_serial)]
+    usual: dict[str, Any] = {"units": units}
+    if is_serial:
+        usual |= {"baudrates": QUICK_BAUDRATES, "parities": QUICK_PARITIES}
+    return {name: usual.get(name) if value is None else value for name, value in chosen.items()}
+
+
+def _estimate_short(scan: Scan) -> str:
+    return f"{counted(scan.total, 'probe')}, {duration(scan.longest)} at most"
 
 
 def _search(report: _Report) -> None:
@@ -221,6 +290,9 @@ def _line(found: Found) -> str:
 
 
 def _setting(found: Found) -> str:
+    if found.parity == "N" and found.stop_bits == STOP_BITS["N"]:
+        # A receiver looks at the first stop bit only, so that the answer shows nothing more.
+        return f"{found.baudrate} {found.data_bits}N1 or {found.data_bits}N2"
     return f"{found.baudrate} {found.data_bits}{found.parity}{found.stop_bits}"
 
 

@@ -1,0 +1,114 @@
+"""
+scan of ranges of hosts, quick scans, and what a scan does not know.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Iterator
+
+import pytest
+
+from libmodbus_py import Device, Mapping, Server
+from libmodbus_py.cli.find.hosts import host_range
+from libmodbus_py.tools.testing.wires import SerialWire
+from tests.support.cases import each_case
+from tests.support.commands import run
+
+
+@pytest.fixture
+def port() -> Iterator[str]:
+    device = Device(Mapping(holding_registers=2))
+    with Server({3: device, 30: device}).background("tcp://127.0.0.1:0") as running:
+        yield running.urls[0].rpartition(":")[2]
+
+
+@each_case(
+    ("text", "count", "first", "port"),
+    [
+        ("192.0.2.0/24", 254, "192.0.2.1", 502),
+        ("tcp://192.0.2.0/24", 254, "192.0.2.1", 502),
+        ("192.0.2.7/30:1502", 2, "192.0.2.5", 1502),
+        ("192.0.2.7/32", 1, "192.0.2.7", 502),
+        ("[2001:db8::/126]:802", 3, "2001:db8::1", 802),
+        ("2001:db8::/126", 3, "2001:db8::1", 502),
+        ("10.0.0.0/16", 65534, "10.0.0.1", 502),
+    ],
+)
+def test_ranges(text: str, count: int, first: str, port: int) -> None:
+    found = host_range(text)
+    assert found is not None
+    assert (len(found.hosts), found.hosts[0], found.port) == (count, first, port)
+
+
+@each_case("text", ["192.0.2.1", "/dev/ttyUSB0", "tcp://192.0.2.1", "plc/24", "rtu:///dev/x", ""])
+def test_what_is_no_range(text: str) -> None:
+    assert host_range(text) is None
+
+
+@each_case(
+    ("text", "said"),
+    [
+        ("10.0.0.0/15", "'10.0.0.0/15' has 131072 hosts, and a scan tries 65536 at most"),
+        ("192.0.2.0/33", "'192.0.2.0/33': "),
+        ("192.0.2.0/30:99999", "the port must be in 1..65535"),
+        ("10.0.0.0/16", "65534 hosts are more than 1024: --yes tries them without a question"),
+    ],
+)
+def test_ranges_that_are_not_tried(monkeypatch: pytest.MonkeyPatch, text: str, said: str) -> None:
+    monkeypatch.setattr("sys.stdin", io.StringIO())
+    done = run("scan", text)
+    assert (done.code, done.out) == (2, "")
+    assert said in done.err
+    assert done.err.count("\n") == 1
+
+
+def test_a_range_is_asked_for_at_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    typed = io.StringIO("n\n")
+    typed.isatty = lambda: True  # type: ignore[method-assign]
+    monkeypatch.setattr("sys.stdin", typed)
+    done = run("scan", "10.0.0.0/16")
+    assert done == (1, "", "try 65534 hosts? [y/N] ")
+
+
+def test_hosts_that_accept_a_connection_are_scanned(port: str) -> None:
+    done = run("scan", f"127.0.0.0/29:{port}", "-u", "3,4")
+    assert done.code == 0
+    assert done.out.startswith(f"tcp://127.0.0.1:{port}: unit 3: ")
+    assert done.out.count("\n") == 1
+    assert done.err.startswith("6 hosts, 1.0 s at most, and more for each host that accepts")
+    found = json.loads(run("scan", f"127.0.0.0/29:{port}", "--json").out)
+    assert [each["unit"] for each in found["found"]] == [3]  # quick: 30 is not asked
+    assert run("read", found["found"][0]["url"], "hr", 0).code == 0
+
+
+def test_a_range_without_any_server() -> None:
+    done = run("scan", "127.0.0.0/30:1", "--timeout", "50ms")
+    assert done.code == 1
+    assert done.err.endswith("no unit was found\n")
+
+
+def test_a_quick_scan_asks_usual_units(port: str) -> None:
+    everything = run("scan", f"127.0.0.1:{port}", "--quick")
+    assert everything.err.startswith("14 probes")
+    assert [line.partition(":")[0] for line in everything.out.splitlines()] == ["unit 3"]
+    assert run("scan", f"127.0.0.1:{port}", "--quick", "-u", "30").out.startswith("unit 30: ")
+    assert run("scan", "/dev/no-such", "--quick").err.startswith("52 probes, ")
+    assert run("scan", "/dev/no-such", "--quick", "-b", "4800").err.startswith("26 probes, ")
+
+
+@each_case(
+    ("words", "setting"),
+    [
+        (["-p", "none"], "9600 8N1 or 8N2"),
+        (["-p", "none", "-s", "1"], "9600 8N1:"),
+        (["-p", "even"], "9600 8E1:"),
+    ],
+)
+def test_stop_bits_that_were_not_measured_are_not_said(words: list[str], setting: str) -> None:
+    with SerialWire() as wire:
+        url = f"rtu://{wire.server}?baudrate=9600"
+        with Server({1: Device(Mapping(holding_registers=2))}).background(url):
+            done = run("scan", wire.client, "-b", "9600", "-u", "1", *words)
+    assert f"unit 1 at {setting}" in done.out
