@@ -16,9 +16,10 @@ The command line, on top of everything: arguments become requests and servers.
     redrawn        ... lines that are drawn again in place
     progress       progress and results of scans and searches, in words
     ask            read, write, identify, diagnose, raw, map
-    find           scan, listen
+    find           scan, ports, sunspec, listen
     serve          serve, gateway, poll, fleet
     certificates   certificates: of an authority, a server and clients with roles
+    completers     ... and what is completed besides commands and options
     completion     completion: scripts for shells, and the answers to their questions
     demo           demo: worked examples on three kinds of lines, with the bytes sent
 """

@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 
 from ..ports.schemes import CLIENT_OPTIONS, OTHER_NAMES, SECURITY_OPTIONS, SERIAL_OPTIONS
+from . import completers
 from .help import VerbatimHelp
 
 TYPE_CHECKING = False  # see commands
@@ -263,6 +264,8 @@ def _add(group: Any, options: Mapping[str, Option]) -> list[argparse.Action]:
             others |= {"action": "append", "help": f"{option.text}; may be repeated"}
         others |= {"metavar": option.placeholder, "type": read_as(option)}
         added.append(group.add_argument(*flags, **others))
+        if name == "parity":
+            completers.completing(added[-1], completers.parities)
     return added
 
 

@@ -4,6 +4,7 @@ Completion in real shells, and the manual page.
 
 from __future__ import annotations
 
+import argparse
 import os
 import shutil
 import subprocess
@@ -12,6 +13,8 @@ from pathlib import Path
 
 import pytest
 
+from libmodbus_py.cli import completers
+from libmodbus_py.cli.ask.items import TABLE_WORDS
 from tests.support.commands import run
 
 argcomplete = pytest.importorskip("argcomplete")
@@ -45,7 +48,13 @@ def shell(place: Path, command: list[str]) -> subprocess.CompletedProcess[str]:
         ("libmodbus-py read 127.0.0.1 hol", {"holding"}),
         ("libmodbus-py read --map meter.csv 127.0.0.1 vol", {"voltage"}),
         ("libmodbus-py completion ", {"bash", "zsh", "fish"}),
-        ("libmodbus-py read --map met", {"meter.csv"}),
+        ("libmodbus-py read --map met", {"meter", "meter.csv"}),
+        ("libmodbus-py read 127.0.0.1 curr", set()),
+        ("libmodbus-py read --map=meter.csv 127.0.0.1 hr 0 curr", {"current"}),
+        ("libmodbus-py read 127.0.0.1 hr 0 --type floa", {"float16", "float32", "float64"}),
+        ("libmodbus-py write 127.0.0.1 hr 0 1 --order AB", {"ABCD"}),
+        ("libmodbus-py read /dev/ttyUSB0 -p e", {"even"}),
+        ("libmodbus-py serve --example pla", {"plant"}),
     ],
 )
 def test_bash(place: Path, line: str, found: set[str]) -> None:
@@ -91,3 +100,22 @@ def test_without_argcomplete_it_says_what_to_install() -> None:
 
 def test_shells_nobody_knows_are_refused() -> None:
     assert run("completion", "tcsh").code == 2
+
+
+@pytest.mark.parametrize(
+    ("line", "found"),
+    [
+        ("libmodbus-py read h vol --map meter.csv", {"voltage", "current"}),
+        ("libmodbus-py read h vol --map=meter.csv -u 3", {"voltage", "current"}),
+        ("libmodbus-py read h vol --map", set()),
+        ("libmodbus-py read h 'vol --map meter.csv", set()),
+        ("libmodbus-py read h vol --map no-such-file.csv", set()),
+    ],
+)
+def test_the_map_may_stand_behind_the_name(
+    place: Path, monkeypatch: pytest.MonkeyPatch, line: str, found: set[str]
+) -> None:
+    monkeypatch.chdir(place)
+    monkeypatch.setenv("COMP_LINE", line)
+    names = completers.names(argparse.Namespace(map=None))
+    assert set(names) - {*TABLE_WORDS} == found

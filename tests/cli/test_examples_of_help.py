@@ -41,3 +41,10 @@ def test_help_has_four_examples_and_the_urls(name: str) -> None:
         assert "&" not in each.replace("'tcp://192.0.2.10?unit=7&timeout=0.5'", "").replace(
             "'rtu:///dev/ttyUSB0?baudrate=9600&unit=7'", ""
         )
+
+
+@each_case("action", ["check", "list", "class", "from-device", "from-sunspec"])
+def test_help_of_actions_of_map_has_four_examples(action: str) -> None:
+    text = run("map", action, "--help").out
+    examples = text.partition("examples:\n")[2].partition("\n\n")[0].splitlines()
+    assert len([line for line in examples if "libmodbus-py" in line]) == 4

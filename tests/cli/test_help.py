@@ -12,7 +12,7 @@ from libmodbus_py.cli.commands import COMMANDS
 from tests.support.commands import run
 from tests.support.golden import Golden
 
-NESTED = {"map": ("check", "list", "from-device", "from-sunspec")}
+NESTED = {"map": ("check", "list", "class", "from-device", "from-sunspec")}
 """Command -> the actions that have a --help of their own."""
 
 PLACES = [

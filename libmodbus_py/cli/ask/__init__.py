@@ -11,6 +11,7 @@ Commands that ask one device: read, write, identify, diagnose, raw and map.
     lines            ... elsewhere, a line for each poll
     write            the arguments of write
     writing          the requests of write
+    verifying        ... read back, and compared
     items            the words that say what is read or written: tables, references, names
     item_plan        the requests that read items
     formatters       values as lines, cells of CSV and fields of JSON

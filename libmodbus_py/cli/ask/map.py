@@ -20,6 +20,40 @@ examples:
   libmodbus-py map from-device "tcp://192.0.2.10?unit=17" > meter.toml"""
 
 
+OF_ACTIONS = {
+    "check": """\
+  libmodbus-py map check meter.csv
+  libmodbus-py map check meter inverter.toml
+  libmodbus-py map check meter.csv --device 192.0.2.10 -u 17
+  libmodbus-py map check meter.csv --device /dev/ttyUSB0 -b 9600 -p none""",
+    "list": """\
+  libmodbus-py map list
+  libmodbus-py map list | grep Eastron
+  libmodbus-py map check sdm120
+  libmodbus-py read 192.0.2.10 --map sdm120""",
+    "class": """\
+  libmodbus-py map class meter.csv
+  libmodbus-py map class meter.csv -o meter.py
+  libmodbus-py map class inverter.toml --output inverter.py
+  libmodbus-py map class sdm120 -o sdm120.py""",
+    "from-device": """\
+  libmodbus-py map from-device 192.0.2.10 > meter.toml
+  libmodbus-py map from-device 192.0.2.10 -u 17 -o meter.csv
+  libmodbus-py map from-device /dev/ttyUSB0 -b 9600 -p none -o meter.toml
+  libmodbus-py map from-device 192.0.2.10 --timeout 300ms -o meter.csv""",
+    "from-sunspec": """\
+  libmodbus-py map from-sunspec 192.0.2.10 > inverter.toml
+  libmodbus-py map from-sunspec 192.0.2.10 -u 126 -o inverter.toml
+  libmodbus-py map from-sunspec /dev/ttyUSB0 -b 9600 -o inverter.csv
+  libmodbus-py map from-sunspec 192.0.2.10 --timeout 3s -o inverter.csv""",
+}
+"""Action -> the examples of its --help."""
+
+
+def _examples(action: str, others: str = "") -> str:
+    return "\n\n".join(filter(None, [f"examples:\n{OF_ACTIONS[action]}", others]))
+
+
 def add_command(commands: Any) -> None:
     """Add the command to argparse."""
     command = commands.add_parser("map", epilog=EXAMPLES, formatter_class=VerbatimHelp)
@@ -30,7 +64,7 @@ def add_command(commands: Any) -> None:
         help=about,
         description=f"{about.capitalize()}.",
         epilog="The exit code is 0 if all files are right, 2 if one contains a mistake, 1 if the"
-        f" device lacks\na point or does not answer.\n\n{arguments.URLS}",
+        f" device lacks\na point or does not answer.\n\n{_examples('check', arguments.URLS)}",
         formatter_class=VerbatimHelp,
     )
     check.add_argument(
@@ -51,10 +85,19 @@ def add_command(commands: Any) -> None:
         "list",
         help=about,
         description=f"{about.capitalize()}; --map takes their names.",
+        epilog=_examples("list"),
+        formatter_class=VerbatimHelp,
     )
     listing.set_defaults(run=_list, parser=listing)
     about = "write a Python class for a register map, in which type checkers find wrong names"
-    typed = actions.add_parser("class", help=about, description=f"{about.capitalize()}.")
+    typed = actions.add_parser(
+        "class",
+        help=about,
+        description="Write a Python class for a register map, in which type checkers find\n"
+        "wrong names.",
+        epilog=_examples("class"),
+        formatter_class=VerbatimHelp,
+    )
     typed.add_argument("file", metavar="FILE", help="such as meter.csv, or a name that list prints")
     typed.add_argument(
         "-o",
@@ -69,7 +112,7 @@ def add_command(commands: Any) -> None:
         help=about,
         description="Find the addresses of a device by reading, and write a map of them, in which\n"
         "names, types and units remain to be filled in.",
-        epilog=arguments.URLS,
+        epilog=_examples("from-device", arguments.URLS),
     )
     arguments.add_url(skeleton)
     skeleton.add_argument(
@@ -88,7 +131,8 @@ def _add_from_sunspec(actions: Any) -> None:
         "from-sunspec",
         help=about,
         description=f"{about[0].upper()}{about[1:]}.",
-        epilog=f"It needs: pip install 'libmodbus-py[sunspec]'.\n\n{arguments.URLS}",
+        epilog="It needs: pip install 'libmodbus-py[sunspec]'.\n\n"
+        + _examples("from-sunspec", arguments.URLS),
     )
     arguments.add_client(sunspec)
     sunspec.add_argument(

@@ -5,16 +5,16 @@ The command read: its arguments.
 from __future__ import annotations
 
 import argparse
-import contextlib
 import math
 from typing import Any, get_args
 
 from ...protocol.durations import DURATION, duration_of
 from ...protocol.type_names import BitsType, NumberType, Order
-from .. import arguments
+from .. import arguments, completers
+from ..completers import completing
 from ..serve import page
 
-__all__ = ["WHAT", "add_command", "add_completer", "add_item_arguments"]
+__all__ = ["WHAT", "add_command", "add_item_arguments"]
 
 WHAT = """\
 WHAT is one of
@@ -42,7 +42,7 @@ def add_command(commands: Any) -> None:
     )
     arguments.add_client(command, several=True)
     what = command.add_argument("what", metavar="WHAT", nargs="*", help="the values to read")
-    add_completer(what)
+    completing(what, completers.names)
     add_item_arguments(command, ", or all, which shows every interpretation", can_show_all=True)
     group = command.add_argument_group("output")
     form = group.add_mutually_exclusive_group()
@@ -78,16 +78,21 @@ def add_item_arguments(
     group = command.add_argument_group("values")
     types = ", ".join((*get_args(NumberType), *get_args(BitsType)))
     orders = ", ".join(get_args(Order))
-    group.add_argument("--type", metavar="T", help=f"type of the values: {types}, string:N{more}")
+    kind = group.add_argument(
+        "--type", metavar="T", help=f"type of the values: {types}, string:N{more}"
+    )
+    completing(kind, completers.types)
     order = group.add_argument("--order", metavar="O", help=f"byte order of the values: {orders}")
     encoding = group.add_argument("--encoding", metavar="E", help="encoding of text")
     padding = group.add_argument("--padding", metavar="C", help="character that fills up text")
     arguments.add_defaults([order, encoding, padding], _of_reads)
-    group.add_argument(
+    completing(order, completers.orders)
+    file = group.add_argument(
         "--map",
         metavar="FILE",
         help="a register map in CSV or TOML, or the name of an example, such as meter",
     )
+    completing(file, completers.maps)
     group.add_argument(
         "--count-from-1", action="store_true", help="addresses count from 1, both typed and printed"
     )
@@ -100,20 +105,6 @@ def _of_reads() -> dict[str, Any]:
     from ...maps.plan import Read
 
     return {each.name: each.default for each in fields(Read)} | {"padding": "NUL"}
-
-
-def add_completer(what: argparse.Action) -> None:
-    """Add a function that completes tables and the names of the map, for argcomplete."""
-    what.completer = _names  # type: ignore[attr-defined]
-
-
-def _names(parsed_args: argparse.Namespace, **_: Any) -> list[str]:
-    from .items import TABLE_WORDS, map_of
-
-    names: list[str] = []
-    with contextlib.suppress(OSError, ValueError):
-        names = list(map_of(parsed_args.map)) if parsed_args.map else []
-    return [*TABLE_WORDS, *names]
 
 
 def _seconds(text: str) -> float:

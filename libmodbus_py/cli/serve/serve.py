@@ -20,7 +20,7 @@ from ...server.server import Running, Server
 from ...server.units import UNKNOWN_UNIT_POLICIES
 from ...tools.simulator import device_file, example_files
 from ...tools.simulator.reloading import Reloader
-from .. import arguments, logs
+from .. import arguments, completers, logs
 from ..connecting import OF_SERVERS, with_options
 from ..help import VerbatimHelp
 from ..tracing import print_frame
@@ -58,7 +58,7 @@ def add_command(commands: Any) -> None:
     )
     source = command.add_mutually_exclusive_group()
     source.add_argument("--device", metavar="FILE", help="serve the devices of a device file")
-    source.add_argument(
+    example = source.add_argument(
         "--example",
         metavar="NAME",
         nargs="?",
@@ -68,6 +68,7 @@ def add_command(commands: Any) -> None:
     arguments.add_units(
         command, "without --device and --example: units that exist, such as 1-10,17 (all)"
     )
+    completers.completing(example, completers.examples)
     command.add_argument(
         "--reload",
         action="store_true",

@@ -1,0 +1,87 @@
+"""
+What shells complete besides commands and options: names in maps, types, orders, files.
+
+The functions are those of argcomplete: called with the text so far and the arguments typed
+before it. Options behind it are looked up in the whole line.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import shlex
+from collections.abc import Callable, Iterable
+from typing import Any, TypeVar
+
+__all__ = ["completing", "examples", "maps", "names", "orders", "parities", "types"]
+
+Action = TypeVar("Action", bound=argparse.Action)
+
+
+def completing(action: Action, completer: Callable[..., Iterable[str]]) -> Action:
+    """Set the completer of an argument, and return the argument."""
+    action.completer = completer  # type: ignore[attr-defined]
+    return action
+
+
+def names(parsed_args: argparse.Namespace, **_: Any) -> list[str]:
+    """Return the tables, and the names in the map, wherever on the line the map is."""
+    from .ask.items import TABLE_WORDS, map_of
+
+    found: list[str] = []
+    file = parsed_args.map or _behind("--map")
+    with contextlib.suppress(OSError, ValueError):
+        found = list(map_of(file)) if file else []
+    return [*TABLE_WORDS, *found]
+
+
+def types(**_: Any) -> list[str]:
+    """Return the types of values."""
+    from ..protocol.values import TYPES
+
+    return [*TYPES, "string:"]
+
+
+def orders(**_: Any) -> list[str]:
+    """Return the orders of bytes."""
+    from ..protocol.values import ORDERS
+
+    return [*ORDERS]
+
+
+def parities(**_: Any) -> list[str]:
+    """Return the parities, as words."""
+    from ..ports.schemes import PARITIES
+
+    return [word for word in PARITIES if len(word) > 1]
+
+
+def examples(**_: Any) -> list[str]:
+    """Return the device files that come with the package."""
+    from ..tools.simulator.example_files import DEVICES
+
+    return [*DEVICES]
+
+
+def maps(prefix: str, **_: Any) -> list[str]:
+    """Return the register maps that come with the package, and files."""
+    from argcomplete.completers import FilesCompleter
+
+    from ..tools.simulator import example_files
+
+    return [*example_files.maps(), *FilesCompleter((".csv", ".toml"))(prefix)]
+
+
+def _behind(option: str) -> str:
+    """Return the value of an option in the line that is completed; empty if it is not there."""
+    try:
+        words = shlex.split(os.environ.get("COMP_LINE", ""))
+    except ValueError:  # a quote that is still open
+        return ""
+    for at, word in enumerate(words):
+        if word.startswith(f"{option}="):
+            return word.removeprefix(f"{option}=")
+        if word == option:
+            return next(iter(words[at + 1 :]), "")
+    return ""
