@@ -1,5 +1,5 @@
 """
-What shells complete besides commands and options: names in maps, types, orders, files.
+Completions besides commands and options: types, orders, parities, examples, maps.
 
 The functions are those of argcomplete: called with the text so far and the arguments typed
 before it. Options behind it are looked up in the whole line.
@@ -8,13 +8,12 @@ before it. Options behind it are looked up in the whole line.
 from __future__ import annotations
 
 import argparse
-import contextlib
 import os
 import shlex
 from collections.abc import Callable, Iterable
 from typing import Any, TypeVar
 
-__all__ = ["completing", "examples", "maps", "names", "orders", "parities", "types"]
+__all__ = ["behind", "completing", "examples", "maps", "orders", "parities", "types"]
 
 Action = TypeVar("Action", bound=argparse.Action)
 
@@ -23,17 +22,6 @@ def completing(action: Action, completer: Callable[..., Iterable[str]]) -> Actio
     """Set the completer of an argument, and return the argument."""
     action.completer = completer  # type: ignore[attr-defined]
     return action
-
-
-def names(parsed_args: argparse.Namespace, **_: Any) -> list[str]:
-    """Return the tables, and the names in the map, wherever on the line the map is."""
-    from .ask.items import TABLE_WORDS, map_of
-
-    found: list[str] = []
-    file = parsed_args.map or _behind("--map")
-    with contextlib.suppress(OSError, ValueError):
-        found = list(map_of(file)) if file else []
-    return [*TABLE_WORDS, *found]
 
 
 def types(**_: Any) -> list[str]:
@@ -73,7 +61,7 @@ def maps(prefix: str, **_: Any) -> list[str]:
     return [*example_files.maps(), *FilesCompleter((".csv", ".toml"))(prefix)]
 
 
-def _behind(option: str) -> str:
+def behind(option: str) -> str:
     """Return the value of an option in the line that is completed; empty if it is not there."""
     try:
         words = shlex.split(os.environ.get("COMP_LINE", ""))

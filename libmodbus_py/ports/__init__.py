@@ -15,6 +15,7 @@ Ports: TCP, TLS, UDP and serial, and how to wait for them.
     tls            TLS connections: the handshake, and what it refuses
     trace          every ADU that passes, for callbacks and the log
     serial         serial ports, which libmodbus opens and configures; RS-485, echo, locks
+    serial_devices  the serial ports of this machine
     forking        descriptors that forked children close
     read_only      serial ports that are only read, beside other users
 """

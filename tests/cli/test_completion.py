@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from libmodbus_py.cli import completers
 from libmodbus_py.cli.ask.items import TABLE_WORDS
+from libmodbus_py.cli.ask.read import names as names_of_map
 from tests.support.commands import run
 
 argcomplete = pytest.importorskip("argcomplete")
@@ -117,5 +117,5 @@ def test_the_map_may_stand_behind_the_name(
 ) -> None:
     monkeypatch.chdir(place)
     monkeypatch.setenv("COMP_LINE", line)
-    names = completers.names(argparse.Namespace(map=None))
+    names = names_of_map(argparse.Namespace(map=None))
     assert set(names) - {*TABLE_WORDS} == found

@@ -5,16 +5,17 @@ The command read: its arguments.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import math
 from typing import Any, get_args
 
 from ...protocol.durations import DURATION, duration_of
 from ...protocol.type_names import BitsType, NumberType, Order
 from .. import arguments, completers
-from ..completers import completing
+from ..completers import behind, completing
 from ..serve import page
 
-__all__ = ["WHAT", "add_command", "add_item_arguments"]
+__all__ = ["WHAT", "add_command", "add_item_arguments", "names"]
 
 WHAT = """\
 WHAT is one of
@@ -42,7 +43,7 @@ def add_command(commands: Any) -> None:
     )
     arguments.add_client(command, several=True)
     what = command.add_argument("what", metavar="WHAT", nargs="*", help="the values to read")
-    completing(what, completers.names)
+    completing(what, names)
     add_item_arguments(command, ", or all, which shows every interpretation", can_show_all=True)
     group = command.add_argument_group("output")
     form = group.add_mutually_exclusive_group()
@@ -105,6 +106,17 @@ def _of_reads() -> dict[str, Any]:
     from ...maps.plan import Read
 
     return {each.name: each.default for each in fields(Read)} | {"padding": "NUL"}
+
+
+def names(parsed_args: argparse.Namespace, **_: Any) -> list[str]:
+    """Return the tables, and the names in the map, wherever on the line the map is."""
+    from .items import TABLE_WORDS, map_of
+
+    found: list[str] = []
+    file = parsed_args.map or behind("--map")
+    with contextlib.suppress(OSError, ValueError):
+        found = list(map_of(file)) if file else []
+    return [*TABLE_WORDS, *found]
 
 
 def _seconds(text: str) -> float:

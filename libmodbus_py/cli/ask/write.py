@@ -7,9 +7,9 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from .. import arguments, completers
+from .. import arguments
 from ..completers import completing
-from .read import WHAT, add_item_arguments
+from .read import WHAT, add_item_arguments, names
 
 __all__ = ["add_command"]
 
@@ -35,7 +35,7 @@ def add_command(commands: Any) -> None:
     )
     arguments.add_client(command)
     what = command.add_argument("what", metavar="WHAT VALUE", nargs="+", help="the values to write")
-    completing(what, completers.names)
+    completing(what, names)
     add_item_arguments(command)
     group = command.add_argument_group("writing")
     group.add_argument(

@@ -1,0 +1,143 @@
+"""
+The serial ports of this machine, and what the system knows of them.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+__all__ = ["SerialDevice", "serial_devices"]
+
+# Ports that a kernel lists although no hardware stands behind them have this type (PORT_UNKNOWN).
+NO_HARDWARE = "0"
+
+
+@dataclass(frozen=True)
+class SerialDevice:
+    """
+    A serial port, as the system describes it.
+
+    Attributes:
+        path: such as "/dev/ttyUSB0".
+        stable_path: its name in /dev/serial/by-id, which stays the same when ports change their
+            numbers; empty if it has none.
+        driver: of the kernel, such as "ftdi_sio"; empty if it is not known.
+        vendor, product: of a USB device, in words or as hexadecimal ids; empty elsewhere.
+        serial_number: of a USB device; empty if it has none.
+        state: "free", "in use by PROGRAM (PID)", "no permission"; "not known" if the processes of
+            other users cannot be seen. No port is opened for it, because that would move its lines.
+    """
+
+    path: str
+    stable_path: str = ""
+    driver: str = ""
+    vendor: str = ""
+    product: str = ""
+    serial_number: str = ""
+    state: str = "not known"
+
+
+def serial_devices(root: str = "/") -> list[SerialDevice]:
+    """
+    Return the serial ports of this machine, sorted by path.
+
+    Args:
+        root: the folder with sys, dev and proc.
+    """
+    base = Path(root)
+    users, sees_all = _users(base)
+    stable = dict(_stable_names(base))
+    found = []
+    for place in sorted((base / "sys/class/tty").glob("*"), key=_in_order):
+        if not (place / "device").exists() or not _has_hardware(place):
+            continue
+        path = f"/dev/{place.name}"
+        node = base / "dev" / place.name
+        found.append(
+            SerialDevice(
+                path,
+                stable.get(place.name, ""),
+                _driver(place),
+                *_usb(place / "device"),
+                state=_state(node, users.get(path, ""), sees_all),
+            )
+        )
+    return found
+
+
+def _in_order(place: Path) -> tuple[str, int]:
+    name = place.name.rstrip("0123456789")
+    number = place.name.removeprefix(name)
+    return name, int(number or -1)
+
+
+def _stable_names(base: Path) -> Iterator[tuple[str, str]]:
+    try:
+        for link in sorted((base / "dev/serial/by-id").iterdir()):
+            yield Path(os.readlink(link)).name, f"/dev/serial/by-id/{link.name}"
+    except OSError:
+        return
+
+
+def _has_hardware(place: Path) -> bool:
+    return _text(place / "type") != NO_HARDWARE
+
+
+def _driver(place: Path) -> str:
+    try:
+        return Path(os.readlink(place / "device" / "driver")).name
+    except OSError:
+        return ""
+
+
+def _usb(device: Path) -> tuple[str, str, str]:
+    """Return vendor, product and serial number; the ids are in a folder above the interface."""
+    try:
+        folders = [device.resolve(), *device.resolve().parents][:6]
+    except OSError:
+        return "", "", ""
+    for folder in folders:
+        if vendor := _text(folder / "idVendor"):
+            product = _text(folder / "idProduct")
+            return (
+                _text(folder / "manufacturer") or vendor,
+                f"{_text(folder / 'product')} ({vendor}:{product})".strip(),
+                _text(folder / "serial"),
+            )
+    return "", "", ""
+
+
+def _text(file: Path) -> str:
+    try:
+        return file.read_text("utf-8", "backslashreplace").strip()
+    except OSError:
+        return ""
+
+
+def _users(base: Path) -> tuple[dict[str, str], bool]:
+    """Return the program that has each port open, by path; and True if all programs were seen."""
+    found: dict[str, str] = {}
+    sees_all = True
+    for process in base.glob("proc/[0-9]*"):
+        try:
+            links = [os.readlink(each) for each in (process / "fd").iterdir()]
+        except PermissionError:
+            sees_all = False
+            continue
+        except OSError:  # it has ended meanwhile
+            continue
+        for link in links:
+            if link.startswith("/dev/tty"):
+                found[link] = f"{_text(process / 'comm') or 'a program'} ({process.name})"
+    return found, sees_all
+
+
+def _state(node: Path, user: str, sees_all: bool) -> str:
+    if user:
+        return f"in use by {user}"
+    if not os.access(node, os.R_OK | os.W_OK):
+        return "no permission" if node.exists() else "no device file"
+    return "free" if sees_all else "not known"
