@@ -58,6 +58,13 @@ def add_command(commands: Any) -> None:
     """Add the command to argparse."""
     command = commands.add_parser("map", epilog=EXAMPLES, formatter_class=VerbatimHelp)
     actions = command.add_subparsers(metavar="ACTION", required=True)
+    _add_check(actions)
+    _add_list_and_class(actions)
+    _add_from_device(actions)
+    _add_from_sunspec(actions)
+
+
+def _add_check(actions: Any) -> None:
     about = "check register maps, and print their points and requests"
     check = actions.add_parser(
         "check",
@@ -80,6 +87,9 @@ def add_command(commands: Any) -> None:
     arguments.add_security_options(check)
     arguments.add_verbose(check)
     check.set_defaults(run=_check, parser=check)
+
+
+def _add_list_and_class(actions: Any) -> None:
     about = "list the register maps that come with the package"
     listing = actions.add_parser(
         "list",
@@ -106,6 +116,9 @@ def add_command(commands: Any) -> None:
         help="a .py file, new or written by this command before (printed)",
     )
     typed.set_defaults(run=_class, parser=typed)
+
+
+def _add_from_device(actions: Any) -> None:
     about = "find the addresses of a device by reading, and write a map of them"
     skeleton = actions.add_parser(
         "from-device",
@@ -122,7 +135,6 @@ def add_command(commands: Any) -> None:
     arguments.add_serial_options(skeleton)
     arguments.add_security_options(skeleton)
     skeleton.set_defaults(run=_from_device, parser=skeleton)
-    _add_from_sunspec(actions)
 
 
 def _add_from_sunspec(actions: Any) -> None:
