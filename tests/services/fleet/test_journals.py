@@ -21,6 +21,7 @@ from libmodbus_py.services.fleet.journal import journal as journals
 from libmodbus_py.services.fleet.journal.errors import JournalDamaged, JournalTrouble
 from libmodbus_py.services.fleet.journal.journal_file import JournalFile
 from libmodbus_py.services.fleet.journal.journal_reader import JournalReader
+from libmodbus_py.services.fleet.outputs import pump as pumps
 from libmodbus_py.services.fleet.outputs.json_output import JsonOutput
 from tests.services.fleet.fleets import LONGEST, Peer, meter, simulated_run, until
 from tests.services.fleet.journals import Inline, readings
@@ -475,3 +476,29 @@ def test_a_cancelled_opening_leaves_the_file_to_others(
 def test_wrong_arguments_are_named(wrong: dict[str, Any]) -> None:
     with pytest.raises((TypeError, ValueError), match="must be"):
         Journal(**{"path": "fleet.db", **wrong})
+
+
+def test_an_output_that_is_fast_and_behind_gets_larger_batches(path: str, inline: None) -> None:
+    sizes: list[int] = []
+
+    class Fast(Broker):
+        async def write(self, readings: Sequence[Reading]) -> None:
+            sizes.append(len(readings))
+            await super().write(readings)
+
+    async def go() -> None:
+        journal = Journal(path)
+        [place] = await journal.open(["broker"])
+        for at in range(1000):  # 30 do not divide 500
+            journal.put(readings("a", 1_700_000_000.0 + at, 30))
+        output = Fast()
+        pump = pumps.Pump(output, waiting=place)
+        pump.start()
+        await until(lambda: len(output.ids) == 30_000)
+        pump.close()
+        await pump.task
+        await journal.close()
+
+    simulated_run(go(), Network())
+    assert sizes[:4] == [480, 990, 1980, 3990]
+    assert max(sizes) in range(4900, 5100)

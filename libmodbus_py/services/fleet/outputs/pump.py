@@ -24,7 +24,7 @@ MOST_OF_JOURNAL = 5000
 """The most readings at once for an output that is fast, and behind in a journal."""
 
 # Seconds within which such an output takes a batch; else the next ones are as small as before.
-QUICK = 0.25
+QUICK = 1.0
 
 FIRST_PAUSE, LONGEST_PAUSE = 0.5, 30.0
 
@@ -157,7 +157,7 @@ class Pump:
                 self.buffer.put_back(batch)
             raise
         is_quick = asyncio.get_running_loop().time() - begun < QUICK
-        if self._may_grow and is_quick and len(batch) >= MOST_AT_ONCE:
+        if self._may_grow and is_quick and len(batch) > most // 2:
             self._most = min(2 * most, MOST_OF_JOURNAL)
         await self.buffer.confirm(batch)
         if batch:
