@@ -1,0 +1,288 @@
+"""
+The recipes of the documentation, with the programs that Debian has; what other programs get is
+compared with what their configuration expects.
+"""
+
+from __future__ import annotations
+
+import configparser
+import json
+import re
+import shlex
+import signal
+import socket
+import subprocess
+import time
+import tomllib
+import urllib.error
+import urllib.parse
+import urllib.request
+from collections.abc import Iterator
+from datetime import datetime
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from libmodbus_py import Device, Mapping, Server
+from libmodbus_py.cli.commands import parsed
+from tests.services.fleet.fleets import LONGEST, until
+from tests.services.fleet.influxdb import Database
+from tests.support.commands import Started, ended
+from tests.support.programs import listens, missing, program
+
+if TYPE_CHECKING:
+    from tests.services.fleet.brokers import Broker
+
+ROOT = Path(__file__).parents[3]
+
+PAGE = ROOT / "docs" / "how-to" / "recipes.md"
+
+ADDRESS = "tcp://192.0.2.10"
+
+
+@cache
+def sections() -> dict[str, list[tuple[str, str]]]:
+    """Return the blocks below each heading, each with its language."""
+    found = re.split(r"^## (.+)$", PAGE.read_text(), flags=re.MULTILINE)
+    heads = ["", *found[1::2]]
+    texts = [found[0], *found[2::2]]
+    return {
+        head: re.findall(r"^```(\w+)[^\n]*\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+        for head, text in zip(heads, texts, strict=True)
+    }
+
+
+def block(section: str, language: str, containing: str = "") -> str:
+    """Return the only block of a language in a section that contains a text."""
+    (found,) = [
+        text for each, text in sections()[section] if each == language and containing in text
+    ]
+    return found
+
+
+@pytest.fixture
+def plant(tmp_path: Path) -> Iterator[Path]:
+    """The fleet file of the page, with a device that answers; `add` appends an output."""
+    values = Mapping(input_registers={0: [2305]}, holding_registers={0: [200]})
+    with Server(Device(values)).background("tcp://127.0.0.1:0") as running:
+        (tmp_path / "meter.csv").write_text(block("", "csv"))
+        fleet = block("", "toml").replace(ADDRESS, running.urls[0])
+        # Often, so that no test waits, and for a machine that is busy.
+        fleet = fleet.replace("interval = 5", f"interval = 0.1\ntimeout = {LONGEST}")
+        (tmp_path / "fleet.toml").write_text(fleet)
+        yield tmp_path / "fleet.toml"
+
+
+def add(plant: Path, output: str) -> None:
+    plant.write_text(f"{plant.read_text()}\n{output}")
+
+
+def free_port() -> int:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port: int = taken.getsockname()[1]
+    return port
+
+
+@pytest.mark.skipif(bool(missing("influxd")), reason="Debian 13 has no InfluxDB")
+def test_the_query_of_grafana_finds_a_line_for_each_device_in_influxdb(
+    plant: Path, tmp_path: Path
+) -> None:
+    section = "Grafana with InfluxDB"
+    database = Database(tmp_path)
+    database.start()
+    try:
+        database.ask("DROP DATABASE plant")
+        (create,) = re.findall(r"'q=(.*?)'", block(section, "sh"))
+        database.ask(create)
+        add(plant, block(section, "toml").replace("http://127.0.0.1:8086", database.url))
+        assert ended("poll", plant, "--once").code == 0
+        # What Grafana puts in place of its variables.
+        query = block(section, "sql").replace("$timeFilter", "time > now() - 1h")
+        (found,) = database.ask(query.replace("$__interval", "1h"))
+        assert found["mean"] == 230.5
+        (tag,) = database.ask('SHOW TAG VALUES FROM "modbus" WITH KEY = "site"')
+        assert tag["value"] == "Halle"
+    finally:
+        database.stop()
+    assert "database: plant" in block(section, "yaml")
+
+
+@pytest.mark.skipif(bool(missing("prometheus", "promtool")), reason="Prometheus is not installed")
+def test_prometheus_asks_for_the_values(plant: Path, tmp_path: Path) -> None:
+    section = "Grafana with Prometheus"
+    pytest.importorskip("prometheus_client")
+    served, port = free_port(), free_port()
+    settings = block(section, "yaml", "scrape_configs")
+    settings = settings.replace("127.0.0.1:9400", f"127.0.0.1:{served}")
+    (tmp_path / "prometheus.yml").write_text(settings.replace("5s", "50ms"))
+    check = [program("promtool"), "check", "config", "prometheus.yml"]
+    subprocess.run(check, cwd=tmp_path, check=True, capture_output=True, timeout=60)
+    command = [
+        program("prometheus"),
+        "--config.file=prometheus.yml",
+        "--storage.tsdb.path=data",
+        f"--web.listen-address=127.0.0.1:{port}",
+    ]
+    with (
+        Started("poll", plant, "--metrics", f"127.0.0.1:{served}"),
+        subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.DEVNULL) as prometheus,
+    ):
+        try:
+            listens(prometheus, port)
+            query = urllib.parse.urlencode({"query": block(section, "text")})
+            (found,) = answered(f"http://127.0.0.1:{port}/api/v1/query?{query}")
+        finally:
+            prometheus.terminate()
+    assert found["value"][1] == "230.5"
+    assert found["metric"]["device"] == "north"
+
+
+def answered(url: str) -> list[dict[str, Any]]:
+    """Return the result of a query, as soon as there is one."""
+    for _ in range(int(LONGEST * 50)):
+        try:
+            with urllib.request.urlopen(url, timeout=LONGEST) as answer:
+                result: list[dict[str, Any]] = json.load(answer)["data"]["result"]
+        except urllib.error.HTTPError as error:
+            if error.code != 503:  # it has just started
+                raise
+            result = []
+        if result:
+            return result
+        time.sleep(0.02)
+    raise AssertionError("no result")
+
+
+# --- Telegraf -------------------------------------------------------------------------------
+
+
+def test_telegraf_gets_lines_from_the_command_at_once(plant: Path) -> None:
+    (inputs,) = tomllib.loads(block("Telegraf", "toml", "inputs.execd"))["inputs"]["execd"]
+    assert (inputs["signal"], inputs["data_format"]) == ("none", "influx")
+    name, *arguments = inputs["command"]
+    assert name == "libmodbus-py"
+    with Started(*(plant if each.endswith(".toml") else each for each in arguments)) as started:
+        for _ in range(2):  # it comes while the command runs
+            line = started.stdout.readline()
+            assert re.fullmatch(
+                r"modbus,device=north,site=Halle voltage=230\.5,setpoint=20\.0 \d{19}\n", line
+            )
+        started.send_signal(signal.SIGTERM)  # as Telegraf ends it
+        assert started.wait() == 0
+
+
+def test_telegraf_reads_what_the_broker_gets(plant: Path, broker: Broker) -> None:
+    (inputs,) = tomllib.loads(block("Telegraf", "toml", "mqtt_consumer"))["inputs"]["mqtt_consumer"]
+    heard = heard_from(plant, broker, *inputs["topics"])
+    (parsing,) = inputs["topic_parsing"]
+    assert [parsing["topic"]] == inputs["topics"]
+    for topic, payload in heard.items():
+        tags = dict(zip(parsing["tags"].split("/"), topic.split("/"), strict=True))
+        assert tags["device"] == "north"
+        assert tags["name"] in ("voltage", "setpoint")
+        assert {*inputs["tag_keys"], *inputs["json_string_fields"]} <= payload.keys()
+        # Go's layout means RFC 3339, with or without fractions of seconds.
+        assert inputs["json_time_format"] == "2006-01-02T15:04:05Z07:00"
+        when = payload[inputs["json_time_key"]]
+        assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d+)?Z", when)
+        assert datetime.fromisoformat(when).tzinfo is not None
+    assert heard["plant/north/voltage"]["value"] == 230.5
+
+
+def heard_from(plant: Path, broker: Broker, *topics: str) -> dict[str, Any]:
+    """Poll once with the output to MQTT of the page, and return the last message of each topic."""
+    from tests.services.fleet.brokers import hearing, run  # MQTT's client is an extra
+
+    add(plant, block("Node-RED", "toml").replace("mqtt://127.0.0.1", broker.url))
+
+    async def go() -> dict[str, Any]:
+        with Started("poll", plant):
+            async with hearing(broker, *topics) as heard:
+                await until(lambda: len({topic for topic, *_ in heard}) >= expected)
+                return {topic: payload for topic, payload, _ in heard}
+
+    expected = 2 if topics == ("plant/+/+",) else len(topics)
+    found: dict[str, Any] = run(go())
+    return found
+
+
+# --- what reads MQTT ------------------------------------------------------------------------
+
+
+def test_node_red_reads_and_writes_topics_that_there_are(plant: Path, broker: Broker) -> None:
+    nodes = {node["id"]: node for node in json.loads(block("Node-RED", "json"))}
+    for node in nodes.values():
+        assert {target for wires in node.get("wires", ()) for target in wires} <= nodes.keys()
+    assert {nodes[each]["broker"] for each in ("in", "out")} == {"broker"}
+    assert nodes["broker"]["type"] == "mqtt-broker"
+    heard = heard_from(plant, broker, nodes["in"]["topic"])
+    (rule,) = nodes["good"]["rules"]
+    good = [payload for payload in heard.values() if payload["quality"] == rule["v"]]
+    assert {payload["value"] for payload in good} == {230.5, 20.0}
+    assert nodes["good"]["property"] == "payload.quality"
+    assert nodes["show"]["complete"] == "payload.value"
+
+
+def test_the_button_of_node_red_writes(plant: Path, broker: Broker) -> None:
+    from tests.services.fleet.brokers import hearing, publish, run
+
+    nodes = {node["id"]: node for node in json.loads(block("Node-RED", "json"))}
+    topic = nodes["out"]["topic"]
+    add(plant, block("Node-RED", "toml").replace("mqtt://127.0.0.1", broker.url))
+
+    async def go() -> Any:
+        with Started("poll", plant):
+            async with hearing(broker, "plant/north/setpoint", f"{topic}/result") as heard:
+                # A reading is published after the output has subscribed to commands.
+                await until(lambda: "plant/north/setpoint" in [each[0] for each in heard])
+                await publish(broker, topic, nodes["button"]["payload"].encode())
+                await until(lambda: f"{topic}/result" in [each[0] for each in heard])
+                return [payload for each, payload, _ in heard if each == f"{topic}/result"]
+
+    (result,) = run(go())
+    assert result["ok"] is True
+
+
+def test_home_assistant_reads_topics_that_there_are(plant: Path, broker: Broker) -> None:
+    text = block("Home Assistant", "yaml")
+    read = re.findall(r"(?<!command_)topic: ([\w/-]+)", text)
+    heard = heard_from(plant, broker, *dict.fromkeys(read))
+    assert heard["plant/north/voltage"]["value"] == 230.5
+    assert heard["plant/north/setpoint"]["value"] == 20.0
+    assert (heard["plant/status"], heard["plant-devices/north"]) == ("online", "online")
+    assert set(re.findall(r"value_json\.(\w+)", text)) == {"value"}
+    assert re.findall(r"command_topic: (.*)", text) == ["plant/north/setpoint/set"]
+    _, _, *rows = block("", "csv").splitlines()
+    (limits,) = [row.split(",")[-2:] for row in rows]
+    assert re.findall(r"(?:min|max): (\d+)", text) == limits
+
+
+# --- where it runs --------------------------------------------------------------------------
+
+
+def test_systemd_understands_the_unit(tmp_path: Path) -> None:
+    text = block("systemd", "ini")
+    unit = configparser.ConfigParser(interpolation=None)
+    unit.optionxform = str  # type: ignore[assignment, method-assign]
+    unit.read_string(text)
+    name, *arguments = shlex.split(unit["Service"]["ExecStart"])
+    assert name.endswith("/libmodbus-py")
+    assert parsed(arguments).file == "/etc/libmodbus-py/fleet.toml"
+    if missing("systemd-analyze"):
+        return
+    (tmp_path / "plant.service").write_text(text)
+    command = [program("systemd-analyze"), "verify", str(tmp_path / "plant.service")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    assert [line for line in done.stderr.splitlines() if "Unknown" in line] == []
+
+
+def test_the_container_starts_a_command_that_there_is() -> None:
+    text = block("Containers", "yaml")
+    (command,) = re.findall(r"command: (\[.*\])", text)
+    name, *arguments = json.loads(command)
+    assert name == "libmodbus-py"
+    assert parsed(arguments).file == "/fleet/fleet.toml"
+    (folder,) = re.findall(r"build: \./(\w+)", text)
+    assert "influx" in (ROOT / folder / "Dockerfile").read_text()
