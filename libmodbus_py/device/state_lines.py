@@ -163,7 +163,9 @@ def _at_once(path: str, flags: int) -> int:
 
 def _object(line: str) -> dict[str, Any]:
     try:
-        found = json.loads(line)
+        found = json.loads(line, object_pairs_hook=_without_repeats)
+    except WrongValue:
+        raise
     except ValueError as error:
         column = getattr(error, "colno", 1)
         raise WrongValue((), f"column {column}: not JSON: {getattr(error, 'msg', error)}") from None
@@ -171,6 +173,15 @@ def _object(line: str) -> dict[str, Any]:
         raise WrongValue((), "not JSON: too deep") from None
     if not isinstance(found, dict):
         raise WrongValue((), f"must be an object, not {shown(found)}")
+    return found
+
+
+def _without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for key, value in pairs:
+        if key in found:  # json would take the last one
+            raise WrongValue.about((key,), "is there twice")
+        found[key] = value
     return found
 
 

@@ -161,6 +161,30 @@ def test_another_type_at_the_same_place_is_another_device(folder: Path) -> None:
     kept(folder, plant(folder)).close()  # scales and new points do not matter
 
 
+@each_case(
+    ("change", "message"),
+    [
+        (('"unit": 1, "table"', '"unit": 2, "unit": 1, "table"'), r"line \d: unit: is there twice"),
+        (('"values": [215]', '"values": [1], "values": [215]'), r"line \d: values: is there twice"),
+        (('"setpoint": [', '"setpoint": [], "setpoint": ['), r"line 2: setpoint: is there twice"),
+        (('"version": 1', '"version": 9, "version": 1'), "line 1: version: is there twice"),
+        (('{"end": ', '{"end": 1, "end": '), r"line \d: end: is there twice"),
+    ],
+)
+def test_a_key_that_is_there_twice_is_refused(
+    change: tuple[str, str], message: str, folder: Path
+) -> None:
+    (folder / "state").unlink(missing_ok=True)
+    after_a_write(folder)
+    text = (folder / "state").read_text()
+    assert change[0] in text
+    (folder / "state").write_text(text.replace(*change, 1))
+    units = plant(folder)
+    with pytest.raises(ValueError, match=message):
+        kept(folder, units)
+    assert units[1]["setpoint"] == 20
+
+
 def test_half_a_file_is_refused_wherever_it_ends(folder: Path) -> None:
     after_a_write(folder)
     data = (folder / "state").read_bytes()
