@@ -17,13 +17,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Literal, NamedTuple
 
-from .scan import AT_END, GOES_ON, NO_FRAME, SILENT, UNFINISHED, FrameScanner
+from .scan import AT_END, GOES_ON, NO_FRAME, SILENT, UNFINISHED, FrameScanner, crc16
 
 __all__ = ["Piece", "RequestSearch"]
 
 # Of a serial line: MAX_PDU with unit and CRC.
 MAX_ADU = 256
 
+# A unit, a function and the CRC.
+MIN_ADU = 4
 
 Kind = Literal["request", "answer", "damage"]
 
@@ -108,6 +110,9 @@ class RequestSearch:
         if asks > 0:
             self._awaited = data[at], data[at + 1]
             return asks, "request"
+        if is_silent and _is_whole_refusal(data, at):
+            self._awaited = None
+            return len(data), "answer"
         is_open = UNFINISHED in (asks, NO_FRAME if is_ours else answers)
         return UNFINISHED if is_open else NO_FRAME, "damage"
 
@@ -196,3 +201,13 @@ class RequestSearch:
 
 
 _NOTHING: tuple[int, Kind] = (NO_FRAME, "damage")
+
+
+def _is_whole_refusal(data: bytes, at: int) -> bool:
+    """
+    Return True if all bytes up to the silence are one frame with a function of 80h or more.
+
+    No request has such a function, and one without the code of an exception is no damage either.
+    """
+    frame = data[at : at + MAX_ADU + 1]
+    return MIN_ADU <= len(frame) <= MAX_ADU and frame[1] >= 0x80 and crc16(frame) == 0

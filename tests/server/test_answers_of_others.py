@@ -26,6 +26,7 @@ TRAFFIC = [
     (rtu("02 10 0000 0001 02 0007"), rtu("02 10 0000 0001")),
     (rtu("02 11"), rtu("02 11 02 07 FF")),
     (rtu("02 03 0000 0001"), rtu("02 83 02")),
+    (rtu("02 00"), rtu("02 80 01")),
 ]
 
 
@@ -59,6 +60,44 @@ def test_a_clean_line_with_other_units_counts_no_error(stage: Stage, pause: floa
             master.write(rtu(f"01 08 00{counter:02X} 0000"))
             stage.pass_time(0.1)
             assert master.heard == rtu(f"01 08 00{counter:02X} {count:04X}")
+
+
+@pytest.mark.parametrize("scheme", ["rtu", "ascii"])
+@pytest.mark.parametrize("unit", [0, 1, 2])
+@pytest.mark.parametrize("body", ["80", "80 01", "83 02", "FF", "FF 0B"])
+def test_a_good_frame_that_is_no_request_is_no_damage(
+    stage: Stage, scheme: str, unit: int, body: str
+) -> None:
+    """A function of 80h or more, with a right CRC, is of another unit or of nobody's."""
+    made = ascii_frame if scheme == "ascii" else rtu
+    with served(stage, LINE.replace("rtu:", f"{scheme}:")) as (server, _mapping, writes):
+        master = LineEnd(stage.line("/dev/line"))
+        for _ in range(3):
+            master.write(made(f"{unit:02X} {body}"))
+            stage.pass_time(0.1)
+            assert master.heard == b""
+            master.write(made("01 03 0001 0001"))
+            stage.pass_time(0.1)
+            assert master.heard == made("01 03 02 0000")
+            master.heard = b""
+        assert server.statistics.bad_frames == 0
+        assert writes == []
+        master.write(made("01 08 000C 0000"))
+        stage.pass_time(0.1)
+        assert master.heard == made("01 08 000C 0000")
+
+
+@pytest.mark.parametrize("unit", [1, 2])
+def test_damage_with_such_a_function_is_counted(stage: Stage, unit: int) -> None:
+    """A function of 80h or more and a wrong CRC."""
+    with served(stage) as (server, _mapping, _writes):
+        master = LineEnd(stage.line("/dev/line"))
+        master.write(rtu(f"{unit:02X} 80")[:-1] + b"\x00")
+        stage.pass_time(0.1)
+        master.write(READ)
+        stage.pass_time(0.1)
+        assert master.heard == rtu("01 03 02 0000")
+        assert server.statistics.bad_frames == 1
 
 
 def test_a_gateway_hears_others_too(stage: Stage) -> None:
