@@ -150,9 +150,7 @@ class SerialServer:
             self._trial.cancel()
             self._trial = None
         held, self._held = self._held, b""
-        with contextlib.suppress(ModbusConnectionError):
-            self._port.send([held], self._loop.time())
-        self._follow_port()
+        self._pass(held, self._loop.time())
 
     def _receive(self, data: bytes = b"") -> None:
         try:
@@ -179,15 +177,18 @@ class SerialServer:
         while sum(map(len, self._unsent)) > MAX_UNSENT:
             self._unsent.popleft()
         if self._timer is None and not self._held:
-            wait = self._port.silence.over_at - self._loop.time()
-            if wait > 0:
-                self._timer = self._loop.call_later(wait, self._send_unsent)
-            else:
-                self._send_unsent()
+            self._send_after_silence()
+
+    def _send_after_silence(self) -> None:
+        wait = self._port.silence.over_at - self._loop.time()
+        if wait > 0:
+            self._timer = self._loop.call_later(wait, self._send_unsent)
+        else:
+            self._send_unsent()
 
     def _send_unsent(self) -> None:
-        data = b"".join(self._unsent)
-        self._unsent.clear()
+        """Send the first answer that waits; without a silence the next would run into it."""
+        data = self._unsent.popleft()
         # The next read fails if the port is gone.
         now = self._loop.time()
         if not self._port.echo:
@@ -195,8 +196,13 @@ class SerialServer:
             if self._held:
                 data = data[: -len(self._held)]
                 self._trial = self._loop.call_later(self._echo.gap, self._end_trial)
+        self._pass(data, now)
+
+    def _pass(self, data: bytes, now: float) -> None:
+        """Pass bytes to the port, and note when the next ones may follow."""
         with contextlib.suppress(ModbusConnectionError):
             self._port.send([data], now)
+        self._port.silence.sent(len(data), now)
         self._follow_port()
 
     def _go_on(self) -> None:
@@ -211,4 +217,4 @@ class SerialServer:
             pause = self._port.resume_at - self._loop.time()
             self._timer = self._loop.call_later(pause, self._go_on)
         elif self._unsent and not self._held:
-            self._send_unsent()
+            self._send_after_silence()
