@@ -7,9 +7,10 @@ from __future__ import annotations
 import argparse
 import contextlib
 from collections.abc import Callable
+from typing import Any
 from urllib.parse import urlsplit
 
-__all__ = ["Address", "address_like"]
+__all__ = ["Address", "OneAddress", "address_like"]
 
 Address = tuple[str, int]
 
@@ -25,3 +26,18 @@ def address_like(example: str) -> Callable[[str], Address]:
         raise argparse.ArgumentTypeError(f"must be HOST:PORT, such as {example}, not {text!r}")
 
     return read
+
+
+class OneAddress(argparse.Action):
+    """Sets an address, and refuses a second one, in place of which argparse forgets the first."""
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: Any,
+        option_string: str | None = None,
+    ) -> None:
+        if getattr(namespace, self.dest) is not None:
+            raise argparse.ArgumentError(self, "may be given once: there is one address for all")
+        setattr(namespace, self.dest, values)

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from typing import Any, TextIO
 
 from ...protocol.errors import ModbusConnectionError
-from .addresses import Address, address_like
+from .addresses import Address, OneAddress, address_like
 
 __all__ = ["add_argument", "exposed"]
 
@@ -19,6 +19,7 @@ def add_argument(command: argparse.ArgumentParser) -> None:
     """Add the option to argparse."""
     command.add_argument(
         "--metrics",
+        action=OneAddress,
         type=address_like("127.0.0.1:9400"),
         metavar="HOST:PORT",
         help="serve metrics for Prometheus at this address, over HTTP",

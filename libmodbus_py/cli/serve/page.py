@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, TextIO, TypeGuard
 
 from ...protocol.errors import ModbusConnectionError
 from ..output import complain
-from .addresses import Address, address_like
+from .addresses import Address, OneAddress, address_like
 
 if TYPE_CHECKING:
     from ...server.server import Running, Server
@@ -41,6 +41,7 @@ def add_argument(command: argparse._ActionsContainer, what: str = "the devices")
     """
     command.add_argument(
         "--page",
+        action=OneAddress,
         type=address_like("{}:{}".format(*EXAMPLE)),
         nargs="?",
         const=EXAMPLE,
