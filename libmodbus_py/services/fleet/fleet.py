@@ -75,7 +75,7 @@ class Fleet:
     Raises:
         TypeError, ValueError: two devices have the same name, or two URLs with different
             options lead to the same host and port or serial port; two outputs write to the same
-            file or topic.
+            file or topic, or one to a file of the journal.
         JournalError: when polling begins: the journal cannot be used.
     """
 
@@ -90,7 +90,7 @@ class Fleet:
         self._devices: dict[str, DeviceConfig] = {each.name: each for each in checked(devices)}
         self._outputs = list(outputs)
         self._journal = journal
-        check_exclusive(self._outputs)
+        check_exclusive(self._outputs, journal)
         self._may_ask = may_ask
         self.statistics: FleetStatistics = FleetStatistics()
         self.statistics.journal = journal.statistics if journal else None

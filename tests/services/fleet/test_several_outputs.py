@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from libmodbus_py import Fleet
+from libmodbus_py.fleet import Journal
 from libmodbus_py.services.fleet.files import FleetFileError, load
 from libmodbus_py.services.fleet.outputs.csv_output import CsvOutput
 from libmodbus_py.services.fleet.outputs.exclusive import shared
@@ -164,3 +165,14 @@ def test_two_outputs_of_a_program_with_one_name_are_counted_apart() -> None:
 def test_the_path_of_a_file_has_no_character_0() -> None:
     with pytest.raises(ValueError, match="path must not contain the character 0"):
         JsonOutput("a\0b")
+
+
+@each_case("name", ["fleet.db", "fleet.db-wal", "link"])
+def test_an_output_is_no_file_of_the_journal(name: str, tmp_path: Path) -> None:
+    """SQLite would find lines of text in its file, and the output what SQLite writes."""
+    (tmp_path / "link").unlink(missing_ok=True)
+    (tmp_path / "link").symlink_to("fleet.db")
+    journal = Journal(tmp_path / "fleet.db")
+    with pytest.raises(ValueError, match=r"the journal and csv .* use the file .*fleet\.db"):
+        Fleet(outputs=[CsvOutput(str(tmp_path / name))], journal=journal)
+    Fleet(outputs=[CsvOutput(str(tmp_path / "other"))], journal=journal)

@@ -15,6 +15,7 @@ from ....protocol.logs import HarmlessLogger
 from ....protocol.mistakes import WrongType
 from ....tools.files.amounts import in_bytes, in_seconds
 from ...tasks import end_tasks, finish
+from ..outputs.exclusive import file_at
 from ..outputs.writer_thread import WriterThread
 from ..readings import Reading
 from ..statistics import JournalStatistics
@@ -89,6 +90,9 @@ class Journal:
         if not isinstance(path, str | PathLike) or not fspath(path):
             raise WrongType("journal", f"must be the path of a file, not {path!r}")
         self.path: str = fspath(path)
+        self.exclusive: tuple[str, ...] = tuple(
+            file_at(f"{self.path}{end}") for end in ("", "-wal", "-shm", "-lock")
+        )
         self.statistics: JournalStatistics = JournalStatistics()
         self._file = JournalFile(
             self.path,

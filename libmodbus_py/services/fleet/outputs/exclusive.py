@@ -4,21 +4,22 @@ Things that only one output of a fleet may use: a file, the standard output, a t
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol, runtime_checkable
 
 from .output import Output
 
-__all__ = ["Exclusive", "Overlap", "check_exclusive", "shared"]
+__all__ = ["Exclusive", "Overlap", "check_exclusive", "file_at", "shared"]
 
 
 @runtime_checkable
 class Exclusive(Protocol):
     """
-    An output that cannot share with others.
+    An output, or a journal, that cannot share with others.
 
     Attributes:
-        exclusive: what no other output of the fleet may use, such as "the file /tmp/readings.csv".
+        exclusive: what nothing else of the fleet may use, such as "the file /tmp/readings.csv".
     """
 
     exclusive: tuple[str, ...]
@@ -54,8 +55,19 @@ def shared(outputs: Sequence[Output]) -> Overlap | None:
     return None
 
 
-def check_exclusive(outputs: Sequence[Output]) -> None:
-    """Raise ValueError if two outputs would use the same thing."""
+def check_exclusive(outputs: Sequence[Output], journal: Exclusive | None = None) -> None:
+    """Raise ValueError if two outputs, or an output and the journal, would use the same thing."""
     found = shared(outputs)
     if found is not None:
         raise ValueError(f"two outputs use {found.what}")
+    taken = journal.exclusive if journal is not None else ()
+    for output in outputs:
+        things = output.exclusive if isinstance(output, Exclusive) else ()
+        both = [each for each in things if each in taken]
+        if both:
+            raise ValueError(f"the journal and {output.name} use {both[0]}")
+
+
+def file_at(path: str) -> str:
+    """Return the words for a file, the same for all paths that lead to it."""
+    return f"the file {os.path.realpath(path)}"

@@ -198,11 +198,11 @@ class Mqtt:
                 raise
             self._client = client
             self._listening = asyncio.create_task(self._listen(client))
+            if self.takes_commands:  # before "online", at which programs may send commands
+                await client.subscribe(f"{self._topic.filter}/set", 1)
             if self._status:
                 await client.publish(self._status, ONLINE, 1, True)
                 await client.subscribe(self._status, 1)
-            if self.takes_commands:
-                await client.subscribe(f"{self._topic.filter}/set", 1)
             # The broker may have been restarted, and may have lost what it retained.
             await self._while_connected(self._publish_again(client))
 

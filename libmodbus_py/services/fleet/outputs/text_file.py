@@ -18,6 +18,7 @@ from ....protocol.plain import without_controls
 from ...tasks import finish
 from ..buffer import MOST_KEPT
 from ..readings import Reading
+from .exclusive import file_at
 from .output import OutputError
 from .rotation import Rotation
 from .writer_thread import WriterThread
@@ -217,4 +218,4 @@ class TextFile:
 
 def _thing(path: str) -> str:
     """Return what an output to this path has for itself, in words."""
-    return "the standard output" if path == "-" else f"the file {os.path.realpath(path)}"
+    return "the standard output" if path == "-" else file_at(path)
