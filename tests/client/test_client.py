@@ -107,7 +107,9 @@ def test_both_clients_have_the_same_methods_with_the_same_parameters() -> None:
     for name in public:
         blocking, asynchronous = getattr(Context, name), getattr(AsyncClient, name)
         if not isinstance(blocking, property):
-            assert inspect.signature(asynchronous) == inspect.signature(blocking), name
+            # What is awaited has another type where iteration is asynchronous, too.
+            parameters = [inspect.signature(each).parameters for each in (asynchronous, blocking)]
+            assert parameters[0] == parameters[1], name
             assert inspect.getdoc(asynchronous), name
 
 
