@@ -10,11 +10,11 @@ import argparse
 import contextlib
 import logging
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
 from typing import Any
 
-__all__ = ["add_arguments", "logged"]
+__all__ = ["add_arguments", "called_before_lines", "logged"]
 
 PACKAGE = "libmodbus_py"
 
@@ -57,6 +57,26 @@ def logged(options: argparse.Namespace) -> Iterator[None]:
     finally:
         logger.removeHandler(handler)
         logger.setLevel(before)
+
+
+@contextlib.contextmanager
+def called_before_lines(function: Callable[[], object]) -> Iterator[None]:
+    """Call a function before each line of the log while the block runs."""
+
+    def is_printed(record: logging.LogRecord) -> bool:
+        function()
+        return True
+
+    filtered = [*logging.getLogger(PACKAGE).handlers]
+    if not filtered and logging.lastResort is not None:
+        filtered = [logging.lastResort]
+    for each in filtered:
+        each.addFilter(is_printed)
+    try:
+        yield
+    finally:
+        for each in filtered:
+            each.removeFilter(is_printed)
 
 
 class _Handler(logging.StreamHandler[Any]):

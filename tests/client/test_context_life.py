@@ -62,7 +62,7 @@ def echo_address(request: bytes) -> list[bytes]:
         (lambda: RtuContext(3), "device"),  # type: ignore[arg-type]
         (lambda: RtuContext("/dev/x", 0), "baudrate"),
         (lambda: RtuContext("/dev/x", 9600.5), "baudrate"),  # type: ignore[arg-type]
-        (lambda: RtuContext("/dev/x", parity="e"), "parity"),  # type: ignore[arg-type]
+        (lambda: RtuContext("/dev/x", parity="x"), "parity"),  # type: ignore[arg-type]
         (lambda: RtuContext("/dev/x", data_bits=9), "data_bits"),
         (lambda: RtuContext("/dev/x", stop_bits=3), "stop_bits"),
         (lambda: RtuContext("/dev/x", rs485="yes"), "rs485"),  # type: ignore[arg-type]

@@ -7,7 +7,6 @@ from __future__ import annotations
 import argparse
 import asyncio
 import contextlib
-import logging
 import os
 import signal
 import sys
@@ -375,20 +374,11 @@ async def _show_line(fleet: Fleet) -> None:
 async def _show_table(values: LastValues, fleet: Fleet) -> None:
     """Draw the devices that are down and the values again and again, until cancelled."""
     table = Redrawn(sys.stderr)
-
-    def make_room(record: logging.LogRecord) -> bool:
-        table.clear()
-        return True
-
-    handlers = list(logging.getLogger("libmodbus_py").handlers)
-    for each in handlers:
-        each.addFilter(make_room)
     try:
-        async for text in _status_texts(fleet):
-            table.draw(fleet_lines(fleet, values.statistics, text))
+        with logs.called_before_lines(table.clear):
+            async for text in _status_texts(fleet):
+                table.draw(fleet_lines(fleet, values.statistics, text))
     finally:
-        for each in handlers:
-            each.removeFilter(make_room)
         table.clear()
 
 

@@ -42,7 +42,9 @@ class Fleet:
         error: ends it, once it is set.
     """
 
-    def __init__(self, *, outputs: Sequence[Any], may_ask: Callable[[str], bool]) -> None:
+    def __init__(
+        self, *, outputs: Sequence[Any], journal: None, may_ask: Callable[[str], bool]
+    ) -> None:
         self.outputs = outputs
         self.may_ask = may_ask
         self.statistics = FleetStatistics()

@@ -125,10 +125,10 @@ BROKEN = [
     (HOLDING + "values = [1, -1]", f"{AT}.values[1] must be in 0..65535, not -1"),
     (HOLDING + "value = 1.5", f"{AT}.value must be an integer in 0..65535, not float"),
     (
-        HOLDING + "type = 'float'",
+        HOLDING + "type = 'quux'",
         f"{AT}.type must be one of int16, int32, int64, uint16, uint32, uint64, float16, float32,"
         " float64, bcd16, bcd32, bcd64, bits16, bits32, bits64, unix32, unix64,"
-        " ms64, iec870, date48, bcddate48, date96, string:N, not 'float'",
+        " ms64, iec870, date48, bcddate48, date96, string:N, not 'quux'",
     ),
     (HOLDING + "type = 1", f"{AT}.type must be a string, such as float32, not int"),
     (
