@@ -7,6 +7,7 @@ from __future__ import annotations
 import contextlib
 import os
 import re
+import socket
 import subprocess
 import tempfile
 from collections.abc import Iterator
@@ -77,10 +78,9 @@ def _folder() -> Iterator[Path]:
 @contextlib.contextmanager
 def _chromedriver(folder: Path) -> Iterator[str]:
     """
-    Run chromedriver at a port of its own choice; gives its URL.
+    Run chromedriver at a free port; gives its URL.
 
-    Selenium would start chromedriver at a port that another program may take meanwhile, and would
-    talk to it as "localhost", a name that not every machine knows.
+    Selenium would talk to it as "localhost", a name that not every machine knows.
 
     Args:
         folder: what chromedriver and Chromium take for HOME and the folder of temporary files.
@@ -91,7 +91,7 @@ def _chromedriver(folder: Path) -> Iterator[str]:
         "HOME": home,
         "TMPDIR": home,
     }
-    command = [programs.program("chromedriver"), "--port=0"]
+    command = [programs.program("chromedriver"), f"--port={_free_port()}"]
     with subprocess.Popen(
         command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True, env=environment
     ) as process:
@@ -100,6 +100,20 @@ def _chromedriver(folder: Path) -> Iterator[str]:
             yield f"http://127.0.0.1:{_port(process.stdout)}"
         finally:
             process.terminate()
+
+
+def _free_port() -> int:
+    """
+    Return a port that is free on 127.0.0.1 and on ::1, and that no program is given for port 0.
+
+    For port 0, chromedriver has one chosen on ::1, and ends if it is taken on 127.0.0.1.
+    """
+    for port in range(10_000 + os.getpid() % 10_000, 32_000):
+        with contextlib.suppress(OSError), contextlib.ExitStack() as stack:
+            for family, host in ((socket.AF_INET, "127.0.0.1"), (socket.AF_INET6, "::1")):
+                stack.enter_context(socket.socket(family)).bind((host, port))
+            return port
+    raise RuntimeError("no port is free")
 
 
 def _port(output: Iterator[str]) -> int:
