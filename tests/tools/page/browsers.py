@@ -5,6 +5,7 @@ A headless Chromium of its own, driven by Selenium through Debian's chromedriver
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import re
 import socket
@@ -19,6 +20,8 @@ from tests.support import programs
 __all__ = ["browser", "console", "missing", "resize"]
 
 PROGRAMS = {"chromium": "chromium", "chromedriver": "chromium-driver"}
+
+PLACES = ((socket.AF_INET, "127.0.0.1"), (socket.AF_INET6, "::1"))
 
 # Root must run Chromium without its sandbox, and so must users of most containers.
 OPTIONS = (
@@ -109,11 +112,19 @@ def _free_port() -> int:
     For port 0, chromedriver has one chosen on ::1, and ends if it is taken on 127.0.0.1.
     """
     for port in range(10_000 + os.getpid() % 10_000, 32_000):
-        with contextlib.suppress(OSError), contextlib.ExitStack() as stack:
-            for family, host in ((socket.AF_INET, "127.0.0.1"), (socket.AF_INET6, "::1")):
-                stack.enter_context(socket.socket(family)).bind((host, port))
+        if all(map(_is_free, PLACES, (port, port))):
             return port
     raise RuntimeError("no port is free")
+
+
+def _is_free(place: tuple[int, str], port: int) -> bool:
+    family, host = place
+    try:
+        with socket.socket(family) as trial:
+            trial.bind((host, port))
+    except OSError as error:
+        return error.errno != errno.EADDRINUSE  # there may be no IPv6
+    return True
 
 
 def _port(output: Iterator[str]) -> int:
