@@ -26,7 +26,7 @@ class PageOutput:
         is_live: True, because readings of earlier runs are not wanted.
     """
 
-    name = "page"
+    name: str = "page"
     is_live = True
 
     def __init__(self) -> None:
@@ -92,9 +92,9 @@ class ShownFleet:
 class DevicesTable:
     """See `PageTable`: the state of each device, since when, and why."""
 
-    name = "devices"
-    title = "Devices"
-    columns = (
+    name: str = "devices"
+    title: str = "Devices"
+    columns: Sequence[Column] = (
         Column("device", "row"),
         Column("state", "state"),
         Column("since", "since"),

@@ -70,9 +70,9 @@ class ShownGateway:
 class LinesTable:
     """See `PageTable`: each line, its queue and its state."""
 
-    name = "lines"
-    title = "Lines"
-    columns = (
+    name: str = "lines"
+    title: str = "Lines"
+    columns: Sequence[Column] = (
         Column("line", "row"),
         Column("state", "state"),
         Column("since", "since", is_wide=True),
@@ -138,9 +138,9 @@ class LinesTable:
 class UnitsTable:
     """See `PageTable`: each unit that requests were sent to, and whether it answers."""
 
-    name = "units"
-    title = "Units"
-    columns = (
+    name: str = "units"
+    title: str = "Units"
+    columns: Sequence[Column] = (
         Column("unit", "row"),
         Column("state", "state"),
         Column("requests", "number"),
@@ -208,9 +208,9 @@ class ClientCount:
     __slots__ = ("exceptions", "function", "host", "requests", "time", "unit")
 
     def __init__(self, host: str, unit: int, function: int) -> None:
-        self.host = host
-        self.unit = unit
-        self.function = function
+        self.host: str = host
+        self.unit: int = unit
+        self.function: int = function
         self.requests: int = 0
         self.exceptions: int = 0
         self.time: float = 0.0
@@ -219,9 +219,9 @@ class ClientCount:
 class ClientsTable:
     """See `PageTable`: which client asks which unit with which function, and how often."""
 
-    name = "clients"
-    title = "Clients"
-    columns = (
+    name: str = "clients"
+    title: str = "Clients"
+    columns: Sequence[Column] = (
         Column("client", "row"),
         Column("function", "note"),
         Column("requests", "number"),

@@ -100,11 +100,11 @@ class TableValue:
     __slots__ = ("device", "name", "reading", "samples", "units")
 
     def __init__(self, device: str, name: str, units: str, samples: Samples) -> None:
-        self.device = device
-        self.name = name
-        self.units = units
+        self.device: str = device
+        self.name: str = name
+        self.units: str = units
         self.reading: tuple[Any, ...] | None = None
-        self.samples = samples
+        self.samples: Samples = samples
 
 
 class ValuesTable:
@@ -116,9 +116,9 @@ class ValuesTable:
             that is good is as old as that, or as its reading.
     """
 
-    name = "values"
-    title = "Values"
-    columns = (
+    name: str = "values"
+    title: str = "Values"
+    columns: Sequence[Column] = (
         Column("point", "row"),
         Column("value", "value"),
         Column("unit"),
